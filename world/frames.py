@@ -1,0 +1,54 @@
+"""Frames of reference: ISO 8855 for world, vehicle and headlight (x forward, y left, z up), OpenCV for cameras."""
+
+import torch
+from torch import Tensor
+
+# Columns are the OpenCV camera axes (x right, y down, z forward) in an ISO 8855 frame.
+R_ISO_OPENCV = torch.tensor([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]], dtype=torch.float64)
+
+
+def rotation(roll: Tensor, pitch: Tensor, yaw: Tensor) -> Tensor:
+    """Rotation matrix `Rz(yaw) Ry(pitch) Rx(roll)`.
+
+    Parameters: angles in rad, broadcastable `[...]`; positive pitch is nose down (ISO 8855).
+    Returns `[..., 3, 3]`.
+    """
+    roll, pitch, yaw = torch.broadcast_tensors(roll, pitch, yaw)
+    cr, sr = roll.cos(), roll.sin()
+    cp, sp = pitch.cos(), pitch.sin()
+    cy, sy = yaw.cos(), yaw.sin()
+    rows = [
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ]
+    return torch.stack([torch.stack(row, -1) for row in rows], -2)
+
+
+def pose(position: Tensor, rotation_matrix: Tensor) -> Tensor:
+    """Homogeneous pose `[..., 4, 4]` from a position `[..., 3]` in m and a rotation `[..., 3, 3]`."""
+    batch = torch.broadcast_shapes(position.shape[:-1], rotation_matrix.shape[:-2])
+    T = torch.zeros(*batch, 4, 4, dtype=position.dtype, device=position.device)
+    T[..., :3, :3] = rotation_matrix
+    T[..., :3, 3] = position
+    T[..., 3, 3] = 1.0
+    return T
+
+
+def pose_from_degrees(
+    position_m: tuple[float, float, float], roll_deg: float = 0.0, pitch_deg: float = 0.0, yaw_deg: float = 0.0
+) -> Tensor:
+    """Homogeneous pose `[4, 4]`, float64, from a position in m and angles in degrees as scenario files write them."""
+    angles = torch.deg2rad(torch.tensor([roll_deg, pitch_deg, yaw_deg], dtype=torch.float64))
+    return pose(torch.tensor(position_m, dtype=torch.float64), rotation(*angles))
+
+
+def inverse(T: Tensor) -> Tensor:
+    """Inverse of a rigid pose `[..., 4, 4]`."""
+    R_t = T[..., :3, :3].transpose(-1, -2)
+    return pose(-(R_t @ T[..., :3, 3:])[..., 0], R_t)
+
+
+def transform(T: Tensor, points: Tensor) -> Tensor:
+    """Take points `[..., 3, N]` in m of frame b to frame a with `T_a_b` `[..., 4, 4]`."""
+    return T[..., :3, :3] @ points + T[..., :3, 3:]

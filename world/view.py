@@ -1,0 +1,45 @@
+"""A pinhole view of the world: what a camera and a lamp's shadow map have in common."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from world.frames import inverse, transform
+
+
+@dataclass(frozen=True)
+class View:
+    """Pinhole with OpenCV axes (x right, y down, z forward); pixel centres at integer + 0.5.
+
+    width, height: px. fx, fy, cx, cy: px. T_world_view: `[4, 4]` float64, takes points of the view to the world.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    T_world_view: Tensor
+
+    @property
+    def origin(self) -> Tensor:
+        """Centre of projection in the world, `[3]` m."""
+        return self.T_world_view[:3, 3]
+
+    def rays(self) -> Tensor:
+        """World directions through all pixel centres, `[3, height, width]` float64, scaled to depth 1 along the optical axis."""
+        dtype, device = self.T_world_view.dtype, self.T_world_view.device
+        u = (torch.arange(self.width, dtype=dtype, device=device) + 0.5 - self.cx) / self.fx
+        v = (torch.arange(self.height, dtype=dtype, device=device) + 0.5 - self.cy) / self.fy
+        directions = torch.stack([u.expand(self.height, -1), v[:, None].expand(-1, self.width), torch.ones_like(u).expand(self.height, -1)])
+        return torch.einsum("ij,jhw->ihw", self.T_world_view[:3, :3], directions)
+
+    def project(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Image coordinates `[..., 2, N]` px and depth `[..., N]` m of world points `[..., 3, N]`; only depth > 0 is in front."""
+        p = transform(inverse(self.T_world_view).to(points), points)
+        depth = p[..., 2, :]
+        u = self.fx * p[..., 0, :] / depth + self.cx
+        v = self.fy * p[..., 1, :] / depth + self.cy
+        return torch.stack([u, v], -2), depth
