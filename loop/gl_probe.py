@@ -1,4 +1,4 @@
-"""Create an offscreen OpenGL context as the rasteriser does and print what renders: a program of its own, for a broken driver may crash it."""
+"""Create the offscreen OpenGL context of the rasteriser and print what renders: a program of its own, for a broken driver may crash it."""
 
 import os
 
