@@ -1,0 +1,100 @@
+"""Ray tracing headlight control (T 7.3): from primitives to a setpoint for every ray of a light texture.
+
+All rays of a module share their origin, so the ray-plane system (7.3.3) is one 3 x 3 homography a primitive: with q = p_o - o,
+n = d1 x d2 and the unnormalised ray d = [1, y, z], u = d.(d2 x q) / d.n, v = d.(q x d1) / d.n, l = q.n / d.n.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from kornia.geometry.transform import remap
+from torch import Tensor
+
+from controllers.primitives import Primitives
+from world.frames import inverse, transform
+from world.headlight import Headlight
+
+
+@dataclass(frozen=True)
+class Window:
+    """A rectangle of the light texture, texels; stop is exclusive."""
+
+    row_start: int
+    row_stop: int
+    col_start: int
+    col_stop: int
+
+
+@dataclass(frozen=True)
+class Setpoints:
+    """Ray setpoints on a window of the light texture.
+
+    value: `[..., rows, cols]`, in cd (I_v, E_v) or as a share (u_abs, u_rel). hit: `[..., rows, cols]` bool; elsewhere the default counts.
+    """
+
+    value: Tensor
+    hit: Tensor
+    window: Window
+
+
+def whole(headlight: Headlight) -> Window:
+    """The whole light texture as a window."""
+    return Window(0, headlight.rows, 0, headlight.cols)
+
+
+def projected_window(primitives: Primitives, headlight: Headlight, T_world_headlight: Tensor) -> Window:
+    """The texels that a single scene's primitives can touch, by their projected corners; the whole texture if one lies behind the lamp.
+
+    The host learns the rectangle, so on an accelerator this waits for the device.
+    """
+    corners = primitives.corners().reshape(-1, 3).T
+    x, y, z = transform(inverse(T_world_headlight).to(corners), corners)
+    if bool((x <= 0).any()):
+        return whole(headlight)
+    row, col = headlight.texel_of(y / x, z / x)
+    low = torch.stack([row.min(), col.min()]).floor().tolist()
+    high = torch.stack([row.max(), col.max()]).ceil().tolist()
+    clip = [min(max(int(v), 0), n) for v, n in zip((*low, *high), (headlight.rows, headlight.cols) * 2, strict=True)]
+    return Window(clip[0], max(clip[2], clip[0]), clip[1], max(clip[3], clip[1]))
+
+
+def trace(primitives: Primitives, headlight: Headlight, T_world_headlight: Tensor, window: Window | None = None) -> Setpoints:
+    """Cast a ray through every texel centre of the window (default: all) and take the setpoint of the nearest primitive hit.
+
+    primitives: batch `[..., P]`. T_world_headlight: `[4, 4]`. Back faces are not hit; E_v becomes `E d^2 / cos` (T 7.2.1).
+    """
+    window = window or whole(headlight)
+    y, z = headlight.tangents(primitives.origin.dtype, primitives.origin.device)
+    y, z = y[window.col_start : window.col_stop], z[window.row_start : window.row_stop]
+    R_t = T_world_headlight[:3, :3].T.to(primitives.origin)
+    position = T_world_headlight[:3, 3].to(primitives.origin)
+    q, d1, d2, normal = (v @ R_t.T for v in (primitives.origin - position, primitives.d1, primitives.d2, primitives.normal))
+    n = torch.linalg.cross(d1, d2)
+
+    def along_rays(a: Tensor) -> Tensor:
+        a = a[..., None, None, :]
+        return a[..., 0] + a[..., 1] * y + a[..., 2] * z[:, None]
+
+    dn = along_rays(n)
+    u = along_rays(torch.linalg.cross(d2, q)) / dn
+    v = along_rays(torch.linalg.cross(q, d1)) / dn
+    length = (q * n).sum(-1)[..., None, None] / dn
+    facing = -along_rays(normal)
+    hit = (length > 0) & (u >= 0) & (u <= 1) & (v >= 0) & (v <= 1) & (facing > 0)
+    value = _symbol_value(primitives.symbols, u, v) * primitives.value[..., None, None]
+    if primitives.quantity == "E_v":
+        d = (1 + y * y + z[:, None] ** 2).sqrt()
+        value = value * length**2 * d**3 / facing.clamp(min=torch.finfo(facing.dtype).tiny)
+    distance = torch.where(hit, length, math.inf)
+    nearest = distance.argmin(-3, keepdim=True)
+    value = torch.where(hit, value, 0.0).gather(-3, nearest)[..., 0, :, :]
+    return Setpoints(value, hit.any(-3), window)
+
+
+def _symbol_value(symbols: Tensor, u: Tensor, v: Tensor) -> Tensor:
+    """Symbol images `[P, h, w]` at symbol coordinates `[..., P, rows, cols]`, bilinear, texel centres at (k + 1/2) / n."""
+    shape = u.shape
+    images = symbols.expand(*shape[:-2], *symbols.shape[-2:]).reshape(-1, 1, *symbols.shape[-2:])
+    maps = (2 * coordinate.reshape(-1, *shape[-2:]) - 1 for coordinate in (u, v))
+    return remap(images, *maps, padding_mode="border", align_corners=False, normalized_coordinates=True).reshape(shape)

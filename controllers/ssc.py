@@ -1,0 +1,57 @@
+"""SuperSampling Control (T 7): primitives in, pixel utilisations out, behind the protocol of all pixel controllers."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from controllers.mrpc import MrpcParams, PixelMajor, pixel_major, reduce_setpoints
+from controllers.primitives import Primitives
+from controllers.rthc import projected_window, trace
+from world.headlight import Headlight
+
+
+@dataclass(frozen=True)
+class Utilisation:
+    """Pixel utilisations u `[..., n_p]` in 0..1; band: the pixels that may differ from the default, None where that is not known."""
+
+    u: Tensor
+    band: slice | None = None
+
+
+class PixelController(Protocol):
+    """Turns primitives into the utilisations of one lamp."""
+
+    headlight: Headlight
+    default: Tensor
+
+    def utilisation(self, primitives: Primitives, T_world_headlight: Tensor) -> Utilisation:
+        """Utilisation `[..., n_p]` for primitives with the same batch dimensions."""
+        ...
+
+
+@dataclass(frozen=True)
+class Ssc:
+    """RTHC and MRPC for one headlight; default: `[n_p]`, the base pattern's utilisation."""
+
+    headlight: Headlight
+    pixels: PixelMajor
+    params: MrpcParams
+    default: Tensor
+
+    @classmethod
+    def prepare(cls, headlight: Headlight, params: MrpcParams | None = None, default: Tensor | None = None) -> "Ssc":
+        """Make the pixel-major tables once; the default base pattern is dark."""
+        params = params or MrpcParams()
+        values = headlight.matrix.values
+        default = torch.zeros(headlight.n_pixels, dtype=values.dtype, device=values.device) if default is None else default
+        return cls(headlight, pixel_major(headlight, params), params, default)
+
+    def utilisation(self, primitives: Primitives, T_world_headlight: Tensor) -> Utilisation:
+        """A single scene on the CPU touches only the projected rectangle and its band of pixels; batches and accelerators take all rays."""
+        banded = primitives.origin.ndim == 2 and primitives.origin.device.type == "cpu"
+        window = projected_window(primitives, self.headlight, T_world_headlight) if banded else None
+        setpoints = trace(primitives, self.headlight, T_world_headlight, window)
+        u, band = reduce_setpoints(setpoints, primitives.quantity, self.headlight, self.pixels, self.params, self.default)
+        return Utilisation(u, band if banded else None)

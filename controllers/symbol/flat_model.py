@@ -1,0 +1,111 @@
+"""The controller's internal model: what the camera would see of the projected symbol on a flat, empty road, without noise."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from controllers.ssc import Utilisation
+from controllers.symbol.projector import Projector
+from perception.appearance import Appearance, Axes, appearance, features, image_axes
+from perception.birdseye import BirdsEye, birds_eye, rectify, region_around
+from perception.camera import CameraParams, camera_view, noise_std
+from perception.extraction import Crop, ExtractionParams
+from world.flatroad import flat_road
+from world.illumination import Transport, reach, transport
+from world.params import Params
+from world.view import View
+
+# Steps of the symbol's x, y (m), roll, pitch (rad) about the target that measure the plant's gains: wide enough to drown pixel edges.
+PROBE = (0.3, 0.1, math.radians(1.0), math.radians(0.5))
+# Degrees of freedom and errors are paired crosswise: x acts on the image's v, y on its u.
+PAIRED = (1, 0, 2, 3)
+
+
+class FeatureParams(Params):
+    """What of the symbol the controller looks at."""
+
+    view: Literal["raw", "birdseye"] = Field("raw", description="the camera's image, or the z = 0 plane rectified")
+    shape: Literal["quadrants", "moments"] = Field("quadrants", description="quadrant centroids as in the thesis, or second moments")
+
+
+@dataclass(frozen=True)
+class Eye:
+    """Turns symbol images into features; plane is the bird's-eye view, None for the raw image."""
+
+    view: View
+    plane: BirdsEye | None
+    shape: str
+
+    def look(self, symbol: Tensor, crop: Crop) -> Appearance:
+        """Appearance of a symbol image `[..., h, w]` that was cut from the camera's image at crop."""
+        if self.plane is None:
+            return appearance(symbol, image_axes(*symbol.shape[-2:], crop.u_start, crop.v_start, symbol))
+        full = symbol.new_zeros(*symbol.shape[:-2], self.view.height, self.view.width)
+        full[..., *crop.slices] = symbol
+        return appearance(rectify(self.plane, full), self.plane.axes)
+
+    def features(self, seen: Appearance) -> Tensor:
+        """Features `[..., 4]`: centre u, centre v, roll, pitch."""
+        return features(seen, self.shape)
+
+
+@dataclass(frozen=True)
+class FlatModel:
+    """Light transport a lamp on the flat road, the threshold `[height, width]` in cd/m^2 there, and the eye that looks at it.
+
+    target: `[4]` features at the target. gains: `[4]`, change of the paired feature per m or rad of x, y, roll, pitch there.
+    """
+
+    transports: tuple[Transport, ...]
+    limit: Tensor
+    eye: Eye
+    target: Tensor
+    gains: Tensor
+
+    def luminance(self, lights: Sequence[Utilisation]) -> Tensor:
+        """Luminance `[..., height, width]` in cd/m^2 of the lamps alone on the flat road."""
+        return added_light(self.transports, lights, self.limit.shape)
+
+    def symbol(self, lights: Sequence[Utilisation], crop: Crop) -> Tensor:
+        """Symbol image `[..., h, w]` that extraction would find without noise."""
+        return (self.luminance(lights)[..., *crop.slices] > self.limit[crop.slices]).to(self.limit)
+
+
+def added_light(transports: Sequence[Transport], lights: Sequence[Utilisation], shape: torch.Size | tuple[int, int]) -> Tensor:
+    """Camera luminance `[..., height, width]` in cd/m^2 of the lamps alone, from one utilisation `[..., n_p]` a lamp."""
+    u = lights[0].u
+    image = u.new_zeros(*u.shape[:-1], math.prod(shape))
+    for transport_, light in zip(transports, lights, strict=True):
+        luminance, index = transport_.luminance(light.u, light.band)
+        image.index_add_(-1, index, luminance)
+    return image.unflatten(-1, shape)
+
+
+def flat_model(
+    projector: Projector, camera: CameraParams, albedo: float, ambient_lx: float, params: ExtractionParams, what: FeatureParams
+) -> FlatModel:
+    """Build the model for a camera and an assumed road of one albedo (0..1) under ambient light in lx; measure target and gains."""
+    view = camera_view(camera)
+    ground = flat_road(view, albedo)
+    transports = tuple(
+        transport(reach(ground, lamp.pixel_controller.headlight, lamp.T_world_headlight), lamp.pixel_controller.headlight)
+        for lamp in projector.lamps
+    )
+    limit = params.threshold_sigma * 2**0.5 * noise_std(ground.albedo * ambient_lx / math.pi, camera)
+    symbol = projector.params
+    region = region_around(symbol.x_m, symbol.y_m, symbol.length_m, symbol.width_m)
+    plane = birds_eye(region, view) if what.view == "birdseye" else None
+    model = FlatModel(transports, limit, Eye(view, plane, what.shape), torch.zeros(4), torch.ones(4))
+
+    def seen(pose: Tensor) -> Tensor:
+        crop = projector.footprint(pose, view, params.footprint_margin_m)
+        return model.eye.features(model.eye.look(model.symbol(projector.light(pose), crop), crop))
+
+    target, probe = projector.target, torch.diag(projector.symbol.new_tensor(PROBE))
+    gains = [(seen(target + h) - seen(target - h))[k] / (2 * h.sum()) for h, k in zip(probe, PAIRED, strict=True)]
+    return FlatModel(transports, limit, model.eye, seen(target), torch.stack(gains))

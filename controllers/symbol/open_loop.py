@@ -1,0 +1,34 @@
+"""No control: the flat-road primitive at the target, whatever the camera sees."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from torch import Tensor
+
+from controllers.symbol.observer import Seen
+from world.params import Params
+
+
+class OpenLoopParams(Params):
+    """No control; the start pose is ignored."""
+
+    name: Literal["open"] = "open"
+
+
+@dataclass(frozen=True)
+class OpenLoop:
+    """Shows the target pose `[4]` for ever; the state is the pose."""
+
+    target: Tensor
+
+    def start(self, pose: Tensor) -> Tensor:
+        """The target, in the shape of the pose `[..., 4]`."""
+        return self.target.expand_as(pose)
+
+    def pose(self, state: Tensor) -> Tensor:
+        """The target `[..., 4]`."""
+        return state
+
+    def step(self, state: Tensor, seen: Seen) -> Tensor:
+        """Nothing changes."""
+        return state

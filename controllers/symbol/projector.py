@@ -1,0 +1,81 @@
+"""The projector draws one symbol with one or several lamps: a pose in, utilisations out."""
+
+from dataclasses import dataclass
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from controllers.primitives import Primitives, Quantity, road_symbol
+from controllers.ssc import PixelController, Utilisation
+from perception.extraction import Crop
+from world.params import Params
+from world.view import View
+
+
+class SymbolParams(Params):
+    """The symbol, how large and bright it shall be, and where on the assumed road."""
+
+    image: str = Field(description="name of a shipped symbol, or path of a picture: white is light, top is the far end")
+    width_m: float = Field(2.0, gt=0, le=20, description="extent across the road")
+    length_m: float = Field(4.0, gt=0, le=50, description="extent along the road")
+    x_m: float = Field(17.0, gt=1, le=100, description="target position of the centre ahead of the lamps")
+    y_m: float = Field(0.0, ge=-20, le=20, description="target position of the centre to the left")
+    quantity: Quantity = Field("u_abs", description="quantity of the setpoint: I_v in cd, E_v in lx, u_abs and u_rel as shares")
+    value: float = Field(1.0, gt=0, description="setpoint of a white pixel of the image, shared evenly by the lamps that draw it")
+
+
+@dataclass(frozen=True)
+class Lamp:
+    """A lamp of the vehicle: its pixel controller and its pose `T_world_headlight` `[4, 4]`."""
+
+    name: str
+    pixel_controller: PixelController
+    T_world_headlight: Tensor
+
+
+@dataclass(frozen=True)
+class Projector:
+    """Lamps, the symbol image `[h, w]` in 0..1 and its parameters."""
+
+    lamps: tuple[Lamp, ...]
+    symbol: Tensor
+    params: SymbolParams
+
+    @property
+    def target(self) -> Tensor:
+        """The pose on the assumed flat road, `[4]` = x, y in m, roll, pitch in rad."""
+        return self.symbol.new_tensor([self.params.x_m, self.params.y_m, 0.0, 0.0])
+
+    def primitive(self, pose: Tensor, z_m: float = 0.0) -> Primitives:
+        """The symbol's primitive for a pose `[..., 4]` (x, y in m, roll, pitch in rad)."""
+        p = self.params
+        return road_symbol(pose, z_m, p.width_m, p.length_m, self.symbol, p.value / len(self.lamps), p.quantity)
+
+    def light(self, pose: Tensor) -> tuple[Utilisation, ...]:
+        """Utilisations `[..., n_p]`, one a lamp, that draw the symbol at a pose `[..., 4]`."""
+        primitive = self.primitive(pose)
+        return tuple(lamp.pixel_controller.utilisation(primitive, lamp.T_world_headlight) for lamp in self.lamps)
+
+    def footprint(self, pose: Tensor, view: View, margin_m: float) -> Crop:
+        """Where in a camera's image the light for a pose `[..., 4]` can appear if the road is at most margin_m above or below z = 0.
+
+        One rectangle for all of a batch. Rays that do not come down within 200 m end there.
+        """
+        corners = self.primitive(pose).corners().reshape(-1, 3).T.double()
+        hits = []
+        for lamp in self.lamps:
+            origin = lamp.T_world_headlight[:3, 3:].to(corners)
+            rays = corners - origin
+            for z in (-margin_m, margin_m):
+                down = rays[2] < -1e-6
+                reach = torch.where(down, (z - origin[2]) / torch.where(down, rays[2], -1.0), torch.inf)
+                hits.append(origin + rays * torch.minimum(reach.clamp(min=0), 200 / rays.norm(dim=0)))
+        uv, depth = view.project(torch.cat(hits, -1))
+        uv = uv[:, depth > 0.1]
+        if uv.shape[1] == 0:
+            return Crop(0, 0, 0, 0)
+        low, high = uv.amin(1).floor().tolist(), uv.amax(1).ceil().tolist()
+        u0, u1 = (min(max(int(u), 0), view.width) for u in (low[0], high[0]))
+        v0, v1 = (min(max(int(v), 0), view.height) for v in (low[1], high[1]))
+        return Crop(v0, v1, u0, u1)

@@ -1,0 +1,87 @@
+"""The symbol's appearance: raw moments, five centroids and the four errors (T 9.4.2)."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Axes:
+    """Coordinates of an image's columns `[..., w]` and rows `[..., h]`, evenly spaced: px in a camera image, m in a bird's-eye view."""
+
+    u: Tensor
+    v: Tensor
+
+
+def image_axes(height: int, width: int, u_start: int = 0, v_start: int = 0, like: Tensor | None = None) -> Axes:
+    """Pixel centres at integer + 0.5 of an image, or of a crop of it that starts at (u_start, v_start)."""
+    like = torch.zeros(()) if like is None else like
+    count = torch.arange(max(height, width), dtype=like.dtype, device=like.device) + 0.5
+    return Axes(count[:width] + u_start, count[:height] + v_start)
+
+
+@dataclass(frozen=True)
+class Appearance:
+    """Moments of a symbol image.
+
+    area: `[...]`, zeroth moment in units of the axes squared. centroids: `[..., 5, 2]`, (u, v) of centre, top left, top right, bottom left,
+    bottom right. shear: `[...]`, mu11 / mu20. length: `[...]`, sqrt(mu02 - mu11^2 / mu20), both from second moments.
+    """
+
+    area: Tensor
+    centroids: Tensor
+    shear: Tensor
+    length: Tensor
+
+
+def _share_before(axis: Tensor, split: Tensor) -> Tensor:
+    """Share of each pixel that lies before the split, by area: `[..., n]`."""
+    step = axis[..., 1:2] - axis[..., 0:1]
+    return ((split[..., None] - axis) / step + 0.5).clamp(0, 1)
+
+
+def appearance(image: Tensor, axes: Axes) -> Appearance:
+    """Raw moments (9.4.1), centre (9.4.2), quadrant centroids and second-moment shape of a symbol image `[..., h, w]`.
+
+    The image is split at its centre; pixels on the border are shared between the quadrants by area, so nothing jumps.
+    An empty image gives NaN.
+    """
+    u, v = axes.u.to(image), axes.v.to(image)
+    columns, rows = image.sum(-2), image.sum(-1)
+    m00 = columns.sum(-1)
+    cu, cv = (columns * u).sum(-1) / m00, (rows * v).sum(-1) / m00
+    du, dv = u - cu[..., None], v - cv[..., None]
+    mu20 = (columns * du * du).sum(-1) / m00
+    mu02 = (rows * dv * dv).sum(-1) / m00
+    mu11 = ((image @ du[..., None])[..., 0] * dv).sum(-1) / m00
+
+    left, top = _share_before(u, cu), _share_before(v, cv)
+    across, along = torch.stack([left, 1 - left], -2), torch.stack([top, 1 - top], -2)
+    across_image = image @ across.transpose(-1, -2)
+    q00 = along @ across_image
+    q10 = along @ (image @ (across * u).transpose(-1, -2))
+    q01 = (along * v) @ across_image
+    quadrants = torch.stack([q10 / q00, q01 / q00], -1).flatten(-3, -2)
+    centre = torch.stack([cu, cv], -1)[..., None, :]
+    area = m00 * ((u[..., 1] - u[..., 0]) * (v[..., 1] - v[..., 0])).abs()
+    return Appearance(area, torch.cat([centre, quadrants], -2), mu11 / mu20, (mu02 - mu11**2 / mu20).clamp(min=0).sqrt())
+
+
+def features(seen: Appearance, shape: str) -> Tensor:
+    """The four features whose differences are the errors: `[..., 4]` = centre u, centre v, roll, pitch.
+
+    shape "quadrants": (9.4.3) and (9.4.4) of one symbol, in units of the axes; "moments": shear and length.
+    """
+    centre, tl, tr, bl, br = seen.centroids.unbind(-2)
+    if shape == "quadrants":
+        roll = ((tr - tl) + (br - bl))[..., 1] / 2
+        pitch = ((tr + tl) - (br + bl))[..., 1] / 2
+    else:
+        roll, pitch = seen.shear, seen.length
+    return torch.stack([centre[..., 0], centre[..., 1], roll, pitch], -1)
+
+
+def errors(current: Tensor, target: Tensor) -> Tensor:
+    """e_x, e_y, e_roll, e_pitch `[..., 4]`: features of the current symbol minus those of the target (minus, see the conventions)."""
+    return current - target

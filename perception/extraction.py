@@ -1,0 +1,76 @@
+"""Symbol extraction by differential imaging (T 9.4.1): a symbol image, or the reason why there is none."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from perception.camera import CameraParams, luminance_of, noise_std
+from world.params import Params
+
+
+class Loss(IntEnum):
+    """Why a symbol was lost; SEEN is none."""
+
+    SEEN = 0
+    NO_FRAME = 1
+    NOTHING = 2
+    TOO_SMALL = 3
+    TOO_LARGE = 4
+
+
+class ExtractionParams(Params):
+    """How a symbol is told from noise and glare."""
+
+    threshold_sigma: float = Field(5.0, gt=0, description="least difference on - off, in standard deviations of the noise without a symbol")
+    footprint_margin_m: float = Field(0.15, ge=0, description="unevenness of the road that the predicted footprint allows for, up and down")
+    nothing_below: float = Field(0.08, ge=0, lt=1, description="share of the expected area below which there is no symbol at all")
+    area_low: float = Field(0.45, ge=0, lt=1, description="least share of the expected area that is taken for the symbol")
+    area_high: float = Field(1.9, gt=1, description="largest multiple of the expected area that is taken for the symbol")
+
+
+@dataclass(frozen=True)
+class Crop:
+    """A rectangle of the camera image in px; stop is exclusive."""
+
+    v_start: int
+    v_stop: int
+    u_start: int
+    u_stop: int
+
+    @property
+    def slices(self) -> tuple[slice, slice]:
+        """Row and column slices of an image's last two dimensions."""
+        return slice(self.v_start, self.v_stop), slice(self.u_start, self.u_stop)
+
+
+def difference(on: Tensor, off: Tensor, camera: CameraParams) -> Tensor:
+    """Signed luminance difference in cd/m^2 of two frames of digital numbers `[..., h, w]`."""
+    return luminance_of(on, camera) - luminance_of(off, camera)
+
+
+def threshold(off: Tensor, camera: CameraParams, params: ExtractionParams) -> Tensor:
+    """Absolute threshold in cd/m^2 a pixel `[..., h, w]`, from the noise that two frames without a symbol would differ by."""
+    return params.threshold_sigma * 2**0.5 * noise_std(luminance_of(off, camera), camera)
+
+
+def extract(on: Tensor, off: Tensor, camera: CameraParams, params: ExtractionParams, soft: bool = False) -> Tensor:
+    """Symbol image `[..., h, w]` in 0..1 from frames of digital numbers, both cut to the predicted footprint.
+
+    Hard (binary) by default; soft is a sigmoid as wide as the noise, for gradients.
+    """
+    contrast, limit = difference(on, off, camera), threshold(off, camera, params)
+    if soft:
+        return torch.sigmoid((contrast - limit) * (params.threshold_sigma / limit))
+    return (contrast > limit).to(on.dtype)
+
+
+def gate(area: Tensor, expected: Tensor, params: ExtractionParams) -> Tensor:
+    """Loss codes `[...]` int64 by comparing the symbol's area with the expected one, both `[...]` in the same unit."""
+    ratio = torch.nan_to_num(area / expected)
+    code = torch.full(ratio.shape, Loss.SEEN, dtype=torch.int64, device=ratio.device)
+    code = torch.where(ratio > params.area_high, Loss.TOO_LARGE, code)
+    code = torch.where(ratio < params.area_low, Loss.TOO_SMALL, code)
+    return torch.where(ratio < params.nothing_below, Loss.NOTHING, code)

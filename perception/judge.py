@@ -1,0 +1,65 @@
+"""The judge: how well a symbol lies on the road, from noise-free light and independent of any controller's extraction."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from perception.appearance import Appearance, appearance
+from perception.birdseye import BirdsEye, rectify
+from perception.metrics import iou, ssim
+
+THRESHOLD = 0.25  # of the target's median: far parts of a symbol are several times darker than near ones
+SSIM_RADIUS = 2.0  # cells of the bird's-eye view
+
+
+@dataclass(frozen=True)
+class Target:
+    """The symbol as it should lie on a flat road: luminance `[rows, cols]` cd/m^2 in the bird's-eye view, median of its lit cells, mask, shape."""
+
+    luminance: Tensor
+    median: Tensor
+    mask: Tensor
+    shape: Appearance
+    length_m: float
+    width_m: float
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the judge says, all `[...]`.
+
+    centroid_percent: `[..., 2]`, signed error along x in % of the symbol's length and along y in % of its width. iou, ssim: 0..1.
+    length: ratio to the target's second-moment length. shear: mu11 / mu20 in the plane.
+    """
+
+    centroid_percent: Tensor
+    iou: Tensor
+    ssim: Tensor
+    length: Tensor
+    shear: Tensor
+
+
+def target(luminance: Tensor, view: BirdsEye, length_m: float, width_m: float) -> Target:
+    """Take the noise-free camera luminance `[height, width]` of the symbol alone, on a flat road at the target."""
+    plane = rectify(view, luminance)
+    median = plane[plane > THRESHOLD * plane.max()].median()
+    mask = plane > THRESHOLD * median
+    return Target(plane, median, mask, appearance(mask.to(plane), view.axes), length_m, width_m)
+
+
+def judge(luminance: Tensor, view: BirdsEye, goal: Target) -> Verdict:
+    """Judge the noise-free on-minus-off camera luminance `[..., height, width]` in cd/m^2; NaN where nothing is lit."""
+    plane = rectify(view, luminance)
+    mask = plane > THRESHOLD * goal.median
+    shape = appearance(mask.to(plane), view.axes)
+    offset = shape.centroids[..., 0, :] - goal.shape.centroids[0]
+    size = torch.tensor([goal.length_m, goal.width_m]).to(offset)
+    scale = goal.median / 0.5
+    return Verdict(
+        -100 * offset.flip(-1) / size,
+        iou(mask, goal.mask.expand_as(mask)),
+        ssim((plane / scale).clamp(0, 1), (goal.luminance / scale).clamp(0, 1).expand_as(plane), SSIM_RADIUS, 1.0),
+        shape.length / goal.shape.length,
+        shape.shear,
+    )

@@ -1,0 +1,18 @@
+"""The assumed road: the plane z = 0 as a G-buffer, in closed form."""
+
+import torch
+
+from world.gbuffer import GBuffer
+from world.view import View
+
+
+def flat_road(view: View, albedo: float, dtype: torch.dtype = torch.float32) -> GBuffer:
+    """G-buffer `[3, H, W]` of the plane z = 0 with one albedo (0..1); what looks above the horizon has object id -1."""
+    rays, origin = view.rays(), view.origin[:, None, None]
+    down = rays[2] < -1e-9
+    distance = torch.where(down, -origin[2] / rays[2].where(down, -1.0), 0.0)
+    position = origin + distance * rays
+    normal = torch.zeros_like(position)
+    normal[2] = 1.0
+    object_id = torch.where(down, 0, -1).to(torch.int32)
+    return GBuffer(position.to(dtype), normal.to(dtype), torch.full(down.shape, albedo, dtype=dtype), object_id)

@@ -1,0 +1,108 @@
+"""Light on surfaces: `E_v = I_v cos / d^2` with shadows (T 2.1.5), plain on a G-buffer or folded into one sparse matrix."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+import torch
+from torch import Tensor
+
+from world.frames import inverse, transform
+from world.gbuffer import GBuffer
+from world.headlight import Headlight
+from world.shadow import ShadowMap, visible
+from world.spmv import Csr, multiply, row_of_entries, segment_bounds
+
+
+@dataclass(frozen=True)
+class LitSurface:
+    """The part of a G-buffer that a lamp can reach, M pixels in image order.
+
+    index: `[M]` int64, flat image index. texel: `[4, M]` int64 and weight: `[4, M]`, bilinear neighbours in the light texture.
+    factor: `[M]`, cos / d^2 in 1/m^2, zero in shadow. albedo: `[M]`.
+    """
+
+    index: Tensor
+    texel: Tensor
+    weight: Tensor
+    factor: Tensor
+    albedo: Tensor
+
+
+def reach(gbuffer: GBuffer, headlight: Headlight, T_world_headlight: Tensor, shadow: ShadowMap | None = None) -> LitSurface:
+    """Find what of a G-buffer the lamp at `T_world_headlight` `[4, 4]` can light, and with which geometry.
+
+    The light texture is interpolated bilinearly, clamped within its outer half texel and zero beyond its border.
+    """
+    position, normal = gbuffer.position.flatten(1), gbuffer.normal.flatten(1)
+    local = transform(inverse(T_world_headlight).to(position), position)
+    x = local[0]
+    row, col = headlight.texel_of(local[1] / x, local[2] / x)
+    away = T_world_headlight[:3, 3:].to(position) - position
+    d2 = (away * away).sum(0)
+    cos = (normal * away).sum(0) / d2.sqrt()
+    inside = (x > 0) & (row >= 0) & (row <= headlight.rows) & (col >= 0) & (col <= headlight.cols)
+    index = torch.nonzero(inside & (cos > 0) & (gbuffer.object_id.flatten() >= 0))[:, 0]
+    factor = cos[index] / d2[index]
+    if shadow is not None:
+        factor = factor * visible(shadow, position[:, index])
+    lit = factor > 0
+    index, factor = index[lit], factor[lit]
+    r = (row[index] - 0.5).clamp(0, headlight.rows - 1)
+    c = (col[index] - 0.5).clamp(0, headlight.cols - 1)
+    r0, c0 = r.floor().clamp(max=max(headlight.rows - 2, 0)), c.floor().clamp(max=max(headlight.cols - 2, 0))
+    fr, fc = r - r0, c - c0
+    r0, c0 = r0.long(), c0.long()
+    r1, c1 = (r0 + 1).clamp(max=headlight.rows - 1), (c0 + 1).clamp(max=headlight.cols - 1)
+    texel = torch.stack([r0 * headlight.cols + c0, r0 * headlight.cols + c1, r1 * headlight.cols + c0, r1 * headlight.cols + c1])
+    weight = torch.stack([(1 - fr) * (1 - fc), (1 - fr) * fc, fr * (1 - fc), fr * fc])
+    return LitSurface(index, texel, weight, factor, gbuffer.albedo.flatten()[index])
+
+
+def illuminance(surface: LitSurface, light_texture: Tensor) -> Tensor:
+    """Illuminance `[..., M]` in lx of the reached pixels from a light texture `[..., rows, cols]` in cd."""
+    intensity = (light_texture.flatten(-2)[..., surface.texel] * surface.weight).sum(-2)
+    return intensity * surface.factor
+
+
+def luminance(surface: LitSurface, light_texture: Tensor) -> Tensor:
+    """Luminance `[..., M]` in cd/m^2 of the reached pixels as Lambertian surfaces: `L_v = albedo E_v / pi`."""
+    return illuminance(surface, light_texture) * surface.albedo / math.pi
+
+
+@dataclass(frozen=True)
+class Transport:
+    """Light transport from pixellights to camera pixels: camera sampling times headlight matrix, as long as nothing moves.
+
+    matrix: `[M, n_p]`, cd/m^2 at full utilisation. index: `[M]` int64, flat image index, ascending.
+    first, last: `[n_p]` int64, first and last of the M pixels that pixellight j reaches.
+    """
+
+    matrix: Csr
+    index: Tensor
+    first: Tensor
+    last: Tensor
+
+    def luminance(self, utilisation: Tensor, band: slice | None = None) -> tuple[Tensor, Tensor]:
+        """Luminance `[..., m]` in cd/m^2 and flat image index `[m]` of the camera pixels that the pixellights of `band` can reach.
+
+        utilisation: `[..., n_p]`. Without a band all pixellights count; with one the host learns its size (CPU only).
+        """
+        if band is None:
+            return multiply(self.matrix, utilisation), self.index
+        start = min(int(self.first[band].min()), self.matrix.n_rows)
+        stop = max(int(self.last[band].max()) + 1, start)
+        return multiply(self.matrix.band(start, stop), utilisation), self.index[start:stop]
+
+
+def transport(surface: LitSurface, headlight: Headlight) -> Transport:
+    """Fold sampling, geometry, albedo and the headlight matrix into one sparse matrix (M x n_p)."""
+    m = surface.index.shape[0]
+    values = (surface.weight * (surface.factor * surface.albedo / math.pi)).T.cpu().numpy()
+    sampling = sp.csr_matrix(
+        (values.ravel(), surface.texel.T.cpu().numpy().ravel(), np.arange(0, 4 * m + 1, 4)), shape=(m, headlight.rows * headlight.cols)
+    )
+    matrix = Csr.from_scipy(sampling @ headlight.matrix.to_scipy(), headlight.matrix.values.dtype).to(surface.index.device)
+    first, last = segment_bounds(matrix.indices, row_of_entries(matrix), headlight.n_pixels)
+    return Transport(matrix, surface.index, first, last)

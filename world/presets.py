@@ -1,0 +1,61 @@
+"""Headlights that come with luxloop; what is published and what is guessed stands beside each."""
+
+import math
+
+import numpy as np
+import scipy.sparse as sp
+
+from world.headlight import Headlight
+from world.spmv import Csr
+
+
+def _profile(pixels: int, texels_per_pixel: int, flank: float) -> sp.csr_array:
+    """Trapezoid profile of a line of pixels, `[pixels * texels_per_pixel, pixels]`; the profiles of neighbours add up to one.
+
+    flank: half the width of the sloping edge, in pixel pitches.
+    """
+    texel = (np.arange(pixels * texels_per_pixel) + 0.5) / texels_per_pixel
+    nearest = np.floor(texel).astype(int)
+    row, col, weight = [], [], []
+    for offset in (-1, 0, 1):
+        pixel = nearest + offset
+        w = np.clip((0.5 + flank - np.abs(texel - pixel - 0.5)) / (2 * flank), 0, 1)
+        keep = (w > 0) & (pixel >= 0) & (pixel < pixels)
+        row.append(np.flatnonzero(keep))
+        col.append(pixel[keep])
+        weight.append(w[keep])
+    shape = (len(texel), pixels)
+    return sp.csr_array((np.concatenate(weight), (np.concatenate(row), np.concatenate(col))), shape=shape)
+
+
+def idealised(
+    pixel_rows: int = 332,
+    pixel_cols: int = 1024,
+    texels_per_pixel: tuple[int, int] = (4, 2),
+    half_width_deg: float = 10.0,
+    top_deg: float = 1.5,
+    bottom_deg: float = -3.5,
+    intensity_cd: float = 30_000.0,
+    flank: float = 0.2,
+) -> Headlight:
+    """The thesis' idealised lamp (T 9.4.3): 332 x 1024 pixels, +-10 deg, +1.5 to -3.5 deg, minimal overlap.
+
+    Published: the pixel count, the angles, "minimal overlap". Guessed: 30 kcd over the whole field (about 0.9 klm), pixels of equal
+    pitch on the texture's plane, and overlap as linear edges `flank` pitches to either side of a pixel's border, so that a texel has
+    1.5 entries. texels_per_pixel: (rows, columns); at 17 m the symbol spans only 40 pixel rows, so rows are sampled four times.
+    """
+    vertical = _profile(pixel_rows, texels_per_pixel[0], flank)
+    horizontal = _profile(pixel_cols, texels_per_pixel[1], flank)
+    side = math.tan(math.radians(half_width_deg))
+    return Headlight(
+        name=f"idealised-{pixel_rows}x{pixel_cols}",
+        matrix=Csr.from_scipy(intensity_cd * sp.kron(vertical, horizontal, format="csr")),
+        rows=vertical.shape[0],
+        cols=horizontal.shape[0],
+        left=side,
+        right=-side,
+        bottom=math.tan(math.radians(bottom_deg)),
+        top=math.tan(math.radians(top_deg)),
+        pixel_rows=pixel_rows,
+        pixel_cols=pixel_cols,
+    )

@@ -1,0 +1,110 @@
+"""Sparse matrix-vector products `i = A u` (T 2.5, 5.3) in CSR with int32 indices, whole or as a band of rows."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Csr:
+    """Compressed sparse rows: indptr int32 `[n_rows + 1]`, indices int32 `[nnz]`, values `[nnz]`."""
+
+    indptr: Tensor
+    indices: Tensor
+    values: Tensor
+    n_cols: int
+
+    @property
+    def n_rows(self) -> int:
+        return self.indptr.shape[0] - 1
+
+    @classmethod
+    def from_scipy(cls, matrix: sp.spmatrix | sp.sparray, dtype: torch.dtype = torch.float32) -> "Csr":
+        """Take any scipy sparse matrix; raises ValueError where int32 cannot count its entries."""
+        csr = matrix.tocsr()
+        if csr.nnz >= 2**31 or max(csr.shape) >= 2**31:
+            raise ValueError(f"matrix of {csr.nnz} entries is too large for int32 indices")
+        csr.sort_indices()
+        return cls(
+            torch.from_numpy(csr.indptr.astype(np.int32)),
+            torch.from_numpy(csr.indices.astype(np.int32)),
+            torch.from_numpy(np.asarray(csr.data)).to(dtype),
+            csr.shape[1],
+        )
+
+    def to_scipy(self) -> sp.csr_matrix:
+        arrays = (self.values.cpu().numpy(), self.indices.cpu().numpy(), self.indptr.cpu().numpy())
+        return sp.csr_matrix(arrays, shape=(self.n_rows, self.n_cols))
+
+    def to(self, target: torch.device | torch.dtype) -> "Csr":
+        """Move to a device (everything) or a floating dtype (the values)."""
+        if isinstance(target, torch.dtype):
+            return self.with_values(self.values.to(target))
+        return Csr(self.indptr.to(target), self.indices.to(target), self.values.to(target), self.n_cols)
+
+    def with_values(self, values: Tensor) -> "Csr":
+        """The same pattern with other values `[nnz]`."""
+        return Csr(self.indptr, self.indices, values, self.n_cols)
+
+    def band(self, start: int, stop: int) -> "Csr":
+        """Rows start to stop as a matrix of their own; a view of indices and values, not a copy."""
+        first, last = int(self.indptr[start]), int(self.indptr[stop])
+        return Csr(self.indptr[start : stop + 1] - first, self.indices[first:last], self.values[first:last], self.n_cols)
+
+    @cached_property
+    def torch_csr(self) -> Tensor:
+        return torch.sparse_csr_tensor(
+            self.indptr, self.indices, self.values.detach(), (self.n_rows, self.n_cols), check_invariants=False
+        )
+
+    @cached_property
+    def transposed(self) -> "Csr":
+        return Csr.from_scipy(self.to_scipy().T, self.values.dtype).to(self.values.device)
+
+
+class _Multiply(torch.autograd.Function):
+    """Autograd of torch's CSR products needs the transpose in CSR, which only we have at hand."""
+
+    @staticmethod
+    def forward(ctx: Any, matrix: Csr, x: Tensor) -> Tensor:
+        ctx.matrix = matrix
+        return _product(matrix, x)
+
+    @staticmethod
+    def backward(ctx: Any, *grad_outputs: Tensor) -> tuple[None, Tensor]:
+        return None, multiply(ctx.matrix.transposed, grad_outputs[0])
+
+
+def _product(matrix: Csr, x: Tensor) -> Tensor:
+    if x.ndim == 1:
+        return torch.mv(matrix.torch_csr, x)
+    flat = x.reshape(-1, matrix.n_cols)
+    return (matrix.torch_csr @ flat.T).T.reshape(*x.shape[:-1], matrix.n_rows)
+
+
+def multiply(matrix: Csr, x: Tensor) -> Tensor:
+    """`A x` for x `[..., n_cols]`, differentiable in x; returns `[..., n_rows]`. T (2.5)."""
+    if x.shape[-1] != matrix.n_cols:
+        raise ValueError(f"a matrix with {matrix.n_cols} columns cannot multiply a vector of {x.shape[-1]}")
+    if x.requires_grad:
+        return _Multiply.apply(matrix, x)  # type: ignore[no-any-return]
+    return _product(matrix, x)
+
+
+def segment_bounds(keys: Tensor, values: Tensor, n_keys: int) -> tuple[Tensor, Tensor]:
+    """Smallest and largest value of each key: both `[n_keys]`, int64; (largest int64, -1) where a key does not occur."""
+    first = torch.full((n_keys,), torch.iinfo(torch.int64).max, dtype=torch.int64, device=keys.device)
+    last = torch.full((n_keys,), -1, dtype=torch.int64, device=keys.device)
+    keys, values = keys.long(), values.long()
+    return first.scatter_reduce(0, keys, values, "amin"), last.scatter_reduce(0, keys, values, "amax")
+
+
+def row_of_entries(matrix: Csr) -> Tensor:
+    """Row index of every stored entry, `[nnz]` int64."""
+    counts = (matrix.indptr[1:] - matrix.indptr[:-1]).long()
+    return torch.repeat_interleave(torch.arange(matrix.n_rows, device=counts.device), counts)
