@@ -1,0 +1,136 @@
+"""A bank of PID loops as tensors: explicit time step, filtered derivative, output and rate limits, anti-windup, bumpless reset.
+
+The sign is `kp * error + ...`: a caller whose plant answers with the other sign hands in the negated error. Time is in whatever unit
+`dt` has (seconds, or control steps with `dt = 1`); every time constant and rate below is in that unit.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from pydantic import Field, model_validator
+from torch import Tensor
+
+from world.errors import LuxloopError
+from world.params import Params
+
+Form = Literal["position", "incremental"]
+
+
+class PidParams(Params):
+    """One loop as a scenario file writes it; what is left out is unlimited or off."""
+
+    kp: float = Field(0.0, description="proportional gain")
+    ki: float = Field(0.0, description="integral gain, per unit of time")
+    kd: float = Field(0.0, description="derivative gain, in units of time")
+    derivative_time: float = Field(0.0, ge=0, description="time constant of the derivative's low-pass filter, 0 for none")
+    lower: float | None = Field(None, description="smallest output")
+    upper: float | None = Field(None, description="largest output")
+    rate_limit: float | None = Field(None, gt=0, description="largest change of the output per unit of time")
+    tracking_time: float | None = Field(
+        None, gt=0, description="time constant of the back-calculation that unwinds the integral at a limit"
+    )
+    form: Form = Field("position", description="whether the PID sum is the output (position) or the output's rate of change (incremental)")
+
+    @model_validator(mode="after")
+    def _ordered_limits(self) -> "PidParams":
+        if self.lower is not None and self.upper is not None and self.lower >= self.upper:
+            raise ValueError(f"lower = {self.lower} must be smaller than upper = {self.upper}")
+        return self
+
+
+@dataclass(frozen=True)
+class PidGains:
+    """A bank of n loops; every tensor is `[..., n]` or broadcasts to it. Infinity means "no limit" and "no anti-windup" (so does a
+    tracking time of 0)."""
+
+    kp: Tensor
+    ki: Tensor
+    kd: Tensor
+    derivative_time: Tensor
+    lower: Tensor
+    upper: Tensor
+    rate_limit: Tensor
+    tracking_time: Tensor
+    form: Form = "position"
+
+
+@dataclass(frozen=True)
+class PidState:
+    """What a bank remembers, each `[..., n]`.
+
+    integral: the integral's part of the PID sum, so that gains can change without a jump. derivative: filtered derivative of the error.
+    previous_error, output: of the last step. initialised: bool, false between a reset and the first step.
+    """
+
+    integral: Tensor
+    derivative: Tensor
+    previous_error: Tensor
+    output: Tensor
+    initialised: Tensor
+
+
+def pid_gains(loops: Sequence[PidParams], dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu") -> PidGains:
+    """Gains `[n]` of n loops.
+
+    Raises: LuxloopError if the loops' forms differ.
+    """
+    forms = {loop.form for loop in loops}
+    if len(forms) != 1:
+        raise LuxloopError(f"a bank of PIDs needs one form, got {sorted(forms)}: give every loop the same 'form'")
+
+    def stack(values: list[float]) -> Tensor:
+        return torch.tensor(values, dtype=dtype, device=device)
+
+    def limit(values: list[float | None], unlimited: float) -> Tensor:
+        return stack([unlimited if value is None else value for value in values])
+
+    return PidGains(
+        kp=stack([loop.kp for loop in loops]),
+        ki=stack([loop.ki for loop in loops]),
+        kd=stack([loop.kd for loop in loops]),
+        derivative_time=stack([loop.derivative_time for loop in loops]),
+        lower=limit([loop.lower for loop in loops], -math.inf),
+        upper=limit([loop.upper for loop in loops], math.inf),
+        rate_limit=limit([loop.rate_limit for loop in loops], math.inf),
+        tracking_time=limit([loop.tracking_time for loop in loops], math.inf),
+        form=loops[0].form,
+    )
+
+
+def pid_reset(gains: PidGains, output: Tensor) -> PidState:
+    """State `[..., n]` from which the next step goes on without a jump from `output` `[..., n]`.
+
+    The first step has no derivative. In position form it returns `output` itself, whatever the error: the integral takes up the
+    difference (for good, where ki is 0). In incremental form it moves on from `output` by the proportional and integral parts.
+    """
+    output = output.expand(torch.broadcast_shapes(output.shape, gains.kp.shape))
+    zero = torch.zeros_like(output)
+    return PidState(zero, zero, zero, output, torch.zeros_like(output, dtype=torch.bool))
+
+
+def pid_step(state: PidState, error: Tensor, dt: float | Tensor, gains: PidGains) -> tuple[PidState, Tensor]:
+    """Advance the bank by `dt` with errors `[..., n]`; returns the new state and the limited output `[..., n]`.
+
+    Backward Euler: `C(z) = kp + ki dt z / (z - 1) + kd (z - 1) / ((T + dt) z - T)` with T the derivative time; in incremental form times
+    `dt z / (z - 1)`. Limits are never exceeded, not even from a reset outside of them; the rate limit gives way to them there.
+    """
+    previous_error = torch.where(state.initialised, state.previous_error, error)
+    derivative = (gains.derivative_time * state.derivative + error - previous_error) / (gains.derivative_time + dt)
+    integral = state.integral + gains.ki * error * dt
+    if gains.form == "position":
+        integral = torch.where(state.initialised, integral, state.output - gains.kp * error)
+    pid_sum = gains.kp * error + integral + gains.kd * derivative
+    wanted = pid_sum if gains.form == "position" else state.output + dt * pid_sum
+
+    reach = gains.rate_limit * dt
+    output = torch.clamp(wanted, state.output - reach, state.output + reach)
+    output = torch.clamp(output, gains.lower, gains.upper)
+
+    # Tracking faster than one step would overshoot, hence the minimum.
+    unwind = torch.where(gains.tracking_time > 0, (dt / gains.tracking_time).clamp(max=1.0), 0.0)
+    excess = output - wanted
+    integral = integral + unwind * (excess if gains.form == "position" else excess / dt)
+    return PidState(integral, derivative, error, output, torch.ones_like(state.initialised)), output
