@@ -1,0 +1,116 @@
+"""The camera: where it looks, and its law from luminance to digital numbers and back.
+
+A pixel that sees luminance L (cd/m^2) collects `N = L * exposure * sensitivity` electrons. Shot and read noise act as one Gaussian of
+variance `N + read_noise^2`; the sum is clamped to [0, saturation] and coded as
+
+    DN = round((2^bits - 1) * (N / saturation)^(1 / gamma)).
+
+The default is what a measuring camera gives: 12 bits, linear. Use gamma 2.2 with 8 bits, where a linear code would be coarser than
+the noise in the dark.
+"""
+
+import math
+from typing import Literal
+
+import numpy as np
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from world.frames import R_ISO_OPENCV, pose, pose_from_degrees
+from world.params import Params
+from world.view import View
+
+
+class CameraParams(Params):
+    """Pose in the vehicle frame (x forward, y left, z up), optics, sensor, and what delays or loses frames on the way."""
+
+    x_m: float = Field(-1.6, description="position ahead of the lamps")
+    y_m: float = Field(0.0, description="position to the left of the middle line")
+    z_m: float = Field(1.35, description="height above the assumed road plane")
+    roll_deg: float = Field(0.0, ge=-180, le=180, description="rotation about the forward axis, right side down")
+    pitch_deg: float = Field(3.0, ge=-90, le=90, description="rotation about the left axis, nose down")
+    yaw_deg: float = Field(0.0, ge=-180, le=180, description="rotation about the upward axis, to the left")
+
+    width_px: int = Field(1280, ge=16, le=8192, description="image width")
+    height_px: int = Field(720, ge=16, le=8192, description="image height")
+    hfov_deg: float = Field(
+        30.0, ge=1, le=150, description="horizontal field of view; pixels are square, the principal point is the middle"
+    )
+
+    exposure_s: float = Field(0.025, gt=0, le=1, description="exposure time of a frame")
+    sensitivity_e_per_cd_s_m2: float = Field(30_000.0, gt=0, description="electrons for each cd/m^2 and second of exposure")
+    saturation_e: float = Field(1_000.0, gt=0, description="electrons at the largest digital number")
+    read_noise_e: float = Field(2.0, gt=0, description="standard deviation of the read noise in electrons")
+    bits: Literal[8, 10, 12] = Field(12, description="bits of a digital number")
+    gamma: float = Field(1.0, ge=1, le=3, description="the code is the 1/gamma-th power of the light; 1 is linear")
+    noise: bool = Field(True, description="whether frames have shot and read noise")
+
+    latency_steps: int = Field(0, ge=0, le=10, description="control steps by which the controller sees frames late")
+    drop_probability: float = Field(0.0, ge=0, lt=1, description="probability that a step's frames are lost")
+
+
+def camera_view(params: CameraParams) -> View:
+    """The camera's pinhole view while the vehicle stands at the world's origin."""
+    T_world_mount = pose_from_degrees((params.x_m, params.y_m, params.z_m), params.roll_deg, params.pitch_deg, params.yaw_deg)
+    T_mount_view = pose(torch.zeros(3, dtype=torch.float64), R_ISO_OPENCV)
+    focal_px = params.width_px / 2 / math.tan(math.radians(params.hfov_deg) / 2)
+    return View(
+        params.width_px, params.height_px, focal_px, focal_px, params.width_px / 2, params.height_px / 2, T_world_mount @ T_mount_view
+    )
+
+
+def frame_generator(seed: int, step: int, frame: int, device: torch.device | str = "cpu") -> torch.Generator:
+    """Generator for the noise of one frame (on: 0, off: 1) of one step: no state is carried, so a run can be taken up at any step."""
+    key = np.random.SeedSequence(seed, spawn_key=(step, frame)).generate_state(1, np.uint64)
+    return torch.Generator(device).manual_seed(int(key[0]))
+
+
+def expose(luminance: Tensor, params: CameraParams, noise: Tensor | torch.Generator | None = None, *, quantise: bool = True) -> Tensor:
+    """Digital numbers `[..., H, W]` of luminance `[..., H, W]` >= 0 in cd/m^2: whole numbers in luminance's floating dtype.
+
+    noise: standard normal numbers that broadcast to luminance, or the generator that draws them; None, like `params.noise = False`, is
+    a frame without noise. With `quantise=False` the number is left unrounded and differentiable.
+    """
+    levels = _levels(params)
+    signal = luminance * _electrons_per_luminance(params)
+    if noise is not None and params.noise:
+        if isinstance(noise, torch.Generator):
+            noise = torch.empty(signal.shape, dtype=signal.dtype, device=signal.device).normal_(generator=noise)
+        signal.addcmul_((signal + params.read_noise_e**2).sqrt_(), noise)
+    if params.gamma == 1:
+        signal.clamp_(0, params.saturation_e).mul_(levels / params.saturation_e)
+    else:
+        # A hundredth of a level instead of zero, since the root's slope is infinite there.
+        signal.mul_(1 / params.saturation_e).clamp_((0.01 / levels) ** params.gamma, 1)
+        signal = signal.pow_(1 / params.gamma).mul_(levels)
+    return signal.round_() if quantise else signal
+
+
+def luminance_of(dn: Tensor, params: CameraParams) -> Tensor:
+    """Luminance `[..., H, W]` in cd/m^2 that is coded as the digital numbers `[..., H, W]`, in the middle of their levels."""
+    code = dn / _levels(params)
+    linear = code if params.gamma == 1 else code.pow(params.gamma)
+    return linear * (params.saturation_e / _electrons_per_luminance(params))
+
+
+def noise_std(luminance: Tensor, params: CameraParams) -> Tensor:
+    """Standard deviation in cd/m^2 of one frame's `luminance_of(expose(luminance))`, `[..., H, W]`: shot, read and quantisation noise.
+
+    Clamping, which makes it smaller near black and saturation, is left out; beyond saturation it is the value at saturation.
+    """
+    electrons = (luminance * _electrons_per_luminance(params)).clamp_(0, params.saturation_e)
+    width: float | Tensor = params.saturation_e / _levels(params)  # of a level, over which the rounding error is uniform
+    if params.gamma != 1:
+        code, half = (electrons / params.saturation_e).pow(1 / params.gamma), 0.5 / _levels(params)
+        width = params.saturation_e * ((code + half).pow(params.gamma) - (code - half).clamp(min=0).pow(params.gamma))
+    variance = electrons.add_(params.read_noise_e**2) if params.noise else torch.zeros_like(electrons)
+    return variance.add_(width**2 / 12).mul_(_electrons_per_luminance(params) ** -2).sqrt_()
+
+
+def _electrons_per_luminance(params: CameraParams) -> float:
+    return params.exposure_s * params.sensitivity_e_per_cd_s_m2
+
+
+def _levels(params: CameraParams) -> int:
+    return 2**params.bits - 1
