@@ -1,0 +1,62 @@
+"""Image metrics against SciPy and by hand."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from scipy.ndimage import gaussian_filter
+
+from perception.metrics import dssim, iou, ssim
+from world.errors import LuxloopError
+
+
+def scipy_ssim(a: np.ndarray, b: np.ndarray, radius: float, data_range: float) -> float:
+    def blur(x: np.ndarray) -> np.ndarray:
+        return gaussian_filter(x, radius, mode="nearest", radius=math.ceil(3 * radius))
+
+    ma, mb = blur(a), blur(b)
+    va, vb, cov = blur(a * a) - ma**2, blur(b * b) - mb**2, blur(a * b) - ma * mb
+    c1, c2 = (0.01 * data_range) ** 2, (0.03 * data_range) ** 2
+    return (((2 * ma * mb + c1) * (2 * cov + c2)) / ((ma**2 + mb**2 + c1) * (va + vb + c2))).mean()
+
+
+@pytest.mark.parametrize("radius", [0.01, 0.8, 2.0, 9.5])
+def test_ssim_agrees_with_scipy(radius: float, device: torch.device) -> None:
+    rng = np.random.default_rng(0)
+    a = rng.random((2, 3, 21, 17)) * 4
+    b = a + rng.normal(size=a.shape)
+    ours = ssim(torch.from_numpy(a).to(device), torch.from_numpy(b).to(device), radius, 4.0).cpu()
+    expected = [[scipy_ssim(a[i, j], b[i, j], radius, 4.0) for j in range(3)] for i in range(2)]
+    np.testing.assert_allclose(ours, expected, rtol=1e-10)
+
+
+def test_ssim_limits(device: torch.device) -> None:
+    a = torch.rand(30, 40, generator=torch.Generator().manual_seed(0), dtype=torch.float64).to(device)
+    assert ssim(a, a, 2.0, 1.0).item() == pytest.approx(1.0, abs=1e-12)
+    assert dssim(a, a, 2.0, 1.0).item() == pytest.approx(0.0, abs=1e-12)
+    checks = torch.tensor([[1.0, 0.0], [0.0, 1.0]], dtype=torch.float64, device=device).repeat(15, 20)
+    assert ssim(checks, 1 - checks, 3.0, 1.0).item() < -0.95
+    torch.testing.assert_close(ssim(a, checks, 2.0, 1.0), ssim(checks, a, 2.0, 1.0))
+    assert ssim(a.expand(4, -1, -1), checks, 2.0, 1.0).shape == (4,)
+
+
+def test_ssim_gradient() -> None:
+    generator = torch.Generator().manual_seed(0)
+    a, b = (torch.rand(6, 7, generator=generator, dtype=torch.float64, requires_grad=True) for _ in range(2))
+    assert torch.autograd.gradcheck(lambda x, y: dssim(x, y, 1.0, 1.0), [a, b])
+
+
+@pytest.mark.parametrize(("radius", "data_range"), [(0.0, 1.0), (1.0, 0.0)])
+def test_ssim_refuses_empty_windows_and_ranges(radius: float, data_range: float) -> None:
+    with pytest.raises(LuxloopError, match="positive radius and data_range"):
+        ssim(torch.zeros(3, 3), torch.zeros(3, 3), radius, data_range)
+
+
+def test_iou(device: torch.device) -> None:
+    a = torch.zeros(4, 10, 10, dtype=torch.bool, device=device)
+    b = torch.zeros_like(a)
+    a[0, :, :4], b[0, :, 2:6] = True, True  # 20 of 60
+    a[1, :5] = b[1, :5] = True
+    a[2, 0], b[2, 1] = True, True
+    torch.testing.assert_close(iou(a, b).cpu(), torch.tensor([1 / 3, 1.0, 0.0, 1.0]))
