@@ -1,0 +1,78 @@
+"""Bodies: rigid triangle meshes, each on a pose track over time."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import torch
+import trimesh
+from scipy.spatial.transform import Rotation, Slerp
+from torch import Tensor
+
+from world.frames import pose
+from world.materials import Texture
+
+
+@dataclass(frozen=True, eq=False)
+class PoseTrack:
+    """Where a body is and when it is there: position linear, rotation on the shortest arc between keyframes, constant outside.
+
+    times_s: K ascending times. T_world_body: `[K, 4, 4]` float64. The body is there in `[appears_s, vanishes_s)`.
+    """
+
+    times_s: tuple[float, ...]
+    T_world_body: Tensor
+    appears_s: float = -float("inf")
+    vanishes_s: float = float("inf")
+
+    @classmethod
+    def static(cls, T_world_body: Tensor | None = None) -> "PoseTrack":
+        """Always there, at one pose `[4, 4]` (default: the world's own)."""
+        T = torch.eye(4, dtype=torch.float64) if T_world_body is None else T_world_body.double()
+        return cls((0.0,), T[None])
+
+    def visible_at(self, t_s: float) -> bool:
+        return self.appears_s <= t_s < self.vanishes_s
+
+    def pose_at(self, t_s: float) -> Tensor:
+        """`T_world_body` `[4, 4]` float64 at a time in s."""
+        t = min(max(t_s, self.times_s[0]), self.times_s[-1])
+        after = int(np.searchsorted(self.times_s, t))
+        if self.times_s[after] == t:
+            return self.T_world_body[after]
+        before = after - 1
+        share = (t - self.times_s[before]) / (self.times_s[after] - self.times_s[before])
+        start, stop = self.T_world_body[before], self.T_world_body[after]
+        arc = Slerp([0.0, 1.0], Rotation.from_matrix(torch.stack([start, stop])[:, :3, :3].numpy()))
+        return pose(torch.lerp(start[:3, 3], stop[:3, 3], share), torch.from_numpy(arc(share).as_matrix()))
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A rigid, diffusely reflecting mesh; two bodies are the same only if they are one object, so that what is derived can be cached.
+
+    mesh: in the body frame, m. albedo: 0..1. texture: albedo over the body's x and y instead of the constant.
+    smooth: vertex normals interpolated over a face (roads, people) instead of one normal a face (boxes).
+    two_sided: seen from the back as well (sheets, open meshes); else faces are there only where their corners run counter-clockwise.
+    """
+
+    name: str
+    mesh: trimesh.Trimesh
+    albedo: float = 0.2
+    texture: Texture | None = None
+    smooth: bool = False
+    two_sided: bool = False
+    track: PoseTrack = field(default_factory=PoseTrack.static)
+
+    @cached_property
+    def corners(self) -> Tensor:
+        """Corners of the faces in the body frame, `[F, 3 corners, 3]` float64 m."""
+        return torch.from_numpy(np.array(self.mesh.vertices, dtype=np.float64)[np.asarray(self.mesh.faces)])
+
+    @cached_property
+    def corner_normals(self) -> Tensor:
+        """Unit normals at the corners in the body frame, `[F, 3 corners, 3]` float64; vertex normals are weighted by angle."""
+        if self.smooth:
+            return torch.from_numpy(np.array(self.mesh.vertex_normals)[np.asarray(self.mesh.faces)])
+        a, b, c = self.corners.unbind(1)
+        return torch.nn.functional.normalize(torch.linalg.cross(b - a, c - a), dim=-1)[:, None].expand(-1, 3, -1).contiguous()

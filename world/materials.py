@@ -1,0 +1,73 @@
+"""Albedo that varies over a surface, and asphalt made from a seed."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from world.params import Params
+
+
+@dataclass(frozen=True, eq=False)
+class Texture:
+    """Albedo over a body's x and y, repeated endlessly.
+
+    albedo: `[n_x, n_y]` float32; texel (i, j) has its centre at `origin_m + ((i, j) + 1/2) * texel_m`.
+    """
+
+    albedo: Tensor
+    texel_m: float
+    origin_m: tuple[float, float] = (0.0, 0.0)
+
+    def at(self, x: Tensor, y: Tensor) -> Tensor:
+        """Albedo, bilinear, float32 in the shape of x and y (m, body frame)."""
+        n_x, n_y = self.albedo.shape
+        i, j = (x - self.origin_m[0]) / self.texel_m - 0.5, (y - self.origin_m[1]) / self.texel_m - 0.5
+        i0, j0 = i.floor(), j.floor()
+        fi, fj = (i - i0).float(), (j - j0).float()
+        i0, j0 = i0.long() % n_x, j0.long() % n_y
+        i1, j1 = (i0 + 1) % n_x, (j0 + 1) % n_y
+        near = torch.lerp(self.albedo[i0, j0], self.albedo[i0, j1], fj)
+        return torch.lerp(near, torch.lerp(self.albedo[i1, j0], self.albedo[i1, j1], fj), fi)
+
+
+class RoadSurfaceParams(Params):
+    """Asphalt: fine grain, mottling, mended patches, and lane markings if wanted."""
+
+    albedo: float = Field(0.2, gt=0, le=1, description="Mean share of light that the asphalt reflects, markings left out")
+    grain: float = Field(0.12, ge=0, le=0.5, description="Standard deviation of the asphalt's albedo, relative to its mean; 0: uniform")
+    patches: int = Field(3, ge=0, le=50, description="Mended patches on every 36 m of road")
+    markings: bool = Field(False, description="Paint a solid line on the right of the lane and a broken one on its left")
+    lane_width_m: float = Field(3.5, gt=1, le=10, description="Distance of the two lines; the lane's middle is y = 0")
+    seed: int = Field(0, ge=0, description="Seed of grain and patches")
+
+    def texture(self) -> Texture:
+        """A tile of 36 x 18 m, 2 cm a texel, centred on y = 0, whose opposite edges match."""
+        texel_m, n_x, n_y = 0.02, 1800, 900
+        rng = np.random.default_rng(self.seed)
+        relative = 1.0 + self.grain * _grain(rng, n_x, n_y) * (self.grain > 0)
+        for _ in range(self.patches if self.grain > 0 else 0):
+            i, j = int(rng.integers(n_x)), int(rng.integers(n_y))
+            length, width = (int(n) for n in rng.integers((40, 25), (250, 100)))
+            rows, columns = np.ix_(np.arange(i, i + length) % n_x, np.arange(j, j + width) % n_y)
+            relative[rows, columns] = 1.0 + rng.uniform(-0.3, -0.1) + 0.6 * (relative[rows, columns] - 1.0)
+        relative = relative.clip(0.3, None)
+        albedo = (self.albedo * relative / relative.mean()).clip(0, 1)
+        if self.markings:
+            x = (np.arange(n_x) + 0.5) * texel_m
+            y = (np.arange(n_y) + 0.5 - n_y / 2) * texel_m
+            solid = np.abs(y + self.lane_width_m / 2) < 0.06
+            broken = (np.abs(y - self.lane_width_m / 2) < 0.06)[None] & ((x % 9) < 3)[:, None]
+            albedo = np.where(solid[None] | broken, (0.6 + albedo - self.albedo).clip(0, 1), albedo)
+        return Texture(torch.from_numpy(albedo.astype(np.float32)), texel_m, (0.0, -n_y * texel_m / 2))
+
+
+def _grain(rng: np.random.Generator, n_x: int, n_y: int) -> np.ndarray:
+    """Periodic noise of mean 0 and variance 1: grain of single stones and mottling up to a metre."""
+    frequency = np.hypot(np.fft.fftfreq(n_x)[:, None], np.fft.rfftfreq(n_y)[None])
+    # an amplitude of f^-0.6 looks like asphalt, f^0 like television, f^-1 like clouds; 0.02 cycles a texel are one in a metre
+    noise = np.fft.irfft2(np.fft.rfft2(rng.standard_normal((n_x, n_y))) * np.maximum(frequency, 0.02) ** -0.6, (n_x, n_y))
+    noise -= noise.mean()
+    return noise / noise.std()
