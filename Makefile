@@ -47,7 +47,7 @@ $(BIN)/pip:
 
 # Not fatal: without OpenGL luxloop casts rays instead.
 opengl: | environment
-	@$(BIN)/python -m loop.gl_probe >/dev/null 2>&1 || scripts/apt_install.sh libegl1 libgl1 libgl1-mesa-dri || true
+	@$(BIN)/python -c 'from world.rasterise import Rasteriser; Rasteriser()' 2>/dev/null || scripts/apt_install.sh libegl1 libgl1 libgl1-mesa-dri || true
 
 clean:
 	rm -rf $(VENV) build *.egg-info

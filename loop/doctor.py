@@ -102,21 +102,21 @@ def package_check(requirement: str) -> Check:
 
 
 def opengl_check(environment: Mapping[str, str]) -> Check:
-    """Create a context in another process, which has the given environment variables, and report what renders."""
+    """Start the rasteriser in another process, which has the given environment variables and may crash, and report what renders."""
     remedy = OPENGL_LIBRARIES if environment.get("PYOPENGL_PLATFORM", "egl") == "egl" else "unset PYOPENGL_PLATFORM"
-    # By path and with -P: neither the working directory nor this folder may shadow a library.
-    command = [sys.executable, "-P", str(Path(__file__).with_name("gl_probe.py"))]
+    command = [sys.executable, "-c", "from world.rasterise import Rasteriser; print(Rasteriser().name)"]
+    packages = Path(__file__).parents[1]
     try:
-        probe = subprocess.run(command, env=dict(environment), capture_output=True, text=True, timeout=60)
+        probe = subprocess.run(command, cwd=packages, env=dict(environment), capture_output=True, text=True, timeout=60)
     except subprocess.TimeoutExpired:
         return Check("OpenGL", "fail", "the driver did not answer within a minute", remedy)
     if probe.returncode < 0:
         return Check("OpenGL", "fail", f"the driver crashed with signal {-probe.returncode}", remedy)
     if probe.returncode > 0:
-        return Check("OpenGL", "fail", f"no context, {_last_line(probe.stderr)}", remedy)
+        return Check("OpenGL", "fail", _last_line(probe.stderr).removeprefix("world.rasterise.NoOpenGL: "), remedy)
     renderer = _last_line(probe.stdout)
     kind = "software" if re.search("llvmpipe|softpipe|swrast", renderer) else "GPU"
-    return Check("OpenGL", "ok", f"{renderer} ({kind})")
+    return Check("OpenGL", "ok", f"{renderer}, {kind}")
 
 
 @_failing_with("ray caster", f"{PIP} --force-reinstall embreex trimesh")

@@ -1,0 +1,64 @@
+"""The wheel holds everything that luxloop runs on, and runs away from the checkout."""
+
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.slow
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ["world", "perception", "controllers", "loop", "scenarios"]
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Built from a copy, for setuptools would leave its work (and find that of earlier builds) in the checkout."""
+    folder = tmp_path_factory.mktemp("wheel")
+    source = folder / "source"
+    for package in PACKAGES:
+        shutil.copytree(ROOT / package, source / package, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, source)
+    subprocess.run([sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", folder, source], check=True)
+    (built,) = folder.glob("*.whl")
+    return built
+
+
+def test_wheel_holds_every_file_of_the_packages(wheel: Path) -> None:
+    shipped = set(zipfile.ZipFile(wheel).namelist())
+    ours = {
+        path.relative_to(ROOT).as_posix()
+        for package in PACKAGES
+        for path in (ROOT / package).rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    }
+    assert ours - shipped == set()
+    assert {name.split("/")[0] for name in shipped if ".dist-info/" not in name} == set(PACKAGES)
+    assert any(name.endswith("licenses/LICENSE") for name in shipped)
+
+
+def test_main_job_runs_from_the_wheel(wheel: Path, tmp_path: Path) -> None:
+    site = tmp_path / "site"
+    zipfile.ZipFile(wheel).extractall(site)
+    program = "import sys, loop.cli; assert loop.cli.__file__.startswith(sys.argv.pop(1)); sys.exit(loop.cli.main())"
+    arguments = ["run", "snowflake", "--steps", "2", "--no-video", "--out", str(tmp_path / "out")]
+    environment = {**os.environ, "PYTHONPATH": str(site)}
+    subprocess.run([sys.executable, "-c", program, str(site), *arguments], cwd=tmp_path, env=environment, check=True)
+    assert (tmp_path / "out" / "summary.json").is_file()
+
+
+def test_constraints_meet_what_the_project_asks_for() -> None:
+    from packaging.requirements import Requirement
+
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    asked = {r.name: r for r in map(Requirement, project["dependencies"] + project["optional-dependencies"]["test"])}
+    lines = [line for line in (ROOT / "constraints.txt").read_text().splitlines() if not line.startswith("#")]
+    pinned = {r.name: next(iter(r.specifier)).version for r in map(Requirement, lines)}
+    assert pinned.keys() == asked.keys()
+    assert all(asked[name].specifier.contains(version) for name, version in pinned.items())
