@@ -45,9 +45,10 @@ $(BIN)/pip:
 		$$($(PYTHON) -c 'import sys; print("python{}.{}-venv".format(*sys.version_info))')
 	$(PYTHON) -m venv $(VENV)
 
-# Not fatal: without OpenGL luxloop casts rays instead.
 opengl: | environment
-	@$(BIN)/python -c 'from world.rasterise import Rasteriser; Rasteriser()' 2>/dev/null || scripts/apt_install.sh libegl1 libgl1 libgl1-mesa-dri || true
+	@$(BIN)/python -c 'from world.rasterise import Rasteriser; Rasteriser()' 2>/dev/null \
+		|| scripts/apt_install.sh libegl1 libgl1 libgl1-mesa-dri \
+		|| echo "Going on without OpenGL: luxloop casts rays instead."
 
 clean:
 	rm -rf $(VENV) build *.egg-info
