@@ -38,8 +38,8 @@ class CameraParams(Params):
         30.0, ge=1, le=150, description="horizontal field of view; pixels are square, the principal point is the middle"
     )
 
-    exposure_s: float = Field(0.025, gt=0, le=1, description="exposure time of a frame")
-    sensitivity_e_per_cd_s_m2: float = Field(30_000.0, gt=0, description="electrons for each cd/m^2 and second of exposure")
+    exposure_s: float = Field(0.015, gt=0, le=1, description="exposure time of a frame; on and off frames must fit into one control step")
+    sensitivity_e_per_cd_s_m2: float = Field(50_000.0, gt=0, description="electrons for each cd/m^2 and second of exposure")
     saturation_e: float = Field(1_000.0, gt=0, description="electrons at the largest digital number")
     read_noise_e: float = Field(2.0, gt=0, description="standard deviation of the read noise in electrons")
     bits: Literal[8, 10, 12] = Field(12, description="bits of a digital number")

@@ -1,0 +1,188 @@
+"""Scenario files: one typed, frozen model; TOML, `--set key=value` and every other front end edit it and nothing else."""
+
+import difflib
+import hashlib
+import json
+import tomllib
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, ValidationError, field_validator
+
+from controllers.mrpc import MrpcParams
+from controllers.symbol import ControllerParams, ThesisPidParams
+from controllers.symbol.flat_model import FeatureParams
+from controllers.symbol.projector import SymbolParams
+from loop.validation import sentence
+from perception.camera import CameraParams
+from perception.extraction import ExtractionParams
+from world.errors import LuxloopError
+from world.materials import RoadSurfaceParams
+from world.objects import ObjectParams
+from world.params import Params
+from world.roads import Flat, RoadParams
+from world.scene import StreetLamp
+
+SCHEMA_VERSION = 1
+
+
+class StartParams(Params):
+    """Pose of the symbol's primitive at step 0."""
+
+    x_m: float = Field(17.0, gt=1, le=100, description="centre ahead of the lamps")
+    y_m: float = Field(0.0, ge=-20, le=20, description="centre to the left")
+    roll_deg: float = Field(0.0, ge=-45, le=45, description="rotation about the forward axis")
+    pitch_deg: float = Field(0.0, ge=-45, le=45, description="rotation about the left axis, nose down positive")
+
+
+class HeadlightParams(Params):
+    """The vehicle's pair of headlights, and which of them draw the symbol."""
+
+    preset: Literal["idealised-332x1024"] = Field("idealised-332x1024", description="headlight model")
+    intensity_cd: float = Field(30_000.0, gt=0, le=500_000, description="luminous intensity with all pixels at full utilisation")
+    height_m: float = Field(0.75, gt=0.1, le=2.0, description="height of the photometric centres above the road")
+    distance_m: float = Field(1.2, ge=0, le=3, description="distance between the photometric centres")
+    lamps: tuple[Literal["left", "right"], ...] = Field(("left",), min_length=1, description="lamps that draw the symbol")
+
+    @field_validator("lamps")
+    @classmethod
+    def _each_once(cls, lamps: tuple[str, ...]) -> tuple[str, ...]:
+        if len(set(lamps)) < len(lamps):
+            raise ValueError("name each lamp once")
+        return lamps
+
+
+class LightParams(Params):
+    """Light that is there without the headlights."""
+
+    ambient_lx: float = Field(0.3, ge=0, le=100_000, description="illuminance of a surface facing the sky")
+    street_lamps: tuple[StreetLamp, ...] = Field((), description="point lights")
+
+
+class Scenario(Params):
+    """Everything that decides a run."""
+
+    schema_version: Literal[1] = Field(SCHEMA_VERSION, description="version of this file format")
+    name: str = Field(min_length=1, max_length=80, description="name, for tables and reports")
+    description: str = Field("", description="what is to be seen, in a sentence")
+    steps: int = Field(40, ge=1, le=100_000, description="control steps")
+    rate_hz: float = Field(30.0, gt=0, le=1000, description="control rate")
+    seed: int = Field(0, ge=0, lt=2**63, description="seed of all noise")
+    road: RoadParams = Field(Flat(), description="the road's shape")
+    surface: RoadSurfaceParams = Field(RoadSurfaceParams(), description="the road's albedo")
+    objects: tuple[ObjectParams, ...] = Field((), description="objects on the road")
+    light: LightParams = Field(LightParams(), description="ambient light and street lamps")
+    headlight: HeadlightParams = Field(HeadlightParams(), description="the lamps")
+    camera: CameraParams = Field(CameraParams(), description="the camera")
+    symbol: SymbolParams = Field(description="what is projected, and where it shall lie")
+    start: StartParams = Field(StartParams(), description="where the control starts")
+    ssc: MrpcParams = Field(MrpcParams(), description="SuperSampling Control")
+    features: FeatureParams = Field(FeatureParams(), description="what of the symbol the controller looks at")
+    extraction: ExtractionParams = Field(ExtractionParams(), description="how the symbol is found in the image")
+    controller: Annotated[ControllerParams, Field(description="the controller of the symbol")] = ThesisPidParams()
+    renderer: Literal["auto", "opengl", "raycast"] = Field("auto", description="source of the G-buffer")
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the resolved scenario, hexadecimal."""
+        return hashlib.sha256(json.dumps(self.model_dump(mode="json"), sort_keys=True).encode()).hexdigest()
+
+
+def shipped() -> dict[str, Path]:
+    """Scenario files that come with luxloop, by name."""
+    folder = Path(str(files("scenarios")))
+    return {path.stem: path for path in sorted(folder.glob("*.toml"))}
+
+
+def shipped_symbols() -> dict[str, Path]:
+    """Symbol images that come with luxloop, by name."""
+    return {path.stem: path for path in sorted(Path(str(files("scenarios") / "symbols")).glob("*.png"))}
+
+
+def find(name: str) -> Path:
+    """The file of a scenario given by shipped name or by path. Raises LuxloopError with the nearest name."""
+    path = Path(name)
+    known = shipped()
+    if name in known:
+        return known[name]
+    if path.suffix == ".toml" or path.exists():
+        if not path.is_file():
+            raise LuxloopError(f"scenario file {name} does not exist: check the path, or write one with `luxloop new {name}`")
+        return path
+    nearest = difflib.get_close_matches(name, known, 1)
+    hint = f"did you mean {nearest[0]!r}?" if nearest else "`luxloop list` shows what there is, a file's name ends in .toml"
+    raise LuxloopError(f"there is no scenario {name!r}: {hint}")
+
+
+def load(name: str, overrides: Sequence[str] = (), **values: Any) -> Scenario:
+    """Read a scenario by shipped name or path; overrides are `key.sub=value` in TOML syntax, values are top-level keys.
+
+    Raises LuxloopError that names the file, the key and the remedy.
+    """
+    path = find(name)
+    try:
+        data = tomllib.loads(path.read_text("utf-8"))
+    except UnicodeDecodeError as error:
+        raise LuxloopError(f"{path}: not a text file in UTF-8 (byte {error.start}); save it as UTF-8") from error
+    except tomllib.TOMLDecodeError as error:
+        raise LuxloopError(f"{path}: not valid TOML: {error}; strings need quotes, tables are [name]") from error
+    except OSError as error:
+        raise LuxloopError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
+    _resolve_paths(data, path.parent)
+    overridden: dict[str, Any] = {}
+    for override in overrides:
+        _merge(overridden, _parse_override(override))
+    _resolve_paths(overridden, Path.cwd())
+    _merge(data, overridden)
+    data.update(values)
+    return validate(data, str(path))
+
+
+def validate(data: Mapping[str, Any], source: str) -> Scenario:
+    """Check a scenario given as plain data. Raises LuxloopError that names the source, the key and the remedy."""
+    version = data.get("schema_version", SCHEMA_VERSION)
+    if version != SCHEMA_VERSION:
+        raise LuxloopError(f"{source}: schema_version: {version!r} is not understood; this luxloop reads version {SCHEMA_VERSION}")
+    try:
+        return Scenario.model_validate_json(json.dumps(data))
+    except ValidationError as error:
+        raise LuxloopError(f"{source}: {sentence(error, Scenario)}") from error
+    except TypeError as error:
+        raise LuxloopError(f"{source}: dates and times have no meaning here ({error}); write a number or a string") from error
+
+
+def _parse_override(text: str) -> dict[str, Any]:
+    key, equals, value = text.partition("=")
+    if not equals or not key.strip():
+        raise LuxloopError(f"--set {text}: not of the form key=value; write for example --set camera.bits=8")
+    try:
+        return tomllib.loads(f"{key.strip()} = {value.strip()}")
+    except tomllib.TOMLDecodeError:
+        try:
+            return tomllib.loads(f"{key.strip()} = {json.dumps(value.strip())}")
+        except tomllib.TOMLDecodeError as error:
+            raise LuxloopError(f"--set {text}: not understood ({error}); write for example --set camera.bits=8") from error
+
+
+def _merge(into: dict[str, Any], changes: Mapping[str, Any]) -> None:
+    """Lay changes over nested tables; a table whose `kind` or `name` of variant changes starts anew."""
+    for key, value in changes.items():
+        old = into.get(key)
+        same = isinstance(old, dict) and isinstance(value, dict)
+        if same and all(value.get(tag, old.get(tag)) == old.get(tag) for tag in ("kind", "name")):
+            _merge(old, value)
+        else:
+            into[key] = value
+
+
+def _resolve_paths(data: dict[str, Any], folder: Path) -> None:
+    """Make paths absolute against the file's folder; names of shipped symbols and of known data stay names."""
+    places = [(data.get("symbol"), "image"), (data.get("road"), "file")]
+    places += [(item, "file") for item in data.get("objects", ()) if isinstance(item, dict)] if isinstance(data.get("objects"), list) else []
+    for table, key in places:
+        if isinstance(table, dict) and isinstance(table.get(key), str):
+            value = table[key]
+            if "/" in value or "\\" in value or "." in value:
+                table[key] = str((folder / value).resolve())

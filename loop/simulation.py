@@ -1,0 +1,136 @@
+"""The stepped loop: state in, state out. Light is shown, frames are seen, the primitive moves, the judge writes down how it lies."""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from controllers.ssc import Utilisation
+from controllers.symbol import build_controller
+from controllers.symbol.flat_model import flat_model
+from controllers.symbol.observer import Observer, Seen
+from controllers.symbol.projector import Projector
+from controllers.symbol.protocol import SymbolController
+from loop.build import build_projector, build_scene
+from loop.plant import Frames, SimulatedPlant
+from loop.scenario import Scenario
+from perception.birdseye import BirdsEye, birds_eye, region_around
+from perception.judge import Target, Verdict, judge, target
+from world.face_source import face_source
+
+Lights = tuple[Utilisation, ...]
+
+
+@dataclass(frozen=True)
+class SimulationState:
+    """step: the step that comes next. controller, plant: their states. shown: pose `[4]` and lights of the frames that are under way."""
+
+    step: int
+    controller: Any
+    plant: Any
+    shown: tuple[tuple[Tensor, Lights], ...] = ()
+
+
+@dataclass(frozen=True)
+class StepResult:
+    """What happened in one step. pose: `[4]` that was shown; timings: ms by part, 'step' is all that control and plant took."""
+
+    step: int
+    time_s: float
+    pose: Tensor
+    lights: Lights
+    frames: Frames | None
+    seen: Seen
+    verdict: Verdict
+    timings: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """A scenario made ready to run on one device."""
+
+    scenario: Scenario
+    device: torch.device
+    projector: Projector
+    observer: Observer
+    controller: SymbolController
+    plant: SimulatedPlant
+    plane: BirdsEye
+    goal: Target
+
+    @classmethod
+    def prepare(cls, scenario: Scenario, device: torch.device | str = "cpu") -> "Simulation":
+        """Build scene, lamps, internal model and judge. Raises LuxloopError where a file is missing or broken."""
+        device = torch.device(device)
+        symbol = scenario.symbol
+        scene = build_scene(scenario)
+        projector = build_projector(scenario, device)
+        model = flat_model(
+            projector, scenario.camera, scenario.surface.albedo, scenario.light.ambient_lx, scenario.extraction, scenario.features
+        )
+        plant = SimulatedPlant(
+            scene, projector.lamps, scenario.camera, face_source(scenario.renderer), scenario.rate_hz, scenario.seed, device
+        )
+        plane = birds_eye(region_around(symbol.x_m, symbol.y_m, symbol.length_m, symbol.width_m), plant.view)
+        return cls(
+            scenario=scenario,
+            device=device,
+            projector=projector,
+            observer=Observer(projector, model, scenario.camera, scenario.extraction),
+            controller=build_controller(scenario.controller, projector.target),
+            plant=plant,
+            plane=plane,
+            goal=target(model.luminance(projector.light(projector.target)), plane, symbol.length_m, symbol.width_m),
+        )
+
+    def start(self) -> SimulationState:
+        """The state before step 0."""
+        s = self.scenario.start
+        angles = torch.deg2rad(torch.tensor([s.roll_deg, s.pitch_deg]))
+        pose = torch.cat([torch.tensor([s.x_m, s.y_m]), angles]).to(self.projector.target)
+        return SimulationState(0, self.controller.start(pose), self.plant.start())
+
+    def step(self, state: SimulationState) -> tuple[SimulationState, StepResult]:
+        """One control step."""
+        timings: dict[str, float] = {}
+        time_s = state.step * self.plant.period_s
+        with _timed(timings, "render"):
+            self.plant.lit(time_s), self.plant.lit(time_s + 0.5 * self.plant.period_s)
+        with _timed(timings, "light"):
+            pose = self.controller.pose(state.controller)
+            lights = self.projector.light(pose)
+        with _timed(timings, "camera"):
+            plant, frames = self.plant.show(state.plant, lights, state.step)
+        with _timed(timings, "perceive"):
+            shown = (*state.shown, (pose, lights))
+            late = self.scenario.camera.latency_steps
+            seen = self.observer.look(frames, *shown[0])
+        with _timed(timings, "control"):
+            controller = self.controller.step(state.controller, seen)
+        timings["step"] = sum(timings.values())
+        with _timed(timings, "judge"):
+            verdict = self.judge(lights, time_s)
+        following = replace(state, step=state.step + 1, controller=controller, plant=plant, shown=shown[-late:] if late else ())
+        return following, StepResult(state.step, time_s, pose, lights, frames, seen, verdict, timings)
+
+    def judge(self, lights: Lights, time_s: float) -> Verdict:
+        """How the light lies on the road at a time, without noise."""
+        return judge(self.plant.lit(time_s).luminance(lights), self.plane, self.goal)
+
+    def run(self) -> Iterator[StepResult]:
+        """All steps of the scenario."""
+        state = self.start()
+        for _ in range(self.scenario.steps):
+            state, result = self.step(state)
+            yield result
+
+
+@contextmanager
+def _timed(timings: dict[str, float], part: str) -> Iterator[None]:
+    start = time.perf_counter()
+    yield
+    timings[part] = 1e3 * (time.perf_counter() - start)
