@@ -51,7 +51,7 @@ def gbuffer(triangles: Triangles, view: View, face_ids: Tensor) -> GBuffer:
 
 
 def _normals(corner_normals: Tensor, barycentric: Tensor) -> Tensor:
-    """Unit normals `[3, M]` from those at the corners `[M, 3 corners, 3]`."""
+    """Unit normals `[3, M]` from those at the corners `[M, 3 corners, 3]` and barycentric coordinates `[3 corners, M]`."""
     weight = barycentric.clamp(min=0.0)
-    mean = (weight[:, :, None] * corner_normals).sum(1).T
+    mean = torch.stack([weight[i] * corner_normals[:, i].T for i in range(3)]).sum(0)
     return torch.nn.functional.normalize(mean, dim=0)

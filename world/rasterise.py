@@ -84,6 +84,7 @@ def _ordered_scene() -> Any:
 def _context() -> Any:
     """The one OffscreenRenderer of the process: pyrender's meshes belong to the context that they were first drawn in."""
     os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
+    os.environ.setdefault("PYGLET_HEADLESS", "true")  # pyrender imports its viewer, which would ask for an X server
     try:
         import pyrender
         from pyrender.shader_program import ShaderProgramCache

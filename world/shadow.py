@@ -9,7 +9,7 @@ from world.face_source import FaceSource
 from world.triangles import Triangles, depths
 from world.view import View
 
-BIAS_M = 0.02
+BIAS_M = 0.01
 
 
 @dataclass(frozen=True, eq=False)

@@ -58,7 +58,7 @@ class Triangles:
 class Hits:
     """Rays on one body, M of them. pixels: `[M]`, index of the ray. faces: `[M]`, index of the body's face.
 
-    depth: `[M]`, in lengths of the ray's direction. barycentric: `[M, 3]`, within -0.1 and 1.2.
+    depth: `[M]`, in lengths of the ray's direction. barycentric: `[3 corners, M]`, within -0.1 and 1.2.
     front: `[M]`, the face is seen from the side where its corners run counter-clockwise.
     """
 
@@ -92,19 +92,18 @@ def intersect(triangles: Triangles, face_ids: Tensor, origin: Tensor, directions
         edges = torch.stack([torch.linalg.cross(b, c), torch.linalg.cross(c, a), torch.linalg.cross(a, b)], 1)
         volume = (a * edges[:, 0]).sum(-1)
         compact = (torch.cumsum(seen, 0) - 1)[faces]
+        volume, edges = volume[compact], edges[compact]
         d = directions[:, pixels]
-        per_ray = edges[compact]
-        w = torch.stack([per_ray[:, i, 0] * d[0] + per_ray[:, i, 1] * d[1] + per_ray[:, i, 2] * d[2] for i in range(3)], 1)
-        total = w.sum(1)
-        volume = volume[compact]
-        depth, barycentric = volume / total, w / total[:, None]
-        beside = torch.nonzero(~(barycentric >= -0.1).all(1))[:, 0]
+        w = torch.stack([edges[:, i, 0] * d[0] + edges[:, i, 1] * d[1] + edges[:, i, 2] * d[2] for i in range(3)])
+        total = w[0] + w[1] + w[2]
+        depth, barycentric = volume / total, w / total
+        beside = torch.nonzero(~(barycentric.amin(0) >= -0.1))[:, 0]
         if len(beside):
-            held = barycentric[beside].nan_to_num(1.0, 1.0, 0.0).clamp(min=0.0)
-            barycentric[beside] = held / held.sum(1, keepdim=True)
-            along = d[:, beside].T
-            points = (barycentric[beside, :, None] * corners[compact[beside]]).sum(1)
-            depth[beside] = (points * along).sum(1) / (along * along).sum(1)
+            held = barycentric[:, beside].nan_to_num(1.0, 1.0, 0.0).clamp(min=0.0)
+            barycentric[:, beside] = held = held / held.sum(0)
+            along = d[:, beside]
+            points = torch.einsum("im,mij->jm", held, corners[compact[beside]])
+            depth[beside] = (points * along).sum(0) / (along * along).sum(0)
         yield Hits(placed, pixels, faces, depth, barycentric, volume < 0)
 
 

@@ -1,0 +1,149 @@
+import math
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import TypeAdapter, ValidationError
+
+from tests.world.grids import bumpy, flat
+from world.body import Body, PoseTrack
+from world.errors import LuxloopError
+from world.frames import pose_from_degrees
+from world.materials import RoadSurfaceParams, Texture
+from world.objects import BoxParams, MeshParams, ObjectParams
+from world.scene import Scene
+
+ORIGIN = {"position_m": (0.0, 0.0, 0.0)}
+TURN = [{"time_s": 1.0, "position_m": (10, 0, 0)}, {"time_s": 2.0, "position_m": (14, 2, 0), "yaw_deg": 90}]
+
+
+def box(**keys) -> BoxParams:
+    return BoxParams(**{"name": "box", "size_m": (1.0, 2.0, 3.0), "track": [ORIGIN], **keys})
+
+
+def test_track_interpolates_and_holds_its_ends():
+    track = box(track=TURN).build().track
+    assert torch.allclose(track.pose_at(1.5), pose_from_degrees((12, 1, 0), yaw_deg=45), atol=1e-12)
+    assert torch.equal(track.pose_at(-7.0), pose_from_degrees((10, 0, 0)))
+    assert torch.equal(track.pose_at(7.0), pose_from_degrees((14, 2, 0), yaw_deg=90))
+
+
+@given(st.floats(-180, 180), st.floats(-90, 90), st.floats(-180, 180), st.floats(0, 1))
+def test_poses_between_keyframes_are_rigid(roll_deg, pitch_deg, yaw_deg, t_s):
+    stop = pose_from_degrees((1.0, 2.0, 3.0), roll_deg, pitch_deg, yaw_deg)
+    T = PoseTrack((0.0, 1.0), torch.stack([torch.eye(4, dtype=torch.float64), stop])).pose_at(t_s)
+    R = T[:3, :3]
+    assert torch.allclose(R @ R.T, torch.eye(3, dtype=torch.float64), atol=1e-9)
+    assert torch.det(R) > 0
+    assert torch.allclose(T[:3, 3], stop[:3, 3] * t_s)
+
+
+def test_a_body_is_there_from_appearing_until_just_before_vanishing():
+    track = box(appears_s=1.0, vanishes_s=2.0).build().track
+    assert [track.visible_at(t) for t in (0.99, 1.0, 1.99, 2.0)] == [False, True, True, False]
+
+
+def test_only_what_moved_is_rebuilt():
+    scene = Scene((Body("road", flat()), box(track=TURN, vanishes_s=3.0).build()))
+    before, same, after = scene.at(0.0), scene.at(0.5), scene.at(1.5)
+    assert before.key == same.key == scene.key_at(0.5) != after.key == scene.key_at(1.5)
+    assert before.placed[0] is after.placed[0]
+    assert before.placed[1] is same.placed[1] is not after.placed[1]
+    assert [placed.object_id for placed in scene.at(3.0).placed] == [0]
+
+
+def test_a_box_stands_on_its_position():
+    (placed,) = Scene((box(track=[{"position_m": (17, 1, 0.1), "yaw_deg": 90}]).build(),)).at(0.0).placed
+    corners = placed.corners.flatten(0, 1)
+    assert torch.allclose(corners.amin(0), torch.tensor([16.0, 0.5, 0.1], dtype=torch.float64))
+    assert torch.allclose(corners.amax(0), torch.tensor([18.0, 1.5, 3.1], dtype=torch.float64))
+    outwards = placed.corners.mean(1) - corners.mean(0)
+    assert ((placed.corner_normals[:, 0] * outwards).sum(-1) > 0).all()
+
+
+def test_smooth_normals_follow_the_surface_and_flat_ones_the_faces():
+    mesh = bumpy()
+    x, y, _ = mesh.vertices[mesh.faces].mean(1).T
+    slope = np.c_[-0.039 * np.cos(1.3 * x) * np.cos(0.9 * y), 0.027 * np.sin(1.3 * x) * np.sin(0.9 * y), np.ones_like(x)]
+    exact = torch.from_numpy(slope / np.linalg.norm(slope, axis=1, keepdims=True))
+    inside = torch.from_numpy((abs(x - 22) < 25) & (abs(y) < 7))
+    for smooth in (True, False):
+        mean = torch.nn.functional.normalize(Body("road", mesh, smooth=smooth).corner_normals.mean(1), dim=-1)
+        # the slope turns by 0.053 rad/m along x; a cell is 0.11 x 0.16 m, of which the face's middle is off by a part
+        assert ((mean - exact).norm(dim=-1)[inside] < 0.004).all()
+
+
+def test_a_mesh_is_read_and_scaled(tmp_path):
+    trimesh.creation.icosphere(radius=100.0).export(tmp_path / "ball.ply")
+    params = TypeAdapter(ObjectParams).validate_python(
+        {"kind": "mesh", "name": "ball", "file": tmp_path / "ball.ply", "scale": 0.01, "smooth": True, "track": [ORIGIN]}
+    )
+    ball = params.build()
+    assert math.isclose(ball.mesh.extents.max(), 2.0, rel_tol=1e-3) and not ball.two_sided
+    # on a sphere, vertex normals point away from the middle; an icosphere's facets are uneven by some 1e-2
+    assert (ball.corner_normals - ball.corners).norm(dim=-1).max() < 0.02
+
+
+def test_an_open_mesh_is_two_sided(tmp_path):
+    flat().export(tmp_path / "sheet.obj")
+    assert MeshParams(name="sheet", file=tmp_path / "sheet.obj", track=[ORIGIN]).build().two_sided
+
+
+@pytest.mark.parametrize(
+    "name, content",
+    [
+        ("missing.obj", None),
+        ("empty.obj", b""),
+        ("points.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"),
+        ("broken.stl", b"\x01\x02 not a mesh"),
+        ("truncated.glb", b"glTF\x02\x00\x00\x00"),
+        ("nan.obj", b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"),
+        ("beyond.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n"),
+        ("picture.png", b"\x89PNG"),
+    ],
+)
+def test_a_bad_mesh_file_is_one_clear_error(tmp_path, name, content):
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(LuxloopError, match=name) as error:
+        MeshParams(name="thing", file=tmp_path / name, track=[ORIGIN]).build()
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "keys, complaint",
+    [
+        ({"track": []}, "track"),
+        ({"track": [ORIGIN, ORIGIN]}, "ascend"),
+        ({"appears_s": 2.0, "vanishes_s": 1.0}, "later than appears_s"),
+        ({"albedo": 1.5}, "albedo"),
+        ({"size_m": (1, 0, 1)}, "size_m"),
+        ({"colour": "red"}, "colour"),
+    ],
+)
+def test_bad_parameters_are_refused_by_name(keys, complaint):
+    with pytest.raises(ValidationError, match=complaint):
+        box(**keys)
+
+
+def test_texture_lies_along_x_and_y_and_repeats():
+    texture = Texture(torch.arange(12, dtype=torch.float32).view(4, 3), texel_m=0.5, origin_m=(10.0, -1.0))
+    x, y = torch.tensor([10.25, 10.75, 10.25, 12.25, 10.5, 10.0]), torch.tensor([-0.75, -0.75, -0.25, 0.75, -0.75, -0.75])
+    assert texture.at(x, y).tolist() == [0.0, 3.0, 1.0, 0.0, 1.5, 4.5]
+
+
+def test_asphalt_has_its_albedo_its_seed_and_its_lines():
+    params = RoadSurfaceParams(albedo=0.15, seed=3)
+    albedo = params.texture().albedo
+    assert math.isclose(albedo.mean(), 0.15, rel_tol=1e-4)
+    assert 0.05 < albedo.std() / 0.15 < 0.25
+    assert torch.equal(albedo, params.texture().albedo)
+    assert not torch.equal(albedo, RoadSurfaceParams(albedo=0.15, seed=4).texture().albedo)
+    assert torch.equal(RoadSurfaceParams(grain=0.0).texture().albedo.unique(), torch.tensor([0.2]))
+    painted = RoadSurfaceParams(markings=True).texture()
+    x = torch.tensor([1.0, 5.0, 1.0, 5.0, 5.0])
+    y = torch.tensor([1.75, 1.75, -1.75, -1.75, 0.0])
+    assert (painted.at(x, y) > 0.4).tolist() == [True, False, True, True, False]
