@@ -15,6 +15,8 @@ from controllers.primitives import Primitives
 from world.frames import inverse, transform
 from world.headlight import Headlight
 
+COPLANAR = 1e-4  # of the distance: what lies closer together counts as one plane, whatever the dtype rounds
+
 
 @dataclass(frozen=True)
 class Window:
@@ -62,7 +64,8 @@ def projected_window(primitives: Primitives, headlight: Headlight, T_world_headl
 def trace(primitives: Primitives, headlight: Headlight, T_world_headlight: Tensor, window: Window | None = None) -> Setpoints:
     """Cast a ray through every texel centre of the window (default: all) and take the setpoint of the nearest primitive hit.
 
-    primitives: batch `[..., P]`. T_world_headlight: `[4, 4]`. Back faces are not hit; E_v becomes `E d^2 / cos` (T 7.2.1).
+    primitives: batch `[..., P]`. T_world_headlight: `[4, 4]`. Back faces are not hit; of coplanar primitives the last in the list wins;
+    E_v becomes `E d^2 / cos` (T 7.2.1). Differentiable in the primitives (not across their edges).
     """
     window = window or whole(headlight)
     y, z = headlight.tangents(primitives.origin.dtype, primitives.origin.device)
@@ -77,24 +80,34 @@ def trace(primitives: Primitives, headlight: Headlight, T_world_headlight: Tenso
         return a[..., 0] + a[..., 1] * y + a[..., 2] * z[:, None]
 
     dn = along_rays(n)
+    parallel = dn == 0
+    dn = dn.masked_fill(parallel, 1.0)  # not inf, since the gradient of a masked inf is NaN
     u = along_rays(torch.linalg.cross(d2, q)) / dn
     v = along_rays(torch.linalg.cross(q, d1)) / dn
     length = (q * n).sum(-1)[..., None, None] / dn
     facing = -along_rays(normal)
-    hit = (length > 0) & (u >= 0) & (u <= 1) & (v >= 0) & (v <= 1) & (facing > 0)
+    hit = (length > 0) & (u >= 0) & (u <= 1) & (v >= 0) & (v <= 1) & (facing > 0) & ~parallel
     value = _symbol_value(primitives.symbols, u, v) * primitives.value[..., None, None]
     if primitives.quantity == "E_v":
         d = (1 + y * y + z[:, None] ** 2).sqrt()
-        value = value * length**2 * d**3 / facing.clamp(min=torch.finfo(facing.dtype).tiny)
+        value = value * length**2 * d**3 / torch.where(hit, facing, 1.0)
+    value = torch.where(hit, value, 0.0)
+    if value.shape[-3] == 1:
+        return Setpoints(value[..., 0, :, :], hit[..., 0, :, :], window)
+    return Setpoints(value.gather(-3, _nearest(hit, length))[..., 0, :, :], hit.any(-3), window)
+
+
+def _nearest(hit: Tensor, length: Tensor) -> Tensor:
+    """Index of the nearest primitive hit, the last of several in one plane (painter's order): `[..., 1, rows, cols]` int64."""
     distance = torch.where(hit, length, math.inf)
-    nearest = distance.argmin(-3, keepdim=True)
-    value = torch.where(hit, value, 0.0).gather(-3, nearest)[..., 0, :, :]
-    return Setpoints(value, hit.any(-3), window)
+    order = torch.arange(hit.shape[-3], device=hit.device)[:, None, None]
+    in_front = distance <= distance.amin(-3, keepdim=True) * (1 + COPLANAR)
+    return torch.where(in_front, order, -1).amax(-3, keepdim=True)
 
 
 def _symbol_value(symbols: Tensor, u: Tensor, v: Tensor) -> Tensor:
     """Symbol images `[P, h, w]` at symbol coordinates `[..., P, rows, cols]`, bilinear, texel centres at (k + 1/2) / n."""
     shape = u.shape
     images = symbols.expand(*shape[:-2], *symbols.shape[-2:]).reshape(-1, 1, *symbols.shape[-2:])
-    maps = (2 * coordinate.reshape(-1, *shape[-2:]) - 1 for coordinate in (u, v))
-    return remap(images, *maps, padding_mode="border", align_corners=False, normalized_coordinates=True).reshape(shape)
+    map_u, map_v = (2 * coordinate.reshape(-1, *shape[-2:]) - 1 for coordinate in (u, v))
+    return remap(images, map_u, map_v, padding_mode="border", align_corners=False, normalized_coordinates=True).reshape(shape)
