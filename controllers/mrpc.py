@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import torch
+from pydantic import Field
 from torch import Tensor
 
 from controllers.primitives import Quantity
@@ -15,8 +16,8 @@ from world.spmv import Csr, multiply, row_of_entries, segment_bounds
 class MrpcParams(Params):
     """Exponents of mapping and reduction (T 7.4.1, 7.4.5)."""
 
-    a_m: float = 1.0
-    a_r: float = 1.0
+    a_m: float = Field(1.0, ge=0, description="mapping: 0 shares a setpoint equally among its pixels, 1 by what they can give")
+    a_r: float = Field(1.0, ge=0, description="reduction: 0 averages utilisations, 1 conserves light, 2 is the least-squares solution")
 
 
 @dataclass(frozen=True)
@@ -59,8 +60,8 @@ def reduce_setpoints(
 ) -> tuple[Tensor, slice]:
     """Map and reduce (7.4.1, 7.4.5): utilisation `[..., n_p]` in 0..1 and the band of pixels that may differ from the default.
 
-    default: `[n_p]`; a ray without a hit counts with `I_m,ij u_def,j`. With a_m = 1 the upper bound `I_s,ij <= I_m,ij` is the same for all
-    pixels of a texel and the mapping folds into the reduction's matrix; with any other a_m it is taken entry by entry.
+    default: `[n_p]`; a ray without a hit counts with `I_m,ij u_def,j`. For u_abs, and for a_m = 1, all pixels of a texel get the same
+    utilisation: it is bounded by `I_s,ij <= I_m,ij` once a texel and then reduced by a matrix; else everything goes entry by entry.
     """
     w = setpoints.window
     batch = setpoints.value.shape[:-2]
@@ -70,29 +71,29 @@ def reduce_setpoints(
     value = _on_rows(setpoints.value, w, rows, headlight.cols)
     hit = _on_rows(setpoints.hit.to(value), w, rows, headlight.cols)
     first_texel = rows.start * headlight.cols
-    if params.a_m == 1 or quantity in ("u_abs", "u_rel"):
-        if quantity in ("I_v", "E_v"):
-            value = (value * pixels.share[first_texel : first_texel + value.shape[-1]]).clamp(0, 1)
+    if quantity in ("I_v", "E_v"):
+        value = value * pixels.share[first_texel : first_texel + value.shape[-1]]
+    if quantity == "u_abs" or (quantity != "u_rel" and params.a_m == 1):
         weight = _shift(pixels.weight.band(band.start, band.stop), first_texel, value.shape[-1])
-        mapped, covered = multiply(weight, value), multiply(weight, hit)
-        if quantity == "u_rel":
-            mapped = mapped * default[band]
+        mapped, covered = multiply(weight, value.clamp(0, 1)), multiply(weight, hit)
     else:
-        mapped, covered = _entrywise(value, hit, pixels, params, band, first_texel)
+        factor = default if quantity == "u_rel" else None
+        mapped, covered = _entrywise(value, hit, factor, pixels, params, band, first_texel)
     u = default.expand(*batch, -1).clone()
     u[..., band] = (mapped + (1 - covered) * default[band]).clamp(0, 1)
     return u, band
 
 
 def _entrywise(
-    value: Tensor, hit: Tensor, pixels: PixelMajor, params: MrpcParams, band: slice, first_texel: int
+    value: Tensor, hit: Tensor, factor: Tensor | None, pixels: PixelMajor, params: MrpcParams, band: slice, first_texel: int
 ) -> tuple[Tensor, Tensor]:
+    """Reduce values times a factor a pixel `[n_p]`, without one times `I_m^(a_m - 1)`, bounded entry by entry."""
     entries = pixels.entries.band(band.start, band.stop)
     weight = pixels.weight.band(band.start, band.stop).values
     texel = entries.indices.long() - first_texel
-    share = value * pixels.share[first_texel : first_texel + value.shape[-1]]
-    utilisation = (share[..., texel] * entries.values ** (params.a_m - 1)).clamp(0, 1)
     pixel = row_of_entries(entries)
+    potential = entries.values ** (params.a_m - 1) if factor is None else factor[band][pixel]
+    utilisation = (value[..., texel] * potential).clamp(0, 1)
     zeros = torch.zeros(*value.shape[:-1], entries.n_rows, dtype=value.dtype, device=value.device)
     return zeros.index_add(-1, pixel, weight * utilisation), zeros.index_add(-1, pixel, weight * hit[..., texel])
 

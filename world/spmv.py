@@ -25,11 +25,15 @@ class Csr:
 
     @classmethod
     def from_scipy(cls, matrix: sp.spmatrix | sp.sparray, dtype: torch.dtype = torch.float32) -> "Csr":
-        """Take any scipy sparse matrix; raises ValueError where int32 cannot count its entries."""
-        csr = matrix.tocsr()
+        """Take any scipy sparse matrix, without the entries that it stores as zero.
+
+        Raises: ValueError where int32 cannot count its rows, columns or entries.
+        """
+        csr = matrix.tocsr(copy=True)
         if csr.nnz >= 2**31 or max(csr.shape) >= 2**31:
-            raise ValueError(f"matrix of {csr.nnz} entries is too large for int32 indices")
-        csr.sort_indices()
+            raise ValueError(f"a {csr.shape[0]} x {csr.shape[1]} matrix of {csr.nnz} entries is too large for int32 indices: split it")
+        csr.sum_duplicates()
+        csr.eliminate_zeros()
         return cls(
             torch.from_numpy(csr.indptr.astype(np.int32)),
             torch.from_numpy(csr.indices.astype(np.int32)),
@@ -58,9 +62,7 @@ class Csr:
 
     @cached_property
     def torch_csr(self) -> Tensor:
-        return torch.sparse_csr_tensor(
-            self.indptr, self.indices, self.values.detach(), (self.n_rows, self.n_cols), check_invariants=False
-        )
+        return torch.sparse_csr_tensor(self.indptr, self.indices, self.values.detach(), (self.n_rows, self.n_cols), check_invariants=False)
 
     @cached_property
     def transposed(self) -> "Csr":
