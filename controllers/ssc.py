@@ -14,7 +14,7 @@ from world.headlight import Headlight
 
 @dataclass(frozen=True)
 class Utilisation:
-    """Pixel utilisations u `[..., n_p]` in 0..1; band: the pixels that may differ from the default, None where that is not known."""
+    """Pixel utilisations u `[..., n_p]` in 0..1; band: all pixels outside of it are dark, None where that is not known."""
 
     u: Tensor
     band: slice | None = None
@@ -23,8 +23,13 @@ class Utilisation:
 class PixelController(Protocol):
     """Turns primitives into the utilisations of one lamp."""
 
-    headlight: Headlight
-    default: Tensor
+    @property
+    def headlight(self) -> Headlight: ...
+
+    @property
+    def default(self) -> Tensor:
+        """Utilisation `[n_p]` of the base pattern."""
+        ...
 
     def utilisation(self, primitives: Primitives, T_world_headlight: Tensor) -> Utilisation:
         """Utilisation `[..., n_p]` for primitives with the same batch dimensions."""
@@ -33,12 +38,13 @@ class PixelController(Protocol):
 
 @dataclass(frozen=True)
 class Ssc:
-    """RTHC and MRPC for one headlight; default: `[n_p]`, the base pattern's utilisation."""
+    """RTHC and MRPC for one headlight; default: `[n_p]`, the base pattern's utilisation; dark: it is zero."""
 
     headlight: Headlight
     pixels: PixelMajor
     params: MrpcParams
     default: Tensor
+    dark: bool
 
     @classmethod
     def prepare(cls, headlight: Headlight, params: MrpcParams | None = None, default: Tensor | None = None) -> "Ssc":
@@ -46,7 +52,7 @@ class Ssc:
         params = params or MrpcParams()
         values = headlight.matrix.values
         default = torch.zeros(headlight.n_pixels, dtype=values.dtype, device=values.device) if default is None else default
-        return cls(headlight, pixel_major(headlight, params), params, default)
+        return cls(headlight, pixel_major(headlight, params), params, default, not bool(default.any()))
 
     def utilisation(self, primitives: Primitives, T_world_headlight: Tensor) -> Utilisation:
         """A single scene on the CPU touches only the projected rectangle and its band of pixels; batches and accelerators take all rays."""
@@ -54,4 +60,4 @@ class Ssc:
         window = projected_window(primitives, self.headlight, T_world_headlight) if banded else None
         setpoints = trace(primitives, self.headlight, T_world_headlight, window)
         u, band = reduce_setpoints(setpoints, primitives.quantity, self.headlight, self.pixels, self.params, self.default)
-        return Utilisation(u, band if banded else None)
+        return Utilisation(u, band if banded and self.dark else None)

@@ -91,6 +91,8 @@ class Transport:
         """
         if band is None:
             return multiply(self.matrix, utilisation), self.index
+        if band.stop <= band.start:
+            return utilisation.new_zeros(*utilisation.shape[:-1], 0), self.index[:0]
         start = min(int(self.first[band].min()), self.matrix.n_rows)
         stop = max(int(self.last[band].max()) + 1, start)
         return multiply(self.matrix.band(start, stop), utilisation), self.index[start:stop]
