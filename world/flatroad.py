@@ -11,8 +11,8 @@ def flat_road(view: View, albedo: float, dtype: torch.dtype = torch.float32) -> 
     rays, origin = view.rays(), view.origin[:, None, None]
     down = rays[2] < -1e-9
     distance = torch.where(down, -origin[2] / rays[2].where(down, -1.0), 0.0)
-    position = origin + distance * rays
+    position = (origin + distance * rays) * down
     normal = torch.zeros_like(position)
-    normal[2] = 1.0
+    normal[2] = down
     object_id = torch.where(down, 0, -1).to(torch.int32)
-    return GBuffer(position.to(dtype), normal.to(dtype), torch.full(down.shape, albedo, dtype=dtype), object_id)
+    return GBuffer(position.to(dtype), normal.to(dtype), albedo * down.to(dtype), object_id)
