@@ -57,10 +57,9 @@ def load_symbol(path: Path) -> Tensor:
     if not path.is_file():
         raise LuxloopError(f"symbol image {path} does not exist: give the path of a PNG or the name of a shipped symbol")
     image = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED) if path.stat().st_size else None
-    if image is None:
-        raise LuxloopError(f"symbol image {path} cannot be read as a picture: save it as an 8-bit PNG")
-    peak = float(np.iinfo(image.dtype).max)
-    grey = image.astype(np.float32) / peak
+    if image is None or image.dtype.kind != "u":
+        raise LuxloopError(f"symbol image {path} cannot be read as a picture of 8 or 16 bits: save it as an 8-bit PNG")
+    grey = image.astype(np.float32) / (2 ** (8 * image.itemsize) - 1)
     if grey.ndim == 3:
         alpha = grey[..., 3] if grey.shape[2] == 4 else 1.0
         grey = cv2.cvtColor(grey[..., :3], cv2.COLOR_BGR2GRAY) * alpha
