@@ -55,6 +55,6 @@ def birds_eye(region: Region, view: View, dtype: torch.dtype = torch.float32) ->
 def rectify(view: BirdsEye, image: Tensor) -> Tensor:
     """Sample camera images `[..., height, width]` onto the plane: `[..., rows, cols]`, zero outside the camera's field of view."""
     flat = image.reshape(-1, 1, *image.shape[-2:])
-    maps = (m.to(image)[None].expand(flat.shape[0], -1, -1) for m in (view.map_u, view.map_v))
-    plane = remap(flat, *maps, padding_mode="zeros", align_corners=False, normalized_coordinates=True)
+    map_u, map_v = (m.to(image)[None].expand(flat.shape[0], -1, -1) for m in (view.map_u, view.map_v))
+    plane = remap(flat, map_u, map_v, padding_mode="zeros", align_corners=False, normalized_coordinates=True)
     return plane.reshape(*image.shape[:-2], *plane.shape[-2:])

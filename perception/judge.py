@@ -15,7 +15,10 @@ SSIM_RADIUS = 2.0  # cells of the bird's-eye view
 
 @dataclass(frozen=True)
 class Target:
-    """The symbol as it should lie on a flat road: luminance `[rows, cols]` cd/m^2 in the bird's-eye view, median of its lit cells, mask, shape."""
+    """The symbol as it should lie on a flat road, in the bird's-eye view.
+
+    luminance: `[rows, cols]` cd/m^2. median: `[]` cd/m^2, of its lit cells. mask: `[rows, cols]` bool. shape: the mask's moments.
+    """
 
     luminance: Tensor
     median: Tensor

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from controllers.ssc import Utilisation
 from controllers.symbol.projector import Projector
-from perception.appearance import Appearance, Axes, appearance, features, image_axes
+from perception.appearance import Appearance, appearance, features, image_axes
 from perception.birdseye import BirdsEye, birds_eye, rectify, region_around
 from perception.camera import CameraParams, camera_view, noise_std
 from perception.extraction import Crop, ExtractionParams
@@ -44,7 +44,8 @@ class Eye:
     def look(self, symbol: Tensor, crop: Crop) -> Appearance:
         """Appearance of a symbol image `[..., h, w]` that was cut from the camera's image at crop."""
         if self.plane is None:
-            return appearance(symbol, image_axes(*symbol.shape[-2:], crop.u_start, crop.v_start, symbol))
+            height, width = symbol.shape[-2:]
+            return appearance(symbol, image_axes(height, width, crop.u_start, crop.v_start, symbol))
         full = symbol.new_zeros(*symbol.shape[:-2], self.view.height, self.view.width)
         full[..., *crop.slices] = symbol
         return appearance(rectify(self.plane, full), self.plane.axes)

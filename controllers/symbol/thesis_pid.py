@@ -40,7 +40,7 @@ class ThesisPidParams(Params):
     y_rate_m: float = Field(1.5, gt=0, description="largest move along y a step")
     roll_rate_deg: float = Field(3.0, gt=0, description="largest turn in roll a step")
     pitch_rate_deg: float = Field(1.2, gt=0, description="largest turn in pitch a step")
-    tracking_steps: float | None = Field(2.0, gt=0, description="time constant of the anti-windup's back-calculation in steps, null for none")
+    tracking_steps: float | None = Field(2.0, gt=0, description="time constant of the anti-windup's back-calculation in steps")
     losses_to_reset: int = Field(2, ge=1, description="consecutive failed extractions after which the flat-road primitive is shown again")
 
 
