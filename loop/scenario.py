@@ -5,11 +5,12 @@ import hashlib
 import json
 import tomllib
 from collections.abc import Mapping, Sequence
+from datetime import date, time
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, ValidationError, field_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 
 from controllers.mrpc import MrpcParams
 from controllers.symbol import ControllerParams, ThesisPidParams
@@ -26,6 +27,7 @@ from world.roads import Flat, RoadParams
 from world.scene import StreetLamp
 
 SCHEMA_VERSION = 1
+TAGS = ("kind", "name")  # keys that tell the variants of a table apart
 
 
 class StartParams(Params):
@@ -84,6 +86,29 @@ class Scenario(Params):
     controller: Annotated[ControllerParams, Field(description="the controller of the symbol")] = ThesisPidParams()
     renderer: Literal["auto", "opengl", "raycast"] = Field("auto", description="source of the G-buffer")
 
+    @model_validator(mode="after")
+    def _exposures_fit(self) -> Self:
+        half_period_s = 0.5 / self.rate_hz
+        if self.camera.exposure_s > half_period_s:
+            raise ValueError(
+                f"camera.exposure_s: {self.camera.exposure_s:g} s is longer than half a control period, and an on and an off frame must fit "
+                f"into one; give at most {half_period_s:.4g} s or lower rate_hz"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _start_within_limits(self) -> Self:
+        """A controller limits the degree of freedom `x_m` by `x_range_m`, and so on."""
+        for key, value in self.start:
+            axis, _, unit = key.rpartition("_")
+            limits = f"{axis}_range_{unit}"
+            low, high = getattr(self.controller, limits, (-float("inf"), float("inf")))
+            if low >= high:
+                raise ValueError(f"controller.{limits}: {low:g} must be less than {high:g}; give the smaller limit first")
+            if not low <= value <= high:
+                raise ValueError(f"start.{key}: {value:g} lies outside of controller.{limits} = [{low:g}, {high:g}]; move it or widen that")
+        return self
+
     @property
     def digest(self) -> str:
         """SHA-256 of the resolved scenario, hexadecimal."""
@@ -107,13 +132,15 @@ def find(name: str) -> Path:
     known = shipped()
     if name in known:
         return known[name]
-    if path.suffix == ".toml" or path.exists():
-        if not path.is_file():
-            raise LuxloopError(f"scenario file {name} does not exist: check the path, or write one with `luxloop new {name}`")
+    if path.is_file():
         return path
+    if path.is_dir():
+        raise LuxloopError(f"{name} is a folder; give a scenario file in it, whose name ends in .toml")
+    if path.suffix == ".toml":
+        raise LuxloopError(f"scenario file {name} does not exist; check the path, or write one with `luxloop new {name}`")
     nearest = difflib.get_close_matches(name, known, 1)
     hint = f"did you mean {nearest[0]!r}?" if nearest else "`luxloop list` shows what there is, a file's name ends in .toml"
-    raise LuxloopError(f"there is no scenario {name!r}: {hint}")
+    raise LuxloopError(f"there is no scenario {name!r}; {hint}")
 
 
 def load(name: str, overrides: Sequence[str] = (), **values: Any) -> Scenario:
@@ -122,35 +149,55 @@ def load(name: str, overrides: Sequence[str] = (), **values: Any) -> Scenario:
     Raises LuxloopError that names the file, the key and the remedy.
     """
     path = find(name)
+    data = _read(path)
+    _resolve_paths(data, path.parent)
+    changes: dict[str, Any] = {}
+    for override in overrides:
+        _merge(changes, _parse_override(override))
+    _resolve_paths(changes, Path.cwd())
+    _merge(data, changes)
+    data.update(values)
+    given = [*overrides, *(f"{key}={value}" for key, value in values.items())]
+    return validate(data, f"{path} with {' '.join(given)}" if given else str(path))
+
+
+def _read(path: Path) -> dict[str, Any]:
     try:
-        data = tomllib.loads(path.read_text("utf-8"))
+        return tomllib.loads(path.read_text("utf-8-sig"))
     except UnicodeDecodeError as error:
-        raise LuxloopError(f"{path}: not a text file in UTF-8 (byte {error.start}); save it as UTF-8") from error
+        raise LuxloopError(f"{path}: byte {error.start} is not UTF-8, so this is no text that can be read; save it as UTF-8") from error
     except tomllib.TOMLDecodeError as error:
-        raise LuxloopError(f"{path}: not valid TOML: {error}; strings need quotes, tables are [name]") from error
+        raise LuxloopError(f"{path}: not valid TOML: {error}; texts need quotes, tables a [header]") from error
     except OSError as error:
         raise LuxloopError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
-    _resolve_paths(data, path.parent)
-    overridden: dict[str, Any] = {}
-    for override in overrides:
-        _merge(overridden, _parse_override(override))
-    _resolve_paths(overridden, Path.cwd())
-    _merge(data, overridden)
-    data.update(values)
-    return validate(data, str(path))
 
 
 def validate(data: Mapping[str, Any], source: str) -> Scenario:
     """Check a scenario given as plain data. Raises LuxloopError that names the source, the key and the remedy."""
     version = data.get("schema_version", SCHEMA_VERSION)
     if version != SCHEMA_VERSION:
-        raise LuxloopError(f"{source}: schema_version: {version!r} is not understood; this luxloop reads version {SCHEMA_VERSION}")
+        raise LuxloopError(
+            f"{source}: schema_version: this luxloop reads version {SCHEMA_VERSION}, not {version!r}; get another luxloop for it"
+        )
+    key = _key_of_date(data)
+    if key:
+        raise LuxloopError(f"{source}: {key}: is a date or a time, which has no meaning here; write a number or a text in quotes")
     try:
-        return Scenario.model_validate_json(json.dumps(data))
+        # By way of JSON, where strict still takes a list for a tuple and a text for a path.
+        return Scenario.model_validate_json(json.dumps(data), strict=True)
     except ValidationError as error:
         raise LuxloopError(f"{source}: {sentence(error, Scenario)}") from error
-    except TypeError as error:
-        raise LuxloopError(f"{source}: dates and times have no meaning here ({error}); write a number or a string") from error
+
+
+def _key_of_date(data: Any) -> str:
+    """The first key whose value is a date or a time, which TOML has and JSON has not; empty if there is none."""
+    items = data.items() if isinstance(data, Mapping) else enumerate(data) if isinstance(data, list) else ()
+    for key, value in items:
+        if isinstance(value, date | time):
+            return str(key)
+        if inner := _key_of_date(value):
+            return f"{key}.{inner}"
+    return ""
 
 
 def _parse_override(text: str) -> dict[str, Any]:
@@ -167,11 +214,10 @@ def _parse_override(text: str) -> dict[str, Any]:
 
 
 def _merge(into: dict[str, Any], changes: Mapping[str, Any]) -> None:
-    """Lay changes over nested tables; a table whose `kind` or `name` of variant changes starts anew."""
+    """Lay changes over nested tables; a table that becomes another variant, by its `kind` or `name`, starts anew."""
     for key, value in changes.items():
         old = into.get(key)
-        same = isinstance(old, dict) and isinstance(value, dict)
-        if same and all(value.get(tag, old.get(tag)) == old.get(tag) for tag in ("kind", "name")):
+        if isinstance(old, dict) and isinstance(value, dict) and all(old.get(tag, new) == new for tag in TAGS if (new := value.get(tag))):
             _merge(old, value)
         else:
             into[key] = value
@@ -179,10 +225,9 @@ def _merge(into: dict[str, Any], changes: Mapping[str, Any]) -> None:
 
 def _resolve_paths(data: dict[str, Any], folder: Path) -> None:
     """Make paths absolute against the file's folder; names of shipped symbols and of known data stay names."""
-    places = [(data.get("symbol"), "image"), (data.get("road"), "file")]
-    places += [(item, "file") for item in data.get("objects", ()) if isinstance(item, dict)] if isinstance(data.get("objects"), list) else []
-    for table, key in places:
-        if isinstance(table, dict) and isinstance(table.get(key), str):
-            value = table[key]
-            if "/" in value or "\\" in value or "." in value:
-                table[key] = str((folder / value).resolve())
+    objects = data.get("objects")
+    tables = [(data.get("symbol"), "image"), (data.get("road"), "file")]
+    tables += [(item, "file") for item in objects] if isinstance(objects, list) else []
+    for table, key in tables:
+        if isinstance(table, dict) and isinstance(table.get(key), str) and any(mark in table[key] for mark in "/\\."):
+            table[key] = str((folder / table[key]).resolve())

@@ -1,77 +1,110 @@
 """From pydantic's errors to one sentence that names the key and the remedy."""
 
 import difflib
-from typing import Any, get_args, get_origin
+from collections.abc import Iterable
+from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
+
+WANTED = {
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "float_type": "a number",
+    "bool_type": "true or false",
+    "string_type": "a text in quotes",
+    "path_type": "a path in quotes",
+    "tuple_type": "a list in [brackets]",
+}
+TABLE_ERRORS = ("model_type", "model_attributes_type", "dict_type")
+SHOWN_CHARACTERS = 60
 
 
 def sentence(error: ValidationError, model: type[BaseModel]) -> str:
     """The first thing wrong, in a sentence; unknown keys come first, since a typo also makes its key seem missing."""
-    details = sorted(error.errors(), key=lambda detail: detail["type"] != "extra_forbidden")
+    details = sorted(error.errors(include_url=False), key=lambda detail: detail["type"] != "extra_forbidden")
     detail = details[0]
-    fields, location = _walk(model, detail["loc"])
-    key = ".".join(location) or "the scenario"
-    more = f" ({len(details) - 1} more after this)" if len(details) > 1 else ""
-    return f"{key}: {_what(detail, fields)}{more}"
+    key, fields = _place(model, detail["loc"])
+    if detail["type"].startswith("union_tag"):
+        key = f"{key}.{_discriminator(detail)}"
+    more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
+    return f"{key}: {_what(detail, fields)}{more}" if key else f"{_what(detail, fields)}{more}"
+
+
+def did_you_mean(given: str, known: Iterable[str]) -> str:
+    """The nearest of the known names, or all of them."""
+    known = list(known)
+    nearest = difflib.get_close_matches(given, known, 1, 0.5)
+    return f"did you mean {nearest[0]!r}?" if nearest else f"known are {', '.join(known)}"
 
 
 def _what(detail: Any, fields: dict[str, Any]) -> str:
-    kind, given = detail["type"], detail.get("input")
+    kind, given, context = detail["type"], detail.get("input"), detail.get("ctx", {})
     if kind == "extra_forbidden":
-        name = str(detail["loc"][-1])
-        nearest = difflib.get_close_matches(name, fields, 1, 0.5)
-        return f"unknown key; did you mean {nearest[0]!r}?" if nearest else f"unknown key; known are {', '.join(fields)}"
-    if kind == "missing":
+        return f"unknown key; {did_you_mean(str(detail['loc'][-1]), fields)}"
+    if kind in ("missing", "union_tag_not_found"):
         return "is missing; add it (`luxloop new FILE` writes a complete example)"
-    if kind in ("union_tag_invalid", "union_tag_not_found"):
-        context = detail.get("ctx", {})
-        tag = context.get("discriminator", "'kind'").strip("'")
-        expected = [name.strip(" '") for name in str(context.get("expected_tags", "")).split(",") if name.strip(" '")]
-        if kind == "union_tag_not_found":
-            return f"the key {tag!r} is missing; say which kind this is"
-        nearest = difflib.get_close_matches(str(context.get("tag")), expected, 1, 0.5)
-        hint = f"did you mean {nearest[0]!r}?" if nearest else f"known are {', '.join(expected)}"
-        return f"there is no {tag} {context.get('tag')!r}; {hint}"
+    if kind == "union_tag_invalid":
+        return f"there is no {context['tag']!r}; {did_you_mean(context['tag'], _quoted(context['expected_tags']))}"
     if kind == "literal_error":
-        expected = [part.strip(" '") for part in detail["ctx"]["expected"].replace(" or ", ", ").split(",")]
-        nearest = difflib.get_close_matches(str(given), expected, 1, 0.5)
-        hint = f"; did you mean {nearest[0]!r}?" if nearest else ""
-        return f"{given!r} is not possible, give one of {', '.join(expected)}{hint}"
-    message = detail["msg"].removeprefix("Value error, ").removeprefix("Input ")
-    shown = "" if isinstance(given, dict | list) else f"{given!r} "
-    return f"{shown}{message}"
+        expected = context["expected"].replace(" or ", ", ")
+        near = difflib.get_close_matches(str(given), _quoted(expected), 1, 0.5)
+        return f"{_shown(given)} is not possible; {f'did you mean {near[0]!r}?' if near else f'give one of {expected}'}"
+    if kind in TABLE_ERRORS:
+        return f"{_shown(given)} is no table of keys; write key = value below a [header]"
+    if kind in WANTED:
+        return f"{_shown(given)} is not {WANTED[kind]}"
+    if kind == "value_error":
+        return str(context["error"])
+    message = detail["msg"]
+    for subject in ("Input ", "String ", "Tuple "):
+        message = message.removeprefix(subject)
+    return f"{_shown(given)} {message.replace(' after validation', '')}"
 
 
-def _walk(model: type[BaseModel], loc: tuple[int | str, ...]) -> tuple[dict[str, Any], list[str]]:
-    """Follow an error's location through the model: the fields of the innermost table, and the location without tags of variants."""
-    current: Any = model
-    fields: dict[str, Any] = model.model_fields
-    names: list[str] = []
-    for part in loc:
+def _shown(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, dict):
+        return "a table"
+    text = repr(value)
+    return text if len(text) <= SHOWN_CHARACTERS else f"{text[:SHOWN_CHARACTERS]}..."
+
+
+def _discriminator(detail: Any) -> str:
+    return str(detail["ctx"]["discriminator"]).strip("'")
+
+
+def _quoted(names: str) -> list[str]:
+    return [name.strip(" '") for name in names.split(",")]
+
+
+def _place(model: type[BaseModel], location: tuple[int | str, ...]) -> tuple[str, dict[str, Any]]:
+    """Follow an error's location through the model: the key as a file writes it, and the fields of the table that it lies in."""
+    key = ""
+    candidates = [model]
+    fields: dict[str, Any] = {}
+    for part in location:
+        chosen = [candidate for candidate in candidates if len(candidates) > 1 and part in _tags(candidate)]
         if isinstance(part, int):
-            names.append(f"{names.pop()}[{part}]" if names else f"[{part}]")
-            continue
-        variant = next((m for m in _models(current) if _tag(m) == part), None)
-        if variant is not None and part not in fields:
-            fields, current = variant.model_fields, variant
-            continue
-        names.append(part)
-        if part in fields and part is not loc[-1]:
-            current = fields[part].annotation
-            inner = _models(current)
-            fields = inner[0].model_fields if len(inner) == 1 else {}
-    return fields, names
+            key += f"[{part}]"
+        elif chosen:  # a variant's tag, which the file does not write here
+            candidates = chosen
+        else:
+            key = f"{key}.{part}" if key else part
+            fields = {name: field for candidate in candidates for name, field in candidate.model_fields.items()}
+            candidates = list(_models(fields[part].annotation)) if part in fields else []
+    return key, fields
 
 
-def _models(annotation: Any) -> list[type[BaseModel]]:
+def _models(annotation: Any) -> Iterable[type[BaseModel]]:
+    """All models that a field may hold, itself or in a list or union."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation]
-    if get_origin(annotation) is None:
-        return []
-    return [found for argument in get_args(annotation) for found in _models(argument)]
+        yield annotation
+    for argument in get_args(annotation):
+        yield from _models(argument)
 
 
-def _tag(model: type[BaseModel]) -> str | None:
+def _tags(model: type[BaseModel]) -> tuple[Any, ...]:
+    """The names by which a union tells its variants apart."""
     field = model.model_fields.get("kind") or model.model_fields.get("name")
-    return field.default if field is not None and isinstance(field.default, str) else None
+    return get_args(field.annotation) if field is not None else ()

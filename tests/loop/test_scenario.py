@@ -1,0 +1,178 @@
+"""Scenario files: what is in them is what runs, and whatever is wrong is said in one sentence with file, key and remedy."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from loop.scenario import Scenario, load, shipped, validate
+from world.errors import LuxloopError
+
+GOOD = """
+name = "good"
+steps = 3
+[symbol]
+image = "snowflake"
+"""
+BOX = '[[objects]]\nkind = "box"\nname = "crate"\nsize_m = [1, 1, 1]\ntrack = [{position_m = [17, 0, 0]}]\n'
+
+# what is wrong, what the file has then, what the sentence must name: the key and the remedy
+BROKEN = {
+    "unknown key": ('stepps = 3\nname = "x"', ["stepps", "'steps'"]),
+    "unknown key far from any": ('zzz = 3\nname = "x"', ["zzz", "known are", "camera"]),
+    "typo in a table": (GOOD + "[camera]\nwidht_px = 640", ["camera.widht_px", "'width_px'"]),
+    "typo in a variant": (GOOD + '[road]\nkind = "bumps"\nsead = 3', ["road.sead", "'seed'"]),
+    "typo in a list of variants": (GOOD + BOX + "albedoo = 0.3", ["objects[0].albedoo", "'albedo'"]),
+    "typo deep in a controller": (GOOD + '[controller]\nname = "thesis_pid"\nposition = {kpp = 1}', ["controller.position.kpp", "'kp'"]),
+    "text for a whole number": ('steps = "40"\n' + GOOD.replace("steps = 3", ""), ["steps", "'40'", "whole number"]),
+    "fraction for a whole number": (GOOD.replace("3", "3.5"), ["steps", "3.5", "whole number"]),
+    "number for a text": (GOOD.replace('"good"', "7"), ["name", "7", "quotes"]),
+    "truth for a number": (GOOD + "[camera]\nhfov_deg = true", ["camera.hfov_deg", "true is not a number"]),
+    "value for a table": ('camera = 3\nname = "x"\nsymbol = {image = "snowflake"}', ["camera", "table"]),
+    "value for a list": (GOOD + "[headlight]\nlamps = 'left'", ["headlight.lamps", "list"]),
+    "below the range": (GOOD.replace("steps = 3", "steps = 0"), ["steps", "greater than or equal to 1"]),
+    "above the range": (GOOD + "[camera]\nhfov_deg = 200", ["camera.hfov_deg", "less than or equal to 150"]),
+    "negative seed": ("seed = -1" + GOOD, ["seed", "-1", "greater than or equal to 0"]),
+    "infinity": (GOOD + "[camera]\nexposure_s = inf", ["camera.exposure_s", "inf", "finite"]),
+    "not a number": (GOOD + "[start]\nx_m = nan", ["start.x_m", "nan", "finite"]),
+    "a date": ("seed = 2024-01-01" + GOOD, ["seed", "date", "number"]),
+    "a date in a list": (GOOD + BOX.replace("17,", "2024-01-01,"), ["objects.0.track.0.position_m.0", "date"]),
+    "no symbol": ('name = "x"', ["symbol", "missing", "luxloop new"]),
+    "no name": ('[symbol]\nimage = "snowflake"', ["name", "missing"]),
+    "empty file": ("", ["name", "missing", "luxloop new"]),
+    "unknown road": (GOOD + '[road]\nkind = "bumpz"', ["road.kind", "'bumpz'", "'bumps'"]),
+    "road without kind": (GOOD + "[road]\nseed = 1", ["road.kind", "missing"]),
+    "unknown controller": (GOOD + '[controller]\nname = "thesis_pdi"', ["controller.name", "'thesis_pid'"]),
+    "unknown object": (GOOD + BOX.replace('"box"', '"bocks"'), ["objects[0].kind", "'bocks'", "'box'"]),
+    "unknown lamp": (GOOD + '[headlight]\nlamps = ["lefft"]', ["headlight.lamps[0]", "'left'"]),
+    "one lamp twice": (GOOD + '[headlight]\nlamps = ["left", "left"]', ["headlight.lamps", "once"]),
+    "no lamp": (GOOD + "[headlight]\nlamps = []", ["headlight.lamps", "at least 1"]),
+    "odd bit depth": (GOOD + "[camera]\nbits = 9", ["camera.bits", "8, 10, 12"]),
+    "too short a vector": (GOOD + BOX.replace("[17, 0, 0]", "[17, 0]"), ["objects[0].track[0].position_m", "missing"]),
+    "too long a vector": (GOOD + BOX.replace("[1, 1, 1]", "[1, 1, 1, 1]"), ["objects[0].size_m", "at most 3"]),
+    "keyframes out of order": (
+        GOOD + BOX.replace("[{", "[{time_s = 1, position_m = [0, 0, 0]}, {"),
+        ["objects[0]", "time_s must ascend"],
+    ),
+    "future version": ("schema_version = 2" + GOOD, ["schema_version", "version 1, not 2"]),
+    "long exposure": (GOOD + "[camera]\nexposure_s = 0.02", ["camera.exposure_s", "half a control period", "0.01667", "rate_hz"]),
+    "limits the wrong way": (
+        GOOD + '[controller]\nname = "thesis_pid"\nx_range_m = [40, 8]',
+        ["controller.x_range_m", "40 must be less than 8"],
+    ),
+    "start outside of the limits": (GOOD + "[start]\nx_m = 50", ["start.x_m", "controller.x_range_m", "[8, 40]"]),
+    "not TOML": ("name = snowflake", ["not valid TOML", "line 1", "quotes"]),
+    "one key twice": (GOOD + "[symbol]\n", ["not valid TOML", "symbol"]),
+}
+
+
+def is_one_sentence(text: str) -> bool:
+    return "\n" not in text and "Traceback" not in text and not re.search(r"\.\s+[A-Z]", text)
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "my.toml"
+    path.write_text(GOOD)
+    return path
+
+
+def failure(name: Path | str, *overrides: str, **values: object) -> str:
+    with pytest.raises(LuxloopError) as caught:
+        load(str(name), overrides, **values)
+    assert is_one_sentence(str(caught.value))
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(("text", "named"), BROKEN.values(), ids=BROKEN.keys())
+def test_broken_file_gives_one_sentence_with_file_key_and_remedy(file: Path, text: str, named: list[str]) -> None:
+    file.write_text(text)
+    message = failure(file)
+    assert message.startswith(str(file))
+    for part in named:
+        assert part in message
+
+
+def test_file_that_is_no_text(file: Path) -> None:
+    file.write_bytes(b'name = "M\xfcller"')
+    assert "save it as UTF-8" in failure(file)
+    file.write_bytes(bytes(range(256)))
+    assert str(file) in failure(file)
+
+
+def test_byte_order_mark_is_no_fault(file: Path) -> None:
+    file.write_bytes(b"\xef\xbb\xbf" + GOOD.encode())
+    assert load(str(file)).name == "good"
+
+
+def test_missing_file_folder_and_unknown_name(tmp_path: Path) -> None:
+    assert "luxloop new" in failure(tmp_path / "none.toml")
+    assert "folder" in failure(tmp_path)
+    assert "luxloop list" in failure("zzzz")
+
+
+@pytest.mark.skipif("snowflake" not in shipped(), reason="no scenario called snowflake is shipped")
+def test_misspelt_name_of_a_shipped_scenario() -> None:
+    assert "did you mean 'snowflake'?" in failure("snowflak")
+
+
+@pytest.mark.parametrize("override", ["steps", "=3", "", "a b=3", "steps.=3"])
+def test_override_that_is_no_assignment(file: Path, override: str) -> None:
+    assert "--set camera.bits=8" in failure(file, override)
+
+
+def test_wrong_override_is_shown_beside_the_file(file: Path) -> None:
+    assert "camera.bitz=8: camera.bitz: unknown key; did you mean 'bits'?" in failure(file, "camera.bitz=8")
+    assert "with steps=-3: steps: -3" in failure(file, steps=-3)
+
+
+def test_overrides_win_over_the_file_and_keep_the_rest(file: Path) -> None:
+    scenario = load(str(file), ["camera.bits=8", "camera.gamma=2.2", "name=other", "symbol.width_m=1.5"], steps=7)
+    assert (scenario.camera.bits, scenario.camera.gamma, scenario.name, scenario.steps) == (8, 2.2, "other", 7)
+    assert (scenario.symbol.image, scenario.symbol.width_m) == ("snowflake", 1.5)
+
+
+def test_another_variant_starts_anew_whatever_the_order(file: Path) -> None:
+    file.write_text(GOOD + '[road]\nkind = "speed_bump"\nheight_m = 0.05\n')
+    for overrides in (["road.kind=bumps", "road.seed=5"], ["road.seed=5", "road.kind=bumps"]):
+        road = load(str(file), overrides).road
+        assert (road.kind, road.seed) == ("bumps", 5)
+    assert load(str(file), ["road.kind=speed_bump"]).road.height_m == 0.05
+
+
+def test_paths_are_relative_to_the_file_and_overrides_to_the_working_folder(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file.write_text(GOOD.replace('"snowflake"', '"mine.png"') + '[road]\nkind = "opencrg"\nfile = "../scan.crg"\n')
+    scenario = load(str(file))
+    assert scenario.symbol.image == str(file.parent / "mine.png")
+    assert Path(scenario.road.file) == file.parent.parent / "scan.crg"
+    (file.parent / "here").mkdir()
+    monkeypatch.chdir(file.parent / "here")
+    assert load(str(file), ["symbol.image=other.png"]).symbol.image == str(file.parent / "here" / "other.png")
+
+
+def test_manifest_gives_the_same_scenario_back(file: Path) -> None:
+    file.write_text(GOOD + BOX)
+    scenario = load(str(file))
+    again = validate(json.loads(json.dumps(scenario.model_dump(mode="json"))), "manifest.json")
+    assert again == scenario
+    assert again.digest == scenario.digest
+    assert scenario.digest != load(str(file), ["seed=1"]).digest
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_shipped_scenarios_are_valid_and_named_like_their_files(name: str) -> None:
+    scenario = load(name)
+    assert scenario.name == name
+    assert scenario.description
+
+
+def test_every_key_is_described() -> None:
+    def described(schema: dict[str, object]) -> None:
+        for key, value in schema.get("properties", {}).items():  # type: ignore[attr-defined]
+            assert "description" in value or "const" in value, key
+
+    schema = Scenario.model_json_schema()
+    described(schema)
+    for inner in schema["$defs"].values():
+        described(inner)
