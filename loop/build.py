@@ -13,7 +13,7 @@ from world.errors import LuxloopError
 from world.frames import pose_from_degrees
 from world.presets import idealised
 from world.roadmesh import road_mesh
-from world.roads import OpenCrgRoad
+from world.scanroad import OpenCrgRoad
 from world.scene import Scene
 import difflib
 

@@ -12,7 +12,7 @@ from torch import Tensor
 from controllers.ssc import Utilisation
 from controllers.symbol.flat_model import added_light
 from controllers.symbol.projector import Lamp
-from perception.camera import CameraParams, camera_view, expose, frame_generator
+from perception.camera import CameraParams, average_rows, camera_view, expose, frame_generator
 from world.ambient import ambient_luminance
 from world.face_source import FaceSource
 from world.gbuffer import gbuffer
@@ -84,14 +84,16 @@ class SimulatedPlant:
         return self._lit[key]
 
     def _render(self, t_s: float) -> LitView:
-        triangles = self.scene.at(t_s)
-        surfaces = gbuffer(triangles, self.view, self.source.face_ids(triangles, self.view)).to(self.device)
+        triangles, samples = self.scene.at(t_s), self.camera.oversampling
+        view = camera_view(self.camera, samples)
+        surfaces = gbuffer(triangles, view, self.source.face_ids(triangles, view)).to(self.device)
         transports = []
         for lamp in self.lamps:
             headlight = lamp.pixel_controller.headlight
             shadow = shadow_map(triangles, headlight.view(lamp.T_world_headlight, *SHADOW_MAP), self.source).to(self.device)
-            transports.append(transport(reach(surfaces, headlight, lamp.T_world_headlight, shadow), headlight))
-        return LitView(tuple(transports), ambient_luminance(surfaces, self.scene.ambient_lx, self.scene.street_lamps))
+            transports.append(transport(reach(surfaces, headlight, lamp.T_world_headlight, shadow), headlight, view.width, samples))
+        ambient = ambient_luminance(surfaces, self.scene.ambient_lx, self.scene.street_lamps)
+        return LitView(tuple(transports), average_rows(ambient, samples))
 
     def _expose(self, luminance: Tensor, step: int, frame: int) -> Tensor:
         return expose(luminance, self.camera, frame_generator(self.seed, step, frame, self.device))

@@ -38,6 +38,10 @@ class CameraParams(Params):
         30.0, ge=1, le=150, description="horizontal field of view; pixels are square, the principal point is the middle"
     )
 
+    oversampling: int = Field(
+        4, ge=1, le=16, description="samples over a pixel's height: on the road a pixel is many times as long as wide, and it integrates light"
+    )
+
     exposure_s: float = Field(0.015, gt=0, le=1, description="exposure time of a frame; on and off frames must fit into one control step")
     sensitivity_e_per_cd_s_m2: float = Field(50_000.0, gt=0, description="electrons for each cd/m^2 and second of exposure")
     saturation_e: float = Field(1_000.0, gt=0, description="electrons at the largest digital number")
@@ -50,13 +54,19 @@ class CameraParams(Params):
     drop_probability: float = Field(0.0, ge=0, lt=1, description="probability that a step's frames are lost")
 
 
-def camera_view(params: CameraParams) -> View:
-    """The camera's pinhole view while the vehicle stands at the world's origin."""
+def camera_view(params: CameraParams, oversampling: int = 1) -> View:
+    """The camera's pinhole view while the vehicle stands at the world's origin; with so many image rows for each pixel row."""
     T_world_mount = pose_from_degrees((params.x_m, params.y_m, params.z_m), params.roll_deg, params.pitch_deg, params.yaw_deg)
     T_mount_view = pose(torch.zeros(3, dtype=torch.float64), R_ISO_OPENCV)
     focal_px = params.width_px / 2 / math.tan(math.radians(params.hfov_deg) / 2)
     return View(
-        params.width_px, params.height_px, focal_px, focal_px, params.width_px / 2, params.height_px / 2, T_world_mount @ T_mount_view
+        width=params.width_px,
+        height=params.height_px * oversampling,
+        fx=focal_px,
+        fy=focal_px * oversampling,
+        cx=params.width_px / 2,
+        cy=params.height_px * oversampling / 2,
+        T_world_view=T_world_mount @ T_mount_view,
     )
 
 
@@ -64,6 +74,11 @@ def frame_generator(seed: int, step: int, frame: int, device: torch.device | str
     """Generator for the noise of one frame (on: 0, off: 1) of one step: no state is carried, so a run can be taken up at any step."""
     key = np.random.SeedSequence(seed, spawn_key=(step, frame)).generate_state(1, np.uint64)
     return torch.Generator(device).manual_seed(int(key[0]))
+
+
+def average_rows(image: Tensor, oversampling: int) -> Tensor:
+    """Light that pixels `[..., H, W]` collect, from an image `[..., H * oversampling, W]` with as many rows for each pixel row."""
+    return image.unflatten(-2, (-1, oversampling)).mean(-2)
 
 
 def expose(luminance: Tensor, params: CameraParams, noise: Tensor | torch.Generator | None = None, *, quantise: bool = True) -> Tensor:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Literal
 
 import torch
 from pydantic import Field
@@ -25,6 +26,7 @@ class ExtractionParams(Params):
     """How a symbol is told from noise and glare."""
 
     threshold_sigma: float = Field(5.0, gt=0, description="least difference on - off, in standard deviations of the noise without a symbol")
+    edges: Literal["grey", "binary"] = Field("grey", description="grey: pixels count by their lit share; binary: every lit pixel counts wholly")
     footprint_margin_m: float = Field(0.15, ge=0, description="unevenness of the road that the predicted footprint allows for, up and down")
     nothing_below: float = Field(0.08, ge=0, lt=1, description="share of the expected area below which there is no symbol at all")
     area_low: float = Field(0.45, ge=0, lt=1, description="least share of the expected area that is taken for the symbol")
@@ -56,15 +58,19 @@ def threshold(off: Tensor, camera: CameraParams, params: ExtractionParams) -> Te
     return params.threshold_sigma * 2**0.5 * noise_std(luminance_of(off, camera), camera)
 
 
-def extract(on: Tensor, off: Tensor, camera: CameraParams, params: ExtractionParams, soft: bool = False) -> Tensor:
-    """Symbol image `[..., h, w]` in 0..1 from frames of digital numbers, both cut to the predicted footprint.
+def symbol_image(contrast: Tensor, limit: Tensor, full: Tensor | None = None) -> Tensor:
+    """Symbol image `[..., h, w]` in 0..1 from luminance contrast and threshold, both `[..., h, w]` in cd/m^2.
 
-    Hard (binary) by default; soft is a sigmoid as wide as the noise, for gradients.
+    Above the threshold a pixel counts wholly; with `full`, the contrast of a wholly lit pixel, it counts by its lit share, so that edges
+    are known to a fraction of a pixel and yet no bright face outweighs the rest.
     """
-    contrast, limit = difference(on, off, camera), threshold(off, camera, params)
-    if soft:
-        return torch.sigmoid((contrast - limit) * (params.threshold_sigma / limit))
-    return (contrast > limit).to(on.dtype)
+    lit = (contrast > limit).to(contrast)
+    return lit if full is None else lit * (contrast / torch.maximum(full, limit)).clamp(0, 1)
+
+
+def soft_symbol_image(contrast: Tensor, limit: Tensor, params: ExtractionParams) -> Tensor:
+    """Symbol image `[..., h, w]` with a sigmoid as wide as the noise in place of the threshold, for gradients."""
+    return torch.sigmoid((contrast - limit) * (params.threshold_sigma / limit))
 
 
 def gate(area: Tensor, expected: Tensor, params: ExtractionParams) -> Tensor:

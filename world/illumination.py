@@ -98,13 +98,17 @@ class Transport:
         return multiply(self.matrix.band(start, stop), utilisation), self.index[start:stop]
 
 
-def transport(surface: LitSurface, headlight: Headlight) -> Transport:
-    """Fold sampling, geometry, albedo and the headlight matrix into one sparse matrix (M x n_p)."""
-    m = surface.index.shape[0]
-    values = (surface.weight * (surface.factor * surface.albedo / math.pi)).T.cpu().numpy()
-    sampling = sp.csr_matrix(
-        (values.ravel(), surface.texel.T.cpu().numpy().ravel(), np.arange(0, 4 * m + 1, 4)), shape=(m, headlight.rows * headlight.cols)
-    )
-    matrix = Csr.from_scipy(sampling @ headlight.matrix.to_scipy(), headlight.matrix.values.dtype).to(surface.index.device)
+def transport(surface: LitSurface, headlight: Headlight, width: int, oversampling: int = 1) -> Transport:
+    """Fold sampling, geometry, albedo and the headlight matrix into one sparse matrix (M x n_p).
+
+    width: of the image in px. oversampling: image rows of the G-buffer that a camera pixel takes the mean of.
+    """
+    values = (surface.weight * (surface.factor * surface.albedo / (math.pi * oversampling))).T.cpu().numpy()
+    pixel = (surface.index // (width * oversampling) * width + surface.index % width).cpu().numpy()
+    index, row = np.unique(pixel, return_inverse=True)
+    entries = (values.ravel(), (np.repeat(row, 4), surface.texel.T.cpu().numpy().ravel()))
+    sampling = sp.csr_matrix(entries, shape=(len(index), headlight.rows * headlight.cols))
+    device = surface.index.device
+    matrix = Csr.from_scipy(sampling @ headlight.matrix.to_scipy(), headlight.matrix.values.dtype).to(device)
     first, last = segment_bounds(matrix.indices, row_of_entries(matrix), headlight.n_pixels)
-    return Transport(matrix, surface.index, first, last)
+    return Transport(matrix, torch.from_numpy(index).to(device), first, last)

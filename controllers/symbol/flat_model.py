@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import torch
@@ -13,8 +13,9 @@ from controllers.ssc import Utilisation
 from controllers.symbol.projector import Projector
 from perception.appearance import Appearance, appearance, features, image_axes
 from perception.birdseye import BirdsEye, birds_eye, rectify, region_around
-from perception.camera import CameraParams, camera_view, noise_std
-from perception.extraction import Crop, ExtractionParams
+from perception.camera import CameraParams, average_rows, camera_view, noise_std
+from perception.extraction import Crop, ExtractionParams, symbol_image
+from world.ambient import ambient_luminance
 from world.flatroad import flat_road
 from world.illumination import Transport, reach, transport
 from world.params import Params
@@ -59,11 +60,13 @@ class Eye:
 class FlatModel:
     """Light transport a lamp on the flat road, the threshold `[height, width]` in cd/m^2 there, and the eye that looks at it.
 
+    full: `[height, width]` in cd/m^2, luminance with all pixellights at full utilisation, None where edges are binary.
     target: `[4]` features at the target. gains: `[4]`, change of the paired feature per m or rad of x, y, roll, pitch there.
     """
 
     transports: tuple[Transport, ...]
     limit: Tensor
+    full: Tensor | None
     eye: Eye
     target: Tensor
     gains: Tensor
@@ -74,7 +77,14 @@ class FlatModel:
 
     def symbol(self, lights: Sequence[Utilisation], crop: Crop) -> Tensor:
         """Symbol image `[..., h, w]` that extraction would find without noise."""
-        return (self.luminance(lights)[..., *crop.slices] > self.limit[crop.slices]).to(self.limit)
+        return symbol_image(self.luminance(lights)[..., *crop.slices], self.limit[crop.slices], self.wholly_lit(lights, crop))
+
+    def wholly_lit(self, lights: Sequence[Utilisation], crop: Crop) -> Tensor | None:
+        """Luminance `[..., h, w]` in cd/m^2 of pixels that the symbol's brightest part covers, None where edges are binary."""
+        if self.full is None:
+            return None
+        peak = torch.stack([light.u.amax(-1) for light in lights]).amax(0)
+        return self.full[crop.slices] * peak[..., None, None]
 
 
 def added_light(transports: Sequence[Transport], lights: Sequence[Utilisation], shape: torch.Size | tuple[int, int]) -> Tensor:
@@ -91,17 +101,20 @@ def flat_model(
     projector: Projector, camera: CameraParams, albedo: float, ambient_lx: float, params: ExtractionParams, what: FeatureParams
 ) -> FlatModel:
     """Build the model for a camera and an assumed road of one albedo (0..1) under ambient light in lx; measure target and gains."""
-    view = camera_view(camera)
-    ground = flat_road(view, albedo)
-    transports = tuple(
-        transport(reach(ground, lamp.pixel_controller.headlight, lamp.T_world_headlight), lamp.pixel_controller.headlight)
-        for lamp in projector.lamps
-    )
-    limit = params.threshold_sigma * 2**0.5 * noise_std(ground.albedo * ambient_lx / math.pi, camera)
+    view, samples = camera_view(camera), camera.oversampling
+    ground = flat_road(camera_view(camera, samples), albedo).to(projector.symbol.device)
+    transports = []
+    for lamp in projector.lamps:
+        headlight = lamp.pixel_controller.headlight
+        transports.append(transport(reach(ground, headlight, lamp.T_world_headlight), headlight, view.width, samples))
+    limit = params.threshold_sigma * 2**0.5 * noise_std(average_rows(ambient_luminance(ground, ambient_lx), samples), camera)
     symbol = projector.params
     region = region_around(symbol.x_m, symbol.y_m, symbol.length_m, symbol.width_m)
     plane = birds_eye(region, view) if what.view == "birdseye" else None
-    model = FlatModel(transports, limit, Eye(view, plane, what.shape), torch.zeros(4), torch.ones(4))
+    model = FlatModel(tuple(transports), limit, None, Eye(view, plane, what.shape), torch.zeros(4), torch.ones(4))
+    if params.edges == "grey":
+        everything = [Utilisation(torch.ones_like(lamp.pixel_controller.default)) for lamp in projector.lamps]
+        model = replace(model, full=model.luminance(everything))
 
     def seen(pose: Tensor) -> Tensor:
         crop = projector.footprint(pose, view, params.footprint_margin_m)
@@ -109,4 +122,4 @@ def flat_model(
 
     target, probe = projector.target, torch.diag(projector.symbol.new_tensor(PROBE))
     gains = [(seen(target + h) - seen(target - h))[k] / (2 * h.sum()) for h, k in zip(probe, PAIRED, strict=True)]
-    return FlatModel(transports, limit, model.eye, seen(target), torch.stack(gains))
+    return replace(model, target=seen(target), gains=torch.stack(gains))

@@ -11,7 +11,7 @@ from controllers.symbol.flat_model import PAIRED, FlatModel
 from controllers.symbol.projector import Projector
 from perception.appearance import Appearance, errors
 from perception.camera import CameraParams
-from perception.extraction import Crop, ExtractionParams, Loss, extract, gate
+from perception.extraction import Crop, ExtractionParams, Loss, difference, gate, symbol_image, threshold
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,8 @@ class Observer:
         if crop.v_stop - crop.v_start < 2 or crop.u_stop - crop.u_start < 2:
             return self._lost(pose, Crop(0, 0, 0, 0), Loss.NOTHING)
         on, off = (frame[..., *crop.slices] for frame in frames)
-        symbol = extract(on, off, self.camera, self.params)
+        contrast, limit = difference(on, off, self.camera), threshold(off, self.camera, self.params)
+        symbol = symbol_image(contrast, limit, self.model.wholly_lit(lights, crop))
         seen = self.model.eye.look(symbol, crop)
         expected = self.model.eye.look(self.model.symbol(lights, crop), crop).area
         error = errors(self.model.eye.features(seen), self.model.target)
