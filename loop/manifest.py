@@ -1,0 +1,145 @@
+"""The manifest of a recording: what ran, on what, with which files. Written first, so that a recording explains itself however it ends."""
+
+import datetime
+import hashlib
+import json
+import os
+import platform
+from collections.abc import Iterator
+from importlib import metadata
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+from pydantic import Field, ValidationError
+
+from loop import data
+from loop.build import symbol_path
+from loop.scenario import Scenario
+from loop.validation import sentence
+from world.errors import LuxloopError
+from world.objects import MeshParams
+from world.params import Params
+from world.roads import OpenCrgRoad
+
+FILE = "manifest.json"
+FORMAT_VERSION = 1
+PACKAGES = ("luxloop", "torch", "numpy", "scipy", "kornia", "opencv-contrib-python-headless", "pyrender", "trimesh", "embreex", "pyarrow")
+
+
+class InputFile(Params):
+    """A file beside the scenario that decides a run."""
+
+    file: str = Field(description="where it was")
+    sha256: str = Field(description="what was in it, hexadecimal")
+
+
+class Manifest(Params):
+    """What is written down about a run before its first step."""
+
+    format: Literal["luxloop recording"] = Field("luxloop recording", description="tells recordings from other directories")
+    format_version: Literal[1] = Field(FORMAT_VERSION, description="version of the recording's files")
+    status: Literal["running", "complete", "interrupted"] = Field("running", description="running for ever: the process was killed")
+    scenario: dict[str, Any] = Field(description="the scenario with all defaults and --set options")
+    scenario_sha256: str = Field(description="digest of the scenario as JSON with sorted keys")
+    seed: int = Field(description="seed of all noise")
+    inputs: dict[str, InputFile] = Field(description="files beside the scenario, by the key that names them")
+    renderer: str = Field(description="source of the G-buffer")
+    device: str = Field(description="torch device")
+    threads: int = Field(description="threads of torch")
+    versions: dict[str, str] = Field(description="of python and packages")
+    platform: str = Field(description="operating system and machine")
+    started_utc: str = Field(description="start time, ISO 8601")
+
+    @classmethod
+    def of(cls, scenario: Scenario, renderer: str, device: torch.device) -> "Manifest":
+        """The manifest of a run that starts now; renderer: name of the face source. Raises LuxloopError where an input file is missing."""
+        return cls(
+            scenario=scenario.model_dump(mode="json"),
+            scenario_sha256=scenario.digest,
+            seed=scenario.seed,
+            inputs={key: InputFile(file=str(file), sha256=sha256(file)) for key, file in input_files(scenario)},
+            renderer=renderer,
+            device=str(device),
+            threads=torch.get_num_threads(),
+            versions={"python": platform.python_version(), **{name: _version(name) for name in PACKAGES}},
+            platform=platform.platform(),
+            started_utc=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        )
+
+    @classmethod
+    def read(cls, directory: Path) -> "Manifest":
+        """The manifest of a recording. Raises LuxloopError where there is none that this luxloop understands."""
+        file = directory / FILE
+        try:
+            content = json.loads(file.read_text("utf-8"))
+        except ValueError as error:
+            raise LuxloopError(f"{file}: damaged, not valid JSON ({error}); record the run again") from error
+        except (FileNotFoundError, NotADirectoryError) as error:
+            kind = f"holds no recording ({FILE} is missing)" if directory.is_dir() else "is not a directory"
+            raise LuxloopError(f"{directory}: {kind}; give a directory that `luxloop run` wrote") from error
+        except OSError as error:
+            raise LuxloopError(f"{file}: cannot be read ({error.strerror}); check its permissions") from error
+        if not isinstance(content, dict) or content.get("format") != cls.model_fields["format"].default:
+            raise LuxloopError(f"{file}: not the manifest of a recording; give a directory that `luxloop run` wrote")
+        if content.get("format_version") != FORMAT_VERSION:
+            raise LuxloopError(
+                f"{file}: format_version: {content.get('format_version')!r} is not understood, this luxloop reads {FORMAT_VERSION}; "
+                "use the luxloop that wrote it"
+            )
+        try:
+            return cls.model_validate(content)
+        except ValidationError as error:
+            raise LuxloopError(f"{file}: damaged, {sentence(error, cls)}; record the run again") from error
+
+    def write(self, directory: Path) -> None:
+        """Write to the recording's directory, whole or not at all."""
+        write_json(directory / FILE, self.model_dump(mode="json"))
+
+    def changes(self, now: "Manifest") -> Iterator[str]:
+        """What is no longer as it was when this was recorded, a sentence each."""
+        text = json.dumps(self.scenario, sort_keys=True)
+        if hashlib.sha256(text.encode()).hexdigest() != self.scenario_sha256:
+            yield "the scenario in the manifest was edited after the recording"
+        for key, file in now.inputs.items():
+            if key in self.inputs and self.inputs[key].sha256 != file.sha256:
+                yield f"{key}: {file.file} has changed since the recording (its SHA-256 differs)"
+        for key in ("renderer", "device"):
+            if getattr(self, key) != getattr(now, key):
+                yield f"{key}: recorded with {getattr(self, key)}, replayed with {getattr(now, key)}"
+        for name, version in now.versions.items():
+            if self.versions.get(name) != version:
+                yield f"{name}: recorded with version {self.versions.get(name)}, replayed with {version}"
+
+
+def write_json(file: Path, value: Any) -> None:
+    """Write JSON, whole or not at all; a number that is not finite is a ValueError."""
+    part = file.with_name(f".{file.name}.part")
+    part.write_text(json.dumps(value, indent=2, allow_nan=False) + "\n", "utf-8")
+    os.replace(part, file)
+
+
+def input_files(scenario: Scenario) -> Iterator[tuple[str, Path]]:
+    """Files that decide a run beside the scenario, by the key that names them."""
+    yield "symbol.image", symbol_path(scenario.symbol.image)
+    if isinstance(scenario.road, OpenCrgRoad):
+        yield "road.file", Path(data.locate(scenario.road.file))
+    for i, item in enumerate(scenario.objects):
+        if isinstance(item, MeshParams):
+            yield f"objects[{i}].file", item.file
+
+
+def sha256(file: Path) -> str:
+    """SHA-256 of a file, hexadecimal. Raises LuxloopError where it cannot be read."""
+    try:
+        with file.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        raise LuxloopError(f"{file}: cannot be read ({error.strerror}); put it back, or name another in the scenario") from error
+
+
+def _version(package: str) -> str:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return "not installed"

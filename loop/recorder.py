@@ -1,0 +1,201 @@
+"""Recordings: a directory with a manifest, a row a step, and a summary, readable at whatever moment the process dies."""
+
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import torch
+
+from loop.manifest import FILE as MANIFEST
+from loop.manifest import Manifest, write_json
+from loop.simulation import Simulation, StepResult
+from loop.summary import summarise
+from perception.extraction import Loss
+from world.errors import LuxloopError
+
+TRAJECTORY, SUMMARY, REPORT, VIDEO = "trajectory.parquet", "summary.json", "report.png", "video.mp4"
+REST = 10  # times the duration of a write pass between two: recording costs a tenth at most, and a kill the last 50 ms or so
+
+POSE = ("x_m", "y_m", "roll_deg", "pitch_deg")
+ERRORS = ("e_x", "e_y", "e_roll", "e_pitch")
+CENTROIDS = tuple(f"{point}_{axis}" for point in ("c", "tl", "tr", "bl", "br") for axis in "uv")
+PARTS = ("render", "light", "camera", "perceive", "control", "judge", "step")
+
+# name: (unit, description); the shown light is seen camera.latency_steps later
+COLUMNS: dict[str, tuple[str, str]] = {
+    "step": ("1", "control step, from 0"),
+    "time_s": ("s", "time of the on frame since the scenario's start"),
+    "x_m": ("m", "shown pose of the primitive: centre ahead of the lamps"),
+    "y_m": ("m", "shown pose: centre to the left"),
+    "roll_deg": ("deg", "shown pose: rotation about the forward axis"),
+    "pitch_deg": ("deg", "shown pose: rotation about the left axis, nose down positive"),
+    "e_x": ("axes", "error of the centre along u, seen minus target"),
+    "e_y": ("axes", "error of the centre along v"),
+    "e_roll": ("feature", "error of the roll feature"),
+    "e_pitch": ("feature", "error of the pitch feature"),
+    "pose_error_x_m": ("m", "e_y divided by its plant gain"),
+    "pose_error_y_m": ("m", "e_x divided by its plant gain"),
+    "pose_error_roll_deg": ("deg", "e_roll divided by its plant gain"),
+    "pose_error_pitch_deg": ("deg", "e_pitch divided by its plant gain"),
+    "c_u": ("axes", "centroid of the extracted symbol, u to the right"),
+    "c_v": ("axes", "centroid of the extracted symbol, v down or towards the car"),
+    "tl_u": ("axes", "centroid of the top left quadrant, u"),
+    "tl_v": ("axes", "centroid of the top left quadrant, v"),
+    "tr_u": ("axes", "centroid of the top right quadrant, u"),
+    "tr_v": ("axes", "centroid of the top right quadrant, v"),
+    "bl_u": ("axes", "centroid of the bottom left quadrant, u"),
+    "bl_v": ("axes", "centroid of the bottom left quadrant, v"),
+    "br_u": ("axes", "centroid of the bottom right quadrant, u"),
+    "br_v": ("axes", "centroid of the bottom right quadrant, v"),
+    "area_ratio": ("1", "area of the extracted symbol, as a multiple of what the flat road would show"),
+    "loss": ("", "why the symbol was lost: no_frame, nothing, too_small or too_large; empty where it was seen"),
+    "centroid_error_x_percent": ("%", "judge: error of the centroid along x, of the symbol's length"),
+    "centroid_error_y_percent": ("%", "judge: error of the centroid along y, of the symbol's width"),
+    "iou": ("1", "judge: intersection over union with the target"),
+    "ssim": ("1", "judge: structural similarity to the target"),
+    "length": ("1", "judge: second-moment length as a multiple of the target's"),
+    "shear": ("1", "judge: shear mu11 / mu20 on the road plane"),
+    "render_ms": ("ms", "rendering what has moved"),
+    "light_ms": ("ms", "from the pose to utilisations"),
+    "camera_ms": ("ms", "exposing on and off frame"),
+    "perceive_ms": ("ms", "extraction, moments and errors"),
+    "control_ms": ("ms", "the controller"),
+    "judge_ms": ("ms", "the judge, who is no part of the loop"),
+    "step_ms": ("ms", "render, light, camera, perceive and control together"),
+}
+
+_TYPES = {"step": pa.int64(), "loss": pa.string()}
+SCHEMA = pa.schema(
+    pa.field(name, _TYPES.get(name, pa.float64()), metadata={"unit": unit, "description": text})
+    for name, (unit, text) in COLUMNS.items()
+)
+
+
+def row(result: StepResult) -> dict[str, Any]:
+    """A step as plain Python values, by the names of COLUMNS; NaN where nothing was seen. Waits for the device once."""
+    seen, verdict = result.seen, result.verdict
+    degrees = torch.tensor([1.0, 1.0, 180 / torch.pi, 180 / torch.pi], dtype=torch.float64)
+    tensors = {
+        POSE: result.pose,
+        ERRORS: seen.errors,
+        tuple(f"pose_error_{name}" for name in POSE): seen.pose_error,
+        CENTROIDS: seen.appearance.centroids,
+        ("area_ratio",): seen.area_ratio,
+        ("centroid_error_x_percent", "centroid_error_y_percent"): verdict.centroid_percent,
+        ("iou", "ssim", "length", "shear"): torch.stack([verdict.iou, verdict.ssim, verdict.length, verdict.shear]),
+        ("code",): seen.code,
+    }
+    host = torch.cat([tensor.flatten().double() for tensor in tensors.values()]).cpu()
+    host[:4] *= degrees
+    host[8:12] *= degrees
+    values = dict(zip([name for names in tensors for name in names], host.tolist(), strict=True))
+    values |= {"step": result.step, "time_s": result.time_s, "loss": loss_name(int(values["code"]))}
+    values |= {f"{part}_ms": result.timings[part] for part in PARTS}
+    return {name: values[name] for name in COLUMNS}
+
+
+def loss_name(code: int) -> str:
+    """A loss code as recordings write it: "" where the symbol was seen, else the reason in lower case."""
+    return "" if code == Loss.SEEN else Loss(code).name.lower()
+
+
+def table_of(rows: list[dict[str, Any]]) -> pa.Table:
+    """Rows as a table of SCHEMA; NaN becomes null."""
+    columns = [pa.array([r[field.name] for r in rows], field.type, from_pandas=True) for field in SCHEMA]
+    return pa.Table.from_arrays(columns, schema=SCHEMA)
+
+
+def write_table(file: Path, table: pa.Table) -> None:
+    """Write Parquet, whole or not at all."""
+    part = file.with_name(f".{file.name}.part")
+    pq.write_table(table, part, use_dictionary=False)
+    os.replace(part, file)
+
+
+class Recorder:
+    """Records a run into a directory; use it in a `with` statement and `add` every step.
+
+    Leaving the block finishes the recording, as interrupted where an exception (Ctrl-C too) ended it, and writes the summary.
+    """
+
+    def __init__(self, directory: Path, simulation: Simulation) -> None:
+        """Make the directory, replace a recording that is there, write the manifest.
+
+        Raises LuxloopError if the directory holds something else, cannot be written, or an input file cannot be read.
+        """
+        self.directory, self.simulation = directory, simulation
+        self.manifest = Manifest.of(simulation.scenario, simulation.plant.source.name, simulation.device)
+        self._written = SCHEMA.empty_table()
+        self._fresh: list[dict[str, Any]] = []
+        self._next_write_s = 0.0
+        with self._writing():
+            _clear(directory)
+            self.manifest.write(directory)
+
+    def __enter__(self) -> "Recorder":
+        return self
+
+    def add(self, result: StepResult) -> dict[str, Any]:
+        """Record a step; returns its row. Raises LuxloopError if the directory can no longer be written."""
+        added = row(result)
+        self._fresh.append(added)
+        if time.perf_counter() >= self._next_write_s:
+            self._write_trajectory()
+        return added
+
+    def table(self) -> pa.Table:
+        """All steps so far."""
+        if self._fresh:
+            self._written = pa.concat_tables([self._written, table_of(self._fresh)]).combine_chunks()
+            self._fresh = []
+        return self._written
+
+    def summary(self) -> dict[str, Any]:
+        """The summary of the steps so far, the open loop simulated beside them."""
+        simulation, table = self.simulation, self.table()
+        time_s = table["time_s"][-1].as_py() if table.num_rows else 0.0
+        light = simulation.projector.light(simulation.projector.target)
+        iou_open = simulation.judge(light, time_s).iou.item()
+        return summarise(table, simulation.scenario.name, simulation.scenario.controller.name, iou_open)
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._write_trajectory()
+        with self._writing():
+            write_json(self.directory / SUMMARY, self.summary())
+            self.manifest = self.manifest.model_copy(update={"status": "complete" if kind is None else "interrupted"})
+            self.manifest.write(self.directory)
+
+    def _write_trajectory(self) -> None:
+        start = time.perf_counter()
+        with self._writing():
+            write_table(self.directory / TRAJECTORY, self.table())
+        now = time.perf_counter()
+        self._next_write_s = now + REST * (now - start)
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            reason = error.strerror or error
+            raise LuxloopError(f"{self.directory}: cannot be written ({reason}); give another directory with --out") from error
+
+
+def _clear(directory: Path) -> None:
+    """Make the directory, or remove an old recording's files from it, its manifest last."""
+    directory.mkdir(parents=True, exist_ok=True)
+    names = (TRAJECTORY, SUMMARY, REPORT, VIDEO, MANIFEST)
+    parts = {f".{name}.part" for name in names}
+    if {path.name for path in directory.iterdir()} - parts:
+        try:
+            Manifest.read(directory)
+        except LuxloopError as error:
+            raise LuxloopError(f"{directory}: holds files that are no recording of this luxloop; give an empty or a new directory") from error
+    for name in (*parts, *names):
+        (directory / name).unlink(missing_ok=True)

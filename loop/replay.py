@@ -1,0 +1,101 @@
+"""Recordings read back: run the recorded scenario again and hold it against the recording, or write it as CSV."""
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet as pq
+import torch
+
+from loop.comparison import Difference, compare, tolerances
+from loop.manifest import Manifest
+from loop.recorder import COLUMNS, SCHEMA, TRAJECTORY, row, table_of
+from loop.scenario import Scenario, validate
+from loop.simulation import Simulation, StepResult
+from world.errors import LuxloopError
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A recording as it was read: its manifest, the scenario in it, and the table of its steps."""
+
+    manifest: Manifest
+    scenario: Scenario
+    table: pa.Table
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """How a replay differs from its recording. notes: what was different from the start, a sentence each."""
+
+    steps: int
+    differences: tuple[Difference, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def agrees(self) -> bool:
+        """Whether nothing is out of tolerance."""
+        return not self.differences
+
+
+def load(directory: Path) -> Recording:
+    """Read a recording. Raises LuxloopError where it is none, damaged, or written by a newer luxloop."""
+    manifest = Manifest.read(directory)
+    scenario = validate(manifest.scenario, f"{directory}/manifest.json: scenario")
+    return Recording(manifest, scenario, read_table(directory / TRAJECTORY))
+
+
+def read_table(file: Path) -> pa.Table:
+    """Read a trajectory, with the columns of a recording and no others. Raises LuxloopError where it is damaged."""
+    try:
+        table = pq.read_table(file)
+    except FileNotFoundError as error:
+        raise LuxloopError(f"{file}: is missing, no step was recorded; record the run again") from error
+    except (pa.ArrowException, OSError) as error:
+        raise LuxloopError(f"{file}: damaged, not readable as Parquet ({_first_line(error)}); record the run again") from error
+    missing = [name for name in COLUMNS if name not in table.column_names]
+    if missing:
+        raise LuxloopError(f"{file}: the column {missing[0]!r} is missing; record the run again")
+    try:
+        return table.select(list(COLUMNS)).cast(SCHEMA)
+    except (pa.ArrowException, ValueError) as error:
+        raise LuxloopError(f"{file}: a column is not of its type ({_first_line(error)}); record the run again") from error
+
+
+def replay(
+    directory: Path, device: torch.device | str | None = None, on_step: Callable[[StepResult], None] = lambda result: None
+) -> Comparison:
+    """Run the scenario of a recording again, for as many steps as it has, and compare.
+
+    device: that of the recording if None, or the CPU where there is no such device. on_step: called after every step.
+    Raises LuxloopError where the recording is damaged or an input file is missing.
+    """
+    recording = load(directory)
+    manifest, scenario, steps = recording.manifest, recording.scenario, recording.table.num_rows
+    if steps == 0:
+        raise LuxloopError(f"{directory / TRAJECTORY}: holds no step; record the run again")
+    device = device or (manifest.device if manifest.device == "cpu" or torch.cuda.is_available() else "cpu")
+    simulation = Simulation.prepare(scenario, device)
+    notes = manifest.changes(Manifest.of(scenario, simulation.plant.source.name, simulation.device))
+    rows = []
+    for result in itertools.islice(simulation.run(), steps):
+        rows.append(row(result))
+        on_step(result)
+    differences = compare(recording.table, table_of(rows), tolerances(scenario.features))
+    return Comparison(steps, differences, tuple(notes))
+
+
+def to_csv(directory: Path, file: Path) -> None:
+    """Write a recording's steps as CSV, values that are missing as empty fields. Raises LuxloopError where it cannot."""
+    table = load(directory).table
+    try:
+        pyarrow.csv.write_csv(table, file)
+    except OSError as error:
+        raise LuxloopError(f"{file}: cannot be written ({error.strerror or error}); name another file") from error
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).splitlines()[0].rstrip(".")

@@ -1,0 +1,79 @@
+"""A recording in a few numbers: when the symbol settled, how far it overshot, how well it lies in the end."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+FINAL = 10  # steps whose mean is the final value, and for which a settled symbol has to stay
+SETTLED = {  # how far from the final value a settled symbol may be: 2 % of its size and length, 0.02 of shear
+    "centroid_error_x_percent": 2.0,
+    "centroid_error_y_percent": 2.0,
+    "length": 0.02,
+    "shear": 0.02,
+}
+AXES = ("centroid_error_x_percent", "centroid_error_y_percent")
+LEAST_START_PERCENT = 5.0  # an axis that starts nearer to the target says nothing about overshoot
+
+
+def summarise(table: pa.Table, scenario: str, controller: str, iou_open: float) -> dict[str, Any]:
+    """Summary of a recording's table, ready for JSON: None where a value does not exist.
+
+    iou_open: what the judge says of the open loop at the last step. centroid_error_percent is signed, [x, y], the mean of the last five steps.
+    """
+    seen = table.num_rows > 0
+    return {
+        "scenario": scenario,
+        "controller": controller,
+        "steps": table.num_rows,
+        "settle_step": settle_step(table),
+        "overshoot_percent": overshoot_percent(table),
+        "centroid_error_percent": [_number(column(table, axis)[-5:].mean()) if seen else None for axis in AXES],
+        "iou_open": _number(iou_open),
+        "iou_final": _number(column(table, "iou")[-1]) if seen else None,
+        "ssim_final": _number(column(table, "ssim")[-1]) if seen else None,
+        "lost_steps": sum(loss != "" for loss in table["loss"].to_pylist()),
+        "step_ms_median": _number(np.median(column(table, "step_ms"))) if seen else None,
+    }
+
+
+def settle_step(table: pa.Table) -> int | None:
+    """The first step from which, for at least ten steps and to the end, centroid, length and shear stay near their mean of the last ten.
+
+    None if there is none. A step at which nothing was lit is not near.
+    """
+    if table.num_rows < FINAL:
+        return None
+    near = np.ones(table.num_rows, dtype=bool)
+    for name, tolerance in SETTLED.items():
+        values = column(table, name)
+        near &= np.abs(values - values[-FINAL:].mean()) <= tolerance
+    strays = np.flatnonzero(~near)
+    first = int(strays[-1]) + 1 if len(strays) else 0
+    return table["step"][first].as_py() if first <= table.num_rows - FINAL else None
+
+
+def overshoot_percent(table: pa.Table) -> float | None:
+    """The largest excursion past the final value, in % of the initial error, of the axes that start more than 5 % of the size off.
+
+    None if neither does.
+    """
+    excursions = []
+    for axis in AXES:
+        values = column(table, axis)
+        values = values[np.isfinite(values)]
+        if len(values) and abs(values[0]) > LEAST_START_PERCENT:
+            final = values[-FINAL:].mean()
+            past = (final - values) * np.sign(values[0] - final)
+            excursions.append(100 * past.max() / abs(values[0]))
+    return _number(max(max(excursions), 0.0)) if excursions else None
+
+
+def column(table: pa.Table, name: str) -> np.ndarray:
+    """A column of numbers, `[steps]` float64; NaN where there is none."""
+    return table[name].to_numpy().astype(np.float64)
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
