@@ -42,7 +42,8 @@ def idealised(
 
     Published: the pixel count, the angles, "minimal overlap". Guessed: 30 kcd over the whole field (about 0.9 klm), pixels of equal
     pitch on the texture's plane, and overlap as linear edges `flank` pitches to either side of a pixel's border, so that a texel has
-    1.5 entries. texels_per_pixel: (rows, columns); at 17 m the symbol spans only 40 pixel rows, so rows are sampled four times.
+    1.5 entries (0 < flank <= 0.5). texels_per_pixel: (rows, columns); at 17 m the symbol spans only 40 pixel rows, so rows are sampled
+    four times.
     """
     vertical = _profile(pixel_rows, texels_per_pixel[0], flank)
     horizontal = _profile(pixel_cols, texels_per_pixel[1], flank)

@@ -1,5 +1,6 @@
 """Sparse matrix-vector products `i = A u` (T 2.5, 5.3) in CSR with int32 indices, whole or as a band of rows."""
 
+import warnings
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -8,6 +9,9 @@ import numpy as np
 import scipy.sparse as sp
 import torch
 from torch import Tensor
+
+# Of torch's CSR we use construction and products only, both held by tests.
+warnings.filterwarnings("ignore", "Sparse CSR tensor support is in beta", UserWarning)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,63 @@
+"""Frames against scipy's rotations, and the signs that people rely on."""
+
+import math
+
+import numpy as np
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from world.frames import R_ISO_OPENCV, inverse, pose, pose_from_degrees, rotation, transform
+
+angle = st.floats(-math.pi, math.pi)
+metre = st.floats(-1000, 1000)
+
+
+@given(angle, angle, angle)
+def test_rotation_is_yaw_after_pitch_after_roll(roll: float, pitch: float, yaw: float) -> None:
+    R = rotation(*torch.tensor([roll, pitch, yaw], dtype=torch.float64))
+    np.testing.assert_allclose(R, Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix(), atol=1e-14)
+
+
+def test_signs_of_iso_8855(device: torch.device) -> None:
+    forward, left = torch.eye(3, device=device)[:2]
+    small, zero = torch.tensor(0.1, device=device), torch.tensor(0.0, device=device)
+    assert (rotation(zero, small, zero) @ forward)[2] < 0, "positive pitch lowers the nose"
+    assert (rotation(small, zero, zero) @ left)[2] > 0, "positive roll lowers the right side"
+    assert (rotation(zero, zero, small) @ forward)[1] > 0, "positive yaw turns to the left"
+
+
+def test_opencv_axes_in_an_iso_frame() -> None:
+    right, down, ahead = R_ISO_OPENCV.T
+    assert right.tolist() == [0, -1, 0]
+    assert down.tolist() == [0, 0, -1]
+    assert ahead.tolist() == [1, 0, 0]
+
+
+@given(st.tuples(metre, metre, metre), st.tuples(angle, angle, angle))
+def test_inverse_undoes_a_pose(position: tuple[float, float, float], angles: tuple[float, float, float]) -> None:
+    T = pose(torch.tensor(position, dtype=torch.float64), rotation(*torch.tensor(angles, dtype=torch.float64)))
+    torch.testing.assert_close(inverse(T) @ T, torch.eye(4, dtype=torch.float64), rtol=0, atol=1e-12)
+    points = torch.tensor([[1.0, -2.0], [3.0, 0.5], [0.0, 7.0]], dtype=torch.float64)
+    # Kilometres in float64 leave 1e-13 m; a decade for the two products.
+    torch.testing.assert_close(transform(inverse(T), transform(T, points)), points, rtol=0, atol=1e-11)
+
+
+def test_poses_chain_as_their_names_say() -> None:
+    T_world_car = pose_from_degrees((10.0, 0.0, 0.0), yaw_deg=90)
+    T_car_lamp = pose_from_degrees((2.0, 0.5, 0.7))
+    lamp = transform(T_world_car @ T_car_lamp, torch.zeros(3, 1, dtype=torch.float64))[:, 0]
+    # The car looks along +y: its front is north, its left is west.
+    np.testing.assert_allclose(lamp, [9.5, 2.0, 0.7], atol=1e-12)
+
+
+def test_batches_broadcast_and_keep_their_dtype(device: torch.device) -> None:
+    angles = torch.linspace(-1, 1, 5, device=device)
+    R = rotation(angles, angles[0], torch.zeros(2, 1, device=device))
+    T = pose(torch.ones(3, device=device), R)
+    assert R.shape == (2, 5, 3, 3)
+    assert T.shape == (2, 5, 4, 4)
+    assert (T.dtype, T.device.type) == (torch.float32, device.type)
+    assert transform(T, torch.zeros(3, 7, device=device)).shape == (2, 5, 3, 7)
+    torch.testing.assert_close(T[1, 3, :3, :3], rotation(angles[3], angles[0], torch.zeros((), device=device)))

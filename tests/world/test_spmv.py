@@ -1,0 +1,93 @@
+"""Sparse products against scipy, and their gradient against differences."""
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from world.spmv import Csr, multiply, row_of_entries, segment_bounds
+
+
+def random_matrix(seed: int, rows: int, cols: int, density: float) -> sp.csr_array:
+    """Some rows are left empty, some entries are stored zeros."""
+    generator = np.random.default_rng(seed)
+    matrix = sp.random_array((rows, cols), density=density, format="csr", rng=generator)
+    matrix.data[generator.random(matrix.nnz) < 0.1] = 0
+    return matrix
+
+
+matrices = st.builds(random_matrix, st.integers(0, 2**32), st.integers(1, 30), st.integers(1, 30), st.floats(0, 0.5))
+
+
+def close(actual: torch.Tensor, expected: np.ndarray) -> None:
+    # float64 sums of at most 30 numbers in 0..1.
+    np.testing.assert_allclose(actual.cpu(), expected, rtol=1e-13, atol=1e-13)
+
+
+@settings(deadline=None)
+@given(matrices, st.data())
+def test_products_are_those_of_scipy(matrix: sp.csr_array, data: st.DataObject) -> None:
+    csr = Csr.from_scipy(matrix, torch.float64)
+    x = torch.linspace(0, 1, 2 * 3 * matrix.shape[1], dtype=torch.float64).view(2, 3, -1)
+    expected = x.numpy() @ matrix.T.toarray()
+    close(multiply(csr, x), expected)
+    close(multiply(csr, x[0, 0]), expected[0, 0])
+    close(multiply(csr.transposed, torch.ones(csr.n_rows, dtype=torch.float64)), matrix.sum(0))
+
+    start = data.draw(st.integers(0, csr.n_rows))
+    stop = data.draw(st.integers(start, csr.n_rows))
+    close(multiply(csr.band(start, stop), x), expected[..., start:stop])
+    close(multiply(csr.band(start, stop), x[0, 0]), expected[0, 0, start:stop])
+
+
+@settings(deadline=None)
+@given(matrices)
+def test_scipy_and_back_drops_stored_zeros_only(matrix: sp.csr_array) -> None:
+    before = matrix.copy()
+    csr = Csr.from_scipy(matrix, torch.float64)
+    assert (csr.to_scipy() != matrix).nnz == 0
+    assert csr.values.all()
+    assert csr.indptr.dtype == csr.indices.dtype == torch.int32
+    np.testing.assert_array_equal(matrix.data, before.data)
+    np.testing.assert_array_equal(row_of_entries(csr), csr.to_scipy().tocoo().row)
+
+
+def test_duplicates_are_summed() -> None:
+    matrix = sp.csr_matrix(([1.0, 2.0], [0, 0], [0, 2]), shape=(1, 1))
+    assert Csr.from_scipy(matrix).values.tolist() == [3.0]
+
+
+@pytest.mark.parametrize("batch", [(), (3,)])
+def test_gradient_is_the_transpose(batch: tuple[int, ...]) -> None:
+    csr = Csr.from_scipy(random_matrix(1, 7, 5, 0.4), torch.float64)
+    x = torch.rand(*batch, 5, dtype=torch.float64, generator=torch.Generator().manual_seed(1), requires_grad=True)
+    assert torch.autograd.gradcheck(lambda x: multiply(csr, x), (x,))
+    assert torch.autograd.gradgradcheck(lambda x: multiply(csr, x) ** 2, (x,))
+
+
+def test_float32_on_every_device(device: torch.device) -> None:
+    matrix = random_matrix(2, 200, 100, 0.1)
+    csr = Csr.from_scipy(matrix).to(device)
+    x = torch.linspace(0, 1, 100, device=device)
+    y = multiply(csr, x.expand(4, -1))
+    assert (y.dtype, y.device.type) == (torch.float32, device.type)
+    # Sums of ten float32 products.
+    np.testing.assert_allclose(y[2].cpu(), matrix @ x.cpu().double().numpy(), rtol=1e-5, atol=1e-6)
+    assert csr.transposed.values.device.type == device.type
+    assert csr.to(torch.float64).values.dtype == torch.float64
+
+
+def test_bounds_of_segments() -> None:
+    first, last = segment_bounds(torch.tensor([2, 0, 2, 2]), torch.tensor([5, 7, 3, 4]), 3)
+    assert first.tolist() == [7, torch.iinfo(torch.int64).max, 3]
+    assert last.tolist() == [7, -1, 5]
+
+
+def test_bad_input_is_named() -> None:
+    csr = Csr.from_scipy(sp.eye_array(3))
+    with pytest.raises(ValueError, match="3 columns cannot multiply a vector of 4"):
+        multiply(csr, torch.zeros(2, 4))
+    with pytest.raises(ValueError, match=r"1 x 2147483648 matrix of 0 entries is too large for int32"):
+        Csr.from_scipy(sp.csr_matrix((1, 2**31)))
