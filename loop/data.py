@@ -1,0 +1,155 @@
+"""Third-party roads and light distributions: named in a registry, found on this machine or fetched from their public source."""
+
+import difflib
+import os
+import tempfile
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Literal
+
+from world.errors import LuxloopError
+
+FOLDER_VARIABLE = "LUXLOOP_DATA"  # folder with copies at hand
+MIRROR_VARIABLE = "LUXLOOP_DATA_URL"  # address that has the files under the registry's paths, in place of their sources
+TIMEOUT_S = 30.0
+
+
+@dataclass(frozen=True)
+class DataFile:
+    """An entry of the registry."""
+
+    name: str
+    file: str  # path inside a data folder
+    kind: Literal["road", "photometric"]
+    description: str
+    licence: str
+    bytes: int
+    sha256: str
+    url: str
+
+
+@dataclass(frozen=True)
+class Fetched:
+    """Where a file is now; `downloaded` is False where it was there before."""
+
+    path: Path
+    downloaded: bool
+
+
+Registry = Mapping[str, DataFile]
+
+
+@cache
+def registry() -> Registry:
+    """The files that luxloop knows, by name."""
+    entries = tomllib.loads(Path(__file__).with_name("data_registry.toml").read_text("utf-8"))
+    return {name: DataFile(name=name, **entry) for name, entry in entries.items()}
+
+
+def entry(name: str, known: Registry | None = None) -> DataFile:
+    """A registered file. Raises LuxloopError with the nearest name."""
+    known = registry() if known is None else known
+    if name in known:
+        return known[name]
+    nearest = difflib.get_close_matches(name, known, 1) or [each for each in known if each.lower() == name.lower()]
+    hint = f"did you mean {nearest[0]!r}?" if nearest else "see `luxloop data list`"
+    raise LuxloopError(f"there is no data file {name!r}; {hint}")
+
+
+def present(name: str, known: Registry | None = None) -> Path | None:
+    """Where the file is on this machine: in the folder `LUXLOOP_DATA` (as `roads/X`, `ies/X` or `X`), then among what was fetched."""
+    file = Path(entry(name, known).file)
+    own = os.environ.get(FOLDER_VARIABLE)
+    if own and not Path(own).is_dir():
+        raise LuxloopError(f"{FOLDER_VARIABLE} names {own}, which is not a folder; correct it or unset it")
+    candidates = [Path(own) / file, Path(own) / file.name] if own else []
+    return next((path for path in [*candidates, cache_folder() / file] if path.is_file()), None)
+
+
+def find(name: str, known: Registry | None = None) -> Path:
+    """Path of a registered file on this machine. Raises LuxloopError that says how to get it."""
+    path = present(name, known)
+    if path is None:
+        raise LuxloopError(f"data file {name!r} is not on this machine; get it with `luxloop data get {name}`")
+    return path
+
+
+def locate(name_or_path: str | Path) -> Path:
+    """Path of what a scenario names: a path as it is, anything without a slash or a dot as a registered name."""
+    text = str(name_or_path)
+    return Path(text) if any(mark in text for mark in "/\\.") else find(text)
+
+
+def get(name: str, directory: str | Path | None = None, base_url: str | None = None, known: Registry | None = None) -> Fetched:
+    """Fetch a registered file unless it is here already; without `directory` it goes where `find` looks.
+
+    `base_url` (or `LUXLOOP_DATA_URL`) is a mirror to ask instead of the file's source. What is fetched must have the registered SHA-256
+    and appears whole or not at all. Raises LuxloopError where there is no connection, no such file or another content.
+    """
+    wanted = entry(name, known)
+    here = present(name, known) if directory is None else None
+    if here is not None:
+        return Fetched(here, downloaded=False)
+    target = (cache_folder() if directory is None else Path(directory)) / wanted.file
+    if target.is_file() and _sha256(target) == wanted.sha256:
+        return Fetched(target, downloaded=False)
+    mirror = base_url or os.environ.get(MIRROR_VARIABLE)
+    _download(wanted, f"{mirror.rstrip('/')}/{wanted.file}" if mirror else wanted.url, target)
+    return Fetched(target, downloaded=True)
+
+
+def _download(wanted: DataFile, url: str, target: Path) -> None:
+    import pooch
+    import requests
+
+    pooch.get_logger().setLevel("WARNING")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=target.parent) as partial:
+            downloader = pooch.HTTPDownloader(timeout=TIMEOUT_S)
+            pooch.retrieve(url, known_hash=f"sha256:{wanted.sha256}", fname=target.name, path=partial, downloader=downloader)
+            os.replace(Path(partial) / target.name, target)
+    except requests.HTTPError as error:
+        remedy = f"save it by hand as {target} or set {MIRROR_VARIABLE} to a mirror"
+        raise LuxloopError(f"{target.name} cannot be had: {error}; {remedy}") from error
+    except requests.RequestException as error:
+        remedy = f"connect to the network or set {FOLDER_VARIABLE} to a folder with {wanted.file}"
+        raise LuxloopError(f"{url} cannot be reached; {remedy}") from error
+    except ValueError as error:
+        raise LuxloopError(f"{url} gives another content than registered (SHA-256 differs); nothing was kept, try again") from error
+    except OSError as error:
+        raise LuxloopError(f"{target} cannot be written ({error.strerror}); give another folder with --dir") from error
+
+
+@dataclass(frozen=True)
+class DataRow:
+    """What `luxloop data list` shows of a file; `path` is None where it is not on this machine."""
+
+    name: str
+    kind: str
+    licence: str
+    bytes: int
+    path: Path | None
+    description: str
+
+
+def rows(known: Registry | None = None) -> list[DataRow]:
+    """All registered files, in the registry's order."""
+    known = registry() if known is None else known
+    return [DataRow(each.name, each.kind, each.licence, each.bytes, present(each.name, known), each.description) for each in known.values()]
+
+
+def cache_folder() -> Path:
+    """Where fetched files are kept."""
+    import pooch
+
+    return Path(pooch.os_cache("luxloop"))
+
+
+def _sha256(path: Path) -> str:
+    import pooch
+
+    return str(pooch.file_hash(str(path), alg="sha256"))
