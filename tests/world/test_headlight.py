@@ -1,0 +1,92 @@
+"""The light texture's conventions and the idealised lamp."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from world.frames import pose_from_degrees
+from world.headlight import Headlight
+from world.presets import idealised
+
+
+def tan(degrees: float) -> float:
+    return math.tan(math.radians(degrees))
+
+
+@pytest.fixture(scope="module")
+def thesis_lamp() -> Headlight:
+    return idealised()
+
+
+def test_the_thesis_lamp_has_its_published_size(thesis_lamp: Headlight) -> None:
+    assert thesis_lamp.n_pixels == thesis_lamp.matrix.n_cols == 339_968
+    assert (thesis_lamp.pixel_rows, thesis_lamp.pixel_cols) == (332, 1024)
+    assert (thesis_lamp.rows, thesis_lamp.cols) == (4 * 332, 2 * 1024)
+    assert thesis_lamp.matrix.n_rows == thesis_lamp.rows * thesis_lamp.cols
+    borders = thesis_lamp.left, thesis_lamp.right, thesis_lamp.top, thesis_lamp.bottom
+    np.testing.assert_allclose(borders, [tan(10), tan(-10), tan(1.5), tan(-3.5)])
+
+
+def test_overlap_is_minimal(thesis_lamp: Headlight) -> None:
+    entries_per_texel = thesis_lamp.matrix.values.shape[0] / thesis_lamp.matrix.n_rows
+    # Two of four texels along a pixel lie on its flanks; only the border of the lamp has fewer.
+    assert entries_per_texel == pytest.approx(1.5, rel=0.002)
+    assert thesis_lamp.matrix.values.min() > 0
+
+
+def test_full_utilisation_is_even_within_the_outer_pixels(thesis_lamp: Headlight) -> None:
+    light = thesis_lamp.light_texture(torch.ones(thesis_lamp.n_pixels))
+    # Two float32 profiles that add up to one.
+    torch.testing.assert_close(light[4:-4, 2:-2], torch.full((1320, 2044), 30_000.0), rtol=1e-6, atol=0)
+    assert light.min() > 0.5 * 30_000
+    assert light.max() <= 30_000 * (1 + 1e-6)
+
+
+@settings(deadline=None, max_examples=25)
+@given(st.integers(1, 6), st.integers(1, 6), st.tuples(st.integers(1, 5), st.integers(1, 5)), st.floats(0.01, 0.5), st.floats(1, 1e5))
+def test_neighbours_share_their_border_at_any_size(rows: int, cols: int, texels: tuple[int, int], flank: float, cd: float) -> None:
+    lamp = idealised(rows, cols, texels_per_pixel=texels, flank=flank, intensity_cd=cd)
+    assert (lamp.rows, lamp.cols) == (rows * texels[0], cols * texels[1])
+    light = lamp.light_texture(torch.ones(lamp.n_pixels))
+    inner = light[texels[0] : -texels[0], texels[1] : -texels[1]]
+    torch.testing.assert_close(inner, torch.full_like(inner, cd), rtol=1e-5, atol=0)
+
+
+def test_pixels_are_row_major_from_the_top_left() -> None:
+    lamp = idealised(3, 4)
+    light = lamp.light_texture(torch.eye(12))
+    y, z = lamp.tangents(torch.float32, torch.device("cpu"))
+    total = light.sum((-2, -1))
+    pixel_y, pixel_z = (light.sum(-2) @ y) / total, (light.sum(-1) @ z) / total
+    pitch_y, pitch_z = (lamp.left - lamp.right) / 4, (lamp.top - lamp.bottom) / 3
+    for j in range(12):
+        row, col = divmod(j, 4)
+        # Pixels at the lamp's border lose their outer flank: less than a twentieth of the pitch.
+        assert pixel_y[j].item() == pytest.approx(lamp.left - (col + 0.5) * pitch_y, abs=0.05 * pitch_y)
+        assert pixel_z[j].item() == pytest.approx(lamp.top - (row + 0.5) * pitch_z, abs=0.05 * pitch_z)
+
+
+def test_texel_centres_lie_half_a_texel_inside(device: torch.device) -> None:
+    lamp = idealised(2, 3, texels_per_pixel=(2, 1), half_width_deg=15, top_deg=1.5, bottom_deg=-3.5)
+    y, z = lamp.tangents(torch.float64, device)
+    expected_y = [tan(15) + (c + 0.5) / 3 * (tan(-15) - tan(15)) for c in range(3)]
+    expected_z = [tan(1.5) + (r + 0.5) / 4 * (tan(-3.5) - tan(1.5)) for r in range(4)]
+    np.testing.assert_allclose(y.cpu(), expected_y, atol=1e-15)
+    np.testing.assert_allclose(z.cpu(), expected_z, atol=1e-15)
+    row, col = lamp.texel_of(y[[1]], z[[3]])
+    assert (row.item(), col.item()) == (pytest.approx(3.5), pytest.approx(1.5))
+
+
+def test_view_sees_the_texture(device: torch.device) -> None:
+    lamp = idealised(4, 6)
+    T = pose_from_degrees((0.3, 0.6, 0.75), roll_deg=2, pitch_deg=1, yaw_deg=-4)
+    view = lamp.view(T, lamp.cols, lamp.rows)
+    y, z = lamp.tangents(torch.float64, torch.device("cpu"))
+    rays = torch.stack([torch.ones(lamp.rows, lamp.cols, dtype=torch.float64), y.expand(lamp.rows, -1), z[:, None].expand(-1, lamp.cols)])
+    torch.testing.assert_close(view.rays(), torch.einsum("ij,jhw->ihw", T[:3, :3], rays), rtol=0, atol=1e-12)
+    assert lamp.to(device).matrix.values.device.type == device.type
+    assert lamp.to(device).light_texture(torch.ones(2, 24, device=device)).shape == (2, lamp.rows, lamp.cols)

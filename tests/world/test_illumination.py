@@ -1,0 +1,234 @@
+"""Light on surfaces against `E = I cos / d^2` in closed form, and the folded matrix against the plain path."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import scipy.sparse as sp
+import torch
+import trimesh
+from torch import Tensor
+
+from world.body import Body
+from world.flatroad import flat_road
+from world.frames import R_ISO_OPENCV, inverse, pose, pose_from_degrees, transform
+from world.gbuffer import GBuffer
+from world.headlight import Headlight
+from world.illumination import illuminance, luminance, reach, transport
+from world.presets import idealised
+from world.raycast import RayCaster
+from world.scene import Scene
+from world.shadow import shadow_map
+from world.spmv import Csr
+from world.view import View
+
+CD = 30_000.0
+LAMP = idealised(20, 32, intensity_cd=CD)
+T_LEFT = pose_from_degrees((0.0, 0.6, 0.75))
+T_RIGHT = pose_from_degrees((0.0, -0.6, 0.75))
+
+
+def camera(width: int = 160, height: int = 90, oversampling: int = 1) -> View:
+    """30 deg wide, 1.35 m high, 1.6 m behind the lamps."""
+    focal, rows = width / 2 / math.tan(math.radians(15)), height * oversampling
+    T = pose_from_degrees((-1.6, 0.0, 1.35), pitch_deg=3.0) @ pose(torch.zeros(3, dtype=torch.float64), R_ISO_OPENCV)
+    return View(width, rows, focal, focal * oversampling, width / 2, rows / 2, T)
+
+
+def surface_at(points: Tensor, normal: tuple[float, float, float], albedo: float = 0.3) -> GBuffer:
+    """One row of a G-buffer with points `[3, N]` and one normal."""
+    n = points.shape[1]
+    normals = torch.tensor(normal, dtype=torch.float64).to(points)[:, None].expand(3, n)
+    shape = (1, n)
+    return GBuffer(
+        points[:, None], normals[:, None], torch.full(shape, albedo).to(points), torch.zeros(shape, dtype=torch.int32).to(points.device)
+    )
+
+
+def wall(x_m: float, device: torch.device) -> GBuffer:
+    """A wall that the left lamp's field lies well within."""
+    y, z = torch.meshgrid(torch.linspace(-0.25, 0.25, 61, device=device), torch.linspace(-0.1, 0.06, 31, device=device), indexing="ij")
+    return surface_at(torch.stack([torch.full_like(y, x_m), 0.6 + x_m * y, 0.75 + x_m * z]).flatten(1), (-1.0, 0.0, 0.0))
+
+
+def inner_field(gbuffer: GBuffer, T_world_headlight: Tensor, lamp: Headlight = LAMP) -> Tensor:
+    """Mask `[N]` of the points that the lamp sees at least one pixellight away from its border, where it is even."""
+    x, y, z = transform(inverse(T_world_headlight).to(gbuffer.position), gbuffer.position.flatten(1))
+    row, col = lamp.texel_of(y / x, z / x)
+    margin_r, margin_c = lamp.rows / lamp.pixel_rows, lamp.cols / lamp.pixel_cols
+    inside = (row > margin_r) & (row < lamp.rows - margin_r) & (col > margin_c) & (col < lamp.cols - margin_c)
+    return inside & (x > 0) & (gbuffer.object_id.flatten() >= 0)
+
+
+def closed_form(gbuffer: GBuffer, T_world_headlight: Tensor) -> Tensor:
+    """`I cos / d^2` `[N]` in float64 of an even lamp."""
+    away = T_world_headlight[:3, 3:].to(gbuffer.position.device) - gbuffer.position.flatten(1).double()
+    d = away.norm(dim=0)
+    return CD * (gbuffer.normal.flatten(1).double() * away).sum(0) / d**3
+
+
+def light_on(gbuffer: GBuffer, T_world_headlight: Tensor, lamp: Headlight = LAMP, utilisation: Tensor | None = None) -> Tensor:
+    """Illuminance `[N]` of a whole G-buffer through the plain path, the lamp at full utilisation by default."""
+    u = gbuffer.position.new_ones(lamp.n_pixels) if utilisation is None else utilisation
+    lit = reach(gbuffer, lamp, T_world_headlight)
+    image = torch.zeros_like(gbuffer.albedo).flatten()
+    image[lit.index] = illuminance(lit, lamp.light_texture(u))
+    return image
+
+
+def assert_closed_form(gbuffer: GBuffer, poses: list[Tensor]) -> None:
+    lamp = LAMP.to(gbuffer.position.device)
+    even = torch.stack([inner_field(gbuffer, T) for T in poses]).all(0)
+    assert even.sum() > 100
+    actual = torch.stack([light_on(gbuffer, T, lamp) for T in poses]).sum(0)[even].double()
+    expected = torch.stack([closed_form(gbuffer, T) for T in poses]).sum(0)[even]
+    # The promise is 0.1 %; float32 does 100 times better where the texture is even and interpolation cannot matter.
+    torch.testing.assert_close(actual, expected, rtol=1e-5, atol=0)
+
+
+@pytest.mark.parametrize("x_m", [2.0, 10.0, 50.0])
+@pytest.mark.parametrize("turned", [(0.0, 0.0, 0.0), (3.0, -1.0, 5.0)])
+def test_flat_wall(x_m: float, turned: tuple[float, float, float], device: torch.device) -> None:
+    assert_closed_form(wall(x_m, device), [pose_from_degrees((0.0, 0.6, 0.75), *turned)])
+
+
+@pytest.mark.parametrize("poses", [[T_LEFT], [T_LEFT, T_RIGHT]], ids=["one lamp", "two lamps"])
+def test_flat_road(poses: list[Tensor], device: torch.device) -> None:
+    assert_closed_form(flat_road(camera(), 0.2).to(device), poses)
+
+
+def test_a_lambertian_road_shows_albedo_times_illuminance_over_pi() -> None:
+    lit = reach(flat_road(camera(), 0.2), LAMP, T_LEFT)
+    texture = LAMP.light_texture(torch.ones(LAMP.n_pixels))
+    torch.testing.assert_close(luminance(lit, texture), illuminance(lit, texture) * 0.2 / math.pi)
+
+
+def test_nothing_is_lit_beyond_the_border_behind_the_lamp_or_on_the_back(device: torch.device) -> None:
+    gbuffer = wall(10.0, device)
+    x, y, z = gbuffer.position.flatten(1) - T_LEFT[:3, 3:].to(gbuffer.position)
+    outside = ((y / x).abs() > LAMP.left) | (z / x > LAMP.top) | (z / x < LAMP.bottom)
+    lamp = LAMP.to(device)
+    light = light_on(gbuffer, T_LEFT, lamp)
+    assert (light[outside] == 0).all()
+    assert (light[~outside] > 0).all(), "asymmetric tangents: +1.5 / -3.5 deg"
+    assert not light_on(replace(gbuffer, normal=-gbuffer.normal), T_LEFT, lamp).any()
+    assert not light_on(replace(gbuffer, position=-gbuffer.position), T_LEFT, lamp).any()
+    assert not light_on(replace(gbuffer, object_id=gbuffer.object_id - 1), T_LEFT, lamp).any()
+
+
+def texel_lamp(left: float, right: float, bottom: float, top: float, rows: int = 4, cols: int = 5) -> Headlight:
+    """Every texel is a pixellight of its own with 1 cd."""
+    matrix = Csr.from_scipy(sp.eye_array(rows * cols), torch.float64)
+    return Headlight("texels", matrix, rows, cols, left, right, bottom, top, rows, cols)
+
+
+@pytest.mark.parametrize("borders", [(0.2, -0.2, -0.06, 0.03), (0.5, 0.1, -0.3, -0.1)], ids=["asymmetric", "looking aside"])
+def test_texture_is_bilinear_between_centres_and_clamped_outside_of_them(borders: tuple[float, float, float, float]) -> None:
+    left, right, bottom, top = borders
+    lamp = texel_lamp(left, right, bottom, top)
+    u = torch.rand(20, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
+    t = u.view(4, 5)
+
+    def intensity(row: float, col: float) -> float:
+        """Of the direction at continuous texture coordinates; texel (r, c) covers r..r + 1, c..c + 1."""
+        point = torch.tensor([[1.0], [left + col / 5 * (right - left)], [top + row / 4 * (bottom - top)]], dtype=torch.float64)
+        toward = tuple((-point[:, 0] / point.norm()).tolist())
+        return light_on(surface_at(point, toward), torch.eye(4, dtype=torch.float64), lamp, u).item() * point.square().sum().item()
+
+    exact = {"rel": 1e-9}
+    assert intensity(1.5, 2.5) == pytest.approx(t[1, 2].item(), **exact), "texel centres are at integer + 1/2"
+    assert intensity(2.0, 2.5) == pytest.approx((t[1, 2] + t[2, 2]).item() / 2, **exact)
+    assert intensity(1.75, 2.75) == pytest.approx(
+        torch.einsum("r,rc,c", torch.tensor([0.75, 0.25]).double(), t[1:3, 2:4], torch.tensor([0.75, 0.25]).double()).item(), **exact
+    )
+    assert intensity(0.1, 0.2) == pytest.approx(t[0, 0].item(), **exact), "clamped in the outer half texel"
+    assert intensity(3.9, 2.5) == pytest.approx(t[3, 2].item(), **exact)
+    assert intensity(3.9, 4.9) == pytest.approx(t[3, 4].item(), **exact)
+    assert intensity(-0.01, 2.5) == intensity(4.01, 2.5) == intensity(2.5, -0.01) == intensity(2.5, 5.01) == 0
+
+
+def test_a_lamp_of_one_texel() -> None:
+    lamp = texel_lamp(0.1, -0.1, -0.1, 0.1, rows=1, cols=1)
+    point = torch.tensor([[2.0], [0.05], [0.0]], dtype=torch.float64)
+    light = light_on(surface_at(point, (-1.0, 0.0, 0.0)), torch.eye(4, dtype=torch.float64), lamp)
+    assert light.item() == pytest.approx(2 / point.norm().item() ** 3)
+
+
+def test_a_box_throws_a_shadow_as_long_as_its_height_asks() -> None:
+    box = trimesh.creation.box(bounds=[[8, 0.1, 0], [9, 1.1, 0.5]])
+    road = trimesh.Trimesh([[-5, -20, 0], [80, -20, 0], [80, 20, 0], [-5, 20, 0]], [[0, 1, 2], [0, 2, 3]])
+    scene = Scene((Body("road", road), Body("box", box)))
+    shadow = shadow_map(scene.at(0.0), LAMP.view(T_LEFT, 640, 320), RayCaster())
+    # The ray over the far upper edge falls 0.25 m in 9 m and meets the road at 27 m.
+    x = torch.tensor([13.0, 20.0, 26.5, 27.5, 40.0, 20.0])
+    y = torch.tensor([0.6, 0.6, 0.6, 0.6, 0.6, 2.5])
+    points = surface_at(torch.stack([x, y, torch.zeros(6)]), (0.0, 0.0, 1.0))
+    lit = reach(points, LAMP, T_LEFT, shadow)
+    assert lit.index.tolist() == [3, 4, 5]
+    free = reach(points, LAMP, T_LEFT)
+    torch.testing.assert_close(lit.factor, free.factor[3:])
+
+
+@pytest.fixture(scope="module")
+def folded() -> tuple:
+    lit = reach(flat_road(camera(), 0.2), LAMP, T_LEFT)
+    return lit, transport(lit, LAMP, 160)
+
+
+def test_transport_equals_the_plain_path(folded: tuple) -> None:
+    lit, folded_transport = folded
+    u = torch.rand(3, LAMP.n_pixels, generator=torch.Generator().manual_seed(4))
+    actual, index = folded_transport.luminance(u)
+    # At most eight float32 products a pixel, none negative: some 1e-6.
+    torch.testing.assert_close(actual, luminance(lit, LAMP.light_texture(u)), rtol=1e-5, atol=0)
+    assert torch.equal(index, lit.index)
+
+
+def test_oversampled_transport_takes_the_mean_over_a_pixel() -> None:
+    lit = reach(flat_road(camera(oversampling=3), 0.2), LAMP, T_LEFT)
+    u = torch.rand(2, LAMP.n_pixels, generator=torch.Generator().manual_seed(6))
+    samples = torch.zeros(2, 270 * 160)
+    samples[:, lit.index] = luminance(lit, LAMP.light_texture(u))
+    image = torch.zeros(2, 90 * 160)
+    part, index = transport(lit, LAMP, 160, 3).luminance(u)
+    image[:, index] = part
+    torch.testing.assert_close(image.view(2, 90, 160), samples.view(2, 90, 3, 160).mean(2), rtol=1e-5, atol=0)
+
+
+@pytest.mark.parametrize(
+    "band", [slice(0, 640), slice(330, 331), slice(300, 420), slice(0, 32), slice(639, 640), slice(0, 0), slice(640, 640)]
+)
+def test_banded_light_equals_whole_light(folded: tuple, band: slice) -> None:
+    _, folded_transport = folded
+    u = torch.zeros(LAMP.n_pixels)
+    u[band] = torch.rand(u[band].shape, generator=torch.Generator().manual_seed(5))
+    image, expected = torch.zeros(2, 160 * 90)
+    part, index = folded_transport.luminance(u, band)
+    image[index] = part
+    whole, index = folded_transport.luminance(u)
+    expected[index] = whole
+    torch.testing.assert_close(image, expected, rtol=1e-6, atol=0)
+
+
+def test_transport_passes_gradients(folded: tuple) -> None:
+    lit, folded_transport = folded
+    u = torch.full((2, LAMP.n_pixels), 0.5, requires_grad=True)
+    folded_transport.luminance(u)[0].square().sum().backward()
+    v = torch.full((2, LAMP.n_pixels), 0.5, requires_grad=True)
+    luminance(lit, LAMP.light_texture(v)).square().sum().backward()
+    torch.testing.assert_close(u.grad, v.grad, rtol=1e-4, atol=1e-6)
+
+
+def test_the_assumed_road_is_empty_above_the_horizon() -> None:
+    view = camera()
+    road = flat_road(view, 0.2)
+    below = road.object_id >= 0
+    assert torch.equal(below, view.rays()[2] < 0)
+    assert below.any() and not below.all()
+    for image in (road.position[:, ~below], road.normal[:, ~below], road.albedo[~below]):
+        assert not image.any()
+    uv, depth = view.project(road.position.flatten(1)[:, below.flatten()].double())
+    assert (depth > 0).all()
+    # Where the float32 position is far away it is a millionth of that off.
+    centres = torch.nonzero(below).flip(-1).T + 0.5
+    torch.testing.assert_close(uv, centres.double(), rtol=0, atol=1e-3)
