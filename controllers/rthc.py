@@ -108,6 +108,8 @@ def _nearest(hit: Tensor, length: Tensor) -> Tensor:
 def _symbol_value(symbols: Tensor, u: Tensor, v: Tensor) -> Tensor:
     """Symbol images `[P, h, w]` at symbol coordinates `[..., P, rows, cols]`, bilinear, texel centres at (k + 1/2) / n."""
     shape = u.shape
+    if not u.numel():
+        return u  # out of sight
     images = symbols.expand(*shape[:-2], *symbols.shape[-2:]).reshape(-1, 1, *symbols.shape[-2:])
     map_u, map_v = (2 * coordinate.reshape(-1, *shape[-2:]) - 1 for coordinate in (u, v))
     return remap(images, map_u, map_v, padding_mode="border", align_corners=False, normalized_coordinates=True).reshape(shape)
