@@ -1,0 +1,107 @@
+"""Where a symbol's corners lie, which way it is read, and what counts as a picture."""
+
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from torch import Tensor
+
+from controllers.primitives import Primitives, load_symbol, road_symbol
+from world.errors import LuxloopError
+
+SYMBOL = torch.ones(2, 3)
+
+
+def symbol_at(x: float, y: float, roll: float = 0.0, pitch: float = 0.0, z: float = 0.0) -> Primitives:
+    return road_symbol(torch.tensor([x, y, roll, pitch], dtype=torch.float64), z, 2.0, 4.0, SYMBOL, 1.0, "u_abs")
+
+
+def test_flat_symbol_is_read_by_the_driver() -> None:
+    p = symbol_at(17, 0.5, z=0.1)
+    # Image row 0 is the far end, column 0 is on the left: far left, far right, near left, near right.
+    expected = [[19, 1.5, 0.1], [19, -0.5, 0.1], [15, 1.5, 0.1], [15, -0.5, 0.1]]
+    np.testing.assert_allclose(p.corners()[0], expected, atol=1e-12)
+    assert p.normal.tolist() == [[0, 0, 1]]
+
+
+def height(p: Primitives, corner: int) -> float:
+    return p.corners()[0, corner, 2].item()
+
+
+def test_signs_of_roll_and_pitch() -> None:
+    rolled = symbol_at(17, 0, roll=0.1)
+    assert height(rolled, 0) > 0 > height(rolled, 1), "positive roll: right side down"
+    pitched = symbol_at(17, 0, pitch=0.1)
+    assert height(pitched, 0) < 0 < height(pitched, 2), "positive pitch: far end down"
+
+
+@given(st.floats(5, 40), st.floats(-5, 5), st.floats(-1, 1), st.floats(-1, 1))
+def test_turning_moves_neither_centre_nor_size(x: float, y: float, roll: float, pitch: float) -> None:
+    p = symbol_at(x, y, roll, pitch, z=0.2)
+    np.testing.assert_allclose(p.corners().mean(-2)[0], [x, y, 0.2], atol=1e-12)
+    np.testing.assert_allclose([p.d1.norm(), p.d2.norm(), p.normal.norm()], [2, 4, 1], atol=1e-12)
+    np.testing.assert_allclose([(p.d1 @ p.d2.T).item(), (p.d1 @ p.normal.T).item(), (p.d2 @ p.normal.T).item()], 0, atol=1e-12)
+
+
+def test_order_is_roll_within_pitch() -> None:
+    roll, pitch = 0.3, 0.2
+    # R = Ry(pitch) Rx(roll): the forward edge knows pitch only.
+    np.testing.assert_allclose(-symbol_at(17, 0, roll, pitch).d2[0] / 4, [math.cos(pitch), 0, -math.sin(pitch)], atol=1e-12)
+
+
+def test_batches_keep_dtype_and_device(device: torch.device) -> None:
+    p = road_symbol(torch.zeros(5, 3, 4, device=device), 0.0, 2.0, 4.0, SYMBOL.to(device), 0.5, "E_v")
+    assert p.origin.shape == p.d1.shape == p.d2.shape == p.normal.shape == (5, 3, 1, 3)
+    assert p.corners().shape == (5, 3, 1, 4, 3)
+    assert p.value.shape == (5, 3, 1)
+    assert p.symbols.shape == (1, 2, 3)
+    assert (p.value == 0.5).all()
+    assert {(t.dtype, t.device.type) for t in (p.origin, p.d1, p.normal, p.symbols, p.value)} == {(torch.float32, device.type)}
+
+
+def write(folder: Path, image: np.ndarray, name: str = "symbol.png") -> Path:
+    path = folder / name
+    cv2.imencode(path.suffix, image)[1].tofile(path)
+    return path
+
+
+def test_pictures_become_grey_in_0_to_1(tmp_path: Path) -> None:
+    def loaded(image: np.ndarray) -> Tensor:
+        symbol = load_symbol(write(tmp_path, image))
+        assert (symbol.dtype, symbol.shape) == (torch.float32, (2, 2))
+        return symbol
+
+    grey = np.array([[0, 51], [102, 255]], np.uint8)
+    expected = torch.tensor([[0.0, 0.2], [0.4, 1.0]])
+    torch.testing.assert_close(loaded(grey), expected)
+    torch.testing.assert_close(loaded(grey.astype(np.uint16) * 257), expected)
+    torch.testing.assert_close(loaded(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)), expected)
+    half_transparent = np.dstack([np.full((2, 2, 3), 255, np.uint8), grey])
+    torch.testing.assert_close(loaded(half_transparent), expected)
+
+
+def test_a_dim_picture_stays_dim(tmp_path: Path) -> None:
+    assert load_symbol(write(tmp_path, np.full((2, 2), 51, np.uint8))).max().item() == pytest.approx(0.2)
+
+
+def test_what_is_no_symbol_is_refused_by_a_sentence(tmp_path: Path) -> None:
+    def refused(path: Path, reason: str) -> None:
+        with pytest.raises(LuxloopError, match=reason) as caught:
+            load_symbol(path)
+        assert str(path) in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+    text, empty = tmp_path / "text.png", tmp_path / "empty.png"
+    text.write_text("no picture")
+    empty.touch()
+    refused(tmp_path / "absent.png", "does not exist")
+    refused(tmp_path, "does not exist")
+    refused(text, "cannot be read")
+    refused(empty, "cannot be read")
+    refused(write(tmp_path, np.ones((2, 2), np.float32), "float.tiff"), "cannot be read as a picture of 8 or 16 bits")
+    refused(write(tmp_path, np.zeros((2, 2), np.uint8)), "all black")

@@ -1,0 +1,255 @@
+"""The homography against rays solved one by one, and the conventions of setpoints."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor
+
+from controllers.primitives import Primitives, road_symbol
+from controllers.rthc import Setpoints, Window, projected_window, trace, whole
+from tests.reference import ssc as reference
+from world.frames import pose_from_degrees
+from world.presets import idealised
+
+LAMP = idealised(10, 16)  # 40 x 32 texels
+T_LEFT = pose_from_degrees((0.0, 0.6, 0.75))
+T_ORIGIN = pose_from_degrees((0.0, 0.0, 0.0))
+
+
+def primitives(
+    *rectangles: tuple, symbols: Tensor | None = None, quantity: str = "u_abs", dtype: torch.dtype = torch.float64
+) -> Primitives:
+    """Rectangles given as (origin, d1, d2, value), with the normal that looks back at the lamp."""
+    origin, d1, d2 = (torch.tensor([r[i] for r in rectangles], dtype=dtype) for i in range(3))
+    normal = torch.linalg.cross(d1, d2)
+    normal = torch.nn.functional.normalize(normal, dim=-1) * -torch.sign((normal * origin).sum(-1, keepdim=True))
+    symbols = torch.ones(len(rectangles), 1, 1, dtype=dtype) if symbols is None else symbols.to(dtype)
+    return Primitives(origin, d1, d2, normal, symbols, torch.tensor([r[3] for r in rectangles], dtype=dtype), quantity)
+
+
+def facing(x: float, value: float = 1.0, half: float = 100.0, y: float = 0.0) -> tuple:
+    """A square wall at x, seen upright: u to the right, v down."""
+    return (x, y + half, half), (0.0, -2 * half, 0.0), (0.0, 0.0, -2 * half), value
+
+
+def random_scene(seed: int, quantity: str) -> Primitives:
+    """Four skewed rectangles all over the field of view, each with a symbol of its own."""
+    generator = np.random.default_rng(seed)
+    rectangles = []
+    for value in generator.uniform(0.1, 2, 4):
+        x = generator.uniform(5, 30)
+        centre = x * np.array([1, generator.uniform(-0.15, 0.15), generator.uniform(-0.06, 0.03)])
+        d1, d2 = generator.normal(size=(2, 3)) * x * 0.1
+        rectangles.append((tuple(centre - (d1 + d2) / 2), tuple(d1), tuple(d2), value))
+    return primitives(*rectangles, symbols=torch.from_numpy(generator.random((4, 5, 7))), quantity=quantity)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("quantity", ["u_abs", "E_v"])
+def test_equals_rays_solved_one_by_one(seed: int, quantity: str) -> None:
+    scene = random_scene(seed, quantity)
+    T = pose_from_degrees((0.3, 0.2, 0.1), roll_deg=5, pitch_deg=-1, yaw_deg=3)
+    value, hit = reference.trace(scene, LAMP, T.numpy())
+    assert 50 < hit.sum() < hit.size
+    fast = trace(scene, LAMP, T)
+    np.testing.assert_array_equal(fast.hit, hit)
+    # Both float64; a ray that grazes its rectangle costs the solver some digits.
+    np.testing.assert_allclose(fast.value, value, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("quantity", ["u_abs", "E_v"])
+def test_float32_differs_at_outlines_only(quantity: str, device: torch.device) -> None:
+    scene = random_scene(1, quantity)
+    exact = trace(scene, LAMP, T_LEFT)
+    tensors = {k: v.float().to(device) for k, v in vars(scene).items() if isinstance(v, Tensor)}
+    fast = trace(replace(scene, **tensors), LAMP.to(device), T_LEFT)
+    assert (fast.value.dtype, fast.value.device.type) == (torch.float32, device.type)
+    # No texel's centre happens to lie within 1e-6 of an outline here.
+    assert torch.equal(fast.hit.cpu(), exact.hit)
+    torch.testing.assert_close(fast.value.cpu().double(), exact.value, rtol=1e-3, atol=1e-4)
+
+
+def test_symbols_are_bilinear_with_texel_centres_at_halves() -> None:
+    image = torch.rand(1, 4, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
+    wall = (
+        (10.0, 10 * LAMP.left, 10 * LAMP.top),
+        (0.0, 10 * (LAMP.right - LAMP.left), 0.0),
+        (0.0, 0.0, 10 * (LAMP.bottom - LAMP.top)),
+        1.0,
+    )
+    seen = trace(primitives(wall, symbols=image), LAMP, T_ORIGIN)
+    assert seen.hit.all()
+    expected = [
+        [reference.symbol_value(image[0].numpy(), (c + 0.5) / LAMP.cols, (r + 0.5) / LAMP.rows) for c in range(LAMP.cols)]
+        for r in range(LAMP.rows)
+    ]
+    np.testing.assert_allclose(seen.value, expected, atol=1e-12)
+    # Row 0 at v = 0 on top, column 0 at u = 0 on the left; clamped in the outer half texel.
+    assert seen.value[0, 0].item() == pytest.approx(image[0, 0, 0].item())
+    assert seen.value[-1, 0].item() == pytest.approx(image[0, -1, 0].item())
+
+
+def test_the_reference_interpolates_as_the_conventions_say() -> None:
+    image = np.array([[1.0, 0.0], [0.0, 0.0]])
+    assert reference.symbol_value(image, 0.25, 0.25) == 1
+    assert reference.symbol_value(image, 0.5, 0.25) == 0.5
+    assert reference.symbol_value(image, 0.5, 0.5) == 0.25
+    assert reference.symbol_value(image, 0.1, 0.0) == 1
+
+
+def test_nearest_wins_whatever_the_order() -> None:
+    near, far = facing(10, value=0.3), facing(20, value=0.7)
+    for order in ((near, far), (far, near)):
+        seen = trace(primitives(*order), LAMP, T_ORIGIN)
+        assert (seen.value == 0.3).all()
+        assert seen.hit.all()
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_coplanar_primitives_are_painted_in_order(dtype: torch.dtype) -> None:
+    """Signs on one road: their planes are equal only up to rounding, which must not show."""
+
+    def road(x: float, y: float, value: float) -> tuple:
+        return (x + 20, y + 5, 0.0), (0.0, -10.0, 0.0), (-40.0, 0.0, 0.0), value
+
+    rectangles = [road(30, 0, 0.2), road(31.7, 0.3, 0.4), road(29.3, -0.7, 0.6)]
+    for order in (rectangles, rectangles[::-1]):
+        scene = primitives(*order, dtype=dtype)
+        scene = replace(scene, normal=torch.tensor([[0.0, 0.0, 1.0]], dtype=dtype).expand(3, 3))
+        seen = trace(scene, LAMP, T_LEFT)
+        alone = trace(
+            replace(
+                scene,
+                origin=scene.origin[-1:],
+                d1=scene.d1[-1:],
+                d2=scene.d2[-1:],
+                value=scene.value[-1:],
+                normal=scene.normal[-1:],
+                symbols=scene.symbols[-1:],
+            ),
+            LAMP,
+            T_LEFT,
+        )
+        assert alone.hit.sum() > 100
+        assert (seen.value[alone.hit] == order[-1][3]).all()
+
+
+def test_back_faces_and_what_lies_behind_the_lamp_are_not_hit() -> None:
+    scene = primitives(facing(10))
+    assert trace(scene, LAMP, T_ORIGIN).hit.all()
+    assert not trace(replace(scene, normal=-scene.normal), LAMP, T_ORIGIN).hit.any()
+    assert not trace(replace(scene, origin=scene.origin - torch.tensor([20.0, 0, 0])), LAMP, T_ORIGIN).hit.any()
+
+
+def test_a_missed_ray_carries_nothing() -> None:
+    seen = trace(primitives(facing(10, half=0.3), facing(12, half=0.2, y=1.0)), LAMP, T_ORIGIN)
+    assert seen.hit.any() and not seen.hit.all()
+    assert (seen.value[~seen.hit] == 0).all()
+
+
+def test_illuminance_becomes_intensity_by_the_inverse_square_law() -> None:
+    seen = trace(primitives(facing(10, value=5.0), quantity="E_v"), LAMP, T_ORIGIN)
+    y, z = LAMP.tangents(torch.float64, torch.device("cpu"))
+    d = 10 * (1 + y**2 + z[:, None] ** 2).sqrt()
+    torch.testing.assert_close(seen.value, 5 * d**2 / (10 / d), rtol=1e-12, atol=0)
+
+
+def test_a_given_normal_serves_the_cosine_only() -> None:
+    scene = primitives(facing(10, value=5.0), quantity="E_v")
+    tilted = replace(scene, normal=torch.tensor([[-0.6, 0.0, 0.8]], dtype=torch.float64))
+    straight, slanting = trace(scene, LAMP, T_ORIGIN), trace(tilted, LAMP, T_ORIGIN)
+    _, z = LAMP.tangents(torch.float64, torch.device("cpu"))
+    cosine_ratio = 0.6 - 0.8 * z[:, None].expand(-1, LAMP.cols)  # of the unnormalised ray, whose length cancels
+    torch.testing.assert_close(slanting.value, straight.value / cosine_ratio, rtol=1e-12, atol=0)
+
+
+road_poses = st.tuples(st.floats(2, 60), st.floats(-8, 8), st.floats(-0.7, 0.7), st.floats(-0.5, 0.5))
+
+
+def cut(setpoints: Setpoints, w: Window) -> tuple[Tensor, Tensor]:
+    return setpoints.value[w.row_start : w.row_stop, w.col_start : w.col_stop], setpoints.hit[
+        w.row_start : w.row_stop, w.col_start : w.col_stop
+    ]
+
+
+@settings(deadline=None, max_examples=100)
+@given(road_poses)
+def test_projected_window_holds_every_hit(pose: tuple[float, float, float, float]) -> None:
+    scene = road_symbol(torch.tensor(pose), 0.0, 2.0, 4.0, torch.rand(4, 4), 1.0, "u_abs")
+    all_rays = trace(scene, LAMP, T_LEFT)
+    window = projected_window(scene, LAMP, T_LEFT)
+    value, hit = cut(all_rays, window)
+    assert hit.sum() == all_rays.hit.sum()
+    banded = trace(scene, LAMP, T_LEFT, window)
+    assert banded.window == window
+    assert torch.equal(banded.hit, hit)
+    torch.testing.assert_close(banded.value, value, rtol=1e-5, atol=1e-6)
+
+
+def test_window_is_tight_and_whole_for_what_reaches_behind() -> None:
+    wall = primitives(facing(10, half=0.3))
+    window = projected_window(wall, LAMP, T_ORIGIN)
+    hit = torch.nonzero(trace(wall, LAMP, T_ORIGIN).hit)
+    assert (hit.amin(0) - torch.tensor([window.row_start, window.col_start]) <= 1).all()
+    assert (torch.tensor([window.row_stop, window.col_stop]) - hit.amax(0) <= 2).all()
+    around = primitives(((-5.0, 3.0, -1.0), (40.0, 0.0, 0.0), (0.0, -6.0, 0.0), 1.0))
+    assert projected_window(around, LAMP, T_ORIGIN) == whole(LAMP)
+
+
+def test_out_of_sight_the_window_is_empty() -> None:
+    window = projected_window(primitives(facing(10, half=0.3, y=50.0)), LAMP, T_ORIGIN)
+    assert (window.row_stop - window.row_start) * (window.col_stop - window.col_start) == 0
+    assert trace(primitives(facing(10, half=0.3, y=50.0)), LAMP, T_ORIGIN, window).hit.numel() == 0
+
+
+@pytest.mark.parametrize("quantity", ["u_abs", "E_v"])
+def test_a_batch_is_a_loop_of_singles(quantity: str, device: torch.device) -> None:
+    poses = torch.tensor([[17.0, 0, 0, 0], [14.0, 2, 0.1, -0.1], [30.0, -3, -0.1, 0.02], [17.0, 0, 0, 0.5]], device=device)
+    symbol, lamp = torch.rand(6, 5, device=device), LAMP.to(device)
+    batch = trace(road_symbol(poses.view(2, 2, 4), 0.0, 2.0, 4.0, symbol, 2.0, quantity), lamp, T_LEFT)
+    for k, pose in enumerate(poses):
+        single = trace(road_symbol(pose, 0.0, 2.0, 4.0, symbol, 2.0, quantity), lamp, T_LEFT)
+        assert torch.equal(batch.hit[k // 2, k % 2], single.hit)
+        # Sums may be ordered differently: a few float32 roundings, thirtyfold by grazing light.
+        torch.testing.assert_close(batch.value[k // 2, k % 2], single.value, rtol=1e-4, atol=1e-5)
+    assert not batch.hit[1, 1].any(), "turned edge-on and beyond: the lamp sees its back"
+
+
+def test_gradient_against_differences() -> None:
+    ramp = (torch.arange(8, dtype=torch.float64)[:, None] + 0.3 * torch.arange(8, dtype=torch.float64)) / 10  # bilinear without kinks
+
+    def inside(pose: Tensor) -> Tensor:
+        seen = trace(road_symbol(pose, 0.0, 3.0, 8.0, ramp, 1.0, "E_v"), LAMP, T_LEFT)
+        y, z = LAMP.tangents(torch.float64, torch.device("cpu"))
+        # Road points well within the symbol, where its outline and its clamped border are far.
+        x_road, y_road = -0.75 / z[:, None], 0.6 - 0.75 * y / z[:, None]
+        return seen.value[((x_road - 17).abs() < 2) & ((y_road - 0).abs() < 0.8)]
+
+    pose = torch.tensor([17.0, 0.1, 0.01, -0.01], dtype=torch.float64, requires_grad=True)
+    assert len(inside(pose)) > 5
+    assert torch.autograd.gradcheck(inside, (pose,), eps=1e-6, rtol=1e-4)
+
+
+@pytest.mark.parametrize("quantity", ["u_abs", "E_v"])
+def test_gradient_survives_rays_along_the_plane(quantity: str) -> None:
+    lamp = idealised(5, 4, texels_per_pixel=(1, 2), top_deg=5, bottom_deg=-5)
+    assert lamp.tangents(torch.float32, torch.device("cpu"))[1][2] == 0, "the middle row looks along the road"
+    pose = torch.tensor([17.0, 0.0, 0.0, 0.0], requires_grad=True)
+    seen = trace(road_symbol(pose, 0.0, 6.0, 12.0, torch.rand(4, 4), 1.0, quantity), lamp, T_LEFT)
+    assert seen.hit.any() and not seen.hit[:3].any()
+    seen.value.sum().backward()
+    assert pose.grad is not None and pose.grad.isfinite().all() and pose.grad.any()
+
+
+def test_turned_lamps_look_elsewhere() -> None:
+    """Turning the lamp by 2 deg to the left moves what it sees by tan(2 deg) to the right."""
+    wall = primitives(facing(10, half=0.2))
+    straight, turned = (trace(wall, LAMP, pose_from_degrees((0.0, 0.0, 0.0), yaw_deg=yaw)).hit for yaw in (0.0, 2.0))
+    shift = (torch.nonzero(turned).double().mean(0) - torch.nonzero(straight).double().mean(0))[1]
+    pitch = (LAMP.left - LAMP.right) / LAMP.cols
+    assert shift.item() == pytest.approx(math.tan(math.radians(2)) / pitch, abs=0.6)
