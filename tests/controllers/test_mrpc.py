@@ -1,0 +1,211 @@
+"""Map and reduce against the plain sums of (7.4.1) and (7.4.5), entry by entry."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+import torch
+from pydantic import ValidationError
+from torch import Tensor
+
+from controllers.mrpc import MrpcParams, pixel_major, reduce_setpoints
+from controllers.primitives import Quantity
+from controllers.rthc import Setpoints, Window, whole
+from tests.reference import ssc as reference
+from world.headlight import Headlight
+from world.spmv import Csr
+
+ROWS, COLS, PIXELS = 6, 8, 12
+DARK_PIXEL, DARK_TEXEL = 5, 17
+
+
+def random_lamp(seed: int) -> tuple[Headlight, np.ndarray]:
+    """A lamp with overlapping pixels and its dense matrix `[48, 12]`: one pixel has no texel, one texel no pixel, some entries are zero."""
+    generator = np.random.default_rng(seed)
+    A = generator.uniform(1, 1000, (ROWS * COLS, PIXELS)) * (generator.random((ROWS * COLS, PIXELS)) < 0.25)
+    A[:, DARK_PIXEL] = A[DARK_TEXEL] = 0
+    csr = Csr.from_scipy(sp.csr_array(A), torch.float64)
+    stored_zeros = replace(csr, values=csr.values.clone())
+    stored_zeros.values[::9] = 0
+    return Headlight("random", stored_zeros, ROWS, COLS, 0.2, -0.2, -0.1, 0.1, 3, 4), stored_zeros.to_scipy().toarray()
+
+
+def random_setpoints(seed: int, A: np.ndarray, quantity: Quantity, window: Window | None = None) -> Setpoints:
+    """Setpoints from far too little to more than the lamp can give, where about two thirds of the rays hit."""
+    window = window or Window(0, ROWS, 0, COLS)
+    generator = np.random.default_rng(seed + 100)
+    value = generator.uniform(0, 1.5, (ROWS, COLS))
+    if quantity in ("I_v", "E_v"):
+        value *= A.sum(1).reshape(ROWS, COLS)
+    hit = generator.random((ROWS, COLS)) < 0.67
+    value[~hit] = 0
+    cut = slice(window.row_start, window.row_stop), slice(window.col_start, window.col_stop)
+    return Setpoints(torch.from_numpy(value[cut].copy()), torch.from_numpy(hit[cut].copy()), window)
+
+
+def reduced(setpoints: Setpoints, quantity: Quantity, lamp: Headlight, params: MrpcParams, default: Tensor) -> tuple[Tensor, slice]:
+    return reduce_setpoints(setpoints, quantity, lamp, pixel_major(lamp, params), params, default)
+
+
+def base_pattern(seed: int) -> Tensor:
+    return torch.rand(PIXELS, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
+
+
+@pytest.mark.parametrize("quantity", ["I_v", "E_v", "u_abs", "u_rel"])
+@pytest.mark.parametrize("a_r", [0.0, 1.0, 2.0])
+@pytest.mark.parametrize("a_m", [0.0, 0.5, 1.0, 2.0])
+def test_equals_the_plain_sums(a_m: float, a_r: float, quantity: Quantity) -> None:
+    for seed in range(3):
+        lamp, A = random_lamp(seed)
+        default = base_pattern(seed)
+        setpoints = random_setpoints(seed, A, quantity)
+        if quantity == "u_rel":
+            setpoints = replace(setpoints, value=2 * setpoints.value)  # so that some pixels would need more than full
+        u, _ = reduced(setpoints, quantity, lamp, MrpcParams(a_m=a_m, a_r=a_r), default)
+        expected = reference.map_reduce(
+            A, setpoints.value.flatten().numpy(), setpoints.hit.flatten().numpy(), quantity, a_m, a_r, default.numpy()
+        )
+        # float64 sums over at most 48 texels.
+        np.testing.assert_allclose(u, expected, rtol=0, atol=1e-12)
+        assert u[DARK_PIXEL] == default[DARK_PIXEL]
+
+
+@pytest.mark.parametrize("a_m", [0.0, 1.0])
+@pytest.mark.parametrize("quantity", ["I_v", "u_rel"])
+def test_float32_on_every_device(quantity: Quantity, a_m: float, device: torch.device) -> None:
+    lamp, A = random_lamp(1)
+    setpoints, default, params = random_setpoints(1, A, quantity), base_pattern(1), MrpcParams(a_m=a_m, a_r=2)
+    exact, _ = reduced(setpoints, quantity, lamp, params, default)
+    fast = replace(lamp, matrix=lamp.matrix.to(torch.float32)).to(device)
+    moved = Setpoints(setpoints.value.float().to(device), setpoints.hit.to(device), setpoints.window)
+    u, _ = reduced(moved, quantity, fast, params, default.float().to(device))
+    assert (u.dtype, u.device.type) == (torch.float32, device.type)
+    torch.testing.assert_close(u.cpu().double(), exact, rtol=0, atol=1e-6)  # means of numbers in 0..1
+
+
+@pytest.mark.parametrize("a_m", [0.5, 1.0])
+@pytest.mark.parametrize("window", [Window(0, 6, 0, 8), Window(2, 3, 1, 7), Window(0, 2, 0, 8), Window(5, 6, 3, 4), Window(4, 6, 2, 8)])
+def test_a_window_equals_the_whole(window: Window, a_m: float) -> None:
+    A = np.zeros((ROWS * COLS, PIXELS))
+    for j in range(PIXELS):  # pixels in rows, as in real lamps, so that the band leaves some out
+        rows = np.arange(COLS) + COLS * (2 * (j // 4))
+        A[rows[2 * (j % 4) :][:3], j] = A[rows[2 * (j % 4) :][:3] + COLS, j] = 10 + j
+    lamp = Headlight("rows", Csr.from_scipy(sp.csr_array(A), torch.float64), ROWS, COLS, 0.2, -0.2, -0.1, 0.1, 3, 4)
+    part = random_setpoints(3, A, "I_v", window)
+    value, hit = torch.zeros(ROWS, COLS, dtype=torch.float64), torch.zeros(ROWS, COLS, dtype=torch.bool)
+    cut = slice(window.row_start, window.row_stop), slice(window.col_start, window.col_stop)
+    value[cut], hit[cut] = part.value, part.hit
+    default, params = base_pattern(3), MrpcParams(a_m=a_m)
+    u, band = reduced(part, "I_v", lamp, params, default)
+    expected, everything = reduced(Setpoints(value, hit, whole(lamp)), "I_v", lamp, params, default)
+    assert everything == slice(0, PIXELS)
+    torch.testing.assert_close(u, expected, rtol=0, atol=1e-14)
+    rest = torch.ones(PIXELS, dtype=torch.bool)
+    rest[band] = False
+    assert torch.equal(u[rest], default[rest])
+    if window.row_stop - window.row_start < ROWS:
+        assert rest.any(), "the band leaves out the pixels that have no texel in the window's rows"
+
+
+def test_an_empty_window_leaves_the_default() -> None:
+    lamp, _ = random_lamp(0)
+    default = base_pattern(0)
+    nothing = Setpoints(torch.zeros(2, 0, 8, dtype=torch.float64), torch.zeros(2, 0, 8, dtype=torch.bool), Window(3, 3, 0, 8))
+    u, band = reduced(nothing, "u_abs", lamp, MrpcParams(), default)
+    assert torch.equal(u, default.expand(2, -1))
+    assert band == slice(0, 0)
+
+
+def test_rows_without_pixels_leave_the_default() -> None:
+    A = np.zeros((ROWS * COLS, PIXELS))
+    A[:COLS, 0] = 7
+    lamp = Headlight("one", Csr.from_scipy(sp.csr_array(A), torch.float64), ROWS, COLS, 0.2, -0.2, -0.1, 0.1, 3, 4)
+    default = base_pattern(0)
+    below = Setpoints(torch.ones(2, 8, dtype=torch.float64), torch.ones(2, 8, dtype=torch.bool), Window(3, 5, 0, 8))
+    u, band = reduced(below, "u_abs", lamp, MrpcParams(), default)
+    assert torch.equal(u, default)
+    assert band.start == band.stop
+
+
+@pytest.mark.parametrize(("quantity", "a_m"), [("I_v", 1.0), ("I_v", 0.5), ("u_rel", 1.0), ("u_abs", 1.0)])
+def test_a_batch_is_a_loop_of_singles(quantity: Quantity, a_m: float) -> None:
+    lamp, A = random_lamp(2)
+    params, default = MrpcParams(a_m=a_m), base_pattern(2)
+    singles = [random_setpoints(seed, A, quantity) for seed in range(4)]
+    stacked = Setpoints(
+        torch.stack([s.value for s in singles]).view(2, 2, ROWS, COLS),
+        torch.stack([s.hit for s in singles]).view(2, 2, ROWS, COLS),
+        whole(lamp),
+    )
+    u, _ = reduced(stacked, quantity, lamp, params, default)
+    assert u.shape == (2, 2, PIXELS)
+    for k, single in enumerate(singles):
+        torch.testing.assert_close(u[k // 2, k % 2], reduced(single, quantity, lamp, params, default)[0], rtol=0, atol=1e-14)
+
+
+def everywhere(value: Tensor, lamp: Headlight) -> Setpoints:
+    return Setpoints(value.view(ROWS, COLS), torch.ones(ROWS, COLS, dtype=torch.bool), whole(lamp))
+
+
+def test_exponent_2_is_the_least_squares_solution_of_each_pixel() -> None:
+    lamp, A = random_lamp(4)
+    setpoint = 0.3 * A.min(1, where=A > 0, initial=1e9) * (A > 0).sum(1)  # an equal share never exceeds what a pixel can give
+    u, _ = reduced(everywhere(torch.from_numpy(setpoint), lamp), "I_v", lamp, MrpcParams(a_m=0, a_r=2), base_pattern(4))
+    share = setpoint / np.maximum((A > 0).sum(1), 1)
+    for j in set(range(PIXELS)) - {DARK_PIXEL}:
+        reached = A[:, j] > 0
+        assert u[j].item() == pytest.approx(np.linalg.lstsq(A[reached, j : j + 1], share[reached])[0].item(), rel=1e-9)
+
+
+def test_exponent_1_gives_every_pixel_the_light_that_was_asked_of_it() -> None:
+    lamp, A = random_lamp(5)
+    setpoint = np.random.default_rng(5).uniform(0, 1, ROWS * COLS) * A.sum(1)
+    u, _ = reduced(
+        everywhere(torch.from_numpy(setpoint), lamp), "I_v", lamp, MrpcParams(a_m=1, a_r=1), torch.zeros(PIXELS, dtype=torch.float64)
+    )
+    given = A * np.divide(setpoint, A.sum(1), out=np.zeros_like(setpoint), where=A.sum(1) > 0)[:, None]
+    np.testing.assert_allclose(u.numpy() * A.sum(0), given.sum(0), rtol=1e-12)
+
+
+def test_a_setpoint_beyond_the_lamp_gives_full_light_and_none_gives_none() -> None:
+    lamp, A = random_lamp(6)
+    default = torch.full((PIXELS,), 0.3, dtype=torch.float64)
+    reached = A.sum(0) > 0
+    for quantity, a_m in (("I_v", 1.0), ("I_v", 0.5), ("u_abs", 1.0), ("u_rel", 1.0)):
+        params = MrpcParams(a_m=a_m)
+        full, _ = reduced(everywhere(torch.full((48,), 1e9, dtype=torch.float64), lamp), quantity, lamp, params, default)
+        none, _ = reduced(everywhere(torch.zeros(48, dtype=torch.float64), lamp), quantity, lamp, params, default)
+        np.testing.assert_allclose(full[reached], 1)
+        np.testing.assert_allclose(none[reached], 0, atol=1e-15)
+        assert full.max() <= 1
+
+
+def test_a_bound_holds_for_every_ray_and_not_for_the_mean() -> None:
+    """Half of a pixel asked for twice its light, the other half for none: half, not full."""
+    A = np.ones((2, 1))
+    lamp = Headlight("two texels", Csr.from_scipy(sp.csr_array(A), torch.float64), 1, 2, 0.1, -0.1, -0.1, 0.1, 1, 1)
+    setpoints = Setpoints(torch.tensor([[2.0, 0.0]], dtype=torch.float64), torch.ones(1, 2, dtype=torch.bool), whole(lamp))
+    for quantity in ("I_v", "E_v", "u_abs", "u_rel"):
+        u, _ = reduced(setpoints, quantity, lamp, MrpcParams(), torch.ones(1, dtype=torch.float64))
+        assert u.item() == 0.5
+
+
+@pytest.mark.parametrize(("quantity", "a_m"), [("I_v", 1.0), ("I_v", 0.5), ("u_rel", 1.0), ("u_abs", 1.0)])
+def test_gradient_against_differences(quantity: Quantity, a_m: float) -> None:
+    lamp, A = random_lamp(7)
+    setpoints = random_setpoints(7, A, quantity)
+    params, default = MrpcParams(a_m=a_m, a_r=1), base_pattern(7)
+    pixels = pixel_major(lamp, params)
+    scale = 1.0 if quantity.startswith("u") else 300.0
+
+    def u(value: Tensor) -> Tensor:
+        return reduce_setpoints(replace(setpoints, value=value * scale), quantity, lamp, pixels, params, default)[0]
+
+    value = (0.4 * setpoints.value / scale + 0.01).requires_grad_()  # no ray comes near its bounds, where the slope breaks
+    assert torch.autograd.gradcheck(u, (value,))
+
+
+def test_negative_exponents_are_refused() -> None:
+    with pytest.raises(ValidationError, match="a_m"):
+        MrpcParams(a_m=-1)

@@ -1,0 +1,142 @@
+"""SuperSampling Control as a whole: primitives in, light on the road out."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from controllers.mrpc import MrpcParams
+from controllers.primitives import Primitives, Quantity, road_symbol
+from controllers.ssc import Ssc
+from tests.reference import ssc as reference
+from world.frames import pose_from_degrees
+from world.gbuffer import GBuffer
+from world.headlight import Headlight
+from world.illumination import illuminance, reach, transport
+from world.presets import idealised
+
+LAMP = idealised(10, 16)
+T_LEFT = pose_from_degrees((0.0, 0.6, 0.75))
+SYMBOL = torch.rand(6, 5, generator=torch.Generator().manual_seed(1))
+TARGET = (17.0, 0.0, 0.0, 0.0)
+OUT_OF_SIGHT = (17.0, 20.0, 0.0, 0.0)
+
+
+def road_primitive(pose: tuple[float, ...] | Tensor, quantity: Quantity = "u_abs", value: float = 1.0) -> Primitives:
+    pose = torch.as_tensor(pose)
+    return road_symbol(pose, 0.0, 3.0, 8.0, SYMBOL.to(pose), value, quantity)
+
+
+def in_float64(lamp: Headlight) -> Headlight:
+    return replace(lamp, matrix=lamp.matrix.to(torch.float64))
+
+
+@pytest.mark.parametrize(("quantity", "value"), [("I_v", 30_000.0), ("E_v", 3.0), ("u_abs", 1.0), ("u_rel", 1.5)])
+@pytest.mark.parametrize(("a_m", "a_r"), [(1.0, 1.0), (0.0, 2.0)])
+def test_equals_the_reference_from_primitive_to_pixel(quantity: Quantity, value: float, a_m: float, a_r: float) -> None:
+    lamp = in_float64(idealised(10, 4, texels_per_pixel=(3, 2)))
+    primitive = road_primitive(torch.tensor([17.0, 0.5, 0.05, -0.05], dtype=torch.float64), quantity, value)
+    default = torch.rand(40, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
+    fast = Ssc.prepare(lamp, MrpcParams(a_m=a_m, a_r=a_r), default).utilisation(primitive, T_LEFT).u
+    setpoint, hit = reference.trace(primitive, lamp, T_LEFT.numpy())
+    assert hit.sum() > 10
+    A = lamp.matrix.to_scipy().toarray()
+    expected = reference.map_reduce(A, setpoint.ravel(), hit.ravel(), quantity, a_m, a_r, default.numpy())
+    np.testing.assert_allclose(fast, expected, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    "pose", [TARGET, (14.0, 2.5, 0.1, -0.1), (17.0, 3.2, 0.0, 0.0), (60.0, 0.0, 0.0, 0.0), (4.0, 0.0, 0.0, 0.0), OUT_OF_SIGHT]
+)
+@pytest.mark.parametrize("quantity", ["u_abs", "E_v"])
+def test_the_banded_form_equals_the_batched_form(pose: tuple[float, ...], quantity: Quantity) -> None:
+    ssc = Ssc.prepare(LAMP)
+    single = ssc.utilisation(road_primitive(pose, quantity), T_LEFT)
+    batch = ssc.utilisation(road_primitive(torch.tensor([pose, TARGET]), quantity), T_LEFT)
+    torch.testing.assert_close(single.u, batch.u[0], rtol=1e-4, atol=1e-5)
+    assert batch.band is None
+    assert single.band is not None
+    outside = torch.ones(LAMP.n_pixels, dtype=torch.bool)
+    outside[single.band] = False
+    assert not single.u[outside].any()
+
+
+def test_a_band_is_given_over_a_dark_base_pattern_only() -> None:
+    bright = Ssc.prepare(LAMP, default=torch.full((LAMP.n_pixels,), 0.2))
+    light = bright.utilisation(road_primitive(TARGET), T_LEFT)
+    assert light.band is None
+    assert (light.u == 0.2).sum() > LAMP.n_pixels // 2
+
+
+def test_a_symbol_out_of_sight_lights_nothing() -> None:
+    light = Ssc.prepare(LAMP).utilisation(road_primitive(OUT_OF_SIGHT), T_LEFT)
+    assert not light.u.any()
+    luminance, index = transport(reach(road(torch.tensor([[17.0]]), torch.tensor([[0.0]])), LAMP, T_LEFT), LAMP, 1).luminance(
+        light.u, light.band
+    )
+    assert luminance.shape == index.shape == (0,)
+
+
+def road(x: Tensor, y: Tensor) -> GBuffer:
+    position = torch.stack([x, y, torch.zeros_like(x)])
+    normal = torch.zeros_like(position)
+    normal[2] = 1
+    return GBuffer(position, normal, torch.full_like(x, 0.2), torch.zeros_like(x, dtype=torch.int32))
+
+
+def lit_road(lamp: Headlight, u: Tensor, x: Tensor, y: Tensor) -> Tensor:
+    surface = reach(road(x, y), lamp, T_LEFT)
+    light = torch.zeros(x.numel())
+    light[surface.index] = illuminance(surface, lamp.light_texture(u))
+    return light.view(x.shape)
+
+
+def test_the_road_gets_the_illuminance_that_was_asked_for() -> None:
+    lamp = idealised(60, 40)
+    x, y = torch.meshgrid(torch.linspace(15, 19, 81), torch.linspace(-1, 1, 21), indexing="ij")
+    primitive = road_symbol(torch.tensor(TARGET), 0.0, 4.0, 8.0, torch.ones(1, 1), 1.5, "E_v")
+    u = Ssc.prepare(lamp).utilisation(primitive, T_LEFT).u
+    assert u.max() < 1
+    light = lit_road(lamp, u, x, y)
+    # A pixel spans half a metre of road, over which the light needed for a constant illuminance changes by 3 x / 17 m, 10 %.
+    torch.testing.assert_close(light, torch.full_like(light, 1.5), rtol=0.06, atol=0)
+    assert light.mean().item() == pytest.approx(1.5, rel=0.005)
+
+
+def test_light_lies_on_the_symbol_and_not_beside_it() -> None:
+    lamp = idealised(60, 120)
+    x, y = torch.meshgrid(torch.linspace(13, 24, 111), torch.linspace(-2, 2, 81), indexing="ij")
+    primitive = road_symbol(torch.tensor(TARGET), 0.0, 2.0, 4.0, torch.ones(1, 1), 1.0, "u_abs")
+    u = Ssc.prepare(lamp).utilisation(primitive, T_LEFT).u
+    on = lit_road(lamp, u, x, y) > 0.5 * lit_road(lamp, torch.ones_like(u), x, y)
+    symbol = ((x - 17).abs() < 2) & (y.abs() < 1)
+    # A pixel is 0.6 m long and 5 cm wide there, the symbol 4 m x 2 m: a third of a pixel along each short edge is 10 % of the area.
+    assert (on ^ symbol).sum() < 0.1 * symbol.sum()
+    assert x[on].mean().item() == pytest.approx(17, abs=0.1)
+    assert y[on].mean().item() == pytest.approx(0, abs=0.02)
+
+
+@pytest.mark.parametrize("batch", [(), (2,)])
+def test_pose_gradients_are_those_of_differences(batch: tuple[int, ...]) -> None:
+    lamp = in_float64(LAMP)
+    ssc = Ssc.prepare(lamp)
+    smooth = torch.hann_window(64, periodic=False, dtype=torch.float64)
+    symbol = smooth[:, None] * smooth  # dark at the outline, so that hits and misses join without a step
+
+    def light(pose: Tensor) -> Tensor:
+        return ssc.utilisation(road_symbol(pose, 0.0, 3.0, 8.0, symbol, 1.0, "u_abs"), T_LEFT).u.square().sum(-1)
+
+    pose = torch.tensor([17.0, 0.2, 0.02, -0.03], dtype=torch.float64).expand(*batch, 4).clone().requires_grad_()
+    # Bilinear kinks every 1/64 of the symbol and a border clamped over half a texel: a hundredth.
+    assert torch.autograd.gradcheck(light, (pose,), eps=1e-5, rtol=0.01, atol=1e-3)
+
+
+def test_on_every_device(device: torch.device) -> None:
+    ssc = Ssc.prepare(LAMP.to(device))
+    light = ssc.utilisation(road_primitive(torch.tensor(TARGET, device=device)), T_LEFT)
+    expected = Ssc.prepare(LAMP).utilisation(road_primitive(TARGET), T_LEFT)
+    assert light.u.device.type == device.type
+    assert (light.band is None) == (device.type != "cpu")
+    torch.testing.assert_close(light.u.cpu(), expected.u, rtol=1e-4, atol=1e-5)
