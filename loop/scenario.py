@@ -1,6 +1,5 @@
 """Scenario files: one typed, frozen model; TOML, `--set key=value` and every other front end edit it and nothing else."""
 
-import difflib
 import hashlib
 import json
 import tomllib
@@ -16,6 +15,7 @@ from controllers.mrpc import MrpcParams
 from controllers.symbol import ControllerParams, ThesisPidParams
 from controllers.symbol.flat_model import FeatureParams
 from controllers.symbol.projector import SymbolParams
+from loop.shipped import find
 from loop.validation import sentence
 from perception.camera import CameraParams
 from perception.extraction import ExtractionParams
@@ -91,8 +91,8 @@ class Scenario(Params):
         half_period_s = 0.5 / self.rate_hz
         if self.camera.exposure_s > half_period_s:
             raise ValueError(
-                f"camera.exposure_s: {self.camera.exposure_s:g} s is longer than half a control period, and an on and an off frame must fit "
-                f"into one; give at most {half_period_s:.4g} s or lower rate_hz"
+                f"camera.exposure_s: {self.camera.exposure_s:g} s is longer than half a control period, "
+                f"but an on and an off frame must fit into one; give at most {half_period_s:.4g} s or lower rate_hz"
             )
         return self
 
@@ -115,49 +115,29 @@ class Scenario(Params):
         return hashlib.sha256(json.dumps(self.model_dump(mode="json"), sort_keys=True).encode()).hexdigest()
 
 
-def shipped() -> dict[str, Path]:
-    """Scenario files that come with luxloop, by name."""
-    folder = Path(str(files("scenarios")))
-    return {path.stem: path for path in sorted(folder.glob("*.toml"))}
-
-
 def shipped_symbols() -> dict[str, Path]:
     """Symbol images that come with luxloop, by name."""
     return {path.stem: path for path in sorted(Path(str(files("scenarios") / "symbols")).glob("*.png"))}
 
 
-def find(name: str) -> Path:
-    """The file of a scenario given by shipped name or by path. Raises LuxloopError with the nearest name."""
-    path = Path(name)
-    known = shipped()
-    if name in known:
-        return known[name]
-    if path.is_file():
-        return path
-    if path.is_dir():
-        raise LuxloopError(f"{name} is a folder; give a scenario file in it, whose name ends in .toml")
-    if path.suffix == ".toml":
-        raise LuxloopError(f"scenario file {name} does not exist; check the path, or write one with `luxloop new {name}`")
-    nearest = difflib.get_close_matches(name, known, 1)
-    hint = f"did you mean {nearest[0]!r}?" if nearest else "`luxloop list` shows what there is, a file's name ends in .toml"
-    raise LuxloopError(f"there is no scenario {name!r}; {hint}")
-
-
 def load(name: str, overrides: Sequence[str] = (), **values: Any) -> Scenario:
-    """Read a scenario by shipped name or path; overrides are `key.sub=value` in TOML syntax, values are top-level keys.
+    """Read a scenario by shipped name or path; values are top-level keys, overrides on top of them `key.sub=value` in TOML syntax.
 
     Raises LuxloopError that names the file, the key and the remedy.
     """
     path = find(name)
     data = _read(path)
     _resolve_paths(data, path.parent)
+    data.update(values)
     changes: dict[str, Any] = {}
     for override in overrides:
         _merge(changes, _parse_override(override))
     _resolve_paths(changes, Path.cwd())
     _merge(data, changes)
-    data.update(values)
-    given = [*overrides, *(f"{key}={value}" for key, value in values.items())]
+    given = [
+        *(f"{key}={value['name'] if isinstance(value, dict) and 'name' in value else value}" for key, value in values.items()),
+        *overrides,
+    ]
     return validate(data, f"{path} with {' '.join(given)}" if given else str(path))
 
 

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from loop.scenario import Scenario, load, shipped, validate
+from loop.scenario import Scenario, load, validate
+from loop.shipped import shipped
 from world.errors import LuxloopError
 
 GOOD = """

@@ -1,0 +1,235 @@
+"""The command `luxloop`. What is heavy to import is imported by the command that needs it, so that help and lists come at once."""
+
+import os
+import re
+import sys
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
+
+from loop import tables
+from world.errors import LuxloopError
+
+OK, DIFFERS, WRONG, INTERRUPTED = 0, 1, 2, 130
+
+
+def version() -> str:
+    """The installed version of luxloop."""
+    from importlib import metadata
+
+    try:
+        return metadata.version("luxloop")
+    except metadata.PackageNotFoundError:
+        return "not installed"
+
+
+app = App(
+    name="luxloop",
+    version=version,
+    help="Closed loops around HD matrix headlights: what the camera sees of a projected symbol controls the light.",
+    help_epilogue="The first run: luxloop run snowflake",
+    version_flags=["--version"],
+    suppress_keyboard_interrupt=False,
+)
+data_app = App(name="data", help="Measured roads and light distributions from their public sources.")
+app.command(data_app)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command line; returns the exit code. Whatever the user can mend is one sentence on stderr and exit code 2."""
+    warnings.simplefilter("ignore")
+    warnings.filterwarnings("default", category=UserWarning)
+    warnings.filterwarnings("ignore", message="Sparse CSR tensor support")
+    warnings.showwarning = lambda message, *_: _say(f"warning: {message}")
+    try:
+        tokens = sys.argv[1:] if arguments is None else list(arguments)
+        code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value", verbose=False)
+        sys.stdout.flush()
+        return int(code or OK)
+    except LuxloopError as error:
+        _say(f"error: {error}")
+        return WRONG
+    except CycloptsError as error:
+        _say(f"error: {_complaint(error)}")
+        return WRONG
+    except KeyboardInterrupt as error:
+        _say(f"interrupted{f': {error}' if str(error) else ''}")
+        return INTERRUPTED
+    except BrokenPipeError:
+        # Whoever read our output has gone; Python would complain once more when it flushes stdout at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return OK
+
+
+def _say(text: str) -> None:
+    print(" ".join(text.split()), file=sys.stderr)
+
+
+def _complaint(error: CycloptsError) -> str:
+    """What is wrong with a command line, in one sentence."""
+    if isinstance(error, UnusedCliTokensError):
+        command = " ".join(["luxloop", *(error.command_chain or ())])
+        return f"{' '.join(error.unused_tokens or ())}: is not expected here; see `{command} --help`"
+    text = str(error)
+    sentences = re.split(r"\.\s+", text.strip().rstrip("."))
+    return "; ".join([sentences[0], *(f"{part[:1].lower()}{part[1:]}" for part in sentences[1:])])
+
+
+@app.command(name="list")
+def list_() -> None:
+    """Show the scenarios that come with luxloop, and what data they lack."""
+    tables.show(tables.scenarios())
+
+
+@app.command
+def new(file: Path, /) -> None:
+    """Write a commented scenario file with all common keys, ready to run.
+
+    Parameters
+    ----------
+    file
+        File to write, such as my.toml; one that exists is left alone.
+    """
+    from loop.template import template
+
+    try:
+        with file.open("x", encoding="utf-8") as stream:
+            stream.write(template(file.stem))
+    except FileExistsError as error:
+        raise LuxloopError(f"{file}: exists already; name another file, or remove it first") from error
+    except OSError as error:
+        raise LuxloopError(f"{file}: cannot be written ({error.strerror}); check its folder") from error
+    print(f"{file} written; run it with: luxloop run {file}")
+
+
+@app.command
+def check(name: str, /) -> None:
+    """Validate a scenario and everything that it names: symbol, road, meshes, whether lamps and camera reach the target.
+
+    Parameters
+    ----------
+    name
+        Scenario file, or name of a shipped scenario.
+    """
+    from loop.run import prepare
+    from loop.scenario import load
+
+    scenario = load(name)
+    prepare(scenario)
+    print(f"{name}: ok ({scenario.steps} steps, road {scenario.road.kind}, controller {scenario.controller.name})")
+
+
+@app.command
+def schema() -> None:
+    """Print the JSON Schema of scenario files, for editors."""
+    import json
+
+    from loop.scenario import Scenario
+
+    print(json.dumps(Scenario.model_json_schema(), indent=2))
+
+
+@app.command
+def doctor() -> int:
+    """Look at what luxloop needs on this machine, and name the command that mends what is missing."""
+    from loop.doctor import all_good, checks
+
+    found = checks()
+    tables.show(tables.findings(found))
+    return OK if all_good(found) else DIFFERS
+
+
+@data_app.command(name="list")
+def data_list() -> None:
+    """Show the files that can be had, and which of them are here."""
+    tables.show(tables.data_files())
+
+
+@data_app.command(name="get")
+def data_get(name: str, /, *, dir: Path | None = None) -> None:
+    """Fetch a file from its public source, unless it is here.
+
+    Parameters
+    ----------
+    name
+        Name of a file from `luxloop data list`, or "all".
+    dir
+        Folder to put it into, in place of luxloop's own; point LUXLOOP_DATA to it later.
+    """
+    from loop import data
+
+    for each in data.registry() if name == "all" else [name]:
+        fetched = data.get(each, dir)
+        print(f"{each}: {fetched.path}{'' if fetched.downloaded else ' (was here)'}", flush=True)
+
+
+@app.command
+def run(
+    name: str,
+    /,
+    *,
+    out: Path | None = None,
+    set: Annotated[list[str] | None, Parameter(consume_multiple=True, negative=())] = None,
+    seed: int | None = None,
+    steps: int | None = None,
+    controller: str | None = None,
+    device: Literal["auto", "cpu", "cuda"] = "auto",
+    video: bool = True,
+) -> None:
+    """Run a scenario and record it: manifest, trajectory, summary, report and video.
+
+    Parameters
+    ----------
+    name
+        Name of a shipped scenario (see `luxloop list`), or scenario file.
+    out
+        Folder for the recording; by default runs/NAME. A recording that is there is replaced.
+    set
+        Keys to change, as key=value in TOML syntax, such as camera.bits=8 or road.kind=bumps.
+    seed
+        Seed of all noise.
+    steps
+        Control steps.
+    controller
+        Controller to take instead, with its defaults.
+    device
+        Where to compute; auto takes CUDA where there is any.
+    video
+        Whether to write video.mp4.
+    """
+    from loop.commands import run_scenario
+
+    values = {"seed": seed, "steps": steps, "controller": None if controller is None else {"name": controller}}
+    given = {key: value for key, value in values.items() if value is not None}
+    run_scenario(name, out or Path("runs") / Path(name).stem, set or [], given, device, video)
+
+
+@app.command
+def replay(directory: Path, /, *, compare: bool | None = None, csv: Path | None = None) -> int:
+    """Run a recorded scenario again and hold it against the recording; exit code 1 where they differ.
+
+    Parameters
+    ----------
+    directory
+        Folder that `luxloop run` wrote.
+    compare
+        Whether to run it again; by default yes, unless --csv is given.
+    csv
+        File to write the recorded steps to, as comma-separated values.
+    """
+    from loop.commands import compare_recording
+    from loop.replay import to_csv
+
+    if csv is not None:
+        to_csv(directory, csv)
+        print(f"{csv} written")
+    if compare or (compare is None and csv is None):
+        return OK if compare_recording(directory) else DIFFERS
+    return OK
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,60 @@
+"""The commands that run the loop, with a progress bar while it does."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from loop import tables
+from loop.replay import load as load_recording
+from loop.replay import replay
+from loop.run import run
+from loop.scenario import load
+from loop.simulation import StepResult
+
+
+def run_scenario(name: str, out: Path, overrides: Sequence[str], values: dict[str, Any], device: str, video: bool) -> None:
+    """Run, and say how it went and where the files lie. Raises KeyboardInterrupt that says what was kept."""
+    scenario = load(name, overrides, **values)
+    done = 0
+
+    with _progress(scenario.name, scenario.steps) as advance:
+
+        def on_step(result: StepResult) -> None:
+            nonlocal done
+            done = result.step + 1
+            advance()
+
+        try:
+            summary = run(scenario, out, device=device, video=video, on_step=on_step)
+        except KeyboardInterrupt as error:
+            raise KeyboardInterrupt(f"{done} of {scenario.steps} steps are kept in {out}" if done else "nothing was recorded") from error
+    tables.show(tables.summary(summary, str(out)))
+
+
+def compare_recording(directory: Path) -> bool:
+    """Run a recording again, show how the two differ, return whether they agree."""
+    recording = load_recording(directory)
+    with _progress(recording.scenario.name, recording.table.num_rows) as advance:
+        comparison = replay(directory, on_step=lambda result: advance())
+    console = tables.console()
+    for note in comparison.notes:
+        console.print(f"note: {note}", markup=False)
+    if comparison.agrees:
+        console.print(f"{directory}: {comparison.steps} steps agree with the recording", markup=False)
+    else:
+        console.print(f"{directory}: {len(comparison.differences)} columns differ from the recording", markup=False)
+        console.print(tables.differences(comparison.differences))
+    return comparison.agrees
+
+
+@contextmanager
+def _progress(title: str, steps: int) -> Iterator[Callable[[], None]]:
+    """A progress bar on stderr; call what it gives after every step."""
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    console = tables.console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task(title, total=steps)
+        yield lambda: bar.advance(task)

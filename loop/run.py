@@ -1,0 +1,92 @@
+"""Run a scenario: recorded, filmed and reported. The command line and Python programs use it alike."""
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from loop.recorder import REPORT, VIDEO, Recorder
+from loop.report import Gathered, write_report
+from loop.scenario import Scenario
+from loop.simulation import Simulation, StepResult
+from loop.video import VideoWriter, frame_picture
+from perception.camera import camera_view
+from world.errors import LuxloopError
+
+LEAST_PX = 4  # of the target in either direction; quadrants need two pixels each
+
+
+def run(
+    scenario: Scenario,
+    directory: Path | str,
+    *,
+    device: str = "auto",
+    video: bool = True,
+    on_step: Callable[[StepResult], None] = lambda result: None,
+) -> dict[str, Any]:
+    """Run a scenario into a directory (`luxloop replay` reads it) and return its summary.
+
+    on_step: called after every step. Ctrl-C ends the recording, reports on the steps so far and goes on as KeyboardInterrupt.
+    Raises LuxloopError, before anything is written, where the scenario cannot run.
+    """
+    directory = Path(directory)
+    simulation = prepare(scenario, device)
+    gathered = Gathered(scenario.steps)
+    recorder = Recorder(directory, simulation)
+    try:
+        with recorder, ExitStack() as stack:
+            size = (scenario.camera.width_px, scenario.camera.height_px)
+            film = stack.enter_context(VideoWriter(directory / VIDEO, scenario.rate_hz, size)) if video else None
+            for result in simulation.run():
+                recorder.add(result)
+                gathered.add(result)
+                if film is not None:
+                    film.add(frame_picture(result, simulation))
+                on_step(result)
+    finally:
+        summary = recorder.summary()
+        if gathered.last is not None:
+            write_report(directory / REPORT, simulation, gathered, recorder.table(), summary)
+    return summary
+
+
+def prepare(scenario: Scenario, device: str = "auto") -> Simulation:
+    """A simulation that renders and whose camera can see the symbol at its target. Raises LuxloopError where that cannot be."""
+    symbol = scenario.symbol
+    where = f"{scenario.name}: the target at symbol.x_m = {symbol.x_m:g}, symbol.y_m = {symbol.y_m:g}"
+    if not _in_the_image(scenario):
+        raise LuxloopError(f"{where} is out of the camera's sight; move it, or turn the camera")
+    simulation = Simulation.prepare(scenario, torch_device(device))
+    if not simulation.goal.mask.any():
+        raise LuxloopError(f"{where} is out of the lamps' reach; move it, or let another lamp draw it")
+    gains = simulation.observer.model.gains
+    if not (gains.isfinite() & (gains != 0)).all():
+        raise LuxloopError(
+            f"{where} cannot be told from noise on a flat road; raise symbol.value or headlight.intensity_cd, "
+            "draw the symbol with wider strokes, or take a finer camera"
+        )
+    simulation.plant.lit(0.0)
+    return simulation
+
+
+def _in_the_image(scenario: Scenario) -> bool:
+    symbol, view = scenario.symbol, camera_view(scenario.camera)
+    x = symbol.x_m + symbol.length_m * torch.tensor([-0.5, -0.5, 0.5, 0.5], dtype=torch.float64)
+    y = symbol.y_m + symbol.width_m * torch.tensor([-0.5, 0.5, -0.5, 0.5], dtype=torch.float64)
+    uv, depth = view.project(torch.stack([x, y, torch.zeros_like(x)]))
+    size = torch.tensor([view.width, view.height], dtype=torch.float64)
+    extent = torch.minimum(uv.amax(-1), size) - uv.amin(-1).clamp(min=0)
+    return bool((depth > 0).all() and (extent >= LEAST_PX).all())
+
+
+def torch_device(name: str) -> torch.device:
+    """The device of a name; "auto" is a CUDA device where there is one. Raises LuxloopError where there is none of that name."""
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    if name == "cuda" and not torch.cuda.is_available():
+        raise LuxloopError(
+            f"--device cuda: torch {torch.__version__} finds no CUDA device here; give --device cpu, or see `luxloop doctor`"
+        )
+    return torch.device(name)

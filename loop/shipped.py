@@ -1,0 +1,29 @@
+"""The scenarios that come with luxloop, by name. Light to import, so that `luxloop list` answers at once."""
+
+import difflib
+from importlib.resources import files
+from pathlib import Path
+
+from world.errors import LuxloopError
+
+
+def shipped() -> dict[str, Path]:
+    """Scenario files that come with luxloop, by name."""
+    return {path.stem: path for path in sorted(Path(str(files("scenarios"))).glob("*.toml"))}
+
+
+def find(name: str) -> Path:
+    """The file of a scenario given by shipped name or by path. Raises LuxloopError with the nearest name."""
+    path = Path(name)
+    known = shipped()
+    if name in known:
+        return known[name]
+    if path.is_file():
+        return path
+    if path.is_dir():
+        raise LuxloopError(f"{name} is a folder; give a scenario file in it, whose name ends in .toml")
+    if path.suffix == ".toml":
+        raise LuxloopError(f"scenario file {name} does not exist; check the path, or write one with `luxloop new {name}`")
+    nearest = difflib.get_close_matches(name, known, 1)
+    hint = f"did you mean {nearest[0]!r}?" if nearest else "`luxloop list` shows what there is, a file's name ends in .toml"
+    raise LuxloopError(f"there is no scenario {name!r}; {hint}")

@@ -1,0 +1,86 @@
+"""The text of `luxloop new`: a scenario file that runs, with every common key and what it means, made from the model itself."""
+
+import json
+from typing import Any, Literal, cast, get_args, get_origin
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from controllers.symbol import CONTROLLERS, ThesisPidParams
+from loop.scenario import Scenario, shipped_symbols
+from world.roads import Mixed, RoadParams
+
+LEFT_OUT = ("schema_version", "objects")  # said in HEAD and TAIL
+CHOSEN: dict[str, dict[str, Any]] = {
+    "symbol": {"image": "snowflake", "width_m": 2.0, "length_m": 4.0, "x_m": 17.0, "y_m": 0.0},
+    "start": {"x_m": 20.0, "y_m": 1.5, "roll_deg": 5.0, "pitch_deg": -2.0},
+    "road": {"kind": "mixed"},
+    "controller": {"name": "thesis_pid"},
+}
+VARIANTS: dict[str, type[BaseModel]] = {"road": Mixed, "controller": ThesisPidParams}
+HEAD = """\
+# A scenario of luxloop. Check it with `luxloop check FILE`, run it with `luxloop run FILE`.
+# Lines that begin with # show defaults: remove the # to change one. SI units, degrees where a name ends in _deg.
+# World: x forward, y left, z up; the origin lies on the road below the middle of the lamps, the vehicle stands still.
+
+schema_version = 1
+"""
+TAIL = """
+# Objects: boxes (kind "box") and meshes from files (kind "mesh"), as many as wanted. They may move, appear and vanish.
+# [[objects]]
+# kind = "box"
+# name = "black box"
+# size_m = [0.4, 0.4, 0.3]
+# albedo = 0.02
+# track = [{position_m = [17.0, 0.3, 0.0]}]
+# appears_s = 0.35
+# vanishes_s = 1.35
+"""
+
+
+def template(name: str) -> str:
+    """The text of a scenario file of that name."""
+    chosen = {"name": name, "description": "A snowflake is pulled straight on an uneven road.", "steps": 40, "seed": 0}
+    keys, tables = [], []
+    for key, field in Scenario.model_fields.items():
+        if key in LEFT_OUT:
+            continue
+        if key in CHOSEN or isinstance(field.default, BaseModel):
+            tables.append(_table(key, field))
+        else:
+            keys.append(_line(key, field, chosen.get(key)))
+    return HEAD + "\n".join(keys) + "\n\n" + "\n\n".join(tables) + "\n" + TAIL
+
+
+def _table(key: str, field: FieldInfo) -> str:
+    chosen = CHOSEN.get(key, {})
+    model = VARIANTS.get(key) or cast(type[BaseModel], field.annotation)
+    lines = [f"[{key}]  # {field.description}"]
+    if key == "road":
+        kinds = [kind.model_fields["kind"].default for kind in get_args(get_args(RoadParams)[0])]
+        lines.append(f"# kinds: {', '.join(kinds)}; `luxloop schema` has the keys of each")
+    if key == "symbol":
+        lines.append(f"# shipped images: {', '.join(shipped_symbols())}")
+    if key == "controller":
+        lines.append(f"# controllers: {', '.join(CONTROLLERS)}")
+    lines += [_line(name, inner, chosen.get(name)) for name, inner in model.model_fields.items()]
+    return "\n".join(lines)
+
+
+def _line(key: str, field: FieldInfo, chosen: Any) -> str:
+    value = field.default if chosen is None else chosen
+    hidden = "# " if chosen is None else ""
+    written = "..." if value is None else _toml(value)
+    choices = get_args(field.annotation) if get_origin(field.annotation) is Literal else ()
+    meaning = [field.description] if field.description else []
+    meaning += [f"one of {_toml(choices)}"] if len(choices) > 1 else []
+    return f"{hidden}{key} = {written}" + (f"  # {'; '.join(meaning)}" if meaning else "")
+
+
+def _toml(value: Any) -> str:
+    """A value as TOML writes it, on one line."""
+    if isinstance(value, BaseModel):
+        return "{" + ", ".join(f"{key} = {_toml(inner)}" for key, inner in value) + "}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_toml, value))}]"
+    return json.dumps(value, ensure_ascii=False)
