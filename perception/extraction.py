@@ -7,6 +7,7 @@ from typing import Literal
 import torch
 from pydantic import Field
 from torch import Tensor
+from torch.nn.functional import avg_pool2d
 
 from perception.camera import CameraParams, luminance_of, noise_std
 from world.params import Params
@@ -26,7 +27,9 @@ class ExtractionParams(Params):
     """How a symbol is told from noise and glare."""
 
     threshold_sigma: float = Field(5.0, gt=0, description="least difference on - off, in standard deviations of the noise without a symbol")
-    edges: Literal["grey", "binary"] = Field("grey", description="grey: pixels count by their lit share; binary: every lit pixel counts wholly")
+    edges: Literal["grey", "binary"] = Field(
+        "grey", description="grey: pixels count by their lit share; binary: every lit pixel counts wholly"
+    )
     footprint_margin_m: float = Field(0.15, ge=0, description="unevenness of the road that the predicted footprint allows for, up and down")
     nothing_below: float = Field(0.08, ge=0, lt=1, description="share of the expected area below which there is no symbol at all")
     area_low: float = Field(0.45, ge=0, lt=1, description="least share of the expected area that is taken for the symbol")
@@ -54,8 +57,14 @@ def difference(on: Tensor, off: Tensor, camera: CameraParams) -> Tensor:
 
 
 def threshold(off: Tensor, camera: CameraParams, params: ExtractionParams) -> Tensor:
-    """Absolute threshold in cd/m^2 a pixel `[..., h, w]`, from the noise that two frames without a symbol would differ by."""
-    return params.threshold_sigma * 2**0.5 * noise_std(luminance_of(off, camera), camera)
+    """Absolute threshold in cd/m^2 a pixel `[..., h, w]`, from the noise that two frames without a symbol would differ by.
+
+    The light without a symbol is the mean of the off frame over 3 x 3 pixels: a pixel of its own that happens to be dark would claim too
+    little noise, and then let a thousand times as much of it pass as five sigma promise.
+    """
+    light = luminance_of(off, camera)
+    mean = avg_pool2d(light.reshape(-1, 1, *light.shape[-2:]), 3, stride=1, padding=1, count_include_pad=False)
+    return params.threshold_sigma * 2**0.5 * noise_std(mean.reshape(light.shape), camera)
 
 
 def symbol_image(contrast: Tensor, limit: Tensor, full: Tensor | None = None) -> Tensor:
