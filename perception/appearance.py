@@ -35,16 +35,20 @@ class Appearance:
     length: Tensor
 
 
-def _share_before(axis: Tensor, split: Tensor) -> Tensor:
-    """Share of each pixel that lies before the split, by area: `[..., n]`."""
+def _halves(axis: Tensor, split: Tensor) -> tuple[Tensor, Tensor]:
+    """Share of each pixel before and after the split, by area, and first moment of each share: both `[..., 2, n]`."""
     step = axis[..., 1:2] - axis[..., 0:1]
-    return ((split[..., None] - axis) / step + 0.5).clamp(0, 1)
+    before = ((split[..., None] - axis) / step + 0.5).clamp(0, 1)
+    after = 1 - before
+    centres = torch.stack([axis - step * after / 2, axis + step * before / 2], -2)
+    shares = torch.stack([before, after], -2)
+    return shares, shares * centres
 
 
 def appearance(image: Tensor, axes: Axes) -> Appearance:
     """Raw moments (9.4.1), centre (9.4.2), quadrant centroids and second-moment shape of a symbol image `[..., h, w]`.
 
-    The image is split at its centre; pixels on the border are shared between the quadrants by area, so nothing jumps.
+    The image is split at its centre; pixels on the border are cut in two, each part with its own centre, so nothing jumps.
     An empty image gives NaN.
     """
     u, v = axes.u.to(image), axes.v.to(image)
@@ -56,12 +60,11 @@ def appearance(image: Tensor, axes: Axes) -> Appearance:
     mu02 = (rows * dv * dv).sum(-1) / m00
     mu11 = ((image @ du[..., None])[..., 0] * dv).sum(-1) / m00
 
-    left, top = _share_before(u, cu), _share_before(v, cv)
-    across, along = torch.stack([left, 1 - left], -2), torch.stack([top, 1 - top], -2)
+    (across, across_u), (along, along_v) = _halves(u, cu), _halves(v, cv)
     across_image = image @ across.transpose(-1, -2)
     q00 = along @ across_image
-    q10 = along @ (image @ (across * u).transpose(-1, -2))
-    q01 = (along * v) @ across_image
+    q10 = along @ (image @ across_u.transpose(-1, -2))
+    q01 = along_v @ across_image
     quadrants = torch.stack([q10 / q00, q01 / q00], -1).flatten(-3, -2)
     centre = torch.stack([cu, cv], -1)[..., None, :]
     area = m00 * ((u[..., 1] - u[..., 0]) * (v[..., 1] - v[..., 0])).abs()
