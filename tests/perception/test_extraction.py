@@ -1,0 +1,129 @@
+"""Differential imaging: what noise makes, what a symbol makes, and the gate's reasons."""
+
+import math
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from torch import Tensor
+
+from perception.camera import CameraParams, expose, frame_generator, luminance_of
+from perception.extraction import Crop, ExtractionParams, Loss, difference, gate, soft_symbol_image, symbol_image, threshold
+
+PARAMS = ExtractionParams()
+CAMERAS = {
+    "12 bits, linear": CameraParams(),
+    "8 bits, gamma 2.2": CameraParams(bits=8, gamma=2.2),
+    "10 bits, much read noise": CameraParams(bits=10, read_noise_e=8.0),
+}
+
+
+def frames(on: Tensor, off: Tensor, camera: CameraParams, seed: int = 1) -> tuple[Tensor, Tensor]:
+    return expose(on, camera, frame_generator(seed, 0, 0, on.device)), expose(off, camera, frame_generator(seed, 0, 1, on.device))
+
+
+def extracted(on: Tensor, off: Tensor, camera: CameraParams, params: ExtractionParams = PARAMS) -> Tensor:
+    return symbol_image(difference(on, off, camera), threshold(off, camera, params))
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+@pytest.mark.parametrize("luminance", [0.0, 0.01, 0.02, 0.1, 0.5])
+def test_noise_alone_makes_no_symbol(name: str, luminance: float, device: torch.device) -> None:
+    dark = torch.full((360, 640), luminance, device=device)
+    symbol = extracted(*frames(dark, dark, CAMERAS[name]), CAMERAS[name])
+    # Five sigma leave 3e-7 of 230,000 pixels, shot noise at a dozen electrons a little more. Thresholds from single pixels of the off
+    # frame, themselves noisy, would let 200 pass at 0.02 cd/m^2, the default ambient light.
+    assert symbol.sum() <= 1
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_a_symbol_is_found_as_it_is(name: str, device: torch.device) -> None:
+    camera = CAMERAS[name]
+    off = torch.linspace(0.05, 0.3, 640, device=device).expand(360, -1)
+    true = torch.zeros(360, 640, device=device)
+    true[100:160, 200:400] = 1
+    true[120:130, 250:300] = 0
+    limit = threshold(expose(off, camera), camera, PARAMS)
+    symbol = extracted(*frames(off + 2 * limit * true, off, camera), camera)
+    # At twice the threshold a miss needs another five sigma, of a somewhat larger noise.
+    assert (symbol != true).sum() <= 10
+
+
+def test_differences_are_signed(device: torch.device) -> None:
+    camera = CameraParams()
+    on, off = torch.full((2, 2), 10.0, device=device), torch.full((2, 2), 12.0, device=device)
+    assert (difference(on, off, camera) == -difference(off, on, camera)).all()
+    assert (difference(on, off, camera) < 0).all()
+    torch.testing.assert_close(difference(off, on, camera), luminance_of(off, camera) - luminance_of(on, camera))
+    assert not extracted(torch.zeros(2, 2, device=device), 4095 * torch.ones(2, 2, device=device), camera).any(), "shadows are no symbol"
+
+
+def test_threshold_is_absolute_and_grows_with_the_light_that_is_there() -> None:
+    camera = CameraParams()
+    off = expose(torch.tensor([[0.05, 0.2, 0.8]]), camera)
+    limit = threshold(off, camera, PARAMS)[0]
+    light = torch.tensor([0.125, 0.35, 0.5])  # mean with the neighbours
+    electrons = light * camera.exposure_s * camera.sensitivity_e_per_cd_s_m2
+    per_electron = 1 / (camera.exposure_s * camera.sensitivity_e_per_cd_s_m2)
+    level = camera.saturation_e / 4095
+    expected = 5 * math.sqrt(2) * (electrons + camera.read_noise_e**2 + level**2 / 12).sqrt() * per_electron
+    torch.testing.assert_close(limit, expected, rtol=1e-3, atol=0)  # off is quantised
+    torch.testing.assert_close(threshold(off, camera, ExtractionParams(threshold_sigma=7))[0], limit / 5 * 7)
+
+
+def test_binary_edges_count_wholly_and_grey_edges_by_their_lit_share() -> None:
+    limit = torch.tensor(1.0)
+    contrast = torch.tensor([-5.0, 0.0, 1.0, 1.1, 5.0, 10.0, 70.0])
+    assert symbol_image(contrast, limit).tolist() == [0, 0, 0, 1, 1, 1, 1]
+    grey = symbol_image(contrast, limit, torch.tensor(10.0))
+    torch.testing.assert_close(grey, torch.tensor([0, 0, 0, 0.11, 0.5, 1, 1]))
+    # Where even full light stays below the threshold nothing can be said: what is seen there counts wholly.
+    assert symbol_image(torch.tensor(1.5), limit, torch.tensor(0.0)) == 1
+
+
+@given(st.floats(-10, 10), st.floats(0.01, 2))
+def test_the_soft_form_is_the_hard_one_a_few_sigma_away(sigmas: float, sigma: float) -> None:
+    limit = torch.tensor(5 * sigma)
+    contrast = limit + sigmas * sigma
+    soft = soft_symbol_image(contrast, limit, PARAMS).item()
+    assert soft == pytest.approx(1 / (1 + math.exp(-sigmas)), abs=1e-4)
+
+
+def test_the_soft_form_passes_gradients_where_the_hard_one_has_none() -> None:
+    camera = CameraParams()
+    off = torch.full((8, 8), 200.0, dtype=torch.float64)
+    on = (off + torch.linspace(0, 400, 64, dtype=torch.float64).view(8, 8)).requires_grad_()
+    limit = threshold(off, camera, PARAMS)
+    assert torch.autograd.gradcheck(lambda on: soft_symbol_image(difference(on, off, camera), limit, PARAMS), (on,))
+    soft_symbol_image(difference(on, off, camera), limit, PARAMS).sum().backward()
+    assert on.grad is not None and on.grad.isfinite().all() and (on.grad >= 0).all() and on.grad.max() > 0
+
+
+def test_the_gate_names_its_reason(device: torch.device) -> None:
+    expected = torch.tensor(100.0, device=device)
+    areas = {
+        0: Loss.NOTHING,
+        7.9: Loss.NOTHING,
+        8.1: Loss.TOO_SMALL,
+        44.9: Loss.TOO_SMALL,
+        45.1: Loss.SEEN,
+        189: Loss.SEEN,
+        191: Loss.TOO_LARGE,
+    }
+    codes = gate(torch.tensor(list(areas), device=device), expected, PARAMS)
+    assert codes.dtype == torch.int64
+    assert codes.tolist() == [int(code) for code in areas.values()]
+    assert gate(torch.zeros(2, 3, device=device), expected, PARAMS).shape == (2, 3)
+
+
+def test_the_gate_without_expectation() -> None:
+    zero = torch.tensor(0.0)
+    assert gate(zero, zero, PARAMS) == Loss.NOTHING
+    assert gate(torch.tensor(5.0), zero, PARAMS) == Loss.TOO_LARGE
+    assert gate(torch.tensor(math.nan), torch.tensor(5.0), PARAMS) == Loss.NOTHING
+
+
+def test_a_crop_cuts_rows_and_columns() -> None:
+    image = torch.arange(3 * 5 * 7).view(3, 5, 7)
+    assert torch.equal(image[..., *Crop(1, 3, 2, 6).slices], image[:, 1:3, 2:6])

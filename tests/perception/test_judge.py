@@ -1,0 +1,88 @@
+"""The judge: errors in % of the symbol with the sign of the world's axes, whatever the extraction thinks."""
+
+import pytest
+import torch
+from torch import Tensor
+
+from perception.birdseye import birds_eye, region_around
+from perception.camera import CameraParams, average_rows, camera_view
+from perception.judge import Target, judge, target
+from world.flatroad import flat_road
+
+CAMERA = CameraParams()
+LENGTH, WIDTH = 4.0, 2.0
+PLANE = birds_eye(region_around(17.0, 0.0, LENGTH, WIDTH), camera_view(CAMERA))
+ROAD_X, ROAD_Y, _ = flat_road(camera_view(CAMERA, 4), 1.0).position
+
+
+def symbol(dx: float = 0.0, dy: float = 0.0, stretch: float = 1.0, shear: float = 0.0, brightness: float = 0.1) -> Tensor:
+    """Luminance `[height, width]` of a cross with a foot; far parts are darker. shear: x falls as y falls, in m/m."""
+    x, y = (ROAD_X - 17 - dx - shear * (ROAD_Y - dy)) / stretch, ROAD_Y - dy
+    cross = ((x.abs() < 2) & (y.abs() < 0.4)) | ((x.abs() < 0.7) & (y.abs() < 1)) | ((x < -1.5) & (x > -2) & (y.abs() < 1))
+    return average_rows(brightness * cross / ROAD_X.clamp(min=1) ** 2 * 17**2, 4)
+
+
+@pytest.fixture(scope="module")
+def goal() -> Target:
+    return target(symbol(), PLANE, LENGTH, WIDTH)
+
+
+def test_the_target_is_perfect(goal: Target) -> None:
+    verdict = judge(symbol(), PLANE, goal)
+    assert verdict.centroid_percent.tolist() == [0, 0]
+    assert verdict.iou == 1
+    assert verdict.ssim.item() == pytest.approx(1)
+    assert verdict.length == 1
+    assert verdict.shear == goal.shape.shear
+    # The threshold at a quarter takes a quarter of a pixel more at each edge.
+    assert goal.mask.float().sum().item() * 0.04**2 == pytest.approx(4 * 0.8 + 1.4 * 1.2 + 0.5 * 1.2, rel=0.06)
+
+
+@pytest.mark.parametrize(("dx", "dy"), [(0.4, 0.0), (-0.4, 0.0), (0.0, 0.2), (0.0, -0.2), (1.0, 0.5)])
+def test_a_shift_is_given_in_percent_of_the_symbol_forward_and_to_the_left(goal: Target, dx: float, dy: float) -> None:
+    verdict = judge(symbol(dx, dy), PLANE, goal)
+    # A pixel is 0.11 m long at 17 m; thresholded, its interpolation knows the centre to a sixth of that, 0.5 % of 4 m.
+    assert verdict.centroid_percent[0].item() == pytest.approx(100 * dx / LENGTH, abs=0.5)
+    assert verdict.centroid_percent[1].item() == pytest.approx(100 * dy / WIDTH, abs=0.1)
+    assert verdict.iou < 0.9
+    assert verdict.ssim < 0.98
+
+
+@pytest.mark.parametrize("stretch", [0.8, 1.25])
+def test_length_is_the_ratio_to_the_target(goal: Target, stretch: float) -> None:
+    assert judge(symbol(stretch=stretch), PLANE, goal).length.item() == pytest.approx(stretch, rel=0.02)
+
+
+@pytest.mark.parametrize("shear", [-0.3, 0.3])
+def test_shear_leaves_length_and_centre(goal: Target, shear: float) -> None:
+    verdict = judge(symbol(shear=shear), PLANE, goal)
+    # In the plane u = -y and v = -x grow to the right and towards the car.
+    assert verdict.shear.item() == pytest.approx(shear, abs=0.03)
+    assert verdict.length.item() == pytest.approx(1, abs=0.02)
+    assert verdict.centroid_percent.abs().max() < 0.5
+
+
+def test_brightness_does_not_move_the_symbol(goal: Target) -> None:
+    """The threshold is fixed, so edges of a brighter symbol win a little; ten times darker and it is gone."""
+    dim, bright = judge(symbol(brightness=0.06), PLANE, goal), judge(symbol(brightness=0.2), PLANE, goal)
+    for verdict in (dim, bright):
+        assert verdict.iou > 0.95
+        assert verdict.centroid_percent.abs().max() < 1
+        assert verdict.ssim < 0.995
+    assert judge(symbol(brightness=0.01), PLANE, goal).iou == 0
+
+
+def test_nothing_lit_has_no_centre(goal: Target) -> None:
+    verdict = judge(torch.zeros_like(symbol()), PLANE, goal)
+    assert verdict.iou == 0
+    for value in (verdict.centroid_percent, verdict.length, verdict.shear):
+        assert value.isnan().all()
+
+
+def test_batches(goal: Target) -> None:
+    images = torch.stack([symbol(), symbol(0.4, 0.1), torch.zeros_like(symbol())])
+    batch = judge(images, PLANE, goal)
+    assert batch.centroid_percent.shape == (3, 2)
+    for k, image in enumerate(images):
+        for name, value in vars(judge(image, PLANE, goal)).items():
+            torch.testing.assert_close(getattr(batch, name)[k], value, equal_nan=True, rtol=1e-4, atol=1e-4)
