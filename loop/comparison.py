@@ -24,8 +24,8 @@ TOLERANCES: dict[str, tuple[float, str]] = {
     "area_ratio": (0.01, "the gate's limits are tens of percents apart"),
     "centroid_error_x_percent": (0.1, "a twentieth of what counts as settled"),
     "centroid_error_y_percent": (0.1, "a twentieth of what counts as settled"),
-    "iou": (0.01, "thin strokes: a shift by a millimetre is 0.002"),
-    "ssim": (0.005, "varies less than the IoU"),
+    "iou": (0.01, "thin strokes: a shift of 2 mm across the road costs as much"),
+    "ssim": (0.005, "half the IoU's, which it follows"),
     "length": (0.002, "a tenth of what counts as settled"),
     "shear": (0.005, "a quarter of what counts as settled"),
 }

@@ -8,7 +8,7 @@ import platform
 from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 import torch
 from pydantic import Field, ValidationError
@@ -23,7 +23,7 @@ from world.params import Params
 from world.roads import OpenCrgRoad
 
 FILE = "manifest.json"
-FORMAT_VERSION = 1
+FORMAT_VERSION: Final = 1
 PACKAGES = ("luxloop", "torch", "numpy", "scipy", "kornia", "opencv-contrib-python-headless", "pyrender", "trimesh", "embreex", "pyarrow")
 
 
@@ -37,9 +37,9 @@ class InputFile(Params):
 class Manifest(Params):
     """What is written down about a run before its first step."""
 
-    format: Literal["luxloop recording"] = Field("luxloop recording", description="tells recordings from other directories")
-    format_version: Literal[1] = Field(FORMAT_VERSION, description="version of the recording's files")
-    status: Literal["running", "complete", "interrupted"] = Field("running", description="running for ever: the process was killed")
+    format: Literal["luxloop recording"] = Field(default="luxloop recording", description="tells recordings from other directories")
+    format_version: Literal[1] = Field(default=FORMAT_VERSION, description="version of the recording's files")
+    status: Literal["running", "complete", "interrupted"] = Field(default="running", description="running for ever: the process was killed")
     scenario: dict[str, Any] = Field(description="the scenario with all defaults and --set options")
     scenario_sha256: str = Field(description="digest of the scenario as JSON with sorted keys")
     seed: int = Field(description="seed of all noise")

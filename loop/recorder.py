@@ -20,7 +20,7 @@ from perception.extraction import Loss
 from world.errors import LuxloopError
 
 TRAJECTORY, SUMMARY, REPORT, VIDEO = "trajectory.parquet", "summary.json", "report.png", "video.mp4"
-REST = 10  # times the duration of a write pass between two: recording costs a tenth at most, and a kill the last 50 ms or so
+REST = 10  # times what a write takes pass between two: recording costs a tenth at most, and a kill the last 50 ms or so
 
 POSE = ("x_m", "y_m", "roll_deg", "pitch_deg")
 ERRORS = ("e_x", "e_y", "e_roll", "e_pitch")
@@ -72,8 +72,7 @@ COLUMNS: dict[str, tuple[str, str]] = {
 
 _TYPES = {"step": pa.int64(), "loss": pa.string()}
 SCHEMA = pa.schema(
-    pa.field(name, _TYPES.get(name, pa.float64()), metadata={"unit": unit, "description": text})
-    for name, (unit, text) in COLUMNS.items()
+    pa.field(name, _TYPES.get(name, pa.float64()), metadata={"unit": unit, "description": text}) for name, (unit, text) in COLUMNS.items()
 )
 
 
@@ -172,11 +171,10 @@ class Recorder:
             self.manifest.write(self.directory)
 
     def _write_trajectory(self) -> None:
-        start = time.perf_counter()
+        start = time.thread_time()  # a busy machine makes writes last, but not rarer
         with self._writing():
             write_table(self.directory / TRAJECTORY, self.table())
-        now = time.perf_counter()
-        self._next_write_s = now + REST * (now - start)
+        self._next_write_s = time.perf_counter() + REST * (time.thread_time() - start)
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
@@ -196,6 +194,8 @@ def _clear(directory: Path) -> None:
         try:
             Manifest.read(directory)
         except LuxloopError as error:
-            raise LuxloopError(f"{directory}: holds files that are no recording of this luxloop; give an empty or a new directory") from error
+            raise LuxloopError(
+                f"{directory}: holds files that are no recording of this luxloop; give an empty or a new directory"
+            ) from error
     for name in (*parts, *names):
         (directory / name).unlink(missing_ok=True)

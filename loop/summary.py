@@ -20,7 +20,7 @@ LEAST_START_PERCENT = 5.0  # an axis that starts nearer to the target says nothi
 def summarise(table: pa.Table, scenario: str, controller: str, iou_open: float) -> dict[str, Any]:
     """Summary of a recording's table, ready for JSON: None where a value does not exist.
 
-    iou_open: what the judge says of the open loop at the last step. centroid_error_percent is signed, [x, y], the mean of the last five steps.
+    iou_open: what the judge says of the open loop at the last step. centroid_error_percent: [x, y], signed, mean of the last five steps.
     """
     seen = table.num_rows > 0
     return {

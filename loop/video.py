@@ -1,6 +1,8 @@
 """A run as a video: the camera's picture with what the controller saw in it, the road from above, and the beam pattern."""
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
@@ -22,7 +24,8 @@ Picture = np.ndarray  # [H, W, 3] uint8, RGB
 SEEN_RGB, TARGET_RGB, TEXT_RGB, LOST_RGB = (255, 170, 40), (90, 220, 120), (235, 235, 235), (255, 90, 80)
 WHITE = 2.0  # luminance that is shown as white, as a multiple of the target symbol's median
 FONT_PX = 26  # height of a line of text in a picture of 720 rows
-INSET = 0.42  # height of the insets, of the picture's
+CLOSE = 1.4  # half the extent of the road seen from above, in symbol lengths and widths
+ABOVE, BEAM = 0.44, 0.24  # height of the insets, of the picture's
 
 
 def frame_picture(result: StepResult, simulation: Simulation) -> Picture:
@@ -36,13 +39,11 @@ def frame_picture(result: StepResult, simulation: Simulation) -> Picture:
         picture = tone_map(luminance_of(result.frames[0], camera), white)
     _outline_target(picture, simulation)
     _outline_symbol(picture, result)
-    height = round(INSET * camera.height_px)
     margin = max(camera.height_px // 60, 1)
-    light = simulation.plant.lit(result.time_s).luminance(result.lights)
-    _paste(picture, tone_map(rectify(simulation.plane, light), white), height, margin, left=True)
+    _paste(picture, _from_above(result, simulation, white, round(ABOVE * camera.height_px)), margin, left=True)
     headlight = simulation.projector.lamps[0].pixel_controller.headlight
-    beam = tone_map(result.lights[0].u.unflatten(-1, (headlight.pixel_rows, headlight.pixel_cols)), torch.ones(()))
-    _paste(picture, beam, height * headlight.pixel_rows // headlight.pixel_cols, margin, left=False)
+    beam = result.lights[0].u.unflatten(-1, (headlight.pixel_rows, headlight.pixel_cols))
+    _paste(picture, _scaled(tone_map(beam, torch.ones(())), round(BEAM * camera.height_px)), margin, left=False)
     _write(picture, _captions(result, simulation), margin)
     return picture
 
@@ -56,34 +57,63 @@ def tone_map(image: Tensor, white: Tensor) -> Picture:
 class VideoWriter:
     """Writes H.264 through a temporary name, so that a video is there whole or not at all; use it in a `with` statement.
 
-    Pictures are cut to even sizes, which 4:2:0 chroma asks for. Leaving the block closes the file, after Ctrl-C too.
+    Pictures are cut to even sizes, which 4:2:0 chroma asks for. Leaving the block closes the file, after Ctrl-C too. A video without
+    pictures is no file.
     """
 
     def __init__(self, path: Path, fps: float, size: tuple[int, int]) -> None:
         """size: width and height in px. Raises LuxloopError where the file cannot be written."""
         self.path = path
         self._part = path.with_name(f".{path.name}.part")
-        self._width, self._height = (n - n % 2 for n in size)
-        try:
-            self._container = av.open(str(self._part), "w", format="mp4")
-        except OSError as error:
-            raise LuxloopError(f"{path}: cannot be written ({error.strerror}); name another file or directory") from error
-        self._stream = self._container.add_stream("h264", rate=Fraction(fps).limit_denominator(1000), options={"crf": "18", "preset": "veryfast"})
-        self._stream.width, self._stream.height, self._stream.pix_fmt = self._width, self._height, "yuv420p"
+        with self._writing():
+            self._file = self._part.open("wb")
+        self._container = av.open(self._file, "w", format="mp4")
+        options = {"crf": "26", "preset": "veryfast"}  # finer would spend megabytes on the camera's noise
+        self._stream = self._container.add_stream("h264", Fraction(fps).limit_denominator(1000), options)
+        self._stream.width, self._stream.height = (n - n % 2 for n in size)
+        self._stream.pix_fmt = "yuv420p"
         self._stream.thread_count = 1  # the file does not depend on the number of cores
 
     def __enter__(self) -> "VideoWriter":
         return self
 
     def add(self, picture: Picture) -> None:
-        """Append a picture `[H, W, 3]` uint8, RGB, of the video's size."""
-        even = np.ascontiguousarray(picture[: self._height, : self._width])
-        self._container.mux(self._stream.encode(av.VideoFrame.from_ndarray(even, format="rgb24")))
+        """Append a picture `[H, W, 3]` uint8, RGB, of the video's size. Raises LuxloopError where it cannot be written."""
+        even = np.ascontiguousarray(picture[: self._stream.height, : self._stream.width])
+        with self._writing():
+            self._container.mux(self._stream.encode(av.VideoFrame.from_ndarray(even, format="rgb24")))
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self._container.mux(self._stream.encode(None))
-        self._container.close()
-        os.replace(self._part, self.path)
+        with self._writing():
+            self._container.mux(self._stream.encode(None))
+            self._container.close()
+            self._file.close()
+            if self._part.stat().st_size:
+                os.replace(self._part, self.path)
+            else:
+                self._part.unlink()
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise LuxloopError(f"{self.path}: cannot be written ({error.strerror or error}); name another file or directory") from error
+
+
+def _from_above(result: StepResult, simulation: Simulation, white: Tensor, height: int) -> Picture:
+    """The road about the target, far end on top, with the target outlined; height: px."""
+    symbol, axes = simulation.scenario.symbol, simulation.plane.axes
+    light = simulation.plant.lit(result.time_s).luminance(result.lights)
+    rows = (axes.v + symbol.x_m).abs() <= CLOSE * symbol.length_m
+    cols = (axes.u + symbol.y_m).abs() <= CLOSE * symbol.width_m
+    picture = _scaled(tone_map(rectify(simulation.plane, light)[rows.to(light.device)][:, cols.to(light.device)], white), height)
+    px_per_m = height / (float(axes.v[1] - axes.v[0]) * int(rows.sum()))
+    centre = (-symbol.y_m - float(axes.u[cols][0]), -symbol.x_m - float(axes.v[rows][0]))
+    half = (symbol.width_m / 2, symbol.length_m / 2)
+    low, high = ([round(px_per_m * (c + sign * h)) for c, h in zip(centre, half, strict=True)] for sign in (-1, 1))
+    cv2.rectangle(picture, low, high, TARGET_RGB, 1)
+    return picture
 
 
 def _outline_target(picture: Picture, simulation: Simulation) -> None:
@@ -105,14 +135,17 @@ def _outline_symbol(picture: Picture, result: StepResult) -> None:
         cv2.drawContours(picture, contours, -1, SEEN_RGB, 1)
 
 
-def _paste(picture: Picture, inset: Picture, height: int, margin: int, left: bool) -> None:
-    """Lay a framed inset of a height into the upper left or right corner."""
-    width = max(inset.shape[1] * height // inset.shape[0], 1)
-    small = cv2.resize(inset, (width, max(height, 1)), interpolation=cv2.INTER_AREA)
-    small = small[: picture.shape[0] - margin, : picture.shape[1] - margin]
-    u = margin if left else picture.shape[1] - margin - small.shape[1]
-    picture[margin : margin + small.shape[0], u : u + small.shape[1]] = small
-    cv2.rectangle(picture, (u - 1, margin - 1), (u + small.shape[1], margin + small.shape[0]), TEXT_RGB, 1)
+def _scaled(picture: Picture, height: int) -> Picture:
+    return cv2.resize(picture, (round(picture.shape[1] * height / picture.shape[0]), height), interpolation=cv2.INTER_AREA)
+
+
+def _paste(picture: Picture, inset: Picture, margin: int, left: bool) -> None:
+    """Lay a framed inset into the upper left or right corner; what is too wide is cut."""
+    inset = inset[:, : picture.shape[1] - 2 * margin]
+    height, width = inset.shape[:2]
+    u = margin if left else picture.shape[1] - margin - width
+    picture[margin : margin + height, u : u + width] = inset
+    cv2.rectangle(picture, (u - 1, margin - 1), (u + width, margin + height), TEXT_RGB, 1)
 
 
 def _captions(result: StepResult, simulation: Simulation) -> list[tuple[str, tuple[int, int, int]]]:

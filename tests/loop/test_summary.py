@@ -1,0 +1,123 @@
+"""The summary of sequences whose numbers are known in closed form."""
+
+import json
+import math
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from loop.recorder import COLUMNS, table_of
+from loop.summary import overshoot_percent, settle_step, summarise
+
+
+def table(steps: int = 40, loss: list[str] | None = None, **columns: Any) -> pa.Table:
+    """A recording that is at rest but for the given columns (numbers or arrays)."""
+    values = {name: np.broadcast_to(columns.get(name, 1.0 if name == "length" else 0.0), steps).tolist() for name in COLUMNS}
+    values |= {"step": list(range(steps)), "loss": loss or [""] * steps}
+    return table_of([{name: values[name][k] for name in COLUMNS} for k in range(steps)])
+
+
+def decay(start: float, ratio: float, steps: int = 40) -> np.ndarray:
+    return start * ratio ** np.arange(steps)
+
+
+def test_first_order_decay_settles_when_it_enters_two_percent() -> None:
+    # 40 * 0.7^k <= 2 from k = ln(20) / ln(1 / 0.7) = 8.4 on; the final value is 40 * 0.7^30 = 1e-3, too little to matter
+    assert settle_step(table(centroid_error_x_percent=decay(40, 0.7))) == 9
+    assert overshoot_percent(table(centroid_error_x_percent=decay(40, 0.7))) == pytest.approx(0, abs=1e-3)
+
+
+def test_oscillation_overshoots_by_its_damping() -> None:
+    k = np.arange(80)
+    # 0.8^k cos(pi k / 5): the first trough in whole steps is at k = 4 or 5, whichever is deeper
+    wave = 50 * 0.8**k * np.cos(np.pi * k / 5)
+    swinging = table(80, centroid_error_y_percent=wave)
+    assert overshoot_percent(swinging) == pytest.approx(-100 * wave.min() / 50, abs=1e-3)
+    within = [step for step in range(80) if (np.abs(wave[step:]) <= 2).all()]
+    assert settle_step(swinging) == within[0]
+
+
+def test_overshoot_is_the_largest_of_the_axes_that_start_far_off() -> None:
+    x = np.array([20.0, -4.0, *[0.0] * 20])  # 20 %
+    y = np.array([-10.0, 5.0, *[0.0] * 20])  # 50 %
+    near = np.array([4.0, -4.0, *[0.0] * 20])  # 100 %, of an axis that starts less than 5 % off
+    assert overshoot_percent(table(22, centroid_error_x_percent=x, centroid_error_y_percent=y)) == pytest.approx(50)
+    assert overshoot_percent(table(22, centroid_error_x_percent=x, centroid_error_y_percent=near)) == pytest.approx(20)
+    assert overshoot_percent(table(22, centroid_error_x_percent=near)) is None
+
+
+def test_overshoot_is_measured_from_the_final_value() -> None:
+    x = np.array([20.0, 8.0, *[10.0] * 20])
+    assert overshoot_percent(table(22, centroid_error_x_percent=x)) == pytest.approx(100 * 2 / 20)
+
+
+def test_a_step_settles_at_once() -> None:
+    assert settle_step(table(centroid_error_x_percent=np.where(np.arange(40) < 7, 30.0, 1.0))) == 7
+    assert settle_step(table()) == 0
+
+
+@pytest.mark.parametrize(
+    ("column", "rest", "outside"),
+    [("centroid_error_x_percent", 0, 2.01), ("centroid_error_y_percent", 0, -2.01), ("length", 1, 1.021), ("shear", 0, 0.021)],
+)
+def test_every_quantity_has_to_stay_within_its_band(column: str, rest: float, outside: float) -> None:
+    values = np.where(np.arange(40) == 12, outside, rest)
+    assert settle_step(table(**{column: values})) == 13
+    inside = np.where(np.arange(40) == 12, rest + 0.95 * (outside - rest), rest)
+    assert settle_step(table(**{column: inside})) == 0
+
+
+def test_never_settling() -> None:
+    assert settle_step(table(centroid_error_x_percent=10 * np.sin(np.arange(40)))) is None
+    late = np.where(np.arange(40) < 31, 5.0, 0.0)  # at rest for the last nine steps only
+    assert settle_step(table(centroid_error_x_percent=late)) is None
+
+
+def test_ten_steps_are_needed() -> None:
+    assert settle_step(table(9)) is None
+    assert settle_step(table(10)) == 0
+
+
+def test_what_is_not_lit_is_not_settled() -> None:
+    dark = np.where(np.arange(40) == 20, np.nan, 0.0)
+    assert settle_step(table(centroid_error_x_percent=dark)) == 21
+    dark_at_the_end = np.where(np.arange(40) == 39, np.nan, 0.0)
+    assert settle_step(table(centroid_error_x_percent=dark_at_the_end)) is None
+
+
+def test_summary_has_every_field() -> None:
+    k = np.arange(40)
+    recorded = table(
+        loss=["no_frame", *[""] * 38, "too_small"],
+        centroid_error_x_percent=k - 37.0,
+        iou=k / 40,
+        ssim=k / 80,
+        step_ms=k**2,
+    )
+    assert summarise(recorded, "name", "thesis_pid", 0.25) == {
+        "scenario": "name",
+        "controller": "thesis_pid",
+        "steps": 40,
+        "settle_step": None,
+        "overshoot_percent": pytest.approx(100 * 4.5 / 37),  # the final value, -2.5, is passed by the last step's 2
+        "centroid_error_percent": [0.0, 0.0],
+        "iou_open": 0.25,
+        "iou_final": 39 / 40,
+        "ssim_final": 39 / 80,
+        "lost_steps": 2,
+        "step_ms_median": 380.5,
+    }
+
+
+@pytest.mark.parametrize("steps", [0, 1, 40])
+def test_nothing_seen_is_null_in_json(steps: int) -> None:
+    numbers = [name for name in COLUMNS if name not in ("step", "loss")]
+    summary = summarise(table(steps, **dict.fromkeys(numbers, math.nan)), "name", "open", math.nan)
+    written = json.loads(json.dumps(summary, allow_nan=False))
+    assert written["steps"] == steps
+    assert [written[key] for key in ("settle_step", "overshoot_percent", "iou_open", "iou_final", "ssim_final", "step_ms_median")] == [
+        None
+    ] * 6
+    assert written["centroid_error_percent"] == [None, None]

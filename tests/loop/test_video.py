@@ -1,0 +1,99 @@
+"""Videos: pictures that show what they say, in a file that players read, there whole or not at all."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+import torch
+
+from loop.simulation import Simulation, StepResult
+from loop.video import LOST_RGB, SEEN_RGB, TARGET_RGB, VideoWriter, frame_picture, tone_map
+from world.errors import LuxloopError
+
+
+def decoded(file: Path) -> list[np.ndarray]:
+    with av.open(str(file)) as container:
+        return [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+
+
+def shows(picture: np.ndarray, rgb: tuple[int, int, int]) -> bool:
+    """Whether a colour is there, be it thinned by anti-aliasing: the picture is grey else."""
+    tint = np.array(rgb, float) - np.mean(rgb)
+    colour = picture - picture.mean(-1, keepdims=True)
+    strength = colour @ tint / (tint @ tint)
+    return bool(((strength > 0.5) & (np.abs(colour - strength[..., None] * tint).max(-1) < 10)).any())
+
+
+def test_picture_has_the_cameras_size_and_shows_symbol_and_target(small_simulation: Simulation, small_results: list[StepResult]) -> None:
+    picture = frame_picture(small_results[-1], small_simulation)
+    assert picture.shape == (180, 320, 3)
+    assert picture.dtype == np.uint8
+    below_insets = picture[90:]
+    assert shows(below_insets, SEEN_RGB) and shows(below_insets, TARGET_RGB)
+    assert shows(picture[:90, :60], TARGET_RGB)
+
+
+def test_symbol_is_outlined_where_it_is(small_simulation: Simulation, small_results: list[StepResult]) -> None:
+    result = small_results[0]
+    bare = replace(result, seen=replace(result.seen, symbol=torch.zeros_like(result.seen.symbol)))
+    changed = (frame_picture(result, small_simulation) != frame_picture(bare, small_simulation)).any(-1)
+    v, u = np.nonzero(changed)
+    crop, (lit_v, lit_u) = result.seen.crop, torch.nonzero(result.seen.symbol > 0.5).T
+    assert (v.min(), v.max()) == (int(lit_v.min()) + crop.v_start, int(lit_v.max()) + crop.v_start)
+    assert (u.min(), u.max()) == (int(lit_u.min()) + crop.u_start, int(lit_u.max()) + crop.u_start)
+
+
+def test_lost_frames_are_a_dark_picture_that_says_so(small_simulation: Simulation, small_results: list[StepResult]) -> None:
+    result = small_results[0]
+    lost = replace(result, frames=None, seen=small_simulation.observer.look(None, result.pose, result.lights))
+    picture = frame_picture(lost, small_simulation)
+    assert not shows(picture, SEEN_RGB)
+    assert shows(picture[-12:, :80], LOST_RGB)
+
+
+def test_tone_map_is_monotonic_and_saturates_at_white() -> None:
+    grey = tone_map(torch.tensor([[0.0, 0.01, 0.25, 1.0, 5.0]]), torch.tensor(1.0))
+    assert grey[0, :, 0].tolist() == [0, 26, 128, 255, 255]
+
+
+@pytest.mark.parametrize("size", [(320, 180), (65, 33)])
+def test_video_has_every_picture_in_even_size(tmp_path: Path, size: tuple[int, int]) -> None:
+    width, height = size
+    shades = [40, 120, 200]
+    with VideoWriter(tmp_path / "video.mp4", 10, size) as video:
+        for shade in shades:
+            video.add(np.full((height, width, 3), shade, np.uint8))
+            assert not (tmp_path / "video.mp4").exists()
+    pictures = decoded(tmp_path / "video.mp4")
+    assert [picture.shape for picture in pictures] == [(height // 2 * 2, width // 2 * 2, 3)] * 3
+    assert [picture.mean() for picture in pictures] == pytest.approx(shades, abs=3)  # limited range and quantisation
+    assert [file.name for file in tmp_path.iterdir()] == ["video.mp4"]
+
+
+def test_interrupted_video_can_be_played(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt), VideoWriter(tmp_path / "video.mp4", 30, (64, 64)) as video:
+        video.add(np.zeros((64, 64, 3), np.uint8))
+        raise KeyboardInterrupt
+    assert len(decoded(tmp_path / "video.mp4")) == 1
+
+
+def test_video_of_nothing_is_no_file(tmp_path: Path) -> None:
+    with VideoWriter(tmp_path / "video.mp4", 30, (64, 64)):
+        pass
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_same_pictures_give_the_same_file(tmp_path: Path) -> None:
+    noise = np.random.default_rng(0).integers(0, 255, (3, 64, 64, 3), np.uint8)
+    for name in ("a", "b"):
+        with VideoWriter(tmp_path / f"{name}.mp4", 30, (64, 64)) as video:
+            for picture in noise:
+                video.add(picture)
+    assert (tmp_path / "a.mp4").read_bytes() == (tmp_path / "b.mp4").read_bytes()
+
+
+def test_video_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+    with pytest.raises(LuxloopError, match=r"video\.mp4: cannot be written \(.*\); name another"):
+        VideoWriter(tmp_path / "no" / "video.mp4", 30, (64, 64))

@@ -1,0 +1,87 @@
+"""The shipped scenarios still run as they were recorded, by the comparison of `luxloop replay`.
+
+A recording here is the trajectory without its timings: what else a manifest says is the scenario file itself.
+"""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from loop import data
+from loop.comparison import Difference, compare, tolerances
+from loop.recorder import COLUMNS, SCHEMA, row, table_of, write_table
+from loop.scenario import Scenario, load
+from loop.shipped import shipped
+from loop.simulation import Simulation
+from world.roads import OpenCrgRoad
+
+ROOT = Path(__file__).parents[2]
+FOLDER = ROOT / "scenarios" / "recordings"
+COMPARED = [name for name in COLUMNS if not name.endswith("_ms")]
+
+
+@pytest.fixture(autouse=True)
+def data_at_hand(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let measured roads be found where the tests' data lies, if it lies anywhere."""
+    folder = ROOT.parent / "shared" / "data"
+    if data.FOLDER_VARIABLE not in os.environ and folder.is_dir():
+        monkeypatch.setenv(data.FOLDER_VARIABLE, str(folder))
+
+
+def skip_without_data(scenario: Scenario) -> None:
+    road = scenario.road
+    if isinstance(road, OpenCrgRoad) and road.file in data.registry() and data.present(road.file) is None:
+        pytest.skip(f"the measured road is not here: luxloop data get {road.file}")
+
+
+def trajectory(scenario: Scenario) -> pa.Table:
+    return table_of([row(result) for result in Simulation.prepare(scenario).run()])
+
+
+def read(file: Path) -> pa.Table:
+    """A recorded trajectory; its timings, which are not kept, become null."""
+    kept = pq.read_table(file)
+    columns = [kept[name] if name in COMPARED else pa.nulls(kept.num_rows, SCHEMA.field(name).type) for name in COLUMNS]
+    return pa.Table.from_arrays(columns, schema=SCHEMA)
+
+
+def told(differences: tuple[Difference, ...]) -> str:
+    return "\n".join(
+        f"  {d.column}: from step {d.first_step} on ({d.recorded} is now {d.replayed}), at most {d.largest:.3g} at step {d.largest_step}"
+        for d in differences
+    )
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_scenario_runs_as_recorded(name: str, re_record: bool, capsys: pytest.CaptureFixture[str]) -> None:
+    scenario, file = load(name), FOLDER / f"{name}.parquet"
+    skip_without_data(scenario)
+    if re_record:
+        now = trajectory(scenario)
+        news = told(compare(read(file), now, {})) or "  as before, bit by bit" if file.is_file() else "  for the first time"
+        FOLDER.mkdir(exist_ok=True)
+        write_table(file, now.select(COMPARED))
+        with capsys.disabled():
+            print(f"\n{name} recorded:\n{news}")
+        return
+    if not file.is_file():
+        pytest.skip(f"never recorded: pytest tests/regression --re-record -k {name}")
+    differences = compare(read(file), trajectory(scenario), tolerances(scenario.features))
+    assert not differences, f"{name} runs differently; if that is meant, pytest tests/regression --re-record\n{told(differences)}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("setting", [{"OMP_NUM_THREADS": "1"}, {"OMP_NUM_THREADS": "2"}, {"ATEN_CPU_CAPABILITY": "default"}], ids=str)
+def test_recordings_hold_on_other_machines(setting: dict[str, str]) -> None:
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-k", "test_scenario_runs_as_recorded", str(Path(__file__).parent)]
+    result = subprocess.run(command, env={**os.environ, **setting}, cwd=ROOT, capture_output=True, text=True)
+    assert result.returncode == 0, result.stdout
+
+
+def test_every_recording_has_its_scenario() -> None:
+    assert {file.stem for file in FOLDER.glob("*")} <= set(shipped())
