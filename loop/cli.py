@@ -13,7 +13,7 @@ from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
 from loop import tables
 from world.errors import LuxloopError
 
-OK, DIFFERS, WRONG, INTERRUPTED = 0, 1, 2, 130
+OK, DIFFERS, UNREAD, WRONG, INTERRUPTED = 0, 1, 1, 2, 130
 
 
 def version() -> str:
@@ -59,9 +59,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _say(f"interrupted{f': {error}' if str(error) else ''}")
         return INTERRUPTED
     except BrokenPipeError:
-        # Whoever read our output has gone; Python would complain once more when it flushes stdout at exit.
+        # Whoever read our output has gone; Python would complain once more when it flushes stdout at exit. Tables end the same way.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return OK
+        return UNREAD
 
 
 def _say(text: str) -> None:

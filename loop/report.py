@@ -83,13 +83,13 @@ def write_report(file: Path, simulation: Simulation, gathered: Gathered, table: 
         figure = Figure(INCHES, DPI, layout="constrained")
         FigureCanvasAgg(figure)
         figure.suptitle(_title(simulation, summary), x=0.012, ha="left", fontsize=12.5, weight="bold")
-        left, right = np.ravel(figure.subfigures(1, 2, width_ratios=(4.3, 7.7)))
+        left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(4.3, 7.7))[0]
         _courses(left, simulation, table, summary)
-        top, middle, bottom = np.ravel(right.subfigures(3, 1, height_ratios=(2.75, 2.35, 3.6)))
+        top, middle, bottom = right.subfigures(3, 1, squeeze=False, height_ratios=(2.75, 2.35, 3.6))[:, 0]
         before, after = (_camera_image(simulation, lights, last) for lights in (open_lights, last.lights))
         _progression(top, simulation, gathered, after)
         _camera_views(middle, simulation, before, after)
-        plane, beam = np.ravel(bottom.subfigures(1, 2, width_ratios=(3.5, 4.2)))
+        plane, beam = bottom.subfigures(1, 2, squeeze=False, width_ratios=(3.5, 4.2))[0]
         _birds_eye_views(plane, simulation, open_lights, last)
         _beam_patterns(beam, simulation, last.lights)
         figure.savefig(file)

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from datetime import date, time
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 
@@ -26,7 +26,7 @@ from world.params import Params
 from world.roads import Flat, RoadParams
 from world.scene import StreetLamp
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION: Final = 1
 TAGS = ("kind", "name")  # keys that tell the variants of a table apart
 
 

@@ -1,0 +1,327 @@
+"""The command line: every command, every way to be wrong, in one sentence and with its exit code."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+
+from loop import cli, data, tables
+from loop.doctor import Check
+from loop.scenario import Scenario, load
+from loop.simulation import Simulation
+from world.errors import LuxloopError
+from world.opencrg import Crg, write_crg
+
+ROOT = Path(__file__).parents[2]
+FILE = """
+name = "small"
+steps = 3
+renderer = "raycast"
+[surface]
+grain = 0.0
+[camera]
+width_px = 320
+height_px = 180
+[symbol]
+image = "chevrons"
+[start]
+x_m = 18.0
+roll_deg = 2.0
+"""
+FILES = {"manifest.json", "trajectory.parquet", "summary.json", "report.png", "video.mp4"}
+
+Lux = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def lux(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Lux:
+    """Run a command line in a folder that has small.toml; gives exit code, stdout and stderr."""
+    (tmp_path / "small.toml").write_text(FILE)
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments: str) -> tuple[int, str, str]:
+        code = cli.main(arguments)
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return run
+
+
+def assert_one_sentence(error: str) -> None:
+    assert error.startswith("error: ")
+    assert error.count("\n") == 1 and error.endswith("\n")
+    assert "Traceback" not in error and not re.search(r"\.\s+[A-Z]", error)
+
+
+def test_help_and_version(lux: Lux) -> None:
+    for arguments in ([], ["--help"]):
+        code, out, _ = lux(*arguments)
+        assert code == 0
+        for command in ("list", "new", "check", "schema", "doctor", "data", "run", "replay"):
+            assert re.search(rf"│ {command}\b", out)
+    code, out, _ = lux("run", "--help")
+    assert code == 0
+    for option in ("--out", "--set", "--seed", "--steps", "--controller", "--device", "--video", "--no-video"):
+        assert option in out
+    assert lux("--version")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        ("rum small.toml", '"run"'),
+        ("data gett x", '"get"'),
+        ("data get belgian_blok", "'belgian_block'"),
+        ("run small.toml --sede 3", "--seed"),
+        ("run small.toml --device cpuu", '"cpu"'),
+        ("run small.toml --controller thesis_pdi", "'thesis_pid'"),
+        ("run small.toml --set camera.bitz=8", "'bits'"),
+        ("run small.toml --set symbol.image=snowflak", "'snowflake'"),
+        ("run small.toml --set road.kind=bumpz", "'bumps'"),
+    ],
+)
+def test_did_you_mean(lux: Lux, arguments: str, named: str) -> None:
+    code, _, error = lux(*arguments.split())
+    assert code == 2
+    assert_one_sentence(error)
+    assert f"did you mean {named}?" in error or f"did you mean {named}" in error
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        ("run", ["NAME"]),
+        ("run small.toml another", ["another", "luxloop run --help"]),
+        ("run small.toml --steps three", ["--steps", "three"]),
+        ("run small.toml --steps -1", ["steps=-1", "greater than or equal to 1"]),
+        ("run small.toml --seed -1", ["seed=-1", "greater than or equal to 0"]),
+        ("run small.toml --set steps", ["--set steps", "key=value"]),
+        ("run small.toml --set camera.bits=[8", ["camera.bits", "'[8'"]),
+        ("run nothing.toml", ["nothing.toml", "luxloop new"]),
+        ("run .", ["folder"]),
+        ("run zzz", ["zzz", "luxloop list"]),
+        ("run small.toml --out small.toml", ["small.toml", "--out"]),
+        ("run small.toml --out .", ["no recording", "new directory"]),
+        ("run small.toml --set symbol.image=none.png", ["none.png", "does not exist"]),
+        ("run small.toml --set symbol.image=black.png", ["black.png", "black"]),
+        ("run small.toml --set symbol.image=text.png", ["text.png", "picture"]),
+        ("run small.toml --set symbol.image=empty.png", ["empty.png", "picture"]),
+        ("run small.toml --set road.kind=opencrg road.file=none.crg", ["none.crg", "check the path"]),
+        ("run small.toml --set road.kind=opencrg road.file=text.png", ["text.png", "OpenCRG"]),
+        ("run small.toml --set road.kind=opencrg road.file=short.crg", ["short.crg", "truncated"]),
+        ("run mesh.toml --set road.kind=flat", ["none.obj", "no such mesh"]),
+        ("run badmesh.toml", ["text.stl", "triangles"]),
+        ("run small.toml --set camera.yaw_deg=90", ["symbol.x_m = 17", "camera's sight"]),
+        ("run small.toml --set symbol.y_m=-9 camera.yaw_deg=-26", ["symbol.y_m = -9", "lamps' reach"]),
+        ("run small.toml --set headlight.intensity_cd=1", ["noise", "headlight.intensity_cd"]),
+        ("check small.toml --set a=1", ["--set"]),
+        ("check mesh.toml", ["none.obj"]),
+        ("replay .", ["no recording", "luxloop run"]),
+        ("replay nowhere", ["nowhere", "luxloop run"]),
+        ("new small.toml", ["small.toml", "exists"]),
+        ("new nowhere/my.toml", ["nowhere/my.toml", "folder"]),
+    ],
+)
+def test_what_the_user_can_mend_is_one_sentence_and_leaves_nothing_behind(
+    lux: Lux, tmp_path: Path, arguments: str, named: list[str]
+) -> None:
+    cv2.imwrite("black.png", np.zeros((8, 8), np.uint8))
+    Path("text.png").write_text("no picture")
+    Path("empty.png").touch()
+    Path("text.stl").write_text("no mesh")
+    write_crg("short.crg", Crg(np.zeros((50, 5)), np.linspace(-2, 2, 5), {"reference_line_increment": 1.0, "reference_line_end_u": 49.0}))
+    Path("short.crg").write_bytes(Path("short.crg").read_bytes()[:-501])
+    objects = '[[objects]]\nkind = "mesh"\nname = "m"\nfile = "{}"\ntrack = [{{position_m = [17, 0, 0]}}]\n'
+    Path("mesh.toml").write_text(FILE + objects.format("none.obj"))
+    Path("badmesh.toml").write_text(FILE + objects.format("text.stl"))
+    before = set(tmp_path.rglob("*"))
+    code, _, error = lux(*arguments.split())
+    assert code == 2
+    assert_one_sentence(error)
+    for part in named:
+        assert part in error
+    assert set(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device here")
+def test_device_that_is_not_there(lux: Lux) -> None:
+    code, _, error = lux("run", "small.toml", "--device", "cuda")
+    assert code == 2
+    assert_one_sentence(error)
+    assert "--device cpu" in error
+
+
+def test_new_scenario_is_valid_and_shows_the_defaults(lux: Lux, tmp_path: Path) -> None:
+    code, out, _ = lux("new", "my.toml")
+    assert code == 0 and "luxloop run my.toml" in out
+    scenario = load("my.toml")
+    assert scenario.name == "my"
+    text = (tmp_path / "my.toml").read_text()
+    for key in Scenario.model_fields:
+        assert re.search(rf"^(# )?(\[+{key}\]+|{key} = )", text, re.MULTILINE), key
+    everything = re.sub(r"^# (\[\[\w+\]\]|\w+ = (?!\.\.\.))", r"\1", text, flags=re.MULTILINE)
+    (tmp_path / "all.toml").write_text(everything)
+    assert len(tomllib.loads(everything)["camera"]) == len(type(scenario.camera).model_fields)
+    assert load("all.toml").model_copy(update={"objects": ()}) == scenario
+    assert len(load("all.toml").objects) == 1
+
+
+def test_check(lux: Lux) -> None:
+    code, out, error = lux("check", "small.toml")
+    assert (code, error) == (0, "")
+    assert out == "small.toml: ok (3 steps, road flat, controller thesis_pid)\n"
+
+
+def test_schema_is_json(lux: Lux) -> None:
+    code, out, _ = lux("schema")
+    assert code == 0
+    assert json.loads(out)["properties"]["steps"]["minimum"] == 1
+
+
+def test_list_names_missing_data_and_how_to_get_it(lux: Lux, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    paved = tmp_path / "paved.toml"
+    paved.write_text('name = "paved"\ndescription = "On stones."\nroad = {file = "belgian_block"}\ncontroller = {name = "open"}\n')
+    monkeypatch.setattr(tables, "shipped", lambda: {"paved": paved})
+    monkeypatch.setenv("LUXLOOP_DATA", str(tmp_path))
+    monkeypatch.setattr(data, "cache_folder", lambda: tmp_path / "cache")
+    code, out, _ = lux("list")
+    assert code == 0
+    for part in ("paved", "open", "On stones.", "luxloop data get belgian_block"):
+        assert part in out
+    (tmp_path / "belgian_block.crg").touch()
+    (tmp_path / data.entry("belgian_block").file).parent.mkdir(exist_ok=True)
+    (tmp_path / data.entry("belgian_block").file).touch()
+    assert "luxloop data get" not in lux("list")[1]
+
+
+def test_data_commands(lux: Lux, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fetched: list[tuple[str, Path | None]] = []
+
+    def get(name: str, directory: Path | None = None) -> data.Fetched:
+        fetched.append((data.entry(name).name, directory))
+        return data.Fetched(tmp_path / name, downloaded=name != "Barber")
+
+    monkeypatch.setattr(data, "get", get)
+    code, out, _ = lux("data", "list")
+    assert code == 0 and all(name in out for name in data.registry())
+    code, out, _ = lux("data", "get", "Barber", "--dir", "here")
+    assert code == 0 and "was here" in out
+    assert fetched == [("Barber", Path("here"))]
+    assert lux("data", "get", "all")[0] == 0
+    assert len(fetched) == 1 + len(data.registry())
+
+
+def test_doctor(lux: Lux, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = [Check("Python", "ok", "3.11"), Check("OpenGL", "fail", "[none]", "sudo apt-get install mesa")]
+    monkeypatch.setattr("loop.doctor.checks", lambda: found)
+    code, out, _ = lux("doctor")
+    assert code == 1
+    assert "sudo apt-get install mesa" in out and "[none]" in out
+    found.pop()
+    assert lux("doctor")[0] == 0
+
+
+def test_run_replay_and_what_differs(lux: Lux, tmp_path: Path) -> None:
+    code, out, error = lux("run", "small.toml", "--steps", "4", "--seed", "7", "--set", "camera.bits=8", "camera.gamma=2.2")
+    assert (code, error) == (0, "")
+    folder = tmp_path / "runs" / "small"
+    assert {path.name for path in folder.iterdir()} == FILES
+    for part in ("settle step", "centroid error", "IoU", "overshoot", "lost steps", "ms", "runs/small"):
+        assert part in out
+    manifest = json.loads((folder / "manifest.json").read_text())
+    assert (manifest["seed"], manifest["scenario"]["steps"], manifest["scenario"]["camera"]["bits"]) == (7, 4, 8)
+    assert json.loads((folder / "summary.json").read_text())["iou_open"] == pytest.approx(1, abs=0.01)  # a flat road needs no control
+    with av.open(str(folder / "video.mp4")) as video:
+        assert video.streams.video[0].frames == 4
+
+    code, out, _ = lux("replay", "runs/small")
+    assert code == 0 and "4 steps agree" in out
+    code, out, _ = lux("replay", "runs/small", "--csv", "steps.csv")
+    assert code == 0 and "agree" not in out
+    assert list(pd.read_csv("steps.csv")["step"]) == [0, 1, 2, 3]
+
+    manifest["scenario"]["start"]["x_m"] = 18.5
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    code, out, _ = lux("replay", "runs/small", "--compare")
+    assert code == 1
+    assert "edited" in out and re.search(r"x_m +0 +18 +18.5 ", out)
+
+
+def test_controller_starts_with_its_defaults_and_set_comes_on_top(lux: Lux, tmp_path: Path) -> None:
+    (tmp_path / "small.toml").write_text(FILE + '[controller]\nname = "thesis_pid"\nx_rate_m = 0.1\n')
+    arguments = ["run", "small.toml", "--no-video", "--steps", "1", "--out", "a"]
+    assert lux(*arguments, "--controller", "thesis_pid", "--set", "controller.y_rate_m=0.2")[0] == 0
+    controller = json.loads((tmp_path / "a" / "manifest.json").read_text())["scenario"]["controller"]
+    assert (controller["x_rate_m"], controller["y_rate_m"]) == (3.0, 0.2)
+    assert {path.name for path in (tmp_path / "a").iterdir()} == FILES - {"video.mp4"}
+
+
+def test_interrupt_keeps_the_steps_that_were_done(lux: Lux, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    steps = Simulation.run
+
+    def run(simulation: Simulation):  # type: ignore[no-untyped-def]
+        for result in steps(simulation):
+            if result.step == 2:
+                raise KeyboardInterrupt
+            yield result
+
+    monkeypatch.setattr(Simulation, "run", run)
+    code, _, error = lux("run", "small.toml")
+    assert code == 130
+    assert error == "interrupted: 2 of 3 steps are kept in runs/small\n"
+    folder = tmp_path / "runs" / "small"
+    assert {path.name for path in folder.iterdir()} == FILES
+    assert json.loads((folder / "manifest.json").read_text())["status"] == "interrupted"
+    assert len(pd.read_parquet(folder / "trajectory.parquet")) == 2
+
+
+def test_interrupt_before_the_first_step(lux: Lux, monkeypatch: pytest.MonkeyPatch) -> None:
+    def prepare(*_: object) -> Simulation:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("loop.run.prepare", prepare)
+    assert lux("run", "small.toml") == (130, "", "interrupted: nothing was recorded\n")
+    assert not Path("runs").exists()
+
+
+def test_failure_in_the_midst_keeps_the_steps_and_says_why(lux: Lux, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    steps = Simulation.run
+
+    def run(simulation: Simulation):  # type: ignore[no-untyped-def]
+        yield next(steps(simulation))
+        raise LuxloopError("the lamp is broken; mend it")
+
+    monkeypatch.setattr(Simulation, "run", run)
+    assert lux("run", "small.toml", "--no-video") == (2, "", "error: the lamp is broken; mend it\n")
+    assert len(pd.read_parquet(tmp_path / "runs" / "small" / "trajectory.parquet")) == 1
+
+
+def test_process_starts_quickly_and_takes_a_closed_pipe_calmly() -> None:
+    """What help and lists import is what makes them slow: torch alone takes a second."""
+    program = (
+        "import sys; from loop.cli import main\n"
+        "assert main(['--help']) == 0 and main(['list']) == 0 and main(['data', 'list']) == 0\n"
+        "assert not {'torch', 'kornia', 'matplotlib', 'pyrender', 'trimesh', 'pandas'} & set(sys.modules)\n"
+        "sys.exit(main(['data', 'lits']))"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=environment)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    with subprocess.Popen(
+        [sys.executable, "-m", "loop.cli", "data", "list"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment
+    ) as process:
+        assert process.stdout is not None and process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == b""
+    assert process.returncode == 1
