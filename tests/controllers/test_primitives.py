@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
@@ -40,6 +40,7 @@ def test_signs_of_roll_and_pitch() -> None:
     assert height(pitched, 0) < 0 < height(pitched, 2), "positive pitch: far end down"
 
 
+@settings(deadline=None)
 @given(st.floats(5, 40), st.floats(-5, 5), st.floats(-1, 1), st.floats(-1, 1))
 def test_turning_moves_neither_centre_nor_size(x: float, y: float, roll: float, pitch: float) -> None:
     p = symbol_at(x, y, roll, pitch, z=0.2)

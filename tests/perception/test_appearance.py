@@ -69,6 +69,7 @@ def random_symbol() -> Tensor:
     return image
 
 
+@settings(deadline=None)
 @given(st.integers(-20, 20), st.integers(-25, 25))
 def test_whole_pixels_shift_everything_alike(rows: int, cols: int) -> None:
     image = random_symbol()
@@ -80,7 +81,7 @@ def test_whole_pixels_shift_everything_alike(rows: int, cols: int) -> None:
     torch.testing.assert_close(features(moved, "quadrants")[2:], features(still, "quadrants")[2:], rtol=0, atol=1e-10)
 
 
-@settings(max_examples=30)
+@settings(deadline=None, max_examples=30)
 @given(st.floats(0, 1), st.floats(0, 1))
 def test_a_crop_sees_what_the_image_sees(u: float, v: float) -> None:
     image = rectangle((30 + u, 50 + u), (20 + v, 30 + v))
@@ -125,6 +126,7 @@ def test_an_error_is_current_minus_target_and_vanishes_at_the_target() -> None:
     torch.testing.assert_close(errors(moved, target), torch.tensor([3.0, 2, 0, 0], dtype=torch.float64), rtol=0, atol=1e-10)
 
 
+@settings(deadline=None)
 @given(st.floats(0.01, 100))
 def test_brightness_changes_the_area_only(factor: float) -> None:
     dim, bright = appearance(random_symbol(), AXES), appearance(factor * random_symbol(), AXES)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -14,6 +14,7 @@ angle = st.floats(-math.pi, math.pi)
 metre = st.floats(-1000, 1000)
 
 
+@settings(deadline=None)
 @given(angle, angle, angle)
 def test_rotation_is_yaw_after_pitch_after_roll(roll: float, pitch: float, yaw: float) -> None:
     R = rotation(*torch.tensor([roll, pitch, yaw], dtype=torch.float64))
@@ -35,6 +36,7 @@ def test_opencv_axes_in_an_iso_frame() -> None:
     assert ahead.tolist() == [1, 0, 0]
 
 
+@settings(deadline=None)
 @given(st.tuples(metre, metre, metre), st.tuples(angle, angle, angle))
 def test_inverse_undoes_a_pose(position: tuple[float, float, float], angles: tuple[float, float, float]) -> None:
     T = pose(torch.tensor(position, dtype=torch.float64), rotation(*torch.tensor(angles, dtype=torch.float64)))

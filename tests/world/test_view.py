@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from world.frames import R_ISO_OPENCV, pose, pose_from_degrees
@@ -17,6 +17,7 @@ def view(T_world_mount: torch.Tensor | None = None) -> View:
     return View(8, 6, fx=10.0, fy=12.0, cx=4.0, cy=2.5, T_world_view=T @ T_ISO_VIEW)
 
 
+@settings(deadline=None)
 @given(st.tuples(*[st.floats(-100, 100)] * 3), st.tuples(*[st.floats(-180, 180)] * 3), st.floats(0.1, 1000))
 def test_rays_project_onto_their_pixel_centres(position: tuple, angles: tuple, depth_m: float) -> None:
     v = view(pose_from_degrees(position, *angles))
