@@ -24,6 +24,7 @@ from perception.birdseye import rectify
 from perception.camera import expose, frame_generator, luminance_of
 from perception.extraction import Crop, Loss
 from perception.judge import THRESHOLD
+from world.errors import LuxloopError
 
 Lights = tuple[Utilisation, ...]
 Image = NDArray[np.floating]
@@ -75,7 +76,10 @@ class Gathered:
 
 
 def write_report(file: Path, simulation: Simulation, gathered: Gathered, table: pa.Table, summary: dict[str, Any]) -> None:
-    """Draw the page of a run of at least one step; table and summary are the recording's."""
+    """Draw the page of a run of at least one step; table and summary are the recording's.
+
+    Raises LuxloopError where the file cannot be written.
+    """
     last = gathered.last
     assert last is not None, "a report needs a step"
     open_lights = simulation.projector.light(simulation.projector.target)
@@ -92,7 +96,10 @@ def write_report(file: Path, simulation: Simulation, gathered: Gathered, table: 
         plane, beam = bottom.subfigures(1, 2, squeeze=False, width_ratios=(3.5, 4.2))[0]
         _birds_eye_views(plane, simulation, open_lights, last)
         _beam_patterns(beam, simulation, last.lights)
-        figure.savefig(file)
+        try:
+            figure.savefig(file)
+        except OSError as error:
+            raise LuxloopError(f"{file}: cannot be written ({error.strerror}); give another directory") from error
 
 
 def _title(simulation: Simulation, summary: dict[str, Any]) -> str:
@@ -142,7 +149,7 @@ def _courses(figure: SubFigure, simulation: Simulation, table: pa.Table, summary
     pose.set_ylabel("m")
     turned.set_ylabel("deg (dashed)")
     handles = [*pose.get_lines(), *turned.get_lines()]
-    pose.legend(handles=[line for line in handles if not line.get_label().startswith("_")], loc="upper right", ncols=2)
+    turned.legend(handles=[line for line in handles if not line.get_label().startswith("_")], loc="upper right", ncols=2)
 
     judged.set_title("How the symbol lies, without noise")
     judged.axhspan(-2, 2, color="0.5", alpha=0.15, lw=0)
@@ -159,7 +166,7 @@ def _courses(figure: SubFigure, simulation: Simulation, table: pa.Table, summary
     overlap.set_ylim(0, 1)
     overlap.set_ylabel("IoU with the target")
     handles = [*judged.get_lines(), *overlap.get_lines()]
-    judged.legend(handles=[line for line in handles if not line.get_label().startswith("_")], loc="upper right", ncols=2)
+    overlap.legend(handles=[line for line in handles if not line.get_label().startswith("_")], loc="lower right", ncols=2)
     judged.set_xlabel("control step")
     judged.set_xlim(steps[0], max(steps[-1], steps[0] + 1))
     judged.xaxis.set_major_locator(MaxNLocator(integer=True))
