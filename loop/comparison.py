@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow as pa
 
 from controllers.symbol.flat_model import FeatureParams
-from loop.recorder import CENTROIDS, COLUMNS
+from loop.recorder import CENTROIDS, COLUMNS, ERRORS
 from loop.summary import settle_step
 
 # Largest difference between two machines that is no difference in behaviour, and why. Timings are excepted, all else is exact.
@@ -27,11 +27,12 @@ TOLERANCES: dict[str, tuple[float, str]] = {
     "iou": (0.01, "thin strokes: a shift of 2 mm across the road costs as much"),
     "ssim": (0.005, "half the IoU's, which it follows"),
     "length": (0.002, "a tenth of what counts as settled"),
-    "shear": (0.005, "a quarter of what counts as settled"),
+    "shear": (0.02, "as much as is settled"),
 }
 CENTROID_PX = (0.1, "a tenth of a pixel of the raw image")
-CENTROID_M = (1e-3, "a millimetre of the bird's-eye view, whose cells are 4 cm")
-SHEAR = (0.005, "a quarter of what counts as settled")
+CENTROID_M = (0.004, "a tenth of a cell of the bird's-eye view")
+QUADRANTS = 4  # times the centroid's: a quadrant has a quarter of the pixels, so one on the edge of extraction weighs four times as much
+SHEAR = (0.02, "as much as is settled")
 SETTLE_STEPS = 1  # a symbol that settles at the border of 2 % may do so a step sooner or later
 
 
@@ -51,10 +52,10 @@ class Difference:
 def tolerances(what: FeatureParams) -> dict[str, tuple[float, str]]:
     """Tolerance and reason of every numeric column that is compared within one, for the features that a scenario looks at."""
     centroid = CENTROID_PX if what.view == "raw" else CENTROID_M
-    twice = (2 * centroid[0], "half the sum of four centroids' differences")
-    shape = (twice, twice) if what.shape == "quadrants" else (SHEAR, centroid)
-    features = dict(zip(("e_x", "e_y", "e_roll", "e_pitch"), (centroid, centroid, *shape), strict=True))
-    return {**TOLERANCES, **features, **dict.fromkeys(CENTROIDS, centroid)}
+    quadrant = (QUADRANTS * centroid[0], f"{QUADRANTS} times the centroid's, since a quadrant has a quarter of its pixels")
+    shape = (quadrant, quadrant) if what.shape == "quadrants" else (SHEAR, centroid)
+    features = dict(zip(ERRORS, (centroid, centroid, *shape), strict=True))
+    return {**TOLERANCES, **features, **dict.fromkeys(CENTROIDS[:2], centroid), **dict.fromkeys(CENTROIDS[2:], quadrant)}
 
 
 def compare(recorded: pa.Table, replayed: pa.Table, within: dict[str, tuple[float, str]]) -> tuple[Difference, ...]:
