@@ -7,6 +7,7 @@ markings are. Strokes are at least 0.055 of the square, 11 cm across and 22 cm a
 
 import sys
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -89,7 +90,7 @@ def warning_triangle(canvas: Canvas) -> None:
 
 
 def distance_warning(canvas: Canvas) -> None:
-    """The car ahead from behind, the gap as a double arrow, and the own bumper."""
+    """The car ahead from behind, the gap as a double arrow, and the own curved bumper."""
     canvas.rounded([(0.31, 0.05), (0.69, 0.05), (0.77, 0.19), (0.23, 0.19)], 0.03)
     canvas.rounded([(0.19, 0.20), (0.81, 0.20), (0.81, 0.35), (0.19, 0.35)], 0.05)
     for left in (0.16, 0.68):
@@ -99,9 +100,11 @@ def distance_warning(canvas: Canvas) -> None:
         canvas.disc((x, 0.275), 0.045, DARK)
 
     canvas.polygon([(0.5, 0.44), (0.66, 0.56), (0.34, 0.56)])
-    canvas.polygon([(0.5, 0.86), (0.66, 0.74), (0.34, 0.74)])
-    canvas.rectangle(0.45, 0.53, 0.55, 0.77)
-    canvas.rounded([(0.06, 0.93), (0.94, 0.93), (0.94, 0.95), (0.06, 0.95)], 0.03)
+    canvas.polygon([(0.5, 0.81), (0.66, 0.69), (0.34, 0.69)])
+    canvas.rectangle(0.45, 0.53, 0.55, 0.72)
+    bumper = [(x, 0.855 + 0.38 * (x - 0.5) ** 2) for x in np.linspace(0.07, 0.93, 15)]
+    for start, end in pairwise(bumper):
+        canvas.stroke(start, end, 0.08)
 
 
 SYMBOLS: list[Callable[[Canvas], None]] = [snowflake, chevrons, warning_triangle, distance_warning]

@@ -43,7 +43,7 @@ class HeadlightParams(Params):
     """The vehicle's pair of headlights, and which of them draw the symbol."""
 
     preset: Literal["idealised-332x1024"] = Field("idealised-332x1024", description="headlight model")
-    intensity_cd: float = Field(30_000.0, gt=0, le=500_000, description="luminous intensity with all pixels at full utilisation")
+    intensity_cd: float = Field(50_000.0, gt=0, le=500_000, description="luminous intensity with all pixels at full utilisation")
     height_m: float = Field(0.75, gt=0.1, le=2.0, description="height of the photometric centres above the road")
     distance_m: float = Field(1.2, ge=0, le=3, description="distance between the photometric centres")
     lamps: tuple[Literal["left", "right"], ...] = Field(("left",), min_length=1, description="lamps that draw the symbol")

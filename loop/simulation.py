@@ -19,7 +19,7 @@ from loop.build import build_projector, build_scene
 from loop.plant import Frames, SimulatedPlant
 from loop.scenario import Scenario
 from perception.birdseye import BirdsEye, birds_eye, region_around
-from perception.judge import Target, Verdict, judge, target
+from perception.judge import CELL_M, Target, Verdict, judge, target
 from world.face_source import face_source
 
 Lights = tuple[Utilisation, ...]
@@ -75,7 +75,7 @@ class Simulation:
         plant = SimulatedPlant(
             scene, projector.lamps, scenario.camera, face_source(scenario.renderer), scenario.rate_hz, scenario.seed, device
         )
-        plane = birds_eye(region_around(symbol.x_m, symbol.y_m, symbol.length_m, symbol.width_m), plant.view)
+        plane = birds_eye(region_around(symbol.x_m, symbol.y_m, symbol.length_m, symbol.width_m, CELL_M), plant.view)
         return cls(
             scenario=scenario,
             device=device,

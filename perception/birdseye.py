@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import torch
 from kornia.geometry.transform import remap
 from torch import Tensor
+from torch.nn.functional import avg_pool2d
 
 from perception.appearance import Axes
 from world.view import View
@@ -21,21 +22,22 @@ class Region:
     cell_m: float = 0.04
 
 
-def region_around(x_m: float, y_m: float, length_m: float, width_m: float) -> Region:
+def region_around(x_m: float, y_m: float, length_m: float, width_m: float, cell_m: float = 0.04) -> Region:
     """Where a symbol of this size, meant for (x, y), may come to lie: farther beyond than before, since grazing light runs far."""
-    return Region(max(x_m - 2 * length_m, 1.0), x_m + 3.5 * length_m, y_m + 2.5 * width_m, y_m - 2.5 * width_m)
+    return Region(max(x_m - 2 * length_m, 1.0), x_m + 3.5 * length_m, y_m + 2.5 * width_m, y_m - 2.5 * width_m, cell_m)
 
 
 @dataclass(frozen=True)
 class BirdsEye:
     """A rectified view; row 0 is far, column 0 is left.
 
-    map_u, map_v: `[rows, cols]`, where each cell looks in the camera image, normalised to -1..1 over the image's borders.
-    axes: metres, u to the right (-y) and v towards the car (-x), so that the image's errors keep their signs.
+    map_u, map_v: `[rows, cols]` px, where the centre of each cell lies in the camera image. columns: odd, how many image columns a cell is
+    wide in the middle of the region. axes: metres, u to the right (-y) and v towards the car (-x), so that the image's errors keep their signs.
     """
 
     map_u: Tensor
     map_v: Tensor
+    columns: int
     axes: Axes
 
 
@@ -47,14 +49,20 @@ def birds_eye(region: Region, view: View, dtype: torch.dtype = torch.float32) ->
     y = region.y_left_m - (torch.arange(cols, dtype=torch.float64) + 0.5) * region.cell_m
     ground = torch.stack([x[:, None].expand(rows, cols), y.expand(rows, cols), torch.zeros(rows, cols, dtype=torch.float64)])
     uv, depth = view.project(ground.flatten(1))
-    uv = torch.where(depth > 0, uv, -1e6)
-    u, v = (2 * uv[0] / view.width - 1).to(dtype), (2 * uv[1] / view.height - 1).to(dtype)
-    return BirdsEye(u.view(rows, cols), v.view(rows, cols), Axes(-y.to(dtype), -x.to(dtype)))
+    uv = torch.where(depth > 0, uv, -1e6).to(dtype)
+    columns = region.cell_m * view.fx / depth[len(depth) // 2].clamp(min=1.0)
+    return BirdsEye(uv[0].view(rows, cols), uv[1].view(rows, cols), 2 * int(columns / 2) + 1, Axes(-y.to(dtype), -x.to(dtype)))
 
 
-def rectify(view: BirdsEye, image: Tensor) -> Tensor:
-    """Sample camera images `[..., height, width]` onto the plane: `[..., rows, cols]`, zero outside the camera's field of view."""
-    flat = image.reshape(-1, 1, *image.shape[-2:])
-    map_u, map_v = (m.to(image)[None].expand(flat.shape[0], -1, -1) for m in (view.map_u, view.map_v))
-    plane = remap(flat, map_u, map_v, padding_mode="zeros", align_corners=False, normalized_coordinates=True)
+def rectify(view: BirdsEye, image: Tensor, u_start: int = 0, v_start: int = 0) -> Tensor:
+    """Sample camera images `[..., height, width]` onto the plane: `[..., rows, cols]`, zero outside of them.
+
+    image: whole, or cut from the camera's image at (u_start, v_start) px. A cell takes the mean of the image columns that it covers, since
+    samples further apart than pixels would see an edge jump from cell to cell.
+    """
+    height, width = image.shape[-2:]
+    flat = avg_pool2d(image.reshape(-1, 1, height, width), (1, view.columns), 1, (0, view.columns // 2), count_include_pad=False)
+    u = (2 * (view.map_u.to(image) - u_start) / width - 1)[None].expand(flat.shape[0], -1, -1)
+    v = (2 * (view.map_v.to(image) - v_start) / height - 1)[None].expand(flat.shape[0], -1, -1)
+    plane = remap(flat, u, v, padding_mode="zeros", align_corners=False, normalized_coordinates=True)
     return plane.reshape(*image.shape[:-2], *plane.shape[-2:])

@@ -7,10 +7,14 @@ from typing import Literal
 import torch
 from pydantic import Field
 from torch import Tensor
-from torch.nn.functional import avg_pool2d
+from torch.nn.functional import avg_pool2d, max_pool2d
 
 from perception.camera import CameraParams, luminance_of, noise_std
 from world.params import Params
+
+
+NEIGHBOURHOOD = (5, 15)  # rows, columns in px: wider than an edge, narrower than the change of light over a symbol
+WHOLLY_LIT = 0.7  # of the brightest contrast nearby: above, a pixel counts wholly and the noise of the symbol's inside does not matter
 
 
 class Loss(IntEnum):
@@ -67,14 +71,18 @@ def threshold(off: Tensor, camera: CameraParams, params: ExtractionParams) -> Te
     return params.threshold_sigma * 2**0.5 * noise_std(mean.reshape(light.shape), camera)
 
 
-def symbol_image(contrast: Tensor, limit: Tensor, full: Tensor | None = None) -> Tensor:
+def symbol_image(contrast: Tensor, limit: Tensor, params: ExtractionParams) -> Tensor:
     """Symbol image `[..., h, w]` in 0..1 from luminance contrast and threshold, both `[..., h, w]` in cd/m^2.
 
-    Above the threshold a pixel counts wholly; with `full`, the contrast of a wholly lit pixel, it counts by its lit share, so that edges
-    are known to a fraction of a pixel and yet no bright face outweighs the rest.
+    Binary edges: what exceeds the threshold counts wholly. Grey edges: it counts by its lit share, from nothing at the threshold to wholly near
+    the brightest contrast around it, so that edges are known to a fraction of a pixel, and yet bright faces do not outweigh dark ones.
     """
-    lit = (contrast > limit).to(contrast)
-    return lit if full is None else lit * (contrast / torch.maximum(full, limit)).clamp(0, 1)
+    if params.edges == "binary":
+        return (contrast > limit).to(contrast)
+    rows, columns = NEIGHBOURHOOD
+    flat = contrast.reshape(-1, 1, *contrast.shape[-2:])
+    brightest = max_pool2d(flat, NEIGHBOURHOOD, 1, (rows // 2, columns // 2)).reshape(contrast.shape)
+    return ((contrast - limit) / torch.maximum(WHOLLY_LIT * brightest - limit, limit / 2)).clamp(0, 1)
 
 
 def soft_symbol_image(contrast: Tensor, limit: Tensor, params: ExtractionParams) -> Tensor:

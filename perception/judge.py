@@ -4,13 +4,15 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
+from torch.nn.functional import avg_pool2d
 
 from perception.appearance import Appearance, appearance
 from perception.birdseye import BirdsEye, rectify
 from perception.metrics import iou, ssim
 
 THRESHOLD = 0.25  # of the target's median: far parts of a symbol are several times darker than near ones
-SSIM_RADIUS = 2.0  # cells of the bird's-eye view
+CELL_M = 0.02  # at 4 cm the mask's edges would jump by half a percent of the symbol's length
+SSIM_RADIUS = 2.0  # pairs of cells
 
 
 @dataclass(frozen=True)
@@ -58,11 +60,11 @@ def judge(luminance: Tensor, view: BirdsEye, goal: Target) -> Verdict:
     shape = appearance(mask.to(plane), view.axes)
     offset = shape.centroids[..., 0, :] - goal.shape.centroids[0]
     size = torch.tensor([goal.length_m, goal.width_m]).to(offset)
-    scale = goal.median / 0.5
+    grey, goal_grey = (avg_pool2d((image / goal.median / 2).clamp(0, 1)[None], 2)[0] for image in (plane, goal.luminance))
     return Verdict(
         -100 * offset.flip(-1) / size,
         iou(mask, goal.mask.expand_as(mask)),
-        ssim((plane / scale).clamp(0, 1), (goal.luminance / scale).clamp(0, 1).expand_as(plane), SSIM_RADIUS, 1.0),
+        ssim(grey, goal_grey.expand_as(grey), SSIM_RADIUS, 1.0),
         shape.length / goal.shape.length,
         shape.shear,
     )

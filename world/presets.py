@@ -35,12 +35,12 @@ def idealised(
     half_width_deg: float = 10.0,
     top_deg: float = 1.5,
     bottom_deg: float = -3.5,
-    intensity_cd: float = 30_000.0,
+    intensity_cd: float = 50_000.0,
     flank: float = 0.2,
 ) -> Headlight:
     """The thesis' idealised lamp (T 9.4.3): 332 x 1024 pixels, +-10 deg, +1.5 to -3.5 deg, minimal overlap.
 
-    Published: the pixel count, the angles, "minimal overlap". Guessed: 30 kcd over the whole field (about 0.9 klm), pixels of equal
+    Published: the pixel count, the angles, "minimal overlap". Guessed: 50 kcd over the whole field (about 1.5 klm), pixels of equal
     pitch on the texture's plane, and overlap as linear edges `flank` pitches to either side of a pixel's border, so that a texel has
     1.5 entries (0 < flank <= 0.5). texels_per_pixel: (rows, columns); at 17 m the symbol spans only 40 pixel rows, so rows are sampled
     four times.

@@ -47,9 +47,7 @@ class Eye:
         if self.plane is None:
             height, width = symbol.shape[-2:]
             return appearance(symbol, image_axes(height, width, crop.u_start, crop.v_start, symbol))
-        full = symbol.new_zeros(*symbol.shape[:-2], self.view.height, self.view.width)
-        full[..., *crop.slices] = symbol
-        return appearance(rectify(self.plane, full), self.plane.axes)
+        return appearance(rectify(self.plane, symbol, crop.u_start, crop.v_start), self.plane.axes)
 
     def features(self, seen: Appearance) -> Tensor:
         """Features `[..., 4]`: centre u, centre v, roll, pitch."""
@@ -60,13 +58,12 @@ class Eye:
 class FlatModel:
     """Light transport a lamp on the flat road, the threshold `[height, width]` in cd/m^2 there, and the eye that looks at it.
 
-    full: `[height, width]` in cd/m^2, luminance with all pixellights at full utilisation, None where edges are binary.
     target: `[4]` features at the target. gains: `[4]`, change of the paired feature per m or rad of x, y, roll, pitch there.
     """
 
     transports: tuple[Transport, ...]
     limit: Tensor
-    full: Tensor | None
+    params: ExtractionParams
     eye: Eye
     target: Tensor
     gains: Tensor
@@ -77,14 +74,7 @@ class FlatModel:
 
     def symbol(self, lights: Sequence[Utilisation], crop: Crop) -> Tensor:
         """Symbol image `[..., h, w]` that extraction would find without noise."""
-        return symbol_image(self.luminance(lights)[..., *crop.slices], self.limit[crop.slices], self.wholly_lit(lights, crop))
-
-    def wholly_lit(self, lights: Sequence[Utilisation], crop: Crop) -> Tensor | None:
-        """Luminance `[..., h, w]` in cd/m^2 of pixels that the symbol's brightest part covers, None where edges are binary."""
-        if self.full is None:
-            return None
-        peak = torch.stack([light.u.amax(-1) for light in lights]).amax(0)
-        return self.full[crop.slices] * peak[..., None, None]
+        return symbol_image(self.luminance(lights)[..., *crop.slices], self.limit[crop.slices], self.params)
 
 
 def added_light(transports: Sequence[Transport], lights: Sequence[Utilisation], shape: torch.Size | tuple[int, int]) -> Tensor:
@@ -111,10 +101,7 @@ def flat_model(
     symbol = projector.params
     region = region_around(symbol.x_m, symbol.y_m, symbol.length_m, symbol.width_m)
     plane = birds_eye(region, view) if what.view == "birdseye" else None
-    model = FlatModel(tuple(transports), limit, None, Eye(view, plane, what.shape), torch.zeros(4), torch.ones(4))
-    if params.edges == "grey":
-        everything = [Utilisation(torch.ones_like(lamp.pixel_controller.default)) for lamp in projector.lamps]
-        model = replace(model, full=model.luminance(everything))
+    model = FlatModel(tuple(transports), limit, params, Eye(view, plane, what.shape), torch.zeros(4), torch.ones(4))
 
     def seen(pose: Tensor) -> Tensor:
         crop = projector.footprint(pose, view, params.footprint_margin_m)

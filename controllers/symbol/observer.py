@@ -53,7 +53,7 @@ class Observer:
             return self._lost(pose, Crop(0, 0, 0, 0), Loss.NOTHING)
         on, off = (frame[..., *crop.slices] for frame in frames)
         contrast, limit = difference(on, off, self.camera), threshold(off, self.camera, self.params)
-        symbol = symbol_image(contrast, limit, self.model.wholly_lit(lights, crop))
+        symbol = symbol_image(contrast, limit, self.params)
         seen = self.model.eye.look(symbol, crop)
         expected = self.model.eye.look(self.model.symbol(lights, crop), crop).area
         error = errors(self.model.eye.features(seen), self.model.target)

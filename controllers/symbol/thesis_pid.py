@@ -24,23 +24,23 @@ class PidTuning(Params):
     kp: float = Field(description="proportional gain")
     ki: float = Field(description="integral gain a step")
     kd: float = Field(description="derivative gain in steps")
+    tracking_steps: float | None = Field(None, gt=0, description="time constant of the anti-windup's back-calculation, none if left out")
 
 
 class ThesisPidParams(Params):
     """Gains of T 9.4.3; limits keep the primitive from turning edge-on, which it does at atan(h/x) = 2.5 deg nose-down."""
 
     name: Literal["thesis_pid"] = "thesis_pid"
-    position: PidTuning = Field(PidTuning(kp=0.75, ki=0.5, kd=0.26), description="gains of the x and y loops")
-    rotation: PidTuning = Field(PidTuning(kp=0.5, ki=0.1, kd=0.1), description="gains of the roll and pitch loops")
+    position: PidTuning = Field(PidTuning(kp=0.75, ki=0.5, kd=0.26, tracking_steps=1.1), description="gains of the x and y loops")
+    rotation: PidTuning = Field(PidTuning(kp=0.5, ki=0.1, kd=0.1, tracking_steps=1.3), description="gains of the roll and pitch loops")
     x_range_m: tuple[float, float] = Field((8.0, 40.0), description="limits of the primitive's x")
     y_range_m: tuple[float, float] = Field((-6.0, 6.0), description="limits of the primitive's y")
     roll_range_deg: tuple[float, float] = Field((-7.0, 7.0), description="limits of the primitive's roll")
     pitch_range_deg: tuple[float, float] = Field((-4.0, 2.2), description="limits of the primitive's pitch, nose down positive")
-    x_rate_m: float = Field(3.0, gt=0, description="largest move along x a step")
-    y_rate_m: float = Field(1.5, gt=0, description="largest move along y a step")
-    roll_rate_deg: float = Field(3.0, gt=0, description="largest turn in roll a step")
-    pitch_rate_deg: float = Field(1.2, gt=0, description="largest turn in pitch a step")
-    tracking_steps: float | None = Field(2.0, gt=0, description="time constant of the anti-windup's back-calculation in steps")
+    x_rate_m: float = Field(1.5, gt=0, description="largest move along x a step")
+    y_rate_m: float = Field(0.9, gt=0, description="largest move along y a step")
+    roll_rate_deg: float = Field(2.4, gt=0, description="largest turn in roll a step")
+    pitch_rate_deg: float = Field(1.35, gt=0, description="largest turn in pitch a step")
     losses_to_reset: int = Field(2, ge=1, description="consecutive failed extractions after which the flat-road primitive is shown again")
 
 
@@ -66,11 +66,13 @@ class ThesisPid:
         self.gains = pid_gains(
             [
                 PidParams(
-                    **tuning.model_dump(),
+                    kp=tuning.kp,
+                    ki=tuning.ki,
+                    kd=tuning.kd,
+                    tracking_time=tuning.tracking_steps,
                     lower=low,
                     upper=high,
                     rate_limit=rate,
-                    tracking_time=params.tracking_steps,
                     form="incremental",
                 )
                 for tuning, (low, high), rate in loops
