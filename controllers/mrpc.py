@@ -56,46 +56,51 @@ def pixel_major(headlight: Headlight, params: MrpcParams) -> PixelMajor:
 
 
 def reduce_setpoints(
-    setpoints: Setpoints, quantity: Quantity, headlight: Headlight, pixels: PixelMajor, params: MrpcParams, default: Tensor
+    setpoints: Setpoints,
+    quantity: Quantity,
+    headlight: Headlight,
+    pixels: PixelMajor,
+    params: MrpcParams,
+    default: Tensor,
+    dark: bool = False,
 ) -> tuple[Tensor, slice]:
     """Map and reduce (7.4.1, 7.4.5): utilisation `[..., n_p]` in 0..1 and the band of pixels that may differ from the default.
 
-    default: `[n_p]`; a ray without a hit counts with `I_m,ij u_def,j`. For u_abs, and for a_m = 1, all pixels of a texel get the same
-    utilisation: it is bounded by `I_s,ij <= I_m,ij` once a texel and then reduced by a matrix; else everything goes entry by entry.
+    default: `[n_p]`; a ray without a hit counts with `I_m,ij u_def,j`. dark: the default is zero, so these rays need no counting.
+    For u_abs, and for a_m = 1, all pixels of a texel get the same utilisation: it is bounded by `I_s,ij <= I_m,ij` once a texel and then
+    reduced by a matrix; else everything goes entry by entry.
     """
     w = setpoints.window
     batch = setpoints.value.shape[:-2]
     if w.row_stop <= w.row_start or w.col_stop <= w.col_start:
         return default.expand(*batch, -1), slice(0, 0)
     band, rows = _touched(pixels, w.row_start, w.row_stop, headlight)
-    value = _on_rows(setpoints.value, w, rows, headlight.cols)
-    hit = _on_rows(setpoints.hit.to(value), w, rows, headlight.cols)
-    first_texel = rows.start * headlight.cols
+    weight = pixels.weight.band(band.start, band.stop)
+    value = setpoints.value
     if quantity in ("I_v", "E_v"):
-        value = value * pixels.share[first_texel : first_texel + value.shape[-1]]
+        value = value * pixels.share.view(headlight.rows, headlight.cols)[w.slices]
     if quantity == "u_abs" or (quantity != "u_rel" and params.a_m == 1):
-        weight = _shift(pixels.weight.band(band.start, band.stop), first_texel, value.shape[-1])
-        mapped, covered = multiply(weight, value.clamp(0, 1)), multiply(weight, hit)
+        mapped = multiply(weight, _as_texture(value.clamp(0, 1), w, rows, headlight))
     else:
         factor = default if quantity == "u_rel" else None
-        mapped, covered = _entrywise(value, hit, factor, pixels, params, band, first_texel)
+        mapped = _entrywise(_as_texture(value, w, rows, headlight), factor, pixels, params, band)
+    if not dark:
+        covered = multiply(weight, _as_texture(setpoints.hit.to(value), w, rows, headlight))
+        mapped = mapped + (1 - covered) * default[band]
     u = default.expand(*batch, -1).clone()
-    u[..., band] = (mapped + (1 - covered) * default[band]).clamp(0, 1)
+    u[..., band] = mapped.clamp(0, 1)
     return u, band
 
 
-def _entrywise(
-    value: Tensor, hit: Tensor, factor: Tensor | None, pixels: PixelMajor, params: MrpcParams, band: slice, first_texel: int
-) -> tuple[Tensor, Tensor]:
-    """Reduce values times a factor a pixel `[n_p]`, without one times `I_m^(a_m - 1)`, bounded entry by entry."""
+def _entrywise(texture: Tensor, factor: Tensor | None, pixels: PixelMajor, params: MrpcParams, band: slice) -> Tensor:
+    """Reduce texels times a factor a pixel `[n_p]`, without one times `I_m^(a_m - 1)`, bounded entry by entry: `[..., band]`."""
     entries = pixels.entries.band(band.start, band.stop)
     weight = pixels.weight.band(band.start, band.stop).values
-    texel = entries.indices.long() - first_texel
     pixel = row_of_entries(entries)
     potential = entries.values ** (params.a_m - 1) if factor is None else factor[band][pixel]
-    utilisation = (value[..., texel] * potential).clamp(0, 1)
-    zeros = torch.zeros(*value.shape[:-1], entries.n_rows, dtype=value.dtype, device=value.device)
-    return zeros.index_add(-1, pixel, weight * utilisation), zeros.index_add(-1, pixel, weight * hit[..., texel])
+    utilisation = (texture[..., entries.indices.long()] * potential).clamp(0, 1)
+    zeros = torch.zeros(*texture.shape[:-1], entries.n_rows, dtype=texture.dtype, device=texture.device)
+    return zeros.index_add(-1, pixel, weight * utilisation)
 
 
 def _touched(pixels: PixelMajor, row_start: int, row_stop: int, headlight: Headlight) -> tuple[slice, slice]:
@@ -110,10 +115,9 @@ def _touched(pixels: PixelMajor, row_start: int, row_stop: int, headlight: Headl
     return band, slice(low, max(int(pixels.row_last[band].max()) + 1, row_stop))
 
 
-def _on_rows(image: Tensor, w: Window, rows: slice, cols: int) -> Tensor:
-    padding = (w.col_start, cols - w.col_stop, w.row_start - rows.start, rows.stop - w.row_stop)
-    return torch.nn.functional.pad(image, padding).flatten(-2)
-
-
-def _shift(matrix: Csr, first_col: int, n_cols: int) -> Csr:
-    return Csr(matrix.indptr, matrix.indices - first_col if first_col else matrix.indices, matrix.values, n_cols)
+def _as_texture(image: Tensor, w: Window, rows: slice, headlight: Headlight) -> Tensor:
+    """Texels `[..., rows * cols]` of an image on a window, zero beside it; outside of these rows they are never read, and left undefined."""
+    texture = image.new_empty(*image.shape[:-2], headlight.rows, headlight.cols)
+    texture[..., rows, :] = 0
+    texture[..., *w.slices] = image
+    return texture.flatten(-2)

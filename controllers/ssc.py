@@ -59,5 +59,5 @@ class Ssc:
         banded = primitives.origin.ndim == 2 and primitives.origin.device.type == "cpu"
         window = projected_window(primitives, self.headlight, T_world_headlight) if banded else None
         setpoints = trace(primitives, self.headlight, T_world_headlight, window)
-        u, band = reduce_setpoints(setpoints, primitives.quantity, self.headlight, self.pixels, self.params, self.default)
+        u, band = reduce_setpoints(setpoints, primitives.quantity, self.headlight, self.pixels, self.params, self.default, self.dark)
         return Utilisation(u, band if banded and self.dark else None)
