@@ -1,7 +1,8 @@
 """Ray tracing headlight control (T 7.3): from primitives to a setpoint for every ray of a light texture.
 
-All rays of a module share their origin, so the ray-plane system (7.3.3) is one 3 x 3 homography a primitive: with q = p_o - o,
-n = d1 x d2 and the unnormalised ray d = [1, y, z], u = d.(d2 x q) / d.n, v = d.(q x d1) / d.n, l = q.n / d.n.
+All rays of a module share their origin, so the ray-plane system (7.3.3) is one 3 x 3 homography a primitive: with q from the lamp to the
+primitive's centre, n = d1 x d2 and the unnormalised ray d = [1, y, z], u = d.(d2 x q) / d.n, v = d.(q x d1) / d.n, l = q.n / d.n. Counted
+from the centre, u and v run from -1/2 to 1/2; twice that, from -1 to 1, is what image sampling takes.
 """
 
 import math
@@ -26,6 +27,11 @@ class Window:
     row_stop: int
     col_start: int
     col_stop: int
+
+    @property
+    def slices(self) -> tuple[slice, slice]:
+        """Row and column slices of a light texture."""
+        return slice(self.row_start, self.row_stop), slice(self.col_start, self.col_stop)
 
 
 @dataclass(frozen=True)
@@ -69,10 +75,11 @@ def trace(primitives: Primitives, headlight: Headlight, T_world_headlight: Tenso
     """
     window = window or whole(headlight)
     y, z = headlight.tangents(primitives.origin.dtype, primitives.origin.device)
-    y, z = y[window.col_start : window.col_stop], z[window.row_start : window.row_stop]
+    y, z = y[window.slices[1]], z[window.slices[0]]
     R_t = T_world_headlight[:3, :3].T.to(primitives.origin)
     position = T_world_headlight[:3, 3].to(primitives.origin)
-    q, d1, d2, normal = (v @ R_t.T for v in (primitives.origin - position, primitives.d1, primitives.d2, primitives.normal))
+    centre = primitives.origin + (primitives.d1 + primitives.d2) / 2
+    q, d1, d2, normal = (v @ R_t.T for v in (centre - position, primitives.d1, primitives.d2, primitives.normal))
     n = torch.linalg.cross(d1, d2)
 
     def along_rays(a: Tensor) -> Tensor:
@@ -80,13 +87,12 @@ def trace(primitives: Primitives, headlight: Headlight, T_world_headlight: Tenso
         return a[..., 0] + a[..., 1] * y + a[..., 2] * z[:, None]
 
     dn = along_rays(n)
-    parallel = dn == 0
-    dn = dn.masked_fill(parallel, 1.0)  # not inf, since the gradient of a masked inf is NaN
-    u = along_rays(torch.linalg.cross(d2, q)) / dn
-    v = along_rays(torch.linalg.cross(q, d1)) / dn
+    dn = dn.masked_fill(dn == 0, math.inf)  # along the plane, which the ray then meets at length 0; its gradient is 0
+    u = along_rays(2 * torch.linalg.cross(d2, q)) / dn
+    v = along_rays(2 * torch.linalg.cross(q, d1)) / dn
     length = (q * n).sum(-1)[..., None, None] / dn
-    facing = -along_rays(normal)
-    hit = (length > 0) & (u >= 0) & (u <= 1) & (v >= 0) & (v <= 1) & (facing > 0) & ~parallel
+    facing = along_rays(-normal)
+    hit = (length > 0) & (u.abs() <= 1) & (v.abs() <= 1) & (facing > 0)
     value = _symbol_value(primitives.symbols, u, v) * primitives.value[..., None, None]
     if primitives.quantity == "E_v":
         d = (1 + y * y + z[:, None] ** 2).sqrt()
@@ -106,10 +112,10 @@ def _nearest(hit: Tensor, length: Tensor) -> Tensor:
 
 
 def _symbol_value(symbols: Tensor, u: Tensor, v: Tensor) -> Tensor:
-    """Symbol images `[P, h, w]` at symbol coordinates `[..., P, rows, cols]`, bilinear, texel centres at (k + 1/2) / n."""
+    """Symbol images `[P, h, w]` at coordinates -1..1 `[..., P, rows, cols]`, bilinear, texel centres at (2 k + 1) / n - 1."""
     shape = u.shape
     if not u.numel():
         return u  # out of sight
     images = symbols.expand(*shape[:-2], *symbols.shape[-2:]).reshape(-1, 1, *symbols.shape[-2:])
-    map_u, map_v = (2 * coordinate.reshape(-1, *shape[-2:]) - 1 for coordinate in (u, v))
+    map_u, map_v = (coordinate.reshape(-1, *shape[-2:]) for coordinate in (u, v))
     return remap(images, map_u, map_v, padding_mode="border", align_corners=False, normalized_coordinates=True).reshape(shape)
