@@ -13,8 +13,8 @@ from perception.camera import CameraParams, luminance_of, noise_std
 from world.params import Params
 
 
-NEIGHBOURHOOD = (5, 15)  # rows, columns in px: wider than an edge, narrower than the change of light over a symbol
-WHOLLY_LIT = 0.7  # of the brightest contrast nearby: above, a pixel counts wholly and the noise of the symbol's inside does not matter
+NEIGHBOURHOOD = (3, 7)  # rows, columns in px: wider than an edge, narrower than the change of light over a symbol
+WHOLLY_LIT = 0.6  # of the brightest contrast nearby: above, a pixel counts wholly and the noise of the symbol's inside does not matter
 
 
 class Loss(IntEnum):
@@ -84,7 +84,7 @@ def symbol_image(contrast: Tensor, limit: Tensor, params: ExtractionParams) -> T
 
 
 def _largest_around(image: Tensor) -> Tensor:
-    """Maximum of an image `[..., h, w]` over the neighbourhood of each pixel; windows that double are 10 to 30 times faster than max_pool2d."""
+    """Maximum of an image `[..., h, w]` over the neighbourhood of each pixel. Windows that double are far faster than max_pool2d."""
     rows, columns = NEIGHBOURHOOD
     image = pad(image, (columns // 2, columns // 2, rows // 2, rows // 2), value=-torch.inf)
     for dim, size in ((-2, rows), (-1, columns)):

@@ -156,8 +156,8 @@ class Mixed(RoadModel):
     """A residential road: a little grade and cross-fall, bumps, roughness, kerbs on both sides and a speed table further on."""
 
     kind: Literal["mixed"] = "mixed"
-    grade_percent: float = Field(default=0.2, ge=-5.0, le=5.0, description="rise ahead, from 13 m on")
-    crossfall_percent: float = Field(default=1.5, ge=-5.0, le=5.0, description="rise to the left")
+    grade_percent: float = Field(default=1.2, ge=-5.0, le=5.0, description="rise ahead, from 13 m on")
+    crossfall_percent: float = Field(default=2.5, ge=-5.0, le=5.0, description="rise to the left")
     bumps_m: tuple[float, float] = Field(default=(-0.015, 0.025), description="lowest and highest of the smooth bumps around the symbol")
     roughness_class: RoughnessClass = Field(default="B", description="ISO 8608 class of the roughness on top")
     curb_y_m: float = Field(default=4.0, gt=1.5, description="distance of the kerbs to both sides")
