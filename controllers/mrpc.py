@@ -116,7 +116,7 @@ def _touched(pixels: PixelMajor, row_start: int, row_stop: int, headlight: Headl
 
 
 def _as_texture(image: Tensor, w: Window, rows: slice, headlight: Headlight) -> Tensor:
-    """Texels `[..., rows * cols]` of an image on a window, zero beside it; outside of these rows they are never read, and left undefined."""
+    """Texels `[..., rows * cols]` of an image on a window, zero beside it; beyond these rows they are undefined and never read."""
     texture = image.new_empty(*image.shape[:-2], headlight.rows, headlight.cols)
     texture[..., rows, :] = 0
     texture[..., *w.slices] = image

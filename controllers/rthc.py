@@ -9,8 +9,8 @@ import math
 from dataclasses import dataclass
 
 import torch
-from kornia.geometry.transform import remap
 from torch import Tensor
+from torch.nn.functional import grid_sample
 
 from controllers.primitives import Primitives
 from world.frames import inverse, transform
@@ -87,12 +87,13 @@ def trace(primitives: Primitives, headlight: Headlight, T_world_headlight: Tenso
         return a[..., 0] + a[..., 1] * y + a[..., 2] * z[:, None]
 
     dn = along_rays(n)
-    dn = dn.masked_fill(dn == 0, math.inf)  # along the plane, which the ray then meets at length 0; its gradient is 0
+    if dn.requires_grad:  # a ray along the plane is a miss either way, but its gradient would be NaN
+        dn = dn.masked_fill(dn == 0, math.inf)
     u = along_rays(2 * torch.linalg.cross(d2, q)) / dn
     v = along_rays(2 * torch.linalg.cross(q, d1)) / dn
     length = (q * n).sum(-1)[..., None, None] / dn
     facing = along_rays(-normal)
-    hit = (length > 0) & (u.abs() <= 1) & (v.abs() <= 1) & (facing > 0)
+    hit = (torch.maximum(u.abs(), v.abs()) <= 1) & (torch.minimum(length, facing) > 0)
     value = _symbol_value(primitives.symbols, u, v) * primitives.value[..., None, None]
     if primitives.quantity == "E_v":
         d = (1 + y * y + z[:, None] ** 2).sqrt()
@@ -117,5 +118,6 @@ def _symbol_value(symbols: Tensor, u: Tensor, v: Tensor) -> Tensor:
     if not u.numel():
         return u  # out of sight
     images = symbols.expand(*shape[:-2], *symbols.shape[-2:]).reshape(-1, 1, *symbols.shape[-2:])
-    map_u, map_v = (coordinate.reshape(-1, *shape[-2:]) for coordinate in (u, v))
-    return remap(images, map_u, map_v, padding_mode="border", align_corners=False, normalized_coordinates=True).reshape(shape)
+    grid = u.new_empty(*shape, 2)  # not stacked, which takes longer than the sampling
+    grid[..., 0], grid[..., 1] = u, v
+    return grid_sample(images, grid.reshape(-1, *shape[-2:], 2), padding_mode="border", align_corners=False).reshape(shape)
