@@ -45,6 +45,12 @@ def _halves(axis: Tensor, split: Tensor) -> tuple[Tensor, Tensor]:
     return shares, shares * centres
 
 
+def area(image: Tensor, axes: Axes) -> Tensor:
+    """Zeroth moment of a symbol image `[..., h, w]`, in units of the axes squared: `[...]`."""
+    pixel = (axes.u[..., 1] - axes.u[..., 0]) * (axes.v[..., 1] - axes.v[..., 0])
+    return image.sum((-2, -1)) * pixel.abs().to(image)
+
+
 def appearance(image: Tensor, axes: Axes) -> Appearance:
     """Raw moments (9.4.1), centre (9.4.2), quadrant centroids and second-moment shape of a symbol image `[..., h, w]`.
 
@@ -67,8 +73,7 @@ def appearance(image: Tensor, axes: Axes) -> Appearance:
     q01 = along_v @ across_image
     quadrants = torch.stack([q10 / q00, q01 / q00], -1).flatten(-3, -2)
     centre = torch.stack([cu, cv], -1)[..., None, :]
-    area = m00 * ((u[..., 1] - u[..., 0]) * (v[..., 1] - v[..., 0])).abs()
-    return Appearance(area, torch.cat([centre, quadrants], -2), mu11 / mu20, (mu02 - mu11**2 / mu20).clamp(min=0).sqrt())
+    return Appearance(area(image, axes), torch.cat([centre, quadrants], -2), mu11 / mu20, (mu02 - mu11**2 / mu20).clamp(min=0).sqrt())
 
 
 def features(seen: Appearance, shape: str) -> Tensor:

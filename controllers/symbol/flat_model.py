@@ -11,7 +11,7 @@ from torch import Tensor
 
 from controllers.ssc import Utilisation
 from controllers.symbol.projector import Projector
-from perception.appearance import Appearance, appearance, features, image_axes
+from perception.appearance import Appearance, Axes, appearance, area, features, image_axes
 from perception.birdseye import BirdsEye, birds_eye, rectify, region_around
 from perception.camera import CameraParams, average_rows, camera_view, noise_std
 from perception.extraction import Crop, ExtractionParams, symbol_image
@@ -44,10 +44,17 @@ class Eye:
 
     def look(self, symbol: Tensor, crop: Crop) -> Appearance:
         """Appearance of a symbol image `[..., h, w]` that was cut from the camera's image at crop."""
+        return appearance(*self._in_axes(symbol, crop))
+
+    def area(self, symbol: Tensor, crop: Crop) -> Tensor:
+        """The appearance's area alone, `[...]`."""
+        return area(*self._in_axes(symbol, crop))
+
+    def _in_axes(self, symbol: Tensor, crop: Crop) -> tuple[Tensor, Axes]:
         if self.plane is None:
             height, width = symbol.shape[-2:]
-            return appearance(symbol, image_axes(height, width, crop.u_start, crop.v_start, symbol))
-        return appearance(rectify(self.plane, symbol, crop.u_start, crop.v_start), self.plane.axes)
+            return symbol, image_axes(height, width, crop.u_start, crop.v_start, symbol)
+        return rectify(self.plane, symbol, crop.u_start, crop.v_start), self.plane.axes
 
     def features(self, seen: Appearance) -> Tensor:
         """Features `[..., 4]`: centre u, centre v, roll, pitch."""

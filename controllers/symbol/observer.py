@@ -55,7 +55,7 @@ class Observer:
         contrast, limit = difference(on, off, self.camera), threshold(off, self.camera, self.params)
         symbol = symbol_image(contrast, limit, self.params)
         seen = self.model.eye.look(symbol, crop)
-        expected = self.model.eye.look(self.model.symbol(lights, crop), crop).area
+        expected = self.model.eye.area(self.model.symbol(lights, crop), crop)
         error = errors(self.model.eye.features(seen), self.model.target)
         pose_error = error[..., PAIRED] / self.model.gains
         return Seen(gate(seen.area, expected, self.params), error, pose_error, seen.area / expected, seen, symbol, crop)

@@ -63,15 +63,12 @@ class Projector:
         One rectangle for all of a batch. Rays that do not come down within 200 m end there.
         """
         corners = self.primitive(pose).corners().reshape(-1, 3).T.double()
-        hits = []
-        for lamp in self.lamps:
-            origin = lamp.T_world_headlight[:3, 3:].to(corners)
-            rays = corners - origin
-            for z in (-margin_m, margin_m):
-                down = rays[2] < -1e-6
-                reach = torch.where(down, (z - origin[2]) / torch.where(down, rays[2], -1.0), torch.inf)
-                hits.append(origin + rays * torch.minimum(reach.clamp(min=0), 200 / rays.norm(dim=0)))
-        uv, depth = view.project(torch.cat(hits, -1))
+        origins = torch.stack([lamp.T_world_headlight[:3, 3:] for lamp in self.lamps]).to(corners)
+        rays = corners - origins
+        down = rays[:, 2] < -1e-6
+        reach = (origins.new_tensor([-margin_m, margin_m])[:, None, None] - origins[:, 2]) / torch.where(down, rays[:, 2], -1.0)
+        reach = torch.where(down, reach, torch.inf).clamp(min=0).minimum(200 / rays.norm(dim=1))
+        uv, depth = view.project((origins + rays * reach[:, :, None]).transpose(0, 2).reshape(3, -1))
         uv = uv[:, depth > 0.1]
         if uv.shape[1] == 0:
             return Crop(0, 0, 0, 0)
