@@ -15,6 +15,7 @@ from loop.video import VideoWriter, frame_picture
 from perception.camera import camera_view
 from world.errors import LuxloopError
 
+VIDEO_FPS = 10  # slower than the loop, so that the eye can follow its steps
 LEAST_PX = 4  # of the target in either direction; quadrants need two pixels each
 
 
@@ -38,7 +39,7 @@ def run(
     try:
         with recorder, ExitStack() as stack:
             size = (scenario.camera.width_px, scenario.camera.height_px)
-            film = stack.enter_context(VideoWriter(directory / VIDEO, scenario.rate_hz, size)) if video else None
+            film = stack.enter_context(VideoWriter(directory / VIDEO, VIDEO_FPS, size)) if video else None
             for result in simulation.run():
                 recorder.add(result)
                 gathered.add(result)
