@@ -13,7 +13,6 @@ from torch import Tensor
 from torch.nn.functional import grid_sample
 
 from controllers.primitives import Primitives
-from world.frames import inverse, transform
 from world.headlight import Headlight
 
 COPLANAR = 1e-4  # of the distance: what lies closer together counts as one plane, whatever the dtype rounds
@@ -57,13 +56,14 @@ def projected_window(primitives: Primitives, headlight: Headlight, T_world_headl
     The host learns the rectangle, so on an accelerator this waits for the device.
     """
     corners = primitives.corners().reshape(-1, 3).T
-    x, y, z = transform(inverse(T_world_headlight).to(corners), corners)
+    T = T_world_headlight.to(corners)
+    x, y, z = T[:3, :3].T @ (corners - T[:3, 3:])
     if bool((x <= 0).any()):
         return whole(headlight)
     row, col = headlight.texel_of(y / x, z / x)
-    low = torch.stack([row.min(), col.min()]).floor().tolist()
-    high = torch.stack([row.max(), col.max()]).ceil().tolist()
-    clip = [min(max(int(v), 0), n) for v, n in zip((*low, *high), (headlight.rows, headlight.cols) * 2, strict=True)]
+    low, high = torch.stack([row, col]).aminmax(dim=1)
+    ends = (*low.floor().tolist(), *high.ceil().tolist())
+    clip = [min(max(int(v), 0), n) for v, n in zip(ends, (headlight.rows, headlight.cols) * 2, strict=True)]
     return Window(clip[0], max(clip[2], clip[0]), clip[1], max(clip[3], clip[1]))
 
 
