@@ -1,0 +1,196 @@
+"""The documentation tells the truth: commands run, Python runs, TOML is valid, tables are those of the models, links lead somewhere.
+
+`python tests/test_docs.py` writes the tables of docs/scenarios.md anew from the models.
+"""
+
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from loop import cli
+from loop.scenario import TAGS, Scenario, validate
+from loop.shipped import shipped
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+SCENARIOS = ROOT / "docs" / "scenarios.md"
+
+# What is not run here, and why.
+EXEMPT = {
+    r"make (demo|test)\b": "sets up an environment, and would run this test inside itself",
+    r"\. \.venv/bin/activate": "the test runs in an environment already",
+    r"(\.venv/bin/)?python benchmarks/": "takes minutes, and has tests of its own",
+    r"luxloop data get all\b": "fetches from the network; tests of loop.data do so from a local server",
+}
+# What makes a command cheap without changing what it shows.
+CHEAP = {
+    r"luxloop run\b": "--steps 3 --no-video --set camera.width_px=320 camera.height_px=180",
+    r"python examples/tune_gains.py\b": "--trials 1 --steps 3",
+}
+CHEAP_PYTHON = {"steps=40": "steps=3"}
+
+MEASURED = "|".join(["data get", "opencrg", *(name for name, path in shipped().items() if 'kind = "opencrg"' in path.read_text("utf-8"))])
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text("utf-8"), re.M | re.S)
+
+
+def commands(page: Path) -> list[str]:
+    lines = [line.split(" #")[0].strip() for block in blocks(page, "sh") for line in block.replace("\\\n", " ").splitlines()]
+    return [command.strip() for line in lines if line for command in line.split("&&")]
+
+
+def with_blocks(language: str) -> list[Any]:
+    return [pytest.param(page, id=page.stem) for page in PAGES if blocks(page, language)]
+
+
+def execute(command: str) -> None:
+    """Run a command of the documentation in the current folder."""
+    if any(re.match(pattern, command) for pattern in EXEMPT):
+        return
+    cheap = next((flags for pattern, flags in CHEAP.items() if re.match(pattern, command)), "")
+    program, *arguments = shlex.split(f"{command} {cheap}")
+    if program == "luxloop":
+        assert cli.main(arguments) == cli.OK, command
+    elif program == "python":
+        script = [sys.executable, str(ROOT / arguments[0]), *arguments[1:]]
+        done = subprocess.run(script, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True)
+        assert done.returncode == 0, f"{command}\n{done.stderr}"
+    else:
+        pytest.fail(f"{command}: teach this test to run {program!r}, or exempt it with a reason")
+
+
+@pytest.mark.parametrize("page", with_blocks("sh"))
+def test_commands_run_in_the_order_in_which_they_are_read(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for command in commands(page):
+        if not re.search(MEASURED, command):
+            execute(command)
+
+
+@pytest.mark.parametrize("page", [each for each in with_blocks("sh") if any(re.search(MEASURED, c) for c in commands(each.values[0]))])
+def test_commands_on_measured_roads_run(page: Path, data_dir: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("LUXLOOP_DATA", str(data_dir))
+    for command in commands(page):
+        if re.search(MEASURED, command):
+            execute(command)
+
+
+@pytest.mark.parametrize("page", with_blocks("python"))
+def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    code = "\n".join(blocks(page, "python"))
+    for slow, cheap in CHEAP_PYTHON.items():
+        code = code.replace(slow, cheap)
+    if "runs/snowflake" in code:
+        execute("luxloop run snowflake")
+    exec(compile(code, str(page), "exec"), {"__name__": "docs"})
+
+
+@pytest.mark.parametrize("page", with_blocks("toml"))
+def test_scenario_snippets_are_valid(page: Path) -> None:
+    for block in blocks(page, "toml"):
+        validate({"name": "snippet", "symbol": {"image": "snowflake"}, **tomllib.loads(block)}, str(page))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_links_lead_somewhere(page: Path) -> None:
+    for target, anchor in re.findall(r"\]\((?!https?:)([^)#\s]*)#?([^)\s]*)\)", page.read_text("utf-8")):
+        file = (page.parent / target).resolve() if target else page
+        assert file.exists(), f"{page.name}: {target} does not exist"
+        if anchor:
+            assert anchor in headings(file), f"{page.name}: {target}#{anchor} does not exist"
+
+
+def headings(page: Path) -> list[str]:
+    titles = re.findall(r"^#+ (.*)$", page.read_text("utf-8"), re.M)
+    return [re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_constants_have_the_values_that_are_written(page: Path) -> None:
+    for module, name, value in re.findall(r"`([a-z_.]+)\.([A-Z_]+) = ([^`]+)`", page.read_text("utf-8")):
+        assert repr(getattr(import_module(module), name)) == value, f"{page.name}: {module}.{name}"
+
+
+def test_pictures_are_small() -> None:
+    for picture in (ROOT / "docs" / "images").iterdir():
+        assert picture.stat().st_size < 400_000, picture.name
+
+
+def models() -> dict[str, Any]:
+    """JSON Schema of each table that a scenario may have, by the name of its model."""
+    schema = Scenario.model_json_schema()
+    return {"Scenario": schema, **schema["$defs"]}
+
+
+def written(value: Any) -> str:
+    """A value as TOML writes it on one line."""
+    if isinstance(value, dict):
+        tags = {key: value[key] for key in TAGS if key in value}
+        return "{ " + ", ".join(f"{key} = {written(inner)}" for key, inner in (tags or value).items()) + " }"
+    return json.dumps(value)
+
+
+def default(field: dict[str, Any]) -> str:
+    if "default" not in field:
+        return "required"
+    value = field["default"]
+    inner = models()[field["$ref"].rpartition("/")[2]]["properties"] if "$ref" in field else {}
+    if inner and all("default" in each for each in inner.values()):
+        return "its own"
+    return f"`{written(value)}`" if value is not None else "none"
+
+
+def allowed(field: dict[str, Any]) -> str:
+    """What a key may be."""
+    field = next((variant for variant in field.get("anyOf", []) if variant["type"] != "null"), {}) | field
+    if "enum" in field:
+        return ", ".join(f"`{written(value)}`" for value in field["enum"])
+    if "const" in field:
+        return ""
+    if "$ref" in field or "oneOf" in field:
+        return "table"
+    if field["type"] == "array":
+        if "prefixItems" in field:
+            return f"list of {len(field['prefixItems'])} numbers"
+        return f"list: {allowed(field['items'])}" if "enum" in field["items"] else "list of tables"
+    limits = {"exclusiveMinimum": ">", "minimum": "≥", "exclusiveMaximum": "<", "maximum": "≤"}
+    words = {"number": "number", "integer": "whole number", "boolean": "true or false", "string": "text"}
+    return ", ".join([words[field["type"]], *(f"{sign} {field[key]:g}" for key, sign in limits.items() if key in field)])
+
+
+def table(model: dict[str, Any]) -> str:
+    rows = ["| key | default | may be | meaning |", "| --- | --- | --- | --- |"]
+    for key, field in model["properties"].items():
+        meaning = field.get("description", "which of the variants this is" if key in TAGS else "")
+        rows.append(f"| `{key}` | {default(field)} | {allowed(field)} | {meaning} |")
+    return "".join(f"{row}\n" for row in rows)
+
+
+MARKED = re.compile(r"(?<=<!-- keys of )(\w+)( -->\n)(?:\|.*\n)*")
+
+
+def with_tables(text: str) -> str:
+    return MARKED.sub(lambda match: f"{match[1]}{match[2]}{table(models()[match[1]])}", text)
+
+
+def test_every_key_of_a_scenario_is_documented() -> None:
+    text = SCENARIOS.read_text("utf-8")
+    assert sorted(name for name, _ in MARKED.findall(text)) == sorted(models())
+    assert with_tables(text) == text, "the models have changed: write the tables anew with `python tests/test_docs.py`"
+
+
+if __name__ == "__main__":
+    SCENARIOS.write_text(with_tables(SCENARIOS.read_text("utf-8")), "utf-8")
