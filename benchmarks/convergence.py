@@ -28,9 +28,9 @@ VIEWS = {
         "features.view='birdseye'",
         "features.shape='moments'",
         "controller.x_rate_m=1.45",
-        "controller.roll_rate_deg=1.6",
-        "controller.pitch_rate_deg=1.0",
-        "controller.rotation={kp=0.7, ki=0.14, kd=0.14, tracking_steps=1.6}",
+        "controller.roll_rate_deg=1.0",
+        "controller.pitch_rate_deg=0.7",
+        "controller.rotation={kp=0.7, ki=0.14, kd=0.14, tracking_steps=2.2}",
     ],
     "bird's-eye view, second moments, the thesis' gains": [
         "features.view='birdseye'",

@@ -10,6 +10,7 @@ from controllers.symbol.flat_model import FeatureParams
 from loop.recorder import CENTROIDS, COLUMNS, ERRORS
 from loop.summary import settle_step
 
+SHEAR = (0.005, "a quarter of what counts as settled")
 # Largest difference between two machines that is no difference in behaviour, and why. Timings are excepted, all else is exact.
 TOLERANCES: dict[str, tuple[float, str]] = {
     "time_s": (1e-9, "rounding of step times period"),
@@ -27,12 +28,10 @@ TOLERANCES: dict[str, tuple[float, str]] = {
     "iou": (0.01, "thin strokes: a shift of 2 mm across the road costs as much"),
     "ssim": (0.005, "half the IoU's, which it follows"),
     "length": (0.002, "a tenth of what counts as settled"),
-    "shear": (0.02, "as much as is settled"),
+    "shear": SHEAR,
 }
 CENTROID_PX = (0.1, "a tenth of a pixel of the raw image")
-CENTROID_M = (0.004, "a tenth of a cell of the bird's-eye view")
-QUADRANTS = 4  # times the centroid's: a quadrant has a quarter of the pixels, so one on the edge of extraction weighs four times as much
-SHEAR = (0.02, "as much as is settled")
+CENTROID_M = (0.001, "a millimetre, as the pose's")
 SETTLE_STEPS = 1  # a symbol that settles at the border of 2 % may do so a step sooner or later
 
 
@@ -52,10 +51,9 @@ class Difference:
 def tolerances(what: FeatureParams) -> dict[str, tuple[float, str]]:
     """Tolerance and reason of every numeric column that is compared within one, for the features that a scenario looks at."""
     centroid = CENTROID_PX if what.view == "raw" else CENTROID_M
-    quadrant = (QUADRANTS * centroid[0], f"{QUADRANTS} times the centroid's, since a quadrant has a quarter of its pixels")
-    shape = (quadrant, quadrant) if what.shape == "quadrants" else (SHEAR, centroid)
+    shape = (centroid, centroid) if what.shape == "quadrants" else (SHEAR, centroid)
     features = dict(zip(ERRORS, (centroid, centroid, *shape), strict=True))
-    return {**TOLERANCES, **features, **dict.fromkeys(CENTROIDS[:2], centroid), **dict.fromkeys(CENTROIDS[2:], quadrant)}
+    return {**TOLERANCES, **features, **dict.fromkeys(CENTROIDS, centroid)}
 
 
 def compare(recorded: pa.Table, replayed: pa.Table, within: dict[str, tuple[float, str]]) -> tuple[Difference, ...]:

@@ -69,8 +69,7 @@ def test_scenario_runs_as_recorded(name: str, re_record: bool, capsys: pytest.Ca
         with capsys.disabled():
             print(f"\n{name} recorded:\n{news}")
         return
-    if not file.is_file():
-        pytest.skip(f"never recorded: pytest tests/regression --re-record -k {name}")
+    assert file.is_file(), f"never recorded: pytest tests/regression --re-record -k {name}"
     differences = compare(read(file), trajectory(scenario), tolerances(scenario.features))
     assert not differences, f"{name} runs differently; if that is meant, pytest tests/regression --re-record\n{told(differences)}"
 
