@@ -29,7 +29,6 @@ EXEMPT = {
     r"make (demo|test)\b": "sets up an environment, and would run this test inside itself",
     r"\. \.venv/bin/activate": "the test runs in an environment already",
     r"(\.venv/bin/)?python benchmarks/": "takes minutes, and has tests of its own",
-    r"luxloop data get all\b": "fetches from the network; tests of loop.data do so from a local server",
 }
 # What makes a command cheap without changing what it shows.
 CHEAP = {
