@@ -1,0 +1,188 @@
+"""How long a control step takes on one core, beside the same step in NumPy, SciPy and pyrender: `python benchmarks/step.py`.
+
+Both close the loop of the shipped scenario `snowflake`, step by step in turn, in one process with one thread, in process time. Each takes
+every step four times and the fastest counts, so that neither pays for what the other left in the caches. Before that, without noise, both
+must see the same errors.
+"""
+
+import argparse
+import datetime
+import json
+import os
+import platform
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from importlib.metadata import version
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import torch
+from baseline_numpy import Baseline, Lap, Picture
+from rich.table import Table
+
+from loop import tables
+from loop.scenario import load
+from loop.simulation import Simulation, SimulationState
+from perception.camera import expose, frame_generator
+
+SIZES = ((640, 480), (1280, 720))  # px
+QUICK_SIZES = ((320, 180),)
+TAKES = 4
+PARTS = ("render", "light", "luminance", "camera", "perceive", "control")
+PACKAGES = ("torch", "numpy", "scipy", "pyrender")
+CHECKED_STEPS = 4
+TOLERANCE_PX = 0.01  # sums of float32 in another order turn a few of the rounded digital numbers by one
+GOALS = "goals: at most 10 ms at 640 x 480, 30 times with rendering, 10 times without"
+
+
+class Stopwatch:
+    """Process time in ms by part, all threads counted."""
+
+    def __init__(self) -> None:
+        self.parts: dict[str, float] = {}
+        self.last = time.process_time()
+
+    def lap(self, part: str) -> None:
+        now = time.process_time()
+        self.parts[part] = 1e3 * (now - self.last)
+        self.last = now
+
+
+def luxloop_step(simulation: Simulation, state: SimulationState, lap: Lap) -> tuple[SimulationState, torch.Tensor]:
+    """`Simulation.step` part by part, without the judge. Returns the next state and the four errors in px."""
+    plant = simulation.plant
+    lit = plant.lit(state.step * plant.period_s)
+    lap("render")
+    pose = simulation.controller.pose(state.controller)
+    lights = simulation.projector.light(pose)
+    lap("light")
+    lit_on = lit.base + lit.luminance(lights)
+    lap("luminance")
+    noise = (frame_generator(plant.seed, state.step, frame) for frame in (0, 1))
+    frames = (expose(lit_on, plant.camera, next(noise)), expose(lit.base, plant.camera, next(noise)))
+    lap("camera")
+    seen = simulation.observer.look(frames, pose, lights)
+    lap("perceive")
+    controller = simulation.controller.step(state.controller, seen)
+    lap("control")
+    return replace(state, step=state.step + 1, controller=controller), seen.errors
+
+
+def fastest(step: Callable[[Lap], Any]) -> dict[str, float]:
+    """Time the same step TAKES times; the parts of the fastest take."""
+    watches = []
+    for _ in range(TAKES):
+        watches.append(Stopwatch())
+        step(watches[-1].lap)
+    return min((watch.parts for watch in watches), key=lambda parts: sum(parts.values()))
+
+
+def prepared(width: int, height: int, noise: bool = True) -> Simulation:
+    """The main job at a size of the camera's image."""
+    camera = [f"camera.width_px={width}", f"camera.height_px={height}", f"camera.noise={str(noise).lower()}"]
+    return Simulation.prepare(load("snowflake", [*camera, "features.view='raw'", "features.shape='quadrants'"]))
+
+
+def difference(width: int, height: int) -> float:
+    """Largest difference in px of the errors that both see without noise, over the first steps; NaN where one sees nothing."""
+    simulation = prepared(width, height, noise=False)
+    baseline = Baseline(simulation, None)
+    state, pids, apart = simulation.start(), baseline.start, []
+    for _ in range(CHECKED_STEPS):
+        pids, theirs = baseline.step(pids, lambda part: None)
+        state, ours = luxloop_step(simulation, state, lambda part: None)
+        apart.append((ours - torch.from_numpy(theirs)).abs().max())
+    return float(torch.stack(apart).max())
+
+
+def measure(width: int, height: int, repeats: int) -> dict[str, Any]:
+    """Median ms of each part over the first steps of both loops, run in turn."""
+    simulation = prepared(width, height)
+    picture = _picture(simulation)
+    baseline = Baseline(simulation, picture)
+    state, pids = simulation.start(), baseline.start
+    laps: dict[str, list[dict[str, float]]] = defaultdict(list)
+    for _ in range(repeats):
+        laps["numpy"].append(fastest(partial(baseline.step, pids)))
+        laps["luxloop"].append(fastest(partial(luxloop_step, simulation, state)))
+        pids, _ = baseline.step(pids, lambda part: None)
+        state, _ = luxloop_step(simulation, state, lambda part: None)
+    result: dict[str, Any] = {"width": width, "height": height, "repeats": repeats, "rendered": picture is not None}
+    for name, steps in laps.items():
+        result[name] = {part: median(step[part] for step in steps) for part in PARTS}
+        result[name]["step"] = median(sum(step.values()) for step in steps)
+        result[name]["step without render"] = median(sum(step.values()) - step["render"] for step in steps)
+    for row in ("step", "step without render"):
+        result[f"{row}, ratio"] = result["numpy"][row] / result["luxloop"][row]
+    return result
+
+
+def _picture(simulation: Simulation) -> Picture | None:
+    try:
+        picture = Picture(simulation)
+        picture.render()  # which makes the context and moves the meshes into it
+        return picture
+    except Exception as error:  # whatever OpenGL raises where there is none
+        tables.console(stderr=True).print(f"no colour render in the baseline: {error}", markup=False)
+        return None
+
+
+def machine() -> dict[str, str]:
+    """Where and with what this ran."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.exists() else []
+    models = [line.split(":")[1].strip() for line in lines if line.startswith("model name")]
+    return {
+        "date": datetime.date.today().isoformat(),
+        "processor": models[0] if models else platform.processor(),
+        "python": platform.python_version(),
+        **{name: version(name) for name in PACKAGES},
+    }
+
+
+def table(result: dict[str, Any]) -> Table:
+    """One size's results."""
+    shown = Table("ms a step", "NumPy, SciPy, pyrender", "luxloop", "ratio", title=f"{result['width']} x {result['height']} px", box=None)
+    for column in shown.columns[1:]:
+        column.justify = "right"
+    for part in (*PARTS, "step", "step without render"):
+        ours, theirs = result["luxloop"][part], result["numpy"][part]
+        ratio = "" if part == "render" else f"{theirs / ours:.0f}"
+        shown.add_row(part, f"{theirs:.1f}", f"{ours:.2f}", ratio)
+    return shown
+
+
+def main() -> None:
+    """Check, measure, show."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", type=Path, help="also write the results here")
+    parser.add_argument("--repeats", type=int, default=10, help="steps of the loop to take the median of (10)")
+    parser.add_argument("--quick", action="store_true", help="two steps at 320 x 180, to see that it works")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    console, results = tables.console(), []
+    where = machine()
+    console.print(", ".join(f"{key} {value}" for key, value in where.items()), markup=False)
+    for size in QUICK_SIZES if arguments.quick else SIZES:
+        apart = difference(*size)
+        if not apart <= TOLERANCE_PX:
+            sys.exit(f"not the same work: at {size[0]} x {size[1]} px the errors differ by {apart:.3g} px, more than {TOLERANCE_PX} px")
+        results.append({**measure(*size, 2 if arguments.quick else arguments.repeats), "errors differ by px": apart})
+        console.print(table(results[-1]))
+        console.print(f"without noise the errors differ by {apart:.1g} px at most")
+    console.print(GOALS)
+    if arguments.json:
+        arguments.json.write_text(json.dumps({"machine": where, "results": results}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    # OpenMP and Mesa read these when they are loaded.
+    threads = {"OMP_NUM_THREADS": "1", "LP_NUM_THREADS": "1"}
+    if any(os.environ.get(name) != value for name, value in threads.items()):
+        os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, **threads})
+    main()

@@ -1,0 +1,38 @@
+"""Benchmarks run, and compare like with like; how fast they are is nothing that a test could hold."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_the_step_benchmark_compares_the_same_work(tmp_path: Path) -> None:
+    file = tmp_path / "step.json"
+    command = [sys.executable, "benchmarks/step.py", "--quick", "--json", str(file)]
+    done = subprocess.run(command, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert "without noise the errors differ by" in done.stdout
+    content = json.loads(file.read_text())
+    assert content["machine"]["processor"] and content["machine"]["torch"]
+    (result,) = content["results"]
+    # Digital numbers that round the other way move a centroid by less than a thousandth; the loop holds it to a tenth.
+    assert result["errors differ by px"] < 0.01
+    for name in ("numpy", "luxloop"):
+        parts = result[name]
+        assert all(parts[part] > 0 for part in ("light", "luminance", "camera", "perceive", "control"))
+    without = result["step without render, ratio"]
+    assert without == pytest.approx(result["numpy"]["step without render"] / result["luxloop"]["step without render"])
+
+
+def test_a_baseline_that_does_other_work_is_refused(tmp_path: Path) -> None:
+    """With another tolerance the check must fail, or it would not be one."""
+    code = "import sys; sys.argv = ['step.py', '--quick']; import step; step.TOLERANCE_PX = -1.0; step.main()"
+    environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'benchmarks'}", "OMP_NUM_THREADS": "1"}
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 1
+    assert "not the same work" in done.stderr
