@@ -1,10 +1,12 @@
 """The commands that run the loop, with a progress bar while it does."""
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import torch
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from loop import tables
@@ -15,9 +17,16 @@ from loop.scenario import load
 from loop.simulation import StepResult
 
 
+def _one_thread() -> None:
+    """A step's operations are too small to be shared: on a busy machine a second thread makes 20 ms into 400. OMP_NUM_THREADS overrides."""
+    if "OMP_NUM_THREADS" not in os.environ:
+        torch.set_num_threads(1)
+
+
 def run_scenario(name: str, out: Path, overrides: Sequence[str], values: dict[str, Any], device: str, video: bool) -> None:
     """Run, and say how it went and where the files lie. Raises KeyboardInterrupt that says what was kept."""
     scenario = load(name, overrides, **values)
+    _one_thread()
     done = 0
 
     with _progress(scenario.name, scenario.steps) as advance:
@@ -37,6 +46,7 @@ def run_scenario(name: str, out: Path, overrides: Sequence[str], values: dict[st
 def compare_recording(directory: Path) -> bool:
     """Run a recording again, show how the two differ, return whether they agree."""
     recording = load_recording(directory)
+    _one_thread()
     with _progress(recording.scenario.name, recording.table.num_rows) as advance:
         comparison = replay(directory, on_step=lambda result: advance())
     console = tables.console()

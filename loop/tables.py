@@ -63,11 +63,14 @@ def findings(checks: "Sequence[Check]") -> Table:
 
 def summary(values: dict[str, Any], files: str) -> Table:
     """The closing table of a run."""
+    from loop.summary import FINAL
+
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     x, y = values["centroid_error_percent"]
-    settled = "not settled" if values["settle_step"] is None else str(values["settle_step"])
+    steps, settled = values["steps"], values["settle_step"]
+    never = "not settled" if steps >= FINAL else f"fewer than {FINAL} steps cannot tell"
     rows = {
-        "settle step": f"{settled} of {values['steps']}",
+        "settle step": f"{settled} of {steps}" if settled is not None else never,
         "centroid error": f"{_number(x, '.2f')} % along, {_number(y, '.2f')} % across",
         "IoU, open loop → final": f"{_number(values['iou_open'], '.3f')} → {_number(values['iou_final'], '.3f')}",
         "overshoot": f"{_number(values['overshoot_percent'], '.1f')} %" if values["overshoot_percent"] is not None else "–",
