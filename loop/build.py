@@ -1,5 +1,8 @@
 """From a scenario to the things it names: scene, lamps, symbol."""
 
+import difflib
+from pathlib import Path
+
 import torch
 
 from controllers.primitives import load_symbol
@@ -7,7 +10,6 @@ from controllers.ssc import Ssc
 from controllers.symbol.projector import Lamp, Projector
 from loop import data
 from loop.scenario import Scenario, shipped_symbols
-from pathlib import Path
 from world.body import Body
 from world.errors import LuxloopError
 from world.frames import pose_from_degrees
@@ -15,7 +17,6 @@ from world.presets import idealised
 from world.roadmesh import road_mesh
 from world.scanroad import OpenCrgRoad
 from world.scene import Scene
-import difflib
 
 
 def build_scene(scenario: Scenario) -> Scene:

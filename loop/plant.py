@@ -65,7 +65,9 @@ class SimulatedPlant:
         """As many missing frames as the camera is late."""
         return (None,) * self.camera.latency_steps
 
-    def show(self, state: tuple[Frames | None, ...], lights: Sequence[Utilisation], step: int) -> tuple[tuple[Frames | None, ...], Frames | None]:
+    def show(
+        self, state: tuple[Frames | None, ...], lights: Sequence[Utilisation], step: int
+    ) -> tuple[tuple[Frames | None, ...], Frames | None]:
         """Expose an on frame at the step's time and an off frame half a period later; what moves has moved in between."""
         on_view, off_view = self.lit(step * self.period_s), self.lit((step + 0.5) * self.period_s)
         on = self._expose(on_view.base + on_view.luminance(lights), step, 0)
