@@ -88,16 +88,17 @@ def expose(luminance: Tensor, params: CameraParams, noise: Tensor | torch.Genera
     a frame without noise. With `quantise=False` the number is left unrounded and differentiable.
     """
     levels = _levels(params)
-    signal = luminance * _electrons_per_luminance(params)
+    levels_per_electron = levels / params.saturation_e
+    signal = luminance * (_electrons_per_luminance(params) * levels_per_electron)  # in levels of a linear code
     if noise is not None and params.noise:
         if isinstance(noise, torch.Generator):
             noise = torch.empty(signal.shape, dtype=signal.dtype, device=signal.device).normal_(generator=noise)
-        signal.addcmul_((signal + params.read_noise_e**2).sqrt_(), noise)
+        signal.addcmul_((signal + params.read_noise_e**2 * levels_per_electron).sqrt_(), noise, value=levels_per_electron**0.5)
     if params.gamma == 1:
-        signal.clamp_(0, params.saturation_e).mul_(levels / params.saturation_e)
+        signal.clamp_(0, levels)
     else:
         # A hundredth of a level instead of zero, since the root's slope is infinite there.
-        signal.mul_(1 / params.saturation_e).clamp_((0.01 / levels) ** params.gamma, 1)
+        signal.mul_(1 / levels).clamp_((0.01 / levels) ** params.gamma, 1)
         signal = signal.pow_(1 / params.gamma).mul_(levels)
     return signal.round_() if quantise else signal
 
