@@ -5,8 +5,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from world.frames import inverse, transform
-
 
 @dataclass(frozen=True)
 class View:
@@ -38,7 +36,8 @@ class View:
 
     def project(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Image coordinates `[..., 2, N]` px and depth `[..., N]` m of world points `[..., 3, N]`; only depth > 0 is in front."""
-        p = transform(inverse(self.T_world_view).to(points), points)
+        T = self.T_world_view.to(points)
+        p = T[:3, :3].T @ (points - T[:3, 3:])
         depth = p[..., 2, :]
         u = self.fx * p[..., 0, :] / depth + self.cx
         v = self.fy * p[..., 1, :] / depth + self.cy

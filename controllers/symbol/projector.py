@@ -1,5 +1,6 @@
 """The projector draws one symbol with one or several lamps: a pose in, utilisations out."""
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -62,17 +63,18 @@ class Projector:
 
         One rectangle for all of a batch. Rays that do not come down within 200 m end there.
         """
-        corners = self.primitive(pose).corners().reshape(-1, 3).T.double()
+        corners = self.primitive(pose).corners().detach().reshape(-1, 3).T.cpu().double()
         origins = torch.stack([lamp.T_world_headlight[:3, 3:] for lamp in self.lamps]).to(corners)
         rays = corners - origins
-        down = rays[:, 2] < -1e-6
-        reach = (origins.new_tensor([-margin_m, margin_m])[:, None, None] - origins[:, 2]) / torch.where(down, rays[:, 2], -1.0)
-        reach = torch.where(down, reach, torch.inf).clamp(min=0).minimum(200 / rays.norm(dim=1))
-        uv, depth = view.project((origins + rays * reach[:, :, None]).transpose(0, 2).reshape(3, -1))
+        fall = (-rays[:, 2]).clamp(min=1e-6)
+        reach = (origins[:, 2] - corners.new_tensor([[[-margin_m]], [[margin_m]]])).clamp(min=0) / fall
+        ends = origins + rays * reach.minimum(200 / rays.norm(dim=1))[:, :, None]
+        uv, depth = view.project(ends.transpose(0, 2).reshape(3, -1))
         uv = uv[:, depth > 0.1]
         if uv.shape[1] == 0:
             return Crop(0, 0, 0, 0)
-        low, high = uv.amin(1).floor().tolist(), uv.amax(1).ceil().tolist()
-        u0, u1 = (min(max(int(u), 0), view.width) for u in (low[0], high[0]))
-        v0, v1 = (min(max(int(v), 0), view.height) for v in (low[1], high[1]))
+        low, high = uv.aminmax(dim=1)
+        size = (view.width, view.height)
+        u0, v0 = (min(max(math.floor(end), 0), n) for end, n in zip(low.tolist(), size, strict=True))
+        u1, v1 = (min(max(math.ceil(end), 0), n) for end, n in zip(high.tolist(), size, strict=True))
         return Crop(v0, v1, u0, u1)
