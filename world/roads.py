@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from world.iso8608 import roughness
 from world.roadbase import Floats, MeshGrid, Road, RoadModel, ahead, smoothstep
@@ -165,6 +165,16 @@ class Mixed(RoadModel):
     table_x_m: float = Field(default=45.0, ge=25.0, description="where the speed table begins")
     table_height_m: float = Field(default=0.08, ge=0.0, le=0.3, description="height of the speed table")
     seed: int = Field(default=12, ge=0, description="seed of bumps and roughness; the default keeps the symbol within the lamp's field")
+
+    @field_validator("bumps_m")
+    @classmethod
+    def _around_zero(cls, bumps_m: tuple[float, float]) -> tuple[float, float]:
+        lowest, highest = bumps_m
+        if not -0.5 <= lowest <= 0 <= highest <= 0.5:
+            raise ValueError(
+                f"[{lowest}, {highest}] is no range of heights about zero; give [lowest, highest], as [-0.015, 0.025], at most 0.5"
+            )
+        return bumps_m
 
     def _curb(self) -> Curb:
         return Curb(y_m=self.curb_y_m, height_m=self.curb_height_m)
