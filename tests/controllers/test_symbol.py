@@ -28,7 +28,9 @@ from world.presets import idealised
 
 SYMBOLS = ["snowflake", "chevrons", "warning_triangle", "distance_warning"]
 RAW, PLANE = FeatureParams(), FeatureParams(view="birdseye", shape="moments")
-CAMERA = CameraParams(width_px=320, height_px=180)
+# The part of the default camera's image that the symbol moves in, as fine as there. With coarser pixels, or lamp rows than the default's,
+# the horizontal strokes of some symbols look alike at poses several centimetres apart.
+CAMERA = CameraParams(width_px=640, height_px=240, hfov_deg=16, pitch_deg=4.2)
 ALBEDO, AMBIENT_LX = 0.2, 0.3
 TARGET = torch.tensor([17.0, 0.0, 0.0, 0.0])
 PARAMS = ThesisPidParams()
@@ -36,7 +38,7 @@ PARAMS = ThesisPidParams()
 
 @cache
 def lamps() -> tuple[Lamp, Lamp]:
-    ssc = Ssc.prepare(idealised(100, 160))
+    ssc = Ssc.prepare(idealised(pixel_cols=160))
     return Lamp("left", ssc, pose_from_degrees((0.0, 0.6, 0.75))), Lamp("right", ssc, pose_from_degrees((0.0, -0.6, 0.75)))
 
 
@@ -87,15 +89,16 @@ def test_signs_of_the_four_errors_in_the_camera_image(symbol: str, edges: str) -
 @pytest.mark.parametrize("symbol", SYMBOLS)
 def test_in_the_birds_eye_view_a_metre_is_a_metre(symbol: str) -> None:
     gains = observer(symbol, PLANE).model.gains
-    # The camera has 7 px and the lamp 12 pixel rows along the symbol: a few per cent.
-    torch.testing.assert_close(gains[:2], torch.tensor([-1.0, -1.0]), rtol=0.06, atol=0)
+    # Along the symbol there are some 40 px and lamp rows: a tenth of one over a probe of 0.6 m is 2 %, more with strokes across.
+    torch.testing.assert_close(gains[:1], torch.tensor([-1.0]), rtol=0.04, atol=0)
+    torch.testing.assert_close(gains[1:2], torch.tensor([-1.0]), rtol=0.01, atol=0)
 
 
 def test_batched_light_is_that_of_singles() -> None:
     model = observer().model
     poses = torch.stack([TARGET, TARGET + torch.tensor([-2.0, 0.8, 0.08, -0.03])])
     batch = model.luminance(projector().light(poses))
-    assert batch.shape == (2, 180, 320)
+    assert batch.shape == (2, CAMERA.height_px, CAMERA.width_px)
     for k, pose in enumerate(poses):
         single = model.luminance(projector().light(pose))
         assert single.max() > 0.1
@@ -146,9 +149,9 @@ def test_footprint_holds_what_the_lamp_can_draw_on_an_uneven_road(offset: tuple,
 def test_at_the_target_there_is_no_error(symbol: str, what: FeatureParams) -> None:
     seen = look(observer(symbol, what), TARGET)
     assert seen.code == Loss.SEEN
-    # Twelve bits of quantisation are all that differs from the model.
-    assert seen.area_ratio.item() == pytest.approx(1, abs=0.01)
-    assert (seen.pose_error.abs() < torch.tensor([0.02, 0.005, 0.002, 0.001])).all()
+    # Twelve bits of quantisation are all that differs from the model: they average out to a few thousandths of a pixel.
+    assert seen.area_ratio.item() == pytest.approx(1, abs=0.001)
+    assert (seen.pose_error.abs() < torch.tensor([5e-4, 1e-4, 1e-4, 1e-4])).all()
 
 
 @pytest.mark.parametrize("what", [RAW, PLANE], ids=["raw", "birdseye"])
@@ -157,8 +160,9 @@ def test_errors_are_scaled_to_metres_and_radians(what: FeatureParams, k: int) ->
     offset = torch.zeros(4)
     offset[k] = (0.4, 0.2, math.radians(2), math.radians(-0.5))[k]
     seen = look(observer("snowflake", what), TARGET + offset)
-    # Linear within a quarter at this distance.
-    assert seen.pose_error[k].item() == pytest.approx(offset[k].item(), rel=0.25)
+    # Linear, but for the roll of quadrants that strokes leave and enter: within a quarter at twice the probe.
+    linear = 0.25 if k == 2 and what is RAW else 0.05
+    assert seen.pose_error[k].item() == pytest.approx(offset[k].item(), rel=linear)
 
 
 def test_a_batch_is_a_loop_of_singles() -> None:
@@ -186,7 +190,7 @@ def test_light_beside_the_footprint_is_ignored() -> None:
 def test_reasons_for_loss() -> None:
     watcher, lights = observer(), projector().light(TARGET)
     symbol = watcher.model.luminance(lights)
-    left_part = symbol * (torch.arange(CAMERA.width_px) < 150)
+    left_part = symbol * (torch.arange(CAMERA.width_px) < 0.47 * CAMERA.width_px)
     assert watcher.look(None, TARGET, lights).code == Loss.NO_FRAME
     assert watcher.look(frames(torch.zeros_like(symbol), step=1), TARGET, lights).code == Loss.NOTHING
     assert watcher.look(frames(left_part), TARGET, lights).code == Loss.TOO_SMALL
@@ -220,7 +224,7 @@ def thesis_pid() -> ThesisPid:
 
 
 RANGES = torch.tensor([[8.0, 40.0], [-6.0, 6.0], [math.radians(-7), math.radians(7)], [math.radians(-4), math.radians(2.2)]])
-RATES = torch.tensor([3.0, 1.5, math.radians(3), math.radians(1.2)])
+RATES = torch.tensor([1.5, 0.9, math.radians(2.4), math.radians(1.35)])
 START = torch.tensor([15.0, 0.8, math.radians(5), math.radians(-2)])
 
 
@@ -351,8 +355,8 @@ def run(watcher: Observer, start: Tensor, steps: int = 30, drop_every: int | Non
     return torch.stack(poses)
 
 
-# 2 % of the symbol's size, and half a degree of roll; a quarter of a degree of pitch stretches the symbol by a tenth.
-CLOSE = torch.tensor([0.08, 0.04, math.radians(0.5), math.radians(0.25)])
+# A quarter of the symbol's size in per cent; turned by as little, the corners move by no more. Noise alone moves x by 3 mm a step.
+CLOSE = torch.tensor([0.01, 0.005, math.radians(0.05), math.radians(0.02)])
 
 
 @pytest.mark.parametrize("what", [RAW, PLANE], ids=["raw", "birdseye"])
