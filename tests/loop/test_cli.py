@@ -113,6 +113,7 @@ def test_did_you_mean(lux: Lux, arguments: str, named: str) -> None:
         ("run zzz", ["zzz", "luxloop list"]),
         ("run small.toml --out small.toml", ["small.toml", "--out"]),
         ("run small.toml --out .", ["no recording", "new directory"]),
+        ("run small.toml --set road.kind=mixed road.bumps_m=[0.1,-0.1]", ["road.bumps_m", "[0.1, -0.1]", "[lowest, highest]"]),
         ("run small.toml --set symbol.image=none.png", ["none.png", "does not exist"]),
         ("run small.toml --set symbol.image=black.png", ["black.png", "black"]),
         ("run small.toml --set symbol.image=text.png", ["text.png", "picture"]),
@@ -263,7 +264,7 @@ def test_controller_starts_with_its_defaults_and_set_comes_on_top(lux: Lux, tmp_
     arguments = ["run", "small.toml", "--no-video", "--steps", "1", "--out", "a"]
     assert lux(*arguments, "--controller", "thesis_pid", "--set", "controller.y_rate_m=0.2")[0] == 0
     controller = json.loads((tmp_path / "a" / "manifest.json").read_text())["scenario"]["controller"]
-    assert (controller["x_rate_m"], controller["y_rate_m"]) == (3.0, 0.2)
+    assert (controller["x_rate_m"], controller["y_rate_m"]) == (1.5, 0.2)
     assert {path.name for path in (tmp_path / "a").iterdir()} == FILES - {"video.mp4"}
 
 

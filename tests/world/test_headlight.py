@@ -41,9 +41,9 @@ def test_overlap_is_minimal(thesis_lamp: Headlight) -> None:
 def test_full_utilisation_is_even_within_the_outer_pixels(thesis_lamp: Headlight) -> None:
     light = thesis_lamp.light_texture(torch.ones(thesis_lamp.n_pixels))
     # Two float32 profiles that add up to one.
-    torch.testing.assert_close(light[4:-4, 2:-2], torch.full((1320, 2044), 30_000.0), rtol=1e-6, atol=0)
-    assert light.min() > 0.5 * 30_000
-    assert light.max() <= 30_000 * (1 + 1e-6)
+    torch.testing.assert_close(light[4:-4, 2:-2], torch.full((1320, 2044), 50_000.0), rtol=1e-6, atol=0)
+    assert light.min() > 0.5 * 50_000
+    assert light.max() <= 50_000 * (1 + 1e-6)
 
 
 @settings(deadline=None, max_examples=25)

@@ -195,6 +195,29 @@ def test_oversampled_transport_takes_the_mean_over_a_pixel() -> None:
     torch.testing.assert_close(image.view(2, 90, 160), samples.view(2, 90, 3, 160).mean(2), rtol=1e-5, atol=0)
 
 
+def test_oversampled_transport_is_the_mean_of_its_rows_transports() -> None:
+    """Whatever is lit only in part of a pixel: at the lamp's border and the road's end some rows have no entry."""
+    gbuffer, samples = flat_road(camera(oversampling=3), 0.2), 3
+
+    def dense(part: GBuffer, oversampling: int) -> Tensor:
+        folded_transport = transport(reach(part, LAMP, T_LEFT), LAMP, 160, oversampling)
+        image = torch.zeros(90 * 160, LAMP.n_pixels)
+        image[folded_transport.index] = torch.from_numpy(folded_transport.matrix.to_scipy().toarray())
+        return image
+
+    rows = [
+        dense(
+            GBuffer(gbuffer.position[:, k::3], gbuffer.normal[:, k::3], gbuffer.albedo[k::3], gbuffer.object_id[k::3]),
+            1,
+        )
+        for k in range(samples)
+    ]
+    lit = torch.stack([row.any(1) for row in rows])
+    assert (lit.any(0) & ~lit.all(0)).any(), "the case that a mean over lit rows alone would get wrong"
+    # Sums of at most twelve float32 products, none negative.
+    torch.testing.assert_close(dense(gbuffer, samples), torch.stack(rows).mean(0), rtol=1e-5, atol=0)
+
+
 @pytest.mark.parametrize(
     "band", [slice(0, 640), slice(330, 331), slice(300, 420), slice(0, 32), slice(639, 640), slice(0, 0), slice(640, 640)]
 )
