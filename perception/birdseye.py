@@ -32,7 +32,7 @@ class BirdsEye:
     """A rectified view; row 0 is far, column 0 is left.
 
     map_u, map_v: `[rows, cols]` px, where the centre of each cell lies in the camera image. columns: odd, how many image columns a cell is
-    wide in the middle of the region. axes: metres, u to the right (-y) and v towards the car (-x), so that the image's errors keep their signs.
+    wide in the middle of the region. axes: metres, u to the right (-y) and v towards the car (-x), so that the errors keep their signs.
     """
 
     map_u: Tensor

@@ -39,7 +39,10 @@ class CameraParams(Params):
     )
 
     oversampling: int = Field(
-        4, ge=1, le=16, description="samples over a pixel's height: on the road a pixel is many times as long as wide, and it integrates light"
+        4,
+        ge=1,
+        le=16,
+        description="samples over a pixel's height: on the road a pixel is many times as long as wide, and it integrates light",
     )
 
     exposure_s: float = Field(0.015, gt=0, le=1, description="exposure time of a frame; on and off frames must fit into one control step")

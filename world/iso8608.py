@@ -40,9 +40,7 @@ def roughness(roughness_class: str, seed: int, x: ArrayLike, y: ArrayLike) -> Fl
 @lru_cache(maxsize=4)
 def _tiles(seed: int) -> tuple[tuple[Floats, float], ...]:
     generator = np.random.default_rng(seed)
-    return tuple(
-        (_tile(generator, spacing, band), spacing) for spacing, band in ((1 / 4, (BAND[0], _SPLIT)), (1 / 32, (_SPLIT, _CUT)))
-    )
+    return tuple((_tile(generator, spacing, band), spacing) for spacing, band in ((1 / 4, (BAND[0], _SPLIT)), (1 / 32, (_SPLIT, _CUT))))
 
 
 def _tile(generator: np.random.Generator, spacing: float, band: tuple[float, float]) -> Floats:

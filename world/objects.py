@@ -57,9 +57,9 @@ class BoxParams(TrackedParams):
     """A box; its origin is the centre of its bottom face."""
 
     kind: Literal["box"] = "box"
-    size_m: tuple[
-        Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)]
-    ] = Field(description="Length (x), width (y), height (z)")
+    size_m: tuple[Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)]] = Field(
+        description="Length (x), width (y), height (z)"
+    )
 
     def build(self) -> Body:
         box = trimesh.creation.box(self.size_m)
