@@ -82,15 +82,15 @@ def fastest(step: Callable[[Lap], Any]) -> dict[str, float]:
     return min((watch.parts for watch in watches), key=lambda parts: sum(parts.values()))
 
 
-def prepared(width: int, height: int, noise: bool = True) -> Simulation:
+def prepared(width: int, height: int, overrides: list[str]) -> Simulation:
     """The main job at a size of the camera's image."""
-    camera = [f"camera.width_px={width}", f"camera.height_px={height}", f"camera.noise={str(noise).lower()}"]
-    return Simulation.prepare(load("snowflake", [*camera, "features.view='raw'", "features.shape='quadrants'"]))
+    size = [f"camera.width_px={width}", f"camera.height_px={height}"]
+    return Simulation.prepare(load("snowflake", [*size, "features.view='raw'", "features.shape='quadrants'", *overrides]))
 
 
-def difference(width: int, height: int) -> float:
+def difference(width: int, height: int, overrides: list[str]) -> float:
     """Largest difference in px of the errors that both see without noise, over the first steps; NaN where one sees nothing."""
-    simulation = prepared(width, height, noise=False)
+    simulation = prepared(width, height, [*overrides, "camera.noise=false"])
     baseline = Baseline(simulation, None)
     state, pids, apart = simulation.start(), baseline.start, []
     for _ in range(CHECKED_STEPS):
@@ -100,9 +100,9 @@ def difference(width: int, height: int) -> float:
     return float(torch.stack(apart).max())
 
 
-def measure(width: int, height: int, repeats: int) -> dict[str, Any]:
+def measure(width: int, height: int, overrides: list[str], repeats: int) -> dict[str, Any]:
     """Median ms of each part over the first steps of both loops, run in turn."""
-    simulation = prepared(width, height)
+    simulation = prepared(width, height, overrides)
     picture = _picture(simulation)
     baseline = Baseline(simulation, picture)
     state, pids = simulation.start(), baseline.start
@@ -162,6 +162,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", type=Path, help="also write the results here")
     parser.add_argument("--repeats", type=int, default=10, help="steps of the loop to take the median of (10)")
+    parser.add_argument(
+        "--set", nargs="*", default=[], dest="overrides", metavar="KEY=VALUE", help="change the scenario: camera.oversampling=1"
+    )
     parser.add_argument("--quick", action="store_true", help="two steps at 320 x 180, to see that it works")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
@@ -169,15 +172,15 @@ def main() -> None:
     where = machine()
     console.print(", ".join(f"{key} {value}" for key, value in where.items()), markup=False)
     for size in QUICK_SIZES if arguments.quick else SIZES:
-        apart = difference(*size)
+        apart = difference(*size, arguments.overrides)
         if not apart <= TOLERANCE_PX:
             sys.exit(f"not the same work: at {size[0]} x {size[1]} px the errors differ by {apart:.3g} px, more than {TOLERANCE_PX} px")
-        results.append({**measure(*size, 2 if arguments.quick else arguments.repeats), "errors differ by px": apart})
+        results.append({**measure(*size, arguments.overrides, 2 if arguments.quick else arguments.repeats), "errors differ by px": apart})
         console.print(table(results[-1]))
         console.print(f"without noise the errors differ by {apart:.1g} px at most")
     console.print(GOALS)
     if arguments.json:
-        arguments.json.write_text(json.dumps({"machine": where, "results": results}, indent=1) + "\n")
+        arguments.json.write_text(json.dumps({"machine": where, "set": arguments.overrides, "results": results}, indent=1) + "\n")
 
 
 if __name__ == "__main__":
