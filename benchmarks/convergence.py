@@ -80,13 +80,10 @@ def document(rows: list[dict[str, Any]]) -> str:
     lines = [
         "# Convergence",
         "",
-        "Made by `python benchmarks/convergence.py`; seed 0, 40 steps, camera 1280 x 720. "
-        "Each symbol starts where its shipped scenario does, rolled by",
-        "5 deg and pitched by -2 deg. "
-        "*Settle* is the step from which centroid, length and shear stay near their final values (`summary.json`), or",
-        "— if they never do within the run. *Error* is the centroid's, along / across, in % of the symbol's length / width. "
-        "*Open* is the flat-road",
-        "primitive at the target without control.",
+        "Made by `python benchmarks/convergence.py`; seed 0, 40 steps, camera 1280 x 720. Each symbol starts where its shipped",
+        "scenario does, rolled by 5 deg and pitched by -2 deg. *Settle* is the step from which centroid, length and shear stay near",
+        "their final values (`summary.json`), or — if they never do within the run. *Error* is the centroid's, along / across, in % of",
+        "the symbol's length / width. *Open* is the flat-road primitive at the target without control.",
     ]
     for part in dict.fromkeys(r["part"] for r in rows):
         lines += ["", f"## {part[0].upper()}{part[1:]}", ""]

@@ -61,7 +61,7 @@ def luxloop_step(simulation: Simulation, state: SimulationState, lap: Lap) -> tu
     pose = simulation.controller.pose(state.controller)
     lights = simulation.projector.light(pose)
     lap("light")
-    lit_on = lit.base + lit.luminance(lights)
+    lit_on = added_light(lit.transports, lights, lit.base)
     lap("luminance")
     noise = (frame_generator(plant.seed, state.step, frame) for frame in (0, 1))
     frames = (expose(lit_on, plant.camera, next(noise)), expose(lit.base, plant.camera, next(noise)))

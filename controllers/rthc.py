@@ -9,8 +9,8 @@ import math
 from dataclasses import dataclass
 
 import torch
+from kornia.geometry.transform import remap
 from torch import Tensor
-from torch.nn.functional import grid_sample
 
 from controllers.primitives import Primitives
 from world.headlight import Headlight
@@ -118,6 +118,5 @@ def _symbol_value(symbols: Tensor, u: Tensor, v: Tensor) -> Tensor:
     if not u.numel():
         return u  # out of sight
     images = symbols.expand(*shape[:-2], *symbols.shape[-2:]).reshape(-1, 1, *symbols.shape[-2:])
-    grid = u.new_empty(*shape, 2)  # not stacked, which takes longer than the sampling
-    grid[..., 0], grid[..., 1] = u, v
-    return grid_sample(images, grid.reshape(-1, *shape[-2:], 2), padding_mode="border", align_corners=False).reshape(shape)
+    u, v = u.reshape(-1, *shape[-2:]), v.reshape(-1, *shape[-2:])
+    return remap(images, u, v, padding_mode="border", align_corners=False, normalized_coordinates=True).reshape(shape)

@@ -47,7 +47,7 @@ class LitView:
 
     def luminance(self, lights: Sequence[Utilisation]) -> Tensor:
         """Luminance `[..., height, width]` in cd/m^2 of the lamps alone."""
-        return added_light(self.transports, lights, self.base.shape)
+        return added_light(self.transports, lights, torch.zeros_like(self.base))
 
 
 class SimulatedPlant:
@@ -70,7 +70,7 @@ class SimulatedPlant:
     ) -> tuple[tuple[Frames | None, ...], Frames | None]:
         """Expose an on frame at the step's time and an off frame half a period later; what moves has moved in between."""
         on_view, off_view = self.lit(step * self.period_s), self.lit((step + 0.5) * self.period_s)
-        on = self._expose(on_view.base + on_view.luminance(lights), step, 0)
+        on = self._expose(added_light(on_view.transports, lights, on_view.base), step, 0)
         off = self._expose(off_view.base, step, 1)
         queue = (*state, None if self._dropped(step) else (on, off))
         return queue[1:], queue[0]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import torch
 from kornia.geometry.transform import remap
 from torch import Tensor
-from torch.nn.functional import avg_pool2d
+from torch.nn.functional import avg_pool2d, pad
 
 from perception.appearance import Axes
 from world.view import View
@@ -60,9 +60,10 @@ def rectify(view: BirdsEye, image: Tensor, u_start: int = 0, v_start: int = 0) -
     image: whole, or cut from the camera's image at (u_start, v_start) px. A cell takes the mean of the image columns that it covers, since
     samples further apart than pixels would see an edge jump from cell to cell.
     """
-    height, width = image.shape[-2:]
-    flat = avg_pool2d(image.reshape(-1, 1, height, width), (1, view.columns), 1, (0, view.columns // 2), count_include_pad=False)
-    u = (2 * (view.map_u.to(image) - u_start) / width - 1)[None].expand(flat.shape[0], -1, -1)
+    half = view.columns // 2
+    flat = avg_pool2d(pad(image.reshape(-1, 1, *image.shape[-2:]), (2 * half, 2 * half)), (1, view.columns), 1)
+    height, width = flat.shape[-2:]
+    u = (2 * (view.map_u.to(image) - u_start + half) / width - 1)[None].expand(flat.shape[0], -1, -1)
     v = (2 * (view.map_v.to(image) - v_start) / height - 1)[None].expand(flat.shape[0], -1, -1)
     plane = remap(flat, u, v, padding_mode="zeros", align_corners=False, normalized_coordinates=True)
     return plane.reshape(*image.shape[:-2], *plane.shape[-2:])

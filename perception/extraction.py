@@ -12,7 +12,6 @@ from torch.nn.functional import avg_pool2d, pad
 from perception.camera import CameraParams, luminance_of, noise_std
 from world.params import Params
 
-
 NEIGHBOURHOOD = (3, 7)  # rows, columns in px: wider than an edge, narrower than the change of light over a symbol
 WHOLLY_LIT = 0.6  # of the brightest contrast nearby: above, a pixel counts wholly and the noise of the symbol's inside does not matter
 
@@ -74,8 +73,8 @@ def threshold(off: Tensor, camera: CameraParams, params: ExtractionParams) -> Te
 def symbol_image(contrast: Tensor, limit: Tensor, params: ExtractionParams) -> Tensor:
     """Symbol image `[..., h, w]` in 0..1 from luminance contrast and threshold, both `[..., h, w]` in cd/m^2.
 
-    Binary edges: what exceeds the threshold counts wholly. Grey edges: it counts by its lit share, from nothing at the threshold to wholly near
-    the brightest contrast around it, so that edges are known to a fraction of a pixel, and yet bright faces do not outweigh dark ones.
+    Binary edges: what exceeds the threshold counts wholly. Grey edges: it counts by its lit share, from nothing at the threshold to wholly
+    near the brightest contrast around it, so that edges are known to a fraction of a pixel, and yet bright faces do not outweigh dark ones.
     """
     if params.edges == "binary":
         return (contrast > limit).to(contrast)

@@ -77,21 +77,20 @@ class FlatModel:
 
     def luminance(self, lights: Sequence[Utilisation]) -> Tensor:
         """Luminance `[..., height, width]` in cd/m^2 of the lamps alone on the flat road."""
-        return added_light(self.transports, lights, self.limit.shape)
+        return added_light(self.transports, lights, torch.zeros_like(self.limit))
 
     def symbol(self, lights: Sequence[Utilisation], crop: Crop) -> Tensor:
         """Symbol image `[..., h, w]` that extraction would find without noise."""
         return symbol_image(self.luminance(lights)[..., *crop.slices], self.limit[crop.slices], self.params)
 
 
-def added_light(transports: Sequence[Transport], lights: Sequence[Utilisation], shape: torch.Size | tuple[int, int]) -> Tensor:
-    """Camera luminance `[..., height, width]` in cd/m^2 of the lamps alone, from one utilisation `[..., n_p]` a lamp."""
-    u = lights[0].u
-    image = u.new_zeros(*u.shape[:-1], math.prod(shape))
+def added_light(transports: Sequence[Transport], lights: Sequence[Utilisation], base: Tensor) -> Tensor:
+    """Camera luminance `[..., height, width]` in cd/m^2 of one utilisation `[..., n_p]` a lamp on top of a base `[height, width]`."""
+    image = base.expand(*lights[0].u.shape[:-1], *base.shape).flatten(-2).clone()
     for transport_, light in zip(transports, lights, strict=True):
         luminance, index = transport_.luminance(light.u, light.band)
         image.index_add_(-1, index, luminance)
-    return image.unflatten(-1, shape)
+    return image.unflatten(-1, base.shape)
 
 
 def flat_model(

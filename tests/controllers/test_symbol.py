@@ -108,7 +108,7 @@ def test_batched_light_is_that_of_singles() -> None:
 def test_the_light_of_two_lamps_adds_up_to_that_of_one() -> None:
     both = observer(n_lamps=2).model
     lights = projector(n_lamps=2).light(TARGET)
-    parts = [added_light((t,), (light,), both.limit.shape) for t, light in zip(both.transports, lights, strict=True)]
+    parts = [added_light((t,), (light,), torch.zeros_like(both.limit)) for t, light in zip(both.transports, lights, strict=True)]
     torch.testing.assert_close(both.luminance(lights), parts[0] + parts[1])
     one = observer().model.luminance(projector().light(TARGET))
     # The setpoint is shared; the lamps see the symbol from 1.2 m apart, which changes cos / d^2 by less than a hundredth.
