@@ -25,6 +25,7 @@ import torch
 from baseline_numpy import Baseline, Lap, Picture
 from rich.table import Table
 
+from controllers.symbol.flat_model import added_light
 from loop import tables
 from loop.scenario import load
 from loop.simulation import Simulation, SimulationState
