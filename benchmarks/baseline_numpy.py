@@ -47,9 +47,9 @@ class Picture:
     def __init__(self, simulation: Simulation) -> None:
         import pyrender
 
-        view = simulation.plant.view
+        view = simulation.world.view
         self.scene = pyrender.Scene(ambient_light=(0.1, 0.1, 0.1))
-        for body in simulation.plant.scene.bodies:
+        for body in simulation.world.scene.bodies:
             material = pyrender.MetallicRoughnessMaterial(baseColorFactor=(1.0, 1.0, 1.0, 1.0), metallicFactor=0.0, roughnessFactor=1.0)
             vertices, texcoord = np.asarray(body.mesh.vertices, np.float32), None
             if body.texture is not None:
@@ -110,7 +110,7 @@ class Baseline:
 
     def __init__(self, simulation: Simulation, picture: Picture | None) -> None:
         self.picture, self.camera, self.params = picture, simulation.scenario.camera, simulation.scenario.extraction
-        projector, plant, self.model = simulation.projector, simulation.plant, simulation.observer.model
+        projector, plant, self.model = simulation.projector, simulation.world, simulation.observer.model
         (lamp,) = projector.lamps
         self.projector, self.headlight = projector, lamp.pixel_controller.headlight
         self.noise = np.random.default_rng(simulation.scenario.seed) if self.camera.noise else None

@@ -56,7 +56,7 @@ class Stopwatch:
 
 def luxloop_step(simulation: Simulation, state: SimulationState, lap: Lap) -> tuple[SimulationState, torch.Tensor]:
     """`Simulation.step` part by part, without the judge. Returns the next state and the four errors in px."""
-    plant = simulation.plant
+    plant = simulation.world
     lit = plant.lit(state.step * plant.period_s)
     lap("render")
     pose = simulation.controller.pose(state.controller)

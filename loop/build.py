@@ -36,7 +36,7 @@ def build_projector(scenario: Scenario, device: torch.device) -> Projector:
     ssc = Ssc.prepare(idealised(intensity_cd=lamp.intensity_cd).to(device), scenario.ssc)
     half = lamp.distance_m / 2
     positions = {"left": (0.0, half, lamp.height_m), "right": (0.0, -half, lamp.height_m)}
-    lamps = tuple(Lamp(name, ssc, pose_from_degrees(positions[name])) for name in lamp.lamps)
+    lamps = tuple(Lamp(name, ssc, pose_from_degrees(positions[name]).to(device)) for name in lamp.lamps)
     return Projector(lamps, load_symbol(symbol_path(scenario.symbol.image)).to(device), scenario.symbol)
 
 

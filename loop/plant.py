@@ -69,11 +69,15 @@ class SimulatedPlant:
         self, state: tuple[Frames | None, ...], lights: Sequence[Utilisation], step: int
     ) -> tuple[tuple[Frames | None, ...], Frames | None]:
         """Expose an on frame at the step's time and an off frame half a period later; what moves has moved in between."""
-        on_view, off_view = self.lit(step * self.period_s), self.lit((step + 0.5) * self.period_s)
-        on = self._expose(added_light(on_view.transports, lights, on_view.base), step, 0)
-        off = self._expose(off_view.base, step, 1)
+        on_view, off_view = (self.lit(t_s) for t_s in self.exposures(step))
+        lit = added_light(on_view.transports, lights, on_view.base)
+        on, off = self._expose(lit, step, 0), self._expose(off_view.base.expand(lit.shape), step, 1)
         queue = (*state, None if self._dropped(step) else (on, off))
         return queue[1:], queue[0]
+
+    def exposures(self, step: int) -> tuple[float, float]:
+        """Times in s of a step's on and off frame."""
+        return step * self.period_s, (step + 0.5) * self.period_s
 
     def lit(self, t_s: float) -> LitView:
         """The camera's view of the scene at a time; rendered only when geometry has moved."""

@@ -129,7 +129,7 @@ class Recorder:
         Raises LuxloopError if the directory holds something else, cannot be written, or an input file cannot be read.
         """
         self.directory, self.simulation = directory, simulation
-        self.manifest = Manifest.of(simulation.scenario, simulation.plant.source.name, simulation.device)
+        self.manifest = Manifest.of(simulation.scenario, simulation.world.source.name, simulation.device)
         self._written = SCHEMA.empty_table()
         self._fresh: list[dict[str, Any]] = []
         self._next_write_s = 0.0

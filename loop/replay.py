@@ -79,7 +79,7 @@ def replay(
         raise LuxloopError(f"{directory / TRAJECTORY}: holds no step; record the run again")
     device = device or (manifest.device if manifest.device == "cpu" or torch.cuda.is_available() else "cpu")
     simulation = Simulation.prepare(scenario, device)
-    notes = manifest.changes(Manifest.of(scenario, simulation.plant.source.name, simulation.device))
+    notes = manifest.changes(Manifest.of(scenario, simulation.world.source.name, simulation.device))
     rows = []
     for result in itertools.islice(simulation.run(), steps):
         rows.append(row(result))

@@ -149,7 +149,7 @@ def _courses(figure: SubFigure, simulation: Simulation, table: pa.Table, summary
     pose.set_ylabel("m")
     turned.set_ylabel("deg (dashed)")
     handles = [*pose.get_lines(), *turned.get_lines()]
-    turned.legend(handles=[line for line in handles if not line.get_label().startswith("_")], loc="upper right", ncols=2)
+    turned.legend(handles=[line for line in handles if not line.get_label().startswith("_")], loc="lower right", ncols=2)
 
     judged.set_title("How the symbol lies, without noise")
     judged.axhspan(-2, 2, color="0.5", alpha=0.15, lw=0)
@@ -187,7 +187,7 @@ def _error_units(simulation: Simulation) -> tuple[str, ...]:
 
 def _camera_image(simulation: Simulation, lights: Lights, result: StepResult) -> Image:
     """Luminance `[height, width]` in cd/m^2 that the camera measures under these lights at a step's time, with that step's noise."""
-    lit, camera = simulation.plant.lit(result.time_s), simulation.scenario.camera
+    lit, camera = simulation.world.lit(result.time_s), simulation.scenario.camera
     generator = frame_generator(simulation.scenario.seed, result.step, 0, simulation.device)
     return luminance_of(expose(lit.base + lit.luminance(lights), camera, generator), camera).cpu().numpy()
 
@@ -278,7 +278,7 @@ def _birds_eye_views(figure: SubFigure, simulation: Simulation, open_lights: Lig
     goal, axes_m = simulation.goal, simulation.plane.axes
     y, x = -axes_m.u.cpu().numpy(), -axes_m.v.cpu().numpy()
     symbol = simulation.scenario.symbol
-    lit = simulation.plant.lit(last.time_s)
+    lit = simulation.world.lit(last.time_s)
     mask = goal.mask.float().cpu().numpy()
     figure.suptitle("From above, noise-free", x=0.12, ha="left", weight="bold", fontsize=STYLE["axes.titlesize"])
     for axes, lights, title in zip(

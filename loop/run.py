@@ -12,7 +12,7 @@ from loop.report import Gathered, write_report
 from loop.scenario import Scenario
 from loop.simulation import Simulation, StepResult
 from loop.video import VideoWriter, frame_picture
-from perception.camera import camera_view
+from perception.camera import camera_view, saturation_luminance
 from world.errors import LuxloopError
 
 VIDEO_FPS = 10  # slower than the loop, so that the eye can follow its steps
@@ -68,7 +68,12 @@ def prepare(scenario: Scenario, device: str = "auto") -> Simulation:
             f"{where} cannot be told from noise on a flat road; raise symbol.value or headlight.intensity_cd, "
             "draw the symbol with wider strokes, or take a finer camera"
         )
-    simulation.plant.lit(0.0)
+    brightest = float(simulation.world.lit(0.0).base.median() + simulation.goal.median)
+    if brightest > saturation_luminance(scenario.camera):
+        raise LuxloopError(
+            f"{scenario.name}: the symbol on the road has {brightest:.3g} cd/m^2, but the camera saturates at "
+            f"{saturation_luminance(scenario.camera):.3g} cd/m^2; shorten camera.exposure_s, or raise camera.saturation_e"
+        )
     return simulation
 
 

@@ -16,7 +16,7 @@ from controllers.symbol.observer import Observer, Seen
 from controllers.symbol.projector import Projector
 from controllers.symbol.protocol import SymbolController
 from loop.build import build_projector, build_scene
-from loop.plant import Frames, SimulatedPlant
+from loop.plant import Frames, Plant, SimulatedPlant
 from loop.scenario import Scenario
 from perception.birdseye import BirdsEye, birds_eye, region_around
 from perception.judge import CELL_M, Target, Verdict, judge, target
@@ -51,14 +51,18 @@ class StepResult:
 
 @dataclass(frozen=True)
 class Simulation:
-    """A scenario made ready to run on one device."""
+    """A scenario made ready to run on one device.
+
+    plant: what is controlled. world: the simulated scene that the judge looks at; in simulation both are the same.
+    """
 
     scenario: Scenario
     device: torch.device
     projector: Projector
     observer: Observer
     controller: SymbolController
-    plant: SimulatedPlant
+    plant: Plant
+    world: SimulatedPlant
     plane: BirdsEye
     goal: Target
 
@@ -72,17 +76,18 @@ class Simulation:
         model = flat_model(
             projector, scenario.camera, scenario.surface.albedo, scenario.light.ambient_lx, scenario.extraction, scenario.features
         )
-        plant = SimulatedPlant(
+        world = SimulatedPlant(
             scene, projector.lamps, scenario.camera, face_source(scenario.renderer), scenario.rate_hz, scenario.seed, device
         )
-        plane = birds_eye(region_around(symbol.x_m, symbol.y_m, symbol.length_m, symbol.width_m, CELL_M), plant.view)
+        plane = birds_eye(region_around(symbol.x_m, symbol.y_m, symbol.length_m, symbol.width_m, CELL_M), world.view).to(device)
         return cls(
             scenario=scenario,
             device=device,
             projector=projector,
             observer=Observer(projector, model, scenario.camera, scenario.extraction),
             controller=build_controller(scenario.controller, projector.target),
-            plant=plant,
+            plant=world,
+            world=world,
             plane=plane,
             goal=target(model.luminance(projector.light(projector.target)), plane, symbol.length_m, symbol.width_m),
         )
@@ -97,9 +102,9 @@ class Simulation:
     def step(self, state: SimulationState) -> tuple[SimulationState, StepResult]:
         """One control step."""
         timings: dict[str, float] = {}
-        time_s = state.step * self.plant.period_s
+        time_s, off_time_s = self.world.exposures(state.step)
         with _timed(timings, "render"):
-            self.plant.lit(time_s), self.plant.lit(time_s + 0.5 * self.plant.period_s)
+            self.world.lit(time_s), self.world.lit(off_time_s)
         with _timed(timings, "light"):
             pose = self.controller.pose(state.controller)
             lights = self.projector.light(pose)
@@ -119,7 +124,7 @@ class Simulation:
 
     def judge(self, lights: Lights, time_s: float) -> Verdict:
         """How the light lies on the road at a time, without noise."""
-        return judge(self.plant.lit(time_s).luminance(lights), self.plane, self.goal)
+        return judge(self.world.lit(time_s).luminance(lights), self.plane, self.goal)
 
     def run(self) -> Iterator[StepResult]:
         """All steps of the scenario."""

@@ -67,7 +67,7 @@ def overshoot_percent(table: pa.Table) -> float | None:
             final = values[-FINAL:].mean()
             past = (final - values) * np.sign(values[0] - final)
             excursions.append(100 * past.max() / abs(values[0]))
-    return _number(max(max(excursions), 0.0)) if excursions else None
+    return _number(max(0.0, *excursions)) if excursions else None
 
 
 def column(table: pa.Table, name: str) -> np.ndarray:

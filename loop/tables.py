@@ -78,6 +78,10 @@ def summary(values: dict[str, Any], files: str) -> Table:
         "time a step": f"{_number(values['step_ms_median'], '.1f')} ms (median)",
         "files": files,
     }
+    if steps and values["lost_steps"] == steps:
+        rows["note"] = "the camera never saw the symbol, so nothing was controlled"
+    elif values["controller"] != "open" and (values["iou_final"] or 0.0) < (values["iou_open"] or 0.0):
+        rows["note"] = "the symbol lies worse than without control"
     for label, value in rows.items():
         table.add_row(f"[bold]{label}[/]", escape(value))
     return table

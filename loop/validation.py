@@ -52,7 +52,8 @@ def _what(detail: Any, fields: dict[str, Any]) -> str:
     if kind in TABLE_ERRORS:
         return f"{_shown(given)} is no table of keys; write key = value below a [header]"
     if kind in WANTED:
-        return f"{_shown(given)} is not {WANTED[kind]}"
+        quotes = "; the shell took its quotes, put all of key=value into single ones" if str(given).startswith("[") else ""
+        return f"{_shown(given)} is not {WANTED[kind]}{quotes}"
     if kind == "value_error":
         return str(context["error"])
     message = detail["msg"]

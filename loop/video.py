@@ -104,7 +104,7 @@ class VideoWriter:
 def _from_above(result: StepResult, simulation: Simulation, white: Tensor, height: int) -> Picture:
     """The road about the target, far end on top, with the target outlined; height: px."""
     symbol, axes = simulation.scenario.symbol, simulation.plane.axes
-    light = simulation.plant.lit(result.time_s).luminance(result.lights)
+    light = simulation.world.lit(result.time_s).luminance(result.lights)
     rows = (axes.v + symbol.x_m).abs() <= CLOSE * symbol.length_m
     cols = (axes.u + symbol.y_m).abs() <= CLOSE * symbol.width_m
     picture = _scaled(tone_map(rectify(simulation.plane, light)[rows.to(light.device)][:, cols.to(light.device)], white), height)
@@ -117,7 +117,7 @@ def _from_above(result: StepResult, simulation: Simulation, white: Tensor, heigh
 
 
 def _outline_target(picture: Picture, simulation: Simulation) -> None:
-    symbol, view = simulation.scenario.symbol, simulation.plant.view
+    symbol, view = simulation.scenario.symbol, simulation.world.view
     x, y = symbol.length_m / 2, symbol.width_m / 2
     corners = torch.tensor([[-x, -x, x, x], [-y, y, y, -y], [0, 0, 0, 0]], dtype=torch.float64)
     corners += torch.tensor([[symbol.x_m], [symbol.y_m], [0.0]], dtype=torch.float64)

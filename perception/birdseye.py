@@ -40,6 +40,11 @@ class BirdsEye:
     columns: int
     axes: Axes
 
+    def to(self, device: torch.device) -> "BirdsEye":
+        """The same on another device."""
+        axes = Axes(self.axes.u.to(device), self.axes.v.to(device))
+        return BirdsEye(self.map_u.to(device), self.map_v.to(device), self.columns, axes)
+
 
 def birds_eye(region: Region, view: View, dtype: torch.dtype = torch.float32) -> BirdsEye:
     """Where the cells of a region lie in a view's image."""

@@ -27,7 +27,7 @@ class CameraParams(Params):
 
     x_m: float = Field(-1.6, description="position ahead of the lamps")
     y_m: float = Field(0.0, description="position to the left of the middle line")
-    z_m: float = Field(1.35, description="height above the assumed road plane")
+    z_m: float = Field(1.35, ge=0, description="height above the assumed road plane")
     roll_deg: float = Field(0.0, ge=-180, le=180, description="rotation about the forward axis, right side down")
     pitch_deg: float = Field(3.0, ge=-90, le=90, description="rotation about the left axis, nose down")
     yaw_deg: float = Field(0.0, ge=-180, le=180, description="rotation about the upward axis, to the left")
@@ -125,6 +125,11 @@ def noise_std(luminance: Tensor, params: CameraParams) -> Tensor:
         width = params.saturation_e * ((code + half).pow(params.gamma) - (code - half).clamp(min=0).pow(params.gamma))
     variance = electrons.add_(params.read_noise_e**2) if params.noise else torch.zeros_like(electrons)
     return variance.add_(width**2 / 12).mul_(_electrons_per_luminance(params) ** -2).sqrt_()
+
+
+def saturation_luminance(params: CameraParams) -> float:
+    """Luminance in cd/m^2 of the largest digital number."""
+    return params.saturation_e / _electrons_per_luminance(params)
 
 
 def _electrons_per_luminance(params: CameraParams) -> float:

@@ -30,8 +30,8 @@ class ExtractionParams(Params):
     """How a symbol is told from noise and glare."""
 
     threshold_sigma: float = Field(5.0, gt=0, description="least difference on - off, in standard deviations of the noise without a symbol")
-    edges: Literal["grey", "binary"] = Field(
-        "grey", description="grey: pixels count by their lit share; binary: every lit pixel counts wholly"
+    edges: Literal["grey", "binary", "soft"] = Field(
+        "grey", description="grey: by lit share; binary: every lit pixel wholly; soft: by a sigmoid as wide as the noise"
     )
     footprint_margin_m: float = Field(0.15, ge=0, description="unevenness of the road that the predicted footprint allows for, up and down")
     nothing_below: float = Field(0.08, ge=0, lt=1, description="share of the expected area below which there is no symbol at all")
@@ -67,7 +67,12 @@ def threshold(off: Tensor, camera: CameraParams, params: ExtractionParams) -> Te
     """
     light = luminance_of(off, camera)
     mean = avg_pool2d(light.reshape(-1, 1, *light.shape[-2:]), 3, stride=1, padding=1, count_include_pad=False)
-    return params.threshold_sigma * 2**0.5 * noise_std(mean.reshape(light.shape), camera)
+    return noise_limit(mean.reshape(light.shape), camera, params)
+
+
+def noise_limit(light: Tensor, camera: CameraParams, params: ExtractionParams) -> Tensor:
+    """Threshold `[..., h, w]` in cd/m^2 for the difference of two frames that both see this light `[..., h, w]` in cd/m^2."""
+    return params.threshold_sigma * 2**0.5 * noise_std(light, camera)
 
 
 def symbol_image(contrast: Tensor, limit: Tensor, params: ExtractionParams) -> Tensor:
@@ -75,7 +80,10 @@ def symbol_image(contrast: Tensor, limit: Tensor, params: ExtractionParams) -> T
 
     Binary edges: what exceeds the threshold counts wholly. Grey edges: it counts by its lit share, from nothing at the threshold to wholly
     near the brightest contrast around it, so that edges are known to a fraction of a pixel, and yet bright faces do not outweigh dark ones.
+    Soft edges: a sigmoid as wide as the noise in place of the threshold.
     """
+    if params.edges == "soft":
+        return torch.sigmoid((contrast - limit) * (params.threshold_sigma / limit))
     if params.edges == "binary":
         return (contrast > limit).to(contrast)
     brightest = _largest_around(contrast)
@@ -94,11 +102,6 @@ def _largest_around(image: Tensor) -> Tensor:
             image = torch.maximum(image.narrow(dim, 0, length), image.narrow(dim, step, length))
             reach += step
     return image
-
-
-def soft_symbol_image(contrast: Tensor, limit: Tensor, params: ExtractionParams) -> Tensor:
-    """Symbol image `[..., h, w]` with a sigmoid as wide as the noise in place of the threshold, for gradients."""
-    return torch.sigmoid((contrast - limit) * (params.threshold_sigma / limit))
 
 
 def gate(area: Tensor, expected: Tensor, params: ExtractionParams) -> Tensor:

@@ -60,7 +60,7 @@ def judge(luminance: Tensor, view: BirdsEye, goal: Target) -> Verdict:
     shape = appearance(mask.to(plane), view.axes)
     offset = shape.centroids[..., 0, :] - goal.shape.centroids[0]
     size = torch.tensor([goal.length_m, goal.width_m]).to(offset)
-    grey, goal_grey = (avg_pool2d((image / goal.median / 2).clamp(0, 1)[None], 2)[0] for image in (plane, goal.luminance))
+    grey, goal_grey = (_in_pairs((image / goal.median / 2).clamp(0, 1)) for image in (plane, goal.luminance))
     return Verdict(
         -100 * offset.flip(-1) / size,
         iou(mask, goal.mask.expand_as(mask)),
@@ -68,3 +68,8 @@ def judge(luminance: Tensor, view: BirdsEye, goal: Target) -> Verdict:
         shape.length / goal.shape.length,
         shape.shear,
     )
+
+
+def _in_pairs(image: Tensor) -> Tensor:
+    """Means of 2 x 2 cells, `[..., rows / 2, cols / 2]`."""
+    return avg_pool2d(image.reshape(-1, 1, *image.shape[-2:]), 2).reshape(*image.shape[:-2], image.shape[-2] // 2, image.shape[-1] // 2)

@@ -101,9 +101,13 @@ class _Placed:
         return replace(self, plane=cast(Floats, plane), standing=standing)
 
 
-@lru_cache(maxsize=8)
 def _placed(road: OpenCrgRoad) -> _Placed:
     path = Path(road.file)
+    return _read(road, path, path.stat().st_mtime_ns if path.is_file() else 0)
+
+
+@lru_cache(maxsize=8)
+def _read(road: OpenCrgRoad, path: Path, changed_ns: int) -> _Placed:
     crg = read_crg(path)
     surface = CrgSurface(filled(crg if crg.modifiers is None else modified(crg)))
     u = (surface.u_start + surface.u_end) / 2 if road.u_m is None else road.u_m

@@ -61,6 +61,8 @@ class Csr:
 
     def band(self, start: int, stop: int) -> "Csr":
         """Rows start to stop as a matrix of their own; a view of indices and values, not a copy."""
+        if (start, stop) == (0, self.n_rows):
+            return self
         first, last = int(self.indptr[start]), int(self.indptr[stop])
         return Csr(self.indptr[start : stop + 1] - first, self.indices[first:last], self.values[first:last], self.n_cols)
 

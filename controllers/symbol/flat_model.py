@@ -13,8 +13,8 @@ from controllers.ssc import Utilisation
 from controllers.symbol.projector import Projector
 from perception.appearance import Appearance, Axes, appearance, area, features, image_axes
 from perception.birdseye import BirdsEye, birds_eye, rectify, region_around
-from perception.camera import CameraParams, average_rows, camera_view, noise_std
-from perception.extraction import Crop, ExtractionParams, symbol_image
+from perception.camera import CameraParams, average_rows, camera_view
+from perception.extraction import Crop, ExtractionParams, noise_limit, symbol_image
 from world.ambient import ambient_luminance
 from world.flatroad import flat_road
 from world.illumination import Transport, reach, transport
@@ -103,10 +103,10 @@ def flat_model(
     for lamp in projector.lamps:
         headlight = lamp.pixel_controller.headlight
         transports.append(transport(reach(ground, headlight, lamp.T_world_headlight), headlight, view.width, samples))
-    limit = params.threshold_sigma * 2**0.5 * noise_std(average_rows(ambient_luminance(ground, ambient_lx), samples), camera)
+    limit = noise_limit(average_rows(ambient_luminance(ground, ambient_lx), samples), camera, params)
     symbol = projector.params
     region = region_around(symbol.x_m, symbol.y_m, symbol.length_m, symbol.width_m)
-    plane = birds_eye(region, view) if what.view == "birdseye" else None
+    plane = birds_eye(region, view).to(limit.device) if what.view == "birdseye" else None
     model = FlatModel(tuple(transports), limit, params, Eye(view, plane, what.shape), torch.zeros(4), torch.ones(4))
 
     def seen(pose: Tensor) -> Tensor:

@@ -2,12 +2,13 @@
 
 import math
 from dataclasses import dataclass
+from typing import Literal, Self
 
 import torch
-from pydantic import Field
+from pydantic import Field, model_validator
 from torch import Tensor
 
-from controllers.primitives import Primitives, Quantity, road_symbol
+from controllers.primitives import Primitives, road_symbol
 from controllers.ssc import PixelController, Utilisation
 from perception.extraction import Crop
 from world.params import Params
@@ -22,8 +23,14 @@ class SymbolParams(Params):
     length_m: float = Field(4.0, gt=0, le=50, description="extent along the road")
     x_m: float = Field(17.0, gt=1, le=100, description="target position of the centre ahead of the lamps")
     y_m: float = Field(0.0, ge=-20, le=20, description="target position of the centre to the left")
-    quantity: Quantity = Field("u_abs", description="quantity of the setpoint: I_v in cd, E_v in lx, u_abs and u_rel as shares")
+    quantity: Literal["I_v", "E_v", "u_abs"] = Field("u_abs", description="unit of the setpoint: I_v in cd, E_v in lx, u_abs as a share")
     value: float = Field(1.0, gt=0, description="setpoint of a white pixel of the image, shared evenly by the lamps that draw it")
+
+    @model_validator(mode="after")
+    def _a_share_is_at_most_one(self) -> Self:
+        if self.quantity == "u_abs" and self.value > 1:
+            raise ValueError(f"value: {self.value:g} is no share; give at most 1, or name the quantity I_v (cd) or E_v (lx)")
+        return self
 
 
 @dataclass(frozen=True)

@@ -100,7 +100,8 @@ class ThesisPid:
         lost = ~usable & (seen.code != Loss.NO_FRAME)
         losses = torch.where(usable, 0, state.losses + lost)
         reset = losses >= self.losses_to_reset
-        moved, _ = pid_step(state.pid, -seen.pose_error, 1.0, self.gains)
+        error = torch.where(usable[..., None], -seen.pose_error, 0.0)  # not NaN, whose gradient would survive the choice below
+        moved, _ = pid_step(state.pid, error, 1.0, self.gains)
         pid = _where(usable[..., None], moved, state.pid)
         pid = _where(reset[..., None], pid_reset(self.gains, self.target.expand_as(pid.output)), pid)
         return ThesisPidState(pid, torch.where(reset, 0, losses))

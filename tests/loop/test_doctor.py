@@ -49,13 +49,14 @@ def test_distribution_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_opengl_platform_that_does_not_exist() -> None:
     check = doctor.opengl_check({**os.environ, "PYOPENGL_PLATFORM": "nonsense"})
-    assert check.status == "fail" and "nonsense" in check.found and check.remedy == "unset PYOPENGL_PLATFORM"
+    # Not a failure: rays take OpenGL's place.
+    assert check.status == "warn" and "nonsense" in check.found and check.remedy == "unset PYOPENGL_PLATFORM"
 
 
 def test_no_opengl_driver(tmp_path: Path) -> None:
     """With an empty folder for its list of drivers EGL is there but finds none: a machine without Mesa."""
     check = doctor.opengl_check({**os.environ, "PYOPENGL_PLATFORM": "egl", "__EGL_VENDOR_LIBRARY_DIRS": str(tmp_path)})
-    assert check.status == "fail" and check.found and "libegl1" in check.remedy
+    assert check.status == "warn" and check.found and "libegl1" in check.remedy
 
 
 def test_a_crashing_driver_does_not_take_the_doctor_along(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -63,7 +64,7 @@ def test_a_crashing_driver_does_not_take_the_doctor_along(monkeypatch: pytest.Mo
     run = subprocess.run
     monkeypatch.setattr(doctor.subprocess, "run", lambda command, **options: run(crash, **options))
     check = doctor.opengl_check(os.environ)
-    assert check.status == "fail" and "signal 11" in check.found and check.remedy
+    assert check.status == "warn" and "signal 11" in check.found and check.remedy
 
 
 def test_unused_gpu_is_worth_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:

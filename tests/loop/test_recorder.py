@@ -80,7 +80,7 @@ def test_recording_is_complete(tmp_path: Path, small_simulation: Simulation, sma
     assert sorted(path.name for path in directory.iterdir()) == ["manifest.json", "summary.json", "trajectory.parquet"]
     manifest = strict_json(directory / "manifest.json")
     assert manifest["status"] == "complete"
-    assert manifest["renderer"] == small_simulation.plant.source.name
+    assert manifest["renderer"] == small_simulation.world.source.name
     assert validate(manifest["scenario"], "manifest") == small_simulation.scenario
     symbol = ROOT / "scenarios" / "symbols" / "snowflake.png"
     assert manifest["inputs"]["symbol.image"]["sha256"] == hashlib.sha256(symbol.read_bytes()).hexdigest()

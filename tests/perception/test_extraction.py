@@ -13,9 +13,10 @@ from torch.nn.functional import avg_pool1d
 
 from perception.appearance import appearance, image_axes
 from perception.camera import CameraParams, expose, frame_generator, luminance_of
-from perception.extraction import Crop, ExtractionParams, Loss, difference, gate, soft_symbol_image, symbol_image, threshold
+from perception.extraction import Crop, ExtractionParams, Loss, difference, gate, symbol_image, threshold
 
 PARAMS = ExtractionParams()
+SOFT = ExtractionParams(edges="soft")
 GREY, BINARY = ExtractionParams(edges="grey"), ExtractionParams(edges="binary")
 CAMERAS = {
     "12 bits, linear": CameraParams(),
@@ -146,7 +147,7 @@ def test_centres_follow_a_rectangle_by_parts_of_a_pixel(direction: tuple[float, 
 def test_the_soft_form_is_the_hard_one_a_few_sigma_away(sigmas: float, sigma: float) -> None:
     limit = torch.tensor(5 * sigma)
     contrast = limit + sigmas * sigma
-    soft = soft_symbol_image(contrast, limit, PARAMS).item()
+    soft = symbol_image(contrast, limit, SOFT).item()
     assert soft == pytest.approx(1 / (1 + math.exp(-sigmas)), abs=1e-4)
 
 
@@ -155,8 +156,8 @@ def test_the_soft_form_passes_gradients_where_the_hard_one_has_none() -> None:
     off = torch.full((8, 8), 200.0, dtype=torch.float64)
     on = (off + torch.linspace(0, 400, 64, dtype=torch.float64).view(8, 8)).requires_grad_()
     limit = threshold(off, camera, PARAMS)
-    assert torch.autograd.gradcheck(lambda on: soft_symbol_image(difference(on, off, camera), limit, PARAMS), (on,))
-    soft_symbol_image(difference(on, off, camera), limit, PARAMS).sum().backward()
+    assert torch.autograd.gradcheck(lambda on: symbol_image(difference(on, off, camera), limit, SOFT), (on,))
+    symbol_image(difference(on, off, camera), limit, SOFT).sum().backward()
     assert on.grad is not None and on.grad.isfinite().all() and (on.grad >= 0).all() and on.grad.max() > 0
 
 
