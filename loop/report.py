@@ -136,7 +136,8 @@ def _courses(figure: SubFigure, simulation: Simulation, table: pa.Table, summary
         peak = np.nanmax(np.abs(values), initial=0)
         label = f"$e_{{{name[2:]}}}$ / {peak:.3g}{unit}"
         errors.plot(steps, values / (peak or 1), color=colour, marker=marker, ms=2.2, label=label)
-    errors.set_ylim(-1.08, 1.08)
+    errors.set_ylim(-1.1, 1.6)
+    errors.set_yticks([-1, -0.5, 0, 0.5, 1])
     errors.legend(loc="upper right", ncols=2, columnspacing=1.2)
 
     pose.set_title("Pose of the primitive")
@@ -149,7 +150,10 @@ def _courses(figure: SubFigure, simulation: Simulation, table: pa.Table, summary
     pose.set_ylabel("m")
     turned.set_ylabel("deg (dashed)")
     handles = [*pose.get_lines(), *turned.get_lines()]
-    turned.legend(handles=[line for line in handles if not line.get_label().startswith("_")], loc="lower right", ncols=2)
+    turned.legend(handles=[line for line in handles if not line.get_label().startswith("_")], loc="upper right", ncols=2)
+    for axes in (pose, turned):
+        low, high = axes.get_ylim()
+        axes.set_ylim(low, high + 0.3 * (high - low))
 
     judged.set_title("How the symbol lies, without noise")
     judged.axhspan(-2, 2, color="0.5", alpha=0.15, lw=0)
