@@ -6,9 +6,12 @@ from pydantic import Field
 
 from world.body import Body, PoseTrack
 from world.params import Params
-from world.triangles import Key, Placed, Triangles
+from world.triangles import Placed, Triangles
 
 __all__ = ["Body", "PoseTrack", "Scene", "StreetLamp"]
+
+# (object id, the 16 numbers of T_world_body) of every body that is there
+Key = tuple[tuple[int, tuple[float, ...]], ...]
 
 
 class StreetLamp(Params):
@@ -35,8 +38,7 @@ class Scene:
 
     def at(self, t_s: float) -> Triangles:
         """The scene's triangles at a time. Bodies that stood still since the last call are reused with all that was derived from them."""
-        key = self.key_at(t_s)
-        return Triangles(tuple(self._place(i, t_s) for i, _ in key), key)
+        return Triangles(tuple(self._place(i, t_s) for i, _ in self.key_at(t_s)))
 
     def _place(self, i: int, t_s: float) -> Placed:
         T = self.bodies[i].track.pose_at(t_s)

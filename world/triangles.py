@@ -9,9 +9,6 @@ from torch import Tensor
 
 from world.body import Body
 
-# (object id, the 16 numbers of T_world_body) of every body that is there
-Key = tuple[tuple[int, tuple[float, ...]], ...]
-
 
 @dataclass(frozen=True, eq=False)
 class Placed:
@@ -38,13 +35,9 @@ class Placed:
 
 @dataclass(frozen=True, eq=False)
 class Triangles:
-    """All triangles of a scene at one time; face ids count through the placed bodies in their order.
-
-    key: equal for equal triangles of one scene, so what is made of them (G-buffer, shadow map) can be cached on it.
-    """
+    """All triangles of a scene at one time; face ids count through the placed bodies in their order."""
 
     placed: tuple[Placed, ...]
-    key: Key
 
     def parts(self) -> Iterator[tuple[int, Placed]]:
         """Each placed body with its first face id."""
