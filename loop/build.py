@@ -7,7 +7,7 @@ import torch
 
 from controllers.primitives import load_symbol
 from controllers.ssc import Ssc
-from controllers.symbol.projector import Lamp, Projector
+from controllers.symbol.projector import DrawingModule, Projector
 from loop import data
 from loop.scenario import Scenario, shipped_symbols
 from world.body import Body
@@ -36,7 +36,7 @@ def build_projector(scenario: Scenario, device: torch.device) -> Projector:
     ssc = Ssc.prepare(idealised(intensity_cd=lamp.intensity_cd).to(device), scenario.ssc)
     half = lamp.distance_m / 2
     positions = {"left": (0.0, half, lamp.height_m), "right": (0.0, -half, lamp.height_m)}
-    lamps = tuple(Lamp(name, ssc, pose_from_degrees(positions[name]).to(device)) for name in lamp.lamps)
+    lamps = tuple(DrawingModule(name, ssc, pose_from_degrees(positions[name]).to(device)) for name in lamp.lamps)
     return Projector(lamps, load_symbol(symbol_path(scenario.symbol.image)).to(device), scenario.symbol)
 
 

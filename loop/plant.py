@@ -11,7 +11,7 @@ from torch import Tensor
 
 from controllers.ssc import Utilisation
 from controllers.symbol.flat_model import added_light
-from controllers.symbol.projector import Lamp
+from controllers.symbol.projector import DrawingModule
 from perception.camera import CameraParams, average_rows, camera_view, expose, frame_generator
 from world.ambient import ambient_luminance
 from world.face_source import FaceSource
@@ -54,7 +54,14 @@ class SimulatedPlant:
     """The world in simulation. Its state is the queue of frames that are under way from the camera."""
 
     def __init__(
-        self, scene: Scene, lamps: Sequence[Lamp], camera: CameraParams, source: FaceSource, rate_hz: float, seed: int, device: torch.device
+        self,
+        scene: Scene,
+        lamps: Sequence[DrawingModule],
+        camera: CameraParams,
+        source: FaceSource,
+        rate_hz: float,
+        seed: int,
+        device: torch.device,
     ) -> None:
         self.scene, self.lamps, self.camera, self.source = scene, tuple(lamps), camera, source
         self.period_s, self.seed, self.device = 1 / rate_hz, seed, device

@@ -1,57 +1,67 @@
-"""A matrix headlight: a sparse headlight matrix over a light texture with asymmetric tangents (T 2.3, 2.4, 5.1)."""
+"""The light of one matrix module: a sparse headlight matrix over a light texture (T 2.4, 5.2)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from world.frames import R_ISO_OPENCV, pose
 from world.spmv import Csr, multiply
-from world.view import View
+from world.texels import TexelGrid, bilinear
 
 
-@dataclass(frozen=True)
-class Headlight:
+@dataclass(frozen=True, kw_only=True)
+class Headlight(TexelGrid):
     """Pixel luminous intensities on the plane x = 1 of the headlight frame.
 
-    matrix: `[rows * cols, n_p]`, cd of pixel j at texel i at full utilisation. left > right and top > bottom: tangents of the
-    texture's borders. pixel_rows x pixel_cols = n_p pixels, row-major, row 0 on top, column 0 on the left.
+    matrix: `[rows * cols, n_p]`, cd of pixel j at texel i at full utilisation. pixel_rows x pixel_cols = n_p pixels, row-major, row 0
+    on top, column 0 on the left. chroma: None for one colour, else `[3, nnz]`, linear sRGB of each entry at luminance 1, so that
+    `0.2126 R + 0.7152 G + 0.0722 B = 1` (chromatic edges, T 5.1).
     """
 
     name: str
     matrix: Csr
-    rows: int
-    cols: int
-    left: float
-    right: float
-    bottom: float
-    top: float
     pixel_rows: int
     pixel_cols: int
+    chroma: Tensor | None = None
 
     @property
     def n_pixels(self) -> int:
         return self.pixel_rows * self.pixel_cols
 
-    def texel_of(self, y: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
-        """Continuous texture coordinates (row, column), texel centres at integer + 0.5, of tangents y (left) and z (up)."""
-        return (self.top - z) / (self.top - self.bottom) * self.rows, (self.left - y) / (self.left - self.right) * self.cols
-
-    def tangents(self, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
-        """Tangents of the texel centres: y `[cols]` (left positive) and z `[rows]` (up positive)."""
-        c = (torch.arange(self.cols, dtype=dtype, device=device) + 0.5) / self.cols
-        r = (torch.arange(self.rows, dtype=dtype, device=device) + 0.5) / self.rows
-        return self.left + c * (self.right - self.left), self.top + r * (self.bottom - self.top)
-
     def light_texture(self, utilisation: Tensor) -> Tensor:
         """Luminous intensity `[..., rows, cols]` in cd of a utilisation `[..., n_p]` in 0..1: `i = A u` (T 2.4)."""
         return multiply(self.matrix, utilisation).unflatten(-1, (self.rows, self.cols))
 
-    def to(self, device: torch.device) -> "Headlight":
-        return Headlight(**{**self.__dict__, "matrix": self.matrix.to(device)})
+    def colour_texture(self, utilisation: Tensor) -> Tensor:
+        """Linear sRGB `[..., 3, rows, cols]` in cd, whose luminance is the light texture; a channel is a product of its own (T 5.1)."""
+        if self.chroma is None:
+            return self.light_texture(utilisation)[..., None, :, :].expand(*utilisation.shape[:-1], 3, self.rows, self.cols)
+        channels = [multiply(self.matrix.with_values(self.matrix.values * share), utilisation) for share in self.chroma]
+        return torch.stack(channels, -2).unflatten(-1, (self.rows, self.cols))
 
-    def view(self, T_world_headlight: Tensor, width: int, height: int) -> View:
-        """The lamp's light texture as a pinhole view of width x height px, for its shadow map."""
-        fx, fy = width / (self.left - self.right), height / (self.top - self.bottom)
-        T_headlight_view = pose(torch.zeros(3, dtype=torch.float64), R_ISO_OPENCV)
-        return View(width, height, fx, fy, fx * self.left, fy * self.top, T_world_headlight.double().cpu() @ T_headlight_view)
+    def intensity(self, light_texture: Tensor, directions: Tensor) -> Tensor:
+        """Luminous intensity `[..., N]` in cd into directions `[3, N]` of the headlight frame, any length; zero outside the texture."""
+        x = directions[0]
+        row, col = self.texel_of(directions[1] / x, directions[2] / x)
+        texel, weight = bilinear(self, row, col)
+        return (light_texture.flatten(-2)[..., texel] * (weight * (x > 0)).to(light_texture)).sum(-2)
+
+    def mirrored(self) -> "Headlight":
+        """The same module with left and right exchanged, pixels numbered from the left again."""
+        texel = np.arange(self.n_texels).reshape(self.rows, self.cols)[:, ::-1].ravel()
+        pixel = np.arange(self.n_pixels).reshape(self.pixel_rows, self.pixel_cols)[:, ::-1].ravel()
+        order = self.matrix.with_values(torch.arange(1, len(self.matrix.values) + 1, dtype=torch.float64)).to_scipy()[texel][:, pixel]
+        order.sort_indices()
+        entry = torch.from_numpy(order.data.astype(np.int64) - 1)
+        indptr, indices = (torch.from_numpy(array.astype(np.int32)) for array in (order.indptr, order.indices))
+        return replace(
+            self,
+            left=-self.right,
+            right=-self.left,
+            matrix=Csr(indptr, indices, self.matrix.values.cpu()[entry], self.n_pixels).to(self.matrix.values.device),
+            chroma=None if self.chroma is None else self.chroma[:, entry.to(self.chroma.device)],
+        )
+
+    def to(self, device: torch.device) -> "Headlight":
+        return replace(self, matrix=self.matrix.to(device), chroma=None if self.chroma is None else self.chroma.to(device))

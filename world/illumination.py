@@ -13,6 +13,7 @@ from world.gbuffer import GBuffer
 from world.headlight import Headlight
 from world.shadow import ShadowMap, visible
 from world.spmv import Csr, multiply, row_of_entries, segment_bounds
+from world.texels import bilinear
 
 
 @dataclass(frozen=True)
@@ -49,14 +50,7 @@ def reach(gbuffer: GBuffer, headlight: Headlight, T_world_headlight: Tensor, sha
         factor = factor * visible(shadow, position[:, index])
     lit = factor > 0
     index, factor = index[lit], factor[lit]
-    r = (row[index] - 0.5).clamp(0, headlight.rows - 1)
-    c = (col[index] - 0.5).clamp(0, headlight.cols - 1)
-    r0, c0 = r.floor().clamp(max=max(headlight.rows - 2, 0)), c.floor().clamp(max=max(headlight.cols - 2, 0))
-    fr, fc = r - r0, c - c0
-    r0, c0 = r0.long(), c0.long()
-    r1, c1 = (r0 + 1).clamp(max=headlight.rows - 1), (c0 + 1).clamp(max=headlight.cols - 1)
-    texel = torch.stack([r0 * headlight.cols + c0, r0 * headlight.cols + c1, r1 * headlight.cols + c0, r1 * headlight.cols + c1])
-    weight = torch.stack([(1 - fr) * (1 - fc), (1 - fr) * fc, fr * (1 - fc), fr * fc])
+    texel, weight = bilinear(headlight, row[index], col[index])
     return LitSurface(index, texel, weight, factor, gbuffer.albedo.flatten()[index])
 
 

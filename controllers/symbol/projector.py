@@ -34,8 +34,8 @@ class SymbolParams(Params):
 
 
 @dataclass(frozen=True)
-class Lamp:
-    """A lamp of the vehicle: its pixel controller and its pose `T_world_headlight` `[4, 4]`."""
+class DrawingModule:
+    """A lamp module that draws: its pixel controller and its pose `T_world_headlight` `[4, 4]`."""
 
     name: str
     pixel_controller: PixelController
@@ -46,7 +46,7 @@ class Lamp:
 class Projector:
     """Lamps, the symbol image `[h, w]` in 0..1 and its parameters."""
 
-    lamps: tuple[Lamp, ...]
+    lamps: tuple[DrawingModule, ...]
     symbol: Tensor
     params: SymbolParams
 

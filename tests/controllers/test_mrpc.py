@@ -28,7 +28,9 @@ def random_lamp(seed: int) -> tuple[Headlight, np.ndarray]:
     csr = Csr.from_scipy(sp.csr_array(A), torch.float64)
     stored_zeros = replace(csr, values=csr.values.clone())
     stored_zeros.values[::9] = 0
-    return Headlight("random", stored_zeros, ROWS, COLS, 0.2, -0.2, -0.1, 0.1, 3, 4), stored_zeros.to_scipy().toarray()
+    return Headlight(
+        name="random", matrix=stored_zeros, rows=ROWS, cols=COLS, left=0.2, right=-0.2, bottom=-0.1, top=0.1, pixel_rows=3, pixel_cols=4
+    ), stored_zeros.to_scipy().toarray()
 
 
 def random_setpoints(seed: int, A: np.ndarray, quantity: Quantity, window: Window | None = None) -> Setpoints:
@@ -91,7 +93,18 @@ def test_a_window_equals_the_whole(window: Window, a_m: float) -> None:
     for j in range(PIXELS):  # pixels in rows, as in real lamps, so that the band leaves some out
         rows = np.arange(COLS) + COLS * (2 * (j // 4))
         A[rows[2 * (j % 4) :][:3], j] = A[rows[2 * (j % 4) :][:3] + COLS, j] = 10 + j
-    lamp = Headlight("rows", Csr.from_scipy(sp.csr_array(A), torch.float64), ROWS, COLS, 0.2, -0.2, -0.1, 0.1, 3, 4)
+    lamp = Headlight(
+        name="rows",
+        matrix=Csr.from_scipy(sp.csr_array(A), torch.float64),
+        rows=ROWS,
+        cols=COLS,
+        left=0.2,
+        right=-0.2,
+        bottom=-0.1,
+        top=0.1,
+        pixel_rows=3,
+        pixel_cols=4,
+    )
     part = random_setpoints(3, A, "I_v", window)
     value, hit = torch.zeros(ROWS, COLS, dtype=torch.float64), torch.zeros(ROWS, COLS, dtype=torch.bool)
     cut = slice(window.row_start, window.row_stop), slice(window.col_start, window.col_stop)
@@ -120,7 +133,18 @@ def test_an_empty_window_leaves_the_default() -> None:
 def test_rows_without_pixels_leave_the_default() -> None:
     A = np.zeros((ROWS * COLS, PIXELS))
     A[:COLS, 0] = 7
-    lamp = Headlight("one", Csr.from_scipy(sp.csr_array(A), torch.float64), ROWS, COLS, 0.2, -0.2, -0.1, 0.1, 3, 4)
+    lamp = Headlight(
+        name="one",
+        matrix=Csr.from_scipy(sp.csr_array(A), torch.float64),
+        rows=ROWS,
+        cols=COLS,
+        left=0.2,
+        right=-0.2,
+        bottom=-0.1,
+        top=0.1,
+        pixel_rows=3,
+        pixel_cols=4,
+    )
     default = base_pattern(0)
     below = Setpoints(torch.ones(2, 8, dtype=torch.float64), torch.ones(2, 8, dtype=torch.bool), Window(3, 5, 0, 8))
     u, band = reduced(below, "u_abs", lamp, MrpcParams(), default)
@@ -184,7 +208,18 @@ def test_a_setpoint_beyond_the_lamp_gives_full_light_and_none_gives_none() -> No
 def test_a_bound_holds_for_every_ray_and_not_for_the_mean() -> None:
     """Half of a pixel asked for twice its light, the other half for none: half, not full."""
     A = np.ones((2, 1))
-    lamp = Headlight("two texels", Csr.from_scipy(sp.csr_array(A), torch.float64), 1, 2, 0.1, -0.1, -0.1, 0.1, 1, 1)
+    lamp = Headlight(
+        name="two texels",
+        matrix=Csr.from_scipy(sp.csr_array(A), torch.float64),
+        rows=1,
+        cols=2,
+        left=0.1,
+        right=-0.1,
+        bottom=-0.1,
+        top=0.1,
+        pixel_rows=1,
+        pixel_cols=1,
+    )
     setpoints = Setpoints(torch.tensor([[2.0, 0.0]], dtype=torch.float64), torch.ones(1, 2, dtype=torch.bool), whole(lamp))
     for quantity in ("I_v", "E_v", "u_abs", "u_rel"):
         u, _ = reduced(setpoints, quantity, lamp, MrpcParams(), torch.ones(1, dtype=torch.float64))

@@ -16,7 +16,7 @@ from controllers.symbol import CONTROLLERS, build_controller
 from controllers.symbol.flat_model import FeatureParams, FlatModel, added_light, flat_model
 from controllers.symbol.observer import Observer, Seen
 from controllers.symbol.open_loop import OpenLoop, OpenLoopParams
-from controllers.symbol.projector import Lamp, Projector, SymbolParams
+from controllers.symbol.projector import DrawingModule, Projector, SymbolParams
 from controllers.symbol.thesis_pid import ThesisPid, ThesisPidParams
 from perception.appearance import Appearance
 from perception.camera import CameraParams, average_rows, camera_view, expose, frame_generator
@@ -37,9 +37,11 @@ PARAMS = ThesisPidParams()
 
 
 @cache
-def lamps() -> tuple[Lamp, Lamp]:
+def lamps() -> tuple[DrawingModule, DrawingModule]:
     ssc = Ssc.prepare(idealised(pixel_cols=160))
-    return Lamp("left", ssc, pose_from_degrees((0.0, 0.6, 0.75))), Lamp("right", ssc, pose_from_degrees((0.0, -0.6, 0.75)))
+    return DrawingModule("left", ssc, pose_from_degrees((0.0, 0.6, 0.75))), DrawingModule(
+        "right", ssc, pose_from_degrees((0.0, -0.6, 0.75))
+    )
 
 
 @cache

@@ -1,6 +1,8 @@
 """The light texture's conventions and the idealised lamp."""
 
 import math
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -90,3 +92,34 @@ def test_view_sees_the_texture(device: torch.device) -> None:
     torch.testing.assert_close(view.rays(), torch.einsum("ij,jhw->ihw", T[:3, :3], rays), rtol=0, atol=1e-12)
     assert lamp.to(device).matrix.values.device.type == device.type
     assert lamp.to(device).light_texture(torch.ones(2, 24, device=device)).shape == (2, lamp.rows, lamp.cols)
+
+
+def test_mirroring_twice_gives_the_module_back_and_once_swaps_left_and_right() -> None:
+    lamp = replace(idealised(3, 5, texels_per_pixel=(2, 3)), left=tan(12), chroma=None)
+    lamp = replace(lamp, chroma=torch.rand(3, len(lamp.matrix.values)))
+    mirrored = lamp.mirrored()
+    assert (mirrored.left, mirrored.right) == (-lamp.right, -lamp.left)
+    u = torch.rand(3, 5)
+    assert_equal = partial(torch.testing.assert_close, rtol=1e-6, atol=1e-2)
+    assert_equal(mirrored.light_texture(u.flip(1).reshape(-1)), lamp.light_texture(u.reshape(-1)).flip(1))
+    assert_equal(mirrored.colour_texture(u.flip(1).reshape(-1)), lamp.colour_texture(u.reshape(-1)).flip(2))
+    twice = mirrored.mirrored()
+    assert twice.matrix.values.equal(lamp.matrix.values) and twice.matrix.indices.equal(lamp.matrix.indices)
+
+
+def test_intensity_meets_texel_centres_and_is_dark_outside_and_behind() -> None:
+    lamp = idealised(4, 6, texels_per_pixel=(2, 2))
+    texture = lamp.light_texture(torch.rand(lamp.n_pixels)).double()
+    y, z = lamp.tangents(torch.float64, texture.device)
+    directions = torch.stack([torch.ones(lamp.rows, lamp.cols).double(), y.expand(lamp.rows, -1), z[:, None].expand(-1, lamp.cols)])
+    found = lamp.intensity(texture, 3 * directions.flatten(1)).view(texture.shape)
+    torch.testing.assert_close(found, texture, rtol=1e-9, atol=1e-6)
+    outside = torch.tensor([[1.0, 1.0, -1.0], [1.1 * lamp.left, 0.0, 0.0], [0.0, 1.1 * lamp.top, 0.0]]).double()
+    assert lamp.intensity(texture, outside).tolist() == [0, 0, 0]
+
+
+def test_one_colour_is_white_with_the_light_textures_luminance() -> None:
+    lamp = idealised(2, 3)
+    u = torch.rand(2, lamp.n_pixels)
+    assert lamp.colour_texture(u).shape == (2, 3, lamp.rows, lamp.cols)
+    torch.testing.assert_close(lamp.colour_texture(u)[:, 1], lamp.light_texture(u))

@@ -119,7 +119,9 @@ def test_nothing_is_lit_beyond_the_border_behind_the_lamp_or_on_the_back(device:
 def texel_lamp(left: float, right: float, bottom: float, top: float, rows: int = 4, cols: int = 5) -> Headlight:
     """Every texel is a pixellight of its own with 1 cd."""
     matrix = Csr.from_scipy(sp.eye_array(rows * cols), torch.float64)
-    return Headlight("texels", matrix, rows, cols, left, right, bottom, top, rows, cols)
+    return Headlight(
+        name="texels", matrix=matrix, rows=rows, cols=cols, left=left, right=right, bottom=bottom, top=top, pixel_rows=rows, pixel_cols=cols
+    )
 
 
 @pytest.mark.parametrize("borders", [(0.2, -0.2, -0.06, 0.03), (0.5, 0.1, -0.3, -0.1)], ids=["asymmetric", "looking aside"])

@@ -1,0 +1,77 @@
+"""Modules, their movements, and the light of a whole lamp in photometry's angles."""
+
+import math
+
+import pytest
+import torch
+
+from world.errors import LuxloopError
+from world.frames import pose_from_degrees
+from world.headlight import Headlight
+from world.lamp import Lamp, Module, direction
+from world.presets import idealised
+from world.texels import TexelGrid
+
+
+@pytest.fixture(scope="module")
+def headlight() -> Headlight:
+    return idealised(5, 9, texels_per_pixel=(4, 4))
+
+
+def test_angles_run_to_the_right_and_up() -> None:
+    d = direction(torch.tensor([0.0, 90.0, 0.0]), torch.tensor([0.0, 0.0, 90.0]))
+    expected = torch.tensor([[1.0, 0, 0], [0, -1, 0], [0, 0, 1]]).double().T
+    torch.testing.assert_close(d, expected, rtol=0, atol=1e-15)
+
+
+def test_bending_to_the_left_moves_the_light_to_the_left_and_levelling_moves_it_down(headlight: Headlight) -> None:
+    module = Module("main", headlight, swivel_deg=(-5, 5), level_deg=(-2, 2))
+    u = torch.zeros(headlight.n_pixels)
+    u[2 * 9 + 4] = 1.0
+    h, v = torch.meshgrid(torch.linspace(-15, 15, 121), torch.linspace(-6, 6, 97), indexing="xy")
+
+    def centroid(swivel_deg: float, level_deg: float) -> tuple[float, float]:
+        turned = Module("main", headlight, module.pose(swivel_deg, level_deg))
+        light = Lamp("lamp", (turned,)).intensity((u,), direction(h, v).flatten(1)).view(h.shape)
+        return float((light * h).sum() / light.sum()), float((light * v).sum() / light.sum())
+
+    h0, v0 = centroid(0, 0)
+    h1, v1 = centroid(3, 1)
+    # Angles are sampled every quarter of a degree of a light that is 2 x 1 deg wide.
+    assert (h1 - h0, v1 - v0) == pytest.approx((-3, -1), abs=0.02)
+
+
+def test_a_movement_out_of_range_names_the_module(headlight: Headlight) -> None:
+    with pytest.raises(LuxloopError, match=r"'main'.*level.*0 to 2"):
+        Module("main", headlight, level_deg=(0, 2)).pose(level_deg=3.0)
+
+
+def test_modules_add_up_and_the_mirrored_one_lights_the_other_side(headlight: Headlight) -> None:
+    aside = Module("aside", headlight, pose_from_degrees((0, 0.1, 0), yaw_deg=8), swivel_deg=(-1, 4))
+    other = aside.mirrored()
+    assert other.swivel_deg == (-4, 1)
+    assert other.T_lamp_module[1, 3] == -0.1
+    lamp = Lamp("both", (aside, other))
+    h, v = torch.meshgrid(torch.linspace(-20, 20, 81), torch.linspace(-2, 1, 7), indexing="xy")
+    light = lamp.intensity(lamp.beam("full"), direction(h, v).flatten(1)).view(h.shape)
+    torch.testing.assert_close(light, light.flip(1), rtol=1e-6, atol=1e-3)
+    alone = Lamp("one", (aside,)).intensity((torch.ones(headlight.n_pixels),), direction(h, v).flatten(1)).view(h.shape)
+    assert float((alone * h).sum() / alone.sum()) == pytest.approx(-8, abs=0.1)
+    torch.testing.assert_close(light, alone + alone.flip(1), rtol=1e-6, atol=1e-3)
+
+
+def test_unknown_beams_and_modules_are_named(headlight: Headlight) -> None:
+    lamp = Lamp("lamp", (Module("main", headlight),), {"low": (torch.zeros(45),)})
+    with pytest.raises(LuxloopError, match="no beam 'hihg'; it has low, full, off"):
+        lamp.beam("hihg")
+    with pytest.raises(LuxloopError, match="no module 'x'; it has main"):
+        lamp.module("x")
+
+
+def test_grids_from_degrees_refuse_what_is_no_plane() -> None:
+    grid = TexelGrid.from_degrees(2, 4, 20, -10, -5, 5)
+    assert (grid.left, grid.right, grid.top) == pytest.approx(tuple(math.tan(math.radians(a)) for a in (20, -10, 5)))
+    with pytest.raises(LuxloopError, match="80 deg"):
+        TexelGrid.from_degrees(2, 4, 85, -10, -5, 5)
+    with pytest.raises(LuxloopError, match="left must exceed right"):
+        TexelGrid.from_degrees(2, 4, -20, 20, -5, 5)

@@ -1,0 +1,84 @@
+"""A lamp: modules with their mounts and movements, and the beams that it knows by name (T 2.2, 5.2)."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+
+import torch
+from torch import Tensor
+
+from world.errors import LuxloopError
+from world.frames import pose_from_degrees
+from world.headlight import Headlight
+
+Range = tuple[float, float]
+_MIRROR = torch.diag(torch.tensor([1.0, -1.0, 1.0, 1.0], dtype=torch.float64))
+
+
+@dataclass(frozen=True)
+class Module:
+    """One module: its light, where it is mounted and how far it can be turned.
+
+    T_lamp_module: `[4, 4]` float64, from the module's headlight frame to the lamp's. swivel_deg: least and greatest turn about the
+    mount's z axis, to the left positive (bending). level_deg: the same about its y axis, nose down positive (levelling).
+    """
+
+    name: str
+    headlight: Headlight
+    T_lamp_module: Tensor = field(default_factory=lambda: torch.eye(4, dtype=torch.float64))
+    swivel_deg: Range = (0.0, 0.0)
+    level_deg: Range = (0.0, 0.0)
+
+    def pose(self, swivel_deg: float = 0.0, level_deg: float = 0.0) -> Tensor:
+        """`T_lamp_module` `[4, 4]` of the module turned about its photometric centre. Raises LuxloopError beyond its range."""
+        for movement, angle, (low, high) in (("swivel", swivel_deg, self.swivel_deg), ("level", level_deg, self.level_deg)):
+            if not low <= angle <= high:
+                raise LuxloopError(f"module {self.name!r}: {movement} of {angle:g} deg is out of its range, {low:g} to {high:g} deg")
+        return self.T_lamp_module @ pose_from_degrees((0.0, 0.0, 0.0), 0.0, level_deg, swivel_deg).double()
+
+    def mirrored(self) -> "Module":
+        """The module of the other side's lamp."""
+        low, high = self.swivel_deg
+        T = _MIRROR @ self.T_lamp_module @ _MIRROR
+        return replace(self, headlight=self.headlight.mirrored(), T_lamp_module=T, swivel_deg=(-high, -low))
+
+
+@dataclass(frozen=True)
+class Lamp:
+    """One headlamp. beams: utilisations `[n_p]`, one a module, by the beam's name. notes: what is published of it and what is guessed."""
+
+    name: str
+    modules: tuple[Module, ...]
+    beams: Mapping[str, tuple[Tensor, ...]] = field(default_factory=lambda: MappingProxyType({}))
+    notes: str = ""
+
+    def module(self, name: str) -> Module:
+        """Raises LuxloopError that names the modules there are."""
+        for module in self.modules:
+            if module.name == name:
+                return module
+        raise LuxloopError(f"lamp {self.name!r} has no module {name!r}; it has {', '.join(module.name for module in self.modules)}")
+
+    def beam(self, name: str) -> tuple[Tensor, ...]:
+        """Utilisations of a beam by name, or of `full` (all pixels on) and `off`. Raises LuxloopError that names the beams there are."""
+        if name in ("full", "off"):
+            share = float(name == "full")
+            return tuple(torch.full((module.headlight.n_pixels,), share) for module in self.modules)
+        if name not in self.beams:
+            raise LuxloopError(f"lamp {self.name!r} has no beam {name!r}; it has {', '.join([*self.beams, 'full', 'off'])}")
+        return self.beams[name]
+
+    def intensity(self, utilisations: Sequence[Tensor], directions: Tensor) -> Tensor:
+        """Luminous intensity `[N]` in cd, float64, into directions `[3, N]` of the lamp frame: all modules added up, seen from far away."""
+        directions = directions.double()
+        total = torch.zeros(directions.shape[1], dtype=torch.float64)
+        for module, u in zip(self.modules, utilisations, strict=True):
+            local = module.T_lamp_module[:3, :3].T @ directions
+            total += module.headlight.intensity(module.headlight.light_texture(u).double().cpu(), local)
+        return total
+
+
+def direction(h_deg: Tensor, v_deg: Tensor) -> Tensor:
+    """Unit directions `[3, ...]` of the lamp frame for angles in deg as headlamp photometry gives them: h to the right, v up (type A)."""
+    h, v = torch.deg2rad(h_deg.double()), torch.deg2rad(v_deg.double())
+    return torch.stack([v.cos() * h.cos(), -v.cos() * h.sin(), v.sin()])

@@ -1,0 +1,78 @@
+"""The grid of a light texture: texels on the plane x = 1 of the headlight frame, bounded by four tangents (T 2.3, 5.1, 7.3.1)."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from world.errors import LuxloopError
+from world.frames import R_ISO_OPENCV, pose
+from world.view import View
+
+LARGEST_ANGLE_DEG = 80.0  # beyond it the plane x = 1 wastes its texels
+
+
+@dataclass(frozen=True, kw_only=True)
+class TexelGrid:
+    """rows x cols texels, row 0 on top, column 0 on the left. left > right and top > bottom: tangents of the texture's borders."""
+
+    rows: int
+    cols: int
+    left: float
+    right: float
+    bottom: float
+    top: float
+
+    @classmethod
+    def from_degrees(cls, rows: int, cols: int, left_deg: float, right_deg: float, bottom_deg: float, top_deg: float) -> "TexelGrid":
+        """A grid with borders given as angles from the beam axis, left and up positive.
+
+        Raises: LuxloopError where the borders are in the wrong order or more than 80 degrees from the axis.
+        """
+        angles = (left_deg, right_deg, bottom_deg, top_deg)
+        if max(map(abs, angles)) > LARGEST_ANGLE_DEG:
+            raise LuxloopError(f"texture borders {angles} deg: a light texture is a plane, keep it within {LARGEST_ANGLE_DEG:g} deg")
+        if left_deg <= right_deg or top_deg <= bottom_deg:
+            raise LuxloopError(
+                f"texture borders {angles} deg: left must exceed right and top must exceed bottom, left and up being positive"
+            )
+        left, right, bottom, top = (math.tan(math.radians(angle)) for angle in angles)
+        return cls(rows=rows, cols=cols, left=left, right=right, bottom=bottom, top=top)
+
+    @property
+    def n_texels(self) -> int:
+        return self.rows * self.cols
+
+    def texel_of(self, y: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
+        """Continuous texture coordinates (row, column), texel centres at integer + 0.5, of tangents y (left) and z (up)."""
+        return (self.top - z) / (self.top - self.bottom) * self.rows, (self.left - y) / (self.left - self.right) * self.cols
+
+    def tangents(self, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
+        """Tangents of the texel centres: y `[cols]` (left positive) and z `[rows]` (up positive)."""
+        c = (torch.arange(self.cols, dtype=dtype, device=device) + 0.5) / self.cols
+        r = (torch.arange(self.rows, dtype=dtype, device=device) + 0.5) / self.rows
+        return self.left + c * (self.right - self.left), self.top + r * (self.bottom - self.top)
+
+    def view(self, T_world_headlight: Tensor, width: int, height: int) -> View:
+        """The light texture as a pinhole view of width x height px, for a shadow map."""
+        fx, fy = width / (self.left - self.right), height / (self.top - self.bottom)
+        T_headlight_view = pose(torch.zeros(3, dtype=torch.float64), R_ISO_OPENCV)
+        return View(width, height, fx, fy, fx * self.left, fy * self.top, T_world_headlight.double().cpu() @ T_headlight_view)
+
+
+def bilinear(grid: TexelGrid, row: Tensor, col: Tensor) -> tuple[Tensor, Tensor]:
+    """The four texels around continuous texture coordinates `[N]`: flat indices `[4, N]` int64 and weights `[4, N]`.
+
+    Clamped within the outer half texel and, outside of the border, zero.
+    """
+    inside = ((row >= 0) & (row <= grid.rows) & (col >= 0) & (col <= grid.cols)).to(row)
+    r = (row.nan_to_num() - 0.5).clamp(0, grid.rows - 1)
+    c = (col.nan_to_num() - 0.5).clamp(0, grid.cols - 1)
+    r0, c0 = r.floor().clamp(max=max(grid.rows - 2, 0)), c.floor().clamp(max=max(grid.cols - 2, 0))
+    fr, fc = r - r0, c - c0
+    r0, c0 = r0.long(), c0.long()
+    r1, c1 = (r0 + 1).clamp(max=grid.rows - 1), (c0 + 1).clamp(max=grid.cols - 1)
+    texel = torch.stack([r0 * grid.cols + c0, r0 * grid.cols + c1, r1 * grid.cols + c0, r1 * grid.cols + c1])
+    weight = torch.stack([(1 - fr) * (1 - fc), (1 - fr) * fc, fr * (1 - fc), fr * fc])
+    return texel, weight * inside
