@@ -1,4 +1,4 @@
-"""Sparse matrix-vector products `i = A u` (T 2.5, 5.3) in CSR with int32 indices, whole or as a band of rows."""
+"""The headlight matrix as compressed sparse rows with int32 indices (T 2.5), whole or as a band of rows."""
 
 import warnings
 from dataclasses import dataclass
