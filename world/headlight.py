@@ -29,6 +29,15 @@ class Headlight(TexelGrid):
     def n_pixels(self) -> int:
         return self.pixel_rows * self.pixel_cols
 
+    @property
+    def peak_cd(self) -> float:
+        """Largest luminous intensity of a texel with all pixels at full utilisation."""
+        return float(self.light_texture(torch.ones(self.n_pixels).to(self.matrix.values)).max())
+
+    def scaled(self, factor: float) -> "Headlight":
+        """The same light, `factor` times as bright."""
+        return self if factor == 1 else replace(self, matrix=self.matrix.with_values(self.matrix.values * factor))
+
     def light_texture(self, utilisation: Tensor) -> Tensor:
         """Luminous intensity `[..., rows, cols]` in cd of a utilisation `[..., n_p]` in 0..1: `i = A u` (T 2.4)."""
         return multiply(self.matrix, utilisation).unflatten(-1, (self.rows, self.cols))

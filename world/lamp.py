@@ -59,6 +59,16 @@ class Lamp:
                 return module
         raise LuxloopError(f"lamp {self.name!r} has no module {name!r}; it has {', '.join(module.name for module in self.modules)}")
 
+    @property
+    def finest(self) -> Module:
+        """The module whose pixels cover the least of the texture plane: the one for symbols."""
+
+        def pixel_area(module: Module) -> float:
+            light = module.headlight
+            return (light.left - light.right) * (light.top - light.bottom) / light.n_pixels
+
+        return min(self.modules, key=pixel_area)
+
     def beam(self, name: str) -> tuple[Tensor, ...]:
         """Utilisations of a beam by name, or of `full` (all pixels on) and `off`. Raises LuxloopError that names the beams there are."""
         if name in ("full", "off"):

@@ -1,6 +1,7 @@
 """Modules, their movements, and the light of a whole lamp in photometry's angles."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -75,3 +76,11 @@ def test_grids_from_degrees_refuse_what_is_no_plane() -> None:
         TexelGrid.from_degrees(2, 4, 85, -10, -5, 5)
     with pytest.raises(LuxloopError, match="left must exceed right"):
         TexelGrid.from_degrees(2, 4, -20, 20, -5, 5)
+
+
+def test_the_finest_module_has_the_smallest_pixels_and_scaling_sets_the_peak(headlight: Headlight) -> None:
+    wide = replace(headlight, left=2 * headlight.left)
+    lamp = Lamp("lamp", (Module("wide", wide), Module("narrow", headlight)))
+    assert lamp.finest.name == "narrow"
+    assert headlight.scaled(0.5).peak_cd == pytest.approx(0.5 * headlight.peak_cd)
+    assert headlight.scaled(1.0) is headlight
