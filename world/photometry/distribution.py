@@ -1,0 +1,160 @@
+"""A luminous intensity distribution on the sphere, as photometric files store it (T 2.3; IES LM-63, CIE C-gamma)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+from torch import Tensor
+
+from world.errors import LuxloopError
+
+Kind = Literal["A", "B", "C"]
+Aim = Literal["beam", "nadir"]
+Array = NDArray[np.float64]
+# Least and greatest vertical and horizontal angle in deg that mean something.
+VERTICAL_RANGE = {"A": (-90.0, 90.0), "B": (-180.0, 180.0), "C": (0.0, 180.0)}
+HORIZONTAL_RANGE = {"A": (-180.0, 180.0), "B": (-90.0, 90.0), "C": (-360.0, 720.0)}
+_EDGE_DEG = 1e-9  # a direction on the table's edge may come out of atan2 by so much beyond it
+
+
+@dataclass(frozen=True, eq=False)
+class Distribution:
+    """Luminous intensity over two angles, as stored; symmetry is unfolded where values are asked for.
+
+    A: vertical polar axis, h to the right, v up. B: horizontal polar axis, v turns the plane about it (up), h runs in the plane, to the
+    right. C: v from the downward axis, h about it, counterclockwise seen from above.
+    Raises LuxloopError where angles do not ascend or lie beyond what the type knows, and where intensities are negative or not finite.
+    """
+
+    type: Kind
+    vertical_deg: Array  # [V]
+    horizontal_deg: Array  # [H]
+    candela: Array  # [H, V] cd, all factors applied
+
+    def __post_init__(self) -> None:
+        for name, angles, (low, high), fewest in (
+            ("vertical", self.vertical_deg, VERTICAL_RANGE[self.type], 2),
+            ("horizontal", self.horizontal_deg, HORIZONTAL_RANGE[self.type], 1),
+        ):
+            if angles.ndim != 1 or len(angles) < fewest:
+                raise LuxloopError(f"distribution: give at least {fewest} {name} angle{'s' * (fewest > 1)}")
+            if not (np.diff(angles) > 0).all() or not (low <= angles[0] and angles[-1] <= high):
+                raise LuxloopError(f"distribution: {name} angles of type {self.type} must ascend within {low:g} to {high:g} deg")
+        if self.candela.shape != (len(self.horizontal_deg), len(self.vertical_deg)):
+            raise LuxloopError(
+                f"distribution: {len(self.horizontal_deg)} horizontal and {len(self.vertical_deg)} vertical angles need as many rows and "
+                f"columns of candela, not {self.candela.shape}"
+            )
+        if not np.isfinite(self.candela).all() or (self.candela < 0).any():
+            raise LuxloopError("distribution: luminous intensities must be finite and not negative")
+
+    @cached_property
+    def unfolded(self) -> tuple[Array, Array, Array]:
+        """Vertical `[V']` and horizontal angles `[H']` in deg, and candela `[H', V']`, of the whole table without symmetry."""
+        v, h, candela = self.vertical_deg, self.horizontal_deg, self.candela
+        if len(h) == 1:
+            low, high = (0.0, 360.0) if self.type == "C" else HORIZONTAL_RANGE[self.type]
+            h, candela = np.array([low, high]), np.repeat(candela, 2, axis=0)
+        elif self.type == "C":
+            h, candela = _around(h, candela)
+        elif h[0] == 0:
+            h, candela = np.concatenate([-h[:0:-1], h]), np.concatenate([candela[:0:-1], candela])
+        if self.type != "C" and v[0] == 0:
+            v, candela = np.concatenate([-v[:0:-1], v]), np.concatenate([candela[:, :0:-1], candela], axis=1)
+        return v, h, candela
+
+    @property
+    def complete(self) -> bool:
+        """Whether every azimuth of a type C distribution is said; types A and B end where their lamp does."""
+        _, h, _ = self.unfolded
+        return self.type != "C" or h[-1] - h[0] >= 360 - _EDGE_DEG
+
+    def at(self, vertical_deg: ArrayLike, horizontal_deg: ArrayLike) -> Array:
+        """Luminous intensity in cd at angles `[...]` in deg: bilinear between the table's, symmetry unfolded, zero where it says nothing."""
+        v, h, candela = self.unfolded
+        v_at, h_at = np.asarray(vertical_deg, np.float64), np.asarray(horizontal_deg, np.float64)
+        if self.type == "C":
+            h_at = h[0] + np.mod(h_at - h[0], 360.0)
+        i, s, inside_h = _between(h, h_at)
+        j, t, inside_v = _between(v, v_at)
+        low = (1 - t) * candela[i, j] + t * candela[i, j + 1]
+        high = (1 - t) * candela[i + 1, j] + t * candela[i + 1, j + 1]
+        return np.where(inside_h & inside_v, (1 - s) * low + s * high, 0.0)
+
+    def intensity(self, directions: ArrayLike, aim: Aim = "beam") -> Array:
+        """Luminous intensity `[...]` in cd into directions `[3, ...]` of the headlight frame (x forward, y left, z up; of any length).
+
+        aim: "beam" turns the distribution's axis (v = h = 0 of A and B, nadir of C) into the beam axis, with C0 to the right and C90
+        up; "nadir" leaves B and C as luminaires hang, their axis down, C0 to the right and C90 ahead.
+        """
+        return self.at(*angles_of(self.type, directions, aim))
+
+    @property
+    def luminous_flux(self) -> float:
+        """Flux in lm: the exact integral of what `at` returns over the sphere."""
+        v, h, candela = (np.deg2rad(each) if each.ndim == 1 else each for each in self.unfolded)
+        if self.type == "B":
+            return float(_cosine_weights(h) @ candela @ _trapezoid_weights(v))
+        elevation = v - np.pi / 2 if self.type == "C" else v
+        return float(_trapezoid_weights(h) @ candela @ _cosine_weights(elevation))
+
+
+def angles_of(kind: Kind, directions: ArrayLike, aim: Aim = "beam") -> tuple[Array, Array]:
+    """Vertical and horizontal angles `[...]` in deg of directions `[3, ...]` of the headlight frame (T 2.3.5; see Distribution)."""
+    x, y, z = np.asarray(directions, np.float64)
+    if aim == "nadir" and kind != "A":
+        x, z = -z, x
+    if kind == "A":
+        v, h = np.arctan2(z, np.hypot(x, y)), np.arctan2(-y, x)
+    elif kind == "B":
+        v, h = np.arctan2(z, x), np.arctan2(-y, np.hypot(x, z))
+    else:
+        v, h = np.arctan2(np.hypot(y, z), x), np.arctan2(z, -y)
+    return np.rad2deg(v), np.rad2deg(h)
+
+
+def sample(intensity: Callable[[Tensor], Tensor], horizontal_deg: ArrayLike, vertical_deg: ArrayLike) -> Distribution:
+    """A type A distribution of any lamp, measured at the nodes of a grid.
+
+    intensity: cd `[N]` of directions `[3, N]` float64 of the lamp frame, as `Lamp.intensity` gives it for fixed utilisations.
+    horizontal_deg `[H]` to the right and vertical_deg `[V]` up, ascending.
+    """
+    h, v = np.array(horizontal_deg, np.float64), np.array(vertical_deg, np.float64)
+    phi, psi = (np.deg2rad(angles).ravel() for angles in np.meshgrid(h, v, indexing="ij"))
+    directions = np.stack([np.cos(psi) * np.cos(phi), -np.cos(psi) * np.sin(phi), np.sin(psi)])
+    candela = intensity(torch.from_numpy(directions)).double().cpu().numpy().reshape(len(h), len(v))
+    return Distribution("A", v, h, candela)
+
+
+def _around(h: Array, candela: Array) -> tuple[Array, Array]:
+    """Unfold the planes of type C to the full turn, where they tell it."""
+    span = h[-1] - h[0]
+    while span in (90.0, 180.0):
+        h, candela = np.concatenate([h, 2 * h[-1] - h[-2::-1]]), np.concatenate([candela, candela[-2::-1]])
+        span = h[-1] - h[0]
+    closing = 360.0 - span
+    if 0 < closing <= np.diff(h).max() * (1 + 1e-6):  # the last plane before the first one comes round again
+        h, candela = np.append(h, h[0] + 360.0), np.concatenate([candela, candela[:1]])
+    return h, candela
+
+
+def _between(nodes: Array, x: Array) -> tuple[NDArray[np.intp], Array, NDArray[np.bool_]]:
+    """Index of the node before x, the fraction on the way to the next, and whether x lies within the nodes."""
+    inside = (x >= nodes[0] - _EDGE_DEG) & (x <= nodes[-1] + _EDGE_DEG)
+    i = np.clip(np.searchsorted(nodes, x, side="right") - 1, 0, len(nodes) - 2)
+    return i, np.clip((x - nodes[i]) / (nodes[i + 1] - nodes[i]), 0.0, 1.0), inside
+
+
+def _trapezoid_weights(x: Array) -> Array:
+    half = np.diff(x) / 2
+    return np.append(half, 0.0) + np.append(0.0, half)
+
+
+def _cosine_weights(x: Array) -> Array:
+    """Integrals of cos x times the piecewise linear function that is 1 at one node and 0 at the others."""
+    slope = -np.diff(np.cos(x)) / np.diff(x)
+    return np.append(slope - np.sin(x[:-1]), 0.0) + np.append(0.0, np.sin(x[1:]) - slope)

@@ -1,0 +1,159 @@
+"""IES LM-63 files, editions 1986, 1991, 1995, 2002 and 2019: read and written.
+
+Numbers are read as tokens, since files break their lines as they like; what is odd but clear is read with a warning.
+"""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from world.errors import LuxloopError
+from world.photometry.distribution import HORIZONTAL_RANGE, VERTICAL_RANGE, Distribution, Kind
+from world.photometry.record import Photometry, Tilt
+from world.photometry.text import Numbers, PhotometryError, load
+
+FOOT_M = 0.3048
+NOISE = 0.01  # goniophotometers report slightly negative values in the dark: up to this share of the peak they are taken as zero
+_TILT = re.compile(r"^[ \t]*TILT[ \t]*=[ \t]*(.*?)[ \t]*$", re.IGNORECASE | re.MULTILINE)
+_VERSION = re.compile(r"IES(?:NA)?:?\s*(?:LM-63-)?(\d{4}|\d{2})\b", re.IGNORECASE)
+_KEYWORD = re.compile(r"\s*\[([^\]]*)\]\s*(.*?)\s*$")
+_EDITIONS = (1986, 1991, 1995, 2002, 2019)
+_TYPES: dict[int, Kind] = {1: "C", 2: "B", 3: "A"}
+_WIDTH = 120  # columns of what is written; the standard allows 256
+
+
+def read(path: str | Path) -> Photometry:
+    """Read an LM-63 file. Raises PhotometryError with the line and what was expected there."""
+    path = Path(path)
+    return parse(load(path), path)
+
+
+def parse(text: str, path: Path) -> Photometry:
+    """Photometry of an LM-63 file's text; `path` is for messages and to find a TILT file beside it."""
+    tilt_line = _TILT.search(text)
+    if tilt_line is None:
+        last = text.rstrip().count("\n") + 1
+        raise PhotometryError(f"{path}, line {last}: expected a TILT= line, found the file's end; give an IES LM-63 file")
+    warnings: list[str] = []
+    edition, keywords = _header(text[: tilt_line.start()].split("\n")[:-1], warnings)
+    body, stop, after = text[tilt_line.end() :].partition("\x1a")
+    if stop:
+        warnings.append("ends in Ctrl-Z")
+    numbers = Numbers(path, body, text.count("\n", 0, tilt_line.end()) + 1)
+    tilt = tilt_line[1].upper() if tilt_line[1].upper() in ("NONE", "INCLUDE") else tilt_line[1]
+    factors = _tilt(tilt, numbers, path, warnings)
+    photometry = _photometry(numbers, path, warnings)
+    trailing = numbers.rest + after.split()
+    if trailing:
+        warnings.append(f"{len(trailing)} words after the data are ignored, from {trailing[0][:40]!r} on")
+    name = keywords.get("LUMINAIRE") or keywords.get("LUMCAT") or path.stem
+    return replace(
+        photometry,
+        format=f"LM-63-{edition}",
+        luminaire=name,
+        tilt=tilt,
+        tilt_factors=factors,
+        keywords=keywords,
+        warnings=tuple(warnings),
+    )
+
+
+def _header(lines: list[str], warnings: list[str]) -> tuple[int, dict[str, str]]:
+    """Edition and keywords; a file of 1986 has neither, only free text."""
+    version = _VERSION.match(lines[0].strip()) if lines else None
+    edition = 1986
+    if version is None:
+        warnings.append("has no version line: read as LM-63-1986")
+    else:
+        edition = int(version[1]) + (1900 if len(version[1]) == 2 else 0)
+        if edition not in _EDITIONS:
+            warnings.append(f"names edition {edition}, which is unknown: read as {_EDITIONS[-1]}")
+    keywords: dict[str, str] = {}
+    last = ""
+    for number, line in enumerate(lines, start=1):
+        match = _KEYWORD.match(line)
+        if match is None:
+            if version is not None and number > 1 and line.strip():
+                warnings.append(f"line {number} is no keyword, ignored: {line.strip()[:40]!r}")
+            continue
+        last = last if match[1].strip().upper() == "MORE" and last else match[1].strip().upper()
+        keywords[last] = f"{keywords[last]}\n{match[2]}" if last in keywords else match[2]
+    return edition, keywords
+
+
+def _tilt(tilt: str, numbers: Numbers, path: Path, warnings: list[str]) -> Tilt | None:
+    if tilt == "NONE":
+        return None
+    if tilt != "INCLUDE":
+        beside = path.parent / Path(tilt.replace("\\", "/")).name
+        if not beside.name or not beside.is_file():
+            warnings.append(f"TILT file {tilt!r} is not beside it: lamp tilt factors are unknown")
+            return None
+        numbers = Numbers(beside, load(beside), 1)
+    geometry = numbers.whole("the lamp-to-luminaire geometry, 1 to 3", 1)
+    count = numbers.whole("the number of tilt angles", 1)
+    angles = numbers.many(count, "tilt angle")
+    return Tilt(geometry, angles, numbers.many(count, "tilt factor"))
+
+
+def _photometry(numbers: Numbers, path: Path, warnings: list[str]) -> Photometry:
+    """All that follows TILT, in the order of the standard."""
+    lamps = numbers.whole("the number of lamps")
+    lumens = numbers.one("lumens per lamp, or -1 for absolute photometry")
+    multiplier = numbers.one("the candela multiplier")
+    n_v = numbers.whole("the number of vertical angles", 2)
+    n_h = numbers.whole("the number of horizontal angles", 1)
+    code = numbers.whole("the photometric type: 1 for C, 2 for B, 3 for A")
+    if code not in _TYPES:
+        raise numbers.wrong("the photometric type: 1 for C, 2 for B, 3 for A")
+    kind = _TYPES[code]
+    units = numbers.one("the unit of length: 1 for feet, 2 for metres")
+    if units not in (1, 2):
+        warnings.append(f"unit of length {units:g} is unknown: read as metres")
+    size = numbers.many(3, "width, length and height, number") * (FOOT_M if units == 1 else 1.0)
+    if (size < 0).any():
+        warnings.append("negative width, length or height: a round opening")
+    ballast = numbers.one("the ballast factor")
+    field_12 = numbers.one("the number after the ballast factor")
+    watts = numbers.one("input watts")
+    if not 0 < multiplier * ballast < np.inf:
+        raise PhotometryError(f"{path}: candela multiplier {multiplier:g} and ballast factor {ballast:g} must be positive; correct them")
+    v = numbers.ascending(n_v, "vertical angle", *VERTICAL_RANGE[kind])
+    h = numbers.ascending(n_h, "horizontal angle", *HORIZONTAL_RANGE[kind])
+    table = numbers.many(n_v * n_h, "candela value")
+    candela = _not_negative(table, numbers, warnings) * (multiplier * ballast)
+    try:
+        distribution = Distribution(kind, v, h, candela.reshape(n_h, n_v))
+    except LuxloopError as error:
+        raise PhotometryError(f"{path}: {error}; correct the file") from error
+    if not distribution.complete:
+        warnings.append(f"planes from {h[0]:g} to {h[-1]:g} deg tell neither a symmetry nor the full turn: dark where they say nothing")
+    if kind != "C" and v[0] == 0:
+        warnings.append("vertical angles begin at 0: read as mirrored about the horizontal plane")
+    return Photometry(
+        path=path,
+        format="",
+        distribution=distribution,
+        lamps=lamps,
+        lumens_per_lamp=lumens if lumens >= 0 else None,
+        watts=watts,
+        size_m=(float(size[0]), float(size[1]), float(size[2])),
+        feet=units == 1,
+        multiplier=multiplier,
+        ballast_factor=ballast,
+        field_12=field_12,
+    )
+
+
+def _not_negative(table: NDArray[np.float64], numbers: Numbers, warnings: list[str]) -> NDArray[np.float64]:
+    least = table.min()
+    if least >= 0:
+        return table
+    if least < -NOISE * table.max():
+        k = int(table.argmin())
+        raise numbers.wrong(f"candela value {k + 1} of {len(table)}, not negative", back=len(table) - k)
+    warnings.append(f"slightly negative candela, down to {least:g} of {table.max():g}: read as zero")
+    return np.maximum(table, 0.0)
