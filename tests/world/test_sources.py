@@ -1,0 +1,75 @@
+"""Light of whole lamps on walls and in views, against I cos / d^2 written out."""
+
+import math
+
+import pytest
+import torch
+
+from world.flatroad import flat_road
+from world.frames import R_ISO_OPENCV, pose, pose_from_degrees
+from world.lamp import Lamp, Module, direction
+from world.presets import idealised
+from world.sources import sources, surface_illuminance, wall_illuminance
+from world.view import View
+
+LEFT = pose_from_degrees((0.0, 0.6, 0.75))
+MIDDLE = pose_from_degrees((0.0, 0.0, 0.75))
+
+
+@pytest.fixture(scope="module")
+def lamp() -> Lamp:
+    """Two modules, one of them turned aside."""
+    light = idealised(12, 20, (4, 4))
+    return Lamp("lamp", (Module("near", light), Module("far", light, pose_from_degrees((0.0, 0.0, 0.0), yaw_deg=4.0))))
+
+
+@pytest.fixture(scope="module")
+def pattern(lamp: Lamp) -> tuple[torch.Tensor, ...]:
+    generator = torch.Generator().manual_seed(3)
+    return tuple(torch.rand(module.headlight.n_pixels, generator=generator) for module in lamp.modules)
+
+
+def test_a_lamp_in_the_middle_lights_the_wall_with_its_intensity(lamp: Lamp, pattern: tuple[torch.Tensor, ...]) -> None:
+    h, v = torch.meshgrid(torch.linspace(-12.1, 8.2, 41), torch.linspace(-4.1, 2.2, 13), indexing="xy")
+    found = wall_illuminance(sources(lamp, pattern, MIDDLE), MIDDLE, h, v)
+    ray = direction(h, v)
+    expected = lamp.intensity(pattern, ray.flatten(1)).view(h.shape) * ray[0] ** 3 / 25.0**2  # cos, and cos^2 of the longer way
+    assert found.shape == h.shape and found.max() > 0
+    torch.testing.assert_close(found, expected, rtol=1e-6, atol=1e-9)
+
+
+def test_a_lamp_beside_the_middle_shows_parallax(lamp: Lamp, pattern: tuple[torch.Tensor, ...]) -> None:
+    beside = wall_illuminance(sources(lamp, pattern, LEFT), MIDDLE, torch.tensor([1.0]), torch.tensor([-1.0]), 10.0)
+    point = torch.tensor([10.0, -10 * math.tan(math.radians(1)), 0.0], dtype=torch.float64)
+    point[2] = 0.75 - point[:2].norm() * math.tan(math.radians(1))
+    ray = point - LEFT[:3, 3]
+    expected = lamp.intensity(pattern, ray[:, None]) * 10 / ray.norm() ** 3
+    torch.testing.assert_close(beside, expected, rtol=1e-6, atol=0)
+
+
+def test_views_show_the_sum_of_all_modules_through_the_air(lamp: Lamp, pattern: tuple[torch.Tensor, ...]) -> None:
+    eye = pose_from_degrees((0.0, 0.0, 300.0), pitch_deg=90.0) @ pose(torch.zeros(3, dtype=torch.float64), R_ISO_OPENCV)
+    view = View(8, 12, 60.0, 60.0, 4.0, 18.0, eye)  # 40 m wide, from 0 to 60 m ahead
+    road = flat_road(view, 0.2, torch.float64)
+    lit = sources(lamp, pattern, LEFT)
+    ray = road.position.flatten(1) - LEFT[:3, 3:]
+    d = ray.norm(dim=0)
+    expected = (lamp.intensity(pattern, ray) * -ray[2] / d**3).view(12, 8)
+    found = surface_illuminance(road, lit)
+    assert found.max() > 0.5
+    torch.testing.assert_close(found, expected, rtol=1e-5, atol=1e-6)  # light textures are float32
+    hazy = surface_illuminance(road, lit, extinction_per_m=0.01)
+    torch.testing.assert_close(hazy, expected * torch.exp(-0.01 * d).view(12, 8), rtol=1e-5, atol=1e-6)
+
+
+def test_colours_have_the_luminance_of_the_light(lamp: Lamp, pattern: tuple[torch.Tensor, ...]) -> None:
+    h, v = torch.tensor([[0.0, 2.0]]), torch.tensor([[-1.0, -2.0]])
+    plain, rgb = (wall_illuminance(sources(lamp, pattern, LEFT, colour), MIDDLE, h, v) for colour in (False, True))
+    assert rgb.shape == (3, 1, 2)
+    torch.testing.assert_close(rgb, plain.expand(3, 1, 2))
+
+
+def test_no_source_no_light() -> None:
+    eye = pose_from_degrees((0.0, 0.0, 2.0)) @ pose(torch.zeros(3, dtype=torch.float64), R_ISO_OPENCV)
+    assert not surface_illuminance(flat_road(View(4, 4, 2.0, 2.0, 2.0, 2.0, eye), 0.2), ()).any()
+    assert not wall_illuminance((), MIDDLE, torch.zeros(2), torch.zeros(2)).any()
