@@ -1,0 +1,171 @@
+"""Lamp files come back bit for bit, and nothing else comes in."""
+
+import io
+import json
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+import torch
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from world.errors import LuxloopError
+from world.frames import pose_from_degrees
+from world.headlight import Headlight
+from world.lamp import Lamp, Module
+from world.lampfile import load, save
+from world.spmv import Csr
+
+
+def headlight(dtype: torch.dtype, coloured: bool) -> Headlight:
+    generator = np.random.default_rng(0)
+    matrix = Csr.from_scipy(sp.random_array((12, 6), density=0.5, rng=generator) * 1e4, dtype)
+    chroma = torch.from_numpy(generator.random((3, len(matrix.values)))) if coloured else None
+    borders = {"left": 0.1, "right": -1 / 3, "bottom": -0.2, "top": 0.07}
+    return Headlight(name="a headlight", rows=3, cols=4, matrix=matrix, pixel_rows=2, pixel_cols=3, chroma=chroma, **borders)
+
+
+@pytest.fixture(scope="module")
+def lamp() -> Lamp:
+    pose = pose_from_degrees((0.01, -0.2, 1 / 7), 1.0, -0.3, 0.1).double()
+    modules = (
+        Module("matrix", headlight(torch.float32, False)),
+        Module("Füllicht", headlight(torch.float64, True), pose, (-5.0, 12.5), (-1.0, 0.5)),
+    )
+    beams = {"low beam": (torch.rand(6), torch.rand(6)), "town": (torch.zeros(6), torch.ones(6).double())}
+    return Lamp("two modules", modules, beams, "Measured on a bench.\nOne pixel is guessed.")
+
+
+def assert_equal(a: Lamp, b: Lamp) -> None:
+    """Bit for bit, dtypes included."""
+    assert (a.name, a.notes, list(a.beams), len(a.modules)) == (b.name, b.notes, list(b.beams), len(b.modules))
+    for one, two in zip(a.modules, b.modules, strict=True):
+        assert (one.name, one.swivel_deg, one.level_deg) == (two.name, two.swivel_deg, two.level_deg)
+        light, other = vars(one.headlight).copy(), vars(two.headlight).copy()
+        pairs = [(one.T_lamp_module, two.T_lamp_module), (light.pop("chroma"), other.pop("chroma"))]
+        matrix, other_matrix = light.pop("matrix"), other.pop("matrix")
+        assert light == other
+        assert matrix.n_cols == other_matrix.n_cols
+        pairs += [(getattr(matrix, name), getattr(other_matrix, name)) for name in ("indptr", "indices", "values")]
+        for x, y in pairs:
+            assert (x is None and y is None) or (x.dtype == y.dtype and torch.equal(x, y))
+    for name, us in a.beams.items():
+        assert all(x.dtype == y.dtype and torch.equal(x, y) for x, y in zip(us, b.beams[name], strict=True))
+
+
+@pytest.fixture(scope="module")
+def content(lamp: Lamp, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    path = tmp_path_factory.mktemp("lamps") / "lamp.npz"
+    save(path, lamp)
+    return path.read_bytes()
+
+
+def test_round_trip_is_exact(lamp: Lamp, tmp_path: Path) -> None:
+    light = lamp.modules[0].headlight
+    save(tmp_path / "lamp.npz", lamp)
+    loaded = load(tmp_path / "lamp.npz")
+    assert_equal(lamp, loaded)
+    assert torch.equal(loaded.modules[0].headlight.light_texture(torch.ones(6)), light.light_texture(torch.ones(6)))
+    assert [path.name for path in tmp_path.iterdir()] == ["lamp.npz"]
+
+
+def test_equal_lamps_give_equal_bytes(lamp: Lamp, content: bytes, tmp_path: Path) -> None:
+    save(tmp_path / "again.npz", lamp)
+    assert (tmp_path / "again.npz").read_bytes() == content
+
+
+def test_numpy_alone_reads_it(content: bytes) -> None:
+    with np.load(io.BytesIO(content)) as arrays:
+        header = json.loads(arrays["header"].tobytes())
+        assert arrays["module0_indices"].dtype == np.int32
+    assert (header["format"], header["version"], header["beams"]) == ("luxloop lamp", 1, ["low beam", "town"])
+
+
+@settings(deadline=None, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_damage_is_noticed(lamp: Lamp, content: bytes, tmp_path: Path, data: st.DataObject) -> None:
+    """A broken copy is refused, or (a flipped bit of a date, say) gives the same lamp."""
+    path = tmp_path / "broken.npz"
+    if data.draw(st.booleans()):
+        broken = content[: data.draw(st.integers(0, len(content) - 1))]
+    else:
+        changed = bytearray(content)
+        for at in data.draw(st.lists(st.integers(0, len(content) - 1), min_size=1, max_size=3)):
+            changed[at] ^= data.draw(st.integers(1, 255))
+        broken = bytes(changed)
+    path.write_bytes(broken)
+    try:
+        loaded = load(path)
+    except LuxloopError as error:
+        assert "broken.npz" in str(error)
+    else:
+        assert_equal(lamp, loaded)
+
+
+def rewritten(content: bytes, change: Callable[[dict[str, Any]], None]) -> bytes:
+    """The file with its header and arrays changed, check sums right again."""
+    with np.load(io.BytesIO(content)) as archive:
+        arrays = dict(archive)
+    arrays["header"] = json.loads(arrays["header"].tobytes())
+    change(arrays)
+    arrays["header"] = np.frombuffer(json.dumps(arrays["header"]).encode(), np.uint8)
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda a: a["header"].update(version=2, luxloop="9.0"), "written by luxloop 9.0 as version 2"),
+        (lambda a: a["header"].update(format="something"), "header: format"),
+        (lambda a: a["header"].update(mood="good"), "header: mood"),
+        (lambda a: a["header"]["modules"][0].update(left=-1), "wrong order"),
+        (lambda a: a["header"].update(modules=[]), "header: modules"),
+        (lambda a: a["header"]["modules"][0].update(rows=5), "module0_indptr is not what the header says"),
+        (lambda a: a["module1_indices"].__setitem__(0, 6), "module1_indices"),
+        (lambda a: a["module1_indptr"].__setitem__(1, 99), "module1_indptr"),
+        (lambda a: a["module1_values"].__setitem__(0, np.nan), "module1_values"),
+        (lambda a: a["module0_beam0"].__setitem__(0, 1.5), "module0_beam0"),
+        (lambda a: a.update(module0_pose=np.eye(3)), "module0_pose"),
+        (lambda a: a.update(module0_values=a["module0_values"].astype(complex)), "module0_values"),
+        (lambda a: a.pop("module0_values"), "module0_values"),
+    ],
+)
+def test_what_does_not_fit_together_is_refused(content: bytes, tmp_path: Path, change: Callable[[dict], None], words: str) -> None:
+    (tmp_path / "odd.npz").write_bytes(rewritten(content, change))
+    with pytest.raises(LuxloopError) as error:
+        load(tmp_path / "odd.npz")
+    assert words in str(error.value)
+    assert "odd.npz" in str(error.value)
+
+
+def test_foreign_files_are_refused(tmp_path: Path) -> None:
+    np.savez(tmp_path / "foreign.npz", a=np.ones(3))
+    (tmp_path / "text.npz").write_text("IESNA:LM-63-2002")
+    np.savez(tmp_path / "pickle.npz", header=np.array([{"a": 1}], dtype=object))
+    with zipfile.ZipFile(tmp_path / "zip.npz", "w") as archive:
+        archive.writestr("header.npy", b"no array")
+    for name, words in {
+        "foreign": "no header",
+        "text": "no lamp file",
+        "pickle": "no lamp file",
+        "zip": "no lamp file",
+        "gone": "cannot",
+    }.items():
+        with pytest.raises(LuxloopError) as error:
+            load(tmp_path / f"{name}.npz")
+        assert words in str(error.value), name
+
+
+def test_writing_names_what_is_wrong_and_leaves_nothing_behind(lamp: Lamp, tmp_path: Path) -> None:
+    with pytest.raises(LuxloopError, match=r"ends in \.npz"):
+        save(tmp_path / "lamp.toml", lamp)
+    with pytest.raises(LuxloopError, match="cannot be written"):
+        save(tmp_path / "no folder" / "lamp.npz", lamp)
+    assert list(tmp_path.iterdir()) == []

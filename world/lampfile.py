@@ -1,0 +1,213 @@
+"""Lamp files: a whole lamp in one `.npz`, read again bit for bit. No pickle, so a foreign file cannot run code."""
+
+import io
+import os
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from importlib import metadata
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Final, Literal, Self
+
+import numpy as np
+import torch
+from pydantic import ConfigDict, Field, ValidationError, model_validator
+from torch import Tensor
+
+from world.errors import LuxloopError
+from world.headlight import Headlight
+from world.lamp import Lamp, Module
+from world.params import Params
+from world.spmv import Csr
+
+FORMAT: Final = "luxloop lamp"
+VERSION: Final = 1
+LEVEL = 1  # of compression: indices shrink to a fifth, and higher levels gain little and take three times as long
+FLOATS = (np.float32, np.float64)
+UNREADABLE = (zipfile.BadZipFile, zlib.error, ValueError, KeyError, EOFError, NotImplementedError, RuntimeError, OverflowError, SyntaxError)
+
+Arrays = dict[str, np.ndarray[Any, Any]]
+
+
+class ModuleHeader(Params):
+    """What is said of a module beside its arrays."""
+
+    name: str
+    headlight: str
+    rows: int = Field(ge=1)
+    cols: int = Field(ge=1)
+    left: float
+    right: float
+    bottom: float
+    top: float
+    pixel_rows: int = Field(ge=1)
+    pixel_cols: int = Field(ge=1)
+    swivel_deg: tuple[float, float]
+    level_deg: tuple[float, float]
+
+    @model_validator(mode="after")
+    def _borders_in_order(self) -> Self:
+        if self.left <= self.right or self.top <= self.bottom:
+            raise ValueError("the borders of a texture are in the wrong order")
+        return self
+
+
+class Header(Params):
+    """The file's entry `header`, as JSON."""
+
+    format: Literal["luxloop lamp"] = FORMAT
+    version: Literal[1] = VERSION
+    luxloop: str
+    name: str
+    notes: str
+    modules: tuple[ModuleHeader, ...] = Field(min_length=1)
+    beams: tuple[str, ...]
+
+
+class _Stamp(Params):
+    """As much of a header as any version has."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    format: Literal["luxloop lamp"]
+    version: int
+    luxloop: str
+
+
+def save(path: Path, lamp: Lamp) -> None:
+    """Write a lamp, whole or not at all; equal lamps give equal bytes.
+
+    Raises: LuxloopError where path does not end in .npz or cannot be written.
+    """
+    if path.suffix != ".npz":
+        raise LuxloopError(f"{path}: the name of a lamp file ends in .npz; write for example {path.with_suffix('.npz')}")
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with zipfile.ZipFile(part, "w") as archive:
+            for name, array in _arrays(lamp):
+                buffer = io.BytesIO()
+                np.lib.format.write_array(buffer, np.ascontiguousarray(array), allow_pickle=False)
+                archive.writestr(zipfile.ZipInfo(f"{name}.npy"), buffer.getbuffer(), zipfile.ZIP_DEFLATED, LEVEL)
+        os.replace(part, path)
+    except OSError as error:
+        raise LuxloopError(f"{path}: cannot be written ({error.strerror}); check the folder and its permissions") from error
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def load(path: Path) -> Lamp:
+    """Read a lamp. Raises LuxloopError where the file is missing, foreign, newer than this luxloop or damaged."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            header = _header(path, archive)
+            arrays = {name: _array(archive, name) for name in archive.namelist() if name != "header.npy"}
+        return _lamp(header, arrays)
+    except OSError as error:
+        raise LuxloopError(f"{path}: cannot be read ({error.strerror}); check the path") from error
+    except LuxloopError:
+        raise
+    except UNREADABLE as error:
+        raise LuxloopError(
+            f"{path}: damaged, or no lamp file of luxloop ({error}); build it again with `luxloop headlight build`"
+        ) from error
+
+
+def _arrays(lamp: Lamp) -> Iterator[tuple[str, Any]]:
+    """All entries of the file by name, the header first."""
+    header = Header(
+        luxloop=_luxloop_version(),
+        name=lamp.name,
+        notes=lamp.notes,
+        modules=tuple(_module_header(module) for module in lamp.modules),
+        beams=tuple(lamp.beams),
+    )
+    yield "header", np.frombuffer(header.model_dump_json(indent=1).encode(), np.uint8)
+    for i, module in enumerate(lamp.modules):
+        light = module.headlight
+        yield f"module{i}_pose", _host(module.T_lamp_module)
+        yield f"module{i}_indptr", _host(light.matrix.indptr)
+        yield f"module{i}_indices", _host(light.matrix.indices)
+        yield f"module{i}_values", _host(light.matrix.values)
+        if light.chroma is not None:
+            yield f"module{i}_chroma", _host(light.chroma)
+        for k, us in enumerate(lamp.beams.values()):
+            yield f"module{i}_beam{k}", _host(us[i])
+
+
+def _host(tensor: Tensor) -> np.ndarray[Any, Any]:
+    return tensor.detach().cpu().numpy()
+
+
+def _module_header(module: Module) -> ModuleHeader:
+    light = module.headlight
+    grid = {name: getattr(light, name) for name in ("rows", "cols", "left", "right", "bottom", "top", "pixel_rows", "pixel_cols")}
+    return ModuleHeader(name=module.name, headlight=light.name, swivel_deg=module.swivel_deg, level_deg=module.level_deg, **grid)
+
+
+def _luxloop_version() -> str:
+    try:
+        return metadata.version("luxloop")
+    except metadata.PackageNotFoundError:
+        return "not installed"
+
+
+def _array(archive: zipfile.ZipFile, name: str) -> np.ndarray[Any, Any]:
+    return np.lib.format.read_array(io.BytesIO(archive.read(name)), allow_pickle=False)  # type: ignore[no-any-return]
+
+
+def _header(path: Path, archive: zipfile.ZipFile) -> Header:
+    if "header.npy" not in archive.namelist():
+        raise LuxloopError(f"{path}: no lamp file of luxloop, for it has no header; give a file that `luxloop headlight build` wrote")
+    text = _array(archive, "header.npy").tobytes()
+    try:
+        stamp = _Stamp.model_validate_json(text)
+        if stamp.version > VERSION:
+            raise LuxloopError(
+                f"{path}: written by luxloop {stamp.luxloop} as version {stamp.version}, but this luxloop reads up to {VERSION}; update it"
+            )
+        return Header.model_validate_json(text)
+    except ValidationError as error:
+        detail = error.errors()[0]
+        key = ".".join(map(str, detail["loc"]))
+        raise LuxloopError(f"{path}: header: {key}: {detail['msg']}; build the file again with `luxloop headlight build`") from error
+
+
+def _lamp(header: Header, arrays: Arrays) -> Lamp:
+    """Put the lamp together; ValueError or KeyError where an array is not what the header promises."""
+    modules = tuple(_module(each, f"module{i}", arrays) for i, each in enumerate(header.modules))
+    beams = {
+        name: tuple(_tensor(arrays, f"module{i}_beam{k}", (module.headlight.n_pixels,), FLOATS, _share) for i, module in enumerate(modules))
+        for k, name in enumerate(header.beams)
+    }
+    return Lamp(header.name, modules, MappingProxyType(beams), header.notes)
+
+
+def _module(header: ModuleHeader, prefix: str, arrays: Arrays) -> Module:
+    n_pixels, n_texels = header.pixel_rows * header.pixel_cols, header.rows * header.cols
+    indptr = _tensor(arrays, f"{prefix}_indptr", (n_texels + 1,), (np.int32,), lambda a: a[0] == 0 and (np.diff(a) >= 0).all())
+    nnz = int(indptr[-1])
+    indices = _tensor(arrays, f"{prefix}_indices", (nnz,), (np.int32,), lambda a: ((a >= 0) & (a < n_pixels)).all())
+    values = _tensor(arrays, f"{prefix}_values", (nnz,), FLOATS, _finite)
+    chroma = _tensor(arrays, f"{prefix}_chroma", (3, nnz), FLOATS, _finite) if f"{prefix}_chroma.npy" in arrays else None
+    pose = _tensor(arrays, f"{prefix}_pose", (4, 4), (np.float64,), _finite)
+    grid = header.model_dump(exclude={"name", "headlight", "swivel_deg", "level_deg"})
+    light = Headlight(name=header.headlight, matrix=Csr(indptr, indices, values, n_pixels), chroma=chroma, **grid)
+    return Module(header.name, light, pose, header.swivel_deg, header.level_deg)
+
+
+def _finite(array: np.ndarray[Any, Any]) -> np.bool_:
+    return np.isfinite(array).all()
+
+
+def _share(array: np.ndarray[Any, Any]) -> np.bool_:
+    return ((array >= 0) & (array <= 1)).all()
+
+
+def _tensor(
+    arrays: Arrays, name: str, shape: tuple[int, ...], dtypes: tuple[type, ...], valid: Callable[[np.ndarray[Any, Any]], Any]
+) -> Tensor:
+    array = arrays[f"{name}.npy"]
+    if array.shape != shape or array.dtype not in dtypes or not valid(array):
+        raise ValueError(f"{name} is not what the header says")
+    return torch.from_numpy(array)
