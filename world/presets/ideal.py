@@ -1,12 +1,17 @@
-"""Headlights that come with luxloop; what is published and what is guessed stands beside each."""
+"""The idealised lamp: pixels of equal size that hardly overlap."""
 
 import math
 
 import numpy as np
 import scipy.sparse as sp
 
+from world.errors import LuxloopError
 from world.headlight import Headlight
+from world.lamp import Module
 from world.spmv import Csr
+
+NOTES = """Published (thesis, T 9.4.3): 332 x 1024 pixels, +-10 deg by +1.5 to -3.5 deg, minimal overlap.
+Guessed: 50 kcd over the whole field, pixels of equal pitch on the texture's plane, linear edges 0.2 pitches to either side."""
 
 
 def _profile(pixels: int, texels_per_pixel: int, flank: float) -> sp.csr_array:
@@ -60,3 +65,10 @@ def idealised(
         pixel_rows=pixel_rows,
         pixel_cols=pixel_cols,
     )
+
+
+def modules(chromatic_shift: float = 0.0) -> tuple[Module, ...]:
+    """Raises LuxloopError for coloured edges: this lamp has none."""
+    if chromatic_shift:
+        raise LuxloopError("the idealised lamp has no coloured edges: leave chromatic_shift at 0")
+    return (Module("matrix", idealised()),)

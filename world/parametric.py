@@ -1,0 +1,161 @@
+"""Matrix modules from a few numbers: Gaussian pixels and blurred rectangles on a grid, as headlight matrices (T 2.4, 5.2).
+
+Angles are those along the texture's axes, atan(y) and atan(z), in deg, left and up positive, so that every pixel is a product of a
+profile down the rows and one along the columns. A texel holds the mean over its width, exactly, so that light is kept on any texture.
+"""
+
+from typing import Annotated, Literal, Self
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+from scipy.special import ndtr
+
+from world.params import Params
+from world.texels import TexelGrid
+
+Floats = NDArray[np.float64]
+Matrix = tuple[sp.csr_array, int, int]
+Spacing = Literal["angle", "tangent"]
+
+
+class _Pixels(Params):
+    columns: int = Field(description="pixels in a row", gt=0)
+    left_deg: float = Field(description="left border of the pixel field, left positive", gt=-80, lt=80)
+    right_deg: float = Field(description="right border of the pixel field", gt=-80, lt=80)
+    widening: float = Field(0.0, description="how much wider the outermost column is than the middle one, as a share", ge=0)
+    cut: float = Field(0.01, description="share of a pixel's peak below which its light is left out: the limit of overlap", ge=0, lt=1)
+
+    def _columns(self, left: float, right: float) -> tuple[Floats, Floats]:
+        """Borders `[columns + 1]` from the left and intensities `[columns]` of the columns: a wider pixel is dimmer by as much."""
+        s = np.linspace(-1.0, 1.0, self.columns + 1)
+        share = 0.5 + 0.5 * (s + self.widening * s**3 / 3) / (1 + self.widening / 3)
+        middle = 0.5 * (s[1:] + s[:-1])
+        return left + share * (right - left), 1 / (1 + self.widening * middle**2)
+
+    def _checked(self) -> Self:
+        if self.left_deg <= self.right_deg:
+            raise ValueError(f"left_deg = {self.left_deg:g} must exceed right_deg = {self.right_deg:g}: left is positive")
+        return self
+
+
+class GaussianPixels(_Pixels):
+    """Pixels whose light falls off as a Gaussian on every side; rows of unequal height, brightness and distance."""
+
+    kind: Literal["gaussian"] = "gaussian"
+    row_centres_deg: tuple[float, ...] = Field(description="middle of each pixel row, top row first, up positive", min_length=1)
+    row_sigmas_deg: tuple[Annotated[float, Field(gt=0)], ...] = Field(description="standard deviation down each pixel row")
+    column_sigma: float = Field(description="standard deviation along a row, in column widths", gt=0)
+    peak_cd: tuple[Annotated[float, Field(ge=0)], ...] = Field(description="peak of a single pixel in the middle of each row")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        rows = len(self.row_centres_deg)
+        for name in ("row_sigmas_deg", "peak_cd"):
+            if len(getattr(self, name)) != rows:
+                raise ValueError(f"{name} has {len(getattr(self, name))} values for the {rows} rows of row_centres_deg: give one a row")
+        return self._checked()
+
+    def matrix(self, grid: TexelGrid, magnification: float = 1.0) -> Matrix:
+        """Headlight matrix `[n_texels, n_p]` in cd, float64, and its pixel rows and columns.
+
+        magnification: of the image of the pixels about the beam axis.
+        """
+        z, y = (axis / magnification for axis in _texel_borders(grid, "angle"))
+        borders, dimming = self._columns(self.left_deg, self.right_deg)
+        vertical = _gaussian(z, np.array(self.row_centres_deg), np.array(self.row_sigmas_deg))
+        horizontal = _gaussian(y, 0.5 * (borders[1:] + borders[:-1]), self.column_sigma * np.abs(np.diff(borders)))
+        peak = np.outer(self.peak_cd, dimming)
+        return _product(vertical, horizontal, peak, self.cut), *peak.shape
+
+
+class BlurredRectangles(_Pixels):
+    """Rectangles side by side, each convolved with a Gaussian: all pixels on, they add up to an even field with soft borders."""
+
+    kind: Literal["blurred_rectangles"] = "blurred_rectangles"
+    rows: int = Field(description="pixel rows", gt=0)
+    bottom_deg: float = Field(description="lower border of the pixel field, up positive", gt=-80, lt=80)
+    top_deg: float = Field(description="upper border of the pixel field", gt=-80, lt=80)
+    row_heights: tuple[Annotated[float, Field(gt=0)], ...] = Field(
+        (), description="heights of the rows to each other, top row first; equal if empty"
+    )
+    blur_deg: float = Field(description="standard deviation of the Gaussian that softens the edges", ge=0)
+    overlap: float = Field(0.0, description="how much wider and higher a pixel is than its place in the grid, as a share", ge=0)
+    peak_cd: float = Field(description="intensity in the middle of the field, all pixels on", ge=0)
+    spacing: Spacing = Field(
+        "angle", description="pixels of equal size in angle, or on the plane of the texture (a lens without distortion)"
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.top_deg <= self.bottom_deg:
+            raise ValueError(f"top_deg = {self.top_deg:g} must exceed bottom_deg = {self.bottom_deg:g}: up is positive")
+        if self.row_heights and len(self.row_heights) != self.rows:
+            raise ValueError(f"row_heights has {len(self.row_heights)} values for {self.rows} rows: give one a row, or none")
+        return self._checked()
+
+    def matrix(self, grid: TexelGrid, magnification: float = 1.0) -> Matrix:
+        """Headlight matrix `[n_texels, n_p]` in cd, float64, and its pixel rows and columns.
+
+        magnification: of the image of the pixels about the beam axis.
+        """
+        z, y = (axis / magnification for axis in _texel_borders(grid, self.spacing))
+        left, right, bottom, top = _along_axis(np.array([self.left_deg, self.right_deg, self.bottom_deg, self.top_deg]), self.spacing)
+        columns, dimming = self._columns(left, right)
+        heights = np.array(self.row_heights or [1.0] * self.rows)
+        rows = top - np.concatenate([[0.0], heights.cumsum() / heights.sum()]) * (top - bottom)
+        peak = np.broadcast_to(self.peak_cd * dimming, (self.rows, self.columns))
+        vertical, horizontal = (_rectangle(axis, borders, self.blur_deg, self.overlap) for axis, borders in ((z, rows), (y, columns)))
+        return _product(vertical, horizontal, peak, self.cut), self.rows, self.columns
+
+
+PixelModel = Annotated[GaussianPixels | BlurredRectangles, Field(discriminator="kind")]
+
+
+def _along_axis(angle_deg: Floats, spacing: Spacing) -> Floats:
+    """Angles as they are, or as they lie on the plane x = 1, in degrees of its middle."""
+    return angle_deg if spacing == "angle" else np.degrees(np.tan(np.radians(angle_deg)))
+
+
+def _texel_borders(grid: TexelGrid, spacing: Spacing) -> tuple[Floats, Floats]:
+    """Borders of the texels' rows `[rows + 1]` from the top and columns `[cols + 1]` from the left."""
+    tangents = (np.linspace(grid.top, grid.bottom, grid.rows + 1), np.linspace(grid.left, grid.right, grid.cols + 1))
+    vertical, horizontal = (np.degrees(np.arctan(axis) if spacing == "angle" else axis) for axis in tangents)
+    return vertical, horizontal
+
+
+def _gaussian(axis: Floats, centres: Floats, sigmas: Floats) -> Floats:
+    """Means over texels `[T, P]` of Gaussians of height 1. axis: borders `[T + 1]`, falling."""
+    primitive = np.sqrt(2 * np.pi) * sigmas * ndtr((axis[:, None] - centres) / sigmas)
+    return np.diff(primitive, axis=0) / np.diff(axis)[:, None]
+
+
+def _rectangle(axis: Floats, borders: Floats, blur: float, overlap: float) -> Floats:
+    """Means over texels `[T, P]` of blurred rectangles between falling borders `[P + 1]`, all of which add up to one."""
+    spread = 0.5 * overlap * (borders[:-1] - borders[1:])
+    upper, lower = borders[:-1] + spread, borders[1:] - spread
+    primitive = _ramp(axis[:, None] - lower, blur) - _ramp(axis[:, None] - upper, blur)
+    return np.diff(primitive, axis=0) / np.diff(axis)[:, None] / (1 + overlap)
+
+
+def _ramp(x: Floats, blur: float) -> Floats:
+    """The ramp max(x, 0) convolved with a Gaussian: twice differentiated it is the Gaussian itself."""
+    if blur == 0:
+        return np.maximum(x, 0.0)
+    return x * ndtr(x / blur) + blur / np.sqrt(2 * np.pi) * np.exp(-0.5 * (x / blur) ** 2)
+
+
+def _product(vertical: Floats, horizontal: Floats, peak: Floats, cut: float) -> sp.csr_array:
+    """Pixels `[T, P]` from profiles of rows and columns and peaks `[rows, columns]`, without what is below `cut` of a pixel's maximum."""
+    factors = []
+    for profile in (vertical, horizontal):
+        top = profile.max(axis=0)
+        share = profile / np.where(top > 0, top, 1.0)
+        factors.append((sp.csr_array(np.where(share > cut, share, 0.0)), top))
+    (rows, row_top), (columns, column_top) = factors
+    matrix = sp.csr_array(sp.kron(rows, columns, format="csr"))
+    matrix.data[matrix.data <= cut] = 0.0
+    matrix.eliminate_zeros()
+    matrix.data *= (peak * np.outer(row_top, column_top)).ravel()[matrix.indices]
+    return matrix

@@ -1,0 +1,46 @@
+"""Lamps that come with luxloop; what is published of each and what is guessed stands in its notes and beside its numbers."""
+
+import difflib
+from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
+from typing import Literal
+
+from world.errors import LuxloopError
+from world.lamp import Lamp, Module
+from world.presets import dmd, hd84, ideal, ssl_hd
+from world.presets.beams import FittedBeams
+from world.presets.ideal import idealised
+
+__all__ = ["NAMES", "idealised", "lamp"]
+
+# Modules of the left lamp, given the chromatic shift, and what is known of them.
+_LAMPS: dict[str, tuple[Callable[[float], tuple[Module, ...]], str]] = {
+    "idealised-332x1024": (ideal.modules, ideal.NOTES),
+    "hd84": (hd84.modules, hd84.NOTES),
+    "ssl-hd-lores": (ssl_hd.lores_modules, ssl_hd.NOTES),
+    "ssl-hd-hires": (ssl_hd.hires_modules, ssl_hd.NOTES),
+    "ssl-hd": (ssl_hd.modules, ssl_hd.NOTES),
+    "dmd-1m3": (dmd.modules, dmd.NOTES),
+}
+NAMES = tuple(_LAMPS)
+
+
+@lru_cache(maxsize=4)
+def lamp(name: str, side: Literal["left", "right"] = "left", chromatic_shift: float = 0.0) -> Lamp:
+    """A lamp by name, one of NAMES; its beams are fitted when they are first asked for.
+
+    side: of the car; the right lamp is the left one's mirror image. chromatic_shift: by what share the lenses of the HD modules image
+    blue larger than red, 0 for one colour. Raises: LuxloopError for an unknown name or side.
+    """
+    if name not in _LAMPS:
+        near = difflib.get_close_matches(name, NAMES, n=1, cutoff=0.4)
+        raise LuxloopError(f"there is no lamp {name!r}{f', did you mean {near[0]!r}?' if near else ':'} The lamps are {', '.join(NAMES)}")
+    if side not in ("left", "right"):
+        raise LuxloopError(f"a lamp's side is 'left' or 'right', not {side!r}")
+    build, notes = _LAMPS[name]
+    modules = build(chromatic_shift)
+    if side == "right":
+        modules = tuple(module.mirrored() for module in modules)
+    bare = Lamp(name, modules, notes=notes)
+    return replace(bare, beams=FittedBeams(bare))
