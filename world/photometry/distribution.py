@@ -74,7 +74,7 @@ class Distribution:
         return self.type != "C" or h[-1] - h[0] >= 360 - _EDGE_DEG
 
     def at(self, vertical_deg: ArrayLike, horizontal_deg: ArrayLike) -> Array:
-        """Luminous intensity in cd at angles `[...]` in deg: bilinear between the table's, symmetry unfolded, zero where it says nothing."""
+        """Luminous intensity in cd at angles `[...]` in deg: bilinear in the table, symmetry unfolded, zero beyond it."""
         v, h, candela = self.unfolded
         v_at, h_at = np.asarray(vertical_deg, np.float64), np.asarray(horizontal_deg, np.float64)
         if self.type == "C":

@@ -1,9 +1,18 @@
 """Read a photometric file of any kind."""
 
-from world.photometry import lm63
+from pathlib import Path
+
+from world.photometry import eulumdat, lm63
 from world.photometry.record import Photometry
+from world.photometry.text import load
 
 
 def read(path: str | Path) -> Photometry:
-    """Read an IES LM-63 file. Raises PhotometryError with the line and what was expected there."""
-    return lm63.read(path)
+    """Read an IES LM-63 or EULUMDAT file, by what it holds; where that does not tell, by its suffix, .ies or not.
+
+    Raises PhotometryError, a LuxloopError, with the line and what was expected there.
+    """
+    path = Path(path)
+    text = load(path)
+    kind = lm63 if lm63.is_lm63(text) or path.suffix.lower() == ".ies" else eulumdat
+    return kind.parse(text, path)

@@ -3,7 +3,9 @@
 Numbers are read as tokens, since files break their lines as they like; what is odd but clear is read with a warning.
 """
 
+import os
 import re
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +24,7 @@ _VERSION = re.compile(r"IES(?:NA)?:?\s*(?:LM-63-)?(\d{4}|\d{2})\b", re.IGNORECAS
 _KEYWORD = re.compile(r"\s*\[([^\]]*)\]\s*(.*?)\s*$")
 _EDITIONS = (1986, 1991, 1995, 2002, 2019)
 _TYPES: dict[int, Kind] = {1: "C", 2: "B", 3: "A"}
-_WIDTH = 120  # columns of what is written; the standard allows 256
+_PER_LINE = 12  # numbers of a written line, which the standard limits to 256 characters
 
 
 def read(path: str | Path) -> Photometry:
@@ -157,3 +159,39 @@ def _not_negative(table: NDArray[np.float64], numbers: Numbers, warnings: list[s
         raise numbers.wrong(f"candela value {k + 1} of {len(table)}, not negative", back=len(table) - k)
     warnings.append(f"slightly negative candela, down to {least:g} of {table.max():g}: read as zero")
     return np.maximum(table, 0.0)
+
+
+def is_lm63(text: str) -> bool:
+    """Whether a file's text has the TILT line of LM-63."""
+    return _TILT.search(text) is not None
+
+
+def write(path: str | Path, distribution: Distribution, keywords: Mapping[str, str] | None = None) -> None:
+    """Write a distribution as LM-63-2019, absolute photometry; the file appears whole or not at all.
+
+    Nine significant digits. keywords: more of them, or other values of those that the standard demands. Raises PhotometryError where
+    the file cannot be written.
+    """
+    required = {"TEST": "none", "TESTLAB": "luxloop (computed)", "ISSUEDATE": "none", "MANUFAC": "none"}
+    labels = [
+        f"[{key if number == 0 else 'MORE'}] {line}"
+        for key, value in {**required, "LUMINAIRE": Path(path).stem, **(keywords or {})}.items()
+        for number, line in enumerate(value.splitlines() or [""])
+    ]
+    v, h = distribution.vertical_deg, distribution.horizontal_deg
+    code = next(code for code, kind in _TYPES.items() if kind == distribution.type)
+    # One lamp of unknown flux; an opening of no size, in metres. 1.00001: how the file came about is not told.
+    head = ["IES:LM-63-2019", *labels, "TILT=NONE", f"1 -1 1 {len(v)} {len(h)} {code} 2 0 0 0", "1 1.00001 0"]
+    lines = [line for values in (v, h, *distribution.candela) for line in _wrapped(values)]
+    target = Path(path)
+    partial = target.with_name(target.name + ".part")
+    try:
+        partial.write_bytes("\r\n".join([*head, *lines, ""]).encode())
+        os.replace(partial, target)
+    except OSError as error:
+        raise PhotometryError(f"{path}: cannot be written ({error.strerror}); give a file in a folder that exists") from error
+
+
+def _wrapped(values: NDArray[np.float64]) -> Iterator[str]:
+    for start in range(0, len(values), _PER_LINE):
+        yield " ".join(f"{value:.9g}" for value in values[start : start + _PER_LINE])

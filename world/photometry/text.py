@@ -32,11 +32,14 @@ def load(path: Path) -> str:
 
 
 class Numbers:
-    """A cursor over the numbers of `body`, whose first line is line `first_line` of the file. Commas separate like blanks."""
+    """A cursor over the numbers of `body`, whose first line is line `first_line` of the file.
 
-    def __init__(self, path: Path, body: str, first_line: int) -> None:
+    comma: what it stands for, a blank or a decimal point.
+    """
+
+    def __init__(self, path: Path, body: str, first_line: int, comma: str = " ") -> None:
         self.path, self.first_line = path, first_line
-        self._body = body.replace(",", " ")
+        self._body = body.replace(",", comma)
         self._tokens = self._body.split()
         self._at = 0
 

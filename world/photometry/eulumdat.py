@@ -1,0 +1,123 @@
+"""EULUMDAT (.ldt) files: one value a line, planes C and angles gamma of a luminaire that looks down.
+
+Our own reader: the format is a page long, and those at hand neither name the line of an error nor take a file's oddities with a warning.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from world.errors import LuxloopError
+from world.photometry.distribution import VERTICAL_RANGE, Array, Distribution
+from world.photometry.record import Photometry
+from world.photometry.text import Numbers, PhotometryError, load
+
+_SETS_AT = 26  # line of the number of lamp sets, each of which takes six lines
+_RATIOS = 10  # lines of direct ratios, which nobody here needs
+
+
+class _Lines:
+    """The lines of the header, numbered from 1, as texts and numbers with decimal point or comma."""
+
+    def __init__(self, path: Path, text: str, warnings: list[str]) -> None:
+        self.path, self.warnings = path, warnings
+        self._lines = text.split("\n")
+
+    def text(self, number: int) -> str:
+        return self._lines[number - 1].strip().strip('"') if number <= len(self._lines) else ""
+
+    def number(self, number: int, what: str) -> float:
+        if number > len(self._lines):
+            last = len("\n".join(self._lines).rstrip().split("\n"))
+            raise PhotometryError(f"{self.path}, line {last}: expected {what} on line {number}, found the file's end; fetch the whole file")
+        return Numbers(self.path, self.text(number) or "(nothing)", number, comma=".").one(what)
+
+    def whole(self, number: int, what: str, low: int, high: float = np.inf) -> int:
+        value = self.number(number, what)
+        if value != int(value) or not low <= value <= high:
+            limits = f"at least {low}" if high == np.inf else f"{low} to {high:g}"
+            raise PhotometryError(f"{self.path}, line {number}: expected {what} ({limits}), found {self.text(number)[:40]!r}; correct it")
+        return int(value)
+
+    def optional(self, number: int, what: str) -> float:
+        """A number that is not needed for the light: zero, with a warning, where there is none."""
+        try:
+            return self.number(number, what)
+        except PhotometryError:
+            self.warnings.append(f"line {number}: {what} is {self.text(number)[:40]!r}, read as 0")
+            return 0.0
+
+
+def read(path: str | Path) -> Photometry:
+    """Read an EULUMDAT file. Raises PhotometryError with the line and what was expected there."""
+    path = Path(path)
+    return parse(load(path), path)
+
+
+def parse(text: str, path: Path) -> Photometry:
+    """Photometry of an EULUMDAT file's text; `path` is for messages. Several sets of lamps are alternatives: the first one counts."""
+    warnings: list[str] = []
+    text, stop, _ = text.partition("\x1a")
+    if stop:
+        warnings.append("ends in Ctrl-Z")
+    lines = _Lines(path, text, warnings)
+    symmetry = lines.whole(3, "the symmetry Isym", 0, 4)
+    n_c = lines.whole(4, "the number of C planes", 1)
+    n_gamma = lines.whole(6, "the number of angles gamma in a plane", 2)
+    factor = lines.optional(24, "the conversion factor") or 1.0
+    sets = lines.whole(_SETS_AT, "the number of lamp sets", 1)
+    lamps = int(lines.optional(_SETS_AT + 1, "the number of lamps"))
+    flux = lines.number(_SETS_AT + 3, "the total luminous flux of the lamps in lm")
+    if factor <= 0 or flux <= 0:
+        line, what = (24, "a conversion factor") if factor <= 0 else (_SETS_AT + 3, "a luminous flux")
+        raise PhotometryError(f"{path}, line {line}: expected {what} above 0, found {lines.text(line)[:40]!r}; correct it")
+    if factor != 1.0:
+        warnings.append(f"conversion factor {factor:g} is applied to the candela")
+    if sets > 1:
+        warnings.append(f"{sets} sets of lamps: the first one counts")
+    first = _SETS_AT + 6 * sets + _RATIOS + 1
+    body = text.split("\n", first - 1)
+    if len(body) < first:
+        raise PhotometryError(f"{path}, line {len(body)}: expected C plane 1 of {n_c} on line {first}, found the file's end")
+    numbers = Numbers(path, body[-1], first, comma=".")
+    c = numbers.ascending(n_c, "C plane", 0.0, 360.0)
+    planes = _stored(symmetry, c, numbers)
+    gamma = numbers.ascending(n_gamma, "angle gamma", *VERTICAL_RANGE["C"])
+    table = numbers.many(len(planes) * n_gamma, "value in cd/klm")
+    if (table < 0).any():
+        k = int(table.argmin())
+        raise numbers.wrong(f"value in cd/klm {k + 1} of {len(table)}, not negative", back=len(table) - k)
+    if numbers.rest:
+        warnings.append(f"{len(numbers.rest)} words after the data are ignored, from {numbers.rest[0][:40]!r} on")
+    try:
+        distribution = Distribution("C", gamma, planes, table.reshape(len(planes), n_gamma) * (factor * flux / 1000))
+    except LuxloopError as error:
+        raise PhotometryError(f"{path}: {error}; correct the file") from error
+    if not distribution.complete:
+        warnings.append(f"planes C from {planes[0]:g} to {planes[-1]:g} deg do not close: dark where they say nothing")
+    length, width = (lines.optional(n, "the luminous area's size in mm") / 1000 for n in (16, 17))
+    height = max(lines.optional(n, "the luminous area's height in mm") for n in (18, 19, 20, 21)) / 1000
+    return Photometry(
+        path=path,
+        format="EULUMDAT",
+        distribution=distribution,
+        luminaire=lines.text(9) or path.stem,
+        lamps=abs(lamps),
+        lumens_per_lamp=flux / lamps if lamps > 0 else None,
+        watts=lines.optional(_SETS_AT + 6, "watts"),
+        size_m=(width or -length, length, height),
+        multiplier=factor * flux / 1000,
+        keywords={"MANUFAC": lines.text(1), "TEST": lines.text(8), "LUMCAT": lines.text(10), "LAMP": lines.text(_SETS_AT + 2)},
+        warnings=tuple(warnings),
+    )
+
+
+def _stored(symmetry: int, c: Array, numbers: Numbers) -> Array:
+    """The planes that a symmetry stores: all (0), one (1), C0 to C180 (2), C270 through C0 to C90 (3), C0 to C90 (4)."""
+    if symmetry < 2:
+        return c if symmetry == 0 else c[:1]
+    planes = np.concatenate([c[c >= 270] - 360, c[c <= 90]]) if symmetry == 3 else c[c <= (180 if symmetry == 2 else 90)]
+    first, last = {2: (0, 180), 3: (-90, 90), 4: (0, 90)}[symmetry]
+    if planes[0] != first or planes[-1] != last:
+        raise numbers.wrong(f"C planes that hold C{first % 360} and C{last}, as symmetry {symmetry} needs")
+    return planes
