@@ -1,0 +1,162 @@
+"""Angles of the three types, symmetries unfolded, and flux by integration."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import dblquad
+
+from world.errors import LuxloopError
+from world.lamp import direction
+from world.photometry import Distribution, sample
+from world.photometry.distribution import Kind, angles_of
+
+HALF = math.sqrt(0.5)
+AHEAD, RIGHT, UP, DOWN = (1, 0, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)
+RIGHT_45, UP_45 = (HALF, -HALF, 0), (HALF, 0, HALF)
+
+
+def uniform(kind: Kind, v: list[float], h: list[float]) -> Distribution:
+    return Distribution(kind, np.array(v, float), np.array(h, float), np.ones((len(h), len(v))))
+
+
+@pytest.mark.parametrize(
+    ("kind", "aim", "direction", "v", "h"),
+    [
+        ("A", "beam", AHEAD, 0, 0),
+        ("A", "beam", RIGHT, 0, 90),
+        ("A", "beam", UP_45, 45, 0),
+        ("A", "nadir", RIGHT_45, 0, 45),
+        # Up by 45 deg and then right by 45: A turns about the vertical, B tilts the plane first.
+        ("A", "beam", (0.5, -0.5, HALF), 45, 45),
+        ("B", "beam", (0.5, -HALF, 0.5), 45, 45),
+        ("B", "beam", AHEAD, 0, 0),
+        ("B", "beam", RIGHT, 0, 90),
+        ("B", "nadir", DOWN, 0, 0),
+        ("B", "nadir", AHEAD, 90, 0),
+        ("C", "beam", AHEAD, 0, None),
+        ("C", "beam", RIGHT_45, 45, 0),
+        ("C", "beam", UP_45, 45, 90),
+        ("C", "nadir", DOWN, 0, None),
+        ("C", "nadir", RIGHT, 90, 0),
+        ("C", "nadir", AHEAD, 90, 90),
+    ],
+)
+def test_angles_are_those_of_the_standard(kind, aim, direction, v, h) -> None:  # type: ignore[no-untyped-def]
+    v_at, h_at = angles_of(kind, np.array(direction, float), aim)
+    assert v_at == pytest.approx(v, abs=1e-12)
+    assert h is None or h_at == pytest.approx(h, abs=1e-12)
+
+
+def test_hanging_planes_run_counterclockwise_seen_from_above() -> None:
+    turn = np.deg2rad(np.array([0.0, 30, 60, 90]))
+    directions = np.stack([np.sin(turn), -np.cos(turn), 0 * turn])  # from the right to ahead, which is counterclockwise
+    np.testing.assert_allclose(angles_of("C", directions, "nadir")[1], [0, 30, 60, 90], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("stored", "queries", "expected"),
+    [
+        ([0], [0, 90, 200, 359], [1, 1, 1, 1]),
+        ([0, 90], [45, 135, 225, 315, 90, 270, 180], [1.5, 1.5, 1.5, 1.5, 2, 2, 1]),
+        ([0, 90, 180], [45, 135, 225, 315, 270, -90], [1.5, 2.5, 2.5, 1.5, 2, 2]),
+        ([90, 180, 270], [135, 45, 0, 360, 315], [1.5, 1.5, 2, 2, 2.5]),
+        ([-90, 0, 90], [0, 90, 180, 270, 135], [2, 3, 2, 1, 2.5]),
+        ([0, 90, 180, 270, 360], [45, 315, 405], [1.5, 4.5, 1.5]),
+        ([0, 90, 180, 270], [45, 315, 360], [1.5, 2.5, 1]),  # EULUMDAT's last plane is followed by its first
+        ([0, 10, 20], [5, 20, 90, 350], [1.5, 3, 0, 0]),
+    ],
+)
+def test_planes_of_type_c_are_unfolded(stored: list[float], queries: list[float], expected: list[float]) -> None:
+    candela = np.repeat(np.arange(1.0, len(stored) + 1)[:, None], 2, axis=1)
+    distribution = Distribution("C", np.array([0.0, 180]), np.array(stored, float), candela)
+    np.testing.assert_allclose(distribution.at(60, np.array(queries, float)), expected, rtol=1e-12)
+
+
+def test_types_a_and_b_are_mirrored_where_they_begin_at_zero_and_dark_beyond_their_ends() -> None:
+    candela = np.array([[4.0, 2], [3, 1]])
+    for kind in ("A", "B"):
+        folded = Distribution(kind, np.array([0.0, 10]), np.array([0.0, 20]), candela)
+        np.testing.assert_allclose(folded.at([10, -10, 5, 11, 0], [20, -20, -10, 0, 21]), [1, 1, 2.5, 0, 0])
+        sided = Distribution(kind, np.array([-1.0, 10]), np.array([1.0, 20]), candela)
+        np.testing.assert_allclose(sided.at([-1, 10, -5, 0], [1, 20, 10, -5]), [4, 1, 0, 0])
+
+
+def test_bilinear_within_a_cell() -> None:
+    d = Distribution("A", np.array([-1.0, 1]), np.array([-2.0, 2]), np.array([[0.0, 4], [8, 12]]))
+    assert d.at(0.5, 1.0) == pytest.approx(0.25 * 3 + 0.75 * 11)
+
+
+@pytest.mark.parametrize(
+    ("distribution", "flux"),
+    [
+        (uniform("C", [0, 180], [0]), 4 * math.pi),
+        (uniform("C", [0, 30, 90], [0, 45, 90]), 2 * math.pi),
+        (uniform("C", [90, 180], [0, 180]), 2 * math.pi),
+        (uniform("A", [-90, 90], [-90, 90]), 2 * math.pi),
+        (uniform("A", [0, 90], [0, 90]), 2 * math.pi),
+        (uniform("B", [-90, 0, 90], [0, 90]), 2 * math.pi),
+        (uniform("A", [-90, 90], [0]), 4 * math.pi),
+        (uniform("A", [-5, 5], [-10, 10]), 2 * math.sin(math.radians(5)) * math.radians(20)),
+        (uniform("B", [-5, 5], [-10, 10]), 2 * math.sin(math.radians(10)) * math.radians(10)),
+    ],
+)
+def test_uniform_light_has_the_flux_of_its_solid_angle(distribution: Distribution, flux: float) -> None:
+    assert distribution.luminous_flux == pytest.approx(flux, rel=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["A", "B", "C"])
+def test_flux_is_the_integral_of_what_is_looked_up(kind: Kind) -> None:
+    rng = np.random.default_rng(3)
+    v, h = np.array([5.0, 11, 30]), np.array([10.0, 14, 31])
+    d = Distribution(kind, v, h, rng.random((3, 3)))
+    density = {"A": lambda v, h: math.cos(v), "B": lambda v, h: math.cos(h), "C": lambda v, h: math.sin(v)}[kind]
+    total = 0.0
+    for i in range(2):
+        for j in range(2):  # a cell at a time, within which the integrand is smooth
+            cell = np.deg2rad([h[i], h[i + 1], v[j], v[j + 1]])
+            total += dblquad(lambda y, x: float(d.at(math.degrees(y), math.degrees(x))) * density(y, x), *cell, epsabs=1e-12)[0]
+    assert d.luminous_flux == pytest.approx(total, rel=1e-9)  # dblquad's own accuracy
+
+
+@given(st.sampled_from(["A", "B", "C"]), st.integers(0, 2**32 - 1), st.sampled_from(["beam", "nadir"]))
+def test_intensity_depends_on_direction_alone_and_is_never_brighter_than_the_table(kind: Kind, seed: int, aim: str) -> None:
+    rng = np.random.default_rng(seed)
+    v = np.sort(rng.choice(90, 4, replace=False)).astype(float)
+    d = Distribution(kind, v, np.array([0.0, 30, 90]), rng.random((3, 4)))
+    directions = rng.normal(size=(3, 5, 7))
+    light = d.intensity(directions, aim)  # type: ignore[arg-type]
+    assert light.shape == (5, 7)
+    assert (light >= 0).all() and (light <= d.candela.max() * (1 + 1e-12)).all()
+    np.testing.assert_allclose(d.intensity(3.7 * directions, aim), light, atol=1e-9)  # type: ignore[arg-type]
+
+
+def test_a_lamp_is_sampled_at_the_nodes() -> None:
+    def intensity(directions: torch.Tensor) -> torch.Tensor:
+        return directions[0] + 0.5 * directions[1].clamp(max=0).abs()  # brighter to the right
+
+    d = sample(intensity, np.linspace(-20, 20, 9), np.linspace(-5, 5, 5))
+    assert d.type == "A" and d.candela.shape == (9, 5)
+    there = direction(torch.tensor(15.0), torch.tensor(-2.5))
+    assert d.at(-2.5, 15.0) == pytest.approx(float(intensity(there[:, None])), rel=1e-12)
+    assert d.at(-2.5, 15.0) > d.at(-2.5, -15.0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "v", "h", "candela", "word"),
+    [
+        ("A", [0.0], [0.0], [[1.0]], "at least 2 vertical"),
+        ("A", [0.0, 0], [0.0], [[1.0, 1]], "ascend"),
+        ("C", [-1.0, 0], [0.0], [[1.0, 1]], "0 to 180"),
+        ("B", [0.0, 1], [0.0, 91], [[1.0, 1], [1, 1]], "-90 to 90"),
+        ("A", [0.0, 1], [0.0], [[1.0], [1]], "rows"),
+        ("A", [0.0, 1], [0.0], [[1.0, -1]], "not negative"),
+        ("A", [0.0, 1], [0.0], [[1.0, math.nan]], "finite"),
+    ],
+)
+def test_nonsense_is_refused(kind: Kind, v: list[float], h: list[float], candela: list[list[float]], word: str) -> None:
+    with pytest.raises(LuxloopError, match=word):
+        Distribution(kind, np.array(v), np.array(h), np.array(candela))

@@ -1,0 +1,129 @@
+"""EULUMDAT files: symmetries, oddities, and errors that name their line."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from tests.world.photometry.writing import ies, ldt
+from world.errors import LuxloopError
+from world.photometry import read
+from world.photometry.eulumdat import parse
+
+C, GAMMA = [0, 90, 180, 270], [0, 90, 180]
+TABLE = [[10.0, 20, 30], [40, 50, 60]]
+PLAIN = ldt(4, C, GAMMA, TABLE)
+FIRST_VALUE = 43 + len(C) + len(GAMMA)  # 26 lines, six of a set of lamps, ten ratios, then the angles
+
+
+def parsed(text: str):  # type: ignore[no-untyped-def]
+    return parse(text, Path("lamp.ldt"))
+
+
+def test_a_plain_file() -> None:
+    p = parsed(PLAIN)
+    assert (p.format, p.luminaire, p.lamps, p.lumens_per_lamp, p.watts) == ("EULUMDAT", "luminaire", 1, 2000, 20)
+    assert p.size_m == (-0.2, 0.2, 0.02)  # round
+    np.testing.assert_allclose(p.distribution.candela, 2 * np.array(TABLE))  # cd/klm at 2000 lm
+    assert p.warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("symmetry", "stored", "ahead", "left", "behind", "right"),
+    [
+        (0, 4, 20, 30, 40, 10),
+        (1, 1, 10, 10, 10, 10),
+        (2, 3, 20, 30, 20, 10),  # C0 to C180; C90 and C270 alike
+        (3, 3, 30, 20, 10, 20),  # C270, C0, C90; C0 and C180 alike
+        (4, 2, 20, 10, 20, 10),
+    ],
+)
+def test_symmetries(symmetry: int, stored: int, ahead: float, left: float, behind: float, right: float) -> None:
+    d = parsed(ldt(symmetry, C, GAMMA, [[1.0, 10 * plane, 1] for plane in range(1, stored + 1)], flux="1000")).distribution
+    assert len(d.horizontal_deg) == stored
+    around = np.array([[1.0, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]]).T
+    np.testing.assert_allclose(d.intensity(around, "nadir"), [ahead, left, behind, right])
+
+
+@pytest.mark.parametrize("layout", [lambda t: t.replace("\n", "\r\n"), lambda t: t.replace(".", ","), lambda t: "﻿" + t])
+def test_layout_does_not_matter(layout, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    (tmp_path / "lamp.ldt").write_bytes(layout(ldt(4, C, GAMMA, [[10.5, 20, 30], [40, 50, 60]])).encode())
+    assert read(tmp_path / "lamp.ldt").distribution.candela[0, 0] == 21
+
+
+def test_a_negative_number_of_lamps_means_absolute() -> None:
+    p = parsed(ldt(4, C, GAMMA, TABLE, lamps="-1"))
+    assert p.absolute and p.lamps == 1
+    np.testing.assert_allclose(p.distribution.candela, 2 * np.array(TABLE))
+
+
+@pytest.mark.parametrize(
+    ("text", "warned"),
+    [
+        (PLAIN + "END\n", "ignored"),
+        (PLAIN + "\x1a", "Ctrl-Z"),
+        (PLAIN.replace("\n4000\n80\n20\n", "\n4000\n80\nunknown\n"), "read as 0"),
+        (PLAIN.replace("100\n100\n1\n0\n", "100\n100\n2\n0\n"), "conversion factor 2"),
+    ],
+)
+def test_odd_files_are_read_with_a_warning(text: str, warned: str) -> None:
+    warnings = parsed(text).warnings
+    assert len(warnings) == 1 and warned in warnings[0]
+
+
+def line_changed(number: int, value: str) -> str:
+    lines = PLAIN.split("\n")
+    lines[number - 1] = value
+    return "\n".join(lines)
+
+
+@pytest.mark.parametrize(
+    ("number", "value", "expected"),
+    [
+        (3, "5", "the symmetry Isym (0 to 4), found '5'"),
+        (3, "", "expected the symmetry Isym, found '(nothing)'"),
+        (4, "many", "expected the number of C planes, found 'many'"),
+        (6, "1", "at least 2"),
+        (26, "0", "the number of lamp sets (at least 1)"),
+        (29, "0", "a luminous flux above 0"),
+        (44, "80", "C planes that hold C0 and C90"),
+        (45, "20", "expected C plane 3 of 4, ascending"),
+        (49, "95o", "expected angle gamma 3 of 3"),
+        (FIRST_VALUE + 1, "x", "expected value in cd/klm 2 of 6, found 'x'"),
+        (FIRST_VALUE + 1, "-5", "not negative, found '-5'"),
+    ],
+)
+def test_broken_files_name_the_line_and_what_was_expected(number: int, value: str, expected: str) -> None:
+    with pytest.raises(LuxloopError) as error:
+        parsed(line_changed(number, value))
+    assert expected in str(error.value)
+    assert f"line {number}:" in str(error.value) or (number == 44 and "line 46" in str(error.value))
+
+
+@pytest.mark.parametrize("lines", [1, 5, 27, 35, 42, 45, 52])
+def test_truncated_files_name_their_end(lines: int) -> None:
+    with pytest.raises(LuxloopError, match=r"found the file's end|found '\(nothing\)'"):
+        parsed("\n".join(PLAIN.split("\n")[:lines]))
+
+
+def test_what_a_file_holds_counts_more_than_its_name(tmp_path: Path) -> None:
+    (tmp_path / "lamp.ldt").write_text(ies([0, 90], [0], [[1, 2]]))
+    assert read(tmp_path / "lamp.ldt").format == "LM-63-2002"
+    (tmp_path / "lamp.txt").write_text(PLAIN)
+    assert read(tmp_path / "lamp.txt").format == "EULUMDAT"
+
+
+PIECES = st.sampled_from(["-1", "0", "nan", "1e400", "9999999999999", "\n", "\x1a", ",", "x", "ÿ", "1_0", "٣", "1e308", ""])
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.integers(0, len(PLAIN)), st.integers(0, 12), PIECES, st.booleans())
+def test_any_damage_is_read_or_refused_with_a_sentence(tmp_path: Path, at: int, cut: int, piece: str, truncated: bool) -> None:
+    file = tmp_path / "lamp.ldt"
+    file.write_bytes((PLAIN[:at] + piece + ("" if truncated else PLAIN[at + cut :])).encode())
+    try:
+        assert np.isfinite(read(file).distribution.candela).all()
+    except LuxloopError as error:
+        assert str(file) in str(error)

@@ -1,0 +1,118 @@
+"""Light textures of distributions: averages and interpolation, flux, and an error that falls with resolution."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+
+from world.photometry import Distribution, light_texture, rmse
+from world.photometry.distribution import Kind
+from world.photometry.texture import samples, solid_angles
+from world.texels import TexelGrid
+
+
+def beam(step_deg: float, kind: Kind = "A") -> Distribution:
+    """A smooth beam with a hot spot aside, in steps of so many degrees."""
+    h, v = np.arange(-40, 40 + step_deg / 2, step_deg), np.arange(-20, 20 + step_deg / 2, step_deg)
+    light = np.exp(-(((h[:, None] - 3) / 12) ** 2) - ((v + 2) / 5) ** 2)
+    return Distribution(kind, v, h, 3e4 * light)
+
+
+def grid(rows: int, cols: int, half_deg: float = 20, half_v_deg: float = 10) -> TexelGrid:
+    return TexelGrid.from_degrees(rows, cols, half_deg, -half_deg, -half_v_deg, half_v_deg)
+
+
+def centres(g: TexelGrid) -> np.ndarray:
+    y, z = (each.numpy() for each in g.tangents(torch.float64, torch.device("cpu")))
+    y, z = np.broadcast_arrays(y, z[:, None])
+    return np.stack([np.ones_like(y), y, z])
+
+
+def test_solid_angles_add_up_to_that_of_the_whole_plane() -> None:
+    assert solid_angles(grid(7, 13, 45, 45)).sum() == pytest.approx(4 * math.pi / 6, rel=1e-12)  # a face of a cube
+    small = solid_angles(TexelGrid(rows=1, cols=1, left=0.501, right=0.5, bottom=0.2, top=0.201))[0, 0]
+    assert small == pytest.approx(1e-6 * (1 + 0.5005**2 + 0.2005**2) ** -1.5, rel=1e-6)
+
+
+def test_fine_texels_are_interpolated() -> None:
+    d, g = beam(5), grid(64, 64)
+    across, down = samples(d, g)
+    assert across.max() == down.max() == 1
+    np.testing.assert_allclose(light_texture(d, g), d.intensity(centres(g)), rtol=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["A", "B"])
+def test_coarse_texels_hold_the_average_over_their_solid_angle(kind: Kind) -> None:
+    d, g = beam(0.5, kind), grid(4, 6)
+    coarse = light_texture(d, g)
+    fine = grid(4 * 128, 6 * 128)
+    weight = solid_angles(fine)
+    flux = (d.intensity(centres(fine)) * weight).reshape(4, 128, 6, 128).sum((1, 3))
+    np.testing.assert_allclose(coarse, flux / solid_angles(g), rtol=2e-3)  # two samples a step resolve its kinks to that
+    assert (samples(d, g)[0] >= 16).all()  # some 7 deg of 0.5
+
+
+def test_one_texture_may_have_both() -> None:
+    """A file that is fine in the middle and coarse outside, as goniophotometers measure."""
+    h = np.concatenate([np.arange(-40, -5, 5), np.arange(-5, 5, 0.1), np.arange(5, 41, 5)])
+    v = np.array([-30.0, 30])
+    d = Distribution("A", v, h, np.repeat(1 + np.cos(np.deg2rad(40 * h))[:, None], 2, axis=1))
+    across, down = samples(d, grid(4, 40))
+    assert down.max() == 1
+    assert across[0, 0] == across[0, -1] == 1 and across[0, 20] >= 16  # 1 deg of 0.1
+
+
+@pytest.mark.parametrize("shape", [(3, 5), (10, 20), (33, 64), (80, 160)])
+def test_flux_is_kept(shape: tuple[int, int]) -> None:
+    """All of the light lies within the texture; it is the integral of the table, at any resolution."""
+    h, v = np.arange(-15, 15.1, 0.5), np.arange(-8, 8.1, 0.5)
+    d = Distribution("A", v, h, 1e4 * (np.cos(np.deg2rad(6 * h))[:, None] * np.cos(np.deg2rad(11.25 * v))).clip(0))
+    g = grid(*shape)
+    assert (light_texture(d, g) * solid_angles(g)).sum() == pytest.approx(d.luminous_flux, rel=2e-3)
+
+
+def test_uniform_light_stays_uniform() -> None:
+    for kind in ("A", "B"):
+        d = Distribution(kind, np.linspace(-90, 90, 181), np.linspace(-90, 90, 181), np.full((181, 181), 7.0))
+        np.testing.assert_allclose(light_texture(d, grid(3, 5)), 7.0, rtol=1e-12)
+    round_about = Distribution("C", np.linspace(0, 90, 91), np.linspace(0, 360, 73), np.full((73, 91), 7.0))
+    for aim in ("beam", "nadir"):
+        texture = light_texture(round_about, TexelGrid.from_degrees(4, 6, 30, -30, -60, -10), aim)  # type: ignore[arg-type]
+        np.testing.assert_allclose(texture, 7.0, rtol=1e-12)
+
+
+def test_type_c_turns_with_its_aim() -> None:
+    """A street lamp that throws to its C0 side: to the right when it is the beam, and below the horizon as it hangs."""
+    d = Distribution("C", np.array([0.0, 20, 90]), np.array([0.0, 90, 180]), np.array([[1.0, 100, 0], [1, 10, 0], [1, 1, 0]]))
+    texture = light_texture(d, grid(21, 41, 30, 30))
+    row, col = np.unravel_index(texture.argmax(), texture.shape)
+    assert row == 10 and col > 25
+    hung = light_texture(d, TexelGrid.from_degrees(20, 41, 60, -60, -75, 75), "nadir")
+    assert hung[:10].max() == 0 and hung[10:].max() > 0
+
+
+@pytest.mark.parametrize("kind", ["A", "B"])
+def test_the_error_falls_to_zero_with_resolution(kind: Kind) -> None:
+    """A bilinear table on other lines than the texels': kinks give an error of order h on a share h of the area, order 1.5 in all."""
+    d = beam(2.0, kind)
+    errors = [rmse(d, g, light_texture(d, g)) / d.candela.max() for g in (grid(n, 2 * n) for n in (16, 32, 64, 128, 256))]
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert (orders > 1.3).all() and orders[1:].mean() == pytest.approx(1.5, abs=0.2)
+    assert errors[-1] < 2e-4
+
+
+def test_the_error_falls_for_uneven_type_c_too() -> None:
+    v, h = np.array([0.0, 1, 2.5, 5, 9, 20, 90]), np.arange(0.0, 361, 15)
+    d = Distribution("C", v, h, np.outer(2 + np.cos(np.deg2rad(h)), [9, 8, 6, 3, 1, 0.3, 0]))
+    errors = [rmse(d, g, light_texture(d, g)) for g in (grid(n, 2 * n) for n in (8, 16, 32, 64, 128))]
+    assert all(finer < coarser / 2 for coarser, finer in pairwise(errors))
+
+
+def test_averages_are_better_than_samples_where_texels_are_coarse() -> None:
+    rng = np.random.default_rng(5)
+    h, v = np.arange(-21, 21.1, 0.25), np.arange(-11, 11.1, 0.25)
+    speckled = Distribution("A", v, h, rng.random((len(h), len(v))))
+    g = grid(10, 20)
+    assert rmse(speckled, g, light_texture(speckled, g)) < 0.85 * rmse(speckled, g, speckled.intensity(centres(g)))
