@@ -71,7 +71,7 @@ class GaussianPixels(_Pixels):
 
 
 class BlurredRectangles(_Pixels):
-    """Rectangles side by side, each convolved with a Gaussian: all pixels on, they add up to an even field with soft borders."""
+    """Rectangles side by side, each convolved with a Gaussian: all pixels on, they are an even field with soft borders."""
 
     kind: Literal["blurred_rectangles"] = "blurred_rectangles"
     rows: int = Field(description="pixel rows", gt=0)
@@ -132,7 +132,7 @@ def _gaussian(axis: Floats, centres: Floats, sigmas: Floats) -> Floats:
 
 
 def _rectangle(axis: Floats, borders: Floats, blur: float, overlap: float) -> Floats:
-    """Means over texels `[T, P]` of blurred rectangles between falling borders `[P + 1]`, all of which add up to one."""
+    """Means over texels `[T, P]` of blurred rectangles about falling borders `[P + 1]`; all together they are one on average."""
     spread = 0.5 * overlap * (borders[:-1] - borders[1:])
     upper, lower = borders[:-1] + spread, borders[1:] - spread
     primitive = _ramp(axis[:, None] - lower, blur) - _ramp(axis[:, None] - upper, blur)

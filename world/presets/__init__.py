@@ -7,6 +7,7 @@ from functools import lru_cache
 from typing import Literal
 
 from world.errors import LuxloopError
+from world.headlight import Headlight
 from world.lamp import Lamp, Module
 from world.presets import dmd, hd84, ideal, ssl_hd
 from world.presets.beams import FittedBeams
@@ -14,14 +15,19 @@ from world.presets.ideal import idealised
 
 __all__ = ["NAMES", "idealised", "lamp"]
 
+
+def _alone(name: str, light: Callable[[float], Headlight]) -> Callable[[float], tuple[Module, ...]]:
+    return lambda chromatic_shift: (Module(name, light(chromatic_shift)),)
+
+
 # Modules of the left lamp, given the chromatic shift, and what is known of them.
 _LAMPS: dict[str, tuple[Callable[[float], tuple[Module, ...]], str]] = {
-    "idealised-332x1024": (ideal.modules, ideal.NOTES),
-    "hd84": (hd84.modules, hd84.NOTES),
-    "ssl-hd-lores": (ssl_hd.lores_modules, ssl_hd.NOTES),
-    "ssl-hd-hires": (ssl_hd.hires_modules, ssl_hd.NOTES),
+    "idealised-332x1024": (_alone("matrix", ideal.light), ideal.NOTES),
+    "hd84": (_alone("matrix", hd84.light), hd84.NOTES),
+    "ssl-hd-lores": (_alone("lores", ssl_hd.lores), ssl_hd.NOTES),
+    "ssl-hd-hires": (_alone("hires", ssl_hd.hires), ssl_hd.NOTES),
     "ssl-hd": (ssl_hd.modules, ssl_hd.NOTES),
-    "dmd-1m3": (dmd.modules, dmd.NOTES),
+    "dmd-1m3": (_alone("matrix", dmd.light), dmd.NOTES),
 }
 NAMES = tuple(_LAMPS)
 
@@ -35,7 +41,7 @@ def lamp(name: str, side: Literal["left", "right"] = "left", chromatic_shift: fl
     """
     if name not in _LAMPS:
         near = difflib.get_close_matches(name, NAMES, n=1, cutoff=0.4)
-        raise LuxloopError(f"there is no lamp {name!r}{f', did you mean {near[0]!r}?' if near else ':'} The lamps are {', '.join(NAMES)}")
+        raise LuxloopError(f"there is no lamp {name!r}{f', did you mean {near[0]!r}' if near else ''}? The lamps are {', '.join(NAMES)}")
     if side not in ("left", "right"):
         raise LuxloopError(f"a lamp's side is 'left' or 'right', not {side!r}")
     build, notes = _LAMPS[name]

@@ -1,7 +1,6 @@
 """A projector with 1.3 million micromirrors."""
 
 from world.headlight import Headlight
-from world.lamp import Module
 from world.parametric import BlurredRectangles
 from world.presets.modules import headlight
 from world.texels import TexelGrid
@@ -14,9 +13,5 @@ PIXELS = BlurredRectangles(
 )
 
 
-def module(chromatic_shift: float = 0.0) -> Headlight:
+def light(chromatic_shift: float = 0.0) -> Headlight:
     return headlight("dmd-1m3", PIXELS, TexelGrid.from_degrees(2304, 1152, 7, -7, -5, 2), chromatic_shift)
-
-
-def modules(chromatic_shift: float = 0.0) -> tuple[Module, ...]:
-    return (Module("matrix", module(chromatic_shift)),)

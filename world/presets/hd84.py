@@ -1,7 +1,6 @@
 """The HD84 module: 84 Gaussian pixels in three unequal rows."""
 
 from world.headlight import Headlight
-from world.lamp import Module
 from world.parametric import GaussianPixels
 from world.presets.modules import headlight
 from world.texels import TexelGrid
@@ -14,16 +13,12 @@ PIXELS = GaussianPixels(
     left_deg=20,
     right_deg=-20,
     widening=1.0,
-    row_centres_deg=(3.2, 0.5, -2.6),
-    row_sigmas_deg=(1.3, 0.7, 1.3),
-    column_sigma=0.6,
-    peak_cd=(12_000, 30_000, 12_000),
+    column_sigma=0.45,
+    row_centres_deg=(2.3, 0.1, -2.2),
+    row_sigmas_deg=(1.0, 0.6, 1.0),
+    peak_cd=(20_000, 40_000, 20_000),
 )
 
 
-def module(chromatic_shift: float = 0.0) -> Headlight:
+def light(chromatic_shift: float = 0.0) -> Headlight:
     return headlight("hd84", PIXELS, TexelGrid.from_degrees(128, 512, 23, -23, -6.5, 6.5), chromatic_shift)
-
-
-def modules(chromatic_shift: float = 0.0) -> tuple[Module, ...]:
-    return (Module("matrix", module(chromatic_shift)),)

@@ -7,7 +7,6 @@ import scipy.sparse as sp
 
 from world.errors import LuxloopError
 from world.headlight import Headlight
-from world.lamp import Module
 from world.spmv import Csr
 
 NOTES = """Published (thesis, T 9.4.3): 332 x 1024 pixels, +-10 deg by +1.5 to -3.5 deg, minimal overlap.
@@ -67,8 +66,8 @@ def idealised(
     )
 
 
-def modules(chromatic_shift: float = 0.0) -> tuple[Module, ...]:
+def light(chromatic_shift: float = 0.0) -> Headlight:
     """Raises LuxloopError for coloured edges: this lamp has none."""
     if chromatic_shift:
         raise LuxloopError("the idealised lamp has no coloured edges: leave chromatic_shift at 0")
-    return (Module("matrix", idealised()),)
+    return idealised()
