@@ -1,6 +1,6 @@
 """A lamp: modules with their mounts and movements, and the beams that it knows by name (T 2.2, 5.2)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
@@ -69,6 +69,24 @@ class Lamp:
 
         return min(self.modules, key=pixel_area)
 
+    @property
+    def field_deg(self) -> tuple[float, float, float, float]:
+        """Where there can be light, as angles in deg from the axis: left and right (left positive), bottom and top (up positive)."""
+        edge = torch.linspace(0, 1, 33, dtype=torch.float64)
+        h, v = [], []
+        for module in self.modules:
+            light = module.headlight
+            y, z = light.left + edge * (light.right - light.left), light.bottom + edge * (light.top - light.bottom)
+            borders = [(y, torch.full_like(y, light.top)), (y, torch.full_like(y, light.bottom))]
+            borders += [(torch.full_like(z, light.left), z), (torch.full_like(z, light.right), z)]
+            ray = torch.stack([torch.ones(4, 33, dtype=torch.float64), *(torch.stack(each) for each in zip(*borders, strict=True))])
+            x, y, z = module.T_lamp_module[:3, :3] @ ray.flatten(1)
+            h.append(torch.rad2deg(torch.atan2(y, x)))
+            v.append(torch.rad2deg(torch.atan2(z, torch.hypot(x, y))))
+        low_h, high_h = (float(value) for value in torch.cat(h).aminmax())
+        low_v, high_v = (float(value) for value in torch.cat(v).aminmax())
+        return high_h, low_h, low_v, high_v
+
     def beam(self, name: str) -> tuple[Tensor, ...]:
         """Utilisations of a beam by name, or of `full` (all pixels on) and `off`. Raises LuxloopError that names the beams there are."""
         if name in ("full", "off"):
@@ -78,14 +96,22 @@ class Lamp:
             raise LuxloopError(f"lamp {self.name!r} has no beam {name!r}; it has {', '.join([*self.beams, 'full', 'off'])}")
         return self.beams[name]
 
+    def lit(self, utilisations: Sequence[Tensor]) -> Callable[[Tensor], Tensor]:
+        """The lamp's light far away for fixed utilisations, one a module: luminous intensity of directions, as `intensity` gives it."""
+        textures = [module.headlight.light_texture(u).double().cpu() for module, u in zip(self.modules, utilisations, strict=True)]
+
+        def intensity(directions: Tensor) -> Tensor:
+            directions = directions.double()
+            total = torch.zeros(directions.shape[1], dtype=torch.float64)
+            for module, texture in zip(self.modules, textures, strict=True):
+                total += module.headlight.intensity(texture, module.T_lamp_module[:3, :3].T @ directions)
+            return total
+
+        return intensity
+
     def intensity(self, utilisations: Sequence[Tensor], directions: Tensor) -> Tensor:
         """Luminous intensity `[N]` in cd, float64, into directions `[3, N]` of the lamp frame: all modules added up, seen from far away."""
-        directions = directions.double()
-        total = torch.zeros(directions.shape[1], dtype=torch.float64)
-        for module, u in zip(self.modules, utilisations, strict=True):
-            local = module.T_lamp_module[:3, :3].T @ directions
-            total += module.headlight.intensity(module.headlight.light_texture(u).double().cpu(), local)
-        return total
+        return self.lit(utilisations)(directions)
 
 
 def direction(h_deg: Tensor, v_deg: Tensor) -> Tensor:

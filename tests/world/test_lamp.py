@@ -84,3 +84,11 @@ def test_the_finest_module_has_the_smallest_pixels_and_scaling_sets_the_peak(hea
     assert lamp.finest.name == "narrow"
     assert headlight.scaled(0.5).peak_cd == pytest.approx(0.5 * headlight.peak_cd)
     assert headlight.scaled(1.0) is headlight
+
+
+def test_the_field_is_that_of_all_modules_as_they_are_mounted(headlight: Headlight) -> None:
+    assert Lamp("one", (Module("main", headlight),)).field_deg == pytest.approx((10, -10, -3.5, 1.5), abs=1e-9)
+    turned = Module("aside", headlight, pose_from_degrees((0, 0, 0), yaw_deg=20, pitch_deg=1))
+    left, right, bottom, top = Lamp("two", (Module("main", headlight), turned)).field_deg
+    # A pitched field's corners do not lie exactly at the angles of its borders.
+    assert (left, right, bottom, top) == pytest.approx((30, -10, -4.5, 1.5), abs=0.1)
