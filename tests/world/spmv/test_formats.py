@@ -1,0 +1,135 @@
+"""Every format gives the product of the dense matrix, and stores what the thesis says."""
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.world.spmv.matrices import matrices, random_matrix
+from world.errors import LuxloopError
+from world.spmv import FORMATS, Csr, SparseFormat, Storage, build
+from world.spmv.padded import Sell
+
+each_format = pytest.mark.parametrize("name", FORMATS)
+
+# 6 x 4, rows of 0, 2, 1, 0, 3 and 0 entries.
+BY_HAND = np.array([[0, 0, 0, 0], [1, 0, 2, 0], [0, 3, 0, 0], [0, 0, 0, 0], [4, 0, 5, 6], [0, 0, 0, 0]], dtype=np.float64)
+
+
+def matrix(dense: np.ndarray) -> Csr:
+    return Csr.from_scipy(sp.csr_matrix(dense), torch.float64)
+
+
+def stored(form: SparseFormat) -> int:
+    """Cells of a padded or packed format, from its tensors."""
+    values = form.values if hasattr(form, "values") else form.csr.values
+    return values.numel()
+
+
+@each_format
+@settings(deadline=None, max_examples=50)
+@given(matrices)
+def test_products_are_those_of_the_dense_matrix(name: str, sparse: sp.csr_array) -> None:
+    form = build(Csr.from_scipy(sparse, torch.float64), name)
+    x = torch.linspace(0.1, 1, 2 * 3 * sparse.shape[1], dtype=torch.float64).view(2, 3, -1)
+    expected = x.numpy() @ sparse.toarray().T
+    # float64 sums of at most 30 numbers in 0..1.
+    np.testing.assert_allclose(form.multiply(x), expected, rtol=1e-13, atol=1e-13)
+    garbage = torch.full(expected.shape, torch.nan, dtype=torch.float64)
+    np.testing.assert_allclose(form.multiply(x, out=garbage), expected, rtol=1e-13, atol=1e-13)
+    np.testing.assert_allclose(form.refresh(2 * x, garbage), 2 * expected, rtol=1e-13, atol=1e-13)
+    np.testing.assert_allclose(form.multiply(x[0, 0]), expected[0, 0], rtol=1e-13, atol=1e-13)
+    assert stored(form) == form.storage.values
+
+
+@pytest.mark.parametrize(
+    ("name", "storage"),
+    [
+        ("coo", Storage(6, 6, 6)),  # 2 indices an entry
+        ("csr", Storage(6 + 1, 6, 6)),  # n_t + 1
+        ("window", Storage(4 + 2, 6, 6)),  # rows 1 to 4: an offset each, one at the end, and where they start
+        ("submatrix", Storage(2 * 3 + 1, 6, 6)),  # 2 n_gz + 1
+        ("lgc", Storage(3 * 3, 6, 6)),  # 3 n_gz
+        ("ell", Storage(0, 6 * 3, 6 * 3)),  # n_t times the longest
+        ("sell", Storage(1 + 1, 32 * 3, 32 * 3)),  # one slice, padded
+        # One tile of three rows and all four columns: its width, the first row and the last sum, and the places of rows 1 to 4.
+        ("tiles", Storage(4 + 3, 4, 32 * 4)),
+        ("tiles64", Storage(4 + 3, 4, 64 * 4)),
+    ],
+)
+def test_storage_counted_by_hand(name: str, storage: Storage) -> None:
+    assert FORMATS[name].count(matrix(BY_HAND)) == storage
+    assert build(matrix(BY_HAND), name).storage == storage
+    assert storage.bytes(torch.float64) == 4 * (storage.row_indices + storage.column_indices) + 8 * storage.values
+
+
+@settings(deadline=None)
+@given(matrices)
+def test_storage_is_what_the_thesis_says(sparse: sp.csr_array) -> None:
+    csr = Csr.from_scipy(sparse, torch.float64)
+    lengths = (sparse.toarray() != 0).sum(1)
+    lit, nnz = (lengths > 0).sum(), lengths.sum()
+    assert FORMATS["coo"].count(csr).index_count == 2 * nnz
+    assert FORMATS["csr"].count(csr).row_indices == len(lengths) + 1
+    assert FORMATS["submatrix"].count(csr).row_indices == 2 * lit + 1
+    assert FORMATS["lgc"].count(csr).row_indices == 3 * lit
+    assert FORMATS["ell"].count(csr).column_indices == len(lengths) * lengths.max()
+
+
+@settings(deadline=None)
+@given(matrices, st.integers(1, 8))
+def test_slices_of_any_height(sparse: sp.csr_array, height: int) -> None:
+    csr = Csr.from_scipy(sparse, torch.float64)
+    form = Sell(csr, height)
+    x = torch.linspace(0.1, 1, csr.n_cols, dtype=torch.float64)
+    np.testing.assert_allclose(form.multiply(x), sparse @ x.numpy(), rtol=1e-13, atol=1e-13)
+    lengths = (sparse.toarray() != 0).sum(1)
+    slices = [lengths[start : start + height] for start in range(0, len(lengths), height)]
+    assert form.storage.row_indices == len(slices) + 1
+    assert form.storage.values == sum(height * part.max() for part in slices) == len(form.values)
+
+
+def test_a_uniformly_blurred_lamp_costs_sell_nothing() -> None:
+    csr = matrix(np.kron(np.eye(16), np.ones((4, 3))))
+    assert Sell.count(csr, 4).values == len(csr.values)
+
+
+@each_format
+def test_float32_on_every_device(name: str, device: torch.device) -> None:
+    sparse = random_matrix(2, 200, 100, 0.1)
+    form = build(Csr.from_scipy(sparse).to(device), name)
+    x = torch.linspace(0, 1, 100, device=device)
+    y = form.multiply(x)
+    assert (y.dtype, y.device.type) == (torch.float32, device.type)
+    # Sums of ten float32 products.
+    np.testing.assert_allclose(y.cpu(), sparse @ x.cpu().double().numpy(), rtol=1e-5, atol=1e-6)
+
+
+@each_format
+@pytest.mark.parametrize("shape", [(3, 2), (1, 5)])
+def test_matrices_without_entries(name: str, shape: tuple[int, int]) -> None:
+    form = build(matrix(np.zeros(shape)), name)
+    assert form.multiply(torch.ones(shape[1], dtype=torch.float64)).tolist() == [0] * shape[0]
+
+
+@each_format
+def test_what_does_not_fit_is_named(name: str) -> None:
+    form = build(matrix(BY_HAND), name)
+    x = torch.ones(4, dtype=torch.float64)
+    with pytest.raises(ValueError, match="4 columns cannot multiply a vector of 3"):
+        form.multiply(x[:3])
+    with pytest.raises(ValueError, match=r"contiguous \(6,\), it cannot go into \(5,\)"):
+        form.multiply(x, out=torch.zeros(5, dtype=torch.float64))
+    with pytest.raises(ValueError, match=r"float64 on cpu, torch.float32 on cpu"):
+        form.multiply(x.float())
+    with pytest.raises(ValueError, match=r"use world\.spmv\.multiply"):
+        form.multiply(x.requires_grad_())
+
+
+def test_unknown_formats_are_named() -> None:
+    with pytest.raises(LuxloopError, match="no sparse format 'windw'; did you mean 'window'"):
+        build(matrix(BY_HAND), "windw")
+    with pytest.raises(LuxloopError, match="take one of coo, csr"):
+        build(matrix(BY_HAND), "?")

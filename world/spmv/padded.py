@@ -1,0 +1,93 @@
+"""Formats that pad rows to a common length: ELL and SELL (T 2.5)."""
+
+import torch
+from torch import Tensor
+
+from world.spmv.csr import Csr, row_of_entries
+from world.spmv.protocol import SparseFormat, Storage, row_lengths
+
+
+class Ell(SparseFormat):
+    """All rows as long as the longest (T 2.5). Stored entry by entry, so that neighbouring rows lie side by side."""
+
+    name = "ell"
+
+    def __init__(self, csr: Csr) -> None:
+        super().__init__(csr)
+        self.storage = self.count(csr)
+        rows = row_of_entries(csr)
+        entry = torch.arange(len(rows), device=rows.device) - csr.indptr[rows]
+        width = _longest(csr)
+        self.columns = torch.zeros(width, csr.n_rows, dtype=torch.int32, device=self.device)
+        self.values = torch.zeros(width, csr.n_rows, dtype=self.dtype, device=self.device)
+        self.columns[entry, rows] = csr.indices
+        self.values[entry, rows] = csr.values
+
+    @classmethod
+    def count(cls, csr: Csr) -> Storage:
+        cells = csr.n_rows * _longest(csr)
+        return Storage(0, cells, cells)
+
+    def _write(self, x: Tensor, out: Tensor) -> None:
+        out.zero_()
+        gathered = self._buffer("gathered", self.n_rows)
+        for columns, values in zip(self.columns, self.values, strict=True):
+            out.addcmul_(values, torch.index_select(x, 0, columns, out=gathered))
+
+
+def _longest(csr: Csr) -> int:
+    return int(row_lengths(csr).max()) if csr.n_rows else 0
+
+
+class Sell(SparseFormat):
+    """Slices of `height` rows, each an ELL of its own (T fig. 2.13). Slices of a width are stored together, longest last."""
+
+    name = "sell"
+    height = 32  # a warp of a GPU
+
+    def __init__(self, csr: Csr, height: int = height) -> None:
+        self.height = height
+        super().__init__(csr)
+        self.storage = self.count(csr, height)
+        widths = _slice_widths(csr, height)
+        self.order = torch.argsort(widths, stable=True)
+        place = torch.empty_like(self.order)
+        place[self.order] = torch.arange(len(widths), device=self.device)
+        sorted_widths = widths[self.order].long()
+        offsets = torch.nn.functional.pad((sorted_widths * height).cumsum(0), (1, 0))
+        rows = row_of_entries(csr)
+        entry = torch.arange(len(rows), device=rows.device) - csr.indptr[rows]
+        cell = offsets[place[rows // height]] + entry * height + rows % height
+        cells = int(offsets[-1])
+        self.columns = torch.zeros(cells, dtype=torch.int32, device=self.device).index_copy_(0, cell, csr.indices)
+        self.values = torch.zeros(cells, dtype=self.dtype, device=self.device).index_copy_(0, cell, csr.values)
+        self.runs = _runs(sorted_widths)
+
+    @classmethod
+    def count(cls, csr: Csr, height: int = height) -> Storage:
+        widths = _slice_widths(csr, height)
+        cells = height * int(widths.sum())
+        return Storage(len(widths) + 1, cells, cells)
+
+    def _write(self, x: Tensor, out: Tensor) -> None:
+        products = torch.index_select(x, 0, self.columns, out=self._buffer("products", len(self.columns))).mul_(self.values)
+        sums = self._buffer("sums", len(self.order), self.height)
+        at = 0
+        for start, stop, width in self.runs:
+            cells = (stop - start) * width * self.height
+            torch.sum(products[at : at + cells].view(stop - start, width, self.height), 1, out=sums[start:stop])
+            at += cells
+        slices = self._buffer("slices", len(self.order), self.height)
+        out.copy_(slices.index_copy_(0, self.order, sums).view(-1)[: self.n_rows])
+
+
+def _slice_widths(csr: Csr, height: int) -> Tensor:
+    lengths = row_lengths(csr)
+    return torch.nn.functional.pad(lengths, (0, -csr.n_rows % height)).view(-1, height).amax(1)
+
+
+def _runs(widths: Tensor) -> list[tuple[int, int, int]]:
+    """Start, stop and width of each run of equal widths."""
+    values, counts = torch.unique_consecutive(widths, return_counts=True)
+    stops = counts.cumsum(0)
+    return list(zip((stops - counts).tolist(), stops.tolist(), values.tolist(), strict=True))

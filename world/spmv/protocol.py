@@ -1,0 +1,113 @@
+"""What every storage of a headlight matrix can do, and how its memory is counted (T 2.5, 5.3, 6.2)."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import torch
+from torch import Tensor
+
+from world.spmv.csr import Csr
+
+INDEX_BYTES = 4
+
+
+@dataclass(frozen=True)
+class Storage:
+    """What a format stores, padding included, counted as the thesis does: indices of rows (offsets too), of columns, and values."""
+
+    row_indices: int
+    column_indices: int
+    values: int
+
+    @property
+    def index_count(self) -> int:
+        return self.row_indices + self.column_indices
+
+    def bytes(self, dtype: torch.dtype = torch.float32) -> int:
+        return INDEX_BYTES * self.index_count + dtype.itemsize * self.values
+
+
+class SparseFormat(ABC):
+    """A headlight matrix `[n_rows, n_cols]`, stored to be multiplied again and again.
+
+    A format keeps work buffers between calls: it belongs to one thread. It has no gradient; `world.spmv.multiply` has.
+    """
+
+    name: ClassVar[str]
+    storage: Storage
+
+    def __init__(self, csr: Csr) -> None:
+        self.n_rows, self.n_cols = csr.n_rows, csr.n_cols
+        self.dtype, self.device = csr.values.dtype, csr.values.device
+        self._buffers: dict[str, Tensor] = {}
+
+    @classmethod
+    def from_csr(cls, csr: Csr) -> Self:
+        """Store a matrix this way, on its device."""
+        return cls(csr)
+
+    @classmethod
+    @abstractmethod
+    def count(cls, csr: Csr) -> Storage:
+        """What the format would store of a matrix, without storing it."""
+
+    @abstractmethod
+    def _write(self, x: Tensor, out: Tensor) -> None:
+        """`out = A x` for `[n_cols]` and `[n_rows]`, both contiguous; rows without entries may be left as they are."""
+
+    def _clear(self, out: Tensor) -> None:  # noqa: B027 (most formats write every row)
+        """Zero in `out [..., n_rows]` what `_write` leaves as it is."""
+
+    def multiply(self, x: Tensor, out: Tensor | None = None) -> Tensor:
+        """`A x` for x `[..., n_cols]` as `[..., n_rows]`, into `out` where given; every row is written.
+
+        Raises: ValueError where a shape, dtype or device does not fit, or x wants a gradient.
+        """
+        if out is None:
+            return self.refresh(x, x.new_zeros(*x.shape[:-1], self.n_rows))
+        self._check(x, out)
+        self._clear(out)
+        return self.refresh(x, out)
+
+    def refresh(self, x: Tensor, out: Tensor) -> Tensor:
+        """As `multiply`, for an `out` that came from it: rows that no pixel reaches stay zero and need not be written again."""
+        self._check(x, out)
+        # Products of single vectors are faster than one with a matrix of few columns.
+        for vector, result in zip(x.reshape(-1, self.n_cols), out.view(-1, self.n_rows), strict=True):
+            self._write(vector, result)
+        return out
+
+    def _check(self, x: Tensor, out: Tensor) -> None:
+        if x.shape[-1] != self.n_cols:
+            raise ValueError(f"a matrix with {self.n_cols} columns cannot multiply a vector of {x.shape[-1]}")
+        if out.shape != (*x.shape[:-1], self.n_rows) or not out.is_contiguous():
+            raise ValueError(f"the product is a contiguous {(*x.shape[:-1], self.n_rows)}, it cannot go into {tuple(out.shape)}")
+        if {(t.dtype, t.device) for t in (x, out)} != {(self.dtype, self.device)}:
+            raise ValueError(
+                f"matrix, vector and product must be alike: {self.dtype} on {self.device}, {x.dtype} on {x.device}, {out.dtype}"
+            )
+        if x.requires_grad:
+            raise ValueError("sparse formats have no gradient: use world.spmv.multiply(csr, x)")
+
+    def _buffer(self, name: str, *shape: int) -> Tensor:
+        """Work memory that lasts from call to call: a fresh one costs the CPU more than the product that fills it."""
+        if name not in self._buffers:
+            self._buffers[name] = torch.zeros(shape, dtype=self.dtype, device=self.device)
+        return self._buffers[name]
+
+
+def row_lengths(csr: Csr) -> Tensor:
+    """Entries of each row, `[n_rows]` int32."""
+    return csr.indptr.diff()
+
+
+def lit_rows(csr: Csr) -> Tensor:
+    """Rows that have entries, ascending, `[n_lit]` int64: the texels that any pixel reaches."""
+    return row_lengths(csr).nonzero()[:, 0]
+
+
+def lit_window(csr: Csr) -> tuple[int, int]:
+    """First row that has entries, and the one after the last."""
+    lit = lit_rows(csr)
+    return (int(lit[0]), int(lit[-1]) + 1) if len(lit) else (0, 0)
