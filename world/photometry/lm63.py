@@ -105,7 +105,7 @@ def _photometry(numbers: Numbers, path: Path, warnings: list[str]) -> Photometry
     """All that follows TILT, in the order of the standard."""
     lamps = numbers.whole("the number of lamps")
     lumens = numbers.one("lumens per lamp, or -1 for absolute photometry")
-    multiplier = numbers.one("the candela multiplier")
+    multiplier = numbers.positive("the candela multiplier")
     n_v = numbers.whole("the number of vertical angles", 2)
     n_h = numbers.whole("the number of horizontal angles", 1)
     code = numbers.whole("the photometric type: 1 for C, 2 for B, 3 for A")
@@ -118,11 +118,9 @@ def _photometry(numbers: Numbers, path: Path, warnings: list[str]) -> Photometry
     size = numbers.many(3, "width, length and height, number") * (FOOT_M if units == 1 else 1.0)
     if (size < 0).any():
         warnings.append("negative width, length or height: a round opening")
-    ballast = numbers.one("the ballast factor")
+    ballast = numbers.positive("the ballast factor")
     field_12 = numbers.one("the number after the ballast factor")
     watts = numbers.one("input watts")
-    if not 0 < multiplier * ballast < np.inf:
-        raise PhotometryError(f"{path}: candela multiplier {multiplier:g} and ballast factor {ballast:g} must be positive; correct them")
     v = numbers.ascending(n_v, "vertical angle", *VERTICAL_RANGE[kind])
     h = numbers.ascending(n_h, "horizontal angle", *HORIZONTAL_RANGE[kind])
     table = numbers.many(n_v * n_h, "candela value")

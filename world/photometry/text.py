@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 
 from world.errors import LuxloopError
 
+LARGEST = 1e15  # no number of photometry comes near it, and products of a few stay finite
+
 
 class PhotometryError(LuxloopError):
     """A photometric file that cannot be used; the sentence names the file, the line and what was expected."""
@@ -46,6 +48,12 @@ class Numbers:
     def one(self, what: str) -> float:
         return float(self.many(1, what)[0])
 
+    def positive(self, what: str) -> float:
+        value = self.one(what)
+        if value <= 0:
+            raise self.wrong(f"{what}, above 0")
+        return value
+
     def whole(self, what: str, low: int | None = None) -> int:
         value = self.one(what)
         if value != int(value) or (low is not None and value < low):
@@ -57,7 +65,7 @@ class Numbers:
         tokens = self._tokens[self._at : self._at + count]
         try:
             values = np.array(list(map(float, tokens)))
-            fine = bool(np.isfinite(values).all()) and "_" not in "".join(tokens)
+            fine = bool((np.abs(values) <= LARGEST).all()) and "_" not in "".join(tokens)
         except ValueError:
             fine = False
         if not fine:
@@ -99,7 +107,7 @@ class Numbers:
 
 
 def _number(token: str) -> bool:
-    return re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", token) is not None and bool(np.isfinite(float(token)))
+    return re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", token) is not None and abs(float(token)) <= LARGEST
 
 
 def _which(what: str, k: int, count: int) -> str:

@@ -12,7 +12,7 @@ from world.photometry.distribution import Aim, Array, Distribution, angles_of
 from world.texels import TexelGrid, bilinear
 
 SAMPLES_PER_STEP = 2  # in each direction: the file is bilinear within a step, so that two resolve it
-MOST_SAMPLES = 64  # a side of a texel: only around the pole of type C is it reached, where the azimuth does not matter
+MOST_SAMPLES = 256  # a side of a texel; more than that no average needs, and at the pole of type C the azimuth turns without end
 EDGE_STEPS = 4  # the end of a table, where light may stop at once, counts as so many steps
 _CHUNK = 1 << 20  # samples in memory at a time
 _PROBES = 1 << 16
@@ -22,9 +22,11 @@ def light_texture(distribution: Distribution, grid: TexelGrid, aim: Aim = "beam"
     """Luminous intensity `[rows, cols]` in cd of each texel (T 5.2); aim as in Distribution.intensity."""
     texture = np.empty((grid.rows, grid.cols))
     across, down = samples(distribution, grid, aim)
-    for n_y, n_z in np.unique(np.stack([across, down]).reshape(2, -1), axis=1).T:
-        rows, cols = np.nonzero((across == n_y) & (down == n_z))
-        step = max(_CHUNK // int(n_y * n_z), 1)
+    both = across * (MOST_SAMPLES + 1) + down
+    for n in np.unique(both):
+        n_y, n_z = divmod(int(n), MOST_SAMPLES + 1)
+        rows, cols = np.nonzero(both == n)
+        step = max(_CHUNK // (n_y * n_z), 1)
         for start in range(0, len(rows), step):
             r, c = rows[start : start + step], cols[start : start + step]
             y, z = _plane(grid, r[:, None, None] + _centres(n_z)[:, None], c[:, None, None] + _centres(n_y))
@@ -36,12 +38,13 @@ def light_texture(distribution: Distribution, grid: TexelGrid, aim: Aim = "beam"
 
 def samples(distribution: Distribution, grid: TexelGrid, aim: Aim = "beam") -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """How many samples across and down average each texel, `[rows, cols]` twice, powers of two; 1 where it is interpolated."""
-    rows, cols = np.arange(grid.rows)[:, None], np.arange(grid.cols)
-    left_right = [_steps(distribution, grid, rows + 0.5, cols + edge, aim) for edge in (0.0, 1.0)]
-    top_bottom = [_steps(distribution, grid, rows + edge, cols + 0.5, aim) for edge in (0.0, 1.0)]
+    row, col = np.arange(grid.rows + 1.0)[:, None], np.arange(grid.cols + 1.0)
     counts = []
-    for first, second in (left_right, top_bottom):
-        crossed = np.maximum(np.abs(second[0] - first[0]), _turned(second[1] - first[1], distribution))
+    for axis, (v, h) in (
+        (1, _steps(distribution, grid, row[:-1] + 0.5, col, aim)),
+        (0, _steps(distribution, grid, row, col[:-1] + 0.5, aim)),
+    ):
+        crossed = np.maximum(np.abs(np.diff(v, axis=axis)), _turned(np.diff(h, axis=axis), distribution))
         finer = np.exp2(np.ceil(np.log2(np.maximum(SAMPLES_PER_STEP * crossed, 1)))).astype(np.int64)
         counts.append(np.where(crossed <= 1 + 1e-9, 1, np.minimum(finer, MOST_SAMPLES)))
     return counts[0], counts[1]

@@ -51,6 +51,16 @@ def test_angles_are_those_of_the_standard(kind, aim, direction, v, h) -> None:  
     assert h is None or h_at == pytest.approx(h, abs=1e-12)
 
 
+def test_type_b_is_type_c_by_the_known_conversion() -> None:
+    """tan B = cos C' tan gamma and sin beta = sin C' sin gamma, planes C' counted from the one in which B turns (up) to the right."""
+    directions = np.random.default_rng(1).normal(size=(3, 50))
+    directions[0] = abs(directions[0])
+    v, h = np.deg2rad(angles_of("B", directions))
+    gamma, c = np.deg2rad(angles_of("C", directions))
+    np.testing.assert_allclose(np.tan(v), np.cos(np.pi / 2 - c) * np.tan(gamma), rtol=1e-9)
+    np.testing.assert_allclose(np.sin(h), np.sin(np.pi / 2 - c) * np.sin(gamma), rtol=1e-9)
+
+
 def test_hanging_planes_run_counterclockwise_seen_from_above() -> None:
     turn = np.deg2rad(np.array([0.0, 30, 60, 90]))
     directions = np.stack([np.sin(turn), -np.cos(turn), 0 * turn])  # from the right to ahead, which is counterclockwise

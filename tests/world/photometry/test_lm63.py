@@ -127,20 +127,21 @@ def test_odd_files_are_read_with_a_warning(text: str, warned: str) -> None:
         (PLAIN.replace(" 3 2 1", " 3.5 2 1"), 4, "expected the number of vertical angles (a whole number, at least 2), found '3.5'"),
         (PLAIN.replace(" 3 2 1", " 3 -2 1"), 4, "expected the number of horizontal angles (a whole number, at least 1), found '-2'"),
         (PLAIN.replace(" 3 2 1", " 999999999999 2 1"), 9, "of 999999999999"),
-        (PLAIN.replace(" 3 2 1", " 1e300 1e300 1"), 9, "vertical angle"),
-        (PLAIN.replace("1 -1 1 3", "1 -1 0 3"), None, "must be positive"),
+        (PLAIN.replace(" 3 2 1", " 9e14 9e14 1"), 9, "vertical angle"),
+        (PLAIN.replace("1 -1 1 3", "1 -1 0 3"), 4, "expected the candela multiplier, above 0, found '0'"),
+        (PLAIN.replace("\n1 1 10", "\n-1 1 10"), 5, "expected the ballast factor, above 0, found '-1'"),
         (PLAIN[: PLAIN.index("\n1 1 10")], 4, "expected the ballast factor, found the file's end"),
         (PLAIN.replace("TILT=NONE", "TILT=INCLUDE\n1 2 0 90 1"), 6, "tilt factor 2 of 2"),
     ],
 )
-def test_broken_files_name_the_line_and_what_was_expected(text: str, line: int | None, expected: str) -> None:
+def test_broken_files_name_the_line_and_what_was_expected(text: str, line: int, expected: str) -> None:
     if "tilt factor" in expected:
         text = text.partition("TILT=INCLUDE")[0] + "TILT=INCLUDE\n1 2 0 90\n1 x\n"
         line = 5
     with pytest.raises(LuxloopError) as error:
         parsed(text)
     assert expected in str(error.value)
-    assert str(error.value).startswith("lamp.ies, line " + str(line) if line else "lamp.ies")
+    assert str(error.value).startswith(f"lamp.ies, line {line}: ")
 
 
 @pytest.mark.parametrize(("data", "words"), [(b"", "empty"), (b" \n ", "empty"), (b"\x89PNG\0\0", "binary"), (b"\xff\xfe\xfa", "TILT")])
