@@ -8,7 +8,7 @@ from torch import Tensor
 
 from world.gbuffer import GBuffer
 from world.headlight import Headlight
-from world.illumination import illuminance, reach
+from world.illumination import illuminance, luminance, reach
 from world.lamp import Lamp, direction
 from world.shadow import ShadowMap
 
@@ -58,20 +58,21 @@ def wall_illuminance(lit: Sequence[Source], T_world_wall: Tensor, h_deg: Tensor,
     return total.unflatten(-1, h_deg.shape)
 
 
-def surface_illuminance(
+def surface_light(
     gbuffer: GBuffer, lit: Sequence[Source], shadows: Sequence[ShadowMap] | None = None, extinction_per_m: float = 0.0
-) -> Tensor:
-    """Illuminance `[..., height, width]` in lx of what a view sees, from all sources together; leading dimensions are the textures'.
+) -> tuple[Tensor, Tensor]:
+    """Illuminance in lx and luminance in cd/m^2 of what a view sees, `[..., height, width]`, from all sources together.
 
-    shadows: one a source; without them nothing throws a shadow. extinction_per_m: of the air that the light comes through.
+    Leading dimensions are the textures'. shadows: one a source; without them nothing throws a shadow. extinction_per_m: of the air
+    that the light comes through.
     """
     batch = lit[0].texture.shape[:-2] if lit else ()
-    total = gbuffer.albedo.new_zeros(*batch, gbuffer.albedo.numel())
+    arriving = gbuffer.albedo.new_zeros(*batch, gbuffer.albedo.numel())
+    leaving = torch.zeros_like(arriving)
     for i, source in enumerate(lit):
         surface = reach(gbuffer, source.headlight, source.T_world_source, shadows[i] if shadows else None)
-        light = illuminance(surface, source.texture)
-        if extinction_per_m:
-            away = gbuffer.position.flatten(1)[:, surface.index] - source.T_world_source[:3, 3:].to(gbuffer.position)
-            light = light * torch.exp(-extinction_per_m * away.norm(dim=0))
-        total[..., surface.index] += light
-    return total.unflatten(-1, gbuffer.albedo.shape)
+        away = gbuffer.position.flatten(1)[:, surface.index] - source.T_world_source[:3, 3:].to(gbuffer.position)
+        through = torch.exp(-extinction_per_m * away.norm(dim=0))
+        arriving[..., surface.index] += illuminance(surface, source.texture) * through
+        leaving[..., surface.index] += luminance(surface, source.texture) * through
+    return arriving.unflatten(-1, gbuffer.albedo.shape), leaving.unflatten(-1, gbuffer.albedo.shape)

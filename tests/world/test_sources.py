@@ -9,7 +9,7 @@ from world.flatroad import flat_road
 from world.frames import R_ISO_OPENCV, pose, pose_from_degrees
 from world.lamp import Lamp, Module, direction
 from world.presets import idealised
-from world.sources import sources, surface_illuminance, wall_illuminance
+from world.sources import sources, surface_light, wall_illuminance
 from world.view import View
 
 LEFT = pose_from_degrees((0.0, 0.6, 0.75))
@@ -55,10 +55,11 @@ def test_views_show_the_sum_of_all_modules_through_the_air(lamp: Lamp, pattern: 
     ray = road.position.flatten(1) - LEFT[:3, 3:]
     d = ray.norm(dim=0)
     expected = (lamp.intensity(pattern, ray) * -ray[2] / d**3).view(12, 8)
-    found = surface_illuminance(road, lit)
+    found, luminance = surface_light(road, lit)
     assert found.max() > 0.5
     torch.testing.assert_close(found, expected, rtol=1e-5, atol=1e-6)  # light textures are float32
-    hazy = surface_illuminance(road, lit, extinction_per_m=0.01)
+    torch.testing.assert_close(luminance, 0.2 * found / math.pi)
+    hazy, _ = surface_light(road, lit, extinction_per_m=0.01)
     torch.testing.assert_close(hazy, expected * torch.exp(-0.01 * d).view(12, 8), rtol=1e-5, atol=1e-6)
 
 
@@ -71,5 +72,5 @@ def test_colours_have_the_luminance_of_the_light(lamp: Lamp, pattern: tuple[torc
 
 def test_no_source_no_light() -> None:
     eye = pose_from_degrees((0.0, 0.0, 2.0)) @ pose(torch.zeros(3, dtype=torch.float64), R_ISO_OPENCV)
-    assert not surface_illuminance(flat_road(View(4, 4, 2.0, 2.0, 2.0, 2.0, eye), 0.2), ()).any()
+    assert not surface_light(flat_road(View(4, 4, 2.0, 2.0, 2.0, 2.0, eye), 0.2), ())[0].any()
     assert not wall_illuminance((), MIDDLE, torch.zeros(2), torch.zeros(2)).any()

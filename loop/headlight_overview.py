@@ -1,0 +1,101 @@
+"""A headlamp on one page: its beam on the wall, on the road and for the driver, and its facts."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import torch
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from torch import Tensor
+
+from loop import headlight_charts as charts
+from loop.headlight_panels import WALL_M, draw_birdseye, draw_eye, draw_wall, wall_angles
+from loop.headlight_views import LitCar, Road, birdseye, driver, luminance_of
+from world.flatroad import flat_road
+from world.headlight import Headlight
+from world.sources import surface_light
+
+REACHES_LX = (1.0, 3.0, 10.0)
+CELL_M, ROAD_M = 0.5, (0.0, 300.0)
+
+
+def draw_overview(figure: Figure, car: LitCar, beam: str, road: Road) -> None:
+    """Fill a page."""
+    top, bottom = figure.subfigures(2, 1, squeeze=False, height_ratios=(3.9, 3.7))[:, 0]
+    left, right = top.subfigures(1, 2, squeeze=False, width_ratios=(9.2, 4.4))[0]
+    wall = left.subplots()
+    wall.set_title(f"Illuminance of a wall at {WALL_M:g} m in lx")
+    draw_wall(wall, car, "isolux")
+    above, eye = bottom.subplots(1, 2, width_ratios=(8.0, 5.9))
+    above.set_title("Illuminance of the road in lx")
+    draw_birdseye(above, road.look(car, birdseye()), "isolux")
+    eye.set_title("The driver's view")
+    ahead = road.look(car, driver(960))
+    draw_eye(eye, ahead, "luminance")
+    charts.distance_marks(eye, ahead)
+    text = right.subplots()
+    charts.no_frame(text)
+    _write_facts(text, facts(car, beam))
+
+
+def facts(car: LitCar, beam: str) -> list[tuple[str, str]]:
+    """What one wants to know of a beam, as pairs of a name and a value: of the first lamp alone, and how far all reach."""
+    side, lamp = next(iter(car.lamps.items()))
+    pattern = car.patterns[side]
+    fluxes = [flux_lm(module.headlight, module.headlight.light_texture(u)) for module, u in zip(lamp.modules, pattern, strict=True)]
+    h, v = wall_angles(car)
+    H, V = torch.meshgrid(torch.from_numpy(h), torch.from_numpy(v), indexing="xy")
+    light = LitCar({side: lamp}, {side: pattern}).intensity(H, V)
+    row, col = divmod(int(light.argmax()), len(h))
+    peak = float(light.max())
+    return [
+        ("beam", beam),
+        (f"{side} lamp", f"{sum(module.headlight.n_pixels for module in lamp.modules):,} pixels, {sum(fluxes):,.0f} lm"),
+        *((f"   {module.name}", _described(module.headlight, flux)) for module, flux in zip(lamp.modules, fluxes, strict=True)),
+        ("peak", f"{peak / 1e3:.3g} kcd, {peak / WALL_M**2:.3g} lx at {WALL_M:g} m"),
+        ("", f"{_angle(h[col], 'right', 'left')}, {_angle(v[row], 'up', 'down')}"),
+        ("reach", "facing the car, at the road, both lamps" if len(car.lamps) > 1 else "facing the car, at the road"),
+        *((f"   {lux:g} lx", _reach(car, lux)) for lux in REACHES_LX),
+    ]
+
+
+def flux_lm(light: Headlight, texture: Tensor) -> float:
+    """Luminous flux in lm of a light texture `[rows, cols]` in cd: each texel by its solid angle."""
+    y, z = light.tangents(torch.float64, torch.device("cpu"))
+    solid_angle = (1 + y**2 + z[:, None] ** 2) ** -1.5 * (light.left - light.right) * (light.top - light.bottom) / light.n_texels
+    return float((texture.double().cpu() * solid_angle).sum())
+
+
+def reach_m(car: LitCar, lux: float) -> float:
+    """How far ahead in m something that stands on a flat road and faces the car gets this illuminance at its foot; 0 where nowhere."""
+    upright = flat_road(birdseye(CELL_M, ROAD_M), 1.0)
+    normal = torch.zeros_like(upright.normal)
+    normal[0] = -1
+    light = luminance_of(surface_light(replace(upright, normal=normal), car.sources)[0])
+    columns = torch.nonzero((light >= lux).any(0))[:, 0]
+    return ROAD_M[0] + (int(columns[-1]) + 0.5) * CELL_M if len(columns) else 0.0
+
+
+def _reach(car: LitCar, lux: float) -> str:
+    metres = reach_m(car, lux)
+    if metres > ROAD_M[1] - CELL_M:
+        return f"beyond {ROAD_M[1]:g} m"
+    return f"{metres:.0f} m" if metres else "nowhere on the road"
+
+
+def _described(light: Headlight, flux: float) -> str:
+    left, right, bottom, top = (math.degrees(math.atan(t)) for t in (light.left, light.right, light.bottom, light.top))
+    field = f"{-left:+.3g} to {-right:+.3g}°, {bottom:+.2g} to {top:+.2g}°".replace("-", "−")
+    return f"{light.pixel_rows} x {light.pixel_cols}, {field}, {flux:,.0f} lm"
+
+
+def _angle(angle: float, positive: str, negative: str) -> str:
+    return f"{abs(angle):.1f}° {positive if angle > 0 else negative}"
+
+
+def _write_facts(axes: Axes, rows: Sequence[tuple[str, str]]) -> None:
+    for i, (name, value) in enumerate(rows):
+        y = 0.97 - i / max(len(rows), 12)
+        axes.text(0.0, y, name, transform=axes.transAxes, va="top", fontsize=9.5, color="0.4")
+        axes.text(0.26, y, value, transform=axes.transAxes, va="top", fontsize=9.5)

@@ -1,0 +1,164 @@
+"""Pictures of headlamps: beams on a wall, on the road, for the driver and in fog; pixels and light textures."""
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from matplotlib import rc_context
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from torch import Tensor
+
+from loop import headlight_charts as charts
+from loop.headlight_overview import draw_overview
+from loop.headlight_panels import WALL_M, draw_birdseye, draw_eye, draw_pixels, draw_texture, draw_wall
+from loop.headlight_views import LitCar, Road, beside, birdseye, driver
+from loop.report import STYLE
+from loop.scenario import HeadlightParams, Scenario
+from loop.validation import did_you_mean
+from world.errors import LuxloopError
+from world.lamp import Lamp
+from world.volumetric import Medium
+
+# Styles of each view; the first one unless another is asked for.
+VIEWS: Mapping[str, tuple[str, ...]] = {
+    "overview": ("isolux",),
+    "wall": ("isolux", "isocandela", "falsecolour", "luminance"),
+    "driver": ("luminance", "falsecolour", "isolux"),
+    "birdseye": ("isolux", "falsecolour", "luminance"),
+    "volume": ("luminance", "falsecolour"),
+    "pixels": ("falsecolour",),
+    "texture": ("falsecolour",),
+}
+FORMATS = (".png", ".jpg", ".jpeg", ".pdf", ".svg")
+DPI = 110
+VISIBILITY_M = 100.0
+
+WALL = {
+    "isolux": f"illuminance of a wall at {WALL_M:g} m in lx",
+    "isocandela": "luminous intensity in kcd",
+    "falsecolour": f"illuminance of a wall at {WALL_M:g} m",
+    "luminance": f"a white wall at {WALL_M:g} m",
+}
+ROAD = {"isolux": "illuminance of the road in lx", "falsecolour": "illuminance of the road", "luminance": "the road from above"}
+DRIVER = {"isolux": "illuminance in lx, for the driver", "falsecolour": "luminance for the driver", "luminance": "the driver's view"}
+
+
+def show(
+    lamps: Mapping[str, Lamp],
+    out: Path,
+    *,
+    beam: str | Mapping[str, Sequence[Tensor]] | None = None,
+    view: str = "overview",
+    style: str | None = None,
+    scenario: Scenario | None = None,
+    visibility_m: float = VISIBILITY_M,
+) -> Path:
+    """Draw one picture of lamps at work; returns its file.
+
+    lamps: by side, "left" and "right" or one of them. beam: a name that the lamps know, by default low, or full where they have none; or
+    utilisations `[n_p]`, one a module, by side. view and style: see VIEWS. scenario: its road, objects, light and where the lamps are
+    mounted; by default a flat road. visibility_m: meteorological optical range of the fog in the view "volume".
+    Raises LuxloopError for what there is not, and where the file cannot be written.
+    """
+    style = _style(view, style)
+    if out.suffix.lower() not in FORMATS:
+        raise LuxloopError(f"{out}: pictures are written as {', '.join(FORMATS)}; end the file's name in one of them")
+    if not visibility_m > 0:
+        raise LuxloopError(f"visibility of {visibility_m:g} m: give one greater than 0")
+    name, patterns = _patterns(lamps, beam)
+    mount = scenario.headlight if scenario else HeadlightParams()
+    car = LitCar(lamps, patterns, mount.height_m, mount.distance_m)
+    with rc_context(STYLE):
+        write(_draw(car, name, view, style, scenario, visibility_m), out)
+    return out
+
+
+def write(figure: Figure, out: Path) -> None:
+    """Save a figure, whole or not at all. Raises LuxloopError where the file cannot be written."""
+    FigureCanvasAgg(figure)
+    part = out.with_name(f".{out.name}.part")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(part, format=out.suffix[1:].lower())
+        os.replace(part, out)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise LuxloopError(f"{out}: cannot be written ({error.strerror or error}); give another file") from error
+
+
+def _style(view: str, style: str | None) -> str:
+    if view not in VIEWS:
+        raise LuxloopError(f"there is no view {view!r}; {did_you_mean(view, VIEWS)}")
+    if style is None or style in VIEWS[view]:
+        return style or VIEWS[view][0]
+    known = dict.fromkeys(name for names in VIEWS.values() for name in names)
+    if style not in known:
+        raise LuxloopError(f"there is no style {style!r}; {did_you_mean(style, known)}")
+    raise LuxloopError(f"the view {view!r} is not to be had as {style!r}; give one of {', '.join(VIEWS[view])}")
+
+
+def _patterns(lamps: Mapping[str, Lamp], beam: str | Mapping[str, Sequence[Tensor]] | None) -> tuple[str, Mapping[str, Sequence[Tensor]]]:
+    """A pattern's name, and its utilisations by side."""
+    if beam is not None and not isinstance(beam, str):
+        return "own pattern", beam
+    name = beam or ("low" if all("low" in lamp.beams for lamp in lamps.values()) else "full")
+    return name, {side: lamp.beam(name) for side, lamp in lamps.items()}
+
+
+def _draw(car: LitCar, beam: str, view: str, style: str, scenario: Scenario | None, visibility_m: float) -> Figure:
+    match view:
+        case "overview":
+            figure = _page(car, beam, "", (14.0, 8.1))
+            draw_overview(figure, car, beam, Road(scenario))
+        case "wall":
+            figure = _page(car, beam, WALL[style], (11.5, 5.0))
+            draw_wall(figure.subplots(), car, style)
+        case "birdseye":
+            figure = _page(car, beam, ROAD[style], (11.5, 5.0))
+            draw_birdseye(figure.subplots(), Road(scenario).look(car, birdseye()), style)
+        case "driver":
+            figure = _page(car, beam, DRIVER[style], (11.0, 6.5))
+            seen = Road(scenario).look(car, driver())
+            axes = figure.subplots()
+            draw_eye(axes, seen, style)
+            if style != "isolux":
+                charts.distance_marks(axes, seen)
+        case "volume":
+            figure = _page(car, beam, f"in fog, visibility {visibility_m:g} m", (11.0, 6.5))
+            seen = Road(scenario).look(car, beside(), Medium.fog(visibility_m))
+            axes = figure.subplots()
+            draw_eye(axes, seen, style)
+            charts.car_outline(axes, seen)
+        case _:
+            figure = _modules(car, beam, view)
+    return figure
+
+
+def _modules(car: LitCar, beam: str, view: str) -> Figure:
+    """A panel for each module: a lamp a column, or all in one where there is one lamp."""
+    rows, columns = max(len(lamp.modules) for lamp in car.lamps.values()), len(car.lamps)
+    what = "utilisation of the pixels" if view == "pixels" else "light textures"
+    figure = _page(car, beam, what, (9.0 if columns == 1 else 13.0, 0.6 + 2.4 * rows))
+    panels = figure.subplots(rows, columns, squeeze=False)
+    for column, (side, lamp) in enumerate(car.lamps.items()):
+        for axes in panels[len(lamp.modules) :, column]:
+            axes.set_visible(False)
+        for axes, module, u in zip(panels[:, column], lamp.modules, car.patterns[side], strict=False):
+            light = module.headlight
+            if view == "pixels":
+                axes.set_title(f"{side}, {module.name}: {light.pixel_rows} x {light.pixel_cols} pixels")
+                draw_pixels(axes, light, u)
+            else:
+                axes.set_title(f"{side}, {module.name}: {light.rows} x {light.cols} texels")
+                draw_texture(axes, light, u)
+    return figure
+
+
+def _page(car: LitCar, beam: str, what: str, inches: tuple[float, float]) -> Figure:
+    """A figure with its title."""
+    figure = Figure(inches, DPI, layout="constrained")
+    names = " and ".join(dict.fromkeys(lamp.name for lamp in car.lamps.values()))
+    which = "both lamps" if len(car.lamps) > 1 else f"{next(iter(car.lamps))} lamp"
+    figure.suptitle("  ·  ".join(filter(None, (names, beam, which, what))), x=0.012, ha="left", fontsize=11.5, weight="bold")
+    return figure

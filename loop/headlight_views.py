@@ -1,0 +1,166 @@
+"""What pictures of lamps show: the lamps on their car, and the views of a road that they light."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from loop.build import build_scene
+from loop.scenario import Scenario, validate
+from world.ambient import ambient_luminance
+from world.face_source import FaceSource, face_source
+from world.frames import R_ISO_OPENCV, pose, pose_from_degrees
+from world.gbuffer import GBuffer, gbuffer
+from world.lamp import Lamp, direction
+from world.shadow import ShadowMap, shadow_map
+from world.sources import Source, sources, surface_light
+from world.triangles import Triangles
+from world.view import View
+from world.volumetric import Medium, airlight
+
+SHADOW_PX = 1024  # width of a shadow map
+BIRDSEYE_X_M, BIRDSEYE_Y_M, BIRDSEYE_CELL_M = (-6.0, 100.0), (-20.0, 20.0), 0.1
+BIRDSEYE_HEIGHT_M = 300.0  # of the pinhole: a body 1.5 m high, 50 m aside, is seen 25 cm off
+FARTHEST_M = 400.0  # that a ray through fog is followed where it meets nothing
+LUMINANCE_OF_RGB = (0.2126, 0.7152, 0.0722)  # linear sRGB
+Image = NDArray[np.floating]
+
+
+@dataclass(frozen=True, eq=False)
+class LitCar:
+    """A car's lamps by side, "left" and "right" or one of them, with their utilisations `[n_p]`, one a module."""
+
+    lamps: Mapping[str, Lamp]
+    patterns: Mapping[str, Sequence[Tensor]]
+    height_m: float = 0.75
+    distance_m: float = 1.2
+
+    def T_world_lamp(self, side: str) -> Tensor:
+        return pose_from_degrees((0.0, (0.5 if side == "left" else -0.5) * self.distance_m, self.height_m))
+
+    @property
+    def T_world_middle(self) -> Tensor:
+        """Pose `[4, 4]` that angles are measured from: of the only lamp, or of the middle between two."""
+        if len(self.lamps) == 1:
+            return self.T_world_lamp(next(iter(self.lamps)))
+        return pose_from_degrees((0.0, 0.0, self.height_m))
+
+    @cached_property
+    def sources(self) -> tuple[Source, ...]:
+        """All modules that shine, in colour if any of them is coloured."""
+        colour = any(module.headlight.chroma is not None for lamp in self.lamps.values() for module in lamp.modules)
+        return tuple(
+            source for side, lamp in self.lamps.items() for source in sources(lamp, self.patterns[side], self.T_world_lamp(side), colour)
+        )
+
+    def intensity(self, h_deg: Tensor, v_deg: Tensor) -> Tensor:
+        """Luminous intensity in cd of all lamps together, in the shape of the angles, seen from far away."""
+        ray = direction(h_deg, v_deg).flatten(1)
+        found = sum(lamp.intensity(self.patterns[side], ray) for side, lamp in self.lamps.items())
+        assert isinstance(found, Tensor)
+        return found.view(h_deg.shape)
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a view shows: illuminance `[H, W]` in lx, NaN where nothing is; luminance `[H, W]` in cd/m^2, or `[H, W, 3]` in colour."""
+
+    view: View
+    illuminance: Image
+    luminance: Image
+
+    @property
+    def grey(self) -> Image:
+        """Luminance without colour, `[H, W]` cd/m^2."""
+        return self.luminance if self.luminance.ndim == 2 else self.luminance @ np.array(LUMINANCE_OF_RGB)
+
+
+class Road:
+    """A scenario's road and objects at its start, ready to be looked at."""
+
+    def __init__(self, scenario: Scenario | None = None) -> None:
+        """Without a scenario: flat asphalt with a lane's markings. Raises LuxloopError where the scenario names what is not there."""
+        self.scenario = scenario or _plain_road()
+        self._scene = build_scene(self.scenario)
+
+    @cached_property
+    def _triangles(self) -> Triangles:
+        return self._scene.at(0.0)
+
+    @cached_property
+    def _face_source(self) -> FaceSource:
+        return face_source(self.scenario.renderer)
+
+    def look(self, car: LitCar, view: View, air: Medium | None = None) -> Seen:
+        """The road in the light of the car, dimmed and veiled by the air if there is any but clear."""
+        surfaces = gbuffer(self._triangles, view, self._face_source.face_ids(self._triangles, view))
+        shadows = None if self._throws_none else [self._shadow(source) for source in car.sources]
+        extinction = air.extinction_per_m if air else 0.0
+        illuminance, luminance = surface_light(surfaces, car.sources, shadows, extinction)
+        luminance = luminance + ambient_luminance(surfaces, self._scene.ambient_lx, self._scene.street_lamps)
+        if air:
+            luminance = _through_air(luminance, surfaces, view, car.sources, air, shadows)
+        total = luminance_of(illuminance).masked_fill(surfaces.object_id < 0, torch.nan)
+        return Seen(view, total.numpy(), (luminance if luminance.dim() == 2 else luminance.movedim(0, -1)).numpy())
+
+    @property
+    def _throws_none(self) -> bool:
+        return self.scenario.road.kind == "flat" and not self.scenario.objects
+
+    def _shadow(self, source: Source) -> ShadowMap:
+        light = source.headlight
+        height = math.ceil(SHADOW_PX * (light.top - light.bottom) / (light.left - light.right))
+        return shadow_map(self._triangles, light.view(source.T_world_source, SHADOW_PX, min(max(height, 64), SHADOW_PX)), self._face_source)
+
+
+def luminance_of(light: Tensor) -> Tensor:
+    """Light `[H, W]` as it is, coloured light `[3, H, W]` weighted as the eye does."""
+    return light if light.dim() == 2 else torch.tensordot(light.new_tensor(LUMINANCE_OF_RGB), light, 1)
+
+
+def _through_air(
+    luminance: Tensor, surfaces: GBuffer, view: View, lit: Sequence[Source], air: Medium, shadows: Sequence[ShadowMap] | None
+) -> Tensor:
+    rays = view.rays().flatten(1)
+    directions = (rays / rays.norm(dim=0)).float()
+    distance = (surfaces.position.flatten(1) - view.origin[:, None]).norm(dim=0).float()
+    distance = torch.where(surfaces.object_id.flatten() >= 0, distance, FARTHEST_M)
+    veiled = luminance.flatten(-2) * torch.exp(-air.extinction_per_m * distance)
+    for i, source in enumerate(lit):
+        veiled = veiled + airlight(source, view.origin, directions, distance, air, shadow=shadows[i] if shadows else None)
+    return veiled.view(luminance.shape)
+
+
+def _plain_road() -> Scenario:
+    return validate({"name": "flat road", "symbol": {"image": "snowflake"}, "surface": {"markings": True}}, "flat road")
+
+
+def driver(width_px: int = 1280) -> View:
+    """A driver's eye in a car that is steered on the left: 40 deg wide, 16 : 9, the horizon above the middle."""
+    return _pinhole((-1.5, 0.36, 1.2), 2.5, 0.0, 40.0, width_px, round(width_px * 9 / 16))
+
+
+def beside(width_px: int = 960) -> View:
+    """From behind, above and to the left of the car, for beams in fog: 55 deg wide, 16 : 9."""
+    return _pinhole((-10.0, 7.0, 3.6), 8.0, -27.0, 55.0, width_px, round(width_px * 9 / 16))
+
+
+def birdseye(cell_m: float = BIRDSEYE_CELL_M, x_m: tuple[float, float] = BIRDSEYE_X_M) -> View:
+    """The road from above, left and right as a map shows them that has the way ahead on its right: columns along x, row 0 far left."""
+    (x0, x1), (y0, y1) = x_m, BIRDSEYE_Y_M
+    width, height = round((x1 - x0) / cell_m), round((y1 - y0) / cell_m)
+    focal = BIRDSEYE_HEIGHT_M / cell_m
+    down = torch.tensor([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]], dtype=torch.float64)
+    eye = torch.tensor([(x0 + x1) / 2, (y0 + y1) / 2, BIRDSEYE_HEIGHT_M], dtype=torch.float64)
+    return View(width, height, focal, focal, width / 2, height / 2, pose(eye, down))
+
+
+def _pinhole(position_m: tuple[float, float, float], pitch_deg: float, yaw_deg: float, hfov_deg: float, width: int, height: int) -> View:
+    focal = width / 2 / math.tan(math.radians(hfov_deg) / 2)
+    T = pose_from_degrees(position_m, pitch_deg=pitch_deg, yaw_deg=yaw_deg) @ pose(torch.zeros(3, dtype=torch.float64), R_ISO_OPENCV)
+    return View(width, height, focal, focal, width / 2, height / 2, T)
