@@ -1,0 +1,223 @@
+"""Folders, files and tables become pixels in their places; what is missing, one too many or broken is named."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from world.errors import LuxloopError
+from world.photometry import lm63
+from world.photometry.distribution import Distribution
+from world.pixel_sources import FileSource, FolderSource, TableSource
+from world.pixels import PixelArray, assemble
+from world.texels import TexelGrid
+
+H, V = np.linspace(-6, 6, 25), np.linspace(-3, 3, 13)
+GRID = TexelGrid.from_degrees(40, 80, 6, -6, -3, 3)
+ROWS, COLUMNS = 2, 3
+
+
+def candela() -> np.ndarray:
+    """`[6, V, H]`: a blob a pixel, from the top left on, which its peak numbers."""
+    out = np.zeros((ROWS * COLUMNS, len(V), len(H)))
+    for j in range(ROWS * COLUMNS):
+        row, column = divmod(j, COLUMNS)
+        h, v = np.meshgrid(H - 3 * (column - 1), V - 1.0 * (0.5 - row))
+        out[j] = 100 * (j + 1) * np.clip(1.2 - np.hypot(h / 1.5, v), 0, None)
+    return out
+
+
+EXPECTED_CENTRES = [(-3, 0.5), (0, 0.5), (3, 0.5), (-3, -0.5), (0, -0.5), (3, -0.5)]
+
+
+def check(array: PixelArray) -> None:
+    """Pixels lie where `candela` puts them."""
+    assert (array.rows, array.columns) == (ROWS, COLUMNS)
+    light = assemble(array, GRID).matrix.toarray().reshape(GRID.rows, GRID.cols, -1)
+    y = np.degrees(np.arctan(GRID.left + (np.arange(GRID.cols) + 0.5) / GRID.cols * (GRID.right - GRID.left)))
+    z = np.degrees(np.arctan(GRID.top + (np.arange(GRID.rows) + 0.5) / GRID.rows * (GRID.bottom - GRID.top)))
+    for j, (h, v) in enumerate(EXPECTED_CENTRES):
+        total = light[:, :, j].sum()
+        centre = -(light[:, :, j].sum(0) @ y) / total, (light[:, :, j].sum(1) @ z) / total
+        assert centre == pytest.approx((h, v), abs=0.05)  # a texel is 0.15 deg
+        assert light[:, :, j].max() == pytest.approx(120 * (j + 1), rel=0.1)  # the nearest texel lies up to 0.1 deg from the peak
+
+
+def write_folder(folder: Path, name: Callable[[int], str]) -> None:
+    folder.mkdir()
+    for j, each in enumerate(candela()):
+        lm63.write(folder / name(j), Distribution("A", V, H, each.T))
+
+
+def test_folder_in_natural_order(tmp_path: Path) -> None:
+    write_folder(tmp_path / "p", lambda j: f"Pixel{j + 7}.IES")
+    (tmp_path / "p" / "readme.txt").write_text("not photometry")
+    check(FolderSource(path=tmp_path / "p", rows=ROWS, columns=COLUMNS).pixels())
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_folder_by_pattern(tmp_path: Path, first: int) -> None:
+    write_folder(tmp_path / "p", lambda j: f"c{j % COLUMNS + first:03}_r{j // COLUMNS + first:02}.ies")
+    check(FolderSource(path=tmp_path / "p", rows=ROWS, columns=COLUMNS, pattern="c{column}_r{row}.ies").pixels())
+
+
+def remove(folder: Path) -> None:
+    (folder / "r01_c02.ies").unlink()
+
+
+def add(folder: Path) -> None:
+    (folder / "r02_c00.ies").write_bytes((folder / "r00_c00.ies").read_bytes())
+
+
+def twice(folder: Path) -> None:
+    (folder / "r0_c00.ies").write_bytes((folder / "r00_c00.ies").read_bytes())
+
+
+def stray(folder: Path) -> None:
+    (folder / "spare.ies").write_bytes((folder / "r00_c00.ies").read_bytes())
+
+
+def damage(folder: Path) -> None:
+    path = folder / "r01_c01.ies"
+    path.write_text(path.read_text()[:-200])
+
+
+@pytest.mark.parametrize(
+    ("change", "with_pattern", "without"),
+    [
+        (remove, "has no file for row 1 column 2", "holds 5 photometric files, from r00_c00.ies to r01_c01.ies, but 2 x 3 pixels need 6"),
+        (add, "has more than 2 x 3 pixels: r02_c00.ies", "holds 7 photometric files"),
+        (twice, "is the same pixel as", "holds 7"),
+        (stray, "spare.ies: does not fit the pattern", "holds 7"),
+        (damage, "r01_c01.ies, line", "r01_c01.ies, line"),
+    ],
+)
+def test_what_is_wrong_in_a_folder_is_named(tmp_path: Path, change: Callable[[Path], None], with_pattern: str, without: str) -> None:
+    write_folder(tmp_path / "p", lambda j: f"r{j // COLUMNS:02}_c{j % COLUMNS:02}.ies")
+    change(tmp_path / "p")
+    for pattern, words in (("r{row}_c{column}.ies", with_pattern), (None, without)):
+        with pytest.raises(LuxloopError) as error:
+            FolderSource(path=tmp_path / "p", rows=ROWS, columns=COLUMNS, pattern=pattern).pixels()
+        assert words in str(error.value)
+    with pytest.raises(LuxloopError, match="is no folder"):
+        FolderSource(path=tmp_path / "q", rows=1, columns=1).pixels()
+
+
+def test_patterns_and_pitches_that_cannot_work_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValidationError, match=r"needs \{row\} and \{column\} once each"):
+        FolderSource(path=tmp_path, rows=1, columns=1, pattern="p{row}.ies")
+    with pytest.raises(ValidationError, match="need the angle between neighbours"):
+        FileSource(path=tmp_path / "p.ies", rows=2, columns=2)
+
+
+def test_one_real_file_is_a_lamp_of_one_pixel(data_dir: Path) -> None:
+    array = FileSource(path=data_dir / "ies" / "sample8.ldt").pixels()
+    made = assemble(array, TexelGrid.from_degrees(250, 250, 70, -70, -70, 70))
+    assert made.matrix.shape == (62500, 1)
+    assert made.matrix.max() == pytest.approx(157.29, rel=0.01)  # the file's peak, cd
+    assert made.rmse < 0.2  # its light beyond these 70 deg is not there
+
+
+@pytest.mark.parametrize("four", [False, True])
+def test_npz(tmp_path: Path, four: bool) -> None:
+    tensor = candela().astype(np.float32)
+    path = tmp_path / "t.npz"
+    np.savez(path, candela=tensor.reshape(ROWS, COLUMNS, *tensor.shape[1:]) if four else tensor, horizontal_deg=H, vertical_deg=V)
+    check(TableSource(path=path, columns=None if four else COLUMNS).pixels())
+
+
+def test_npz_colours(tmp_path: Path) -> None:
+    tensor = candela()
+    rgb = np.ones((*tensor.shape, 3)) * [4.0, 2.0, 0.0]
+    np.savez(tmp_path / "t.npz", candela=tensor, horizontal_deg=H, vertical_deg=V, rgb=rgb)
+    chroma = assemble(TableSource(path=tmp_path / "t.npz", rows=2).pixels(), GRID).chroma
+    assert chroma is not None
+    share = np.array([2.0, 1.0, 0.0]) / (0.2126 * 2 + 0.7152)
+    np.testing.assert_allclose(chroma, np.broadcast_to(share[:, None], chroma.shape), rtol=1e-9, atol=1e-12)
+
+
+def test_a_table_whose_angles_begin_at_zero_is_not_mirrored(tmp_path: Path) -> None:
+    np.savez(tmp_path / "t.npz", candela=np.full((1, 3, 3), 9.0), horizontal_deg=[0.0, 1, 2], vertical_deg=[0.0, 1, 2])
+    grid = TexelGrid.from_degrees(20, 20, 2, -2, -2, 2)
+    light = assemble(TableSource(path=tmp_path / "t.npz", rows=1, columns=1).pixels(), grid).matrix.toarray().reshape(20, 20)
+    assert light[:10, 10:].min() == pytest.approx(9)
+    assert light[10:].max() == light[:, :10].max() == 0
+
+
+def csv_lines(first: int, by_place: bool, dark: bool) -> list[list[float]]:
+    lines = []
+    for j, v, h in np.ndindex(ROWS * COLUMNS, len(V), len(H)):
+        cd = candela_of[j, v, h]
+        if cd > 0 or dark or j == 0:  # the first pixel tells all angles
+            number = [j // COLUMNS + first, j % COLUMNS + first] if by_place else [j + first]
+            lines.append([*number, H[h], V[v], round(cd, 6)])
+    return lines
+
+
+candela_of = candela()
+
+
+@pytest.mark.parametrize(("first", "by_place", "dark", "german"), [(0, False, True, False), (1, True, False, True)])
+def test_csv(tmp_path: Path, first: int, by_place: bool, dark: bool, german: bool) -> None:
+    head = ["row", "column"] if by_place else ["pixel"]
+    rows = [[*head, "horizontal_deg", "vertical_deg", "candela"], *csv_lines(first, by_place, dark)]
+    text = "\n".join(",".join(str(each) for each in row) for row in rows)
+    path = tmp_path / "t.csv"
+    path.write_text(text.replace(",", ";").replace(".", ",") if german else text)
+    check(TableSource(path=path, rows=None if by_place else ROWS).pixels())
+
+
+def npz(**arrays: object) -> Callable[[Path], Path]:
+    def write(folder: Path) -> Path:
+        defaults = {"candela": candela(), "horizontal_deg": H, "vertical_deg": V}
+        np.savez(folder / "t.npz", **{key: value for key, value in {**defaults, **arrays}.items() if value is not None})  # type: ignore[arg-type]
+        return folder / "t.npz"
+
+    return write
+
+
+def csv(text: str, name: str = "t.csv") -> Callable[[Path], Path]:
+    def write(folder: Path) -> Path:
+        (folder / name).write_text(text)
+        return folder / name
+
+    return write
+
+
+HEAD = "pixel,horizontal_deg,vertical_deg,candela\n"
+
+
+@pytest.mark.parametrize(
+    ("write", "words"),
+    [
+        (npz(candela=None), "has no array 'candela'"),
+        (npz(candela=np.ones((6, 3, 3))), "candela has the shape (6, 3, 3)"),
+        (npz(candela=np.ones((5, 13, 25))), "holds 5 pixels, which are not 2 rows of 2 columns"),
+        (npz(candela=np.ones((3, 2, 13, 25))), "holds 6 pixels in 3 rows, not in 2"),
+        (npz(rgb=np.ones((6, 13, 25))), "rgb has the shape"),
+        (npz(candela=-candela()), "pixel 0: luminous intensities must be finite and not negative"),
+        (npz(vertical_deg=V[::-1]), "vertical angles of type A must ascend"),
+        (csv("nothing", "t.txt"), "neither .npz nor .csv"),
+        (csv("nothing", "t.npz"), "no readable .npz"),
+        (csv("a,b\n1,2\n"), "has the columns a, b"),
+        (csv(HEAD + "0,1,1,bright\n"), "no table of numbers"),
+        (csv(HEAD + "0,1,1\n"), "no table of numbers"),
+        (csv(HEAD + "2,0,0,1\n"), "from 0 or 1"),
+        (csv(HEAD + "0,0,0,1\n0,0,0,1\n1,1,1,1\n"), "two lines for the same angles"),
+        (csv(HEAD + "0,0,0,1\n3,1,1,1\n"), "pixel 0, 1, counted from 0, has no lines"),
+    ],
+)
+def test_what_is_wrong_in_a_table_is_named(tmp_path: Path, write: Callable[[Path], Path], words: str) -> None:
+    path = write(tmp_path)
+    with pytest.raises(LuxloopError) as error:
+        TableSource(path=path, rows=2).pixels()
+    assert words in str(error.value)
+    assert path.name in str(error.value)
+
+
+def test_a_missing_table_is_named(tmp_path: Path) -> None:
+    for name in ("gone.npz", "gone.csv"):
+        with pytest.raises(LuxloopError, match=f"{name}: cannot be read"):
+            TableSource(path=tmp_path / name, rows=1).pixels()

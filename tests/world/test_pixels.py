@@ -1,0 +1,166 @@
+"""From distributions of single pixels to a headlight matrix: exact in angles, true to the source, light neither lost nor made."""
+
+import math
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from world.errors import LuxloopError
+from world.photometry import files, lm63
+from world.photometry.distribution import Aim, Distribution, Kind, angles_of
+from world.photometry.texture import light_texture, solid_angles
+from world.pixel_sources import FileSource
+from world.pixels import Pixel, PixelArray, assemble, default_grid, directions_of
+from world.texels import TexelGrid
+
+ANGLES = np.linspace(-3, 3, 25)
+GRID = TexelGrid.from_degrees(60, 80, 4, -4, -3, 3)
+
+
+def gaussian(
+    h_deg: float = 0.0, v_deg: float = 0.0, sigma_deg: float = 0.7, angles: np.ndarray = ANGLES, cd: float = 1000.0
+) -> Distribution:
+    """A type A pixel, zero at the border of its table."""
+    h, v = np.meshgrid(angles - h_deg, angles - v_deg, indexing="ij")
+    light = np.exp(-(h**2 + v**2) / 2 / sigma_deg**2)
+    light[[0, -1]] = 0
+    light[:, [0, -1]] = 0
+    return Distribution("A", angles, angles, cd * light)
+
+
+def alone(distribution: Distribution, aim: Aim = "beam") -> PixelArray:
+    return PixelArray([Pixel(distribution)], 1, 1, aim)
+
+
+@settings(deadline=None)
+@given(st.sampled_from("ABC"), st.sampled_from(["beam", "nadir"]), st.lists(st.floats(-1, 1), min_size=3, max_size=3))
+def test_directions_are_the_inverse_of_angles(kind: Kind, aim: Aim, direction: list[float]) -> None:
+    length = np.linalg.norm(direction)
+    if length < 1e-3:
+        return
+    given = np.array(direction) / length
+    np.testing.assert_allclose(directions_of(kind, *angles_of(kind, given, aim), aim), given, atol=1e-12)
+
+
+@pytest.mark.parametrize("grid", [GRID, TexelGrid.from_degrees(7, 9, 4, -4, -3, 3)], ids=["finer", "coarser"])
+def test_agrees_with_the_texture_of_a_single_file(grid: TexelGrid) -> None:
+    distribution = gaussian(0.5, -0.4)
+    made = assemble(alone(distribution), grid, cutoff=0).matrix.toarray().reshape(grid.rows, grid.cols)
+    # Two quadratures of the mean over a coarse texel; finer ones are interpolated by both, but for those on the table's border.
+    tolerance = 1e-6 if grid is GRID else 0.01
+    np.testing.assert_allclose(made, light_texture(distribution, grid), atol=1000 * tolerance)
+
+
+@pytest.mark.parametrize("texels", [(8, 10), (31, 37), (300, 400)])
+def test_light_is_kept_at_any_resolution(texels: tuple[int, int]) -> None:
+    grid = TexelGrid.from_degrees(*texels, 4, -4, -3.5, 3.5)
+    flux = (assemble(alone(gaussian()), grid, cutoff=0).matrix.toarray().ravel() * solid_angles(grid).ravel()).sum()
+    # Texels of 0.22 deg, just finer than the steps of 0.25 deg, are interpolated at their centres, which is 0.4 % off.
+    assert flux == pytest.approx(gaussian().luminous_flux, rel=5e-3)
+
+
+def test_error_against_the_source_falls_to_zero_with_resolution() -> None:
+    array = PixelArray([Pixel(gaussian(h)) for h in (-0.5, 0.5)], 1, 2)
+    errors = [assemble(array, TexelGrid.from_degrees(n, n, 4, -4, -4, 4), cutoff=0).rmse for n in (10, 40, 160, 640)]
+    assert errors == sorted(errors, reverse=True)
+    # Interpolated twice: in the table and in the texture, whose error falls with a texel's square, but for the kinks at the table's angles.
+    assert errors[-1] < errors[0] / 50
+    assert errors[-1] < 1e-3
+
+
+def test_light_outside_of_the_texture_is_an_error() -> None:
+    whole, half = (assemble(alone(gaussian()), TexelGrid.from_degrees(100, 100, left, -4, -4, 4)) for left in (4, -1))
+    assert half.rmse > 0.1 > 10 * whole.rmse
+
+
+def test_faint_light_is_dropped_and_told() -> None:
+    all_of_it, cut = (assemble(alone(gaussian()), GRID, cutoff) for cutoff in (0, 0.1))
+    assert all_of_it.dropped == 0
+    assert cut.matrix.data.min() > 0.1 * cut.matrix.data.max()
+    assert cut.dropped == pytest.approx(1 - cut.matrix.sum() / all_of_it.matrix.sum(), rel=1e-9)
+    # A Gaussian holds as much of its light below a share of its peak as that share.
+    assert cut.dropped == pytest.approx(0.1, abs=0.02)
+
+
+def test_a_grid_of_turned_pixels_is_exact_in_angles(tmp_path: Path) -> None:
+    lm63.write(tmp_path / "pixel.ies", gaussian())
+    array = FileSource(path=tmp_path / "pixel.ies", rows=3, columns=5, pitch_deg=8, aspect=2).pixels()
+    grid = TexelGrid.from_degrees(180, 420, 21, -21, -9, 9)
+    matrix = assemble(array, grid, cutoff=0).matrix.toarray().reshape(grid.rows, grid.cols, 15)
+    y = grid.left + (np.arange(grid.cols) + 0.5) / grid.cols * (grid.right - grid.left)
+    z = grid.top + (np.arange(grid.rows) + 0.5) / grid.rows * (grid.bottom - grid.top)
+    solid = solid_angles(grid)
+    for row in range(3):
+        for column in range(5):
+            light = matrix[:, :, 5 * row + column] * solid
+            # Type A angles of a turn by yaw and pitch: h is the yaw, v the pitch.
+            h, v = 8 * (column - 2), 4 * (1 - row)
+            ray = np.stack(np.broadcast_arrays(1.0, y, z[:, None])) / np.sqrt(1 + y**2 + z[:, None] ** 2)
+            mean = (ray * light).sum((1, 2))
+            mean /= np.linalg.norm(mean)
+            v_at, h_at = angles_of("A", mean)
+            assert (h_at, v_at) == pytest.approx((h, v), abs=0.005)  # texels are 0.1 deg
+            # Each place keeps the pixel's flux, as a shift in tangents would not: 10 % more at 16 deg.
+            assert light.sum() == pytest.approx(gaussian().luminous_flux, rel=5e-3)
+
+
+def test_a_distribution_about_an_axis_is_found_from_one_plane() -> None:
+    spot = Distribution("C", np.array([0.0, 2, 4, 90]), np.array([0.0]), np.array([[500.0, 400, 0, 0]]))
+    grid = default_grid(alone(spot))
+    borders = [math.degrees(math.atan(each)) for each in (grid.left, -grid.right, grid.top, -grid.bottom)]
+    assert borders == pytest.approx([4, 4, 4, 4], rel=1e-6)
+    assert assemble(alone(spot), grid).matrix.max() == pytest.approx(500, rel=0.2)
+
+
+def test_default_texture_holds_all_light_and_is_finer_than_the_data() -> None:
+    array = PixelArray([Pixel(gaussian(h, angles=np.linspace(-6, 6, 121))) for h in (-2.0, 3.0)], 1, 2)
+    grid = default_grid(array)
+    made = assemble(array, grid)
+    texel_deg = math.degrees((grid.left - grid.right) / grid.cols), math.degrees((grid.top - grid.bottom) / grid.rows)
+    assert max(texel_deg) <= 0.051  # twice as fine as 0.1 deg
+    assert made.rmse < 0.01
+    assert made.matrix.toarray().reshape(grid.rows, grid.cols, 2)[:, [0, -1]].max() < 0.01 * 1000
+
+
+def test_colour_has_luminance_one_and_follows_the_channels() -> None:
+    red, blue = gaussian(-0.2), gaussian(0.2)
+    luminance = replace(red, candela=0.2126 * red.candela + 0.0722 * blue.candela)
+    none = replace(red, candela=0 * red.candela)
+    made = assemble(PixelArray([Pixel(luminance, rgb=(red, none, blue))], 1, 1), GRID)
+    assert made.chroma is not None
+    np.testing.assert_allclose(np.array([0.2126, 0.7152, 0.0722]) @ made.chroma, 1, rtol=1e-12)
+    texels = made.matrix.toarray().ravel()
+    lit = np.flatnonzero(texels)
+    np.testing.assert_allclose(made.chroma[0] * texels[lit], light_texture(red, GRID).ravel()[lit], atol=1e-3)  # 1e-6 of the peak
+
+
+def test_lamps_that_shine_elsewhere_are_refused() -> None:
+    with pytest.raises(LuxloopError, match="widen it"):
+        assemble(alone(gaussian()), TexelGrid.from_degrees(10, 10, 40, 30, -3, 3))
+    down = Distribution("C", np.array([0.0, 5, 10]), np.array([0.0]), np.array([[500.0, 400, 0]]))
+    with pytest.raises(LuxloopError, match="look at `aim`"):
+        default_grid(alone(down, "nadir"))
+    dark = replace(gaussian(), candela=np.zeros((25, 25)))
+    with pytest.raises(LuxloopError, match="no pixel shines"):
+        default_grid(alone(dark))
+
+
+def test_progress_is_told() -> None:
+    seen: list[tuple[int, int]] = []
+    assemble(PixelArray([Pixel(gaussian())] * 3, 1, 3), GRID, on_progress=lambda done, of: seen.append((done, of)))
+    assert seen == [(1, 3), (2, 3), (3, 3)]
+
+
+@pytest.mark.parametrize("name", ["sample8.ldt", "medium_scatter.ies", "type_a_symmetric.ies", "type_b_full.ies"])
+def test_real_files_agree_with_their_own_texture(data_dir: Path, name: str) -> None:
+    distribution = files.read(data_dir / "ies" / name).distribution
+    grid = TexelGrid.from_degrees(90, 120, 50, -50, -40, 40)
+    made = assemble(alone(distribution), grid, cutoff=0)
+    peak = partial(np.max, initial=1)(distribution.candela)
+    # Texels here are finer than most steps of these files, about as fine as others.
+    np.testing.assert_allclose(made.matrix.toarray().ravel(), light_texture(distribution, grid).ravel(), atol=0.01 * peak)

@@ -1,0 +1,235 @@
+"""From the distributions of single pixels to a headlight matrix on a light texture (T 5.2)."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import scipy.sparse as sp
+import torch
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import maximum_filter
+
+from world.errors import LuxloopError
+from world.photometry.distribution import Aim, Array, Distribution, Kind
+from world.texels import LARGEST_ANGLE_DEG, TexelGrid, bilinear
+
+CUTOFF = 1e-4  # share of a pixel's peak below which its light is left out: fewer entries, and next to nothing is lost
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB
+MOST_TEXELS = 2048  # along a side, unless a user wants more
+TEXELS_A_PIXEL = 4  # along a side at least, since symbols need rays between pixels
+SAMPLES_A_STEP = 2  # along a side, where texels are coarser than the source's steps, within which it is bilinear
+EDGE_DEG = 1e-6  # a step that is an edge, where light stops at once
+AZIMUTHS_DEG = 15.0  # in which a distribution about an axis is looked at
+
+
+@dataclass(frozen=True, eq=False)
+class Pixel:
+    """One pixel at full utilisation.
+
+    turn: `[3, 3]`, takes directions of the distribution's frame to the headlight frame; None where they are one. rgb: the linear sRGB
+    channels of the distribution in cd, None for one colour.
+    """
+
+    distribution: Distribution
+    turn: Array | None = None
+    rgb: tuple[Distribution, Distribution, Distribution] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class PixelArray:
+    """All pixels of a module, row-major, row 0 on top and column 0 on the left. aim: see Distribution."""
+
+    pixels: Sequence[Pixel]
+    rows: int
+    columns: int
+    aim: Aim = "beam"
+
+
+@dataclass(frozen=True, eq=False)
+class Assembled:
+    """A headlight matrix and how true it is.
+
+    matrix: `[n_texels, n_p]` cd. chroma: `[3, nnz]` or None, as Headlight has it. dropped: share of all light that was cut off.
+    rmse_cd: root mean square difference of the light texture and the source's own values, over all directions in which a pixel was measured
+    to shine; relative to the brightest of them, rmse.
+    """
+
+    matrix: sp.csr_array
+    chroma: Array | None
+    dropped: float
+    rmse_cd: float
+    rmse: float
+
+
+def assemble(
+    array: PixelArray, grid: TexelGrid, cutoff: float = CUTOFF, on_progress: Callable[[int, int], None] | None = None
+) -> Assembled:
+    """Bring every pixel onto the texture's texels.
+
+    Where texels are finer than the source's angles, they hold its (bilinear) value at their centre; where they are coarser, the mean over
+    their area. on_progress: called with the pixels done and their number.
+
+    Raises: LuxloopError where the texture sees no light at all.
+    """
+    rays = _Rays(grid, array)
+    rows: list[NDArray[np.intp]] = []
+    values: list[Array] = []
+    chroma: list[Array] = []
+    lost = total = squares = peak = 0.0
+    nodes = 0
+    for number, pixel in enumerate(array.pixels, 1):
+        light = rays.texture(pixel.distribution, pixel.turn)
+        faint = light <= cutoff * light.max()
+        total += float(light.sum())
+        lost += float(light[faint].sum())
+        light[faint] = 0
+        row = np.flatnonzero(light)
+        rows.append(row)
+        values.append(light[row])
+        if pixel.rgb is not None:
+            chroma.append(_chroma(np.stack([rays.texture(channel, pixel.turn)[row] for channel in pixel.rgb])))
+        difference, brightest = _difference(light, pixel, array.aim, grid)
+        squares += float(difference @ difference)
+        nodes += len(difference)
+        peak = max(peak, brightest)
+        if on_progress:
+            on_progress(number, len(array.pixels))
+    if total == 0:
+        raise LuxloopError(f"no pixel shines onto the texture ({describe(grid)}); widen it, or look at `aim`")
+    indptr = np.concatenate([[0], np.cumsum([len(row) for row in rows])])
+    columns = sp.csc_array((np.arange(1.0, indptr[-1] + 1), np.concatenate(rows), indptr), shape=(grid.n_texels, len(array.pixels)))
+    matrix = columns.tocsr()
+    entry = matrix.data.astype(np.int64) - 1
+    matrix.data = np.concatenate(values)[entry]
+    rmse_cd = math.sqrt(squares / max(nodes, 1))
+    return Assembled(matrix, np.concatenate(chroma, axis=1)[:, entry] if chroma else None, lost / total, rmse_cd, rmse_cd / peak)
+
+
+def default_grid(array: PixelArray) -> TexelGrid:
+    """A texture that covers all light, with texels twice as fine as the source's angles and at least four to a pixel along each side."""
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    for pixel in array.pixels:
+        directions, _, lit = _nodes(pixel.distribution, array.aim)
+        x, y, z = _turned(directions[:, lit], pixel.turn)
+        ahead = x > math.cos(math.radians(LARGEST_ANGLE_DEG))
+        if ahead.any():
+            at = np.stack([y[ahead], z[ahead]]) / x[ahead]
+            low, high = np.minimum(low, at.min(1)), np.maximum(high, at.max(1))
+    if not (low < high).all():
+        raise LuxloopError(f"no pixel shines within {LARGEST_ANGLE_DEG:g} deg of the beam axis; look at `aim`")
+    furthest = math.tan(math.radians(LARGEST_ANGLE_DEG))
+    (right, bottom), (left, top) = low.clip(-furthest, furthest), high.clip(-furthest, furthest)
+    step = np.radians(_steps(array))
+    fewest = TEXELS_A_PIXEL * np.array([array.rows, array.columns])
+    wanted = np.maximum(2 * np.array([top - bottom, left - right]) / step, fewest)
+    rows, cols = np.minimum(np.ceil(wanted), np.maximum(MOST_TEXELS, fewest)).astype(int).tolist()
+    return TexelGrid(rows=rows, cols=cols, left=float(left), right=float(right), bottom=float(bottom), top=float(top))
+
+
+def describe(grid: TexelGrid) -> str:
+    """A texture's borders in words."""
+    left, right, bottom, top = (math.degrees(math.atan(each)) for each in (grid.left, grid.right, grid.bottom, grid.top))
+    return f"{left:+.4g} to {right:+.4g} deg across, {bottom:+.4g} to {top:+.4g} deg up"
+
+
+class _Rays:
+    """Directions through a texture, as many in each texel as its source can resolve; all pixels share them."""
+
+    def __init__(self, grid: TexelGrid, array: PixelArray) -> None:
+        steps = np.radians(_steps(array))
+        pitch = np.array([(grid.top - grid.bottom) / grid.rows, (grid.left - grid.right) / grid.cols])
+        down, across = np.where(pitch <= steps, 1, np.ceil(SAMPLES_A_STEP * pitch / steps)).astype(int).tolist()
+        rows, cols = grid.rows * down, grid.cols * across
+        z = grid.top + (np.arange(rows) + 0.5) / rows * (grid.bottom - grid.top)
+        y = grid.left + (np.arange(cols) + 0.5) / cols * (grid.right - grid.left)
+        y, z = (each.ravel() for each in np.meshgrid(y, z))
+        length = np.sqrt(1 + y * y + z * z)
+        self.directions = np.stack([1 / length, y / length, z / length])
+        self.texel = np.arange(grid.n_texels).reshape(grid.rows, grid.cols).repeat(down, 0).repeat(across, 1).ravel()
+        self.weight = length**-3  # solid angle of equal areas of the plane
+        self.weights = np.bincount(self.texel, self.weight)
+        self.aim = array.aim
+
+    def texture(self, distribution: Distribution, turn: Array | None) -> Array:
+        """Mean over each texel `[n_texels]` in cd."""
+        axis, reach = _cap(distribution, self.aim)
+        chosen = np.flatnonzero((axis if turn is None else turn @ axis) @ self.directions >= math.cos(reach))
+        directions = self.directions[:, chosen]
+        value = distribution.intensity(directions if turn is None else turn.T @ directions, self.aim)
+        return np.bincount(self.texel[chosen], value * self.weight[chosen], len(self.weights)) / self.weights
+
+
+@lru_cache(maxsize=4)
+def _nodes(distribution: Distribution, aim: Aim) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Directions `[3, V, H]` in which a distribution was measured, its cd there `[V, H]`, and where it or a neighbour shines."""
+    v, h, _ = distribution.unfolded
+    if distribution.type == "C":  # one plane may stand for all
+        h = np.union1d(h, h[0] + np.arange(0.0, h[-1] - h[0], AZIMUTHS_DEG))
+    v_at, h_at = np.meshgrid(v, h, indexing="ij")
+    candela = distribution.at(v_at, h_at)
+    lit = maximum_filter(candela, 3, mode=("nearest", "wrap" if distribution.type == "C" else "nearest")) > 0
+    return directions_of(distribution.type, v_at, h_at, aim), candela, lit
+
+
+def directions_of(kind: Kind, vertical_deg: ArrayLike, horizontal_deg: ArrayLike, aim: Aim = "beam") -> Array:
+    """Unit directions `[3, ...]` of the headlight frame for photometric angles: the inverse of `angles_of`."""
+    v, h = np.radians(vertical_deg), np.radians(horizontal_deg)
+    if kind == "A":
+        return np.stack([np.cos(v) * np.cos(h), -np.cos(v) * np.sin(h), np.sin(v)])
+    if kind == "B":
+        x, y, z = np.cos(h) * np.cos(v), -np.sin(h), np.cos(h) * np.sin(v)
+    else:
+        x, y, z = np.cos(v), -np.sin(v) * np.cos(h), np.sin(v) * np.sin(h)
+    return np.stack([x, y, z] if aim == "beam" else [z, y, -x])
+
+
+@lru_cache(maxsize=4)
+def _cap(distribution: Distribution, aim: Aim) -> tuple[Array, float]:
+    """The axis `[3]` of a cone that holds all light of a distribution, and its half angle in rad."""
+    directions, _, lit = _nodes(distribution, aim)
+    if not lit.any():
+        return np.array([1.0, 0.0, 0.0]), 0.0
+    inside = directions[:, lit]
+    axis = inside.mean(1)
+    axis /= max(float(np.linalg.norm(axis)), np.finfo(float).tiny)
+    widest = max(float(np.diff(angles).max(initial=0)) for angles in distribution.unfolded[:2])
+    return axis, min(math.acos(max(float((axis @ inside).min()), -1.0)) + math.radians(widest), math.pi)
+
+
+def _turned(directions: Array, turn: Array | None) -> Array:
+    return directions if turn is None else np.tensordot(turn, directions, 1)
+
+
+def _difference(light: Array, pixel: Pixel, aim: Aim, grid: TexelGrid) -> tuple[Array, float]:
+    """What a texture `[n_texels]` makes of each direction in which the pixel was measured to shine, minus that; and its peak. In cd."""
+    directions, candela, _ = _nodes(pixel.distribution, aim)
+    shines = candela > 0
+    x, y, z = _turned(directions[:, shines], pixel.turn)
+    ahead = x > 0
+    row, col = grid.texel_of(*(torch.from_numpy(each[ahead] / x[ahead]) for each in (y, z)))
+    texel, weight = bilinear(grid, row, col)
+    difference = -candela[shines]
+    difference[ahead] += (light[texel.numpy()] * weight.numpy()).sum(0)
+    return difference, float(candela.max())
+
+
+def _steps(array: PixelArray) -> Array:
+    """The finest steps down and across in deg in which the pixels were measured."""
+    distributions = {id(pixel.distribution): pixel.distribution for pixel in array.pixels}.values()
+    down = min(_finest(each.vertical_deg) for each in distributions)
+    across = min((_finest(each.horizontal_deg) for each in distributions if each.type != "C"), default=math.inf)
+    return np.array([down, across if math.isfinite(across) else down])
+
+
+def _finest(angles_deg: Array) -> float:
+    steps = np.diff(angles_deg)
+    return float(steps[steps > EDGE_DEG].min(initial=math.inf))
+
+
+def _chroma(channels: Array) -> Array:
+    """Linear sRGB `[3, N]` at luminance 1; white where there is no light."""
+    luminance = LUMINANCE @ channels
+    dark = luminance <= 0
+    return np.where(dark, 1.0, channels / np.where(dark, 1.0, luminance))
