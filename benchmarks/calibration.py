@@ -1,6 +1,6 @@
 """How well the joint optimisation of all pixels can draw rectangles with a lamp: the figure that two presets are calibrated by (T 8.4).
 
-`python -m benchmarks.calibration hd84` draws a part of the 1,215 rectangles and prints the mean error; --every 1 draws them all.
+`python benchmarks/calibration.py hd84` draws a part of the 1,215 rectangles and prints the mean error; `--every 1` draws them all.
 """
 
 import argparse

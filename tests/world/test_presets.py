@@ -1,8 +1,13 @@
 """Lamps by name: what is published of them holds, left and right are mirror images, colours keep the luminance."""
 
+import sys
+from types import ModuleType
+
 import numpy as np
 import pytest
+import scipy.sparse as sp
 import torch
+from scipy.optimize import linprog
 from torch import Tensor
 
 from benchmarks.calibration import PUBLISHED, REACH_DEG, RECTANGLES, least_error
@@ -127,6 +132,39 @@ def test_an_unknown_lamp_or_side_is_named_with_what_there_is() -> None:
         lamp("hd84", "top")  # type: ignore[arg-type]
     with pytest.raises(LuxloopError, match="no coloured edges"):
         lamp("idealised-332x1024", chromatic_shift=0.01)
+
+
+def test_beams_are_fitted_once_and_only_when_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    fitted = []
+    fake = ModuleType("world.beams")
+    fake.default_beams = lambda lamp: fitted.append(lamp) or {"low": lamp.beam("off")}  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "world.beams", fake)
+    lamp.cache_clear()
+    one = lamp("hd84")
+    one.beam("full")
+    assert not fitted
+    assert (one.beam("low")[0] == 0).all() and list(one.beams) == ["low"] and len(one.beams) == 1
+    assert len(fitted) == 1
+    lamp.cache_clear()
+
+
+def test_the_least_error_is_that_of_a_linear_programme() -> None:
+    """min |A u - s|: what is wanted dark costs its light, what is wanted bright has a slack of its own."""
+    light, rectangle = lamp("hd84").modules[0].headlight, RECTANGLES[700]
+    error, gap = least_error(light, rectangle, reach_deg=50.0, gap=1e-4)
+    A = light.matrix.to_scipy().astype(np.float64) / 10_000
+    y, z = (np.degrees(np.arctan(axis.numpy())) for axis in light.tangents(torch.float64, torch.device("cpu")))
+    inside = (rectangle.distance(y[None, :], z[:, None]) <= 0).ravel()
+    n, bright = int(inside.sum()), A[inside]
+    slack = sp.eye_array(n)
+    best = linprog(
+        np.concatenate([np.asarray(A[~inside].sum(axis=0)).ravel(), np.ones(n)]),
+        A_ub=sp.vstack([sp.hstack([bright, -slack]), sp.hstack([-bright, -slack])]),
+        b_ub=np.repeat([1.0, -1.0], n),
+        bounds=[(0, 1)] * light.n_pixels + [(0, None)] * n,
+    )
+    assert 0.3 < error < 0.95, "a rectangle that says something"
+    assert error == pytest.approx(best.fun / n, rel=2e-4) and gap <= 1e-4
 
 
 def mean_error(name: str, every: int) -> float:

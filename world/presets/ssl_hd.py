@@ -10,11 +10,12 @@ from world.texels import TexelGrid
 NOTES = """Published (thesis, T 2.2, 5.1, 8.4): modules LoRes and HiRes of 64 x 256 pixels each, +-20 x +-5 deg and half of it, 0.156 and
 0.078 deg a pixel, pixels like blurred rectangles that overlap their neighbours and widen slightly to the sides; six LEDs more for courtesy
 light and auxiliary high beam; a static cornering light; the HiRes module lights the road from 15.3 m at 0.75 m (-3 deg).
-Published (auto motor und sport, December 2022): up to 45 lx (LoRes) and 120 lx (HiRes) at 25 m, courtesy light +-45 deg.
+Published (auto motor und sport, December 2022): up to 45 lx (LoRes) and 120 lx (HiRes), read as at 25 m, courtesy light +-45 deg.
 Guessed: blur and overlap (by calibration), widening, the three small modules, where they sit in the lamp, how far they turn."""
 
 
 def _hd_pixels(half_width_deg: float, peak_cd: float) -> BlurredRectangles:
+    """One chip behind two lenses: blur and overlap are calibrated on the wide one and scale with the field."""
     return BlurredRectangles(
         rows=64,
         columns=256,
@@ -30,6 +31,7 @@ def _hd_pixels(half_width_deg: float, peak_cd: float) -> BlurredRectangles:
     )
 
 
+# Peaks: 45 and 120 lx at 25 m.
 LORES, HIRES = _hd_pixels(20, 28_000), _hd_pixels(10, 75_000)
 AUXILIARY = GaussianPixels(
     columns=3, left_deg=9, right_deg=-9, row_centres_deg=(0.8,), row_sigmas_deg=(1.6,), column_sigma=0.5, peak_cd=(25_000,)
