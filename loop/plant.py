@@ -10,13 +10,12 @@ import torch
 from torch import Tensor
 
 from controllers.ssc import Utilisation
-from controllers.symbol.flat_model import added_light
 from controllers.symbol.projector import DrawingModule
 from perception.camera import CameraParams, average_rows, camera_view, expose, frame_generator
 from world.ambient import ambient_luminance
 from world.face_source import FaceSource
 from world.gbuffer import gbuffer
-from world.illumination import Transport, reach, transport
+from world.illumination import Transport, added_light, reach, transport
 from world.scene import Scene
 from world.shadow import shadow_map
 

@@ -9,6 +9,7 @@ import trimesh
 from scipy.spatial.transform import Rotation, Slerp
 from torch import Tensor
 
+from world.brdf import LAMBERTIAN, Material
 from world.frames import pose
 from world.materials import Texture
 
@@ -49,9 +50,9 @@ class PoseTrack:
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A rigid, diffusely reflecting mesh; two bodies are the same only if they are one object, so that what is derived can be cached.
+    """A rigid mesh; two bodies are the same only if they are one object, so that what is derived can be cached.
 
-    mesh: in the body frame, m. albedo: 0..1. texture: albedo over the body's x and y instead of the constant.
+    mesh: in the body frame, m. albedo: 0..1. texture: albedo and material over the body's x and y instead of the constants.
     smooth: vertex normals interpolated over a face (roads, people) instead of one normal a face (boxes).
     two_sided: seen from the back as well (sheets, open meshes); else faces are there only where their corners run counter-clockwise.
     """
@@ -60,6 +61,7 @@ class Body:
     mesh: trimesh.Trimesh
     albedo: float = 0.2
     texture: Texture | None = None
+    material: Material = LAMBERTIAN
     smooth: bool = False
     two_sided: bool = False
     track: PoseTrack = field(default_factory=PoseTrack.static)

@@ -5,9 +5,25 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from world.brdf import LAMBERTIAN, Material
 from world.frames import inverse, transform
 from world.triangles import Triangles, intersect
 from world.view import View
+
+
+@dataclass(frozen=True)
+class Finish:
+    """What the surfaces of a view have besides their albedo.
+
+    materials: those in sight, the first Lambertian. material: `[height, width]` int64, which of them. eye: `[3]` m, the view's origin.
+    """
+
+    materials: tuple[Material, ...]
+    material: Tensor
+    eye: Tensor
+
+    def to(self, device: torch.device) -> "Finish":
+        return Finish(self.materials, self.material.to(device), self.eye.to(device))
 
 
 @dataclass(frozen=True)
@@ -16,22 +32,26 @@ class GBuffer:
 
     position: `[3, height, width]` m, world. normal: `[3, height, width]`, unit, world, on the side that is seen of two-sided bodies.
     albedo: `[height, width]`. object_id: `[height, width]` int32, index of the body in the scene, -1 = none.
+    finish: None where all surfaces are Lambertian.
     """
 
     position: Tensor
     normal: Tensor
     albedo: Tensor
     object_id: Tensor
+    finish: Finish | None = None
 
     def to(self, device: torch.device) -> "GBuffer":
-        return GBuffer(self.position.to(device), self.normal.to(device), self.albedo.to(device), self.object_id.to(device))
+        finish = None if self.finish is None else self.finish.to(device)
+        return GBuffer(self.position.to(device), self.normal.to(device), self.albedo.to(device), self.object_id.to(device), finish)
 
 
 def gbuffer(triangles: Triangles, view: View, face_ids: Tensor) -> GBuffer:
     """Intersect the ray through each pixel's centre with the face `[height, width]` that it sees; float64 inside, float32 out."""
     n = view.height * view.width
     position, normal, albedo = torch.zeros(3, n), torch.zeros(3, n), torch.zeros(n)
-    object_id = torch.full((n,), -1, dtype=torch.int32)
+    object_id, material = torch.full((n,), -1, dtype=torch.int32), torch.zeros(n, dtype=torch.int64)
+    numbers = {LAMBERTIAN: 0}  # of the materials in sight
     origin, directions = view.origin, view.rays().flatten(1)
     for hits in intersect(triangles, face_ids.flatten(), origin, directions):
         placed, pixels = hits.placed, hits.pixels
@@ -42,12 +62,17 @@ def gbuffer(triangles: Triangles, view: View, face_ids: Tensor) -> GBuffer:
         texture = placed.body.texture
         if texture is None:
             albedo[pixels] = placed.body.albedo
+            material[pixels] = numbers.setdefault(placed.body.material, len(numbers))
         else:
             x, y, _ = transform(inverse(placed.T_world_body), points)
             albedo[pixels] = texture.at(x, y)
+            if texture.materials != (LAMBERTIAN,):
+                known = torch.tensor([numbers.setdefault(each, len(numbers)) for each in texture.materials])
+                material[pixels] = known[texture.material_at(x, y)]
         object_id[pixels] = placed.object_id
     shape = (view.height, view.width)
-    return GBuffer(position.view(3, *shape), normal.view(3, *shape), albedo.view(shape), object_id.view(shape))
+    finish = Finish(tuple(numbers), material.view(shape), origin) if len(numbers) > 1 else None
+    return GBuffer(position.view(3, *shape), normal.view(3, *shape), albedo.view(shape), object_id.view(shape), finish)
 
 
 def _normals(corner_normals: Tensor, barycentric: Tensor) -> Tensor:

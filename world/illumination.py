@@ -1,13 +1,16 @@
 """Light on surfaces: `E_v = I_v cos / d^2` with shadows (T 2.1.5), plain on a G-buffer or folded into one sparse matrix."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
 import torch
 from torch import Tensor
 
+from world.brdf import luminance_factor
 from world.frames import inverse, transform
 from world.gbuffer import GBuffer
 from world.headlight import Headlight
@@ -21,14 +24,14 @@ class LitSurface:
     """The part of a G-buffer that a lamp can reach, M pixels in image order.
 
     index: `[M]` int64, flat image index. texel: `[4, M]` int64 and weight: `[4, M]`, bilinear neighbours in the light texture.
-    factor: `[M]`, cos / d^2 in 1/m^2, zero in shadow. albedo: `[M]`.
+    factor: `[M]`, cos / d^2 in 1/m^2, zero in shadow. luminance_factor: `[M]`, albedo of the Lambertian surface that would look as bright.
     """
 
     index: Tensor
     texel: Tensor
     weight: Tensor
     factor: Tensor
-    albedo: Tensor
+    luminance_factor: Tensor
 
 
 def reach(gbuffer: GBuffer, headlight: Headlight, T_world_headlight: Tensor, shadow: ShadowMap | None = None) -> LitSurface:
@@ -51,7 +54,24 @@ def reach(gbuffer: GBuffer, headlight: Headlight, T_world_headlight: Tensor, sha
     lit = factor > 0
     index, factor = index[lit], factor[lit]
     texel, weight = bilinear(headlight, row[index], col[index])
-    return LitSurface(index, texel, weight, factor, gbuffer.albedo.flatten()[index])
+    return LitSurface(index, texel, weight, factor, _luminance_factor(gbuffer, index, away[:, index]))
+
+
+def _luminance_factor(gbuffer: GBuffer, index: Tensor, away: Tensor) -> Tensor:
+    """Luminance factor `[M]` of the pixels at flat image index `[M]`, lit from `away` `[3, M]` in m, seen from the view's eye."""
+    factor = gbuffer.albedo.flatten()[index]
+    if gbuffer.finish is None:
+        return factor
+    position, normal, material = gbuffer.position.flatten(1), gbuffer.normal.flatten(1), gbuffer.finish.material.flatten()[index]
+    for number, each in enumerate(gbuffer.finish.materials):
+        part = torch.nonzero(material == number)[:, 0]
+        if each.lambertian or not len(part):
+            continue
+        pixel = index[part]
+        to_eye = gbuffer.finish.eye[:, None].to(position) - position[:, pixel]
+        to_lamp, to_eye = (torch.nn.functional.normalize(ray, dim=0) for ray in (away[:, part], to_eye))
+        factor[part] = luminance_factor(each, factor[part], normal[:, pixel], to_lamp, to_eye)
+    return factor
 
 
 def illuminance(surface: LitSurface, light_texture: Tensor) -> Tensor:
@@ -61,8 +81,8 @@ def illuminance(surface: LitSurface, light_texture: Tensor) -> Tensor:
 
 
 def luminance(surface: LitSurface, light_texture: Tensor) -> Tensor:
-    """Luminance `[..., M]` in cd/m^2 of the reached pixels as Lambertian surfaces: `L_v = albedo E_v / pi`."""
-    return illuminance(surface, light_texture) * surface.albedo / math.pi
+    """Luminance `[..., M]` in cd/m^2 of the reached pixels: `L_v = beta E_v / pi`, beta being the luminance factor."""
+    return illuminance(surface, light_texture) * surface.luminance_factor / math.pi
 
 
 @dataclass(frozen=True)
@@ -93,11 +113,11 @@ class Transport:
 
 
 def transport(surface: LitSurface, headlight: Headlight, width: int, oversampling: int = 1) -> Transport:
-    """Fold sampling, geometry, albedo and the headlight matrix into one sparse matrix (M x n_p).
+    """Fold sampling, geometry, reflection and the headlight matrix into one sparse matrix (M x n_p).
 
     width: of the image in px. oversampling: image rows of the G-buffer that a camera pixel takes the mean of.
     """
-    values = (surface.weight * (surface.factor * surface.albedo / (math.pi * oversampling))).T.cpu().numpy()
+    values = (surface.weight * (surface.factor * surface.luminance_factor / (math.pi * oversampling))).T.cpu().numpy()
     pixel = (surface.index // (width * oversampling) * width + surface.index % width).cpu().numpy()
     index, row = np.unique(pixel, return_inverse=True)
     entries = (values.ravel(), (np.repeat(row, 4), surface.texel.T.cpu().numpy().ravel()))
@@ -106,3 +126,22 @@ def transport(surface: LitSurface, headlight: Headlight, width: int, oversamplin
     matrix = Csr.from_scipy(sampling @ headlight.matrix.to_scipy(), headlight.matrix.values.dtype).to(device)
     first, last = segment_bounds(matrix.indices, row_of_entries(matrix), headlight.n_pixels)
     return Transport(matrix, torch.from_numpy(index).to(device), first, last)
+
+
+class Light(Protocol):
+    """Utilisations u `[..., n_p]` in 0..1; band: all pixellights outside of it are dark, None where that is not known."""
+
+    @property
+    def u(self) -> Tensor: ...
+
+    @property
+    def band(self) -> slice | None: ...
+
+
+def added_light(transports: Sequence[Transport], lights: Sequence[Light], base: Tensor) -> Tensor:
+    """Luminance `[..., height, width]` in cd/m^2 of a camera's pixels: that of one light a transport on top of a base `[height, width]`."""
+    image = base.expand(*lights[0].u.shape[:-1], *base.shape).flatten(-2).clone()
+    for transport_, light in zip(transports, lights, strict=True):
+        luminance, index = transport_.luminance(light.u, light.band)
+        image.index_add_(-1, index, luminance)
+    return image.unflatten(-1, base.shape)

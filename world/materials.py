@@ -1,25 +1,43 @@
-"""Albedo that varies over a surface, and asphalt made from a seed."""
+"""Materials by name, albedo that varies over a surface, and asphalt made from a seed."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 import torch
 from pydantic import Field
 from torch import Tensor
 
+from world.brdf import LAMBERTIAN, Material
 from world.params import Params
+
+MaterialName = Literal["asphalt", "wet_asphalt", "lane_paint", "retroreflective_sign"]
+
+# A film of water of refractive index 1.33 throws back 1 - (1 - 0.066) / 1.33^2 of the diffuse light below it.
+WET = Material(interface=1.0, f0=0.02, roughness=0.12, trapped=0.47)
+MATERIALS: dict[MaterialName, Material] = {
+    "asphalt": Material(interface=1.0, f0=0.04, roughness=0.6),
+    "wet_asphalt": WET,
+    # R_L 204 mcd/(m^2 lx) in the geometry of EN 1436 with an albedo of 0.6
+    "lane_paint": Material(retro=0.004, retro_width_deg=3.0),
+    # R_A 72, 65 and 5 cd/(lx m^2) at 0.2, 0.33 and 2 deg, as sheets of class RA1 of EN 12899-1 have at least 70, 50 and 5
+    "retroreflective_sign": Material(retro=0.105, retro_width_deg=1.2),
+}
 
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """Albedo over a body's x and y, repeated endlessly.
+    """Albedo and material over a body's x and y, repeated endlessly.
 
     albedo: `[n_x, n_y]` float32; texel (i, j) has its centre at `origin_m + ((i, j) + 1/2) * texel_m`.
+    materials: those of the surface. material: `[n_x, n_y]` int64, which of them a texel is made of; None: of the first.
     """
 
     albedo: Tensor
     texel_m: float
     origin_m: tuple[float, float] = (0.0, 0.0)
+    materials: tuple[Material, ...] = (LAMBERTIAN,)
+    material: Tensor | None = None
 
     def at(self, x: Tensor, y: Tensor) -> Tensor:
         """Albedo, bilinear, float32 in the shape of x and y (m, body frame)."""
@@ -32,14 +50,24 @@ class Texture:
         near = torch.lerp(self.albedo[i0, j0], self.albedo[i0, j1], fj)
         return torch.lerp(near, torch.lerp(self.albedo[i1, j0], self.albedo[i1, j1], fj), fi)
 
+    def material_at(self, x: Tensor, y: Tensor) -> Tensor:
+        """Which of the materials is there, of the texel that x and y (m, body frame) lie in, int64 in their shape."""
+        if self.material is None:
+            return torch.zeros_like(x, dtype=torch.int64)
+        n_x, n_y = self.material.shape
+        i, j = ((at - start) / self.texel_m for at, start in zip((x, y), self.origin_m, strict=True))
+        return self.material[i.floor().long() % n_x, j.floor().long() % n_y]
+
 
 class RoadSurfaceParams(Params):
     """Asphalt: fine grain, mottling, mended patches, and lane markings if wanted."""
 
-    albedo: float = Field(0.2, gt=0, le=1, description="Mean share of light that the asphalt reflects, markings left out")
+    albedo: float = Field(0.2, gt=0, le=1, description="Mean share of light that the dry asphalt reflects, markings left out")
     grain: float = Field(0.12, ge=0, le=0.5, description="Standard deviation of the asphalt's albedo, relative to its mean; 0: uniform")
     patches: int = Field(3, ge=0, le=50, description="Mended patches on every 36 m of road")
     markings: bool = Field(False, description="Paint a solid line on the right of the lane and a broken one on its left")
+    beads: bool = Field(False, description="Let glass beads in the markings send light back to where it comes from")
+    wet: float = Field(0.0, ge=0, le=1, description="Share of the road under a film of water: darker, glossy, its beads drowned")
     lane_width_m: float = Field(3.5, gt=1, le=10, description="Distance of the two lines; the lane's middle is y = 0")
     seed: int = Field(0, ge=0, description="Seed of grain and patches")
 
@@ -55,13 +83,24 @@ class RoadSurfaceParams(Params):
             relative[rows, columns] = 1.0 + rng.uniform(-0.3, -0.1) + 0.6 * (relative[rows, columns] - 1.0)
         relative = relative.clip(0.3, None)
         albedo = (self.albedo * relative / relative.mean()).clip(0, 1)
+        painted = np.zeros((n_x, n_y), bool)
         if self.markings:
             x = (np.arange(n_x) + 0.5) * texel_m
             y = (np.arange(n_y) + 0.5 - n_y / 2) * texel_m
             solid = np.abs(y + self.lane_width_m / 2) < 0.06
             broken = (np.abs(y - self.lane_width_m / 2) < 0.06)[None] & ((x % 9) < 3)[:, None]
-            albedo = np.where(solid[None] | broken, (0.6 + albedo - self.albedo).clip(0, 1), albedo)
-        return Texture(torch.from_numpy(albedo.astype(np.float32)), texel_m, (0.0, -n_y * texel_m / 2))
+            painted = solid[None] | broken
+            albedo = np.where(painted, (0.6 + albedo - self.albedo).clip(0, 1), albedo)
+        ground = replace(WET, interface=self.wet) if self.wet else LAMBERTIAN
+        seen = ground.darkened(torch.from_numpy(albedo.astype(np.float32)))
+        return Texture(seen, texel_m, (0.0, -n_y * texel_m / 2), *self._materials(ground, painted))
+
+    def _materials(self, ground: Material, painted: np.ndarray) -> tuple[tuple[Material, ...], Tensor | None]:
+        if not (self.markings and self.beads):
+            return (ground,), None
+        paint = MATERIALS["lane_paint"]
+        paint = replace(ground, retro=paint.retro * (1 - self.wet), retro_width_deg=paint.retro_width_deg)
+        return (ground, paint), torch.from_numpy(painted.astype(np.int64))
 
 
 def _grain(rng: np.random.Generator, n_x: int, n_y: int) -> np.ndarray:

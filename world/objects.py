@@ -2,7 +2,7 @@
 
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import torch
@@ -10,8 +10,10 @@ import trimesh
 from pydantic import Field, model_validator
 
 from world.body import Body, PoseTrack
+from world.brdf import LAMBERTIAN
 from world.errors import LuxloopError
 from world.frames import pose_from_degrees
+from world.materials import MATERIALS, MaterialName
 from world.params import Params
 
 
@@ -29,7 +31,8 @@ class TrackedParams(Params):
     """What all objects have: a name, a surface, and a pose over time."""
 
     name: str = Field(min_length=1, description="Name, for reports")
-    albedo: float = Field(0.2, ge=0, le=1, description="Share of light reflected, diffusely")
+    albedo: float = Field(0.2, ge=0, le=1, description="Share of light reflected, diffusely; of what gets wet when it is dry")
+    material: MaterialName | None = Field(None, description="What it reflects besides, by name; left out: nothing, it is matt")
     track: tuple[KeyframeParams, ...] = Field(min_length=1, description="Poses in ascending time; one keyframe: the object stands still")
     appears_s: float | None = Field(None, description="Time of appearing; left out: there from the start")
     vanishes_s: float | None = Field(None, description="Time of vanishing; left out: there to the end")
@@ -42,6 +45,11 @@ class TrackedParams(Params):
         if self.appears_s is not None and self.vanishes_s is not None and self.vanishes_s <= self.appears_s:
             raise ValueError(f"vanishes_s ({self.vanishes_s}) must be later than appears_s ({self.appears_s})")
         return self
+
+    def surface(self) -> dict[str, Any]:
+        """A body's albedo, as it is seen, and material."""
+        material = MATERIALS[self.material] if self.material else LAMBERTIAN
+        return {"albedo": float(material.darkened(torch.tensor(self.albedo, dtype=torch.float64))), "material": material}
 
     def pose_track(self) -> PoseTrack:
         poses = [pose_from_degrees(k.position_m, k.roll_deg, k.pitch_deg, k.yaw_deg) for k in self.track]
@@ -64,7 +72,7 @@ class BoxParams(TrackedParams):
     def build(self) -> Body:
         box = trimesh.creation.box(self.size_m)
         box.apply_translation((0, 0, self.size_m[2] / 2))
-        return Body(self.name, box, self.albedo, track=self.pose_track())
+        return Body(self.name, box, **self.surface(), track=self.pose_track())
 
 
 class MeshParams(TrackedParams):
@@ -78,7 +86,7 @@ class MeshParams(TrackedParams):
     def build(self) -> Body:
         """Read the file. Raises LuxloopError where it is missing, unreadable or has no triangles."""
         mesh = _read_mesh(self.file, self.scale)
-        return Body(self.name, mesh, self.albedo, smooth=self.smooth, two_sided=not mesh.is_watertight, track=self.pose_track())
+        return Body(self.name, mesh, **self.surface(), smooth=self.smooth, two_sided=not mesh.is_watertight, track=self.pose_track())
 
 
 ObjectParams = Annotated[BoxParams | MeshParams, Field(discriminator="kind")]

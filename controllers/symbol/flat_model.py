@@ -17,7 +17,7 @@ from perception.camera import CameraParams, average_rows, camera_view
 from perception.extraction import Crop, ExtractionParams, noise_limit, symbol_image
 from world.ambient import ambient_luminance
 from world.flatroad import flat_road
-from world.illumination import Transport, reach, transport
+from world.illumination import Transport, added_light, reach, transport
 from world.params import Params
 from world.view import View
 
@@ -82,15 +82,6 @@ class FlatModel:
     def symbol(self, lights: Sequence[Utilisation], crop: Crop) -> Tensor:
         """Symbol image `[..., h, w]` that extraction would find without noise."""
         return symbol_image(self.luminance(lights)[..., *crop.slices], self.limit[crop.slices], self.params)
-
-
-def added_light(transports: Sequence[Transport], lights: Sequence[Utilisation], base: Tensor) -> Tensor:
-    """Camera luminance `[..., height, width]` in cd/m^2 of one utilisation `[..., n_p]` a lamp on top of a base `[height, width]`."""
-    image = base.expand(*lights[0].u.shape[:-1], *base.shape).flatten(-2).clone()
-    for transport_, light in zip(transports, lights, strict=True):
-        luminance, index = transport_.luminance(light.u, light.band)
-        image.index_add_(-1, index, luminance)
-    return image.unflatten(-1, base.shape)
 
 
 def flat_model(

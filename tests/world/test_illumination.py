@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import pytest
 import scipy.sparse as sp
@@ -14,7 +15,7 @@ from world.flatroad import flat_road
 from world.frames import R_ISO_OPENCV, inverse, pose, pose_from_degrees, transform
 from world.gbuffer import GBuffer
 from world.headlight import Headlight
-from world.illumination import illuminance, luminance, reach, transport
+from world.illumination import added_light, illuminance, luminance, reach, transport
 from world.presets import idealised
 from world.raycast import RayCaster
 from world.scene import Scene
@@ -23,6 +24,13 @@ from world.spmv import Csr
 from world.view import View
 
 CD = 30_000.0
+
+
+class Light(NamedTuple):
+    u: Tensor
+    band: slice | None = None
+
+
 LAMP = idealised(20, 32, intensity_cd=CD)
 T_LEFT = pose_from_degrees((0.0, 0.6, 0.75))
 T_RIGHT = pose_from_degrees((0.0, -0.6, 0.75))
@@ -242,6 +250,33 @@ def test_transport_passes_gradients(folded: tuple) -> None:
     v = torch.full((2, LAMP.n_pixels), 0.5, requires_grad=True)
     luminance(lit, LAMP.light_texture(v)).square().sum().backward()
     torch.testing.assert_close(u.grad, v.grad, rtol=1e-4, atol=1e-6)
+
+
+def test_colour_is_three_light_textures(device: torch.device) -> None:
+    generator = torch.Generator().manual_seed(2)
+    chroma = torch.rand(3, len(LAMP.matrix.values), generator=generator)
+    chroma = chroma / (chroma * torch.tensor([[0.2126], [0.7152], [0.0722]])).sum(0)
+    lamp, road = replace(LAMP, chroma=chroma).to(device), flat_road(camera(), 0.2).to(device)
+    u = torch.rand(2, LAMP.n_pixels, generator=generator).to(device)
+    lit = reach(road, lamp, T_LEFT)
+    coloured, white = luminance(lit, lamp.colour_texture(u)), luminance(lit, lamp.light_texture(u))
+    assert coloured.shape == (2, 3, len(lit.index))
+    assert (coloured[:, 0] - coloured[:, 2]).abs().max() > 0.1 * white.max()
+    weighted = (coloured * torch.tensor([0.2126, 0.7152, 0.0722], device=device)[:, None]).sum(1)
+    torch.testing.assert_close(weighted, white, rtol=1e-4, atol=1e-5)
+
+
+def test_lights_add_up_on_a_base(folded: tuple) -> None:
+    _, left = folded
+    right = transport(reach(flat_road(camera(), 0.2), LAMP, T_RIGHT), LAMP, 160)
+    u = torch.rand(2, 3, LAMP.n_pixels, generator=torch.Generator().manual_seed(4))
+    base = torch.full((90, 160), 0.5)
+    image = added_light((left, right), (Light(u[0]), Light(u[1])), base)
+    expected = base.flatten().repeat(3, 1)
+    for part, light in zip((left, right), u, strict=True):
+        expected[:, part.index] += part.luminance(light)[0]
+    torch.testing.assert_close(image, expected.view(3, 90, 160), rtol=1e-6, atol=0)
+    assert (base == 0.5).all()
 
 
 def test_the_assumed_road_is_empty_above_the_horizon() -> None:

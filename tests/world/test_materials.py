@@ -1,0 +1,137 @@
+"""Materials from a scenario's keys to the camera's luminance."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from pydantic import ValidationError
+from torch import Tensor
+from torch.nn.functional import normalize
+
+from tests.world.grids import camera, flat
+from world.body import Body
+from world.brdf import LAMBERTIAN, luminance_factor
+from world.frames import pose_from_degrees
+from world.gbuffer import GBuffer, gbuffer
+from world.illumination import luminance, reach, transport
+from world.materials import MATERIALS, WET, RoadSurfaceParams
+from world.objects import BoxParams
+from world.presets import idealised
+from world.raycast import RayCaster
+from world.scene import Scene
+
+LAMP = idealised(20, 32, intensity_cd=30_000.0)
+T_LEFT = pose_from_degrees((0.0, 0.6, 0.75))
+ALL_ON = torch.ones(LAMP.n_pixels)
+
+
+def board(**keys) -> Body:
+    """A board across the road."""
+    return BoxParams(**{"name": "board", "size_m": (0.1, 1, 1), "albedo": 0.4, "track": [{"position_m": (20, 0.3, 0)}]} | keys).build()
+
+
+def road(**keys) -> Body:
+    surface = RoadSurfaceParams(**keys)
+    return Body("road", flat(), surface.albedo, surface.texture(), smooth=True)
+
+
+def see(*bodies: Body) -> GBuffer:
+    triangles, view = Scene(bodies).at(0.0), camera()
+    return gbuffer(triangles, view, RayCaster().face_ids(triangles, view))
+
+
+def shown(seen: GBuffer) -> Tensor:
+    """Luminance of the G-buffer's image in the left lamp's light."""
+    lit = reach(seen, LAMP, T_LEFT)
+    image = torch.zeros(seen.albedo.numel())
+    image[lit.index] = luminance(lit, LAMP.light_texture(ALL_ON))
+    return image.view(seen.albedo.shape)
+
+
+def test_a_lambertian_scene_carries_no_finish() -> None:
+    seen = see(road(markings=True), board())
+    assert seen.finish is None
+    lit = reach(seen, LAMP, T_LEFT)
+    assert torch.equal(lit.luminance_factor, seen.albedo.flatten()[lit.index])
+
+
+def test_each_pixel_has_the_finish_of_what_it_shows(device: torch.device) -> None:
+    seen = see(road(), board(material="retroreflective_sign"), board(name="other", track=[{"position_m": (15, -1, 0)}])).to(device)
+    assert seen.finish is not None
+    assert seen.finish.materials == (LAMBERTIAN, MATERIALS["retroreflective_sign"])
+    assert torch.equal(seen.finish.material == 1, seen.object_id == 1)
+    assert torch.equal(seen.finish.eye.cpu(), camera().origin)
+    assert seen.albedo[seen.object_id == 1].unique().tolist() == pytest.approx([0.4])
+
+
+def test_a_sign_shines_back_as_its_brdf_says_and_nothing_else_changes() -> None:
+    plain, sign = see(road(), board()), see(road(), board(material="retroreflective_sign"))
+    was, now = shown(plain), shown(sign)
+    board_pixels = plain.object_id == 1
+    assert torch.equal(was[~board_pixels], now[~board_pixels])
+    lit = board_pixels & (was > 0)
+    position, normal = sign.position[:, lit].double(), sign.normal[:, lit].double()
+    to_lamp, to_eye = (normalize(origin[:, None] - position, dim=0) for origin in (T_LEFT[:3, 3], camera().origin))
+    factor = luminance_factor(MATERIALS["retroreflective_sign"], torch.full_like(position[0], 0.4), normal, to_lamp, to_eye)
+    # directions in float32 against a lobe 1.2 deg wide
+    torch.testing.assert_close(now[lit] / was[lit], (factor / 0.4).float(), rtol=1e-3, atol=0)
+    # the eye is 0.7 deg to the side and 2 deg above the lamp
+    assert 20 < (now[lit] / was[lit]).median() < 200
+
+
+def test_the_folded_matrix_shows_materials_too() -> None:
+    seen = see(road(markings=True, beads=True, wet=0.5), board(material="retroreflective_sign"))
+    folded = transport(reach(seen, LAMP, T_LEFT), LAMP, 320)
+    part, index = folded.luminance(ALL_ON)
+    image = torch.zeros(seen.albedo.numel())
+    image[index] = part
+    torch.testing.assert_close(image.view(seen.albedo.shape), shown(seen), rtol=1e-4, atol=1e-6)
+
+
+def test_beads_make_the_lines_shine_and_only_them() -> None:
+    matt, beaded = see(road(markings=True)), see(road(markings=True, beads=True))
+    assert torch.equal(matt.albedo, beaded.albedo)
+    assert beaded.finish is not None
+    painted = beaded.finish.material == 1
+    was, now = shown(matt), shown(beaded)
+    assert (beaded.albedo[painted] > 0.3).double().mean() > 0.95
+    assert torch.equal(was[~painted], now[~painted])
+    # the lit lines are 10 to 40 m off: at 30 m R_L would be 200 where a matt line has 0.6 / pi cos_l, 4 mcd/(m^2 lx)
+    lit = painted & (was > 0)
+    assert 5 < (now[lit] / was[lit]).median() < 60
+
+
+def test_water_darkens_the_road_and_drowns_the_beads() -> None:
+    dry, wet = road(markings=True, beads=True, grain=0.0).texture, road(markings=True, beads=True, grain=0.0, wet=1.0).texture
+    assert dry is not None and wet is not None
+    torch.testing.assert_close(wet.albedo, WET.darkened(dry.albedo))
+    assert [material.retro > 0 for material in dry.materials] == [False, True]
+    assert [material.retro > 0 for material in wet.materials] == [False, False]
+    own = shown(see(road(wet=1.0))) / shown(see(road()))
+    assert own.nanmean() < 0.6
+
+
+def test_a_puddle_is_as_dark_as_wet_asphalt() -> None:
+    puddle = board(material="wet_asphalt", albedo=0.2)
+    assert puddle.material == WET
+    assert puddle.albedo == pytest.approx(WET.darkened(torch.tensor(0.2)).item(), rel=1e-6)
+
+
+def test_a_texel_is_of_one_material() -> None:
+    texture = replace(RoadSurfaceParams(markings=True, beads=True).texture(), origin_m=(0.0, -9.0))
+    x, y = torch.tensor([1.0, 5.0, 37.0, -35.0]), torch.tensor([1.75, 1.75, 1.75, 1.75 + 18])
+    assert texture.material_at(x, y).tolist() == [1, 0, 1, 1]
+    assert RoadSurfaceParams(wet=0.3).texture().material_at(x, y).tolist() == [0, 0, 0, 0]
+
+
+def test_an_unknown_material_is_refused_with_those_there_are() -> None:
+    with pytest.raises(ValidationError, match="retroreflective_sign"):
+        board(material="sign")
+
+
+def test_a_grazing_eye_behind_an_interpolated_normal_sees_no_nonsense() -> None:
+    seen = see(road(wet=1.0))
+    assert seen.finish is not None
+    tilted = replace(seen, normal=normalize(seen.normal + torch.tensor([0.5, 0.0, 0.0])[:, None, None], dim=0) * (seen.object_id >= 0))
+    image = shown(replace(tilted, finish=replace(seen.finish, eye=torch.tensor([-50.0, 0.0, 1.0], dtype=torch.float64))))
+    assert image.isfinite().all() and (image >= 0).all()

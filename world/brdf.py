@@ -1,0 +1,151 @@
+"""How surfaces reflect: a matt ground, glass beads that send light back, a glossy interface on top; none returns more than it gets."""
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import torch
+from torch import Tensor
+
+NODES = 128  # of the tables over the angle, even in the root of its cosine, since grazing angles change fastest
+MARGIN = 1e-3  # by which the tables overstate what is reflected, more than quadrature and interpolation are off
+
+
+@dataclass(frozen=True)
+class Material:
+    """What a surface has besides its albedo. The default is Lambertian.
+
+    interface: share of it 0..1 that is covered by a glossy interface. f0: the interface's reflectance at normal incidence.
+    roughness: alpha of its GGX microfacets, 0.02..1. retro: share 0..1 of the light that gets through and is sent back to where it came
+    from. retro_width_deg: angle from there at which that lobe has fallen to a quarter. trapped: share of the light scattered below the
+    interface that is thrown back down by it, where the albedo is that without the interface (a film of water).
+    """
+
+    interface: float = 0.0
+    f0: float = 0.04
+    roughness: float = 0.5
+    retro: float = 0.0
+    retro_width_deg: float = 1.0
+    trapped: float = 0.0
+
+    @property
+    def lambertian(self) -> bool:
+        return self.interface == 0 and self.retro == 0
+
+    @property
+    def retro_t(self) -> float:
+        """`1 - cos` of the lobe's width."""
+        return 2 * math.sin(math.radians(self.retro_width_deg) / 2) ** 2
+
+    def darkened(self, albedo: Tensor) -> Tensor:
+        """Albedo under the interface: of what is scattered up, a share is thrown back and scattered again (Lekner & Dorf 1988)."""
+        below = albedo * (1 - self.trapped) / (1 - self.trapped * albedo)
+        return torch.lerp(albedo, below, self.interface)
+
+
+LAMBERTIAN = Material()
+
+
+def luminance_factor(material: Material, albedo: Tensor, normal: Tensor, to_lamp: Tensor, to_eye: Tensor) -> Tensor:
+    """Luminance `[M]` as a multiple of that of a perfect white diffuser in the same light (`pi f`), for M points.
+
+    albedo: `[M]`. normal, to_lamp, to_eye: unit vectors `[3, M]`.
+
+    The interface is GGX with height-correlated Smith shadowing and Schlick's Fresnel term (Walter et al. 2007, Heitz 2014). The lobe sent
+    back is `retro / (2 pi t0) / (1 + t / t0)^2 / max(cos_l, cos_v)` with `t = 1 - l.v`: it holds at most `retro` of the light, from any
+    direction. Each part gets what those above it let through, on the way in and out; the ground is divided by the mean of that, so that all
+    parts and a ground of albedo 1 add up to all light (Kelemen & Szirmay-Kalos 2001). Nothing changes if lamp and eye change places.
+    """
+    cos_l, cos_v = _cos(normal, to_lamp), _cos(normal, to_eye)
+    through, left, mean_left = _tables(material)
+    through, left = through.to(albedo), left.to(albedo)
+    ground = albedo * _look_up(left, cos_l) * _look_up(left, cos_v) / mean_left
+    if material.retro > 0:
+        t = (to_lamp - to_eye).square().sum(0) / 2
+        lobe = material.retro / (2 * material.retro_t) / (1 + t / material.retro_t).square() / torch.maximum(cos_l, cos_v)
+        ground = ground + lobe * _look_up(through, cos_l) * _look_up(through, cos_v)
+    return ground + math.pi * _glossy(material, normal, to_lamp, to_eye, cos_l, cos_v) if material.interface > 0 else ground
+
+
+def _cos(normal: Tensor, direction: Tensor) -> Tensor:
+    """Interpolated normals may turn away from an eye that still sees the face: grazing, then."""
+    return (normal * direction).sum(0).clamp(1e-4, 1)
+
+
+def _glossy(material: Material, normal: Tensor, to_lamp: Tensor, to_eye: Tensor, cos_l: Tensor, cos_v: Tensor) -> Tensor:
+    half = torch.nn.functional.normalize(to_lamp + to_eye, dim=0)
+    a2 = material.roughness**2
+    # 1 - cos^2 would cancel in float32 where the peak is
+    sin2 = torch.linalg.cross(normal, half, dim=0).square().sum(0)
+    facets = a2 / (math.pi * (sin2 + a2 * (1 - sin2)).square())
+    shadowed = 0.5 / (cos_l * (a2 + (1 - a2) * cos_v**2).sqrt() + cos_v * (a2 + (1 - a2) * cos_l**2).sqrt())
+    return material.interface * facets * shadowed * _fresnel(material, (to_lamp * half).sum(0))
+
+
+def _fresnel(material: Material, cos: Tensor) -> Tensor:
+    return material.f0 + (1 - material.f0) * (1 - cos.clamp(0, 1)) ** 5
+
+
+def _look_up(table: Tensor, cos: Tensor) -> Tensor:
+    place = cos.sqrt() * (NODES - 1)
+    below = place.floor().clamp(max=NODES - 2)
+    i = below.long()
+    return torch.lerp(table[i], table[i + 1], place - below)
+
+
+@lru_cache(maxsize=64)
+def _tables(material: Material) -> tuple[Tensor, Tensor, float]:
+    """What the interface lets through and what interface and beads leave for the ground, `[NODES]` float64 over the angle, and its mean."""
+    cos = torch.linspace(0, 1, NODES, dtype=torch.float64).square()
+    glossy = _reflected_by_interface(material, cos)
+    through = 1 - glossy
+    left = (through - _sent_back(material, cos, through) - MARGIN).clamp(min=0)
+    # the mean over the hemisphere, 2 int left cos d(cos), of the table as it is looked up
+    fine = (torch.arange(4096, dtype=torch.float64) + 0.5) / 4096
+    mean = (_look_up(left, fine) * 2 * fine).mean()
+    return through, left, max(float(mean), 1e-12)
+
+
+def _eyes(cos: Tensor) -> tuple[Tensor, Tensor]:
+    """Sines and cosines `[NODES, 1, 1]` of the angles that the tables are over."""
+    return (1 - cos**2).clamp(min=0).sqrt()[:, None, None], cos.clamp(min=1e-6)[:, None, None]
+
+
+def _nodes() -> tuple[Tensor, Tensor, Tensor]:
+    """Nodes `[64, 1]` of 0..1 with their weights (Gauss), and angles `[64]` of half a turn, in each of which lies the same weight."""
+    u, weight = np.polynomial.legendre.leggauss(64)
+    angle = (torch.arange(64, dtype=torch.float64) + 0.5) / 64 * math.pi
+    return torch.from_numpy(u + 1)[:, None] / 2, torch.from_numpy(weight)[:, None] / 2 / 64, angle
+
+
+def _reflected_by_interface(material: Material, cos: Tensor) -> Tensor:
+    """Share `[NODES]` that the interface reflects: an integral over the microfacets that an eye sees, spread evenly on a spherical cap.
+
+    After Dupuy & Benyoub 2023. The eye lies in the plane y = 0.
+    """
+    if material.interface == 0:
+        return torch.zeros_like(cos)
+    a, (sin_v, cos_v), (u, weight, angle) = material.roughness, _eyes(cos), _nodes()
+    length = ((a * sin_v) ** 2 + cos_v**2).sqrt()
+    cap_z = (1 - u) * (1 + cos_v / length) - cos_v / length
+    cap = (1 - cap_z**2).clamp(min=0).sqrt()
+    x, y, z = a * (cap * angle.cos() + a * sin_v / length), a * cap * angle.sin(), cap_z + cos_v / length
+    norm = (x**2 + y**2 + z**2).sqrt()
+    cos_h = (sin_v * x + cos_v * z) / norm
+    cos_l = 2 * cos_h * z / norm - cos_v
+    shadow_v, shadow_l = ((1 + a**2 * (1 / c.clamp(min=1e-9) ** 2 - 1)).clamp(min=0).sqrt() for c in (cos_v, cos_l))
+    seen = (cos_l > 0) * (1 + shadow_v) / (shadow_v + shadow_l)
+    return material.interface * (_fresnel(material, cos_h) * seen * weight).sum((1, 2))
+
+
+def _sent_back(material: Material, cos: Tensor, through: Tensor) -> Tensor:
+    """Share `[NODES]` that the beads send back through the interface, an integral over the lobe around the eye."""
+    if material.retro == 0:
+        return torch.zeros_like(cos)
+    (sin_v, cos_v), (u, weight, angle), t0 = _eyes(cos), _nodes(), material.retro_t
+    part = u * 2 / (2 + t0)
+    t = t0 * part / (1 - part)
+    cos_l = (1 - t) * cos_v + (t * (2 - t)).clamp(min=0).sqrt() * sin_v * angle.cos()
+    arrived = cos_l.clamp(min=0) / torch.maximum(cos_l, cos_v) * _look_up(through, cos_l.clamp(0, 1))
+    return through * material.retro * 2 / (2 + t0) * (arrived * weight).sum((1, 2))
