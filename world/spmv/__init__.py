@@ -1,7 +1,23 @@
 """Sparse matrix-vector products `i = A u` (T 2.5, 5.3), in the format that suits the lamp."""
 
+from world.spmv.auto import fastest
 from world.spmv.csr import Csr, multiply, row_of_entries, segment_bounds
 from world.spmv.formats import FORMATS, build
+from world.spmv.graph import CapturedProduct
+from world.spmv.incremental import Bands, ChangedPixels
 from world.spmv.protocol import SparseFormat, Storage
 
-__all__ = ["FORMATS", "Csr", "SparseFormat", "Storage", "build", "multiply", "row_of_entries", "segment_bounds"]
+__all__ = [
+    "FORMATS",
+    "Bands",
+    "CapturedProduct",
+    "ChangedPixels",
+    "Csr",
+    "SparseFormat",
+    "Storage",
+    "build",
+    "fastest",
+    "multiply",
+    "row_of_entries",
+    "segment_bounds",
+]
