@@ -80,10 +80,12 @@ def write(figure: Figure, out: Path) -> None:
     part = out.with_name(f".{out.name}.part")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(part, format=out.suffix[1:].lower())
-        os.replace(part, out)
+        try:
+            figure.savefig(part, format=out.suffix[1:].lower())
+            os.replace(part, out)
+        finally:
+            part.unlink(missing_ok=True)
     except OSError as error:
-        part.unlink(missing_ok=True)
         raise LuxloopError(f"{out}: cannot be written ({error.strerror or error}); give another file") from error
 
 

@@ -1,0 +1,214 @@
+"""Pictures of headlamps: what they are drawn from has the right values, and files come whole or not at all."""
+
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from loop import headlight_overview, headlight_pictures
+from loop.headlight_charts import steps
+from loop.headlight_overview import facts, flux_lm, reach_m
+from loop.headlight_panels import wall_angles
+from loop.headlight_pictures import VIEWS, show
+from loop.headlight_views import BIRDSEYE_X_M, BIRDSEYE_Y_M, LitCar, Road, beside, birdseye, driver, luminance_of
+from loop.scenario import Scenario, validate
+from world.errors import LuxloopError
+from world.headlight import Headlight
+from world.lamp import Lamp, Module
+from world.presets import idealised
+from world.view import View
+from world.volumetric import Medium
+
+
+@pytest.fixture(scope="module")
+def light() -> Headlight:
+    return idealised(20, 40, (4, 4), half_width_deg=12, top_deg=2, bottom_deg=-8)
+
+
+@pytest.fixture(scope="module")
+def lamps(light: Headlight) -> dict[str, Lamp]:
+    low = torch.ones(20, 40)
+    low[:5] = 0  # the upper 2.6 deg
+    lamp = Lamp("small", (Module("main", light),), {"low": (low.flatten(),)})
+    return {"left": lamp, "right": lamp}
+
+
+@pytest.fixture(scope="module")
+def car(lamps: dict[str, Lamp]) -> LitCar:
+    return LitCar(lamps, {side: lamp.beam("full") for side, lamp in lamps.items()})
+
+
+def scenario(**tables: object) -> Scenario:
+    return validate({"name": "test", "symbol": {"image": "snowflake"}, "surface": {"grain": 0.0}, "renderer": "raycast", **tables}, "test")
+
+
+@pytest.fixture(scope="module")
+def road() -> Road:
+    return Road(scenario(light={"ambient_lx": 0.0}))
+
+
+def point_at(view: View, row: int, col: int) -> torch.Tensor:
+    """Where on the plane z = 0 a pixel's centre looks."""
+    ray = view.rays()[:, row, col]
+    return view.origin - view.origin[2] / ray[2] * ray
+
+
+def expected_lx(car: LitCar, point: torch.Tensor) -> float:
+    """I cos / d^2 of all lamps on the road, written out."""
+    total = 0.0
+    for side, lamp in car.lamps.items():
+        ray = point - torch.tensor([0.0, 0.6 if side == "left" else -0.6, 0.75], dtype=torch.float64)
+        total += float(lamp.intensity(car.patterns[side], ray[:, None])) * 0.75 / float(ray.norm()) ** 3
+    return total
+
+
+def test_map_of_the_road_has_its_illuminance_in_its_places(car: LitCar, road: Road) -> None:
+    view = birdseye(0.25)
+    seen = road.look(car, view)
+    (x0, _), (_, y1) = BIRDSEYE_X_M, BIRDSEYE_Y_M
+    for x, y in ((20.125, 0.125), (40.125, -3.125), (15.125, 2.875)):
+        row, col = round((y1 - y) / 0.25 - 0.5), round((x - x0) / 0.25 - 0.5)
+        point = point_at(view, row, col)
+        assert point.tolist() == pytest.approx([x, y, 0], abs=1e-6)
+        value = expected_lx(car, point)
+        assert value > 0.5
+        assert seen.illuminance[row, col] == pytest.approx(value, rel=1e-4)  # positions are float32
+
+
+def test_driver_sees_albedo_times_illuminance_by_pi(car: LitCar, road: Road) -> None:
+    view = driver(320)
+    seen = road.look(car, view)
+    row, col = 130, 170
+    value = expected_lx(car, point_at(view, row, col))
+    assert value > 0.5
+    assert seen.luminance[row, col] == pytest.approx(0.2 * value / math.pi, rel=1e-3)  # the road's albedo is 0.2
+    assert np.isnan(seen.illuminance[0]).all() and not seen.luminance[0].any(), "the sky is not lit"
+
+
+def test_objects_of_a_scenario_throw_shadows(car: LitCar) -> None:
+    box = {"kind": "box", "name": "box", "size_m": [1.0, 12.0, 2.0], "track": [{"position_m": [20.0, 0.0, 0.0]}]}
+    seen = Road(scenario(objects=[box])).look(car, birdseye(0.5))
+    behind, before = (round((x - BIRDSEYE_X_M[0]) / 0.5) for x in (30.0, 15.0))
+    assert seen.illuminance[40, behind] == 0 and seen.illuminance[40, before] > 0.5
+
+
+def test_fog_veils_what_is_far_and_shows_the_beam(car: LitCar, road: Road) -> None:
+    view = beside(160)
+    clear, fog = road.look(car, view), road.look(car, view, Medium.fog(100.0))
+    sky = np.isnan(clear.illuminance)
+    assert clear.luminance[sky].max() == 0 < fog.luminance[sky].max()
+    bright = clear.luminance > 0.5 * clear.luminance.max()
+    assert fog.luminance[bright].mean() < 0.6 * clear.luminance[bright].mean(), "about 15 m there and 20 m back of 100 m take two thirds"
+
+
+def test_chromatic_lamps_are_seen_in_colour(light: Headlight, road: Road) -> None:
+    red = torch.tensor([1 / 0.2126, 0.0, 0.0])[:, None].expand(3, len(light.matrix.values))
+    coloured = Headlight(**{**vars(light), "chroma": red})
+    lamp = Lamp("red", (Module("main", coloured),))
+    grey, seen = (
+        road.look(LitCar({"left": each}, {"left": each.beam("full")}), driver(160))
+        for each in (Lamp("grey", (Module("main", light),)), lamp)
+    )
+    assert seen.luminance.shape == (90, 160, 3)
+    assert seen.luminance[..., 0].max() > 0 and seen.luminance[..., 1:].max() == 0
+    np.testing.assert_allclose(seen.grey, grey.luminance, rtol=1e-4, atol=1e-7)
+    np.testing.assert_allclose(seen.illuminance, grey.illuminance, rtol=1e-4, atol=1e-6)
+
+
+def test_flux_of_a_uniform_texture_is_its_solid_angle(light: Headlight) -> None:
+    def rectangle(y: float, z: float) -> float:
+        return math.atan(y * z / math.sqrt(1 + y * y + z * z))
+
+    solid_angle = 2 * (rectangle(light.left, light.top) - rectangle(light.left, light.bottom))
+    # Midpoints of 80 x 160 texels; the integrand varies by 7 %.
+    assert flux_lm(light, torch.full((light.rows, light.cols), 1000.0)) == pytest.approx(1000 * solid_angle, rel=1e-5)
+
+
+def test_reach_is_where_the_inverse_square_law_says(lamps: dict[str, Lamp]) -> None:
+    alone = LitCar({"left": lamps["left"]}, {"left": lamps["left"].beam("full")})
+    # 50 kcd give 10 lx at 70.7 m, looking 0.6 deg down; facing the car costs no cosine worth mentioning there.
+    assert reach_m(alone, 10.0) == pytest.approx(math.sqrt(50_000 / 10), abs=0.5)
+    assert reach_m(LitCar({"left": lamps["left"]}, {"left": lamps["left"].beam("off")}), 1.0) == 0.0
+
+
+def test_wall_holds_the_beam_and_facts_name_its_peak(lamps: dict[str, Lamp]) -> None:
+    low = LitCar(lamps, {side: lamp.beam("low") for side, lamp in lamps.items()})
+    h, v = wall_angles(low)
+    assert h[0] < -12 and h[-1] > 12 and v[0] < -8 and v[-1] >= 1.5
+    found = dict(facts(low, "low"))
+    assert found["beam"] == "low"
+    assert found["left lamp"].startswith("800 pixels, ")
+    assert found["peak"] == "50 kcd, 80 lx at 25 m"
+
+
+@pytest.mark.parametrize(("peak", "expected"), [(0.0, [1.0]), (3.0, [0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2]), (10.0, [2, 5])])
+def test_lines_are_at_round_values(peak: float, expected: list[float]) -> None:
+    assert steps(peak, most=len(expected)) == pytest.approx(expected)
+
+
+def test_coloured_light_counts_as_the_eye_weighs_it() -> None:
+    assert float(luminance_of(torch.ones(3, 1, 1))) == pytest.approx(1.0)
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch, road: Road) -> None:
+    """Small views of a road that is there already."""
+    monkeypatch.setattr(headlight_pictures, "DPI", 50)
+    monkeypatch.setattr(headlight_pictures, "Road", lambda scenario: road)
+    monkeypatch.setattr(headlight_pictures, "beside", lambda: beside(160))
+    for module in (headlight_pictures, headlight_overview):
+        monkeypatch.setattr(module, "driver", lambda width_px=320: driver(320))
+        monkeypatch.setattr(module, "birdseye", lambda cell_m=0.5, x_m=BIRDSEYE_X_M: birdseye(0.5, x_m))
+
+
+@pytest.mark.parametrize("view", VIEWS)
+@pytest.mark.usefixtures("quick")
+def test_each_view_in_each_style_is_a_readable_picture(view: str, lamps: dict[str, Lamp], tmp_path: Path) -> None:
+    for style in VIEWS[view]:
+        file = show(lamps, tmp_path / f"{style}.png", view=view, style=style)
+        picture = cv2.imread(str(file))
+        assert picture.shape[1] >= 500 and picture.std() > 10
+    assert {path.suffix for path in tmp_path.iterdir()} == {".png"}, "nothing half-written is left"
+
+
+def test_a_scenario_is_shown_at_full_size(lamps: dict[str, Lamp], tmp_path: Path) -> None:
+    bumpy = scenario(road={"kind": "speed_bump"}, headlight={"height_m": 0.9})
+    assert cv2.imread(str(show(lamps, tmp_path / "driver.png", view="driver", scenario=bumpy))).shape[1] == 1210
+
+
+@pytest.mark.parametrize("view", ["wall", "pixels", "overview"])
+@pytest.mark.usefixtures("quick")
+def test_a_dark_lamp_can_be_shown(view: str, lamps: dict[str, Lamp], tmp_path: Path) -> None:
+    file = show({"right": lamps["right"]}, tmp_path / "new" / "dark.jpg", beam="off", view=view)
+    assert cv2.imread(str(file)) is not None
+
+
+def test_own_utilisations_are_shown(lamps: dict[str, Lamp], tmp_path: Path) -> None:
+    pattern = {"left": (torch.rand(800, generator=torch.Generator().manual_seed(0)),)}
+    assert show({"left": lamps["left"]}, tmp_path / "own.png", beam=pattern, view="wall", style="isocandela").is_file()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"view": "drivr"}, "no view 'drivr'; did you mean 'driver'"),
+        ({"view": "wall", "style": "isolxu"}, "no style 'isolxu'; did you mean 'isolux'"),
+        ({"view": "driver", "style": "isocandela"}, "'driver'.*'isocandela'; give one of luminance, falsecolour, isolux"),
+        ({"beam": "hihg"}, "no beam 'hihg'; it has low, full, off"),
+        ({"out": Path("beam.bmp")}, r"beam.bmp: pictures are written as .png"),
+        ({"visibility_m": 0.0, "view": "volume"}, "visibility of 0 m"),
+    ],
+)
+def test_what_is_wrong_is_named(arguments: dict[str, object], message: str, lamps: dict[str, Lamp], tmp_path: Path) -> None:
+    with pytest.raises(LuxloopError, match=message):
+        show(lamps, **{"out": tmp_path / "beam.png", **arguments})  # type: ignore[arg-type]
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_cannot_be_written_is_named(lamps: dict[str, Lamp], tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(LuxloopError, match="cannot be written"):
+        show(lamps, tmp_path / "file" / "beam.png", view="wall")
