@@ -105,6 +105,8 @@ def _photometry(numbers: Numbers, path: Path, warnings: list[str]) -> Photometry
     """All that follows TILT, in the order of the standard."""
     lamps = numbers.whole("the number of lamps")
     lumens = numbers.one("lumens per lamp, or -1 for absolute photometry")
+    if lumens == 0 or (lumens < 0 and lumens != -1):
+        warnings.append(f"{lumens:g} lumens per lamp: read as absolute photometry")
     multiplier = numbers.positive("the candela multiplier")
     n_v = numbers.whole("the number of vertical angles", 2)
     n_h = numbers.whole("the number of horizontal angles", 1)
@@ -138,7 +140,7 @@ def _photometry(numbers: Numbers, path: Path, warnings: list[str]) -> Photometry
         format="",
         distribution=distribution,
         lamps=lamps,
-        lumens_per_lamp=lumens if lumens >= 0 else None,
+        lumens_per_lamp=lumens if lumens > 0 else None,
         watts=watts,
         size_m=(float(size[0]), float(size[1]), float(size[2])),
         feet=units == 1,

@@ -1,7 +1,7 @@
 """From a distribution on the sphere to a light texture of any grid (T 5.2).
 
-A texel that spans more than a step of the file's angles holds the average over its solid angle, so that the flux is kept; a finer one
-is interpolated. Which of the two is decided texel by texel, since the steps of a file and the angles of texels both vary.
+A texel that spans more than half a step of the file's angles holds the average over its solid angle, so that the flux is kept; a finer
+one is interpolated. Which of the two is decided texel by texel, since the steps of a file and the angles of texels both vary.
 """
 
 import numpy as np
@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from world.photometry.distribution import Aim, Array, Distribution, angles_of
 from world.texels import TexelGrid, bilinear
 
-SAMPLES_PER_STEP = 2  # in each direction: the file is bilinear within a step, so that two resolve it
+FINE_STEPS = 0.5  # up to so much of a step, a texel is interpolated: its share of a kink hardly counts
+SAMPLES_PER_STEP = 4  # in each direction: the file is bilinear within a step
 MOST_SAMPLES = 256  # a side of a texel; more than that no average needs, and at the pole of type C the azimuth turns without end
 EDGE_STEPS = 4  # the end of a table, where light may stop at once, counts as so many steps
 _CHUNK = 1 << 20  # samples in memory at a time
@@ -38,16 +39,19 @@ def light_texture(distribution: Distribution, grid: TexelGrid, aim: Aim = "beam"
 
 def samples(distribution: Distribution, grid: TexelGrid, aim: Aim = "beam") -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """How many samples across and down average each texel, `[rows, cols]` twice, powers of two; 1 where it is interpolated."""
-    row, col = np.arange(grid.rows + 1.0)[:, None], np.arange(grid.cols + 1.0)
+    row, col = np.arange(grid.rows)[:, None] + 0.5, np.arange(grid.cols) + 0.5
+    half_rows, half_cols = np.arange(2 * grid.rows + 1)[:, None] / 2, np.arange(2 * grid.cols + 1) / 2
     counts = []
-    for axis, (v, h) in (
-        (1, _steps(distribution, grid, row[:-1] + 0.5, col, aim)),
-        (0, _steps(distribution, grid, row, col[:-1] + 0.5, aim)),
-    ):
+    for axis, (v, h) in ((1, _steps(distribution, grid, row, half_cols, aim)), (0, _steps(distribution, grid, half_rows, col, aim))):
+        # By halves, since the pole of type C may lie in the middle, with the same angle on both sides.
         crossed = np.maximum(np.abs(np.diff(v, axis=axis)), _turned(np.diff(h, axis=axis), distribution))
+        crossed = np.add.reduceat(crossed, np.arange(0, crossed.shape[axis], 2), axis=axis)
         finer = np.exp2(np.ceil(np.log2(np.maximum(SAMPLES_PER_STEP * crossed, 1)))).astype(np.int64)
-        counts.append(np.where(crossed <= 1 + 1e-9, 1, np.minimum(finer, MOST_SAMPLES)))
-    return counts[0], counts[1]
+        counts.append(np.where(crossed <= FINE_STEPS, 1, np.minimum(finer, MOST_SAMPLES)))
+    across, down = counts
+    # The table's lines may run aslant: what is averaged one way is not constant the other.
+    averaged = (across > 1) | (down > 1)
+    return np.where(averaged, np.maximum(across, SAMPLES_PER_STEP), 1), np.where(averaged, np.maximum(down, SAMPLES_PER_STEP), 1)
 
 
 def solid_angles(grid: TexelGrid) -> Array:

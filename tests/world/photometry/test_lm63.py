@@ -102,6 +102,7 @@ def test_latin_1_where_utf_8_fails(tmp_path: Path) -> None:
         (PLAIN.replace("30\n", "-0.01\n"), "read as zero"),
         (PLAIN.replace("\n0 90\n", "\n0 10\n"), "dark"),
         (ies(V, H, TABLE, code=3), "mirrored"),
+        (ies(V, H, TABLE, lumens=0), "0 lumens per lamp: read as absolute"),
     ],
 )
 def test_odd_files_are_read_with_a_warning(text: str, warned: str) -> None:
