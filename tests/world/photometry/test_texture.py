@@ -60,8 +60,8 @@ def test_one_texture_may_have_both() -> None:
     v = np.array([-30.0, 30])
     d = Distribution("A", v, h, np.repeat(1 + np.cos(np.deg2rad(40 * h))[:, None], 2, axis=1))
     across, down = samples(d, grid(4, 40))
-    assert down.max() == 1
-    assert across[0, 0] == across[0, -1] == 1 and across[0, 20] >= 16  # 1 deg of 0.1
+    assert across[0, 0] == down[0, 0] == across[0, -1] == down[0, -1] == 1  # 1 deg of 5
+    assert across[0, 20] >= 32 and down[0, 20] == 4  # 1 deg of 0.1 across; a step of 60 deg down
 
 
 @pytest.mark.parametrize("shape", [(3, 5), (10, 20), (33, 64), (80, 160)])
