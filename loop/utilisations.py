@@ -1,0 +1,49 @@
+"""Utilisations of a module's pixels from files, as other programs write them."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from world.errors import LuxloopError
+from world.photometry.distribution import Array
+
+
+def read_utilisation(path: Path, rows: int, columns: int) -> Array:
+    """Utilisations `[rows * columns]` in 0..1 of a .npy (`[rows, columns]` or flat), .csv (a line a row) or grey .png (white is 1).
+
+    Raises: LuxloopError that names the file and what is wrong in it.
+    """
+    readers = {".npy": _npy, ".csv": _csv, ".png": _png}
+    if path.suffix.lower() not in readers:
+        raise LuxloopError(f"{path}: utilisations are .npy, .csv or .png files; save them as one of these")
+    try:
+        given: Array = readers[path.suffix.lower()](path)
+    except OSError as error:
+        raise LuxloopError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
+    except (ValueError, EOFError) as error:
+        raise LuxloopError(f"{path}: holds no utilisations ({error}); save numbers from 0 to 1") from error
+    if given.shape not in ((rows, columns), (rows * columns,)):
+        size = " x ".join(map(str, given.shape))
+        raise LuxloopError(f"{path}: holds {size} utilisations, but the module has {rows} x {columns} pixels; bring them to this size")
+    if not ((given >= 0) & (given <= 1)).all():
+        raise LuxloopError(f"{path}: utilisations lie between 0 and 1, not {given.min():g} and {given.max():g}; divide by the largest")
+    return given.ravel()
+
+
+def _npy(path: Path) -> Array:
+    return np.asarray(np.load(path, allow_pickle=False), np.float64)
+
+
+def _csv(path: Path) -> Array:
+    with path.open("rb") as stream:
+        delimiter = ";" if b";" in stream.readline() else ","
+    lines = (line.replace(",", ".") if delimiter == ";" else line for line in path.read_text("utf-8-sig").splitlines())
+    return np.loadtxt(lines, delimiter=delimiter, ndmin=2)
+
+
+def _png(path: Path) -> Array:
+    image = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
+    if image is None:
+        raise ValueError("no picture")
+    return image / (65535.0 if image.dtype == np.uint16 else 255.0)
