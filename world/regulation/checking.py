@@ -49,7 +49,7 @@ def aimed(intensity: Intensity, aim: Point, traffic: Traffic = "right") -> Inten
 
 def evaluate(intensity: Intensity, rules: RuleSet, conditional: bool = False, step_deg: float = STEP_DEG) -> tuple[Result, ...]:
     """All requirements but those on the cut-off. Two calls of intensity: everywhere, then finer where zones are worst."""
-    samples = [_points(each, step_deg) for each in rules.requirements]
+    samples = [samples_of(each, step_deg) for each in rules.requirements]
     values = _seen(intensity, samples)
     finer = [_finer(*each, step_deg) for each in zip(rules.requirements, samples, values, strict=True)]
     values = [torch.cat(pair) for pair in zip(values, _seen(intensity, finer), strict=True)]
@@ -62,7 +62,7 @@ def _seen(intensity: Intensity, samples: list[Tensor]) -> list[Tensor]:
     return list(intensity(direction(*torch.cat(samples, 1))).split([each.shape[1] for each in samples]))
 
 
-def _points(requirement: Requirement, step_deg: float) -> Tensor:
+def samples_of(requirement: Requirement, step_deg: float) -> Tensor:
     """Where a requirement is looked at first: `[2, N]` of h and v in deg."""
     if requirement.kind == "segment":
         start, end = requirement.where

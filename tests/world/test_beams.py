@@ -1,0 +1,116 @@
+"""Beams as a lighting engineer would judge them: what they light, what they spare, and whether they are even."""
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from world.beams import PATTERNS, Pattern, default_beams, fit, pattern
+from world.errors import LuxloopError
+from world.lamp import Lamp, direction
+from world.presets import lamp
+from world.regulation import check, passes
+
+DEG15 = math.tan(math.radians(15))
+
+
+@pytest.fixture(scope="module")
+def ssl_hd() -> Lamp:
+    return lamp("ssl-hd")
+
+
+@pytest.fixture(scope="module")
+def beams(ssl_hd: Lamp) -> dict[str, tuple[Tensor, ...]]:
+    return default_beams(ssl_hd)
+
+
+def at(values: Pattern, h: float, v: float) -> float:
+    return float(values.intensity(torch.tensor([h]), torch.tensor([v])))
+
+
+# What is wanted
+
+
+def test_the_low_beam_falls_off_fastest_on_its_cut_off_and_the_cut_off_rises_at_15_degrees() -> None:
+    v = torch.linspace(-3, 3, 6001)
+    for h, edge in ((-8.0, -0.57), (-2.5, -0.57), (2.0, -0.57 + 2 * DEG15), (10.0, -0.57 + 4 * DEG15)):
+        log = pattern("low").intensity(torch.full_like(v, h), v).log10()
+        slope = (log[:-100] - log[100:]) / 0.1  # decades per deg over 0.1 deg
+        # The beam itself is not level, so the steepest place moves a little; so says 2.8 decades per deg.
+        assert float(v[int(slope.argmax())]) + 0.05 == pytest.approx(edge, abs=0.06)
+        assert float(slope.max()) == pytest.approx(2.8, rel=0.1)
+
+
+def test_the_beams_differ_as_they_should() -> None:
+    low, high, town, motorway, adverse = (PATTERNS[name] for name in ("low", "high", "town", "motorway", "adverse"))
+    assert at(high, 0, 0) > 60_000 and at(low, 0, 0) < 625
+    assert at(low, 3, -0.1) > 20 * at(low, -3, -0.1)  # the kerb, not the oncoming car
+    assert at(town, 15, -1.5) > 1.3 * at(low, 15, -1.5) and at(town, 1, -1) < 0.6 * at(low, 1, -1)
+    assert at(motorway, 0.5, -0.6) > 1.5 * at(low, 0.5, -0.6)
+    assert at(adverse, 0, -3.5) < 0.6 * at(low, 0, -3.5)
+
+
+def test_an_unknown_beam_names_its_neighbour() -> None:
+    with pytest.raises(LuxloopError, match=r"'hihg'.*did you mean 'high'"):
+        pattern("hihg")
+
+
+# What the lamp makes of it
+
+
+@pytest.mark.parametrize(("beam", "rule"), [(beam, rule) for beam, values in PATTERNS.items() for rule in values.rules])
+def test_the_hd_lamp_keeps_the_rules(beam: str, rule: str, ssl_hd: Lamp, beams: dict[str, tuple[Tensor, ...]]) -> None:
+    results = check(lambda d: ssl_hd.intensity(beams[beam], d), rule)
+    assert passes(results), [each for each in results if each.verdict == "fail"]
+
+
+def test_the_rules_named_are_those_that_are_asked_for() -> None:
+    assert {"r149-passing-c", "r112-passing-a", "r112-passing-b"} <= set(PATTERNS["low"].rules)
+    assert {"r149-driving-a", "r149-driving-b", "r112-driving-a", "r112-driving-b"} <= set(PATTERNS["high"].rules)
+
+
+@pytest.mark.parametrize("beam", PATTERNS)
+def test_the_light_is_even(beam: str, ssl_hd: Lamp, beams: dict[str, tuple[Tensor, ...]]) -> None:
+    v, h = torch.meshgrid(torch.arange(-4.0, -1.5, 0.03), torch.arange(-8.0, 8.0, 0.03), indexing="ij")
+    light = ssl_hd.intensity(beams[beam], direction(h.flatten(), v.flatten())).view(h.shape)
+    error = light / PATTERNS[beam].intensity(h, v) - 1
+    # Pixel rows and columns of 0.08 and 0.16 deg must not show: at most 2.9 % was seen, 0.7 % on average; 5 % is hard to see.
+    assert float(error.abs().max()) < 0.05
+    assert float(error.square().mean().sqrt()) < 0.015
+
+
+def test_utilisations_are_shares_and_one_a_pixel(ssl_hd: Lamp, beams: dict[str, tuple[Tensor, ...]]) -> None:
+    for u in beams.values():
+        assert [len(each) for each in u] == [module.headlight.n_pixels for module in ssl_hd.modules]
+        assert all(float(each.min()) >= 0 and float(each.max()) <= 1 for each in u)
+
+
+def test_left_hand_traffic_gets_the_mirror_image() -> None:
+    hd84, other = lamp("hd84"), lamp("hd84", "right")
+    left = fit(hd84, pattern("low"), "left")
+    right = fit(other, pattern("low"))
+    h, v = torch.linspace(-12, 12, 97), torch.full((97,), -1.0)
+    ours = hd84.intensity(left, direction(-h, v))
+    theirs = other.intensity(right, direction(h, v))
+    # Iterations end within 1e-3 of utilisation, and sample points are not quite mirrored.
+    torch.testing.assert_close(ours, theirs, rtol=0.02, atol=50)
+
+
+@pytest.mark.parametrize("beam", PATTERNS)
+def test_a_coarse_lamp_gets_a_sensible_beam(beam: str) -> None:
+    hd84 = lamp("hd84")
+    (u,) = hd84.beam(beam)
+    light = hd84.intensity((u,), direction(torch.tensor([0.0, 0.0]), torch.tensor([-1.5, 2.0])))
+    assert float(light[0]) > 4000
+    assert (float(light[1]) > 1700) == (beam == "high")
+
+
+def test_limits_win_over_the_pattern_where_the_lamp_can_keep_them() -> None:
+    lores = lamp("ssl-hd-lores")
+    glaring = pattern("low").model_copy(update={"above_cd": 700.0})
+    loose = fit(lores, glaring.model_copy(update={"rules": ()}))
+    assert not passes(check(lambda d: lores.intensity(loose, d), "r112-passing-b"))
+    kept = fit(lores, glaring)
+    zones = {each.id: each for each in check(lambda d: lores.intensity(kept, d), "r112-passing-b")}
+    assert zones["Zone III"].verdict == zones["B50L"].verdict == "pass"

@@ -1,0 +1,139 @@
+"""Utilisations that come closest to a pattern, all modules of a lamp together, and within the limits that the pattern is to keep."""
+
+from typing import Literal
+
+import numpy as np
+import scipy.sparse as sp
+import torch
+from torch import Tensor
+
+from world.beams.patterns import PATTERNS, Pattern
+from world.fit import solve
+from world.headlight import Headlight
+from world.lamp import Lamp, Module, direction
+from world.regulation import Requirement, rule_set
+from world.regulation.checking import samples_of
+from world.spmv import Csr, multiply
+from world.texels import bilinear
+
+Traffic = Literal["right", "left"]
+EVEN_CD = 500.0  # errors count relative to the light, but not below this
+RIM = 0.1  # of the most light there is: where pixels give less, at the rim of the field, errors count less
+RULE_STEP_DEG = 0.1
+RESERVE = 0.04  # by how much limits are kept
+WEIGHT_OF_LIMITS = 3.0  # against the pattern, and as much more in each round that they are missed
+ROUNDS = 4
+
+
+def default_beams(lamp: Lamp, traffic: Traffic = "right") -> dict[str, tuple[Tensor, ...]]:
+    """All beams of PATTERNS for a lamp: utilisations `[n_p]`, one a module."""
+    sampled = Sampled(lamp)
+    return {name: sampled.fit(pattern, traffic) for name, pattern in PATTERNS.items()}
+
+
+def fit(lamp: Lamp, pattern: Pattern, traffic: Traffic = "right") -> tuple[Tensor, ...]:
+    """Utilisations `[n_p]`, one a module, with which the lamp comes closest to a pattern.
+
+    The limits of the pattern's rules win over its form as far as the lamp can keep them; `world.regulation.check` tells. traffic: on
+    the left, the pattern and its rules are mirrored.
+    """
+    return Sampled(lamp).fit(pattern, traffic)
+
+
+class Sampled:
+    """What a lamp's pixels give at one direction a pixel or more, in each module's field."""
+
+    def __init__(self, lamp: Lamp) -> None:
+        self.lamp = lamp
+        self.directions = torch.cat([_directions(module) for module in lamp.modules], 1)
+        self.matrix = self._light_at(self.directions)
+        self.full = multiply(self.matrix, torch.ones(self.matrix.n_cols))
+
+    def _light_at(self, directions: Tensor) -> Csr:
+        """The matrix `[N, all pixels]` of the light in cd into directions `[3, N]` of the lamp frame."""
+        return Csr.from_scipy(sp.hstack([_sampling(module, directions) for module in self.lamp.modules], format="csr"))
+
+    def fit(self, pattern: Pattern, traffic: Traffic = "right") -> tuple[Tensor, ...]:
+        mirror = -1.0 if traffic == "left" else 1.0
+        target = pattern.intensity(*_angles(self.directions, mirror)).float()
+        weight = self.full / (self.full + RIM * self.full.max()) / (target + EVEN_CD)
+        u = solve(self.matrix, target, weight=weight, start=self._first_guess(target), iterations=60, tolerance=1e-3)
+        u = self._within_limits(u, target, weight, pattern, mirror)
+        return u.split([module.headlight.n_pixels for module in self.lamp.modules])
+
+    def _first_guess(self, target: Tensor) -> Tensor:
+        """Each pixel's share of what is wanted where it shines: smooth, since the solver leaves alone what does not matter."""
+        possible = multiply(self.matrix.transposed, self.full)
+        return torch.where(possible > 0, multiply(self.matrix.transposed, target) / possible, 0.0).clamp(0, 1)
+
+    def _within_limits(self, u: Tensor, target: Tensor, weight: Tensor, pattern: Pattern, mirror: float) -> Tensor:
+        points, low, high = _limits(pattern)
+        points[0] *= mirror
+        limits = self._light_at(direction(*points))
+        for round_ in range(ROUNDS):
+            light = multiply(limits, u)
+            missed = (light < low) | (light > high)
+            if not missed.any():
+                break
+            rows = Csr.from_scipy(sp.vstack([self.matrix.to_scipy(), limits.to_scipy()[missed.numpy()]], format="csr"))
+            bound = torch.where(low[missed] > 0, low[missed], high[missed])
+            weights = torch.cat([weight, WEIGHT_OF_LIMITS ** (round_ + 1) / (bound + EVEN_CD)])
+            lows, highs = torch.cat([target, low[missed]]), torch.cat([target, high[missed]])
+            u = solve(rows, lows, highs, weight=weights, start=u, iterations=40, tolerance=1e-3)
+        return u
+
+
+def _angles(directions: Tensor, mirror: float) -> tuple[Tensor, Tensor]:
+    """h (right) and v (up) in deg."""
+    x, y, z = directions
+    return torch.rad2deg(torch.atan2(-y * mirror, x)), torch.rad2deg(torch.atan2(z, torch.hypot(x, y)))
+
+
+def _directions(module: Module) -> Tensor:
+    """Texel centres of a module, about one a pixel, as directions `[3, N]` of the lamp frame."""
+    light = module.headlight
+    y, z = light.tangents(torch.float64, torch.device("cpu"))
+    rows, cols = _every(light.rows, light.pixel_rows), _every(light.cols, light.pixel_cols)
+    z, y = torch.meshgrid(z[rows // 2 :: rows], y[cols // 2 :: cols], indexing="ij")
+    local = torch.stack([torch.ones_like(y), y, z]).flatten(1)
+    return module.T_lamp_module[:3, :3] @ local
+
+
+def _every(texels: int, pixels: int) -> int:
+    return max(min(texels // pixels, texels // 64), 1)
+
+
+def _sampling(module: Module, directions: Tensor) -> sp.csr_matrix:
+    """The part of one module in the light matrix."""
+    light: Headlight = module.headlight
+    x, y, z = module.T_lamp_module[:3, :3].T @ directions
+    texel, weight = bilinear(light, *light.texel_of(y / x, z / x))
+    weight = (weight * (x > 0)).ravel().numpy()
+    kept = np.flatnonzero(weight > 1e-9)
+    sample = np.tile(np.arange(len(x)), 4)
+    bilinearly = sp.csr_matrix((weight[kept], (sample[kept], texel.ravel().numpy()[kept])), shape=(len(x), light.n_texels))
+    return bilinearly @ light.matrix.to_scipy()
+
+
+def _limits(pattern: Pattern) -> tuple[Tensor, Tensor, Tensor]:
+    """Points `[2, N]` in deg with the least and the largest light in cd that the rules allow, a reserve kept.
+
+    Of sums each point bears its share. Limits relative to other values, and on the maximum, are left to the pattern.
+    """
+    parts = []
+    for rules in map(rule_set, pattern.rules):
+        for requirement in rules.requirements:
+            if requirement.kind not in ("imax", "flux") and not requirement.of and not requirement.only_if:
+                points = samples_of(requirement, RULE_STEP_DEG)
+                parts.append((points, *(torch.full((points.shape[1],), bound) for bound in _bounds(requirement))))
+    if not parts:
+        return torch.zeros(2, 0, dtype=torch.float64), torch.zeros(0), torch.zeros(0)
+    points, low, high = (torch.cat(part, -1) for part in zip(*parts, strict=True))
+    return points, low, high
+
+
+def _bounds(requirement: Requirement) -> tuple[float, float]:
+    share = len(requirement.where) if requirement.kind == "sum" else 1
+    least = 0.0 if requirement.min is None else requirement.min / share * (1 + RESERVE)
+    most = float("inf") if requirement.max is None else requirement.max * (1 - RESERVE)
+    return least, most

@@ -1,0 +1,138 @@
+"""The light that a lamp should give, as a formula of direction: five beams by name, for traffic on the right."""
+
+import difflib
+import math
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from world.errors import LuxloopError
+from world.params import Params
+
+SHOULDER_SLOPE = math.tan(math.radians(15.0))
+
+
+class Pattern(Params):
+    """A broad light, a hot spot in it, and a cut-off above both. Angles in deg, h to the right and v up."""
+
+    cutoff_v_deg: float | None = Field(None, description="height of the cut-off's flat part; none for a driving beam")
+    shoulder_deg: float = Field(0.0, description="where, right of the middle, the cut-off stops rising at 15 deg; 0 keeps it flat", ge=0)
+    decades_per_deg: float = Field(2.8, description="how fast light falls off on the cut-off, as a power of ten", gt=0)
+    above_cd: float = Field(220.0, description="light above the cut-off, for signs", gt=0)
+    hot_cd: float = Field(description="what the hot spot adds to the broad light", ge=0)
+    hot_h_deg: float = Field(0.0, description="middle of the hot spot, to the right")
+    hot_v_deg: float = Field(0.0, description="its height, above the cut-off if there is one")
+    hot_left_deg: float = Field(description="standard deviations of the hot spot, to each side", gt=0)
+    hot_right_deg: float = Field(gt=0)
+    hot_up_deg: float = Field(gt=0)
+    hot_down_deg: float = Field(gt=0)
+    broad_cd: float = Field(description="broad light in the middle", ge=0)
+    broad_width_deg: float = Field(description="half width at which it has fallen to 1/e", gt=0)
+    near_v_deg: float = Field(description="height from which down the broad light falls off, so that the near road is not too bright")
+    near_deg: float = Field(description="over how much it falls to 1/e there", gt=0)
+    far_v_deg: float = Field(2.0, description="the same above")
+    far_deg: float = Field(2.0, gt=0)
+    rules: tuple[str, ...] = Field((), description="ids of the sets whose limits the beam should keep")
+
+    def edge(self, h: Tensor) -> Tensor:
+        """Height of the cut-off at h."""
+        assert self.cutoff_v_deg is not None
+        return self.cutoff_v_deg + SHOULDER_SLOPE * h.clamp(0, self.shoulder_deg)
+
+    def intensity(self, h: Tensor, v: Tensor) -> Tensor:
+        """cd, in the shape of h and v in deg."""
+        base = torch.zeros_like(h) if self.cutoff_v_deg is None else self.edge(h)
+        side = torch.where(h < self.hot_h_deg, self.hot_left_deg, self.hot_right_deg)
+        height = v - base - self.hot_v_deg
+        vertical = torch.where(height < 0, self.hot_down_deg, self.hot_up_deg)
+        hot = self.hot_cd * torch.exp(-0.5 * (((h - self.hot_h_deg) / side).square() + (height / vertical).square()))
+        beyond = ((self.near_v_deg - v).clamp(min=0) / self.near_deg).square() + ((v - self.far_v_deg).clamp(min=0) / self.far_deg).square()
+        broad = self.broad_cd * torch.exp(-(h / self.broad_width_deg).square() - beyond)
+        beam = hot + broad
+        if self.cutoff_v_deg is None:
+            return beam
+        above = self.above_cd * torch.exp(-((v - 1.5).clamp(min=0) / 3.5).square() - (h / 25).square())
+        decades = (1 + beam / above).log10()
+        # Steepest on the edge: from beam to above along a half wave of the logarithm.
+        phase = ((v - base) * 2 * self.decades_per_deg / decades).clamp(-math.pi / 2, math.pi / 2)
+        return above * 10 ** (decades * (0.5 - 0.5 * phase.sin()))
+
+
+_LOW = Pattern(
+    cutoff_v_deg=-0.57,
+    shoulder_deg=4.0,
+    hot_cd=26_000,
+    hot_h_deg=1.0,
+    hot_v_deg=-0.4,
+    hot_left_deg=2.2,
+    hot_right_deg=3.0,
+    hot_up_deg=1.0,
+    hot_down_deg=0.55,
+    broad_cd=7_000,
+    broad_width_deg=14.5,
+    near_v_deg=-1.2,
+    near_deg=2.8,
+    rules=("r149-passing-c", "r112-passing-b", "r112-passing-a"),
+)
+PATTERNS = {
+    "low": _LOW,
+    "high": Pattern(
+        hot_cd=60_000,
+        hot_left_deg=3.0,
+        hot_right_deg=3.0,
+        hot_up_deg=0.9,
+        hot_down_deg=1.1,
+        broad_cd=9_000,
+        broad_width_deg=12.0,
+        near_v_deg=-1.2,
+        near_deg=2.8,
+        far_v_deg=0.5,
+        far_deg=2.0,
+        rules=("r149-driving-a", "r149-driving-b", "r112-driving-a", "r112-driving-b"),
+    ),
+    "town": _LOW.model_copy(
+        update={
+            "shoulder_deg": 0.0,
+            "hot_cd": 7_000,
+            "hot_h_deg": 0.0,
+            "hot_v_deg": -0.5,
+            "hot_left_deg": 6.0,
+            "hot_right_deg": 6.0,
+            "broad_cd": 6_500,
+            "broad_width_deg": 19.0,
+            "rules": ("r149-passing-v",),
+        }
+    ),
+    "motorway": _LOW.model_copy(
+        update={
+            "cutoff_v_deg": -0.34,
+            "hot_cd": 45_000,
+            "hot_h_deg": 0.6,
+            "hot_left_deg": 2.0,
+            "hot_right_deg": 2.2,
+            "near_deg": 2.2,
+            "rules": (),
+        }
+    ),
+    "adverse": _LOW.model_copy(
+        update={
+            "hot_cd": 30_000,
+            "hot_down_deg": 0.45,
+            "broad_cd": 7_500,
+            "broad_width_deg": 16.0,
+            "near_v_deg": -1.1,
+            "near_deg": 1.9,
+            "rules": ("r149-passing-c",),
+        }
+    ),
+}
+
+
+def pattern(name: str) -> Pattern:
+    """A beam's pattern by name. Raises LuxloopError that names the nearest one."""
+    if name in PATTERNS:
+        return PATTERNS[name]
+    near = difflib.get_close_matches(name, PATTERNS, 1)
+    hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(PATTERNS)}"
+    raise LuxloopError(f"there is no beam {name!r}; {hint}")
