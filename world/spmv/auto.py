@@ -18,7 +18,8 @@ from world.spmv.protocol import SparseFormat, lit_rows
 
 ROUNDS = 7
 LARGEST = 3  # times the bytes of CSR: what a format may store to be considered
-LONG_ROWS = 6  # entries a lit row from which tiles can pay; planning them is dear
+LONG_ROWS = 6  # entries a lit row from which tiles can pay
+PART_ROWS = 2**15  # of the middle, on either side: planning all tiles only to count them is dear
 SAMPLES = 4096
 
 
@@ -42,11 +43,19 @@ def fastest(csr: Csr, cache: Path | None = None) -> SparseFormat:
 
 def candidates(csr: Csr) -> list[str]:
     """Formats that can pay: those that do not store several times what CSR stores."""
-    names = ["csr", "window", "submatrix", "sell", "ell"]
-    if len(csr.values) >= LONG_ROWS * len(lit_rows(csr)):
-        names += ["tiles", "tiles64"]
-    limit = LARGEST * FORMATS["csr"].count(csr).bytes(csr.values.dtype)
-    return [name for name in names if name == "csr" or FORMATS[name].count(csr).bytes(csr.values.dtype) <= limit]
+    names = [name for name in ("csr", "window", "submatrix", "sell", "ell") if _size(csr, name) <= LARGEST]
+    lit = lit_rows(csr)
+    if len(csr.values) >= LONG_ROWS * len(lit) > 0:
+        middle = int(lit[len(lit) // 2])
+        part = csr.band(max(middle - PART_ROWS, 0), min(middle + PART_ROWS, csr.n_rows))
+        names += [name for name in ("tiles", "tiles64") if _size(part, name) <= LARGEST]
+    return names
+
+
+def _size(csr: Csr, name: str) -> float:
+    """Bytes in a format as a share of those in CSR."""
+    dtype = csr.values.dtype
+    return FORMATS[name].count(csr).bytes(dtype) / FORMATS["csr"].count(csr).bytes(dtype)
 
 
 def timings(forms: dict[str, SparseFormat], rounds: int = ROUNDS) -> dict[str, float]:

@@ -4,6 +4,7 @@ import torch
 from torch import Tensor
 
 from world.spmv.csr import Csr, row_of_entries
+from world.spmv.memory import settled
 from world.spmv.protocol import SparseFormat, Storage, lit_rows, lit_window
 
 
@@ -55,7 +56,8 @@ class Window(SparseFormat):
         super().__init__(csr)
         self.storage = self.count(csr)
         self.start, self.stop = lit_window(csr)
-        self.csr = csr.band(self.start, self.stop)
+        band = csr.band(self.start, self.stop)
+        self.csr = Csr(settled(band.indptr), band.indices, band.values, csr.n_cols)
 
     @classmethod
     def count(cls, csr: Csr) -> Storage:
@@ -81,7 +83,7 @@ class Submatrix(SparseFormat):
         self.storage = self.count(csr)
         self.rows = lit_rows(csr)
         offsets = torch.cat([csr.indptr[self.rows], csr.indptr[-1:]])
-        self.csr = Csr(offsets, csr.indices, csr.values, csr.n_cols)
+        self.csr = Csr(settled(offsets), csr.indices, csr.values, csr.n_cols)
 
     @classmethod
     def count(cls, csr: Csr) -> Storage:

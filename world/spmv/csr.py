@@ -10,6 +10,8 @@ import scipy.sparse as sp
 import torch
 from torch import Tensor
 
+from world.spmv.memory import settled
+
 # Of torch's CSR we use construction and products only, both held by tests.
 warnings.filterwarnings("ignore", "Sparse CSR tensor support is in beta", UserWarning)
 
@@ -41,7 +43,7 @@ class Csr:
         return cls(
             torch.from_numpy(csr.indptr.astype(np.int32)),
             torch.from_numpy(csr.indices.astype(np.int32)),
-            torch.from_numpy(np.asarray(csr.data)).to(dtype),
+            settled(torch.from_numpy(np.asarray(csr.data)).to(dtype)),
             csr.shape[1],
         )
 

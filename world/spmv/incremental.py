@@ -5,6 +5,7 @@ import torch
 from torch import Tensor
 
 from world.spmv.csr import Csr, segment_bounds
+from world.spmv.memory import zeros
 
 
 class Bands:
@@ -16,7 +17,9 @@ class Bands:
         columns = csr.indices.cpu()
         rows = torch.repeat_interleave(torch.arange(csr.n_rows), self.indptr.diff())
         first, last = segment_bounds(columns, rows, csr.n_cols)
-        self.first, self.last = first.numpy(), last.numpy()
+        largest = torch.iinfo(torch.int32).max
+        self.first, self.last = first.clamp(max=largest).int().numpy(), last.int().numpy()
+        self._offsets = zeros((csr.n_rows + 1,), torch.int32, csr.indptr.device)
 
     def rows_of(self, pixels: slice | np.ndarray) -> tuple[int, int]:
         """First row that any of these pixels reaches and the one after the last; (0, 0) where they reach none."""
@@ -32,7 +35,8 @@ class Bands:
         start, stop = rows
         first, last = int(self.indptr[start]), int(self.indptr[stop])
         csr = self.csr
-        band = Csr(csr.indptr[start : stop + 1] - first, csr.indices[first:last], csr.values[first:last], csr.n_cols)
+        offsets = torch.sub(csr.indptr[start : stop + 1], first, out=self._offsets[: stop - start + 1])
+        band = Csr(offsets, csr.indices[first:last], csr.values[first:last], csr.n_cols)
         torch.mv(band.torch_csr, x, out=out[start:stop])
         return out
 

@@ -4,6 +4,7 @@ import torch
 from torch import Tensor
 
 from world.spmv.csr import Csr, row_of_entries
+from world.spmv.memory import zeros
 from world.spmv.protocol import SparseFormat, Storage, row_lengths
 
 
@@ -18,8 +19,8 @@ class Ell(SparseFormat):
         rows = row_of_entries(csr)
         entry = torch.arange(len(rows), device=rows.device) - csr.indptr[rows]
         width = _longest(csr)
-        self.columns = torch.zeros(width, csr.n_rows, dtype=torch.int32, device=self.device)
-        self.values = torch.zeros(width, csr.n_rows, dtype=self.dtype, device=self.device)
+        self.columns = zeros((width, csr.n_rows), torch.int32, self.device)
+        self.values = zeros((width, csr.n_rows), self.dtype, self.device)
         self.columns[entry, rows] = csr.indices
         self.values[entry, rows] = csr.values
 
@@ -59,8 +60,8 @@ class Sell(SparseFormat):
         entry = torch.arange(len(rows), device=rows.device) - csr.indptr[rows]
         cell = offsets[place[rows // height]] + entry * height + rows % height
         cells = int(offsets[-1])
-        self.columns = torch.zeros(cells, dtype=torch.int32, device=self.device).index_copy_(0, cell, csr.indices)
-        self.values = torch.zeros(cells, dtype=self.dtype, device=self.device).index_copy_(0, cell, csr.values)
+        self.columns = zeros((cells,), torch.int32, self.device).index_copy_(0, cell, csr.indices)
+        self.values = zeros((cells,), self.dtype, self.device).index_copy_(0, cell, csr.values)
         self.runs = _runs(sorted_widths)
 
     @classmethod

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from world.spmv.csr import Csr
+from world.spmv.memory import zeros
 
 INDEX_BYTES = 4
 
@@ -65,7 +66,7 @@ class SparseFormat(ABC):
         Raises: ValueError where a shape, dtype or device does not fit, or x wants a gradient.
         """
         if out is None:
-            return self.refresh(x, x.new_zeros(*x.shape[:-1], self.n_rows))
+            return self.refresh(x, zeros((*x.shape[:-1], self.n_rows), x.dtype, x.device))
         self._check(x, out)
         self._clear(out)
         return self.refresh(x, out)
@@ -93,7 +94,7 @@ class SparseFormat(ABC):
     def _buffer(self, name: str, *shape: int) -> Tensor:
         """Work memory that lasts from call to call: a fresh one costs the CPU more than the product that fills it."""
         if name not in self._buffers:
-            self._buffers[name] = torch.zeros(shape, dtype=self.dtype, device=self.device)
+            self._buffers[name] = zeros(shape, self.dtype, self.device)
         return self._buffers[name]
 
 

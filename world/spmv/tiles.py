@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from world.spmv.csr import Csr, row_of_entries
+from world.spmv.memory import settled, zeros
 from world.spmv.protocol import SparseFormat, Storage, lit_rows, lit_window
 
 
@@ -34,12 +35,12 @@ class Tiles(SparseFormat):
         # Cells move from the order of tiles to the order of widths.
         moved = (widths.cumsum(0) - widths)[rank] - (plan.widths.cumsum(0) - plan.widths)
         cell = torch.arange(len(plan.tile), device=self.device) + moved[plan.tile]
-        self.columns = torch.empty_like(plan.column, dtype=torch.int32).index_copy_(0, cell, plan.column.int())
-        self.values = torch.zeros(len(cell), height, dtype=self.dtype, device=self.device)
+        self.columns = zeros((len(cell),), torch.int32, self.device).index_copy_(0, cell, plan.column.int())
+        self.values = zeros((len(cell), height), self.dtype, self.device)
         self.values[cell[plan.cell_of_entry], plan.place[row_of_entries(csr)] % height] = csr.values
         rank = torch.nn.functional.pad(rank, (0, 1), value=len(order))  # dark rows, at place -1, read behind the last sum
         place = plan.place[self.start : self.stop]
-        self.places = torch.where(place < 0, self.n_sums, rank[place // height] * height + place % height).int()
+        self.places = settled(torch.where(place < 0, self.n_sums, rank[place // height] * height + place % height).int())
 
     @classmethod
     def count(cls, csr: Csr) -> Storage:
