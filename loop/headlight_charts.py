@@ -113,7 +113,7 @@ def distance_marks(axes: Axes, seen: Seen) -> None:
         if u < 0.95 * seen.view.width and v < lowest:
             text = axes.text(u, v, f"– {metres} m", color="0.85", fontsize=7.5, ha="left", va="center")
             text.set_path_effects([withStroke(linewidth=1.5, foreground="black")])
-            lowest = v - 0.022 * seen.view.height
+            lowest = v - 0.028 * seen.view.height
 
 
 def car_outline(axes: Axes, seen: Seen) -> None:

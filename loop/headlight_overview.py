@@ -14,6 +14,7 @@ from loop.headlight_panels import WALL_M, draw_birdseye, draw_eye, draw_wall, wa
 from loop.headlight_views import LitCar, Road, birdseye, driver, luminance_of
 from world.flatroad import flat_road
 from world.headlight import Headlight
+from world.photometry.texture import solid_angles
 from world.sources import surface_light
 
 REACHES_LX = (1.0, 3.0, 10.0)
@@ -62,9 +63,7 @@ def facts(car: LitCar, beam: str) -> list[tuple[str, str]]:
 
 def flux_lm(light: Headlight, texture: Tensor) -> float:
     """Luminous flux in lm of a light texture `[rows, cols]` in cd: each texel by its solid angle."""
-    y, z = light.tangents(torch.float64, torch.device("cpu"))
-    solid_angle = (1 + y**2 + z[:, None] ** 2) ** -1.5 * (light.left - light.right) * (light.top - light.bottom) / light.n_texels
-    return float((texture.double().cpu() * solid_angle).sum())
+    return float((texture.double().cpu() * torch.from_numpy(solid_angles(light))).sum())
 
 
 def reach_m(car: LitCar, lux: float) -> float:
@@ -86,16 +85,22 @@ def _reach(car: LitCar, lux: float) -> str:
 
 def _described(light: Headlight, flux: float) -> str:
     left, right, bottom, top = (math.degrees(math.atan(t)) for t in (light.left, light.right, light.bottom, light.top))
-    field = f"{-left:+.3g} to {-right:+.3g}°, {bottom:+.2g} to {top:+.2g}°".replace("-", "−")
-    return f"{light.pixel_rows} x {light.pixel_cols}, {field}, {flux:,.0f} lm"
+    return f"{light.pixel_rows} x {light.pixel_cols}, {_range(-left, -right)} x {_range(bottom, top)}, {flux:,.0f} lm"
+
+
+def _range(low: float, high: float) -> str:
+    if abs(low + high) < 0.05:
+        return f"±{high:.3g}°"
+    return f"{low:+.3g} to {high:+.3g}°".replace("-", "−")
 
 
 def _angle(angle: float, positive: str, negative: str) -> str:
-    return f"{abs(angle):.1f}° {positive if angle > 0 else negative}"
+    size = f"{abs(angle):.1f}°"
+    return size if size == "0.0°" else f"{size} {positive if angle > 0 else negative}"
 
 
 def _write_facts(axes: Axes, rows: Sequence[tuple[str, str]]) -> None:
     for i, (name, value) in enumerate(rows):
         y = 0.97 - i / max(len(rows), 12)
         axes.text(0.0, y, name, transform=axes.transAxes, va="top", fontsize=9.5, color="0.4")
-        axes.text(0.26, y, value, transform=axes.transAxes, va="top", fontsize=9.5)
+        axes.text(0.24, y, value, transform=axes.transAxes, va="top", fontsize=9.5)

@@ -62,8 +62,7 @@ def show(
     Raises LuxloopError for what there is not, and where the file cannot be written.
     """
     style = _style(view, style)
-    if out.suffix.lower() not in FORMATS:
-        raise LuxloopError(f"{out}: pictures are written as {', '.join(FORMATS)}; end the file's name in one of them")
+    check_format(out)
     if not visibility_m > 0:
         raise LuxloopError(f"visibility of {visibility_m:g} m: give one greater than 0")
     name, patterns = _patterns(lamps, beam)
@@ -72,6 +71,12 @@ def show(
     with rc_context(STYLE):
         write(_draw(car, name, view, style, scenario, visibility_m), out)
     return out
+
+
+def check_format(out: Path) -> None:
+    """Raises LuxloopError where a file's name does not end in the format of a picture."""
+    if out.suffix.lower() not in FORMATS:
+        raise LuxloopError(f"{out}: pictures are written as {', '.join(FORMATS)}; end the file's name in one of them")
 
 
 def write(figure: Figure, out: Path) -> None:

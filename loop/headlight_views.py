@@ -142,7 +142,7 @@ def _plain_road() -> Scenario:
 
 def driver(width_px: int = 1280) -> View:
     """A driver's eye in a car that is steered on the left: 40 deg wide, 16 : 9, the horizon above the middle."""
-    return _pinhole((-1.5, 0.36, 1.2), 2.5, 0.0, 40.0, width_px, round(width_px * 9 / 16))
+    return _pinhole((-1.5, 0.36, 1.2), 4.0, 0.0, 40.0, width_px, round(width_px * 9 / 16))
 
 
 def beside(width_px: int = 960) -> View:

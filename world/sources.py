@@ -71,8 +71,11 @@ def surface_light(
     leaving = torch.zeros_like(arriving)
     for i, source in enumerate(lit):
         surface = reach(gbuffer, source.headlight, source.T_world_source, shadows[i] if shadows else None)
-        away = gbuffer.position.flatten(1)[:, surface.index] - source.T_world_source[:3, 3:].to(gbuffer.position)
-        through = torch.exp(-extinction_per_m * away.norm(dim=0))
-        arriving[..., surface.index] += illuminance(surface, source.texture) * through
-        leaving[..., surface.index] += luminance(surface, source.texture) * through
+        light, shine = illuminance(surface, source.texture), luminance(surface, source.texture)
+        if extinction_per_m:
+            away = gbuffer.position.flatten(1)[:, surface.index] - source.T_world_source[:3, 3:].to(gbuffer.position)
+            through = torch.exp(-extinction_per_m * (away * away).sum(0).sqrt())
+            light, shine = light * through, shine * through
+        arriving[..., surface.index] += light
+        leaving[..., surface.index] += shine
     return arriving.unflatten(-1, gbuffer.albedo.shape), leaving.unflatten(-1, gbuffer.albedo.shape)
