@@ -18,7 +18,7 @@ from world.parametric import BlurredRectangles, GaussianPixels
 from world.params import Params
 from world.photometry.distribution import Array
 from world.pixel_sources import FileSource, FolderSource, TableSource
-from world.pixels import CUTOFF, TEXELS_A_PIXEL, Assembled, assemble, default_grid
+from world.pixels import CUTOFF, Assembled, affordable, assemble, default_grid
 from world.presets.modules import headlight
 from world.spmv import Csr
 from world.texels import LARGEST_ANGLE_DEG, TexelGrid
@@ -75,8 +75,8 @@ class OverlapParams(Params):
     bound_cd: float = Field(0.0, ge=0, description="luminous intensity below which a pixel's light at a texel is dropped")
     method: Method = Field(
         "proportional",
-        description="the dropped light is lost, shared in proportion by what stays, or shared so that use cases stay as they are: all on, a "
-        "checkerboard, random pixels, and the given beams",
+        description="the dropped light is lost, shared in proportion by what stays, or shared so that use cases change least: all on, "
+        "a checkerboard, random pixels, and the given beams",
     )
 
     @model_validator(mode="after")
@@ -206,19 +206,19 @@ def _reduced(light: Headlight, params: OverlapParams, cases: Sequence[Array]) ->
 
 
 def _grid_of_model(model: GaussianPixels | BlurredRectangles) -> TexelGrid:
-    """A texture that holds all light of a pixel model, with texels that are fine for its pixels or their flanks."""
-    column = (model.left_deg - model.right_deg) / model.columns
+    """A texture that holds all light of a pixel model, with texels that are fine for its pixels and their flanks."""
+    pitch = (model.left_deg - model.right_deg) / model.columns
     if isinstance(model, BlurredRectangles):
-        row = (model.top_deg - model.bottom_deg) / model.rows
-        across, down = (SIGMAS * model.blur_deg + 0.5 * model.overlap * pitch for pitch in (column, row))
+        rows, row = model.rows, (model.top_deg - model.bottom_deg) / model.rows
+        across, down = (SIGMAS * model.blur_deg + 0.5 * model.overlap * each for each in (pitch, row))
         bottom, top = model.bottom_deg - down, model.top_deg + down
+        texel_y = texel_z = model.blur_deg or math.inf
     else:
-        row = min(model.row_sigmas_deg)
-        across = (SIGMAS * model.column_sigma - 0.5) * column
+        rows = len(model.row_centres_deg)
+        across = (SIGMAS * model.column_sigma - 0.5) * pitch
         reach = [(centre, SIGMAS * sigma) for centre, sigma in zip(model.row_centres_deg, model.row_sigmas_deg, strict=True)]
         bottom, top = min(centre - each for centre, each in reach), max(centre + each for centre, each in reach)
-        column *= min(model.column_sigma, 1.0)
+        texel_y, texel_z = 0.25 * model.column_sigma * pitch, 0.25 * min(model.row_sigmas_deg)
     left, right = model.left_deg + across, model.right_deg - across
     borders = [min(max(each, -LARGEST_ANGLE_DEG), LARGEST_ANGLE_DEG) for each in (left, right, bottom, top)]
-    rows, cols = (math.ceil(TEXELS_A_PIXEL * field / pitch) for field, pitch in ((top - bottom, row), (left - right, column)))
-    return TexelGrid.from_degrees(rows, cols, *borders)
+    return TexelGrid.from_degrees(affordable((top - bottom) / texel_z, rows), affordable((left - right) / texel_y, model.columns), *borders)

@@ -46,4 +46,4 @@ def _png(path: Path) -> Array:
     image = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
     if image is None:
         raise ValueError("no picture")
-    return image / (65535.0 if image.dtype == np.uint16 else 255.0)
+    return np.asarray(image, np.float64) / (65535 if image.dtype == np.uint16 else 255)

@@ -121,11 +121,16 @@ def default_grid(array: PixelArray) -> TexelGrid:
         raise LuxloopError(f"no pixel shines within {LARGEST_ANGLE_DEG:g} deg of the beam axis; look at `aim`")
     furthest = math.tan(math.radians(LARGEST_ANGLE_DEG))
     (right, bottom), (left, top) = low.clip(-furthest, furthest), high.clip(-furthest, furthest)
-    step = np.radians(_steps(array))
-    fewest = TEXELS_A_PIXEL * np.array([array.rows, array.columns])
-    wanted = np.maximum(2 * np.array([top - bottom, left - right]) / step, fewest)
-    rows, cols = np.minimum(np.ceil(wanted), np.maximum(MOST_TEXELS, fewest)).astype(int).tolist()
+    down, across = np.radians(_steps(array)).tolist()
+    rows = affordable(2 * (top - bottom) / down, array.rows)
+    cols = affordable(2 * (left - right) / across, array.columns)
     return TexelGrid(rows=rows, cols=cols, left=float(left), right=float(right), bottom=float(bottom), top=float(top))
+
+
+def affordable(texels: float, pixels: int) -> int:
+    """So many texels along a side, but some to each pixel, and beyond those no more than memory bears."""
+    fewest = TEXELS_A_PIXEL * pixels
+    return min(max(math.ceil(texels), fewest), max(MOST_TEXELS, fewest))
 
 
 def describe(grid: TexelGrid) -> str:
