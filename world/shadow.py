@@ -1,6 +1,6 @@
 """Shadow maps: how far the light of a lamp gets."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -24,7 +24,11 @@ class ShadowMap:
 
 
 def shadow_map(triangles: Triangles, view: View, source: FaceSource) -> ShadowMap:
-    """The shadow map of a lamp that looks through `view`; its width and height are the map's resolution."""
+    """The shadow map of a lamp that looks through `view`, whose width and height are the map's resolution.
+
+    The map is a texel wider to all sides, so that what the lamp lights out to its very border lies among four texels.
+    """
+    view = replace(view, width=view.width + 2, height=view.height + 2, cx=view.cx + 1, cy=view.cy + 1)
     face_ids = source.face_ids(triangles, view)
     depth = depths(triangles, face_ids.flatten(), view.origin, view.rays().flatten(1))
     return ShadowMap(view, depth.float().view(view.height, view.width))

@@ -1,19 +1,27 @@
 import numpy as np
 import pytest
 import torch
+import trimesh
 
 from tests.world.grids import bumpy, camera, flat, grid, lamp
 from world.body import Body
 from world.face_source import face_source
+from world.frames import pose_from_degrees
 from world.gbuffer import gbuffer
 from world.objects import BoxParams
 from world.raycast import first_hits
+from world.roadmesh import road_mesh
+from world.roads import Bumps, Flat, Grade, Iso8608, Road
 from world.scene import Scene
-from world.shadow import ShadowMap, shadow_map, visible
+from world.shadow import BIAS_M, ShadowMap, shadow_map, visible
+from world.texels import TexelGrid
 from world.triangles import Triangles, depths
 from world.view import View
 
 LAMP = lamp()
+# as wide as lamps of which the road is in the light from 5 m on, at the loop's resolution
+WIDE = TexelGrid.from_degrees(1, 1, 20, -20, -10, 5).view(pose_from_degrees((0, 0.6, 0.75)), 1024, 664)
+DISTANCES_M = (5, 10, 20, 40, 60)
 
 
 def scene_with(road, *boxes: BoxParams) -> Triangles:
@@ -59,6 +67,56 @@ def test_shadows_on_an_uneven_road_are_those_that_rays_find(road, missed):
     assert (lit & ~mapped).double().mean() < 1e-4
     # shadows narrower than a texel are lost: with 2 mm of white noise on a grid of 11 x 10 cm that is many of them
     assert (~lit & mapped).double().mean() < missed
+
+
+def mesh_points(mesh: trimesh.Trimesh, x_m: float, n: int = 10_000) -> torch.Tensor:
+    """Points `[3, N]` float64 on a road's faces about x_m ahead that the wide lamp may light."""
+    rng = np.random.default_rng(1)
+    centre = mesh.triangles_center
+    face = rng.choice(np.flatnonzero((abs(centre[:, 0] - x_m) < 0.3 + 0.06 * x_m) & (abs(centre[:, 1] - 0.6) < 0.3 * x_m)), n)
+    points = torch.from_numpy(np.einsum("nk,nki->in", rng.dirichlet([1, 1, 1], n), mesh.triangles[face]))
+    away = WIDE.origin[:, None] - points
+    normals = torch.from_numpy(mesh.face_normals[face].T.copy())
+    image, _ = WIDE.project(points)
+    lit = (image > 0).all(0) & (image[0] < WIDE.width) & (image[1] < WIDE.height) & ((normals * away).sum(0) > 0)
+    return points[:, lit]
+
+
+@pytest.mark.parametrize(
+    "road, false_share",
+    [(Flat(), 0), (Grade(grade_percent=12, crossfall_percent=5, start_x_m=3), 0), (Bumps(), 1e-3), (Iso8608(roughness_class="C"), 1e-3)],
+    ids=["flat", "steep", "bumps", "rough"],  # the steep one leaves the field by its upper border
+)
+def test_no_road_throws_shadows_that_are_not_there(road: Road, false_share: float):
+    mesh = road_mesh(road)
+    triangles = scene_with(mesh)
+    shadow, seen = shadow_of(triangles, WIDE), 0
+    for x_m in DISTANCES_M:
+        points = mesh_points(mesh, x_m)
+        rays = points - WIDE.origin[:, None]
+        reached = depths(triangles, first_hits(triangles, WIDE.origin, rays), WIDE.origin, rays)
+        lit = (1 - reached) * rays.norm(dim=0) < 5e-3
+        assert (~visible(shadow, points.float()) & lit).sum() <= false_share * len(lit), x_m
+        seen += len(lit)
+    assert seen > 30_000
+
+
+@pytest.mark.parametrize("thickness_m", [0.02, 1.0], ids=["thin wall", "box"])
+@pytest.mark.parametrize("x_m", DISTANCES_M)
+@pytest.mark.parametrize("road", [Flat(), Bumps()], ids=["flat", "bumps"])
+def test_shadows_begin_at_the_foot_at_all_distances(road: Road, x_m: float, thickness_m: float):
+    thing = BoxParams(name="thing", size_m=(thickness_m, 1.5, 1.2), track=[{"position_m": (x_m, 0.6, float(road.z(x_m, 0.6)) - 0.2)}])
+    shadow = shadow_of(scene_with(road_mesh(road), thing), WIDE)
+    back = x_m + thickness_m / 2
+    # in the umbra's middle, from right behind on: a wall thicker than the bias lets nothing through
+    x, y = np.meshgrid(back + np.geomspace(1e-3, 2.0, 200), np.linspace(0.2, 1.0, 21))
+    behind = torch.from_numpy(np.stack([x, y, road.z(x, y)])).flatten(1).float()
+    assert thickness_m > BIAS_M
+    assert not visible(shadow, behind).any()
+    # and its face towards the lamp, to its border, stays lit
+    y, z = np.meshgrid(np.linspace(-0.149, 1.349, 60), float(road.z(x_m, 0.6)) + np.linspace(0.1, 0.999, 40))
+    face = torch.from_numpy(np.stack([np.full_like(y, x_m - thickness_m / 2), y, z])).flatten(1).float()
+    assert visible(shadow, face).all()
 
 
 @pytest.mark.parametrize("x_m", [13.0, 17.0, 50.0])
