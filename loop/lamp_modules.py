@@ -154,8 +154,7 @@ def build_module(
     full = module.headlight
     light, overlap = full, None
     if params.overlap is not None:
-        shape = full.pixel_rows, full.pixel_cols
-        light, overlap = _reduced(full, params.overlap, [*standard_use_cases(*shape), *use_cases(*shape)])
+        light, overlap = _reduced(full, params.overlap, use_cases(full.pixel_rows, full.pixel_cols))
     changes: dict[str, Any] = {key: getattr(params, key) for key in ("swivel_deg", "level_deg") if getattr(params, key) is not None}
     if params.mount is not None:
         m = params.mount
@@ -197,12 +196,14 @@ def _with_light(params: ModuleParams, folder: Path, on_progress: Progress | None
     return Module(params.name, light), assembled
 
 
-def _reduced(light: Headlight, params: OverlapParams, cases: Sequence[Array]) -> tuple[Headlight, OverlapErrors]:
-    matrix = reduce(light.matrix, params.keep, params.method, cases, params.bound_cd)
+def _reduced(light: Headlight, params: OverlapParams, given: Sequence[Array]) -> tuple[Headlight, OverlapErrors]:
+    """With fewer entries, judged by random utilisations that were not fitted."""
+    fitted, judged = ([*standard_use_cases(light.pixel_rows, light.pixel_cols, seed=seed), *given] for seed in (0, 1))
+    matrix = reduce(light.matrix, params.keep, params.method, fitted, params.bound_cd)
     chroma = light.chroma
     if chroma is not None:
         chroma = chroma[:, torch.from_numpy(strongest(light.matrix, params.keep, params.bound_cd))]
-    return replace(light, matrix=matrix, chroma=chroma), errors(light.matrix, matrix, cases)
+    return replace(light, matrix=matrix, chroma=chroma), errors(light.matrix, matrix, judged)
 
 
 def _grid_of_model(model: GaussianPixels | BlurredRectangles) -> TexelGrid:
