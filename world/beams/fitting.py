@@ -20,7 +20,7 @@ Traffic = Literal["right", "left"]
 EVEN_CD = 500.0  # errors count relative to the light, but not below this
 RIM = 0.1  # of the most light there is: where pixels give less, at the rim of the field, errors count less
 RULE_STEP_DEG = 0.1
-RESERVE = 0.04  # by how much limits are kept
+RESERVE = 0.04  # by how much limits are aimed at; half of it must be kept
 WEIGHT_OF_LIMITS = 3.0  # against the pattern, and as much more in each round that they are missed
 ROUNDS = 4
 
@@ -34,8 +34,8 @@ def default_beams(lamp: Lamp, traffic: Traffic = "right") -> dict[str, tuple[Ten
 def fit(lamp: Lamp, pattern: Pattern, traffic: Traffic = "right") -> tuple[Tensor, ...]:
     """Utilisations `[n_p]`, one a module, with which the lamp comes closest to a pattern.
 
-    The limits of the pattern's rules win over its form as far as the lamp can keep them; `world.regulation.check` tells. traffic: on
-    the left, the pattern and its rules are mirrored.
+    The limits of the pattern's rules win over its form if the lamp can keep those within its field; `world.regulation.check` tells.
+    traffic: on the left, the pattern and its rules are mirrored.
     """
     return Sampled(lamp).fit(pattern, traffic)
 
@@ -57,7 +57,7 @@ class Sampled:
         mirror = -1.0 if traffic == "left" else 1.0
         target = pattern.intensity(*_angles(self.directions, mirror)).float()
         weight = self.full / (self.full + RIM * self.full.max()) / (target + EVEN_CD)
-        u = solve(self.matrix, target, weight=weight, start=self._first_guess(target), iterations=60, tolerance=1e-3)
+        u = solve(self.matrix, target, weight=weight, start=self._first_guess(target), iterations=60, tolerance=1e-4)
         u = self._within_limits(u, target, weight, pattern, mirror)
         return u.split([module.headlight.n_pixels for module in self.lamp.modules])
 
@@ -66,21 +66,25 @@ class Sampled:
         possible = multiply(self.matrix.transposed, self.full)
         return torch.where(possible > 0, multiply(self.matrix.transposed, target) / possible, 0.0).clamp(0, 1)
 
-    def _within_limits(self, u: Tensor, target: Tensor, weight: Tensor, pattern: Pattern, mirror: float) -> Tensor:
+    def _within_limits(self, pattern_alone: Tensor, target: Tensor, weight: Tensor, pattern: Pattern, mirror: float) -> Tensor:
+        """The limits within the lamp's reach, all of them or none: a lamp too coarse for them would trade its form for a part."""
         points, low, high = _limits(pattern)
         points[0] *= mirror
         limits = self._light_at(direction(*points))
+        within_reach = multiply(limits, torch.ones(limits.n_cols)) >= low
+        u, held = pattern_alone, torch.zeros_like(within_reach)
         for round_ in range(ROUNDS):
             light = multiply(limits, u)
-            missed = (light < low) | (light > high)
+            missed = within_reach & ((light < (1 - RESERVE / 2) * low) | (light > (1 + RESERVE / 2) * high))
             if not missed.any():
-                break
-            rows = Csr.from_scipy(sp.vstack([self.matrix.to_scipy(), limits.to_scipy()[missed.numpy()]], format="csr"))
-            bound = torch.where(low[missed] > 0, low[missed], high[missed])
+                return u
+            held |= missed
+            rows = Csr.from_scipy(sp.vstack([self.matrix.to_scipy(), limits.to_scipy()[held.numpy()]], format="csr"))
+            bound = torch.where(low[held] > 0, low[held], high[held])
             weights = torch.cat([weight, WEIGHT_OF_LIMITS ** (round_ + 1) / (bound + EVEN_CD)])
-            lows, highs = torch.cat([target, low[missed]]), torch.cat([target, high[missed]])
-            u = solve(rows, lows, highs, weight=weights, start=u, iterations=40, tolerance=1e-3)
-        return u
+            lows, highs = torch.cat([target, low[held]]), torch.cat([target, high[held]])
+            u = solve(rows, lows, highs, weight=weights, start=u, iterations=60, tolerance=1e-5)
+        return pattern_alone
 
 
 def _angles(directions: Tensor, mirror: float) -> tuple[Tensor, Tensor]:
