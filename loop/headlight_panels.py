@@ -5,7 +5,8 @@ import math
 import numpy as np
 import torch
 from matplotlib.axes import Axes
-from matplotlib.ticker import FixedLocator, FuncFormatter
+from matplotlib.colors import PowerNorm
+from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 from torch import Tensor
 
 from loop import headlight_charts as charts
@@ -13,7 +14,7 @@ from loop.headlight_views import BIRDSEYE_X_M, BIRDSEYE_Y_M, Image, LitCar, Seen
 from world.headlight import Headlight
 from world.sources import wall_illuminance
 
-WALL_M = 25.0
+WALL_M, WALL_POINTS = 25.0, (641, 321)
 WHITE_WALL = 0.8  # albedo
 FAINTEST = 1 / 500  # of the peak, that a wall's picture still reaches to
 
@@ -25,10 +26,10 @@ def wall_angles(car: LitCar) -> tuple[Image, Image]:
     lit = light > light.max() * FAINTEST
     columns, rows = h.numpy()[lit.any(0)], v.numpy()[lit.any(1)]
     if not len(columns):
-        return np.linspace(-10, 10, 801), np.linspace(-4, 2, 401)
+        return np.linspace(-10, 10, WALL_POINTS[0]), np.linspace(-4, 2, WALL_POINTS[1])
     h_range = min(columns[0] - 1.0, -5.0), max(columns[-1] + 1.0, 5.0)
     v_range = min(rows[0] - 0.5, -2.0), max(rows[-1] + 0.5, 1.5)
-    return np.linspace(*h_range, 801), np.linspace(*v_range, 401)
+    return np.linspace(*h_range, WALL_POINTS[0]), np.linspace(*v_range, WALL_POINTS[1])
 
 
 def draw_wall(axes: Axes, car: LitCar, style: str) -> None:
@@ -74,37 +75,46 @@ def draw_eye(axes: Axes, seen: Seen, style: str) -> None:
     else:
         charts.as_seen(axes, seen.luminance, extent, dimmed=style == "isolux")
         if style == "isolux":
-            charts.isolines(axes, np.arange(cols) + 0.5, np.arange(rows) + 0.5, seen.illuminance, most=6, on_black=True)
+            charts.isolines(axes, np.arange(cols) + 0.5, np.arange(rows) + 0.5, seen.illuminance, most=5, on_black=True)
     axes.set_aspect("equal")
     axes.set(xlim=(0, cols), ylim=(rows, 0))
     charts.no_frame(axes)
 
 
 def draw_pixels(axes: Axes, light: Headlight, utilisation: Tensor) -> None:
-    """Utilisation of a module's pixels in %."""
+    """Utilisation of a module's pixels in %, the dark half of the scale drawn out."""
     image = 100 * utilisation.view(light.pixel_rows, light.pixel_cols).cpu().numpy()
     extent = (0, light.pixel_cols, light.pixel_rows, 0)
-    shown = axes.imshow(image, cmap="magma", vmin=0, vmax=100, extent=extent, aspect="auto", interpolation="nearest")
+    shown = axes.imshow(image, cmap="magma", norm=PowerNorm(0.5, 0, 100), extent=extent, aspect="auto", interpolation="nearest")
     axes.set(xlabel="column", ylabel="row")
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(MaxNLocator(8, integer=True))
     axes.grid(False)
-    charts.scale(axes, shown, "%")
+    charts.scale(axes, shown, "%").set_ticks([0, 5, 20, 50, 100])
 
 
 def draw_texture(axes: Axes, light: Headlight, utilisation: Tensor) -> None:
     """A module's light texture in kcd, on the plane of tangents with a scale in degrees."""
     image = light.light_texture(utilisation).cpu().numpy() / 1e3
     extent = (light.left, light.right, light.bottom, light.top)
-    shown = axes.imshow(image, cmap="inferno", vmin=0, extent=extent, aspect="auto", interpolation="antialiased")
+    peak = float(image.max()) or 1.0
+    shown = axes.imshow(image, cmap="inferno", vmin=0, vmax=peak, extent=extent, aspect="auto", interpolation="antialiased")
     for axis, ends in ((axes.xaxis, extent[:2]), (axes.yaxis, extent[2:])):
-        axis.set_major_locator(FixedLocator([math.tan(math.radians(angle)) for angle in _round_degrees(*ends)]))
+        axis.set_major_locator(FixedLocator(_round_tangents(*ends)))
         axis.set_major_formatter(FuncFormatter(lambda tangent, _: charts.degrees(math.degrees(math.atan(tangent)))))
     axes.set(xlabel="to the left", ylabel="up")
     axes.grid(False)
     charts.scale(axes, shown, "kcd")
 
 
-def _round_degrees(start: float, end: float) -> Image:
-    """Round angles between two tangents, ten at most."""
-    low, high = sorted(math.degrees(math.atan(tangent)) for tangent in (start, end))
-    step = next(step for step in (0.5, 1, 2, 5, 10, 20) if (high - low) / step <= 9)
-    return np.arange(math.ceil(low / step) * step, high + 1e-9, step)
+def _round_tangents(start: float, end: float) -> list[float]:
+    """Tangents of round angles between two tangents, as far apart as their labels need."""
+    low, high = sorted((start, end))
+    first, last = (math.degrees(math.atan(tangent)) for tangent in (low, high))
+    step = next(step for step in (0.5, 1, 2, 5, 10, 20) if (last - first) / step <= 9)
+    kept: list[float] = []
+    for angle in sorted(np.arange(math.ceil(first / step) * step, last + 1e-9, step), key=abs, reverse=True):
+        tangent = math.tan(math.radians(angle))
+        if all(abs(tangent - other) > 0.07 * (high - low) for other in kept):
+            kept.append(tangent)
+    return kept

@@ -125,14 +125,14 @@ def _draw(car: LitCar, beam: str, view: str, style: str, scenario: Scenario | No
             figure = _page(car, beam, ROAD[style], (11.5, 5.0))
             draw_birdseye(figure.subplots(), Road(scenario).look(car, birdseye()), style)
         case "driver":
-            figure = _page(car, beam, DRIVER[style], (11.0, 6.5))
+            figure = _page(car, beam, DRIVER[style], _eye_inches(style))
             seen = Road(scenario).look(car, driver())
             axes = figure.subplots()
             draw_eye(axes, seen, style)
             if style != "isolux":
                 charts.distance_marks(axes, seen)
         case "volume":
-            figure = _page(car, beam, f"in fog, visibility {visibility_m:g} m", (11.0, 6.5))
+            figure = _page(car, beam, f"in fog, visibility {visibility_m:g} m", _eye_inches(style))
             seen = Road(scenario).look(car, beside(), Medium.fog(visibility_m))
             axes = figure.subplots()
             draw_eye(axes, seen, style)
@@ -160,6 +160,11 @@ def _modules(car: LitCar, beam: str, view: str) -> Figure:
                 axes.set_title(f"{side}, {module.name}: {light.rows} x {light.cols} texels")
                 draw_texture(axes, light, u)
     return figure
+
+
+def _eye_inches(style: str) -> tuple[float, float]:
+    """Of a page that a picture of 16 : 9 fills, beside the scale of false colours if there is one."""
+    return (11.0, 5.85) if style == "falsecolour" else (11.0, 6.5)
 
 
 def _page(car: LitCar, beam: str, what: str, inches: tuple[float, float]) -> Figure:
