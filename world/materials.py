@@ -30,7 +30,7 @@ class Texture:
     """Albedo and material over a body's x and y, repeated endlessly.
 
     albedo: `[n_x, n_y]` float32; texel (i, j) has its centre at `origin_m + ((i, j) + 1/2) * texel_m`.
-    materials: those of the surface. material: `[n_x, n_y]` int64, which of them a texel is made of; None: of the first.
+    materials: those of the surface. material: `[n_x, n_y]` uint8, which of them a texel is made of; None: of the first.
     """
 
     albedo: Tensor
@@ -56,7 +56,7 @@ class Texture:
             return torch.zeros_like(x, dtype=torch.int64)
         n_x, n_y = self.material.shape
         i, j = ((at - start) / self.texel_m for at, start in zip((x, y), self.origin_m, strict=True))
-        return self.material[i.floor().long() % n_x, j.floor().long() % n_y]
+        return self.material[i.floor().long() % n_x, j.floor().long() % n_y].long()
 
 
 class RoadSurfaceParams(Params):
@@ -72,7 +72,7 @@ class RoadSurfaceParams(Params):
     seed: int = Field(0, ge=0, description="Seed of grain and patches")
 
     def texture(self) -> Texture:
-        """A tile of 36 x 18 m, 2 cm a texel, centred on y = 0, whose opposite edges match."""
+        """A tile of 36 x 18 m, or 36 x 54 m with markings, 2 cm a texel, centred on y = 0, whose opposite edges match."""
         texel_m, n_x, n_y = 0.02, 1800, 900
         rng = np.random.default_rng(self.seed)
         relative = 1.0 + self.grain * _grain(rng, n_x, n_y) * (self.grain > 0)
@@ -83,8 +83,10 @@ class RoadSurfaceParams(Params):
             relative[rows, columns] = 1.0 + rng.uniform(-0.3, -0.1) + 0.6 * (relative[rows, columns] - 1.0)
         relative = relative.clip(0.3, None)
         albedo = (self.albedo * relative / relative.mean()).clip(0, 1)
-        painted = np.zeros((n_x, n_y), bool)
+        painted = np.zeros_like(albedo, bool)
         if self.markings:
+            albedo = np.tile(albedo, (1, 3))  # wider than the scene, so that the lines are there once
+            n_y *= 3
             x = (np.arange(n_x) + 0.5) * texel_m
             y = (np.arange(n_y) + 0.5 - n_y / 2) * texel_m
             solid = np.abs(y + self.lane_width_m / 2) < 0.06
@@ -100,7 +102,7 @@ class RoadSurfaceParams(Params):
             return (ground,), None
         paint = MATERIALS["lane_paint"]
         paint = replace(ground, retro=paint.retro * (1 - self.wet), retro_width_deg=paint.retro_width_deg)
-        return (ground, paint), torch.from_numpy(painted.astype(np.int64))
+        return (ground, paint), torch.from_numpy(painted.astype(np.uint8))
 
 
 def _grain(rng: np.random.Generator, n_x: int, n_y: int) -> np.ndarray:
