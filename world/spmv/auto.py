@@ -35,10 +35,15 @@ def fastest(csr: Csr, cache: Path | None = None) -> SparseFormat:
     if isinstance(name, str) and name in FORMATS:
         return FORMATS[name].from_csr(csr)
     forms = {name: FORMATS[name].from_csr(csr) for name in candidates(csr)}
-    times = timings(forms)
-    best = min(times, key=times.__getitem__)
+    best = best_of(forms)
     _remember(cache, key, best)
     return forms[best]
+
+
+def best_of(forms: dict[str, SparseFormat]) -> str:
+    """Name of the format whose products take least time."""
+    times = timings(forms)
+    return min(times, key=times.__getitem__)
 
 
 def candidates(csr: Csr) -> list[str]:

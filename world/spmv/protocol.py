@@ -88,7 +88,7 @@ class SparseFormat(ABC):
             raise ValueError(
                 f"matrix, vector and product must be alike: {self.dtype} on {self.device}, {x.dtype} on {x.device}, {out.dtype}"
             )
-        if x.requires_grad:
+        if x.requires_grad and torch.is_grad_enabled():
             raise ValueError("sparse formats have no gradient: use world.spmv.multiply(csr, x)")
 
     def _buffer(self, name: str, *shape: int) -> Tensor:

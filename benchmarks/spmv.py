@@ -1,0 +1,362 @@
+"""How fast the light of a lamp is computed, beside SciPy: `python benchmarks/spmv.py [--json FILE] [--quick] [--page [FOLDER]]`.
+
+The lamps of the thesis' tables A.1 and A.2, lamps with long rows and the shipped ones, in every format that can pay; incremental updates
+as in its fig. 6.1; memory as in its 6.2. On the CPU in one process with one thread, in process time, all in turn; on CUDA as captured
+graphs, in clock time with synchronisation. `--page` writes docs/spmv.md and its pictures.
+"""
+
+import argparse
+import datetime
+import json
+import os
+import platform
+import sys
+import time
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import spmv_page
+import torch
+from rich.table import Table
+from spmv_lamps import FIXED_SIDE, SIZES, THESIS_ADAPTIVE_US, THESIS_FIXED_US, Lamp, adaptive_side, disjoint, of_the_thesis, with_long_rows
+
+from loop import tables
+from world import presets
+from world.spmv import FORMATS, Bands, CapturedProduct, ChangedPixels, Csr, SparseFormat, build
+from world.spmv.auto import best_of, candidates, processor
+from world.spmv.protocol import lit_rows
+
+ROOT = Path(__file__).parents[1]
+ROUNDS = 25
+GPU_ROUNDS = 500  # as in the thesis
+COPY_MB = 256
+LONG_ROWS = ((64, 256, 512, 1024), (195, 390, 1024, 1024))  # pixels and texels of the lamps with 24 entries a row
+DENSE = (12, 24, 256)
+FIGURE_TEXELS = (128, 256, 512, 1024)  # rows of a texture of aspect 4:1
+FIGURE_PIXELS = (32, 64, 128, 256, 512, 1024, 2048)  # columns
+PRESETS = ("hd84", "ssl-hd-lores", "idealised-332x1024", "dmd-1m3")
+CHANGED = 0.1  # of the pixels, in fig. 6.1
+DIRTY = 0.05
+FLOAT_TOLERANCE = 1e-4  # float32 sums of up to 50 products in another order
+GOAL_SHORT, GOAL_LONG, GOAL_COPY, GOAL_FLAT, GOAL_BAND, GOAL_GPU_US = 1.0, 0.6, 0.45, 1.2, 0.25, 60.0
+
+Step = Callable[[], Any]
+
+
+def interleaved(steps: dict[str, Step], rounds: int) -> dict[str, dict[str, float]]:
+    """Process time in ms of each, in turn, after one call that does not count."""
+    for step in steps.values():
+        step()
+    taken: dict[str, list[float]] = {name: [] for name in steps}
+    for _ in range(rounds):
+        for name, step in steps.items():
+            before = time.process_time_ns()
+            step()
+            taken[name].append(1e-6 * (time.process_time_ns() - before))
+    return {name: statistics(times) for name, times in taken.items()}
+
+
+def statistics(times: list[float]) -> dict[str, float]:
+    low, median, high = np.quantile(times, [0.05, 0.5, 0.95]).tolist()
+    return {"min": min(times), "q05": low, "median": median, "q95": high}
+
+
+class Copy:
+    """256 MB from here to there: what the memory gives at best, reading and writing counted."""
+
+    def __init__(self, device: torch.device, quick: bool) -> None:
+        self.source = torch.rand(2**18 * (16 if quick else COPY_MB), device=device)
+        self.target = torch.empty_like(self.source)
+        self.bytes = 2 * self.source.nbytes
+
+    def __call__(self) -> None:
+        self.target.copy_(self.source)
+
+
+def moved_bytes(form: SparseFormat) -> int:
+    """What one product must move: the format, the utilisation, the rows written; each once."""
+    rows = form.stop - form.start if hasattr(form, "start") else form.n_rows
+    return form.storage.bytes(form.dtype) + form.dtype.itemsize * (form.n_cols + rows)
+
+
+def measure_lamp(lamp: Lamp, copy: Copy, rounds: int, names: list[str] | None = None) -> dict[str, Any]:
+    """Every format beside SciPy, and which one `fastest` would take; each product is checked."""
+    csr = Csr.from_scipy(lamp.matrix)
+    u = torch.rand(csr.n_cols, generator=torch.Generator().manual_seed(1))
+    vector = u.numpy()
+    expected = torch.from_numpy(lamp.matrix @ vector)
+    steps: dict[str, Step] = {"copy": copy, "scipy": lambda: lamp.matrix @ vector}
+    forms = {name: build(csr, name) for name in names or [*candidates(csr), "coo", "lgc"]}
+    for name, form in forms.items():
+        out = form.multiply(u)
+        if not (out - expected).abs().max() <= FLOAT_TOLERANCE * expected.max():
+            sys.exit(f"not the same work: {name} differs from SciPy at {lamp.name}")
+        steps[name] = lambda form=form, out=out: form.refresh(u, out)
+    chosen = best_of({name: forms[name] for name in names or candidates(csr)})
+    ms = interleaved(steps, rounds)
+    copied = ms.pop("copy")["median"]
+    best = forms[chosen]
+    lit = len(lit_rows(csr))
+    return {
+        "name": lamp.name,
+        "pixels": csr.n_cols,
+        "texels": [lamp.grid.rows, lamp.grid.cols],
+        "entries": len(csr.values) / lit,
+        "thesis_us": lamp.thesis_us,
+        "ms": ms,
+        "chosen": chosen,
+        "ratio": ms[chosen]["median"] / ms["scipy"]["median"],
+        "bytes": moved_bytes(best),
+        "copy_share": moved_bytes(best) / ms[chosen]["median"] / (copy.bytes / copied),
+        "copy_gb_s": 1e-6 * copy.bytes / copied,
+        "gpu": measure_gpu(csr, list(forms)) if torch.cuda.is_available() else None,
+    }
+
+
+def measure_gpu(csr: Csr, names: list[str]) -> dict[str, Any]:
+    """Captured products in µs, synchronised before and after each."""
+    device = torch.device("cuda")
+    csr = csr.to(device)
+    copy = Copy(device, quick=False)
+    captured = {name: CapturedProduct(build(csr, name)) for name in names}
+    for each in captured.values():
+        each.input.uniform_()
+    steps: dict[str, Step] = {"copy": copy, **{name: each.replay for name, each in captured.items()}}
+    taken: dict[str, list[float]] = {name: [] for name in steps}
+    for number in range(GPU_ROUNDS + 10):
+        for name, step in steps.items():
+            torch.cuda.synchronize()
+            before = time.perf_counter_ns()
+            step()
+            torch.cuda.synchronize()
+            if number >= 10:
+                taken[name].append(1e-3 * (time.perf_counter_ns() - before))
+    us = {name: statistics(times) for name, times in taken.items()}
+    copied = us.pop("copy")["median"]
+    best = min(us, key=lambda name: us[name]["median"])
+    moved = moved_bytes(captured[best].form)
+    share = moved / us[best]["median"] / (copy.bytes / copied)
+    return {"device": torch.cuda.get_device_name(), "us": us, "best": best, "bytes": moved, "copy_share": share}
+
+
+def measure_dense(rows: int, cols: int, side: int, rounds: int) -> dict[str, Any]:
+    """The dense superposition, where it fits into memory at all."""
+    lamp = of_the_thesis(rows, cols, side)
+    form = build(Csr.from_scipy(lamp.matrix), "window")
+    dense, u = torch.from_numpy(lamp.matrix.toarray()), torch.rand(rows * cols)
+    out, product = form.multiply(u), torch.empty(side**2)
+    steps = {"dense": lambda: torch.mv(dense, u, out=product), "window": lambda: form.refresh(u, out)}
+    return {"name": lamp.name, "side": side, "bytes": dense.nbytes, "ms": interleaved(steps, rounds)}
+
+
+def measure_updates(lamp: Lamp, rounds: int) -> dict[str, Any]:
+    """A full product beside a dirty band of pixel rows, a dirty square of the same area, flags for the band and for scattered pixels."""
+    csr = Csr.from_scipy(lamp.matrix)
+    form, bands = build(csr, "window"), Bands(csr)
+    u = torch.rand(csr.n_cols, generator=torch.Generator().manual_seed(1))
+    out = form.multiply(u)
+    pixel = torch.arange(csr.n_cols).view(lamp.rows, lamp.cols)
+    band = _middle(lamp.rows, DIRTY)
+    square = _middle(lamp.rows, DIRTY**0.5)
+    of_band, of_square = (slice(rows.start * lamp.cols, rows.stop * lamp.cols) for rows in (band, square))
+    rows_of_band, rows_of_square = bands.rows_of(of_band), bands.rows_of(of_square)
+    steps: dict[str, Step] = {
+        "full": lambda: form.refresh(u, out),
+        "band": lambda: bands.refresh(u, out, rows_of_band),
+        "band, rows looked up": lambda: bands.refresh(u, out, bands.rows_of(of_band)),
+        "square": lambda: bands.refresh(u, out, rows_of_square),
+        "flags, band": flags(csr, u, pixel[band].ravel()),
+        "flags, scattered": flags(csr, u, torch.randperm(csr.n_cols)[: int(DIRTY * csr.n_cols)]),
+    }
+    return {"name": lamp.name, "texels": lamp.grid.rows, "share": DIRTY, "ms": interleaved(steps, rounds)}
+
+
+def _middle(n: int, share: float) -> slice:
+    count = max(round(share * n), 1)
+    return slice((n - count) // 2, (n - count) // 2 + count)
+
+
+def flags(csr: Csr, u: torch.Tensor, pixels: torch.Tensor) -> Step:
+    """Updates by flags that change these pixels there and back."""
+    other = u.clone()
+    other[pixels] = 1 - other[pixels]
+    changed, both = ChangedPixels(csr, u), [u, other]
+
+    def step() -> None:
+        both.reverse()
+        changed.refresh(both[0])
+
+    return step
+
+
+def measure_figure(cols: tuple[int, ...], texel_rows: tuple[int, ...], rounds: int) -> list[dict[str, Any]]:
+    """Relative time of updates to full products, as in T fig. 6.1."""
+    points = []
+    for texels in texel_rows:
+        for n in cols:
+            if n > 4 * texels:
+                continue  # a pixel without a texel
+            lamp = disjoint(n, texels)
+            csr = Csr.from_scipy(lamp.matrix)
+            form, bands = build(csr, "csr"), Bands(csr)
+            u = torch.rand(csr.n_cols, generator=torch.Generator().manual_seed(1))
+            out = form.multiply(u)
+            rows = _middle(lamp.rows, CHANGED)
+            dirty = bands.rows_of(slice(rows.start * n, rows.stop * n))
+            scattered = torch.randperm(csr.n_cols, generator=torch.Generator().manual_seed(2))[: int(CHANGED * csr.n_cols)]
+            steps: dict[str, Step] = {
+                "full": lambda form=form, u=u, out=out: form.refresh(u, out),
+                "band": lambda bands=bands, u=u, out=out, dirty=dirty: bands.refresh(u, out, dirty),
+                "flags": flags(csr, u, scattered),
+            }
+            ms = {name: times["median"] for name, times in interleaved(steps, rounds).items()}
+            points.append({"texels": csr.n_rows, "pixels": csr.n_cols, "ms": ms, "band_share": (rows.stop - rows.start) / lamp.rows})
+    return points
+
+
+def count_memory(lamps: dict[str, Csr]) -> list[dict[str, Any]]:
+    """Indices and bytes of each format, and the share of lit texels that decides between them (T 6.2)."""
+    return [
+        {
+            "name": name,
+            "texels": csr.n_rows,
+            "lit_share": len(lit_rows(csr)) / csr.n_rows,
+            "entries": len(csr.values) / len(lit_rows(csr)),
+            "formats": {
+                each: vars(form.count(csr)) | {"bytes": form.count(csr).bytes()} for each, form in FORMATS.items() if each != "tiles64"
+            },
+        }
+        for name, csr in lamps.items()
+    ]
+
+
+def goals(results: dict[str, Any]) -> list[dict[str, Any]]:
+    """What the figures are measured by; on a GPU None where there is none."""
+    fixed, updates = results["fixed"], results["updates"]["ms"]
+    best = [lamp["ms"][lamp["chosen"]]["median"] for lamp in fixed]
+    gpu = fixed[-1]["gpu"]
+    found = [
+        ("short rows, times SciPy's CSR (worst of table A.1)", max(lamp["ratio"] for lamp in fixed), GOAL_SHORT, False),
+        ("24 entries a row, times SciPy's CSR", results["long"][0]["ratio"], GOAL_LONG, False),
+        ("share of the copy bandwidth (worst of table A.1)", min(lamp["copy_share"] for lamp in fixed), GOAL_COPY, True),
+        ("longest over shortest time over the pixel numbers of table A.1", max(best) / min(best), GOAL_FLAT, False),
+        ("dirty band of 5 %, times a full update", updates["band"]["median"] / updates["full"]["median"], GOAL_BAND, False),
+        ("µs synchronised on a GPU, largest lamp of table A.1", gpu and gpu["us"][gpu["best"]]["median"], GOAL_GPU_US, False),
+    ]
+    return [
+        {
+            "goal": name,
+            "value": value,
+            "limit": limit,
+            "at_least": least,
+            "passed": value and ((value >= limit) if least else (value <= limit)),
+        }
+        for name, value, limit, least in found
+    ]
+
+
+def run(quick: bool, note: Callable[[str], None]) -> dict[str, Any]:
+    """Measure everything."""
+    sizes = SIZES[:2] if quick else SIZES
+    rounds = 3 if quick else ROUNDS
+    side = 256 if quick else FIXED_SIDE
+    copy = Copy(torch.device("cpu"), quick)
+    note("table A.1")
+    fixed = [measure_lamp(of_the_thesis(*size, side, us), copy, rounds) for size, us in zip(sizes, THESIS_FIXED_US, strict=False)]
+    note("table A.2")
+    adaptive = [
+        measure_lamp(of_the_thesis(*size, adaptive_side(size[1]), us), copy, rounds, ["csr", "window"])
+        for size, us in zip(sizes, THESIS_ADAPTIVE_US, strict=False)
+    ]
+    note("long rows")
+    long = [measure_lamp(with_long_rows(*(n // 8 if quick else n for n in lamp), 24), copy, rounds) for lamp in LONG_ROWS]
+    note("shipped lamps")
+    shipped = {name: presets.lamp(name).modules[0].headlight for name in (PRESETS[:1] if quick else PRESETS)}
+    lamps = [
+        measure_lamp(Lamp(name, light.pixel_rows, light.pixel_cols, light, light.matrix.to_scipy()), copy, rounds)
+        for name, light in shipped.items()
+    ]
+    note("incremental updates")
+    thesis = of_the_thesis(*sizes[-1], side)
+    updates = measure_updates(thesis, rounds)
+    figure = measure_figure(FIGURE_PIXELS[:3] if quick else FIGURE_PIXELS, FIGURE_TEXELS[:2] if quick else FIGURE_TEXELS, 3 if quick else 9)
+    note("memory")
+    matrix = Csr.from_scipy(thesis.matrix)
+    lit = lit_rows(matrix)
+    counted = {
+        f"{thesis.name}, square texture": matrix,
+        f"{thesis.name}, its lit rows": matrix.band(int(lit[0]), int(lit[-1]) + 1),
+        **{name: light.matrix for name, light in shipped.items()},
+    }
+    results: dict[str, Any] = {
+        "machine": machine(),
+        "fixed": fixed,
+        "adaptive": adaptive,
+        "long": long,
+        "shipped": lamps,
+        "dense": measure_dense(*(DENSE[:2]), 64 if quick else DENSE[2], rounds),
+        "updates": updates,
+        "figure": figure,
+        "memory": count_memory(counted),
+    }
+    return {**results, "goals": goals(results)}
+
+
+def machine() -> dict[str, str]:
+    """Where and with what this ran."""
+    return {
+        "date": datetime.date.today().isoformat(),
+        "processor": processor(),
+        "gpu": torch.cuda.get_device_name() if torch.cuda.is_available() else "none",
+        "python": platform.python_version(),
+        **{name: version(name) for name in ("torch", "numpy", "scipy")},
+    }
+
+
+def shown(title: str, lamps: list[dict[str, Any]]) -> Table:
+    """Median ms of every format of every lamp."""
+    names = list(dict.fromkeys(name for lamp in lamps for name in lamp["ms"]))
+    table = Table("ms", *(lamp["name"] for lamp in lamps), title=title, box=None)
+    for column in table.columns[1:]:
+        column.justify = "right"
+    for name in names:
+        table.add_row(name, *(f"{lamp['ms'][name]['median']:.3f}" if name in lamp["ms"] else "" for lamp in lamps))
+    table.add_row("chosen", *(lamp["chosen"] for lamp in lamps))
+    table.add_row("times SciPy", *(f"{lamp['ratio']:.2f}" for lamp in lamps))
+    table.add_row("of copy bandwidth", *(f"{lamp['copy_share']:.0%}" for lamp in lamps))
+    return table
+
+
+def main() -> None:
+    """Measure, show, write."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", type=Path, help="also write the results here")
+    parser.add_argument("--quick", action="store_true", help="small lamps and few rounds, to see that it works")
+    parser.add_argument(
+        "--page", type=Path, nargs="?", const=ROOT / "docs", metavar="FOLDER", help="also write spmv.md and its pictures (docs)"
+    )
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    console = tables.console()
+    start = time.monotonic()
+    results = run(arguments.quick, lambda what: console.print(f"measuring {what}", markup=False))
+    results["seconds"] = time.monotonic() - start
+    for title in ("fixed", "adaptive", "long", "shipped"):
+        console.print(shown(title, results[title]))
+    console.print({name: round(times["median"], 3) for name, times in results["updates"]["ms"].items()})
+    for each in results["goals"]:
+        verdict = "not measured" if each["value"] is None else f"{each['value']:.2f}: {'pass' if each['passed'] else 'FAIL'}"
+        console.print(f"{each['goal']}, {'at least' if each['at_least'] else 'at most'} {each['limit']:g}: {verdict}", markup=False)
+    if arguments.json:
+        arguments.json.write_text(json.dumps(results, indent=1) + "\n")
+    if arguments.page:
+        spmv_page.write(results, arguments.page)
+
+
+if __name__ == "__main__":
+    if os.environ.get("OMP_NUM_THREADS") != "1":  # read when OpenMP is loaded
+        os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, "OMP_NUM_THREADS": "1"})
+    main()

@@ -1,0 +1,150 @@
+"""docs/spmv.md and its pictures from the results of benchmarks/spmv.py; the words are in spmv_page.md beside this file."""
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+
+TEMPLATE = Path(__file__).with_suffix(".md")
+
+
+def write(results: dict[str, Any], folder: Path) -> None:
+    """Write `spmv.md` and `images/spmv-*.png` into a folder."""
+    (folder / "images").mkdir(parents=True, exist_ok=True)
+    draw_updates(results["figure"], folder / "images" / "spmv-incremental.png")
+    draw_memory(results["memory"], folder / "images" / "spmv-memory.png")
+    (folder / "spmv.md").write_text(page(results), "utf-8")
+
+
+def page(results: dict[str, Any]) -> str:
+    fixed, dense, updates, memory = (results[key] for key in ("fixed", "dense", "updates", "memory"))
+    full = updates["ms"]["full"]["median"]
+    flags, bands = ([point["ms"][kind] / point["ms"]["full"] for point in results["figure"]] for kind in ("flags", "band"))
+    large = [point["ms"]["band"] / point["ms"]["full"] for point in results["figure"] if point["texels"] >= 2**20] or bands
+    lamp_a, lamp_b = results["long"][:2]
+    return TEMPLATE.read_text("utf-8").format(
+        **results["machine"],
+        minutes=max(round(results["seconds"] / 60), 1),
+        copy=fixed[-1]["copy_gb_s"],
+        goals="\n".join(goal(each) for each in results["goals"]),
+        side=fixed[0]["texels"][0],
+        entries=fixed[-1]["entries"],
+        fixed=times(fixed),
+        adaptive=times(results["adaptive"]),
+        long=times(results["long"]),
+        shipped=times(results["shipped"]),
+        texels_a=lamp_a["texels"][0] * lamp_a["texels"][1] / lamp_a["pixels"],
+        texels_b=lamp_b["texels"][0] * lamp_b["texels"][1] / lamp_b["pixels"],
+        dense_name=dense["name"],
+        dense_side=dense["side"],
+        dense_mb=dense["bytes"] / 1e6,
+        dense_ms=dense["ms"]["dense"]["median"],
+        dense_ratio=dense["ms"]["dense"]["median"] / dense["ms"]["window"]["median"],
+        dense_gb=4e-9 * fixed[0]["pixels"] * fixed[0]["texels"][0] ** 2,
+        update_name=updates["name"],
+        update_side=updates["texels"],
+        dirty=updates["share"],
+        square=updates["share"] ** 0.5,
+        updates="\n".join(f"| {name} | {ms['median']:.2f} | {ms['median'] / full:.2f} |" for name, ms in updates["ms"].items()),
+        flags_verdict=(
+            f"never pay here, at {min(flags):.1f} to {max(flags):.0f} times a full update."
+            if min(flags) >= 1
+            else f"between {min(flags):.2f} and {max(flags):.0f} times a full update."
+        ),
+        bands_verdict=f"takes {min(large):.2f} to {max(large):.2f} of a full update from a million texels on, {max(bands):.2f} at worst.",
+        memory=bytes_of(memory),
+    )
+
+
+def table(header: list[str], rows: list[list[str]]) -> str:
+    lines = [header, ["---", *["---:"] * (len(header) - 1)], *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def goal(each: dict[str, Any]) -> str:
+    if each["value"] is None:
+        measured, verdict = "not measured", ""
+    else:
+        measured, verdict = f"{each['value']:.2f}", "reached" if each["passed"] else "**missed**"
+    return f"| {each['goal']} | {'≥' if each['at_least'] else '≤'} {each['limit']:g} | {measured} | {verdict} |"
+
+
+def times(lamps: list[dict[str, Any]]) -> str:
+    """A row a lamp: formats in ms, the chosen one bold with its ratio, then the GPU and the thesis in µs."""
+    names = list(dict.fromkeys(name for lamp in lamps for name in lamp["ms"]))
+    thesis = any(lamp["thesis_us"] for lamp in lamps)
+    formats = ["SciPy" if name == "scipy" else f"`{name}`" for name in names]
+    header = ["pixels", "texels", "entries", *formats, "5 to 95 %", "chosen / SciPy", "of copy", "GPU µs"]
+    rows = []
+    for lamp in lamps:
+        cells = [lamp["name"].split(",")[0], " x ".join(map(str, lamp["texels"])), f"{lamp['entries']:.2f}"]
+        for name in names:
+            ms = f"{lamp['ms'][name]['median']:.2f}" if name in lamp["ms"] else ""
+            cells.append(f"**{ms}**" if name == lamp["chosen"] else ms)
+        spread = lamp["ms"][lamp["chosen"]]
+        cells += [f"{spread['q05']:.2f} to {spread['q95']:.2f}", f"{lamp['ratio']:.2f}", f"{lamp['copy_share']:.0%}", gpu(lamp["gpu"])]
+        if thesis:
+            cells.append(f"{lamp['thesis_us']:.1f}")
+        rows.append(cells)
+    return table([*header, "thesis µs"] if thesis else header, rows)
+
+
+def gpu(measured: dict[str, Any] | None) -> str:
+    if measured is None:
+        return "not measured"
+    us = measured["us"][measured["best"]]["median"]
+    return f"{us:.1f} (`{measured['best']}`, {measured['bytes'] / 1e6:.0f} MB, {measured['copy_share']:.0%} of copy)"
+
+
+def bytes_of(memory: list[dict[str, Any]]) -> str:
+    names = list(memory[0]["formats"])
+    rows = [
+        [
+            each["name"],
+            f"{each['lit_share']:.0%}",
+            f"{each['entries']:.1f}",
+            *(f"{each['formats'][name]['bytes'] / 1e6:.1f}" for name in names),
+        ]
+        for each in memory
+    ]
+    return table(["lamp", "lit", "entries", *(f"`{name}`" for name in names)], rows)
+
+
+def draw_updates(points: list[dict[str, Any]], file: Path) -> None:
+    """Time of updates over a full product, over the number of pixels, a colour a texture."""
+    figure, axes = plt.subplots(figsize=(7.5, 4.2), layout="constrained")
+    textures = sorted({point["texels"] for point in points})
+    for texels, colour in zip(textures, plt.colormaps["viridis"](range(0, 240, 240 // len(textures))), strict=False):
+        line = [point for point in points if point["texels"] == texels]
+        pixels = [point["pixels"] for point in line]
+        label = f"{texels / 1e6:.2f} M texels"
+        axes.loglog(pixels, [p["ms"]["flags"] / p["ms"]["full"] for p in line], "o-", color=colour, label=f"flags, {label}")
+        axes.loglog(pixels, [p["ms"]["band"] / p["ms"]["full"] for p in line], "s--", color=colour, label=f"band, {label}")
+    axes.axhline(1, color="0.4", lw=1)
+    axes.set(xlabel="pixels", ylabel="time, times a full update", title="A tenth of the pixels changed")
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_formatter("")
+    axes.xaxis.set_minor_formatter("")
+    axes.grid(alpha=0.3, which="both")
+    figure.legend(loc="outside right center", fontsize=8)
+    figure.savefig(file, dpi=110)
+    plt.close(figure)
+
+
+def draw_memory(lamps: list[dict[str, Any]], file: Path) -> None:
+    """Indices of rows a texel over the share of lit texels, the lamps marked."""
+    figure, axes = plt.subplots(figsize=(7.5, 3.8), layout="constrained")
+    for slope, offset, label in ((0, 1, "CSR: n_t + 1"), (2, 0, "submatrix: 2 n_lit + 1"), (3, 0, "LGC: 3 n_lit")):
+        axes.plot([0, 1], [offset, offset + slope], label=label)
+    for lamp, marker in zip(lamps, "ovs^Dp*", strict=False):
+        axes.plot(
+            lamp["lit_share"], lamp["formats"]["window"]["row_indices"] / lamp["texels"], f"k{marker}", ms=5, mfc="w", label=lamp["name"]
+        )
+    axes.set(xlabel="share of lit texels", ylabel="indices of texels, times n_t", xlim=(0, 1.02), ylim=(0, 3.05))
+    axes.grid(alpha=0.3)
+    figure.legend(loc="outside right center", fontsize=8, title="lines; marks: window of")
+    figure.savefig(file, dpi=110)
+    plt.close(figure)
