@@ -44,7 +44,10 @@ POSES = [pose_from_degrees((0.0, y, 0.75), roll, 2.6, yaw) for y, roll, yaw in (
 @pytest.fixture(scope="module")
 def mi() -> ModuleType:
     """Mitsuba, of the test extra; it has no wheels for every platform, and scalar_rgb needs neither LLVM nor CUDA."""
-    mitsuba = pytest.importorskip("mitsuba", reason="Mitsuba is not installed: it is in the extra 'test'", exc_type=ImportError)
+    try:
+        import mitsuba
+    except ImportError as error:
+        pytest.skip(f"Mitsuba, of the extra 'test', cannot be imported here: {error}")
     mitsuba.set_variant("scalar_rgb")
     return mitsuba
 
