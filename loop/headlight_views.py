@@ -146,8 +146,8 @@ def driver(width_px: int = 1280) -> View:
 
 
 def beside(width_px: int = 960) -> View:
-    """From behind, above and to the left of the car, for beams in fog: 50 deg wide, 16 : 9."""
-    return _pinhole((-10.0, 6.5, 3.4), 8.5, -26.0, 50.0, width_px, round(width_px * 9 / 16))
+    """From behind, above and to the left of the car, for beams in fog: 56 deg wide, 16 : 9."""
+    return _pinhole((-10.5, 6.5, 3.4), 8.0, -27.0, 56.0, width_px, round(width_px * 9 / 16))
 
 
 def birdseye(cell_m: float = BIRDSEYE_CELL_M, x_m: tuple[float, float] = BIRDSEYE_X_M) -> View:

@@ -32,7 +32,7 @@ def sources(lamp: Lamp, utilisations: Sequence[Tensor], T_world_lamp: Tensor, co
         Source(
             module.headlight,
             module.headlight.colour_texture(u) if colour else module.headlight.light_texture(u),
-            T_world_lamp.double() @ module.T_lamp_module,
+            T_world_lamp.double().cpu() @ module.T_lamp_module,
         )
         for module, u in zip(lamp.modules, utilisations, strict=True)
         if bool(u.any())
@@ -43,7 +43,7 @@ def wall_illuminance(lit: Sequence[Source], T_world_wall: Tensor, h_deg: Tensor,
     """Illuminance `[..., *shape]` in lx of a wall that stands perpendicular to the x axis of `T_world_wall`, `distance_m` from its origin.
 
     h_deg, v_deg: of one shape, angles of the wall's points seen from that origin, to the right and up (type A). The modules light it from
-    where they are, so lamps beside the origin show their parallax. `E = I cos / d^2` (T 2.1.5).
+    where they are, so lamps beside the origin show their parallax. `E = I cos / d^2` (T 2.1.5), float64 on the CPU.
     """
     ray = direction(h_deg, v_deg).flatten(1)
     points = T_world_wall[:3, :3].double() @ (ray / ray[0] * distance_m) + T_world_wall[:3, 3:].double()
@@ -53,7 +53,7 @@ def wall_illuminance(lit: Sequence[Source], T_world_wall: Tensor, h_deg: Tensor,
         away = source.T_world_source[:3, 3:] - points
         d2 = (away * away).sum(0)
         local = source.T_world_source[:3, :3].T @ -away
-        intensity = source.headlight.intensity(source.texture.double(), local)
+        intensity = source.headlight.intensity(source.texture.double().cpu(), local)
         total = total + intensity * ((facing * away).sum(0) / d2.sqrt()).clamp(min=0) / d2
     return total.unflatten(-1, h_deg.shape)
 
