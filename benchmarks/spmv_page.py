@@ -76,7 +76,7 @@ def times(lamps: list[dict[str, Any]]) -> str:
     """A row a lamp: formats in ms, the chosen one bold with its ratio, then the GPU and the thesis in µs."""
     names = list(dict.fromkeys(name for lamp in lamps for name in lamp["ms"]))
     thesis = any(lamp["thesis_us"] for lamp in lamps)
-    formats = ["SciPy" if name == "scipy" else f"`{name}`" for name in names]
+    formats = [name if name == "SciPy" else f"`{name}`" for name in names]
     header = ["pixels", "texels", "entries", *formats, "5 to 95 %", "chosen / SciPy", "of copy", "GPU µs"]
     rows = []
     for lamp in lamps:

@@ -48,7 +48,8 @@ def best_of(forms: dict[str, SparseFormat]) -> str:
 
 def candidates(csr: Csr) -> list[str]:
     """Formats that can pay: those that do not store several times what CSR stores."""
-    names = [name for name in ("csr", "window", "submatrix", "sell", "ell") if _size(csr, name) <= LARGEST]
+    names = ["scipy"] if csr.values.device.type == "cpu" else []
+    names += [name for name in ("csr", "window", "submatrix", "sell", "ell") if _size(csr, name) <= LARGEST]
     lit = lit_rows(csr)
     if len(csr.values) >= LONG_ROWS * len(lit) > 0:
         middle = int(lit[len(lit) // 2])

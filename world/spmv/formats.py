@@ -7,9 +7,12 @@ from world.spmv.compressed import Coo, CsrRows, Lgc, Submatrix, Window
 from world.spmv.csr import Csr
 from world.spmv.padded import Ell, Sell
 from world.spmv.protocol import SparseFormat
+from world.spmv.scipy_window import ScipyWindow
 from world.spmv.tiles import Tiles, Tiles64
 
-FORMATS: dict[str, type[SparseFormat]] = {each.name: each for each in (Coo, CsrRows, Window, Submatrix, Ell, Sell, Lgc, Tiles, Tiles64)}
+FORMATS: dict[str, type[SparseFormat]] = {
+    each.name: each for each in (Coo, CsrRows, Window, ScipyWindow, Submatrix, Ell, Sell, Lgc, Tiles, Tiles64)
+}
 
 
 def build(csr: Csr, name: str) -> SparseFormat:

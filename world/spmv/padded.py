@@ -30,10 +30,15 @@ class Ell(SparseFormat):
         return Storage(0, cells, cells)
 
     def _write(self, x: Tensor, out: Tensor) -> None:
-        out.zero_()
         gathered = self._buffer("gathered", self.n_rows)
-        for columns, values in zip(self.columns, self.values, strict=True):
-            out.addcmul_(values, torch.index_select(x, 0, columns, out=gathered))
+        if not len(self.columns):
+            out.zero_()
+        for entry, (columns, values) in enumerate(zip(self.columns, self.values, strict=True)):
+            torch.index_select(x, 0, columns, out=gathered)
+            if entry:
+                out.addcmul_(values, gathered)
+            else:
+                torch.mul(values, gathered, out=out)
 
 
 def _longest(csr: Csr) -> int:

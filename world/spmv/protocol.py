@@ -75,7 +75,7 @@ class SparseFormat(ABC):
         """As `multiply`, for an `out` that came from it: rows that no pixel reaches stay zero and need not be written again."""
         self._check(x, out)
         # Products of single vectors are faster than one with a matrix of few columns.
-        for vector, result in zip(x.reshape(-1, self.n_cols), out.view(-1, self.n_rows), strict=True):
+        for vector, result in zip(x.reshape(-1, self.n_cols).contiguous(), out.view(-1, self.n_rows), strict=True):
             self._write(vector, result)
         return out
 

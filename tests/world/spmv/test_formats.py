@@ -41,6 +41,7 @@ def test_products_are_those_of_the_dense_matrix(name: str, sparse: sp.csr_array)
     np.testing.assert_allclose(form.multiply(x, out=garbage), expected, rtol=1e-13, atol=1e-13)
     np.testing.assert_allclose(form.refresh(2 * x, garbage), 2 * expected, rtol=1e-13, atol=1e-13)
     np.testing.assert_allclose(form.multiply(x[0, 0]), expected[0, 0], rtol=1e-13, atol=1e-13)
+    np.testing.assert_allclose(form.multiply(torch.stack([x, -x], -1)[0, 0, :, 0]), expected[0, 0], rtol=1e-13, atol=1e-13)
     assert stored(form) == form.storage.values
 
 
@@ -50,6 +51,7 @@ def test_products_are_those_of_the_dense_matrix(name: str, sparse: sp.csr_array)
         ("coo", Storage(6, 6, 6)),  # 2 indices an entry
         ("csr", Storage(6 + 1, 6, 6)),  # n_t + 1
         ("window", Storage(4 + 2, 6, 6)),  # rows 1 to 4: an offset each, one at the end, and where they start
+        ("scipy", Storage(4 + 2, 6, 6)),
         ("submatrix", Storage(2 * 3 + 1, 6, 6)),  # 2 n_gz + 1
         ("lgc", Storage(3 * 3, 6, 6)),  # 3 n_gz
         ("ell", Storage(0, 6 * 3, 6 * 3)),  # n_t times the longest
@@ -99,7 +101,12 @@ def test_a_uniformly_blurred_lamp_costs_sell_nothing() -> None:
 @each_format
 def test_float32_on_every_device(name: str, device: torch.device) -> None:
     sparse = random_matrix(2, 200, 100, 0.1)
-    form = build(Csr.from_scipy(sparse).to(device), name)
+    csr = Csr.from_scipy(sparse).to(device)
+    if name == "scipy" and device.type != "cpu":
+        with pytest.raises(LuxloopError, match="format 'scipy' is for the CPU"):
+            build(csr, name)
+        return
+    form = build(csr, name)
     x = torch.linspace(0, 1, 100, device=device)
     y = form.multiply(x)
     assert (y.dtype, y.device.type) == (torch.float32, device.type)
