@@ -111,7 +111,7 @@ class Baseline:
     def __init__(self, simulation: Simulation, picture: Picture | None) -> None:
         self.picture, self.camera, self.params = picture, simulation.scenario.camera, simulation.scenario.extraction
         projector, plant, self.model = simulation.projector, simulation.world, simulation.observer.model
-        (lamp,) = projector.lamps
+        (lamp,) = projector.modules
         self.projector, self.headlight = projector, lamp.pixel_controller.headlight
         self.noise = np.random.default_rng(simulation.scenario.seed) if self.camera.noise else None
 

@@ -25,11 +25,11 @@ import torch
 from baseline_numpy import Baseline, Lap, Picture
 from rich.table import Table
 
-from controllers.symbol.flat_model import added_light
 from loop import tables
 from loop.scenario import load
 from loop.simulation import Simulation, SimulationState
 from perception.camera import expose, frame_generator
+from world.illumination import added_light
 
 SIZES = ((640, 480), (1280, 720))  # px
 QUICK_SIZES = ((320, 180),)

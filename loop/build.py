@@ -1,19 +1,22 @@
 """From a scenario to the things it names: scene, lamps, symbol."""
 
 import difflib
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import torch
 
+from controllers.mrpc import MrpcParams
 from controllers.primitives import load_symbol
 from controllers.ssc import Ssc
 from controllers.symbol.projector import DrawingModule, Projector
 from loop import data
-from loop.scenario import Scenario, shipped_symbols
+from loop.lamp_description import load_lamp
+from loop.scenario import HeadlightParams, Scenario, shipped_symbols
 from world.body import Body
 from world.errors import LuxloopError
 from world.frames import pose_from_degrees
-from world.presets import idealised
+from world.lamp import Module
 from world.roadmesh import road_mesh
 from world.scanroad import OpenCrgRoad
 from world.scene import Scene
@@ -31,13 +34,34 @@ def build_scene(scenario: Scenario) -> Scene:
 
 
 def build_projector(scenario: Scenario, device: torch.device) -> Projector:
-    """The lamps that draw the symbol, and the symbol's image."""
-    lamp = scenario.headlight
-    ssc = Ssc.prepare(idealised(intensity_cd=lamp.intensity_cd).to(device), scenario.ssc)
-    half = lamp.distance_m / 2
-    positions = {"left": (0.0, half, lamp.height_m), "right": (0.0, -half, lamp.height_m)}
-    lamps = tuple(DrawingModule(name, ssc, pose_from_degrees(positions[name]).to(device)) for name in lamp.lamps)
-    return Projector(lamps, load_symbol(symbol_path(scenario.symbol.image)).to(device), scenario.symbol)
+    """The lamp modules that draw the symbol, and the symbol's image. Raises LuxloopError where the lamp has no such module or movement."""
+    modules = tuple(_drawing_modules(scenario.headlight, scenario.ssc, device))
+    return Projector(modules, load_symbol(symbol_path(scenario.symbol.image)).to(device), scenario.symbol)
+
+
+def _drawing_modules(params: HeadlightParams, ssc: MrpcParams, device: torch.device) -> Iterator[DrawingModule]:
+    for side in params.lamps:
+        lamp = load_lamp(params.model, side)
+        modules = [lamp.module(name) for name in params.modules] if params.modules else [lamp.finest]
+        _check_movements(params, modules)
+        scale = 1.0 if params.intensity_cd is None else params.intensity_cd / max(module.headlight.peak_cd for module in modules)
+        T_world_lamp = pose_from_degrees((0.0, (0.5 if side == "left" else -0.5) * params.distance_m, params.height_m))
+        for module in modules:
+            T_world_module = T_world_lamp @ module.pose(*_movement(params, module))
+            controller = Ssc.prepare(module.headlight.scaled(scale).to(device), ssc)
+            yield DrawingModule(f"{side} {module.name}", controller, T_world_module.to(device))
+
+
+def _movement(params: HeadlightParams, module: Module) -> tuple[float, float]:
+    """Swivel and level of a module in deg; one that has no such movement stays where it is."""
+    return params.swivel_deg if any(module.swivel_deg) else 0.0, params.level_deg if any(module.level_deg) else 0.0
+
+
+def _check_movements(params: HeadlightParams, modules: Sequence[Module]) -> None:
+    for movement in ("swivel_deg", "level_deg"):
+        if getattr(params, movement) and not any(any(getattr(module, movement)) for module in modules):
+            names = ", ".join(module.name for module in modules)
+            raise LuxloopError(f"headlight.{movement}: none of the modules that draw ({names}) can turn so; leave it out or name others")
 
 
 def symbol_path(image: str) -> Path:

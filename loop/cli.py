@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
 
 from loop import tables
+from loop.headlight_cli import headlight_app
 from world.errors import LuxloopError
 
 OK, DIFFERS, UNREAD, WRONG, INTERRUPTED = 0, 1, 1, 2, 130
@@ -36,6 +37,7 @@ app = App(
 )
 data_app = App(name="data", help="Measured roads and light distributions from their public sources.")
 app.command(data_app)
+app.command(headlight_app)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

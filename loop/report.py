@@ -307,10 +307,10 @@ def _birds_eye_views(figure: SubFigure, simulation: Simulation, open_lights: Lig
 
 
 def _beam_patterns(figure: SubFigure, simulation: Simulation, lights: Lights) -> None:
-    lamps = simulation.projector.lamps
-    panels = figure.subplots(len(lamps), 1, squeeze=False)[:, 0]
-    for axes, lamp, light in zip(panels, lamps, lights, strict=True):
-        headlight = lamp.pixel_controller.headlight
+    modules = simulation.projector.modules
+    panels = figure.subplots(len(modules), 1, squeeze=False)[:, 0]
+    for axes, module, light in zip(panels, modules, lights, strict=True):
+        headlight = module.pixel_controller.headlight
         texture = headlight.light_texture(light.u).cpu().numpy() / 1e3
         left, right, bottom, top = (math.degrees(math.atan(t)) for t in (headlight.left, headlight.right, headlight.bottom, headlight.top))
         shown = axes.imshow(texture, cmap="inferno", extent=(left, right, bottom, top), aspect="auto", interpolation="antialiased")
@@ -320,7 +320,7 @@ def _beam_patterns(figure: SubFigure, simulation: Simulation, lights: Lights) ->
             h = left + (np.array([cols.min(), cols.max() + 1]) / headlight.cols) * (right - left)
             axes.set_xlim(min(h[0] + 1.5, left), max(h[1] - 1.5, right))
             axes.set_ylim(max(v[0] - 0.5, bottom), min(v[1] + 0.5, top))
-        axes.set_title(f"Beam pattern of the {lamp.name} lamp at the end")
+        axes.set_title(f"Beam pattern of {module.name} at the end")
         axes.grid(False)
         axes.set_ylabel("up in deg")
         figure.colorbar(shown, ax=axes, label="kcd", pad=0.02)

@@ -9,7 +9,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
 
 from controllers.mrpc import MrpcParams
 from controllers.symbol import ControllerParams, ThesisPidParams
@@ -40,20 +40,27 @@ class StartParams(Params):
 
 
 class HeadlightParams(Params):
-    """The vehicle's pair of headlights, and which of them draw the symbol."""
+    """The vehicle's pair of headlamps, and what of them draws the symbol."""
 
-    preset: Literal["idealised-332x1024"] = Field("idealised-332x1024", description="headlight model")
-    intensity_cd: float = Field(50_000.0, gt=0, le=500_000, description="luminous intensity with all pixels at full utilisation")
-    height_m: float = Field(0.75, gt=0.1, le=2.0, description="height of the photometric centres above the road")
-    distance_m: float = Field(1.2, ge=0, le=3, description="distance between the photometric centres")
+    model: str = Field("idealised-332x1024", min_length=1, description="preset, or lamp file: .npz, .toml, .ies or .ldt")
+    intensity_cd: float | None = Field(
+        None, gt=0, le=500_000, description="largest luminous intensity of what draws, all pixels on; left out: the model's own"
+    )
+    height_m: float = Field(0.75, gt=0.1, le=2.0, description="height of the lamps' origins above the road")
+    distance_m: float = Field(1.2, ge=0, le=3, description="distance between the lamps' origins")
     lamps: tuple[Literal["left", "right"], ...] = Field(("left",), min_length=1, description="lamps that draw the symbol")
+    modules: tuple[str, ...] | None = Field(
+        None, min_length=1, description="their modules that draw it; left out: the one with the finest pixels"
+    )
+    swivel_deg: float = Field(0.0, ge=-30, le=30, description="turns the modules that can be turned to the left (physical bending)")
+    level_deg: float = Field(0.0, ge=-10, le=10, description="turns the modules that can be levelled down (physical levelling)")
 
-    @field_validator("lamps")
+    @field_validator("lamps", "modules")
     @classmethod
-    def _each_once(cls, lamps: tuple[str, ...]) -> tuple[str, ...]:
-        if len(set(lamps)) < len(lamps):
-            raise ValueError("name each lamp once")
-        return lamps
+    def _each_once(cls, names: tuple[str, ...] | None, info: ValidationInfo) -> tuple[str, ...] | None:
+        if names is not None and len(set(names)) < len(names):
+            raise ValueError(f"name each of the {info.field_name} once")
+        return names
 
 
 class LightParams(Params):
@@ -204,9 +211,9 @@ def _merge(into: dict[str, Any], changes: Mapping[str, Any]) -> None:
 
 
 def _resolve_paths(data: dict[str, Any], folder: Path) -> None:
-    """Make paths absolute against the file's folder; names of shipped symbols and of known data stay names."""
+    """Make paths absolute against the file's folder; names of shipped symbols, of presets and of known data stay names."""
     objects = data.get("objects")
-    tables = [(data.get("symbol"), "image"), (data.get("road"), "file")]
+    tables = [(data.get("symbol"), "image"), (data.get("road"), "file"), (data.get("headlight"), "model")]
     tables += [(item, "file") for item in objects] if isinstance(objects, list) else []
     for table, key in tables:
         if isinstance(table, dict) and isinstance(table.get(key), str) and any(mark in table[key] for mark in "/\\."):

@@ -77,7 +77,7 @@ class Simulation:
             projector, scenario.camera, scenario.surface.albedo, scenario.light.ambient_lx, scenario.extraction, scenario.features
         )
         world = SimulatedPlant(
-            scene, projector.lamps, scenario.camera, face_source(scenario.renderer), scenario.rate_hz, scenario.seed, device
+            scene, projector.modules, scenario.camera, face_source(scenario.renderer), scenario.rate_hz, scenario.seed, device
         )
         plane = birds_eye(region_around(symbol.x_m, symbol.y_m, symbol.length_m, symbol.width_m, CELL_M), world.view).to(device)
         return cls(

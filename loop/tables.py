@@ -33,7 +33,7 @@ def show(table: Table) -> None:
 
 def scenarios() -> Table:
     """Shipped scenarios; read without validation, which the tests have done."""
-    table = _table("scenario", "controller", "what is to be seen")
+    table = plain("scenario", "controller", "what is to be seen")
     for name, file in shipped().items():
         content = tomllib.loads(file.read_text("utf-8"))
         road = content.get("road", {}).get("file", "")
@@ -45,7 +45,7 @@ def scenarios() -> Table:
 
 def data_files() -> Table:
     """Registered third-party files."""
-    table = _table("name", "kind", "MB", "licence", "what it is", "where it is")
+    table = plain("name", "kind", "MB", "licence", "what it is", "where it is")
     table.caption, table.caption_justify = "Get one with `luxloop data get NAME`, all with `luxloop data get all`.", "left"
     for row in data.rows():
         where = escape(str(row.path)) if row.path else "[yellow]not here[/]"
@@ -55,7 +55,7 @@ def data_files() -> Table:
 
 def findings(checks: "Sequence[Check]") -> Table:
     """What the doctor found."""
-    table = _table("", "what", "found", "mend it with")
+    table = plain("", "what", "found", "mend it with")
     for check in checks:
         table.add_row(f"[{COLOURS[check.status]}]{check.status}[/]", escape(check.name), escape(check.found), escape(check.remedy))
     return table
@@ -89,14 +89,15 @@ def summary(values: dict[str, Any], files: str) -> Table:
 
 def differences(found: "Sequence[Difference]") -> Table:
     """What a replay has otherwise than its recording."""
-    table = _table("column", "first at step", "recorded", "replayed", "largest difference", "at step", "tolerance")
+    table = plain("column", "first at step", "recorded", "replayed", "largest difference", "at step", "tolerance")
     for d in found:
         values = (d.first_step, d.recorded, d.replayed, d.largest, d.largest_step, d.tolerance)
         table.add_row(f"[bold]{d.column}[/]", *(f"{value:.6g}" if isinstance(value, float) else escape(str(value)) for value in values))
     return table
 
 
-def _table(*columns: str) -> Table:
+def plain(*columns: str) -> Table:
+    """A table without lines, with these columns."""
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
     for column in columns:
         table.add_column(column, overflow="fold")

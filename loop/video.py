@@ -41,7 +41,7 @@ def frame_picture(result: StepResult, simulation: Simulation) -> Picture:
     _outline_symbol(picture, result)
     margin = max(camera.height_px // 60, 1)
     _paste(picture, _from_above(result, simulation, white, round(ABOVE * camera.height_px)), margin, left=True)
-    headlight = simulation.projector.lamps[0].pixel_controller.headlight
+    headlight = simulation.projector.modules[0].pixel_controller.headlight
     beam = result.lights[0].u.unflatten(-1, (headlight.pixel_rows, headlight.pixel_cols))
     _paste(picture, _scaled(tone_map(beam, torch.ones(())), round(BEAM * camera.height_px)), margin, left=False)
     _write(picture, _captions(result, simulation), margin)

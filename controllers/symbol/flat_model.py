@@ -91,7 +91,7 @@ def flat_model(
     view, samples = camera_view(camera), camera.oversampling
     ground = flat_road(camera_view(camera, samples), albedo).to(projector.symbol.device)
     transports = []
-    for lamp in projector.lamps:
+    for lamp in projector.modules:
         headlight = lamp.pixel_controller.headlight
         transports.append(transport(reach(ground, headlight, lamp.T_world_headlight), headlight, view.width, samples))
     limit = noise_limit(average_rows(ambient_luminance(ground, ambient_lx), samples), camera, params)

@@ -1,4 +1,4 @@
-"""The projector draws one symbol with one or several lamps: a pose in, utilisations out."""
+"""The projector draws one symbol with one or several lamp modules: a pose in, utilisations out."""
 
 import math
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ class SymbolParams(Params):
     x_m: float = Field(17.0, gt=1, le=100, description="target position of the centre ahead of the lamps")
     y_m: float = Field(0.0, ge=-20, le=20, description="target position of the centre to the left")
     quantity: Literal["I_v", "E_v", "u_abs"] = Field("u_abs", description="unit of the setpoint: I_v in cd, E_v in lx, u_abs as a share")
-    value: float = Field(1.0, gt=0, description="setpoint of a white pixel of the image, shared evenly by the lamps that draw it")
+    value: float = Field(1.0, gt=0, description="setpoint of a white pixel of the image, shared evenly by the modules that draw it")
 
     @model_validator(mode="after")
     def _a_share_is_at_most_one(self) -> Self:
@@ -44,9 +44,9 @@ class DrawingModule:
 
 @dataclass(frozen=True)
 class Projector:
-    """Lamps, the symbol image `[h, w]` in 0..1 and its parameters."""
+    """Modules, the symbol image `[h, w]` in 0..1 and its parameters."""
 
-    lamps: tuple[DrawingModule, ...]
+    modules: tuple[DrawingModule, ...]
     symbol: Tensor
     params: SymbolParams
 
@@ -58,12 +58,12 @@ class Projector:
     def primitive(self, pose: Tensor, z_m: float = 0.0) -> Primitives:
         """The symbol's primitive for a pose `[..., 4]` (x, y in m, roll, pitch in rad)."""
         p = self.params
-        return road_symbol(pose, z_m, p.width_m, p.length_m, self.symbol, p.value / len(self.lamps), p.quantity)
+        return road_symbol(pose, z_m, p.width_m, p.length_m, self.symbol, p.value / len(self.modules), p.quantity)
 
     def light(self, pose: Tensor) -> tuple[Utilisation, ...]:
-        """Utilisations `[..., n_p]`, one a lamp, that draw the symbol at a pose `[..., 4]`."""
+        """Utilisations `[..., n_p]`, one a module, that draw the symbol at a pose `[..., 4]`."""
         primitive = self.primitive(pose)
-        return tuple(lamp.pixel_controller.utilisation(primitive, lamp.T_world_headlight) for lamp in self.lamps)
+        return tuple(module.pixel_controller.utilisation(primitive, module.T_world_headlight) for module in self.modules)
 
     def footprint(self, pose: Tensor, view: View, margin_m: float) -> Crop:
         """Where in a camera's image the light for a pose `[..., 4]` can appear if the road is at most margin_m above or below z = 0.
@@ -71,7 +71,7 @@ class Projector:
         One rectangle for all of a batch. Rays that do not come down within 200 m end there.
         """
         corners = self.primitive(pose).corners().detach().reshape(-1, 3).T.cpu().double()
-        origins = torch.stack([lamp.T_world_headlight[:3, 3:] for lamp in self.lamps]).to(corners)
+        origins = torch.stack([module.T_world_headlight[:3, 3:] for module in self.modules]).to(corners)
         rays = corners - origins
         fall = (-rays[:, 2]).clamp(min=1e-6)
         reach = (origins[:, 2] - corners.new_tensor([[[-margin_m]], [[margin_m]]])).clamp(min=0) / fall

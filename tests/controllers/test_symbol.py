@@ -13,7 +13,7 @@ from torch import Tensor
 from controllers.primitives import load_symbol
 from controllers.ssc import Ssc
 from controllers.symbol import CONTROLLERS, build_controller
-from controllers.symbol.flat_model import FeatureParams, FlatModel, added_light, flat_model
+from controllers.symbol.flat_model import FeatureParams, FlatModel, flat_model
 from controllers.symbol.observer import Observer, Seen
 from controllers.symbol.open_loop import OpenLoop, OpenLoopParams
 from controllers.symbol.projector import DrawingModule, Projector, SymbolParams
@@ -24,6 +24,7 @@ from perception.extraction import Crop, ExtractionParams, Loss
 from world.ambient import ambient_luminance
 from world.flatroad import flat_road
 from world.frames import pose_from_degrees
+from world.illumination import added_light
 from world.presets import idealised
 
 SYMBOLS = ["snowflake", "chevrons", "warning_triangle", "distance_warning"]

@@ -48,6 +48,7 @@ BROKEN = {
     "unknown object": (GOOD + BOX.replace('"box"', '"bocks"'), ["objects[0].kind", "'bocks'", "'box'"]),
     "unknown lamp": (GOOD + '[headlight]\nlamps = ["lefft"]', ["headlight.lamps[0]", "'left'"]),
     "one lamp twice": (GOOD + '[headlight]\nlamps = ["left", "left"]', ["headlight.lamps", "once"]),
+    "one module twice": (GOOD + '[headlight]\nmodules = ["hires", "hires"]', ["headlight.modules", "once"]),
     "no lamp": (GOOD + "[headlight]\nlamps = []", ["headlight.lamps", "at least 1"]),
     "odd bit depth": (GOOD + "[camera]\nbits = 9", ["camera.bits", "8, 10, 12"]),
     "too short a vector": (GOOD + BOX.replace("[17, 0, 0]", "[17, 0]"), ["objects[0].track[0].position_m", "missing"]),

@@ -1,0 +1,29 @@
+"""A lamp's beam held against a regulation's set of test points."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Literal
+
+from world.errors import LuxloopError
+from world.lamp import Lamp
+from world.regulation import Result, aim, check, rule_set
+
+RULE_OF_BEAM: Mapping[str, str] = MappingProxyType(
+    {"low": "r149-passing-c", "adverse": "r149-passing-c", "motorway": "r149-passing-c", "town": "r149-passing-v", "high": "r149-driving-b"}
+)
+
+
+def judge(
+    lamp: Lamp, beam: str, rule: str | None = None, aimed: bool = False, traffic: Literal["right", "left"] = "right"
+) -> tuple[str, tuple[Result, ...]]:
+    """A title for the findings, and the findings. aimed: turn the lamp by its cut-off or maximum first, as the regulation says.
+
+    Raises LuxloopError where the lamp has no such beam, there is no such rule, or no rule is given for a beam that has none of its own.
+    """
+    intensity = lamp.lit(lamp.beam(beam))
+    if rule is None and beam not in RULE_OF_BEAM:
+        raise LuxloopError(f"beam {beam!r} has no rule of its own; name one with --rule, `luxloop headlight rules` lists them")
+    rules = rule_set(rule or RULE_OF_BEAM[beam])
+    turn = aim(intensity, rules.id, traffic=traffic) if aimed else (0.0, 0.0)
+    turned = f", aimed by {turn[0]:+.2f} deg to the right and {turn[1]:+.2f} deg up" if aimed else ""
+    return f"{lamp.name}, beam {beam}: {rules.title}{turned}", check(intensity, rules.id, aim=turn, traffic=traffic)

@@ -1,0 +1,35 @@
+"""A lamp's beam as a photometric file that other programs read."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from world.errors import LuxloopError
+from world.lamp import Lamp
+from world.photometry import Distribution, sample, write
+
+LEAST_STEP_DEG, MOST_NODES = 0.01, 4_000_000
+
+
+def export(lamp: Lamp, beam: str, file: Path, step_deg: float = 0.1) -> Distribution:
+    """Write a beam as LM-63-2019, type A, with nodes every step_deg over the lamp's field and darkness around it.
+
+    Raises LuxloopError where the lamp has no such beam, the step makes no file, or the file cannot be written.
+    """
+    if not step_deg >= LEAST_STEP_DEG:
+        raise LuxloopError(f"--step-deg {step_deg:g}: give at least {LEAST_STEP_DEG:g} deg between two angles")
+    left, right, bottom, top = lamp.field_deg
+    h, v = _nodes(-left, -right, step_deg), _nodes(bottom, top, step_deg)
+    if len(h) * len(v) > MOST_NODES:
+        raise LuxloopError(f"--step-deg {step_deg:g}: makes {len(h)} x {len(v)} angles; give a larger step")
+    distribution = sample(lamp.lit(lamp.beam(beam)), h, v)
+    write(file, distribution, {"LUMINAIRE": f"{lamp.name}, beam {beam}"})
+    return distribution
+
+
+def _nodes(low: float, high: float, step_deg: float) -> np.ndarray:
+    """Whole multiples of the step from one beyond low to one beyond high, and +-90 deg, where LM-63 wants type A to begin and end."""
+    first, last = math.floor(low / step_deg) - 1, math.ceil(high / step_deg) + 1
+    inner = np.arange(first, last + 1) * step_deg
+    return np.concatenate([[-90.0], inner[(inner > -90) & (inner < 90)], [90.0]])

@@ -1,0 +1,75 @@
+"""From a scenario's [headlight] to the modules that draw the symbol."""
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from loop.build import build_projector
+from loop.scenario import Scenario, load
+from world import lampfile
+from world.errors import LuxloopError
+from world.frames import pose_from_degrees
+from world.lamp import Lamp, Module
+from world.presets import idealised
+
+CPU = torch.device("cpu")
+
+
+@pytest.fixture(scope="module")
+def lamp_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A wide fixed module and a narrow one, mounted aside, that can be turned."""
+    wide, narrow = idealised(4, 8, half_width_deg=20.0, intensity_cd=1000.0), idealised(4, 8, half_width_deg=5.0, intensity_cd=2000.0)
+    mount = pose_from_degrees((0.0, 0.1, 0.05), pitch_deg=0.5)
+    modules = (Module("wide", wide), Module("narrow", narrow, mount, swivel_deg=(-5.0, 12.0), level_deg=(-1.0, 2.0)))
+    path = tmp_path_factory.mktemp("lamp") / "two.npz"
+    lampfile.save(path, Lamp("two", modules))
+    return path
+
+
+@pytest.fixture
+def scenario(lamp_file: Path) -> Scenario:
+    return load("flat", [f"headlight.model={lamp_file}"])
+
+
+def with_headlight(scenario: Scenario, **values: object) -> Scenario:
+    return scenario.model_copy(update={"headlight": scenario.headlight.model_copy(update=values)})
+
+
+def test_the_finest_module_draws_from_where_it_is_mounted(scenario: Scenario) -> None:
+    (module,) = build_projector(scenario, CPU).modules
+    assert module.name == "left narrow"
+    expected = pose_from_degrees((0.0, 0.7, 0.8), pitch_deg=0.5)
+    torch.testing.assert_close(module.T_world_headlight, expected, rtol=0, atol=1e-12)
+    assert module.pixel_controller.headlight.peak_cd == pytest.approx(2000)
+
+
+def test_named_modules_of_both_lamps_draw_and_the_brightest_gets_the_intensity(scenario: Scenario) -> None:
+    both = with_headlight(scenario, lamps=("left", "right"), modules=("wide", "narrow"), intensity_cd=8000.0)
+    modules = build_projector(both, CPU).modules
+    assert [module.name for module in modules] == ["left wide", "left narrow", "right wide", "right narrow"]
+    assert [module.pixel_controller.headlight.peak_cd for module in modules] == pytest.approx([4000, 8000, 4000, 8000])
+    # The right lamp is the left one's mirror image.
+    assert [float(module.T_world_headlight[1, 3]) for module in modules] == pytest.approx([0.6, 0.7, -0.6, -0.7])
+
+
+def test_what_can_turn_is_turned_and_the_rest_stays(scenario: Scenario) -> None:
+    turned = with_headlight(scenario, modules=("wide", "narrow"), swivel_deg=10.0, level_deg=1.5)
+    wide, narrow = build_projector(turned, CPU).modules
+    assert wide.T_world_headlight[:3, :3].equal(torch.eye(3, dtype=torch.float64))
+    expected = pose_from_degrees((0, 0, 0), pitch_deg=0.5)[:3, :3] @ pose_from_degrees((0, 0, 0), 0, 1.5, 10)[:3, :3]
+    torch.testing.assert_close(narrow.T_world_headlight[:3, :3], expected, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"modules": ("narow",)}, "no module 'narow'; it has wide, narrow"),
+        ({"swivel_deg": 15.0}, "'narrow': swivel of 15 deg.*-5 to 12"),
+        ({"modules": ("wide",), "level_deg": 1.0}, "headlight.level_deg.*wide.*turn"),
+        ({"model": "ssl-hdd"}, "'ssl-hdd'.*'ssl-hd'"),
+    ],
+)
+def test_what_the_lamp_has_not_is_named(scenario: Scenario, values: dict, words: str) -> None:
+    with pytest.raises(LuxloopError, match=words):
+        build_projector(with_headlight(scenario, **values), CPU)

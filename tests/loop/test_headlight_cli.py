@@ -1,0 +1,102 @@
+"""The commands `luxloop headlight ...`: what an engineer would type, and what they would get wrong."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import pytest
+
+from loop import cli
+from loop.scenario import load
+from world.photometry import read
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "lamp.toml"
+Lux = Callable[[str], tuple[int, str, str]]
+
+
+@pytest.fixture
+def lux(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Lux:
+    """Run a command line in an empty folder; gives exit code, stdout and stderr."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(line: str) -> tuple[int, str, str]:
+        code = cli.main(["headlight", *line.split()])
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return run
+
+
+def test_presets_are_listed_with_what_is_known_of_them(lux: Lux) -> None:
+    code, out, _ = lux("list")
+    assert code == 0
+    assert all(name in out for name in ("idealised-332x1024", "hd84", "ssl-hd", "dmd-1m3")) and "Published" in out
+
+
+def test_facts_of_a_preset(lux: Lux) -> None:
+    code, out, _ = lux("info hd84")
+    assert code == 0
+    assert all(fact in out for fact in ("3 x 28", "low", "full", " cd", " lm", "Guessed"))
+
+
+def test_a_beam_goes_out_as_a_photometric_file_and_comes_back(lux: Lux) -> None:
+    code, out, _ = lux("export hd84 --beam high --out high.ies --step-deg 0.5")
+    assert code == 0 and "high.ies written" in out
+    file = read(Path("high.ies"))
+    assert (file.distribution.type, file.warnings) == ("A", ())
+    code, out, _ = lux("info high.ies")
+    assert code == 0 and "hd84, beam high" in out and "type A" in out
+    # As a lamp of one pixel it has the beam it was made from, but for what half a degree cannot hold.
+    code, checked, _ = lux("check high.ies --rule r112-driving-b")
+    _, original, _ = lux("check hd84 --beam high --rule r112-driving-b")
+    assert code == 0 and checked.count("pass") == original.count("pass")
+
+
+def test_a_failing_beam_is_told_by_the_exit_code_and_the_worst_point(lux: Lux) -> None:
+    code, out, _ = lux("check hd84 --beam full --rule r112-passing-b")
+    assert code == 1
+    assert "requirements fail" in out and "B50L" in out and "-3.43, +0.57" in out
+
+
+def test_rules_say_how_sure_they_are(lux: Lux) -> None:
+    code, out, _ = lux("rules")
+    assert code == 0 and "fmvss108-lb2v" in out and "transcription" in out and "not for approval" in out
+
+
+def test_a_description_is_built_into_a_file_that_every_command_takes(lux: Lux) -> None:
+    code, out, _ = lux(f"build {EXAMPLE} --out my.npz")
+    assert code == 0 and "my.npz written" in out
+    assert lux("info my.npz")[0] == 0
+    code, out, _ = lux("show my.npz --view pixels --out pixels.png")
+    assert code == 0 and cv2.imread("pixels.png") is not None
+    assert load("flat", ["headlight.model=my.npz"]).headlight.model == str(Path("my.npz").resolve())
+
+
+def test_a_photometric_file_is_drawn_as_it_was_measured(lux: Lux) -> None:
+    lux("export hd84 --out full.ies --step-deg 1")
+    code, out, _ = lux("show full.ies")
+    assert code == 0 and "full.png written" in out and cv2.imread("full.png") is not None
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("info ssl-hdd", ["'ssl-hdd'", "'ssl-hd'"]),
+        ("info nothing.ies", ["nothing.ies", "cannot be read"]),
+        ("info nothing.npz", ["nothing.npz", "does not exist"]),
+        ("show hd84 --view wal", ["'wal'", "'wall'"]),
+        ("show hd84 --beam lo", ["'lo'", "low"]),
+        ("show hd84 --view wall --out wall.bmp", ["wall.bmp", ".png"]),
+        ("check hd84 --rule r149-passing-x", ["'r149-passing-x'", "r149-passing-"]),
+        ("check hd84 --beam full", ["'full'", "--rule"]),
+        ("export hd84 --out low.ies --step-deg 0", ["--step-deg", "0.01"]),
+        ("export hd84 --out no/where/low.ies", ["no/where/low.ies", "cannot be written"]),
+        ("build nothing.toml", ["nothing.toml", "cannot be read"]),
+    ],
+)
+def test_what_cannot_be_done_is_one_sentence(lux: Lux, line: str, words: list[str]) -> None:
+    code, out, err = lux(line)
+    assert code == 2 and not out
+    assert err.startswith("error: ") and err.count("\n") == 1 and "Traceback" not in err
+    assert all(word in err for word in words), err
+    assert not list(Path().iterdir())
