@@ -73,24 +73,25 @@ def assemble(
 
     Raises: LuxloopError where the texture sees no light at all.
     """
-    rays = _Rays(grid, array)
+    sampler = _Sampler(grid, array)
     rows: list[NDArray[np.intp]] = []
     values: list[Array] = []
     chroma: list[Array] = []
+    texture = np.zeros(grid.n_texels)
     lost = total = squares = peak = 0.0
     nodes = 0
     for number, pixel in enumerate(array.pixels, 1):
-        light = rays.texture(pixel.distribution, pixel.turn)
-        faint = light <= cutoff * light.max()
+        texel, light = sampler.texture(pixel.distribution, pixel.turn)
+        bright = light > cutoff * light.max(initial=0)
         total += float(light.sum())
-        lost += float(light[faint].sum())
-        light[faint] = 0
-        row = np.flatnonzero(light)
-        rows.append(row)
-        values.append(light[row])
+        lost += float(light[~bright].sum())
+        rows.append(texel[bright])
+        values.append(light[bright])
         if pixel.rgb is not None:
-            chroma.append(_chroma(np.stack([rays.texture(channel, pixel.turn)[row] for channel in pixel.rgb])))
-        difference, brightest = _difference(light, pixel, array.aim, grid)
+            chroma.append(_chroma(np.stack([_at(texel[bright], *sampler.texture(each, pixel.turn), grid) for each in pixel.rgb])))
+        texture[texel[bright]] = light[bright]
+        difference, brightest = _difference(texture, pixel, array.aim, grid)
+        texture[texel] = 0
         squares += float(difference @ difference)
         nodes += len(difference)
         peak = max(peak, brightest)
@@ -139,31 +140,43 @@ def describe(grid: TexelGrid) -> str:
     return f"{left:+.4g} to {right:+.4g} deg across, {bottom:+.4g} to {top:+.4g} deg up"
 
 
-class _Rays:
-    """Directions through a texture, as many in each texel as its source can resolve; all pixels share them."""
+class _Sampler:
+    """Looks at distributions along rays through a texture, as many in each texel as the source can resolve."""
 
     def __init__(self, grid: TexelGrid, array: PixelArray) -> None:
         steps = np.radians(_steps(array))
         pitch = np.array([(grid.top - grid.bottom) / grid.rows, (grid.left - grid.right) / grid.cols])
-        down, across = np.where(pitch <= steps, 1, np.ceil(SAMPLES_A_STEP * pitch / steps)).astype(int).tolist()
-        rows, cols = grid.rows * down, grid.cols * across
-        z = grid.top + (np.arange(rows) + 0.5) / rows * (grid.bottom - grid.top)
-        y = grid.left + (np.arange(cols) + 0.5) / cols * (grid.right - grid.left)
-        y, z = (each.ravel() for each in np.meshgrid(y, z))
-        length = np.sqrt(1 + y * y + z * z)
-        self.directions = np.stack([1 / length, y / length, z / length])
-        self.texel = np.arange(grid.n_texels).reshape(grid.rows, grid.cols).repeat(down, 0).repeat(across, 1).ravel()
-        self.weight = length**-3  # solid angle of equal areas of the plane
-        self.weights = np.bincount(self.texel, self.weight)
-        self.aim = array.aim
+        self.grid, self.aim = grid, array.aim
+        self.per_texel: list[int] = np.where(pitch <= steps, 1, np.ceil(SAMPLES_A_STEP * pitch / steps)).astype(int).tolist()
 
-    def texture(self, distribution: Distribution, turn: Array | None) -> Array:
-        """Mean over each texel `[n_texels]` in cd."""
+    def texture(self, distribution: Distribution, turn: Array | None) -> tuple[NDArray[np.intp], Array]:
+        """Flat indices of the texels that a distribution may light, and its mean over each of them in cd."""
+        grid, (down, across) = self.grid, self.per_texel
         axis, reach = _cap(distribution, self.aim)
-        chosen = np.flatnonzero((axis if turn is None else turn @ axis) @ self.directions >= math.cos(reach))
-        directions = self.directions[:, chosen]
-        value = distribution.intensity(directions if turn is None else turn.T @ directions, self.aim)
-        return np.bincount(self.texel[chosen], value * self.weight[chosen], len(self.weights)) / self.weights
+        rows, cols = _window(grid, axis if turn is None else turn @ axis, reach)
+        z = grid.top + (rows[:, None] + (np.arange(down) + 0.5) / down).ravel() / grid.rows * (grid.bottom - grid.top)
+        y = grid.left + (cols[:, None] + (np.arange(across) + 0.5) / across).ravel() / grid.cols * (grid.right - grid.left)
+        directions = np.stack(np.broadcast_arrays(1.0, y, z[:, None]))
+        weight = (directions**2).sum(0) ** -1.5  # solid angle of equal areas of the plane
+        value = distribution.intensity(directions if turn is None else np.tensordot(turn.T, directions, 1), self.aim)
+        split = len(rows), down, len(cols), across
+        mean = (value * weight).reshape(split).sum((1, 3)) / weight.reshape(split).sum((1, 3))
+        return (rows[:, None] * grid.cols + cols).ravel(), mean.ravel()
+
+
+def _window(grid: TexelGrid, axis: Array, reach: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows and columns that a cone crosses; all, where it reaches far from the beam axis."""
+    found = []
+    for along, first, last, n in ((axis[2], grid.top, grid.bottom, grid.rows), (axis[1], grid.left, grid.right, grid.cols)):
+        middle, flat = math.atan2(along, axis[0]), math.hypot(along, axis[0])  # of the cone seen from the side or from above
+        half = math.asin(math.sin(reach) / flat) if reach < math.asin(min(flat, 1.0)) else math.pi
+        ends = np.array([middle + half, middle - half])
+        if np.abs(ends).max() < math.pi / 2:
+            low, high = (np.tan(ends) - first) / (last - first) * n
+            found.append(np.arange(max(math.floor(low), 0), min(math.ceil(high), n)))
+        else:
+            found.append(np.arange(n))
+    return found[0], found[1]
 
 
 @lru_cache(maxsize=4)
@@ -231,6 +244,13 @@ def _steps(array: PixelArray) -> Array:
 def _finest(angles_deg: Array) -> float:
     steps = np.diff(angles_deg)
     return float(steps[steps > EDGE_DEG].min(initial=math.inf))
+
+
+def _at(wanted: NDArray[np.intp], texel: NDArray[np.intp], light: Array, grid: TexelGrid) -> Array:
+    """The light at wanted texels."""
+    texture = np.zeros(grid.n_texels)
+    texture[texel] = light
+    return texture[wanted]
 
 
 def _chroma(channels: Array) -> Array:

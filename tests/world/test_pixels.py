@@ -15,7 +15,7 @@ from world.photometry import files, lm63
 from world.photometry.distribution import Aim, Distribution, Kind, angles_of
 from world.photometry.texture import light_texture, solid_angles
 from world.pixel_sources import FileSource
-from world.pixels import Pixel, PixelArray, assemble, default_grid, directions_of
+from world.pixels import Pixel, PixelArray, _window, assemble, default_grid, directions_of
 from world.texels import TexelGrid
 
 ANGLES = np.linspace(-3, 3, 25)
@@ -125,6 +125,20 @@ def test_default_texture_holds_all_light_and_is_finer_than_the_data() -> None:
     assert max(texel_deg) <= 0.051  # twice as fine as 0.1 deg
     assert made.rmse < 0.01
     assert made.matrix.toarray().reshape(grid.rows, grid.cols, 2)[:, [0, -1]].max() < 0.01 * 1000
+
+
+@settings(deadline=None)
+@given(st.floats(-100, 100), st.floats(-80, 80), st.floats(0, 60))
+def test_no_ray_of_a_cone_is_missed(yaw_deg: float, pitch_deg: float, reach_deg: float) -> None:
+    grid = TexelGrid.from_degrees(30, 40, 60, -70, -50, 45)
+    axis = directions_of("A", pitch_deg, yaw_deg)
+    y = grid.left + (np.arange(40) + 0.5) / 40 * (grid.right - grid.left)
+    z = grid.top + (np.arange(30) + 0.5) / 30 * (grid.bottom - grid.top)
+    rays = np.stack(np.broadcast_arrays(1.0, y, z[:, None])) / np.sqrt(1 + y**2 + z[:, None] ** 2)
+    inside = np.tensordot(axis, rays, 1) >= math.cos(math.radians(reach_deg))
+    rows, cols = _window(grid, axis, math.radians(reach_deg))
+    assert set(np.flatnonzero(inside.any(1))) <= set(rows)
+    assert set(np.flatnonzero(inside.any(0))) <= set(cols)
 
 
 def test_colour_has_luminance_one_and_follows_the_channels() -> None:
