@@ -41,7 +41,8 @@ def isolines(axes: Axes, x: Image, y: Image, values: Image, most: int = MOST_LIN
         axes.text(0.5, 0.5, "no light here", transform=axes.transAxes, ha="center", va="center", color="0.5")
         return
     norm = LogNorm(levels[0], max(levels[-1], 2 * levels[0]))
-    lines = axes.contour(x, y, values, levels=levels, cmap=ON_BLACK if on_black else DARK_TO_BRIGHT, norm=norm, linewidths=1.1)
+    lit = np.maximum(values, 1e-3 * levels[0])  # matplotlib masks zeros on a logarithmic scale, and would leave lines open there
+    lines = axes.contour(x, y, lit, levels=levels, cmap=ON_BLACK if on_black else DARK_TO_BRIGHT, norm=norm, linewidths=1.1)
     labels = axes.clabel(lines, fmt=lambda value: f"{value:g}", fontsize=8, inline_spacing=3)
     for label in labels:
         label.set_path_effects([withStroke(linewidth=2.5, foreground="black" if on_black else "white")])

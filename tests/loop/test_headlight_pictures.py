@@ -7,9 +7,11 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from matplotlib.contour import ContourSet
+from matplotlib.figure import Figure
 
 from loop import headlight_overview, headlight_pictures
-from loop.headlight_charts import steps
+from loop.headlight_charts import isolines, steps
 from loop.headlight_overview import facts, flux_lm, reach_m
 from loop.headlight_panels import wall_angles
 from loop.headlight_pictures import VIEWS, show
@@ -147,6 +149,17 @@ def test_wall_holds_the_beam_and_facts_name_its_peak(lamps: dict[str, Lamp]) -> 
 @pytest.mark.parametrize(("peak", "expected"), [(0.0, [1.0]), (3.0, [0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2]), (10.0, [2, 5])])
 def test_lines_are_at_round_values(peak: float, expected: list[float]) -> None:
     assert steps(peak, most=len(expected)) == pytest.approx(expected)
+
+
+def test_lines_run_along_borders_where_light_ends_at_once() -> None:
+    axes = Figure().subplots()
+    light = np.zeros((20, 30))
+    light[5:15, 8:20] = 3.0
+    isolines(axes, np.arange(30.0), np.arange(20.0), light)
+    (lines,) = (each for each in axes.collections if isinstance(each, ContourSet))
+    for path in lines.get_paths():
+        x, y = path.vertices.T
+        assert 7 < x.min() < 8 and 19 < x.max() < 20 and 4 < y.min() < 5 and 14 < y.max() < 15
 
 
 def test_coloured_light_counts_as_the_eye_weighs_it() -> None:
