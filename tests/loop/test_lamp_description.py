@@ -1,5 +1,7 @@
 """Descriptions become lamps, and what is wrong in them is named; one door for presets and files."""
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -15,7 +17,8 @@ from world.lamp import direction
 from world.photometry import lm63
 from world.photometry.distribution import Distribution
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "lamp.toml"
+ROOT = Path(__file__).parents[2]
+EXAMPLE, PAGE = ROOT / "examples" / "lamp.toml", ROOT / "docs" / "lampfiles.md"
 MATRIX = """
 name = "small"
 [[module]]
@@ -48,6 +51,17 @@ def test_the_example_builds_as_it_says() -> None:
     assert foreground.overlap is None
     assert lamp.modules[0].pose(swivel_deg=15)[0, 3] == 0.02
     assert "low" in lamp.beams
+
+
+def test_the_documented_way_from_files_to_a_lamp_works(tmp_path: Path) -> None:
+    description = re.findall(r"^```toml lamp\n(.*?)^```", PAGE.read_text("utf-8"), re.M | re.S)[0]
+    (tmp_path / "pixels").mkdir()
+    for row, column in np.ndindex(3, 28):
+        pixel_file(tmp_path / "pixels" / f"r{row}_c{column}.ies")
+    lamp, (report,) = build(write(tmp_path, description))
+    lampfile.save(tmp_path / "mylamp.npz", replace(lamp, beams={}))  # fitting is tested elsewhere
+    assert load_lamp(tmp_path / "mylamp.npz").name == "mylamp"
+    assert (report.pixel_rows, report.pixel_cols) == (3, 28)
 
 
 def test_default_texture_of_a_model_holds_its_light(tmp_path: Path) -> None:
