@@ -222,4 +222,7 @@ def _grid_of_model(model: GaussianPixels | BlurredRectangles) -> TexelGrid:
         texel_y, texel_z = 0.25 * model.column_sigma * pitch, 0.25 * min(model.row_sigmas_deg)
     left, right = model.left_deg + across, model.right_deg - across
     borders = [min(max(each, -LARGEST_ANGLE_DEG), LARGEST_ANGLE_DEG) for each in (left, right, bottom, top)]
-    return TexelGrid.from_degrees(affordable((top - bottom) / texel_z, rows), affordable((left - right) / texel_y, model.columns), *borders)
+    grid = TexelGrid.from_degrees(1, 1, *borders)  # a texel of the plane is widest on the axis, seen as an angle
+    rows = affordable((grid.top - grid.bottom) / math.radians(texel_z), rows)
+    cols = affordable((grid.left - grid.right) / math.radians(texel_y), model.columns)
+    return replace(grid, rows=rows, cols=cols)

@@ -49,6 +49,8 @@ def test_the_example_builds_as_it_says() -> None:
     assert matrix.entries_per_texel[1] < matrix.entries_per_texel[0]
     assert int(lamp.modules[0].headlight.matrix.indptr.diff().max()) == 6
     assert foreground.overlap is None
+    wide = lamp.modules[1].headlight
+    assert (wide.left - wide.right) / wide.cols < 0.07  # a quarter of a Gaussian of 15 deg
     assert lamp.modules[0].pose(swivel_deg=15)[0, 3] == 0.02
     assert "low" in lamp.beams
 
