@@ -23,7 +23,7 @@ from world.spmv import Csr
 
 FORMAT: Final = "luxloop lamp"
 VERSION: Final = 1
-LEVEL = 1  # of compression: indices shrink to a fifth, and higher levels gain little and take three times as long
+LEVEL = 1  # of compression: a lamp shrinks to a half or a quarter; level 6 saves another 10 to 30 % and takes up to five times as long
 FLOATS = (np.float32, np.float64)
 UNREADABLE = (zipfile.BadZipFile, zlib.error, ValueError, KeyError, EOFError, NotImplementedError, RuntimeError, OverflowError, SyntaxError)
 
