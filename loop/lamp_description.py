@@ -1,7 +1,6 @@
 """Lamps by name or file: presets, lamp files, photometric files, and descriptions in TOML of which lamps are built (T 5.2)."""
 
 import json
-import tomllib
 from collections import ChainMap
 from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from dataclasses import replace
@@ -14,7 +13,7 @@ from torch import Tensor
 
 from loop.lamp_modules import ModuleParams, ModuleReport, build_module
 from loop.utilisations import read_utilisation
-from loop.validation import did_you_mean, sentence
+from loop.validation import did_you_mean, read_toml, sentence
 from world import lampfile, presets
 from world.errors import LuxloopError
 from world.lamp import Lamp
@@ -60,15 +59,7 @@ class LampDescription(Params):
 
 def describe(path: Path) -> LampDescription:
     """Read a description. Raises LuxloopError that names the file, the key and the remedy."""
-    try:
-        data = tomllib.loads(path.read_text("utf-8-sig"))
-    except UnicodeDecodeError as error:
-        raise LuxloopError(f"{path}: byte {error.start} is not UTF-8, so this is no text that can be read; save it as UTF-8") from error
-    except tomllib.TOMLDecodeError as error:
-        raise LuxloopError(f"{path}: not valid TOML: {error}; texts need quotes, tables a [header]") from error
-    except OSError as error:
-        raise LuxloopError(f"{path}: cannot be read ({error.strerror}); check the path") from error
-    return validate(data, str(path))
+    return validate(read_toml(path), str(path))
 
 
 def validate(data: Mapping[str, Any], source: str) -> LampDescription:
@@ -77,7 +68,7 @@ def validate(data: Mapping[str, Any], source: str) -> LampDescription:
         # By way of JSON, where strict still takes a list for a tuple and a text for a path; a date becomes a text, which no number is.
         return LampDescription.model_validate_json(json.dumps(data, default=str), strict=True)
     except ValidationError as error:
-        raise LuxloopError(f"{source}: {sentence(error, LampDescription)}") from error
+        raise LuxloopError(f"{source}: {sentence(error, LampDescription, 'docs/lampfiles.md has a complete example')}") from error
 
 
 def build(path: Path, side: Side = "left", on_progress: Progress | None = None) -> tuple[Lamp, tuple[ModuleReport, ...]]:

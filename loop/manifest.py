@@ -90,7 +90,7 @@ class Manifest(Params):
         try:
             return cls.model_validate(content)
         except ValidationError as error:
-            raise LuxloopError(f"{file}: damaged, {sentence(error, cls)}; record the run again") from error
+            raise LuxloopError(f"{file}: damaged, {sentence(error, cls, '`luxloop run` writes it')}; record the run again") from error
 
     def write(self, directory: Path) -> None:
         """Write to the recording's directory, whole or not at all."""

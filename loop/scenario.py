@@ -16,7 +16,7 @@ from controllers.symbol import ControllerParams, ThesisPidParams
 from controllers.symbol.flat_model import FeatureParams
 from controllers.symbol.projector import SymbolParams
 from loop.shipped import find
-from loop.validation import sentence
+from loop.validation import read_toml, sentence
 from perception.camera import CameraParams
 from perception.extraction import ExtractionParams
 from world.errors import LuxloopError
@@ -133,7 +133,7 @@ def load(name: str, overrides: Sequence[str] = (), **values: Any) -> Scenario:
     Raises LuxloopError that names the file, the key and the remedy.
     """
     path = find(name)
-    data = _read(path)
+    data = read_toml(path)
     _resolve_paths(data, path.parent)
     data.update(values)
     changes: dict[str, Any] = {}
@@ -146,17 +146,6 @@ def load(name: str, overrides: Sequence[str] = (), **values: Any) -> Scenario:
         *overrides,
     ]
     return validate(data, f"{path} with {' '.join(given)}" if given else str(path))
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(path.read_text("utf-8-sig"))
-    except UnicodeDecodeError as error:
-        raise LuxloopError(f"{path}: byte {error.start} is not UTF-8, so this is no text that can be read; save it as UTF-8") from error
-    except tomllib.TOMLDecodeError as error:
-        raise LuxloopError(f"{path}: not valid TOML: {error}; texts need quotes, tables a [header]") from error
-    except OSError as error:
-        raise LuxloopError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
 
 
 def validate(data: Mapping[str, Any], source: str) -> Scenario:
@@ -173,7 +162,7 @@ def validate(data: Mapping[str, Any], source: str) -> Scenario:
         # By way of JSON, where strict still takes a list for a tuple and a text for a path.
         return Scenario.model_validate_json(json.dumps(data), strict=True)
     except ValidationError as error:
-        raise LuxloopError(f"{source}: {sentence(error, Scenario)}") from error
+        raise LuxloopError(f"{source}: {sentence(error, Scenario, '`luxloop new FILE` writes a complete example')}") from error
 
 
 def _key_of_date(data: Any) -> str:

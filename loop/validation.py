@@ -1,10 +1,14 @@
-"""From pydantic's errors to one sentence that names the key and the remedy."""
+"""TOML files read, and pydantic's errors told in one sentence that names the key and the remedy."""
 
 import difflib
+import tomllib
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
+
+from world.errors import LuxloopError
 
 WANTED = {
     "int_type": "a whole number",
@@ -19,15 +23,30 @@ TABLE_ERRORS = ("model_type", "model_attributes_type", "dict_type")
 SHOWN_CHARACTERS = 60
 
 
-def sentence(error: ValidationError, model: type[BaseModel]) -> str:
-    """The first thing wrong, in a sentence; unknown keys come first, since a typo also makes its key seem missing."""
+def read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file. Raises LuxloopError that names the file and the remedy."""
+    try:
+        return tomllib.loads(path.read_text("utf-8-sig"))
+    except UnicodeDecodeError as error:
+        raise LuxloopError(f"{path}: byte {error.start} is not UTF-8, so this is no text that can be read; save it as UTF-8") from error
+    except tomllib.TOMLDecodeError as error:
+        raise LuxloopError(f"{path}: not valid TOML: {error}; texts need quotes, tables a [header]") from error
+    except OSError as error:
+        raise LuxloopError(f"{path}: cannot be read ({error.strerror}); check its path and permissions") from error
+
+
+def sentence(error: ValidationError, model: type[BaseModel], example: str) -> str:
+    """The first thing wrong, in a sentence; unknown keys come first, since a typo also makes its key seem missing.
+
+    example: where to find a complete file, for those who lack a key.
+    """
     details = sorted(error.errors(include_url=False), key=lambda detail: detail["type"] != "extra_forbidden")
     detail = details[0]
     key, fields = _place(model, detail["loc"])
     if detail["type"].startswith("union_tag"):
         key = f"{key}.{_discriminator(detail)}"
     more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
-    return f"{key}: {_what(detail, fields)}{more}" if key else f"{_what(detail, fields)}{more}"
+    return f"{key}: {_what(detail, fields, example)}{more}" if key else f"{_what(detail, fields, example)}{more}"
 
 
 def did_you_mean(given: str, known: Iterable[str]) -> str:
@@ -37,12 +56,12 @@ def did_you_mean(given: str, known: Iterable[str]) -> str:
     return f"did you mean {nearest[0]!r}?" if nearest else f"known are {', '.join(known)}"
 
 
-def _what(detail: Any, fields: dict[str, Any]) -> str:
+def _what(detail: Any, fields: dict[str, Any], example: str) -> str:
     kind, given, context = detail["type"], detail.get("input"), detail.get("ctx", {})
     if kind == "extra_forbidden":
         return f"unknown key; {did_you_mean(str(detail['loc'][-1]), fields)}"
     if kind in ("missing", "union_tag_not_found"):
-        return "is missing; add it (`luxloop new FILE` writes a complete example)"
+        return f"is missing; add it ({example})"
     if kind == "union_tag_invalid":
         return f"there is no {context['tag']!r}; {did_you_mean(context['tag'], _quoted(context['expected_tags']))}"
     if kind == "literal_error":

@@ -1,6 +1,6 @@
 """The documentation tells the truth: commands run, Python runs, TOML is valid, tables are those of the models, links lead somewhere.
 
-`python tests/test_docs.py` writes the tables of docs/scenarios.md anew from the models.
+`python tests/test_docs.py` writes the tables of docs/scenarios.md and docs/lampfiles.md anew from the models.
 """
 
 import json
@@ -15,8 +15,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pydantic import BaseModel
 
-from loop import cli
+from loop import cli, lamp_description
+from loop.lamp_description import LampDescription
 from loop.scenario import TAGS, Scenario, validate
 from loop.shipped import shipped
 
@@ -97,6 +99,12 @@ def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     exec(compile(code, str(page), "exec"), {"__name__": "docs"})
 
 
+@pytest.mark.parametrize("page", with_blocks("toml lamp"))
+def test_lamp_snippets_are_valid(page: Path) -> None:
+    for block in blocks(page, "toml lamp"):
+        lamp_description.validate(tomllib.loads(block), str(page))
+
+
 @pytest.mark.parametrize("page", with_blocks("toml"))
 def test_scenario_snippets_are_valid(page: Path) -> None:
     for block in blocks(page, "toml"):
@@ -128,10 +136,16 @@ def test_pictures_are_small() -> None:
         assert picture.stat().st_size < 400_000, picture.name
 
 
-def models() -> dict[str, Any]:
-    """JSON Schema of each table that a scenario may have, by the name of its model."""
-    schema = Scenario.model_json_schema()
-    return {"Scenario": schema, **schema["$defs"]}
+TABLES: dict[Path, type[BaseModel]] = {SCENARIOS: Scenario, ROOT / "docs" / "lampfiles.md": LampDescription}
+
+
+def models(root: type[BaseModel]) -> dict[str, Any]:
+    """JSON Schema of each table that a file may have, by the name of its model."""
+    schema = root.model_json_schema()
+    return {root.__name__: schema, **schema["$defs"]}
+
+
+ALL_MODELS = {name: schema for root in TABLES.values() for name, schema in models(root).items()}
 
 
 def written(value: Any) -> str:
@@ -146,7 +160,7 @@ def default(field: dict[str, Any]) -> str:
     if "default" not in field:
         return "required"
     value = field["default"]
-    inner = models()[field["$ref"].rpartition("/")[2]]["properties"] if "$ref" in field else {}
+    inner = ALL_MODELS[field["$ref"].rpartition("/")[2]]["properties"] if "$ref" in field else {}
     if inner and all("default" in each for each in inner.values()):
         return "its own"
     return f"`{written(value)}`" if value is not None else "none"
@@ -154,16 +168,18 @@ def default(field: dict[str, Any]) -> str:
 
 def allowed(field: dict[str, Any]) -> str:
     """What a key may be."""
-    field = next((variant for variant in field.get("anyOf", []) if variant["type"] != "null"), {}) | field
+    field = next((variant for variant in field.get("anyOf", []) if variant.get("type") != "null"), {}) | field
     if "enum" in field:
         return ", ".join(f"`{written(value)}`" for value in field["enum"])
     if "const" in field:
         return ""
-    if "$ref" in field or "oneOf" in field:
+    if "$ref" in field or "oneOf" in field or field["type"] == "object":
         return "table"
     if field["type"] == "array":
         if "prefixItems" in field:
             return f"list of {len(field['prefixItems'])} numbers"
+        if field["items"].get("type") == "number":
+            return "list of numbers"
         return f"list: {allowed(field['items'])}" if "enum" in field["items"] else "list of tables"
     limits = {"exclusiveMinimum": ">", "minimum": "≥", "exclusiveMaximum": "<", "maximum": "≤"}
     words = {"number": "number", "integer": "whole number", "boolean": "true or false", "string": "text"}
@@ -182,14 +198,16 @@ MARKED = re.compile(r"(?<=<!-- keys of )(\w+)( -->\n)(?:\|.*\n)*")
 
 
 def with_tables(text: str) -> str:
-    return MARKED.sub(lambda match: f"{match[1]}{match[2]}{table(models()[match[1]])}", text)
+    return MARKED.sub(lambda match: f"{match[1]}{match[2]}{table(ALL_MODELS[match[1]])}", text)
 
 
-def test_every_key_of_a_scenario_is_documented() -> None:
-    text = SCENARIOS.read_text("utf-8")
-    assert sorted(name for name, _ in MARKED.findall(text)) == sorted(models())
+@pytest.mark.parametrize("page", TABLES, ids=lambda page: page.stem)
+def test_every_key_of_a_file_is_documented(page: Path) -> None:
+    text = page.read_text("utf-8")
+    assert sorted(name for name, _ in MARKED.findall(text)) == sorted(models(TABLES[page]))
     assert with_tables(text) == text, "the models have changed: write the tables anew with `python tests/test_docs.py`"
 
 
 if __name__ == "__main__":
-    SCENARIOS.write_text(with_tables(SCENARIOS.read_text("utf-8")), "utf-8")
+    for page in TABLES:
+        page.write_text(with_tables(page.read_text("utf-8")), "utf-8")

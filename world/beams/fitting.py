@@ -23,6 +23,8 @@ RULE_STEP_DEG = 0.1
 RESERVE = 0.04  # by how much limits are aimed at; half of it must be kept
 WEIGHT_OF_LIMITS = 3.0  # against the pattern, and as much more in each round that they are missed
 ROUNDS = 4
+HANDOVER = 0.2  # of a module's rows and columns on either side, over which it gives way to others
+LEAST_PIXELS = 8
 
 
 def default_beams(lamp: Lamp, traffic: Traffic = "right") -> dict[str, tuple[Tensor, ...]]:
@@ -57,8 +59,10 @@ class Sampled:
         mirror = -1.0 if traffic == "left" else 1.0
         target = pattern.intensity(*_angles(self.directions, mirror)).float()
         weight = self.full / (self.full + RIM * self.full.max()) / (target + EVEN_CD)
-        u = solve(self.matrix, target, weight=weight, start=self._first_guess(target), iterations=60, tolerance=1e-4)
-        u = self._within_limits(u, target, weight, pattern, mirror)
+        upper = self._handover(target)
+        start = self._first_guess(target).minimum(upper)
+        u = solve(self.matrix, target, weight=weight, upper=upper, start=start, iterations=60, tolerance=1e-4)
+        u = self._within_limits(u, target, weight, pattern, mirror, upper)
         return u.split([module.headlight.n_pixels for module in self.lamp.modules])
 
     def _first_guess(self, target: Tensor) -> Tensor:
@@ -66,7 +70,29 @@ class Sampled:
         possible = multiply(self.matrix.transposed, self.full)
         return torch.where(possible > 0, multiply(self.matrix.transposed, target) / possible, 0.0).clamp(0, 1)
 
-    def _within_limits(self, pattern_alone: Tensor, target: Tensor, weight: Tensor, pattern: Pattern, mirror: float) -> Tensor:
+    def _handover(self, target: Tensor) -> Tensor:
+        """Largest utilisation: towards the border of its module a pixel gives way to other modules as far as they can do its work.
+
+        Where one module simply ended, its edge and the others' coarser answer to it would show as a seam.
+        """
+        mean = self.matrix.transposed
+        lit = multiply(mean, torch.ones(len(target))).clamp(min=1e-6)
+        wanted = multiply(mean, target) / lit
+        start, uppers = 0, []
+        for module in self.lamp.modules:
+            light = module.headlight
+            pixels = slice(start, start + light.n_pixels)
+            own = torch.zeros(self.matrix.n_cols)
+            own[pixels] = 1.0
+            others = multiply(mean, self.full - multiply(self.matrix, own))[pixels] / lit[pixels]
+            able = (others / wanted[pixels].clamp(min=1.0) - 1).clamp(0, 1)
+            uppers.append(1 - able * (1 - _ramp(light)))
+            start += light.n_pixels
+        return torch.cat(uppers)
+
+    def _within_limits(
+        self, pattern_alone: Tensor, target: Tensor, weight: Tensor, pattern: Pattern, mirror: float, upper: Tensor
+    ) -> Tensor:
         """The limits within the lamp's reach, all of them or none: a lamp too coarse for them would trade its form for a part."""
         points, low, high = _limits(pattern)
         points[0] *= mirror
@@ -83,8 +109,17 @@ class Sampled:
             bound = torch.where(low[held] > 0, low[held], high[held])
             weights = torch.cat([weight, WEIGHT_OF_LIMITS ** (round_ + 1) / (bound + EVEN_CD)])
             lows, highs = torch.cat([target, low[held]]), torch.cat([target, high[held]])
-            u = solve(rows, lows, highs, weight=weights, start=u, iterations=60, tolerance=1e-5)
+            u = solve(rows, lows, highs, weight=weights, upper=upper, start=u, iterations=60, tolerance=1e-5)
         return pattern_alone
+
+
+def _ramp(light: Headlight) -> Tensor:
+    """From 0 at the border of a module to 1 inside, `[n_p]`; modules of a few pixels have no inside."""
+    if min(light.pixel_rows, light.pixel_cols) < LEAST_PIXELS:
+        return torch.ones(light.n_pixels)
+    rows, cols = ((torch.arange(n) + 0.5).minimum(n - 0.5 - torch.arange(n)) / (HANDOVER * n) for n in (light.pixel_rows, light.pixel_cols))
+    ramp = rows.clamp(max=1)[:, None] * cols.clamp(max=1)
+    return (ramp * ramp * (3 - 2 * ramp)).flatten()
 
 
 def _angles(directions: Tensor, mirror: float) -> tuple[Tensor, Tensor]:
