@@ -13,67 +13,32 @@ import platform
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import spmv_page
 import torch
 from rich.table import Table
-from spmv_lamps import FIXED_SIDE, SIZES, THESIS_ADAPTIVE_US, THESIS_FIXED_US, Lamp, adaptive_side, disjoint, of_the_thesis, with_long_rows
+from spmv_lamps import FIXED_SIDE, SIZES, THESIS_ADAPTIVE_US, THESIS_FIXED_US, Lamp, adaptive_side, of_the_thesis, with_long_rows
+from spmv_timing import Copy, Step, interleaved, statistics
+from spmv_updates import FIGURE_PIXELS, FIGURE_TEXELS, measure_figure, measure_updates
 
 from loop import tables
 from world import presets
-from world.spmv import FORMATS, Bands, CapturedProduct, ChangedPixels, Csr, SparseFormat, build
+from world.spmv import FORMATS, CapturedProduct, Csr, SparseFormat, build
 from world.spmv.auto import best_of, candidates, processor
 from world.spmv.protocol import lit_rows
 
 ROOT = Path(__file__).parents[1]
-ROUNDS = 25
+ROUNDS = 15
 GPU_ROUNDS = 500  # as in the thesis
-COPY_MB = 256
 LONG_ROWS = ((64, 256, 512, 1024), (195, 390, 1024, 1024))  # pixels and texels of the lamps with 24 entries a row
 DENSE = (12, 24, 256)
-FIGURE_TEXELS = (128, 256, 512, 1024)  # rows of a texture of aspect 4:1
-FIGURE_PIXELS = (32, 64, 128, 256, 512, 1024, 2048)  # columns
 PRESETS = ("hd84", "ssl-hd-lores", "idealised-332x1024", "dmd-1m3")
-CHANGED = 0.1  # of the pixels, in fig. 6.1
-DIRTY = 0.05
 FLOAT_TOLERANCE = 1e-4  # float32 sums of up to 50 products in another order
 GOAL_SHORT, GOAL_LONG, GOAL_COPY, GOAL_FLAT, GOAL_BAND, GOAL_GPU_US = 1.0, 0.6, 0.45, 1.2, 0.25, 60.0
-
-Step = Callable[[], Any]
-
-
-def interleaved(steps: dict[str, Step], rounds: int) -> dict[str, dict[str, float]]:
-    """Process time in ms of each, in turn, after one call that does not count."""
-    for step in steps.values():
-        step()
-    taken: dict[str, list[float]] = {name: [] for name in steps}
-    for _ in range(rounds):
-        for name, step in steps.items():
-            before = time.process_time_ns()
-            step()
-            taken[name].append(1e-6 * (time.process_time_ns() - before))
-    return {name: statistics(times) for name, times in taken.items()}
-
-
-def statistics(times: list[float]) -> dict[str, float]:
-    low, median, high = np.quantile(times, [0.05, 0.5, 0.95]).tolist()
-    return {"min": min(times), "q05": low, "median": median, "q95": high}
-
-
-class Copy:
-    """256 MB from here to there: what the memory gives at best, reading and writing counted."""
-
-    def __init__(self, device: torch.device, quick: bool) -> None:
-        self.source = torch.rand(2**18 * (16 if quick else COPY_MB), device=device)
-        self.target = torch.empty_like(self.source)
-        self.bytes = 2 * self.source.nbytes
-
-    def __call__(self) -> None:
-        self.target.copy_(self.source)
 
 
 def moved_bytes(form: SparseFormat) -> int:
@@ -116,6 +81,16 @@ def measure_lamp(lamp: Lamp, copy: Copy, rounds: int, names: list[str] | None = 
     }
 
 
+def measure_flatness(lamps: list[Lamp], formats: list[str], rounds: int) -> dict[str, float]:
+    """Median ms of all lamps in turn, each in its format: whether time depends on the number of pixels."""
+    steps: dict[str, Step] = {}
+    for lamp, name in zip(lamps, formats, strict=True):
+        form = build(Csr.from_scipy(lamp.matrix), name)
+        u = torch.rand(form.n_cols, generator=torch.Generator().manual_seed(1))
+        steps[lamp.name] = partial(form.refresh, u, form.multiply(u))
+    return {name: times["median"] for name, times in interleaved(steps, rounds).items()}
+
+
 def measure_gpu(csr: Csr, names: list[str]) -> dict[str, Any]:
     """Captured products in µs, synchronised before and after each."""
     device = torch.device("cuda")
@@ -128,6 +103,7 @@ def measure_gpu(csr: Csr, names: list[str]) -> dict[str, Any]:
     taken: dict[str, list[float]] = {name: [] for name in steps}
     for number in range(GPU_ROUNDS + 10):
         for name, step in steps.items():
+            step()
             torch.cuda.synchronize()
             before = time.perf_counter_ns()
             step()
@@ -152,71 +128,6 @@ def measure_dense(rows: int, cols: int, side: int, rounds: int) -> dict[str, Any
     return {"name": lamp.name, "side": side, "bytes": dense.nbytes, "ms": interleaved(steps, rounds)}
 
 
-def measure_updates(lamp: Lamp, rounds: int) -> dict[str, Any]:
-    """A full product beside a dirty band of pixel rows, a dirty square of the same area, flags for the band and for scattered pixels."""
-    csr = Csr.from_scipy(lamp.matrix)
-    form, bands = build(csr, "window"), Bands(csr)
-    u = torch.rand(csr.n_cols, generator=torch.Generator().manual_seed(1))
-    out = form.multiply(u)
-    pixel = torch.arange(csr.n_cols).view(lamp.rows, lamp.cols)
-    band = _middle(lamp.rows, DIRTY)
-    square = _middle(lamp.rows, DIRTY**0.5)
-    of_band, of_square = (slice(rows.start * lamp.cols, rows.stop * lamp.cols) for rows in (band, square))
-    rows_of_band, rows_of_square = bands.rows_of(of_band), bands.rows_of(of_square)
-    steps: dict[str, Step] = {
-        "full": lambda: form.refresh(u, out),
-        "band": lambda: bands.refresh(u, out, rows_of_band),
-        "band, rows looked up": lambda: bands.refresh(u, out, bands.rows_of(of_band)),
-        "square": lambda: bands.refresh(u, out, rows_of_square),
-        "flags, band": flags(csr, u, pixel[band].ravel()),
-        "flags, scattered": flags(csr, u, torch.randperm(csr.n_cols)[: int(DIRTY * csr.n_cols)]),
-    }
-    return {"name": lamp.name, "texels": lamp.grid.rows, "share": DIRTY, "ms": interleaved(steps, rounds)}
-
-
-def _middle(n: int, share: float) -> slice:
-    count = max(round(share * n), 1)
-    return slice((n - count) // 2, (n - count) // 2 + count)
-
-
-def flags(csr: Csr, u: torch.Tensor, pixels: torch.Tensor) -> Step:
-    """Updates by flags that change these pixels there and back."""
-    other = u.clone()
-    other[pixels] = 1 - other[pixels]
-    changed, both = ChangedPixels(csr, u), [u, other]
-
-    def step() -> None:
-        both.reverse()
-        changed.refresh(both[0])
-
-    return step
-
-
-def measure_figure(cols: tuple[int, ...], texel_rows: tuple[int, ...], rounds: int) -> list[dict[str, Any]]:
-    """Relative time of updates to full products, as in T fig. 6.1."""
-    points = []
-    for texels in texel_rows:
-        for n in cols:
-            if n > 4 * texels:
-                continue  # a pixel without a texel
-            lamp = disjoint(n, texels)
-            csr = Csr.from_scipy(lamp.matrix)
-            form, bands = build(csr, "csr"), Bands(csr)
-            u = torch.rand(csr.n_cols, generator=torch.Generator().manual_seed(1))
-            out = form.multiply(u)
-            rows = _middle(lamp.rows, CHANGED)
-            dirty = bands.rows_of(slice(rows.start * n, rows.stop * n))
-            scattered = torch.randperm(csr.n_cols, generator=torch.Generator().manual_seed(2))[: int(CHANGED * csr.n_cols)]
-            steps: dict[str, Step] = {
-                "full": lambda form=form, u=u, out=out: form.refresh(u, out),
-                "band": lambda bands=bands, u=u, out=out, dirty=dirty: bands.refresh(u, out, dirty),
-                "flags": flags(csr, u, scattered),
-            }
-            ms = {name: times["median"] for name, times in interleaved(steps, rounds).items()}
-            points.append({"texels": csr.n_rows, "pixels": csr.n_cols, "ms": ms, "band_share": (rows.stop - rows.start) / lamp.rows})
-    return points
-
-
 def count_memory(lamps: dict[str, Csr]) -> list[dict[str, Any]]:
     """Indices and bytes of each format, and the share of lit texels that decides between them (T 6.2)."""
     return [
@@ -238,13 +149,13 @@ def count_memory(lamps: dict[str, Csr]) -> list[dict[str, Any]]:
 def goals(results: dict[str, Any]) -> list[dict[str, Any]]:
     """What the figures are measured by; on a GPU None where there is none."""
     fixed, updates = results["fixed"], results["updates"]["ms"]
-    best = [lamp["ms"][lamp["chosen"]]["median"] for lamp in fixed]
+    flat = results["flatness"].values()
     gpu = fixed[-1]["gpu"]
     found = [
         ("short rows, times SciPy's CSR (worst of table A.1)", max(lamp["ratio"] for lamp in fixed), GOAL_SHORT, False),
         ("24 entries a row, times SciPy's CSR", results["long"][0]["ratio"], GOAL_LONG, False),
         ("share of the copy bandwidth (worst of table A.1)", min(lamp["copy_share"] for lamp in fixed), GOAL_COPY, True),
-        ("longest over shortest time over the pixel numbers of table A.1", max(best) / min(best), GOAL_FLAT, False),
+        ("longest over shortest time over the pixel numbers of table A.1", max(flat) / min(flat), GOAL_FLAT, False),
         ("dirty band of 5 %, times a full update", updates["band"]["median"] / updates["full"]["median"], GOAL_BAND, False),
         ("µs synchronised on a GPU, largest lamp of table A.1", gpu and gpu["us"][gpu["best"]]["median"], GOAL_GPU_US, False),
     ]
@@ -267,7 +178,9 @@ def run(quick: bool, note: Callable[[str], None]) -> dict[str, Any]:
     side = 256 if quick else FIXED_SIDE
     copy = Copy(torch.device("cpu"), quick)
     note("table A.1")
-    fixed = [measure_lamp(of_the_thesis(*size, side, us), copy, rounds) for size, us in zip(sizes, THESIS_FIXED_US, strict=False)]
+    tabled = [of_the_thesis(*size, side, us) for size, us in zip(sizes, THESIS_FIXED_US, strict=False)]
+    fixed = [measure_lamp(lamp, copy, rounds) for lamp in tabled]
+    flatness = measure_flatness(tabled, [lamp["chosen"] for lamp in fixed], rounds)
     note("table A.2")
     adaptive = [
         measure_lamp(of_the_thesis(*size, adaptive_side(size[1]), us), copy, rounds, ["csr", "window", "scipy"])
@@ -282,7 +195,7 @@ def run(quick: bool, note: Callable[[str], None]) -> dict[str, Any]:
         for name, light in shipped.items()
     ]
     note("incremental updates")
-    thesis = of_the_thesis(*sizes[-1], side)
+    thesis = tabled[-1]
     updates = measure_updates(thesis, rounds)
     figure = measure_figure(FIGURE_PIXELS[:3] if quick else FIGURE_PIXELS, FIGURE_TEXELS[:2] if quick else FIGURE_TEXELS, 3 if quick else 9)
     note("memory")
@@ -296,6 +209,7 @@ def run(quick: bool, note: Callable[[str], None]) -> dict[str, Any]:
     results: dict[str, Any] = {
         "machine": machine(),
         "fixed": fixed,
+        "flatness": flatness,
         "adaptive": adaptive,
         "long": long,
         "shipped": lamps,

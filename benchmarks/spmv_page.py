@@ -33,6 +33,7 @@ def page(results: dict[str, Any]) -> str:
         side=fixed[0]["texels"][0],
         entries=fixed[-1]["entries"],
         fixed=times(fixed),
+        flatness=", ".join(f"{ms:.2f}" for ms in results["flatness"].values()),
         adaptive=times(results["adaptive"]),
         long=times(results["long"]),
         shipped=times(results["shipped"]),
@@ -125,6 +126,7 @@ def draw_updates(points: list[dict[str, Any]], file: Path) -> None:
         axes.loglog(pixels, [p["ms"]["band"] / p["ms"]["full"] for p in line], "s--", color=colour, label=f"band, {label}")
     axes.axhline(1, color="0.4", lw=1)
     axes.set(xlabel="pixels", ylabel="time, times a full update", title="A tenth of the pixels changed")
+    axes.set_yticks([0.1, 0.2, 0.5, 1, 2, 5, 10])
     axes.yaxis.set_major_formatter("{x:g}")
     axes.yaxis.set_minor_formatter("")
     axes.xaxis.set_minor_formatter("")

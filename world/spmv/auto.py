@@ -16,7 +16,8 @@ from world.spmv.csr import Csr
 from world.spmv.formats import FORMATS
 from world.spmv.protocol import SparseFormat, lit_rows
 
-ROUNDS = 7
+ROUNDS = 7  # of measurements at least, at most ten times as many
+ENOUGH_S = 0.3  # of measuring; small lamps take more rounds
 LARGEST = 3  # times the bytes of CSR: what a format may store to be considered
 LONG_ROWS = 6  # entries a lit row from which tiles can pay
 PART_ROWS = 2**15  # of the middle, on either side: planning all tiles only to count them is dear
@@ -64,7 +65,7 @@ def _size(csr: Csr, name: str) -> float:
     return FORMATS[name].count(csr).bytes(dtype) / FORMATS["csr"].count(csr).bytes(dtype)
 
 
-def timings(forms: dict[str, SparseFormat], rounds: int = ROUNDS) -> dict[str, float]:
+def timings(forms: dict[str, SparseFormat]) -> dict[str, float]:
     """Median ms of a product of each, in turn: process time of one CPU thread, clock time of several, events on CUDA."""
     steps = {}
     for name, form in forms.items():
@@ -72,8 +73,12 @@ def timings(forms: dict[str, SparseFormat], rounds: int = ROUNDS) -> dict[str, f
         out = form.multiply(x)
         steps[name] = (form, x, form.refresh(x, out))
     taken: dict[str, list[float]] = {name: [] for name in forms}
-    for _ in range(rounds):
+    start = time.monotonic()
+    for number in range(10 * ROUNDS):
+        if number >= ROUNDS and time.monotonic() - start > ENOUGH_S:
+            break
         for name, (form, x, out) in steps.items():
+            form.refresh(x, out)  # formats share arrays: none shall find in the caches what another left there
             taken[name].append(_milliseconds(form, x, out))
     return {name: median(times) for name, times in taken.items()}
 

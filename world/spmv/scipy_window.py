@@ -7,7 +7,7 @@ from world.errors import LuxloopError
 from world.spmv.compressed import Window
 from world.spmv.csr import Csr
 
-ROWS_AT_ONCE = 2**16  # the loop adds to what is there: rows are zeroed while they are in the cache
+ROWS_AT_ONCE = 2**18  # the loop adds to what is there: rows are zeroed while they are in the cache
 
 
 class ScipyWindow(Window):
