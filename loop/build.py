@@ -44,12 +44,19 @@ def _drawing_modules(params: HeadlightParams, ssc: MrpcParams, device: torch.dev
         lamp = load_lamp(params.model, side)
         modules = [lamp.module(name) for name in params.modules] if params.modules else [lamp.finest]
         _check_movements(params, modules)
-        scale = 1.0 if params.intensity_cd is None else params.intensity_cd / max(module.headlight.peak_cd for module in modules)
+        scale = 1.0 if params.intensity_cd is None else params.intensity_cd / _brightest(modules)
         T_world_lamp = pose_from_degrees((0.0, (0.5 if side == "left" else -0.5) * params.distance_m, params.height_m))
         for module in modules:
             T_world_module = T_world_lamp @ module.pose(*_movement(params, module))
             controller = Ssc.prepare(module.headlight.scaled(scale).to(device), ssc)
             yield DrawingModule(f"{side} {module.name}", controller, T_world_module.to(device))
+
+
+def _brightest(modules: Sequence[Module]) -> float:
+    peak_cd = max(module.headlight.peak_cd for module in modules)
+    if not peak_cd > 0:
+        raise LuxloopError(f"headlight.modules: {', '.join(module.name for module in modules)} give no light; name others")
+    return peak_cd
 
 
 def _movement(params: HeadlightParams, module: Module) -> tuple[float, float]:

@@ -23,7 +23,7 @@ def judge(
     intensity = lamp.lit(lamp.beam(beam))
     if rule is None and beam not in RULE_OF_BEAM:
         raise LuxloopError(f"beam {beam!r} has no rule of its own; name one with --rule, `luxloop headlight rules` lists them")
-    rules = rule_set(rule or RULE_OF_BEAM[beam])
+    rules = rule_set(RULE_OF_BEAM[beam] if rule is None else rule)
     turn = aim(intensity, rules.id, traffic=traffic) if aimed else (0.0, 0.0)
     turned = f", aimed by {turn[0]:+.2f} deg to the right and {turn[1]:+.2f} deg up" if aimed else ""
     return f"{lamp.name}, beam {beam}: {rules.title}{turned}", check(intensity, rules.id, aim=turn, traffic=traffic)

@@ -51,11 +51,11 @@ def show(
     /,
     *,
     beam: str | None = None,
-    view: str = "overview",
+    view: str | None = None,
     style: str | None = None,
-    side: Literal["both", "left", "right"] = "both",
+    side: Literal["both", "left", "right"] | None = None,
     scenario: str | None = None,
-    visibility_m: float = 100.0,
+    visibility_m: float | None = None,
     out: Path | None = None,
 ) -> None:
     """Draw a lamp's light, or a photometric file.
@@ -67,33 +67,45 @@ def show(
     beam
         Name of the beam, full or off; by default low, or full where the lamp has no low beam.
     view
-        overview, wall, birdseye, driver, volume, pixels or texture.
+        overview (the default), wall, birdseye, driver, volume, pixels or texture.
     style
         luminance, falsecolour, isolux or isocandela, as far as the view has it.
     side
-        Lamps that shine.
+        Lamps that shine, both by default.
     scenario
         Scenario whose road, objects and light are shown; by default a flat road by night.
     visibility_m
-        Visibility in the fog of the view volume.
+        Visibility in the fog of the view volume, 100 m by default.
     out
         Picture to write (.png, .jpg, .pdf or .svg); by default the lamp's name, beam and view.
     """
     from loop import headlight_pictures
     from loop.lamp_description import load_lamp
     from loop.scenario import load
+    from world.errors import LuxloopError
 
     stem = Path(lamp).stem
-    if Path(lamp).suffix.lower() in PHOTOMETRIC and view == "overview":
+    chosen = {"beam": beam, "style": style, "side": side, "scenario": scenario, "visibility-m": visibility_m}
+    if Path(lamp).suffix.lower() in PHOTOMETRIC and view is None:
         from loop.photometry_picture import show_distribution
         from world.photometry import read
 
+        for name, value in chosen.items():
+            if value is not None:
+                raise LuxloopError(f"--{name}: a photometric file is drawn as it was measured; for a picture as a lamp give --view, too")
         written = show_distribution(read(Path(lamp)), out or Path(f"{stem}.png"))
     else:
-        lamps = {each: load_lamp(lamp, each) for each in (("left", "right") if side == "both" else (side,))}
-        target = out or Path("-".join([stem, *([beam] if beam else []), *([style] if style else []), view]) + ".png")
-        seen = None if scenario is None else load(scenario)
-        written = headlight_pictures.show(lamps, target, beam=beam, view=view, style=style, scenario=seen, visibility_m=visibility_m)
+        lamps = {each: load_lamp(lamp, each) for each in (("left", "right") if side in (None, "both") else (side,))}
+        target = out or Path("-".join([stem, *([beam] if beam else []), *([style] if style else []), view or "overview"]) + ".png")
+        written = headlight_pictures.show(
+            lamps,
+            target,
+            beam=beam,
+            view=view or "overview",
+            style=style,
+            scenario=None if scenario is None else load(scenario),
+            visibility_m=headlight_pictures.VISIBILITY_M if visibility_m is None else visibility_m,
+        )
     print(f"{written} written")
 
 

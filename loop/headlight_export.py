@@ -9,7 +9,7 @@ from world.errors import LuxloopError
 from world.lamp import Lamp
 from world.photometry import Distribution, sample, write
 
-LEAST_STEP_DEG, MOST_NODES = 0.01, 4_000_000
+LEAST_STEP_DEG, MOST_STEP_DEG, MOST_NODES = 0.01, 5.0, 4_000_000
 
 
 def export(lamp: Lamp, beam: str, file: Path, step_deg: float = 0.1) -> Distribution:
@@ -17,8 +17,8 @@ def export(lamp: Lamp, beam: str, file: Path, step_deg: float = 0.1) -> Distribu
 
     Raises LuxloopError where the lamp has no such beam, the step makes no file, or the file cannot be written.
     """
-    if not step_deg >= LEAST_STEP_DEG:
-        raise LuxloopError(f"--step-deg {step_deg:g}: give at least {LEAST_STEP_DEG:g} deg between two angles")
+    if not LEAST_STEP_DEG <= step_deg <= MOST_STEP_DEG:
+        raise LuxloopError(f"--step-deg {step_deg:g}: give {LEAST_STEP_DEG:g} to {MOST_STEP_DEG:g} deg between two angles")
     left, right, bottom, top = lamp.field_deg
     h, v = _nodes(-left, -right, step_deg), _nodes(bottom, top, step_deg)
     if len(h) * len(v) > MOST_NODES:

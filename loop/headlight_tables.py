@@ -12,7 +12,7 @@ from loop.tables import plain
 from world.lamp import Lamp, direction
 from world.photometry import Photometry
 from world.photometry.texture import solid_angles
-from world.presets import NAMES, lamp
+from world.presets import SUMMARIES
 from world.regulation import Result, passes, sets
 from world.texels import TexelGrid
 
@@ -27,13 +27,10 @@ KINDS = {
 
 def presets() -> Table:
     """Lamps that are shipped."""
-    table = plain("lamp", "modules", "pixels", "what is known of it")
-    for name in NAMES:
-        each = lamp(name)
-        pixels = sum(module.headlight.n_pixels for module in each.modules)
-        table.add_row(
-            f"[bold]{name}[/]", ", ".join(module.name for module in each.modules), f"{pixels:,}", escape(each.notes.splitlines()[0])
-        )
+    table = plain("lamp", "what it is")
+    for name, summary in SUMMARIES.items():
+        table.add_row(f"[bold]{name}[/]", escape(summary))
+    table.caption, table.caption_justify = "`luxloop headlight info LAMP` tells what is published of one and what is guessed.", "left"
     return table
 
 

@@ -1,6 +1,7 @@
 """Lamps by name or file: presets, lamp files, photometric files, and descriptions in TOML of which lamps are built (T 5.2)."""
 
 import json
+import os
 from collections import ChainMap
 from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from dataclasses import replace
@@ -122,9 +123,9 @@ def load_lamp(name: str | Path, side: Side = "left") -> Lamp:
     suffix = path.suffix.lower()
     known = (".npz", ".toml", *SUFFIXES)
     if suffix not in known:
-        hint = "give a file in it" if path.is_dir() else did_you_mean(str(name), presets.NAMES)
+        hint = "give a file in it" if str(name) and path.is_dir() else did_you_mean(str(name), presets.NAMES)
         raise LuxloopError(f"there is no lamp {str(name)!r}; {hint} (lamp files end in {', '.join(known)})")
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise LuxloopError(f"lamp file {path} does not exist; check the path, or name one of {', '.join(presets.NAMES)}")
     if suffix == ".toml":
         return build(path, side)[0]

@@ -44,7 +44,7 @@ class HeadlightParams(Params):
 
     model: str = Field("idealised-332x1024", min_length=1, description="preset, or lamp file: .npz, .toml, .ies or .ldt")
     intensity_cd: float | None = Field(
-        None, gt=0, le=500_000, description="largest luminous intensity of what draws, all pixels on; left out: the model's own"
+        None, gt=0, le=500_000, description="peak of the brightest module that draws, all pixels on; left out: the model's own"
     )
     height_m: float = Field(0.75, gt=0.1, le=2.0, description="height of the lamps' origins above the road")
     distance_m: float = Field(1.2, ge=0, le=3, description="distance between the lamps' origins")

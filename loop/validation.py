@@ -40,13 +40,20 @@ def sentence(error: ValidationError, model: type[BaseModel], example: str) -> st
 
     example: where to find a complete file, for those who lack a key.
     """
-    details = sorted(error.errors(include_url=False), key=lambda detail: detail["type"] != "extra_forbidden")
+    details = [each for each in error.errors(include_url=False) if not _follows(each, error)]
+    details.sort(key=lambda detail: detail["type"] != "extra_forbidden")
     detail = details[0]
     key, fields = _place(model, detail["loc"])
     if detail["type"].startswith("union_tag"):
         key = f"{key}.{_discriminator(detail)}"
     more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
     return f"{key}: {_what(detail, fields, example)}{more}" if key else f"{_what(detail, fields, example)}{more}"
+
+
+def _follows(detail: Any, error: ValidationError) -> bool:
+    """Whether a list is called too short only because its items are wrong."""
+    place = detail["loc"]
+    return detail["type"] == "too_short" and any(place == each["loc"][: len(place)] and place != each["loc"] for each in error.errors())
 
 
 def did_you_mean(given: str, known: Iterable[str]) -> str:

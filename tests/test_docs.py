@@ -7,6 +7,7 @@ import json
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -74,6 +75,7 @@ def execute(command: str) -> None:
 @pytest.mark.parametrize("page", with_blocks("sh"))
 def test_commands_run_in_the_order_in_which_they_are_read(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
+    shutil.copytree(ROOT / "examples", "examples")
     for command in commands(page):
         if not re.search(MEASURED, command):
             execute(command)
@@ -180,6 +182,8 @@ def allowed(field: dict[str, Any]) -> str:
             return f"list of {len(field['prefixItems'])} numbers"
         if field["items"].get("type") == "number":
             return "list of numbers"
+        if field["items"].get("type") == "string" and "enum" not in field["items"]:
+            return "list of texts"
         return f"list: {allowed(field['items'])}" if "enum" in field["items"] else "list of tables"
     limits = {"exclusiveMinimum": ">", "minimum": "≥", "exclusiveMaximum": "<", "maximum": "≤"}
     words = {"number": "number", "integer": "whole number", "boolean": "true or false", "string": "text"}

@@ -73,3 +73,9 @@ def test_what_can_turn_is_turned_and_the_rest_stays(scenario: Scenario) -> None:
 def test_what_the_lamp_has_not_is_named(scenario: Scenario, values: dict, words: str) -> None:
     with pytest.raises(LuxloopError, match=words):
         build_projector(with_headlight(scenario, **values), CPU)
+
+
+def test_modules_that_give_no_light_cannot_be_scaled(tmp_path: Path) -> None:
+    lampfile.save(tmp_path / "dark.npz", Lamp("dark", (Module("main", idealised(4, 8).scaled(0.0)),)))
+    with pytest.raises(LuxloopError, match="main give no light"):
+        build_projector(load("flat", [f"headlight.model={tmp_path / 'dark.npz'}", "headlight.intensity_cd=1000"]), CPU)

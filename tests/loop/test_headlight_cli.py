@@ -30,7 +30,7 @@ def lux(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.
 def test_presets_are_listed_with_what_is_known_of_them(lux: Lux) -> None:
     code, out, _ = lux("list")
     assert code == 0
-    assert all(name in out for name in ("idealised-332x1024", "hd84", "ssl-hd", "dmd-1m3")) and "Published" in out
+    assert all(name in out for name in ("idealised-332x1024", "hd84", "ssl-hd", "dmd-1m3")) and "micromirrors" in out
 
 
 def test_facts_of_a_preset(lux: Lux) -> None:
@@ -89,7 +89,9 @@ def test_a_photometric_file_is_drawn_as_it_was_measured(lux: Lux) -> None:
         ("show hd84 --view wall --out wall.bmp", ["wall.bmp", ".png"]),
         ("check hd84 --rule r149-passing-x", ["'r149-passing-x'", "r149-passing-"]),
         ("check hd84 --beam full", ["'full'", "--rule"]),
+        ("check hd84 --rule=", ["no rule ''"]),
         ("export hd84 --out low.ies --step-deg 0", ["--step-deg", "0.01"]),
+        ("export hd84 --out low.ies --step-deg inf", ["--step-deg", "5 deg"]),
         ("export hd84 --out no/where/low.ies", ["no/where/low.ies", "cannot be written"]),
         ("build nothing.toml", ["nothing.toml", "cannot be read"]),
     ],
@@ -100,3 +102,20 @@ def test_what_cannot_be_done_is_one_sentence(lux: Lux, line: str, words: list[st
     assert err.startswith("error: ") and err.count("\n") == 1 and "Traceback" not in err
     assert all(word in err for word in words), err
     assert not list(Path().iterdir())
+
+
+def test_darkness_is_judged_too(lux: Lux) -> None:
+    code, out, _ = lux("check hd84 --beam off --rule r149-passing-c --aim")
+    assert code == 1 and "fail" in out
+
+
+def test_options_that_a_photometric_file_has_no_use_for_are_refused(lux: Lux) -> None:
+    lux("export hd84 --out full.ies --step-deg 1")
+    code, _, err = lux("show full.ies --beam low")
+    assert code == 2 and "--beam" in err and "--view" in err and not Path("full.png").exists()
+    assert lux("show full.ies --view wall --side left")[0] == 0
+
+
+def test_a_name_too_long_for_a_file_is_no_lamp(lux: Lux) -> None:
+    code, _, err = lux(f"info {'a' * 300}.npz")
+    assert code == 2 and "does not exist" in err

@@ -1,9 +1,10 @@
 """Lamps that come with luxloop; what is published of each and what is guessed stands in its notes and beside its numbers."""
 
 import difflib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import lru_cache
+from types import MappingProxyType
 from typing import Literal
 
 from world.errors import LuxloopError
@@ -13,7 +14,7 @@ from world.presets import dmd, hd84, ideal, ssl_hd
 from world.presets.beams import FittedBeams
 from world.presets.ideal import idealised
 
-__all__ = ["NAMES", "idealised", "lamp"]
+__all__ = ["NAMES", "SUMMARIES", "idealised", "lamp"]
 
 
 def _alone(name: str, light: Callable[[float], Headlight]) -> Callable[[float], tuple[Module, ...]]:
@@ -30,6 +31,16 @@ _LAMPS: dict[str, tuple[Callable[[float], tuple[Module, ...]], str]] = {
     "dmd-1m3": (_alone("matrix", dmd.light), dmd.NOTES),
 }
 NAMES = tuple(_LAMPS)
+SUMMARIES: Mapping[str, str] = MappingProxyType(
+    {
+        "idealised-332x1024": "the thesis' idealised lamp: 332 x 1024 pixels on 20 x 5 deg that hardly overlap",
+        "hd84": "84 Gaussian pixels in three unequal rows on 40 x 10 deg",
+        "ssl-hd-lores": "64 x 256 blurred pixels on 40 x 10 deg",
+        "ssl-hd-hires": "64 x 256 blurred pixels on 20 x 5 deg",
+        "ssl-hd": "the lamp around both: LoRes, HiRes, auxiliary high beam, courtesy light, cornering light",
+        "dmd-1m3": "1.3 million micromirrors on 14 x 7 deg",
+    }
+)
 
 
 @lru_cache(maxsize=4)

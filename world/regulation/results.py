@@ -45,9 +45,9 @@ class Result:
 
 
 def margin(value: float, least: float | None, most: float | None) -> float:
-    """What is left to the nearer limit as a share of it; limits are positive."""
-    low = math.inf if least is None else value / least - 1
-    high = math.inf if most is None else 1 - value / most
+    """What is left to the nearer limit as a share of it; a limit of zero, relative to darkness, is kept or missed without a measure."""
+    low = math.inf if not least else value / least - 1
+    high = math.inf if most is None else (1 - value / most if most else -math.inf if value > 0 else 0.0)
     return min(low, high)
 
 
