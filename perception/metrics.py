@@ -1,4 +1,4 @@
-"""How alike two images are: structural similarity and intersection over union (T 8.3)."""
+"""How far light is from what was wanted: MAE, RMSE, MARE, structural similarity (T 8.3), and intersection over union."""
 
 import math
 
@@ -6,6 +6,38 @@ import torch
 from torch import Tensor
 
 from world.errors import LuxloopError
+
+MARE_OFFSET = 1e-12  # cd; a texel that should be dark counts with its light over this
+
+
+def mae(actual: Tensor, wanted: Tensor) -> Tensor:
+    """Mean absolute error of light textures `[..., H, W]` (8.3.1), `[...]`: over the number of texels with a positive setpoint and the
+    largest setpoint, so that neither the size of the texture nor the setpoint's unit matters.
+
+    Raises: LuxloopError where an image has no positive setpoint.
+    """
+    return (actual - wanted).abs().sum((-2, -1)) / (_lit(wanted) * wanted.amax((-2, -1)))
+
+
+def rmse(actual: Tensor, wanted: Tensor) -> Tensor:
+    """Root of the mean squared error of light textures `[..., H, W]` (8.3.2), `[...]`; divided like `mae`, and raises what it raises."""
+    return ((actual - wanted).square().sum((-2, -1)) / _lit(wanted)).sqrt() / wanted.amax((-2, -1))
+
+
+def mare(actual: Tensor, wanted: Tensor) -> Tensor:
+    """Mean absolute relative error of light textures `[..., H, W]` in cd (8.3.3), `[...]`; raises what `mae` raises.
+
+    What shines where it should be dark is divided by an offset of 1e-12 cd only, and so outweighs all else: 1e12 is nothing unusual.
+    """
+    return ((actual - wanted).abs() / (wanted + MARE_OFFSET)).sum((-2, -1)) / _lit(wanted)
+
+
+def _lit(wanted: Tensor) -> Tensor:
+    """Number of texels with a positive setpoint, `[...]`."""
+    number = (wanted > 0).sum((-2, -1))
+    if bool((number == 0).any()):
+        raise LuxloopError("an error relative to the setpoint needs a texel with a positive one; this setpoint is dark everywhere")
+    return number
 
 
 def ssim(a: Tensor, b: Tensor, radius: float, data_range: float) -> Tensor:

@@ -1,13 +1,17 @@
 """Image metrics against SciPy and by hand."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 import torch
+import torch.nn.functional as F
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
-from perception.metrics import dssim, iou, ssim
+from perception.metrics import dssim, iou, mae, mare, rmse, ssim
 from world.errors import LuxloopError
 
 
@@ -60,3 +64,44 @@ def test_iou(device: torch.device) -> None:
     a[1, :5] = b[1, :5] = True
     a[2, 0], b[2, 1] = True, True
     torch.testing.assert_close(iou(a, b).cpu(), torch.tensor([1 / 3, 1.0, 0.0, 1.0]))
+
+
+EDGE = torch.tensor([[0.0, 0.0, 1.0, 1.0]], dtype=torch.float64)  # cd
+PIXEL = torch.tensor([[0.13, 0.35, 0.95, 1.3]], dtype=torch.float64)
+
+
+def test_the_blurred_pixel_at_an_edge_is_best_where_it_is_known_to_be(device: torch.device) -> None:
+    u = torch.linspace(0, 1, 100_001, dtype=torch.float64, device=device)[:, None, None]
+    light, wanted = u * PIXEL.to(device), EDGE.to(device)
+    best = {error: float(u[error(light, wanted).argmin()].squeeze()) for error in (mae, rmse, mare)}
+    step = 1e-5  # of u
+    assert best[mae] == pytest.approx(1 / 1.3, abs=step)
+    assert best[rmse] == pytest.approx(2.25 / 2.7319, abs=step)
+    assert best[mare] == 0  # the dark texels outweigh everything
+
+
+def test_errors_by_hand(device: torch.device) -> None:
+    wanted = torch.tensor([[0.0, 2.0], [4.0, 0.0]], device=device)
+    actual = torch.tensor([[[1.0, 2.0], [2.0, 0.0]], [[0.0, 2.0], [4.0, 0.0]]], device=device)
+    torch.testing.assert_close(mae(actual, wanted).cpu(), torch.tensor([3 / (2 * 4), 0.0]))
+    torch.testing.assert_close(rmse(actual, wanted).cpu(), torch.tensor([math.sqrt(5 / 2) / 4, 0.0]))
+    torch.testing.assert_close(mare(actual, wanted).cpu(), torch.tensor([(1e12 + 0.5) / 2, 0.0]))
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.01, 100.0))
+def test_errors_do_not_depend_on_the_texture_around_nor_on_the_unit(seed: int, unit: float) -> None:
+    generator = torch.Generator().manual_seed(seed)
+    actual, wanted = (torch.rand(2, 5, 6, generator=generator, dtype=torch.float64) + 0.1 for _ in range(2))
+    for error in (mae, rmse):
+        value = error(actual, wanted)
+        torch.testing.assert_close(error(F.pad(actual, (1, 2, 3, 4)), F.pad(wanted, (1, 2, 3, 4))), value)
+        torch.testing.assert_close(error(unit * actual, unit * wanted), value)
+    assert (mae(actual, wanted) <= rmse(actual, wanted) + 1e-12).all()  # where all texels are wanted lit, the mean is below the root
+
+
+@pytest.mark.parametrize("error", [mae, rmse, mare])
+def test_errors_need_a_positive_setpoint(error: Callable[[torch.Tensor, torch.Tensor], torch.Tensor]) -> None:
+    wanted = torch.ones(2, 3, 3)
+    wanted[1] = 0
+    with pytest.raises(LuxloopError, match="dark everywhere"):
+        error(torch.ones(3, 3), wanted)
