@@ -1,0 +1,86 @@
+"""Symbols that change with time by rule: blinking, a running light, a wipe (T 7.2.2, 7.10)."""
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from controllers.symbols import SymbolSource
+from world.params import Params
+
+Direction = Literal["away", "towards", "left", "right"]
+
+
+class BlinkingParams(Params):
+    """On and off."""
+
+    kind: Literal["blinking"] = "blinking"
+    rate_hz: float = Field(1.5, gt=0, le=20, description="how often a second (UN R6 asks indicators for 1 to 2)")
+    duty: float = Field(0.5, gt=0, lt=1, description="share of the time that it is on")
+
+    def share(self, time_s: float, along: Tensor) -> Tensor:
+        # A time that is meant to be a switching time may round to just before it.
+        return torch.full_like(along, float((time_s * self.rate_hz + 1e-6) % 1 < self.duty))
+
+
+class RunningLightParams(Params):
+    """A bright band runs over the symbol, again and again."""
+
+    kind: Literal["running_light"] = "running_light"
+    period_s: float = Field(1.0, gt=0, description="time from one end to the other")
+    length: float = Field(0.3, gt=0, le=1, description="the band's length, as a share of the symbol's")
+    rest: float = Field(0.0, ge=0, le=1, description="what is left of the symbol beside the band")
+    direction: Direction = Field("away", description="where it runs: `away` from the driver, `towards` the driver, `left` or `right`")
+
+    def share(self, time_s: float, along: Tensor) -> Tensor:
+        # The band comes in from one border and goes out over the other, with cosine flanks that have no steps.
+        centre = (time_s / self.period_s) % 1 * (1 + self.length) - self.length / 2
+        reach = ((along - centre) / self.length).clamp(-0.5, 0.5)
+        return self.rest + (1 - self.rest) * (2 * math.pi * reach).cos().add(1) / 2
+
+
+class WipeParams(Params):
+    """The symbol is drawn from one end to the other, then held; it starts over."""
+
+    kind: Literal["wipe"] = "wipe"
+    draw_s: float = Field(0.8, gt=0, description="time to draw it")
+    hold_s: float = Field(0.7, ge=0, description="time to hold it")
+    softness: float = Field(0.05, gt=0, le=1, description="length of the soft front, as a share of the symbol's")
+    direction: Direction = Field("away", description="where its front moves: `away` from the driver, `towards`, `left` or `right`")
+
+    def share(self, time_s: float, along: Tensor) -> Tensor:
+        drawn = min((time_s % (self.draw_s + self.hold_s)) / self.draw_s, 1.0)
+        return ((drawn * (1 + self.softness) - along) / self.softness).clamp(0, 1)
+
+
+AnimationParams = Annotated[BlinkingParams | RunningLightParams | WipeParams, Field(discriminator="kind")]
+
+
+@dataclass(frozen=True, eq=False)
+class Animated:
+    """A symbol whose brightness is changed over time and place."""
+
+    source: SymbolSource
+    animation: BlinkingParams | RunningLightParams | WipeParams
+
+    def at(self, time_s: float) -> Tensor:
+        """`[h, w]` in 0..1; a homogeneous symbol is cut into enough rows and columns for what runs along it."""
+        image = self.source.at(time_s)
+        if isinstance(self.animation, BlinkingParams):
+            return image * self.animation.share(time_s, image)
+        if image.numel() == 1:
+            image = image.expand(64, 64)
+        return image * self.animation.share(time_s, _along(image, self.animation.direction))
+
+
+def _along(image: Tensor, direction: Direction) -> Tensor:
+    """Where each texel lies in the direction of travel, 0 at the start and 1 at the end: `[h, 1]` or `[1, w]`."""
+    rows, cols = image.shape
+    if direction in ("left", "right"):
+        along = ((torch.arange(cols).to(image) + 0.5) / cols)[None]
+        return along if direction == "right" else 1 - along
+    along = ((torch.arange(rows).to(image) + 0.5) / rows)[:, None]
+    return along if direction == "towards" else 1 - along

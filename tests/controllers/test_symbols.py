@@ -1,0 +1,96 @@
+"""Symbols from all kinds of files, and what is said of bad ones."""
+
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from controllers.symbols import DRAWN_PX, Frames, OverTime, Still, load
+from world.errors import LuxloopError
+
+SVG = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 40 20"><rect x="10" width="20" height="10" fill="{}"/></svg>'
+
+
+def write_video(path: Path, frames: list[np.ndarray], rate: int = 10) -> None:
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=rate)
+        stream.height, stream.width = frames[0].shape
+        stream.pix_fmt = "yuv420p"
+        for frame in frames:
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(np.repeat(frame[..., None], 3, -1), "rgb24")))
+        container.mux(stream.encode())
+
+
+def test_a_picture_stands_still(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "a.png"), np.array([[0, 51], [102, 255]], np.uint8))
+    symbol = load(tmp_path / "a.png")
+    torch.testing.assert_close(symbol.at(0), torch.tensor([[0, 0.2], [0.4, 1]]))
+    assert symbol.at(0) is symbol.at(7.5)
+
+
+def test_an_svg_is_drawn_where_its_shapes_are(tmp_path: Path) -> None:
+    (tmp_path / "a.SVG").write_text(SVG.format("white"))
+    image = load(tmp_path / "a.SVG").at(0)
+    assert image.shape == (DRAWN_PX // 2, DRAWN_PX)
+    expected = torch.zeros_like(image)
+    expected[: DRAWN_PX // 4, DRAWN_PX // 4 : 3 * DRAWN_PX // 4] = 1
+    torch.testing.assert_close(image, expected)
+
+
+def test_a_folder_is_a_sequence_in_the_order_of_names(tmp_path: Path) -> None:
+    for i in (2, 0, 1):
+        cv2.imwrite(str(tmp_path / f"{i}.png"), np.full((2, 3), 100 * i, np.uint8))
+    held, repeated = load(tmp_path, rate_hz=10, repeat=False), load(tmp_path, rate_hz=10)
+    shown = [round(255 * float(held.at(t)[0, 0])) for t in (-1, 0, 0.1, 0.25, 0.3, 9)]
+    assert shown == [0, 0, 100, 200, 200, 200]
+    assert round(255 * float(repeated.at(0.4)[0, 0])) == 100
+
+
+def test_a_video_plays_at_its_own_rate(tmp_path: Path) -> None:
+    write_video(tmp_path / "a.mp4", [np.full((32, 48), v, np.uint8) for v in (0, 128, 255)])
+    symbol = load(tmp_path / "a.mp4", repeat=False)
+    assert isinstance(symbol, Frames) and symbol.rate_hz == 10
+    levels = [255 * symbol.at(t).mean().item() for t in (0, 0.1, 0.2, 5)]
+    np.testing.assert_allclose(levels, [0, 128, 255, 255], atol=4)  # H.264 is lossy; black read as 16 would be 12 off
+    write_video(tmp_path / "large.mp4", [np.full((64, 2 * DRAWN_PX), 255, np.uint8)])
+    assert load(tmp_path / "large.mp4").at(0).shape == (32, DRAWN_PX)
+
+
+def test_a_function_of_time_is_a_symbol() -> None:
+    symbol = OverTime(lambda time_s: torch.full((1, 1), time_s))
+    assert symbol.at(0.25).item() == 0.25
+    assert Still(torch.ones(1, 1)).at(3).item() == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "says"),
+    [
+        ("a.png", b"no picture", "cannot be read as a picture"),
+        ("a.png", b"", "cannot be read as a picture"),
+        ("a.svg", b"<svg", "no SVG that can be drawn"),
+        ("a.svg", SVG.format("black").encode(), "all black"),
+        ("a.mp4", b"no video", "convert it to H.264"),
+        ("a.txt", b"hello", "cannot be read as a picture"),
+    ],
+)
+def test_bad_files_are_named_in_one_sentence(tmp_path: Path, name: str, content: bytes, says: str) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(LuxloopError, match=says) as error:
+        load(tmp_path / name)
+    assert name in str(error.value) and "\n" not in str(error.value)
+
+
+def test_missing_files_and_bad_folders(tmp_path: Path) -> None:
+    with pytest.raises(LuxloopError, match="does not exist"):
+        load(tmp_path / "a.png")
+    with pytest.raises(LuxloopError, match="holds no pictures"):
+        load(tmp_path)
+    cv2.imwrite(str(tmp_path / "0.png"), np.zeros((2, 2), np.uint8))
+    with pytest.raises(LuxloopError, match="all black"):
+        load(tmp_path)
+    cv2.imwrite(str(tmp_path / "1.png"), np.ones((2, 3), np.uint8))
+    with pytest.raises(LuxloopError, match=r"1\.png is of another size than 0\.png \(2 x 2 and 3 x 2 px\)"):
+        load(tmp_path)
