@@ -33,13 +33,13 @@ class Plant(Protocol):
         ...
 
     def show(self, state: Any, lights: Sequence[Utilisation], step: int) -> tuple[Any, Frames | None]:
-        """Show one utilisation `[n_p]` a lamp; returns the on and off frames `[height, width]` (digital numbers) that arrive now."""
+        """Show one utilisation `[n_p]` a module; returns the on and off frames `[height, width]` (digital numbers) that arrive now."""
         ...
 
 
 @dataclass(frozen=True)
 class LitView:
-    """A scene as the camera sees it at one time: light transport a lamp, and luminance `[height, width]` in cd/m^2 without the lamps."""
+    """A scene as the camera sees it at one time: light transport a module, and luminance `[height, width]` in cd/m^2 without the lamps."""
 
     transports: tuple[Transport, ...]
     base: Tensor
@@ -55,14 +55,14 @@ class SimulatedPlant:
     def __init__(
         self,
         scene: Scene,
-        lamps: Sequence[DrawingModule],
+        modules: Sequence[DrawingModule],
         camera: CameraParams,
         source: FaceSource,
         rate_hz: float,
         seed: int,
         device: torch.device,
     ) -> None:
-        self.scene, self.lamps, self.camera, self.source = scene, tuple(lamps), camera, source
+        self.scene, self.modules, self.camera, self.source = scene, tuple(modules), camera, source
         self.period_s, self.seed, self.device = 1 / rate_hz, seed, device
         self.view = camera_view(camera)
         self._lit: OrderedDict[Any, LitView] = OrderedDict()
@@ -100,10 +100,10 @@ class SimulatedPlant:
         view = camera_view(self.camera, samples)
         surfaces = gbuffer(triangles, view, self.source.face_ids(triangles, view)).to(self.device)
         transports = []
-        for lamp in self.lamps:
-            headlight = lamp.pixel_controller.headlight
-            shadow = shadow_map(triangles, headlight.view(lamp.T_world_headlight, *SHADOW_MAP), self.source).to(self.device)
-            transports.append(transport(reach(surfaces, headlight, lamp.T_world_headlight, shadow), headlight, view.width, samples))
+        for module in self.modules:
+            headlight = module.pixel_controller.headlight
+            shadow = shadow_map(triangles, headlight.view(module.T_world_headlight, *SHADOW_MAP), self.source).to(self.device)
+            transports.append(transport(reach(surfaces, headlight, module.T_world_headlight, shadow), headlight, view.width, samples))
         ambient = ambient_luminance(surfaces, self.scene.ambient_lx, self.scene.street_lamps)
         return LitView(tuple(transports), average_rows(ambient, samples))
 

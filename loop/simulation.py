@@ -73,9 +73,7 @@ class Simulation:
         symbol = scenario.symbol
         scene = build_scene(scenario)
         projector = build_projector(scenario, device)
-        model = flat_model(
-            projector, scenario.camera, scenario.surface.albedo, scenario.light.ambient_lx, scenario.extraction, scenario.features
-        )
+        model = flat_model(projector, scenario.camera, scenario.surface, scenario.light.ambient_lx, scenario.extraction, scenario.features)
         world = SimulatedPlant(
             scene, projector.modules, scenario.camera, face_source(scenario.renderer), scenario.rate_hz, scenario.seed, device
         )

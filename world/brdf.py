@@ -8,8 +8,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from world.errors import LuxloopError
+from world.frames import unit
+
 NODES = 128  # of the tables over the angle, even in the root of its cosine, since grazing angles change fastest
 MARGIN = 1e-3  # by which the tables overstate what is reflected, more than quadrature and interpolation are off
+
+RANGES = {"roughness": (0.02, 1), "retro_width_deg": (0.01, 90), "trapped": (0, 0.99)}  # of a material's numbers; the others are shares
 
 
 @dataclass(frozen=True)
@@ -18,8 +23,9 @@ class Material:
 
     interface: share of it 0..1 that is covered by a glossy interface. f0: the interface's reflectance at normal incidence.
     roughness: alpha of its GGX microfacets, 0.02..1. retro: share 0..1 of the light that gets through and is sent back to where it came
-    from. retro_width_deg: angle from there at which that lobe has fallen to a quarter. trapped: share of the light scattered below the
-    interface that is thrown back down by it, where the albedo is that without the interface (a film of water).
+    from. retro_width_deg: angle from there at which that lobe has fallen to a quarter, 0.01..90. trapped: share 0..0.99 of the light
+    scattered below the interface that is thrown back down by it, where the albedo is that without the interface (a film of water).
+    Raises LuxloopError beyond these ranges.
     """
 
     interface: float = 0.0
@@ -28,6 +34,12 @@ class Material:
     retro: float = 0.0
     retro_width_deg: float = 1.0
     trapped: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            low, high = RANGES.get(name, (0, 1))
+            if not low <= value <= high:  # NaN neither
+                raise LuxloopError(f"material: {name} = {value:g} is out of its range, {low:g} to {high:g}")
 
     @property
     def lambertian(self) -> bool:
@@ -74,7 +86,7 @@ def _cos(normal: Tensor, direction: Tensor) -> Tensor:
 
 
 def _glossy(material: Material, normal: Tensor, to_lamp: Tensor, to_eye: Tensor, cos_l: Tensor, cos_v: Tensor) -> Tensor:
-    half = torch.nn.functional.normalize(to_lamp + to_eye, dim=0)
+    half = unit(to_lamp + to_eye)
     a2 = material.roughness**2
     # 1 - cos^2 would cancel in float32 where the peak is
     sin2 = torch.linalg.cross(normal, half, dim=0).square().sum(0)

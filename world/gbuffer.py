@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from world.brdf import LAMBERTIAN, Material
-from world.frames import inverse, transform
+from world.frames import inverse, transform, unit
 from world.triangles import Triangles, intersect
 from world.view import View
 
@@ -79,4 +79,4 @@ def _normals(corner_normals: Tensor, barycentric: Tensor) -> Tensor:
     """Unit normals `[3, M]` from those at the corners `[M, 3 corners, 3]` and barycentric coordinates `[3 corners, M]`."""
     weight = barycentric.clamp(min=0.0)
     mean = torch.stack([weight[i] * corner_normals[:, i].T for i in range(3)]).sum(0)
-    return torch.nn.functional.normalize(mean, dim=0)
+    return unit(mean)

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from world.brdf import luminance_factor
-from world.frames import inverse, transform
+from world.frames import inverse, transform, unit
 from world.gbuffer import GBuffer
 from world.headlight import Headlight
 from world.shadow import ShadowMap, visible
@@ -69,7 +69,7 @@ def _luminance_factor(gbuffer: GBuffer, index: Tensor, away: Tensor) -> Tensor:
             continue
         pixel = index[part]
         to_eye = gbuffer.finish.eye[:, None].to(position) - position[:, pixel]
-        to_lamp, to_eye = (torch.nn.functional.normalize(ray, dim=0) for ray in (away[:, part], to_eye))
+        to_lamp, to_eye = (unit(ray) for ray in (away[:, part], to_eye))
         factor[part] = luminance_factor(each, factor[part], normal[:, pixel], to_lamp, to_eye)
     return factor
 

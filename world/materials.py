@@ -71,6 +71,16 @@ class RoadSurfaceParams(Params):
     lane_width_m: float = Field(3.5, gt=1, le=10, description="Distance of the two lines; the lane's middle is y = 0")
     seed: int = Field(0, ge=0, description="Seed of grain and patches")
 
+    @property
+    def ground(self) -> Material:
+        """What the asphalt has besides its albedo."""
+        return replace(WET, interface=self.wet) if self.wet else LAMBERTIAN
+
+    @property
+    def seen_albedo(self) -> float:
+        """The asphalt's mean albedo as it is, wet or dry, markings left out."""
+        return float(self.ground.darkened(torch.tensor(self.albedo, dtype=torch.float64)))
+
     def texture(self) -> Texture:
         """A tile of 36 x 18 m, or 36 x 54 m with markings, 2 cm a texel, centred on y = 0, whose opposite edges match."""
         texel_m, n_x, n_y = 0.02, 1800, 900
@@ -93,16 +103,15 @@ class RoadSurfaceParams(Params):
             broken = (np.abs(y - self.lane_width_m / 2) < 0.06)[None] & ((x % 9) < 3)[:, None]
             painted = solid[None] | broken
             albedo = np.where(painted, (0.6 + albedo - self.albedo).clip(0, 1), albedo)
-        ground = replace(WET, interface=self.wet) if self.wet else LAMBERTIAN
-        seen = ground.darkened(torch.from_numpy(albedo.astype(np.float32)))
-        return Texture(seen, texel_m, (0.0, -n_y * texel_m / 2), *self._materials(ground, painted))
+        seen = self.ground.darkened(torch.from_numpy(albedo.astype(np.float32)))
+        return Texture(seen, texel_m, (0.0, -n_y * texel_m / 2), *self._materials(painted))
 
-    def _materials(self, ground: Material, painted: np.ndarray) -> tuple[tuple[Material, ...], Tensor | None]:
+    def _materials(self, painted: np.ndarray) -> tuple[tuple[Material, ...], Tensor | None]:
         if not (self.markings and self.beads):
-            return (ground,), None
+            return (self.ground,), None
         paint = MATERIALS["lane_paint"]
-        paint = replace(ground, retro=paint.retro * (1 - self.wet), retro_width_deg=paint.retro_width_deg)
-        return (ground, paint), torch.from_numpy(painted.astype(np.uint8))
+        paint = replace(self.ground, retro=paint.retro * (1 - self.wet), retro_width_deg=paint.retro_width_deg)
+        return (self.ground, paint), torch.from_numpy(painted.astype(np.uint8))
 
 
 def _grain(rng: np.random.Generator, n_x: int, n_y: int) -> np.ndarray:

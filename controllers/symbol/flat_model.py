@@ -18,6 +18,7 @@ from perception.extraction import Crop, ExtractionParams, noise_limit, symbol_im
 from world.ambient import ambient_luminance
 from world.flatroad import flat_road
 from world.illumination import Transport, added_light, reach, transport
+from world.materials import RoadSurfaceParams
 from world.params import Params
 from world.view import View
 
@@ -63,7 +64,7 @@ class Eye:
 
 @dataclass(frozen=True)
 class FlatModel:
-    """Light transport a lamp on the flat road, the threshold `[height, width]` in cd/m^2 there, and the eye that looks at it.
+    """Light transport a module on the flat road, the threshold `[height, width]` in cd/m^2 there, and the eye that looks at it.
 
     target: `[4]` features at the target. gains: `[4]`, change of the paired feature per m or rad of x, y, roll, pitch there.
     """
@@ -85,15 +86,20 @@ class FlatModel:
 
 
 def flat_model(
-    projector: Projector, camera: CameraParams, albedo: float, ambient_lx: float, params: ExtractionParams, what: FeatureParams
+    projector: Projector,
+    camera: CameraParams,
+    surface: RoadSurfaceParams,
+    ambient_lx: float,
+    params: ExtractionParams,
+    what: FeatureParams,
 ) -> FlatModel:
-    """Build the model for a camera and an assumed road of one albedo (0..1) under ambient light in lx; measure target and gains."""
+    """Build the model for a camera and an assumed road of uniform, unmarked asphalt under ambient light in lx; measure target and gains."""
     view, samples = camera_view(camera), camera.oversampling
-    ground = flat_road(camera_view(camera, samples), albedo).to(projector.symbol.device)
+    ground = flat_road(camera_view(camera, samples), surface.seen_albedo, material=surface.ground).to(projector.symbol.device)
     transports = []
-    for lamp in projector.modules:
-        headlight = lamp.pixel_controller.headlight
-        transports.append(transport(reach(ground, headlight, lamp.T_world_headlight), headlight, view.width, samples))
+    for module in projector.modules:
+        headlight = module.pixel_controller.headlight
+        transports.append(transport(reach(ground, headlight, module.T_world_headlight), headlight, view.width, samples))
     limit = noise_limit(average_rows(ambient_luminance(ground, ambient_lx), samples), camera, params)
     symbol = projector.params
     region = region_around(symbol.x_m, symbol.y_m, symbol.length_m, symbol.width_m)

@@ -44,7 +44,7 @@ class Observer:
     def look(self, frames: tuple[Tensor, Tensor] | None, pose: Tensor, lights: Sequence[Utilisation]) -> Seen:
         """Look at the on and off frames `[..., height, width]` (digital numbers) that show the light of a pose `[..., 4]`.
 
-        frames: None where the camera lost them. lights: the utilisations that were shown, one a lamp.
+        frames: None where the camera lost them. lights: the utilisations that were shown, one a module.
         """
         crop = self.projector.footprint(pose, self.model.eye.view, self.params.footprint_margin_m)
         if frames is None:

@@ -25,6 +25,7 @@ from world.ambient import ambient_luminance
 from world.flatroad import flat_road
 from world.frames import pose_from_degrees
 from world.illumination import added_light
+from world.materials import RoadSurfaceParams
 from world.presets import idealised
 
 SYMBOLS = ["snowflake", "chevrons", "warning_triangle", "distance_warning"]
@@ -32,7 +33,7 @@ RAW, PLANE = FeatureParams(), FeatureParams(view="birdseye", shape="moments")
 # The part of the default camera's image that the symbol moves in, as fine as there. With coarser pixels, or lamp rows than the default's,
 # the horizontal strokes of some symbols look alike at poses several centimetres apart.
 CAMERA = CameraParams(width_px=640, height_px=240, hfov_deg=16, pitch_deg=4.2)
-ALBEDO, AMBIENT_LX = 0.2, 0.3
+AMBIENT_LX = 0.3
 TARGET = torch.tensor([17.0, 0.0, 0.0, 0.0])
 PARAMS = ThesisPidParams()
 
@@ -54,13 +55,13 @@ def projector(symbol: str = "snowflake", n_lamps: int = 1) -> Projector:
 @cache
 def observer(symbol: str = "snowflake", what: FeatureParams = RAW, edges: str = "grey", n_lamps: int = 1) -> Observer:
     extraction = ExtractionParams(edges=edges)
-    model = flat_model(projector(symbol, n_lamps), CAMERA, ALBEDO, AMBIENT_LX, extraction, what)
+    model = flat_model(projector(symbol, n_lamps), CAMERA, RoadSurfaceParams(), AMBIENT_LX, extraction, what)
     return Observer(projector(symbol, n_lamps), model, CAMERA, extraction)
 
 
 @cache
 def ambient() -> Tensor:
-    road = flat_road(camera_view(CAMERA, CAMERA.oversampling), ALBEDO)
+    road = flat_road(camera_view(CAMERA, CAMERA.oversampling), RoadSurfaceParams().albedo)
     return average_rows(ambient_luminance(road, AMBIENT_LX), CAMERA.oversampling)
 
 

@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from world.brdf import LAMBERTIAN, Material, luminance_factor
+from world.errors import LuxloopError
 from world.materials import MATERIALS, WET
 
 share = st.sampled_from([0.0, 1.0]) | st.floats(0, 1)
@@ -135,3 +136,20 @@ def test_a_wet_road_is_dark_to_its_own_lamps_and_mirrors_those_ahead() -> None:
     assert beta(WET, albedo, to_lamp, to_driver).item() < 0.6 * 0.2
     assert beta(WET, albedo, to_lamp, mirrored).item() > 20
     assert WET.darkened(torch.tensor([0.0, 1.0])).tolist() == [0.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("roughness", 0.0),
+        ("roughness", 1.1),
+        ("interface", 1.5),
+        ("f0", -0.1),
+        ("retro", math.nan),
+        ("retro_width_deg", 0.0),
+        ("trapped", 1.0),
+    ],
+)
+def test_numbers_out_of_range_are_refused(name: str, value: float) -> None:
+    with pytest.raises(LuxloopError, match=f"{name} = .*range"):
+        Material(**{name: value})

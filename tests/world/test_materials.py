@@ -11,6 +11,7 @@ from torch.nn.functional import normalize
 from tests.world.grids import camera, flat
 from world.body import Body
 from world.brdf import LAMBERTIAN, luminance_factor
+from world.flatroad import flat_road
 from world.frames import pose_from_degrees
 from world.gbuffer import GBuffer, gbuffer
 from world.illumination import luminance, reach, transport
@@ -109,6 +110,17 @@ def test_water_darkens_the_road_and_drowns_the_beads() -> None:
     assert [material.retro > 0 for material in wet.materials] == [False, False]
     own = shown(see(road(wet=1.0))) / shown(see(road()))
     assert own.nanmean() < 0.6
+
+
+def test_the_assumed_road_is_as_wet_as_the_real_one() -> None:
+    surface = RoadSurfaceParams(wet=0.7, grain=0.0)
+    assumed, real = flat_road(camera(), surface.seen_albedo, material=surface.ground), see(road(wet=0.7, grain=0.0))
+    both = (assumed.object_id == 0) & (real.object_id == 0) & (assumed.position[0] < 60)
+    # positions in float32 from two computations
+    torch.testing.assert_close(shown(assumed)[both], shown(real)[both], rtol=1e-3, atol=1e-5)
+    assert shown(assumed).max() > 0.1
+    dry = flat_road(camera(), RoadSurfaceParams().seen_albedo, material=RoadSurfaceParams().ground)
+    assert dry.finish is None and torch.equal(dry.albedo, flat_road(camera(), 0.2).albedo)
 
 
 def test_a_puddle_is_as_dark_as_wet_asphalt() -> None:
