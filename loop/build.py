@@ -47,7 +47,7 @@ def _drawing_modules(params: HeadlightParams, ssc: MrpcParams, device: torch.dev
         scale = 1.0 if params.intensity_cd is None else params.intensity_cd / _brightest(modules)
         T_world_lamp = pose_from_degrees((0.0, (0.5 if side == "left" else -0.5) * params.distance_m, params.height_m))
         for module in modules:
-            T_world_module = T_world_lamp @ module.pose(*_movement(params, module))
+            T_world_module = T_world_lamp @ module.turned(params.swivel_deg, params.level_deg).T_lamp_module
             controller = Ssc.prepare(module.headlight.scaled(scale).to(device), ssc)
             yield DrawingModule(f"{side} {module.name}", controller, T_world_module.to(device))
 
@@ -57,11 +57,6 @@ def _brightest(modules: Sequence[Module]) -> float:
     if not peak_cd > 0:
         raise LuxloopError(f"headlight.modules: {', '.join(module.name for module in modules)} give no light; name others")
     return peak_cd
-
-
-def _movement(params: HeadlightParams, module: Module) -> tuple[float, float]:
-    """Swivel and level of a module in deg; one that has no such movement stays where it is."""
-    return params.swivel_deg if any(module.swivel_deg) else 0.0, params.level_deg if any(module.level_deg) else 0.0
 
 
 def _check_movements(params: HeadlightParams, modules: Sequence[Module]) -> None:

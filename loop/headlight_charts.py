@@ -12,14 +12,14 @@ from matplotlib.patches import Polygon, Rectangle
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, MultipleLocator, NullLocator
 
-from loop.headlight_views import BIRDSEYE_X_M, BIRDSEYE_Y_M, LUMINANCE_OF_RGB, Image, Seen
+from loop.headlight_views import BIRDSEYE_X_M, BIRDSEYE_Y_M, Image, Seen, grey
 from loop.report import NIGHT
 
 FALSE_COLOURS = "turbo"
 MOST_LINES, DECADES = 8, 3
 DARK_TO_BRIGHT = LinearSegmentedColormap.from_list("lines", ["#1f3f8f", "#1878b4", "#118a6b", "#5b9a12", "#c79a00", "#dd6b00", "#c01818"])
 ON_BLACK = LinearSegmentedColormap.from_list("lines on black", ["#6f9dff", "#4fd0e8", "#6fe39a", "#d8e85a", "#ffc13d", "#ff8a5c"])
-LANE_M = 1.75  # half of a lane's width
+BESIDE_M = 0.15  # of the lane's edge stand the distances
 MARKS_M = (10, 20, 30, 50, 100)  # distances written beside the lane
 CAR_M = (-4.4, 0.05, 0.9, 1.45)  # rear, front, half of the width, height
 
@@ -68,8 +68,8 @@ def scale(axes: Axes, shown: ScalarMappable, label: str) -> Colorbar:
 
 def as_seen(axes: Axes, luminance: Image, extent: tuple[float, float, float, float], dimmed: bool = False) -> None:
     """A luminance `[H, W]` in cd/m^2, or linear sRGB `[H, W, 3]`, with a bright part of it white and a display's gamma."""
-    grey = luminance if luminance.ndim == 2 else luminance @ np.array(LUMINANCE_OF_RGB)
-    white = max(float(np.quantile(grey, 0.99)), float(grey.max()) / 20, 1e-9)
+    light = grey(luminance)
+    white = max(float(np.quantile(light, 0.99)), float(light.max()) / 20, 1e-9)
     code = (luminance / white).clip(0, 1) ** (1 / 2.2) * (0.6 if dimmed else 1.0)
     axes.imshow(code, cmap=NIGHT, vmin=0, vmax=1, extent=extent, aspect="auto", interpolation="antialiased")
 
@@ -95,22 +95,25 @@ def degree_grid(axes: Axes) -> None:
     axes.set_ylabel("up")
 
 
-def map_frame(axes: Axes, ink: str) -> None:
+def map_frame(axes: Axes, ink: str, lane_width_m: float) -> None:
     """The road from above: scales in metres, the lane's edges, and the car."""
     rear, front, half, _ = CAR_M
     axes.set(xlim=BIRDSEYE_X_M, ylim=BIRDSEYE_Y_M, xlabel="ahead in m", ylabel="to the left in m")
     axes.xaxis.set_major_locator(MultipleLocator(10))
     axes.yaxis.set_major_locator(MultipleLocator(5))
-    for y in (-LANE_M, LANE_M):
-        axes.axhline(y, color=ink, lw=0.7, ls=(0, (8, 4)), alpha=0.6)
+    for side in (-1, 1):
+        axes.axhline(side * lane_width_m / 2, color=ink, lw=0.7, ls=(0, (8, 4)), alpha=0.6)
     axes.add_patch(Rectangle((rear, -half), front - rear, 2 * half, fill=False, ec=ink, lw=1))
 
 
-def distance_marks(axes: Axes, seen: Seen) -> None:
-    """Distances beside the right edge of the lane in a view ahead, as far as they keep apart."""
-    edge = torch.tensor([[float(x), -LANE_M - 0.15, 0.0] for x in MARKS_M], dtype=torch.float64).T
+def distance_marks(axes: Axes, seen: Seen, lane_width_m: float) -> None:
+    """Distances beside the right edge of the lane in a view ahead, where the road is to be seen there and they keep apart."""
     lowest = 0.97 * seen.view.height
-    for metres, u, v in zip(MARKS_M, *seen.view.project(edge)[0].tolist(), strict=True):
+    for metres in MARKS_M:
+        place = seen.on_road(metres, -lane_width_m / 2 - BESIDE_M)
+        if place is None:
+            continue
+        u, v = place
         if u < 0.95 * seen.view.width and v < lowest:
             text = axes.text(u, v, f"– {metres} m", color="0.85", fontsize=7.5, ha="left", va="center")
             text.set_path_effects([withStroke(linewidth=1.5, foreground="black")])

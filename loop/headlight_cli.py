@@ -104,7 +104,7 @@ def show(
             view=view or "overview",
             style=style,
             scenario=None if scenario is None else load(scenario),
-            visibility_m=headlight_pictures.VISIBILITY_M if visibility_m is None else visibility_m,
+            visibility_m=visibility_m,
         )
     print(f"{written} written")
 

@@ -1,20 +1,19 @@
 """A headlamp on one page: its beam on the wall, on the road and for the driver, and its facts."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
 import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from torch import Tensor
 
 from loop import headlight_charts as charts
-from loop.headlight_panels import WALL_M, draw_birdseye, draw_eye, draw_wall, wall_angles
-from loop.headlight_views import LitCar, Road, birdseye, driver, luminance_of
+from loop.headlight_facts import borders_deg, flux_lm, peak
+from loop.headlight_panels import WALL_M, draw_birdseye, draw_eye, draw_wall
+from loop.headlight_views import LitCar, Road, birdseye, driver, grey, picture
 from world.flatroad import flat_road
 from world.headlight import Headlight
-from world.photometry.texture import solid_angles
 from world.sources import surface_light
 
 REACHES_LX = (1.0, 3.0, 10.0)
@@ -30,11 +29,11 @@ def draw_overview(figure: Figure, car: LitCar, beam: str, road: Road) -> None:
     draw_wall(wall, car, "isolux")
     above, eye = bottom.subplots(1, 2, width_ratios=(8.0, 5.9))
     above.set_title("Illuminance of the road in lx")
-    draw_birdseye(above, road.look(car, birdseye()), "isolux")
+    draw_birdseye(above, road.look(car, birdseye()), "isolux", road.lane_width_m)
     eye.set_title("The driver's view")
     ahead = road.look(car, driver(960))
     draw_eye(eye, ahead, "luminance")
-    charts.distance_marks(eye, ahead)
+    charts.distance_marks(eye, ahead, road.lane_width_m)
     text = right.subplots()
     charts.no_frame(text)
     _write_facts(text, facts(car, beam))
@@ -45,25 +44,16 @@ def facts(car: LitCar, beam: str) -> list[tuple[str, str]]:
     side, lamp = next(iter(car.lamps.items()))
     pattern = car.patterns[side]
     fluxes = [flux_lm(module.headlight, module.headlight.light_texture(u)) for module, u in zip(lamp.modules, pattern, strict=True)]
-    h, v = wall_angles(car)
-    H, V = torch.meshgrid(torch.from_numpy(h), torch.from_numpy(v), indexing="xy")
-    light = LitCar({side: lamp}, {side: pattern}).intensity(H, V)
-    row, col = divmod(int(light.argmax()), len(h))
-    peak = float(light.max())
+    candela, h_deg, v_deg = peak(lamp, pattern)
     return [
         ("beam", beam),
         (f"{side} lamp", f"{sum(module.headlight.n_pixels for module in lamp.modules):,} pixels, {sum(fluxes):,.0f} lm"),
         *((f"   {module.name}", _described(module.headlight, flux)) for module, flux in zip(lamp.modules, fluxes, strict=True)),
-        ("peak", f"{peak / 1e3:.3g} kcd, {peak / WALL_M**2:.3g} lx at {WALL_M:g} m"),
-        ("", f"{_angle(h[col], 'right', 'left')}, {_angle(v[row], 'up', 'down')}"),
+        ("peak", f"{candela / 1e3:.3g} kcd, {candela / WALL_M**2:.3g} lx at {WALL_M:g} m"),
+        ("", f"{_angle(h_deg, 'right', 'left')}, {_angle(v_deg, 'up', 'down')}"),
         ("reach", "facing the car, at the road, both lamps" if len(car.lamps) > 1 else "facing the car, at the road"),
         *((f"   {lux:g} lx", _reach(car, lux)) for lux in REACHES_LX),
     ]
-
-
-def flux_lm(light: Headlight, texture: Tensor) -> float:
-    """Luminous flux in lm of a light texture `[rows, cols]` in cd: each texel by its solid angle."""
-    return float((texture.double().cpu() * torch.from_numpy(solid_angles(light))).sum())
 
 
 def reach_m(car: LitCar, lux: float) -> float:
@@ -71,8 +61,8 @@ def reach_m(car: LitCar, lux: float) -> float:
     upright = flat_road(birdseye(CELL_M, ROAD_M), 1.0)
     normal = torch.zeros_like(upright.normal)
     normal[0] = -1
-    light = luminance_of(surface_light(replace(upright, normal=normal), car.sources)[0])
-    columns = torch.nonzero((light >= lux).any(0))[:, 0]
+    light = grey(picture(surface_light(replace(upright, normal=normal), car.sources)[0]))
+    columns = np.flatnonzero((light >= lux).any(0))
     return ROAD_M[0] + (int(columns[-1]) + 0.5) * CELL_M if len(columns) else 0.0
 
 
@@ -84,7 +74,7 @@ def _reach(car: LitCar, lux: float) -> str:
 
 
 def _described(light: Headlight, flux: float) -> str:
-    left, right, bottom, top = (math.degrees(math.atan(t)) for t in (light.left, light.right, light.bottom, light.top))
+    left, right, bottom, top = borders_deg(light)
     return f"{light.pixel_rows} x {light.pixel_cols}, {_range(-left, -right)} x {_range(bottom, top)}, {flux:,.0f} lm"
 
 

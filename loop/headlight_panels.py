@@ -10,7 +10,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 from torch import Tensor
 
 from loop import headlight_charts as charts
-from loop.headlight_views import BIRDSEYE_X_M, BIRDSEYE_Y_M, Image, LitCar, Seen, luminance_of
+from loop.headlight_views import BIRDSEYE_X_M, BIRDSEYE_Y_M, Image, LitCar, Seen, grey, picture
 from world.headlight import Headlight
 from world.sources import wall_illuminance
 
@@ -43,16 +43,15 @@ def draw_wall(axes: Axes, car: LitCar, style: str) -> None:
     else:
         light = wall_illuminance(car.sources, car.T_world_middle, H, V, WALL_M)
         if style == "isolux":
-            charts.isolines(axes, h, v, luminance_of(light).numpy())
+            charts.isolines(axes, h, v, grey(picture(light)))
         elif style == "falsecolour":
-            charts.false_colours(axes, luminance_of(light).numpy()[::-1], extent, "lx")
+            charts.false_colours(axes, grey(picture(light))[::-1], extent, "lx")
         else:
-            seen = (light if light.dim() == 2 else light.movedim(0, -1)).numpy() * WHITE_WALL / math.pi
-            charts.as_seen(axes, seen[::-1], extent)
+            charts.as_seen(axes, (picture(light) * WHITE_WALL / math.pi)[::-1], extent)
     charts.degree_grid(axes)
 
 
-def draw_birdseye(axes: Axes, seen: Seen, style: str) -> None:
+def draw_birdseye(axes: Axes, seen: Seen, style: str, lane_width_m: float) -> None:
     """The road from above, the way ahead to the right."""
     (x0, x1), (y0, y1) = BIRDSEYE_X_M, BIRDSEYE_Y_M
     if style == "isolux":
@@ -63,7 +62,7 @@ def draw_birdseye(axes: Axes, seen: Seen, style: str) -> None:
         charts.false_colours(axes, seen.illuminance, (x0, x1, y0, y1), "lx")
     else:
         charts.as_seen(axes, seen.luminance, (x0, x1, y0, y1))
-    charts.map_frame(axes, "0.2" if style == "isolux" else "white")
+    charts.map_frame(axes, "0.2" if style == "isolux" else "white", lane_width_m)
 
 
 def draw_eye(axes: Axes, seen: Seen, style: str) -> None:
@@ -71,7 +70,7 @@ def draw_eye(axes: Axes, seen: Seen, style: str) -> None:
     rows, cols = seen.illuminance.shape
     extent = (0, cols, rows, 0)
     if style == "falsecolour":
-        charts.false_colours(axes, seen.grey, extent, "cd/m²")
+        charts.false_colours(axes, grey(seen.luminance), extent, "cd/m²")
     else:
         charts.as_seen(axes, seen.luminance, extent, dimmed=style == "isolux")
         if style == "isolux":

@@ -1,5 +1,6 @@
 """Pictures of headlamps: beams on a wall, on the road, for the driver and in fog; pixels and light textures."""
 
+import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,7 +13,7 @@ from torch import Tensor
 from loop import headlight_charts as charts
 from loop.headlight_overview import draw_overview
 from loop.headlight_panels import WALL_M, draw_birdseye, draw_eye, draw_pixels, draw_texture, draw_wall
-from loop.headlight_views import LitCar, Road, beside, birdseye, driver
+from loop.headlight_views import SIDES, LitCar, Road, beside, birdseye, driver
 from loop.report import STYLE
 from loop.scenario import HeadlightParams, Scenario
 from loop.validation import did_you_mean
@@ -52,22 +53,29 @@ def show(
     view: str = "overview",
     style: str | None = None,
     scenario: Scenario | None = None,
-    visibility_m: float = VISIBILITY_M,
+    visibility_m: float | None = None,
 ) -> Path:
     """Draw one picture of lamps at work; returns its file.
 
     lamps: by side, "left" and "right" or one of them. beam: a name that the lamps know, by default low, or full where they have none; or
-    utilisations `[n_p]`, one a module, by side. view and style: see VIEWS. scenario: its road, objects, light and where the lamps are
-    mounted; by default a flat road. visibility_m: meteorological optical range of the fog in the view "volume".
-    Raises LuxloopError for what there is not, and where the file cannot be written.
+    utilisations `[n_p]` in 0..1, one a module, by side. view and style: see VIEWS. scenario: its road, objects and light, where the lamps
+    are mounted and how they are turned; by default a flat road. visibility_m: meteorological optical range of the fog in the view
+    "volume", by default 100.
+    Raises LuxloopError for what there is not or has no meaning, and where the file cannot be written.
     """
     style = _style(view, style)
     check_format(out)
-    if not visibility_m > 0:
-        raise LuxloopError(f"visibility of {visibility_m:g} m: give one greater than 0")
+    if view in ("pixels", "texture") and scenario is not None:
+        raise LuxloopError(f"the view {view!r} shows the lamps by themselves; leave the scenario out or choose another view")
+    if view != "volume" and visibility_m is not None:
+        raise LuxloopError(f"the view {view!r} has no fog; leave the visibility out or choose the view 'volume'")
+    visibility_m = VISIBILITY_M if visibility_m is None else visibility_m
+    if not 0 < visibility_m < math.inf:
+        raise LuxloopError(f"visibility of {visibility_m:g} m: give a number greater than 0")
     name, patterns = _patterns(lamps, beam)
     mount = scenario.headlight if scenario else HeadlightParams()
-    car = LitCar(lamps, patterns, mount.height_m, mount.distance_m)
+    turned = {side: lamp.turned(mount.swivel_deg, mount.level_deg) for side, lamp in lamps.items()}
+    car = LitCar(turned, patterns, mount.height_m, mount.distance_m)
     with rc_context(STYLE):
         write(_draw(car, name, view, style, scenario, visibility_m), out)
     return out
@@ -106,11 +114,29 @@ def _style(view: str, style: str | None) -> str:
 
 
 def _patterns(lamps: Mapping[str, Lamp], beam: str | Mapping[str, Sequence[Tensor]] | None) -> tuple[str, Mapping[str, Sequence[Tensor]]]:
-    """A pattern's name, and its utilisations by side."""
+    """A pattern's name, and its utilisations by side, float32."""
+    if not lamps or not set(lamps) <= set(SIDES):
+        raise LuxloopError(
+            f"lamps by the sides {', '.join(map(repr, lamps)) or 'of none'}: give them by 'left' and 'right', or one of them"
+        )
     if beam is not None and not isinstance(beam, str):
-        return "own pattern", beam
+        if missing := [side for side in lamps if side not in beam]:
+            raise LuxloopError(f"beam: there are no utilisations for the {missing[0]} lamp; give them for each side that has a lamp")
+        return "own pattern", {side: _pattern(side, lamp, beam[side]) for side, lamp in lamps.items()}
     name = beam or ("low" if all("low" in lamp.beams for lamp in lamps.values()) else "full")
     return name, {side: lamp.beam(name) for side, lamp in lamps.items()}
+
+
+def _pattern(side: str, lamp: Lamp, utilisations: Sequence[Tensor]) -> tuple[Tensor, ...]:
+    if len(utilisations) != len(lamp.modules):
+        raise LuxloopError(f"beam of the {side} lamp: {len(utilisations)} utilisations for {len(lamp.modules)} modules; give one a module")
+    for module, u in zip(lamp.modules, utilisations, strict=True):
+        where, n = f"beam of the {side} lamp, module {module.name!r}", module.headlight.n_pixels
+        if u.shape != (n,):
+            raise LuxloopError(f"{where}: utilisations of shape {tuple(u.shape)}; give a vector of {n}, one a pixel")
+        if not ((u >= 0) & (u <= 1)).all():
+            raise LuxloopError(f"{where}: utilisations must be numbers from 0 to 1, these are not; scale or clamp them")
+    return tuple(u.to(module.headlight.matrix.values) for module, u in zip(lamp.modules, utilisations, strict=True))
 
 
 def _draw(car: LitCar, beam: str, view: str, style: str, scenario: Scenario | None, visibility_m: float) -> Figure:
@@ -123,14 +149,16 @@ def _draw(car: LitCar, beam: str, view: str, style: str, scenario: Scenario | No
             draw_wall(figure.subplots(), car, style)
         case "birdseye":
             figure = _page(car, beam, ROAD[style], (11.5, 5.0))
-            draw_birdseye(figure.subplots(), Road(scenario).look(car, birdseye()), style)
+            road = Road(scenario)
+            draw_birdseye(figure.subplots(), road.look(car, birdseye()), style, road.lane_width_m)
         case "driver":
             figure = _page(car, beam, DRIVER[style], _eye_inches(style))
-            seen = Road(scenario).look(car, driver())
+            road = Road(scenario)
+            seen = road.look(car, driver())
             axes = figure.subplots()
             draw_eye(axes, seen, style)
             if style != "isolux":
-                charts.distance_marks(axes, seen)
+                charts.distance_marks(axes, seen, road.lane_width_m)
         case "volume":
             figure = _page(car, beam, f"in fog, visibility {visibility_m:g} m", _eye_inches(style))
             seen = Road(scenario).look(car, beside(), Medium.fog(visibility_m))

@@ -7,16 +7,14 @@ import torch
 from rich.markup import escape
 from rich.table import Table
 
+from loop.headlight_facts import borders_deg, flux_lm, peak
 from loop.lamp_modules import ModuleReport
 from loop.tables import plain
-from world.lamp import Lamp, direction
+from world.lamp import Lamp
 from world.photometry import Photometry
-from world.photometry.texture import solid_angles
 from world.presets import SUMMARIES
 from world.regulation import Result, passes, sets
-from world.texels import TexelGrid
 
-STEP_DEG = 0.1  # of the search for a beam's peak
 VERDICTS = {"pass": "green", "fail": "red", "not applicable": "dim"}
 KINDS = {
     "A": "A (headlamps: h round the vertical axis)",
@@ -66,7 +64,7 @@ def modules(described: Lamp) -> Table:
     for module in described.modules:
         light = module.headlight
         full = light.light_texture(torch.ones(light.n_pixels).to(light.matrix.values))
-        left, right, bottom, top = (math.degrees(math.atan(tangent)) for tangent in (light.left, light.right, light.bottom, light.top))
+        left, right, bottom, top = borders_deg(light)
         x, y, z = module.T_lamp_module[:3, 3].tolist()
         turns = [
             f"{name} {low:g} to {high:g}"
@@ -82,26 +80,23 @@ def modules(described: Lamp) -> Table:
             "\n".join(turns) or "–",
             f"{len(light.matrix.values) / light.n_texels:.3g}",
             f"{float(full.max()):,.0f} cd",
-            f"{_flux(light, full):,.0f} lm",
+            f"{flux_lm(light, full):,.0f} lm",
         )
     return table
 
 
 def beams(described: Lamp) -> Table:
     """Beams of a lamp: what they give, and where they are brightest."""
-    table = plain("beam", "peak", "where (h right, v up)", "flux", "pixels on")
-    h, v = torch.meshgrid(torch.arange(-45, 45.01, STEP_DEG), torch.arange(-15, 15.01, STEP_DEG), indexing="ij")
-    directions = direction(h, v).flatten(1)
+    table = plain("beam", "peak", "where (h right, v up)", "flux", "mean utilisation")
     for name in [*described.beams, "full"]:
         utilisations = described.beam(name)
-        candela = described.intensity(utilisations, directions)
-        peak = int(candela.argmax())
+        brightest = peak(described, utilisations)
         flux = sum(
-            _flux(module.headlight, module.headlight.light_texture(u)) for module, u in zip(described.modules, utilisations, strict=True)
+            flux_lm(module.headlight, module.headlight.light_texture(u)) for module, u in zip(described.modules, utilisations, strict=True)
         )
-        on = sum(int((u > 0).sum()) for u in utilisations) / sum(len(u) for u in utilisations)
-        where = f"{float(h.flatten()[peak]):+.1f}, {float(v.flatten()[peak]):+.1f} deg"
-        table.add_row(f"[bold]{escape(name)}[/]", f"{float(candela[peak]):,.0f} cd", where, f"{flux:,.0f} lm", f"{on:.0%}")
+        mean = float(torch.cat(tuple(utilisations)).mean())
+        where = f"{brightest.h_deg:+.1f}, {brightest.v_deg:+.1f} deg" if brightest.candela else "–"
+        table.add_row(f"[bold]{escape(name)}[/]", f"{brightest.candela:,.0f} cd", where, f"{flux:,.0f} lm", f"{mean:.1%}")
     return table
 
 
@@ -146,10 +141,6 @@ def results(found: Sequence[Result], title: str) -> Table:
     table.caption = "passes" if passes(found) else f"{failed} of {len(found)} requirements fail"
     table.caption_justify = "left"
     return table
-
-
-def _flux(grid: TexelGrid, texture: torch.Tensor) -> float:
-    return float((texture.double().cpu() * torch.from_numpy(solid_angles(grid))).sum())
 
 
 def _turned(T: torch.Tensor) -> str:

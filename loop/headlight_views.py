@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
@@ -23,11 +24,13 @@ from world.triangles import Triangles
 from world.view import View
 from world.volumetric import Medium, airlight
 
+SIDES = ("left", "right")
 SHADOW_PX = 1024  # width of a shadow map
 BIRDSEYE_X_M, BIRDSEYE_Y_M, BIRDSEYE_CELL_M = (-6.0, 100.0), (-20.0, 20.0), 0.1
 BIRDSEYE_HEIGHT_M = 300.0  # of the pinhole: a body 1.5 m high, 50 m aside, is seen 25 cm off
 FARTHEST_M = 400.0  # that a ray through fog is followed where it meets nothing
-LUMINANCE_OF_RGB = (0.2126, 0.7152, 0.0722)  # linear sRGB
+NEAR_BY = 0.05  # of its distance, that a pixel may be off a place on the road: a row spans so much of the road far ahead
+LUMINANCE_OF_RGB = np.array([0.2126, 0.7152, 0.0722], np.float32)  # linear sRGB
 Image = NDArray[np.floating]
 
 
@@ -71,13 +74,19 @@ class Seen:
     """What a view shows: illuminance `[H, W]` in lx, NaN where nothing is; luminance `[H, W]` in cd/m^2, or `[H, W, 3]` in colour."""
 
     view: View
+    surfaces: GBuffer
     illuminance: Image
     luminance: Image
 
-    @property
-    def grey(self) -> Image:
-        """Luminance without colour, `[H, W]` cd/m^2."""
-        return self.luminance if self.luminance.ndim == 2 else self.luminance @ np.array(LUMINANCE_OF_RGB)
+    def on_road(self, x_m: float, y_m: float) -> tuple[float, float] | None:
+        """Where in the picture, in px, the road's surface is at a place; None if it is not to be seen there."""
+        x, y, z = self.surfaces.position.flatten(1)
+        away = torch.hypot(x - x_m, y - y_m).masked_fill(self.surfaces.object_id.flatten() != 0, torch.inf)
+        nearest = int(away.argmin())
+        if away[nearest] > NEAR_BY * x_m:
+            return None
+        u, v = self.view.project(torch.tensor([[x_m], [y_m], [float(z[nearest])]], dtype=torch.float64))[0][:, 0].tolist()
+        return u, v
 
 
 class Road:
@@ -87,6 +96,11 @@ class Road:
         """Without a scenario: flat asphalt with a lane's markings. Raises LuxloopError where the scenario names what is not there."""
         self.scenario = scenario or _plain_road()
         self._scene = build_scene(self.scenario)
+        self._shadows: WeakKeyDictionary[Source, ShadowMap] = WeakKeyDictionary()
+
+    @property
+    def lane_width_m(self) -> float:
+        return self.scenario.surface.lane_width_m
 
     @cached_property
     def _triangles(self) -> Triangles:
@@ -104,33 +118,51 @@ class Road:
         illuminance, luminance = surface_light(surfaces, car.sources, shadows, extinction)
         luminance = luminance + ambient_luminance(surfaces, self._scene.ambient_lx, self._scene.street_lamps)
         if air:
-            luminance = _through_air(luminance, surfaces, view, car.sources, air, shadows)
-        total = luminance_of(illuminance).masked_fill(surfaces.object_id < 0, torch.nan)
-        return Seen(view, total.numpy(), (luminance if luminance.dim() == 2 else luminance.movedim(0, -1)).numpy())
+            luminance = _through_air(luminance, surfaces, view, car.sources, air, shadows, self._scene.ambient_lx)
+        total = np.where(surfaces.object_id.numpy() < 0, np.nan, grey(picture(illuminance)))
+        return Seen(view, surfaces, total, picture(luminance))
 
     @property
     def _throws_none(self) -> bool:
         return self.scenario.road.kind == "flat" and not self.scenario.objects
 
     def _shadow(self, source: Source) -> ShadowMap:
-        light = source.headlight
-        height = math.ceil(SHADOW_PX * (light.top - light.bottom) / (light.left - light.right))
-        return shadow_map(self._triangles, light.view(source.T_world_source, SHADOW_PX, min(max(height, 64), SHADOW_PX)), self._face_source)
+        if source not in self._shadows:
+            light = source.headlight
+            height = math.ceil(SHADOW_PX * (light.top - light.bottom) / (light.left - light.right))
+            view = light.view(source.T_world_source, SHADOW_PX, min(max(height, 64), SHADOW_PX))
+            self._shadows[source] = shadow_map(self._triangles, view, self._face_source)
+        return self._shadows[source]
 
 
-def luminance_of(light: Tensor) -> Tensor:
-    """Light `[H, W]` as it is, coloured light `[3, H, W]` weighted as the eye does."""
-    return light if light.dim() == 2 else torch.tensordot(light.new_tensor(LUMINANCE_OF_RGB), light, 1)
+def picture(light: Tensor) -> Image:
+    """Light `[H, W]`, or linear sRGB `[3, H, W]`, as an image `[H, W]` or `[H, W, 3]`."""
+    return (light if light.dim() == 2 else light.movedim(0, -1)).cpu().numpy()
+
+
+def grey(image: Image) -> Image:
+    """An image `[H, W]` as it is, one in linear sRGB `[H, W, 3]` weighted as the eye does."""
+    return image if image.ndim == 2 else image @ LUMINANCE_OF_RGB
 
 
 def _through_air(
-    luminance: Tensor, surfaces: GBuffer, view: View, lit: Sequence[Source], air: Medium, shadows: Sequence[ShadowMap] | None
+    luminance: Tensor,
+    surfaces: GBuffer,
+    view: View,
+    lit: Sequence[Source],
+    air: Medium,
+    shadows: Sequence[ShadowMap] | None,
+    ambient_lx: float,
 ) -> Tensor:
+    """What is left of a luminance behind the air, and what the air scatters into it, of the lamps and of an even sky above."""
     rays = view.rays().flatten(1)
     directions = (rays / rays.norm(dim=0)).float()
     distance = (surfaces.position.flatten(1) - view.origin[:, None]).norm(dim=0).float()
     distance = torch.where(surfaces.object_id.flatten() >= 0, distance, FARTHEST_M)
-    veiled = luminance.flatten(-2) * torch.exp(-air.extinction_per_m * distance)
+    through = torch.exp(-air.extinction_per_m * distance)
+    # Near the horizontal half of what is scattered into a ray comes from above, whatever the asymmetry: from a sky of E / pi.
+    sky = air.scattering_per_m / air.extinction_per_m * ambient_lx / (2 * math.pi)
+    veiled = luminance.flatten(-2) * through + sky * (1 - through)
     for i, source in enumerate(lit):
         veiled = veiled + airlight(source, view.origin, directions, distance, air, shadow=shadows[i] if shadows else None)
     return veiled.view(luminance.shape)

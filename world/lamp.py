@@ -36,6 +36,13 @@ class Module:
                 raise LuxloopError(f"module {self.name!r}: {movement} of {angle:g} deg is out of its range, {low:g} to {high:g} deg")
         return self.T_lamp_module @ pose_from_degrees((0.0, 0.0, 0.0), 0.0, level_deg, swivel_deg).double()
 
+    def turned(self, swivel_deg: float, level_deg: float) -> "Module":
+        """The module where it stands when the lamp is turned, for good: a movement that it has not leaves it as it is. Raises as `pose`."""
+        swivel, level = (
+            angle if any(movement) else 0.0 for angle, movement in ((swivel_deg, self.swivel_deg), (level_deg, self.level_deg))
+        )
+        return replace(self, T_lamp_module=self.pose(swivel, level), swivel_deg=(0.0, 0.0), level_deg=(0.0, 0.0))
+
     def mirrored(self) -> "Module":
         """The module of the other side's lamp."""
         low, high = self.swivel_deg
@@ -58,6 +65,10 @@ class Lamp:
             if module.name == name:
                 return module
         raise LuxloopError(f"lamp {self.name!r} has no module {name!r}; it has {', '.join(module.name for module in self.modules)}")
+
+    def turned(self, swivel_deg: float, level_deg: float) -> "Lamp":
+        """The lamp with those of its modules turned, for good, that can be. Raises LuxloopError beyond the range of one of them."""
+        return replace(self, modules=tuple(module.turned(swivel_deg, level_deg) for module in self.modules))
 
     @property
     def finest(self) -> Module:

@@ -36,7 +36,7 @@ def test_presets_are_listed_with_what_is_known_of_them(lux: Lux) -> None:
 def test_facts_of_a_preset(lux: Lux) -> None:
     code, out, _ = lux("info hd84")
     assert code == 0
-    assert all(fact in out for fact in ("3 x 28", "low", "full", " cd", " lm", "Guessed"))
+    assert all(fact in out for fact in ("3 x 28", "low", "full", " cd", " lm", "Guessed", "mean utilisation", "100.0%"))
 
 
 def test_a_beam_goes_out_as_a_photometric_file_and_comes_back(lux: Lux) -> None:
@@ -86,6 +86,9 @@ def test_a_photometric_file_is_drawn_as_it_was_measured(lux: Lux) -> None:
         ("info nothing.npz", ["nothing.npz", "does not exist"]),
         ("show hd84 --view wal", ["'wal'", "'wall'"]),
         ("show hd84 --beam lo", ["'lo'", "low"]),
+        ("show hd84 --view driver --visibility-m 50", ["'driver'", "no fog", "'volume'"]),
+        ("show hd84 --view volume --visibility-m nan", ["visibility of nan m"]),
+        ("show hd84 --view pixels --scenario flat", ["'pixels'", "leave the scenario out"]),
         ("show hd84 --view wall --out wall.bmp", ["wall.bmp", ".png"]),
         ("check hd84 --rule r149-passing-x", ["'r149-passing-x'", "r149-passing-"]),
         ("check hd84 --beam full", ["'full'", "--rule"]),

@@ -10,14 +10,16 @@ import torch
 from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 
-from loop import headlight_overview, headlight_pictures
-from loop.headlight_charts import isolines, steps
-from loop.headlight_overview import facts, flux_lm, reach_m
+from loop import headlight_overview, headlight_pictures, headlight_views
+from loop.headlight_charts import distance_marks, isolines, map_frame, steps
+from loop.headlight_facts import borders_deg, flux_lm, peak
+from loop.headlight_overview import facts, reach_m
 from loop.headlight_panels import wall_angles
 from loop.headlight_pictures import VIEWS, show
-from loop.headlight_views import BIRDSEYE_X_M, BIRDSEYE_Y_M, LitCar, Road, beside, birdseye, driver, luminance_of
+from loop.headlight_views import BIRDSEYE_X_M, BIRDSEYE_Y_M, LitCar, Road, beside, birdseye, driver, grey, picture
 from loop.scenario import Scenario, validate
 from world.errors import LuxloopError
+from world.frames import pose_from_degrees
 from world.headlight import Headlight
 from world.lamp import Lamp, Module
 from world.presets import idealised
@@ -35,6 +37,14 @@ def lamps(light: Headlight) -> dict[str, Lamp]:
     low = torch.ones(20, 40)
     low[:5] = 0  # the upper 2.6 deg
     lamp = Lamp("small", (Module("main", light),), {"low": (low.flatten(),)})
+    return {"left": lamp, "right": lamp}
+
+
+@pytest.fixture(scope="module")
+def bending(lamps: dict[str, Lamp], light: Headlight) -> dict[str, Lamp]:
+    """With a second module that can be swivelled."""
+    (main,), low = lamps["left"].modules, lamps["left"].beam("low")
+    lamp = Lamp("bending", (main, Module("bend", light, swivel_deg=(-15.0, 15.0))), {"low": (*low, *low)})
     return {"left": lamp, "right": lamp}
 
 
@@ -110,14 +120,64 @@ def test_chromatic_lamps_are_seen_in_colour(light: Headlight, road: Road) -> Non
     red = torch.tensor([1 / 0.2126, 0.0, 0.0])[:, None].expand(3, len(light.matrix.values))
     coloured = Headlight(**{**vars(light), "chroma": red})
     lamp = Lamp("red", (Module("main", coloured),))
-    grey, seen = (
+    plain, seen = (
         road.look(LitCar({"left": each}, {"left": each.beam("full")}), driver(160))
         for each in (Lamp("grey", (Module("main", light),)), lamp)
     )
     assert seen.luminance.shape == (90, 160, 3)
     assert seen.luminance[..., 0].max() > 0 and seen.luminance[..., 1:].max() == 0
-    np.testing.assert_allclose(seen.grey, grey.luminance, rtol=1e-4, atol=1e-7)
-    np.testing.assert_allclose(seen.illuminance, grey.illuminance, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(grey(seen.luminance), plain.luminance, rtol=1e-4, atol=1e-7)
+    np.testing.assert_allclose(seen.illuminance, plain.illuminance, rtol=1e-4, atol=1e-6)
+
+
+def test_fog_scatters_the_light_of_the_sky_too(lamps: dict[str, Lamp]) -> None:
+    dark = LitCar({"left": lamps["left"]}, {"left": lamps["left"].beam("off")})
+    seen = Road(scenario(light={"ambient_lx": 1000.0})).look(dark, driver(160), Medium.fog(50.0))
+    # Half of the air's surroundings is a sky of E / pi.
+    assert seen.luminance[0, 80] == pytest.approx(1000 / (2 * math.pi), rel=1e-5)
+    near, clear = seen.luminance[-1, 80], 0.2 * 1000 / math.pi
+    distance = 1.2 / -float(driver(160).rays()[2, -1, 80]) * float(driver(160).rays()[:, -1, 80].norm())
+    through = 0.05 ** (distance / 50)
+    assert near == pytest.approx(clear * through + 1000 / (2 * math.pi) * (1 - through), rel=1e-4)
+
+
+def test_shadow_maps_are_rendered_once_for_all_views(car: LitCar, monkeypatch: pytest.MonkeyPatch) -> None:
+    rendered = []
+    whole = headlight_views.shadow_map
+    monkeypatch.setattr(headlight_views, "shadow_map", lambda *given: rendered.append(given) or whole(*given))
+    bumpy = Road(scenario(road={"kind": "speed_bump"}))
+    for view in (driver(32), driver(64)):
+        bumpy.look(car, view)
+    assert len(rendered) == 2, "one a lamp"
+
+
+@pytest.mark.parametrize("kind", ["flat", "grade", "bumps"])
+def test_distances_stand_where_the_road_is(kind: str, car: LitCar) -> None:
+    steep = {"kind": kind, **({"grade_percent": 3.0} if kind == "grade" else {})}
+    seen = Road(scenario(road=steep, surface={"grain": 0.0, "lane_width_m": 5.0})).look(car, driver(960))
+    axes = Figure().subplots()
+    distance_marks(axes, seen, 5.0)
+    assert len(axes.texts) >= 4
+    for text in axes.texts:
+        metres = float(text.get_text().split()[1])
+        u, v = text.get_position()
+        x, y, _ = seen.surfaces.position[:, int(v), int(u)]
+        # A row is 6 m of a flat road 100 m ahead.
+        assert float(x) == pytest.approx(metres, abs=0.7 * metres**2 / 1319 + 0.05)
+        assert float(y) == pytest.approx(-2.65, abs=0.1)
+
+
+def test_distances_that_something_hides_are_left_out(car: LitCar) -> None:
+    box = {"kind": "box", "name": "box", "size_m": [1.0, 20.0, 3.0], "track": [{"position_m": [25.0, 0.0, 0.0]}]}
+    axes = Figure().subplots()
+    distance_marks(axes, Road(scenario(objects=[box])).look(car, driver(960)), 3.5)
+    assert {text.get_text() for text in axes.texts} == {"– 10 m", "– 20 m"}
+
+
+def test_the_map_has_the_lane_of_the_scenario() -> None:
+    axes = Figure().subplots()
+    map_frame(axes, "white", 2.8)
+    assert sorted(line.get_ydata()[0] for line in axes.lines) == [-1.4, 1.4]
 
 
 def test_flux_of_a_uniform_texture_is_its_solid_angle(light: Headlight) -> None:
@@ -146,9 +206,19 @@ def test_wall_holds_the_beam_and_facts_name_its_peak(lamps: dict[str, Lamp]) -> 
     assert found["peak"] == "50 kcd, 80 lx at 25 m"
 
 
-@pytest.mark.parametrize(("peak", "expected"), [(0.0, [1.0]), (3.0, [0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2]), (10.0, [2, 5])])
-def test_lines_are_at_round_values(peak: float, expected: list[float]) -> None:
-    assert steps(peak, most=len(expected)) == pytest.approx(expected)
+def test_the_peak_is_found_wherever_it_is(light: Headlight) -> None:
+    far_aside = Lamp("aside", (Module("main", light, pose_from_degrees((0, 0, 0), pitch_deg=-20, yaw_deg=60)),))
+    one = torch.zeros(20, 40)
+    one[19, 39] = 1.0  # its lower right corner
+    found = peak(far_aside, (one.flatten(),))
+    assert 47 < -found.h_deg < 50 and 11 < found.v_deg < 15
+    assert found.candela == pytest.approx(50_000, rel=1e-3)
+    assert borders_deg(light) == pytest.approx((12, -12, -8, 2))
+
+
+@pytest.mark.parametrize(("brightest", "expected"), [(0.0, [1.0]), (3.0, [0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2]), (10.0, [2, 5])])
+def test_lines_are_at_round_values(brightest: float, expected: list[float]) -> None:
+    assert steps(brightest, most=len(expected)) == pytest.approx(expected)
 
 
 def test_lines_run_along_borders_where_light_ends_at_once() -> None:
@@ -163,7 +233,7 @@ def test_lines_run_along_borders_where_light_ends_at_once() -> None:
 
 
 def test_coloured_light_counts_as_the_eye_weighs_it() -> None:
-    assert float(luminance_of(torch.ones(3, 1, 1))) == pytest.approx(1.0)
+    assert grey(picture(torch.ones(3, 1, 1))) == pytest.approx(1.0)
 
 
 @pytest.fixture
@@ -202,6 +272,26 @@ def test_a_dark_lamp_can_be_shown(view: str, lamps: dict[str, Lamp], tmp_path: P
 def test_own_utilisations_are_shown(lamps: dict[str, Lamp], tmp_path: Path) -> None:
     pattern = {"left": (torch.rand(800, generator=torch.Generator().manual_seed(0)),)}
     assert show({"left": lamps["left"]}, tmp_path / "own.png", beam=pattern, view="wall", style="isocandela").is_file()
+    double = {"left": (pattern["left"][0].double(),)}
+    assert show({"left": lamps["left"]}, tmp_path / "double.png", beam=double, view="wall").is_file()
+
+
+@pytest.mark.parametrize("sides", [(), ("middle",), ("left", "rigth")])
+def test_lamps_are_on_the_left_and_on_the_right(sides: tuple[str, ...], lamps: dict[str, Lamp], tmp_path: Path) -> None:
+    with pytest.raises(LuxloopError, match="'left' and 'right', or one of them"):
+        show({side: lamps["left"] for side in sides}, tmp_path / "beam.png", view="wall")
+
+
+def test_a_scenario_turns_the_modules_that_can_be_turned(bending: dict[str, Lamp], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cars: list[LitCar] = []
+    monkeypatch.setattr(headlight_pictures, "draw_wall", lambda axes, car, style: cars.append(car))
+    turned = scenario(headlight={"swivel_deg": 12.0, "height_m": 0.9})
+    show(bending, tmp_path / "wall.png", view="wall", beam="full", scenario=turned)
+    main, bend, *_ = cars[0].sources
+    assert main.T_world_source.equal(pose_from_degrees((0.0, 0.6, 0.9)))
+    torch.testing.assert_close(bend.T_world_source, pose_from_degrees((0.0, 0.6, 0.9), yaw_deg=12.0))
+    h = torch.tensor([-20.0])  # only the bent module gets there
+    assert cars[0].intensity(h, torch.tensor([-1.0])) > 0 == LitCar(bending, cars[0].patterns).intensity(h, torch.tensor([-1.0]))
 
 
 @pytest.mark.parametrize(
@@ -213,11 +303,23 @@ def test_own_utilisations_are_shown(lamps: dict[str, Lamp], tmp_path: Path) -> N
         ({"beam": "hihg"}, "no beam 'hihg'; it has low, full, off"),
         ({"out": Path("beam.bmp")}, r"beam.bmp: pictures are written as .png"),
         ({"visibility_m": 0.0, "view": "volume"}, "visibility of 0 m"),
+        ({"visibility_m": math.nan, "view": "volume"}, "visibility of nan m"),
+        ({"visibility_m": math.inf, "view": "volume"}, "visibility of inf m"),
+        ({"visibility_m": 50.0, "view": "driver"}, "'driver' has no fog.*'volume'"),
+        ({"scenario": scenario(), "view": "pixels"}, "'pixels' shows the lamps by themselves.*scenario"),
+        ({"scenario": scenario(), "view": "texture"}, "'texture' shows the lamps by themselves.*scenario"),
+        ({"scenario": scenario(headlight={"swivel_deg": 20.0}), "view": "wall"}, "module 'bend': swivel of 20 deg is out of its range"),
+        ({"beam": {"right": [torch.ones(800)] * 2}}, "no utilisations for the left lamp"),
+        ({"beam": {"left": [torch.ones(800)], "right": []}}, "left lamp: 1 utilisations for 2 modules"),
+        ({"beam": {side: [torch.ones(800), torch.ones(5)] for side in ("left", "right")}}, r"left lamp, module 'bend'.*shape \(5,\).*800"),
+        ({"beam": {side: [torch.ones(800), torch.full((800,), math.nan)] for side in ("left", "right")}}, "'bend'.*from 0 to 1"),
+        ({"beam": {side: [torch.full((800,), 7.0), torch.ones(800)] for side in ("left", "right")}}, "'main'.*from 0 to 1"),
+        ({"beam": {side: [torch.full((800,), -1.0), torch.ones(800)] for side in ("left", "right")}}, "'main'.*from 0 to 1"),
     ],
 )
-def test_what_is_wrong_is_named(arguments: dict[str, object], message: str, lamps: dict[str, Lamp], tmp_path: Path) -> None:
+def test_what_is_wrong_is_named(arguments: dict[str, object], message: str, bending: dict[str, Lamp], tmp_path: Path) -> None:
     with pytest.raises(LuxloopError, match=message):
-        show(lamps, **{"out": tmp_path / "beam.png", **arguments})  # type: ignore[arg-type]
+        show(bending, **{"out": tmp_path / "beam.png", **arguments})  # type: ignore[arg-type]
     assert not list(tmp_path.iterdir())
 
 

@@ -92,3 +92,15 @@ def test_the_field_is_that_of_all_modules_as_they_are_mounted(headlight: Headlig
     left, right, bottom, top = Lamp("two", (Module("main", headlight), turned)).field_deg
     # A pitched field's corners do not lie exactly at the angles of its borders.
     assert (left, right, bottom, top) == pytest.approx((30, -10, -4.5, 1.5), abs=0.1)
+
+
+def test_a_turned_lamp_has_what_can_be_turned_where_its_pose_says(headlight: Headlight) -> None:
+    mount = pose_from_degrees((0.0, 0.1, 0.0), pitch_deg=0.5)
+    fixed, free = Module("fixed", headlight, mount), Module("free", headlight, mount, swivel_deg=(-5, 5))
+    one, other = Lamp("lamp", (fixed, free)).turned(4.0, 1.0).modules
+    assert one.T_lamp_module.equal(mount)
+    assert other.T_lamp_module.equal(free.pose(4.0)), "it swivels and cannot be levelled"
+    with pytest.raises(LuxloopError, match="'free': swivel of 4"):
+        Lamp("lamp", (other,)).modules[0].pose(4.0)
+    with pytest.raises(LuxloopError, match="'free': swivel of 6"):
+        Lamp("lamp", (fixed, free)).turned(6.0, 0.0)

@@ -1,0 +1,49 @@
+"""Numbers that tell of a lamp's light: its field, its flux, where it is brightest."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from world.lamp import Lamp, direction
+from world.photometry.texture import solid_angles
+from world.texels import TexelGrid
+
+STEP_DEG = 0.1  # of the search for a beam's peak
+MARGIN_DEG = 0.5  # beyond the field, so that no border is missed
+
+
+class Peak(NamedTuple):
+    """Greatest luminous intensity, and where it is: h to the right, v up."""
+
+    candela: float
+    h_deg: float
+    v_deg: float
+
+
+def peak(lamp: Lamp, utilisations: Sequence[Tensor]) -> Peak:
+    """Where a lamp is brightest, all modules added up as seen from far away, on a grid of `STEP_DEG`."""
+    left, right, bottom, top = lamp.field_deg
+    h, v = torch.meshgrid(_around(-left, -right), _around(bottom, top), indexing="ij")
+    candela = lamp.intensity(utilisations, direction(h, v).flatten(1))
+    at = int(candela.argmax())
+    return Peak(float(candela[at]), float(h.flatten()[at]), float(v.flatten()[at]))
+
+
+def _around(low_deg: float, high_deg: float) -> Tensor:
+    """Whole steps over a range of angles in deg."""
+    first, last = math.floor((low_deg - MARGIN_DEG) / STEP_DEG), math.ceil((high_deg + MARGIN_DEG) / STEP_DEG)
+    return torch.arange(first, last + 1, dtype=torch.float64) * STEP_DEG
+
+
+def flux_lm(grid: TexelGrid, texture: Tensor) -> float:
+    """Luminous flux in lm of a light texture `[rows, cols]` in cd: each texel by its solid angle."""
+    return float((texture.double().cpu() * torch.from_numpy(solid_angles(grid))).sum())
+
+
+def borders_deg(grid: TexelGrid) -> tuple[float, float, float, float]:
+    """Left and right (left positive), bottom and top (up positive) of a texture as angles in deg from its axis."""
+    left, right, bottom, top = (math.degrees(math.atan(tangent)) for tangent in (grid.left, grid.right, grid.bottom, grid.top))
+    return left, right, bottom, top
