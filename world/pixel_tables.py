@@ -11,8 +11,8 @@ import pyarrow.csv
 from numpy.typing import NDArray
 
 from world.errors import LuxloopError
-from world.photometry.distribution import Array, Distribution
-from world.pixels import EDGE_DEG, LUMINANCE, Pixel, PixelArray
+from world.photometry.distribution import EDGE_DEG, Array, Distribution
+from world.pixels import LUMINANCE, Pixel, PixelArray
 
 ANGLES = ("horizontal_deg", "vertical_deg")
 CHANNELS = ("red", "green", "blue")

@@ -7,20 +7,19 @@ from functools import lru_cache
 
 import numpy as np
 import scipy.sparse as sp
-import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
 from world.errors import LuxloopError
-from world.photometry.distribution import Aim, Array, Distribution, Kind
-from world.texels import LARGEST_ANGLE_DEG, TexelGrid, bilinear
+from world.photometry.distribution import EDGE_DEG, Aim, Array, Distribution, directions_of
+from world.photometry.texture import PROBES, Window, light_texture, squared_error
+from world.texels import LARGEST_ANGLE_DEG, TexelGrid
 
 CUTOFF = 1e-4  # share of a pixel's peak below which its light is left out: fewer entries, and next to nothing is lost
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB
 MOST_TEXELS = 2048  # along a side, unless a user wants more
 TEXELS_A_PIXEL = 4  # along a side at least, since symbols need rays between pixels
-SAMPLES_A_STEP = 2  # along a side, where texels are coarser than the source's steps, within which it is bilinear
-EDGE_DEG = 1e-6  # a step that is an edge, where light stops at once
+FEWEST_PROBES = 1024  # directions in which a pixel is compared with its source, where there are many
 AZIMUTHS_DEG = 15.0  # in which a distribution about an axis is looked at
 
 
@@ -52,8 +51,8 @@ class Assembled:
     """A headlight matrix and how true it is.
 
     matrix: `[n_texels, n_p]` cd. chroma: `[3, nnz]` or None, as Headlight has it. dropped: share of all light that was cut off.
-    rmse_cd: root mean square difference of the light texture and the source's own values, over all directions in which a pixel was measured
-    to shine; relative to the brightest of them, rmse.
+    rmse_cd: root mean square difference of pixels on the texture and their sources, over the solid angles into which these shine, as
+    world.photometry.texture.rmse has it of one; relative to the brightest of them, rmse.
     """
 
     matrix: sp.csr_array
@@ -68,33 +67,39 @@ def assemble(
 ) -> Assembled:
     """Bring every pixel onto the texture's texels.
 
-    Where texels are finer than the source's angles, they hold its (bilinear) value at their centre; where they are coarser, the mean over
-    their area. on_progress: called with the pixels done and their number.
+    Each is a light texture of its own (see world.photometry.texture), but for the texels that it cannot light.
+    on_progress: called with the pixels done and their number.
 
     Raises: LuxloopError where the texture sees no light at all.
     """
-    sampler = _Sampler(grid, array)
+
+    def light_of(distribution: Distribution, turn: Array | None) -> tuple[NDArray[np.intp], Array]:
+        """Flat indices of the texels that a distribution may light, and its cd there."""
+        axis, reach = _cap(distribution, array.aim)
+        window = _window(grid, axis if turn is None else turn @ axis, reach)
+        texel = (window[0][:, None] * grid.cols + window[1]).ravel()
+        return texel, light_texture(distribution, grid, array.aim, turn, window).ravel() if len(texel) else np.empty(0)
+
+    probes = max(PROBES // len(array.pixels), FEWEST_PROBES)
     rows: list[NDArray[np.intp]] = []
     values: list[Array] = []
     chroma: list[Array] = []
     texture = np.zeros(grid.n_texels)
-    lost = total = squares = peak = 0.0
-    nodes = 0
+    lost = total = squares = solid = peak = 0.0
     for number, pixel in enumerate(array.pixels, 1):
-        texel, light = sampler.texture(pixel.distribution, pixel.turn)
+        texel, light = light_of(pixel.distribution, pixel.turn)
         bright = light > cutoff * light.max(initial=0)
         total += float(light.sum())
         lost += float(light[~bright].sum())
         rows.append(texel[bright])
         values.append(light[bright])
         if pixel.rgb is not None:
-            chroma.append(_chroma(np.stack([_at(texel[bright], *sampler.texture(each, pixel.turn), grid) for each in pixel.rgb])))
+            chroma.append(_chroma(np.stack([_at(texel[bright], *light_of(each, pixel.turn), grid) for each in pixel.rgb])))
         texture[texel[bright]] = light[bright]
-        difference, brightest = _difference(texture, pixel, array.aim, grid)
+        error, over = squared_error(pixel.distribution, grid, texture, array.aim, pixel.turn, probes)
         texture[texel] = 0
-        squares += float(difference @ difference)
-        nodes += len(difference)
-        peak = max(peak, brightest)
+        squares, solid = squares + error, solid + over
+        peak = max(peak, float(pixel.distribution.candela.max()))
         if on_progress:
             on_progress(number, len(array.pixels))
     if total == 0:
@@ -104,7 +109,7 @@ def assemble(
     matrix = columns.tocsr()
     entry = matrix.data.astype(np.int64) - 1
     matrix.data = np.concatenate(values)[entry]
-    rmse_cd = math.sqrt(squares / max(nodes, 1))
+    rmse_cd = math.sqrt(squares / solid)
     return Assembled(matrix, np.concatenate(chroma, axis=1)[:, entry] if chroma else None, lost / total, rmse_cd, rmse_cd / peak)
 
 
@@ -140,31 +145,7 @@ def describe(grid: TexelGrid) -> str:
     return f"{left:+.4g} to {right:+.4g} deg across, {bottom:+.4g} to {top:+.4g} deg up"
 
 
-class _Sampler:
-    """Looks at distributions along rays through a texture, as many in each texel as the source can resolve."""
-
-    def __init__(self, grid: TexelGrid, array: PixelArray) -> None:
-        steps = np.radians(_steps(array))
-        pitch = np.array([(grid.top - grid.bottom) / grid.rows, (grid.left - grid.right) / grid.cols])
-        self.grid, self.aim = grid, array.aim
-        self.per_texel: list[int] = np.where(pitch <= steps, 1, np.ceil(SAMPLES_A_STEP * pitch / steps)).astype(int).tolist()
-
-    def texture(self, distribution: Distribution, turn: Array | None) -> tuple[NDArray[np.intp], Array]:
-        """Flat indices of the texels that a distribution may light, and its mean over each of them in cd."""
-        grid, (down, across) = self.grid, self.per_texel
-        axis, reach = _cap(distribution, self.aim)
-        rows, cols = _window(grid, axis if turn is None else turn @ axis, reach)
-        z = grid.top + (rows[:, None] + (np.arange(down) + 0.5) / down).ravel() / grid.rows * (grid.bottom - grid.top)
-        y = grid.left + (cols[:, None] + (np.arange(across) + 0.5) / across).ravel() / grid.cols * (grid.right - grid.left)
-        directions = np.stack(np.broadcast_arrays(1.0, y, z[:, None]))
-        weight = (directions**2).sum(0) ** -1.5  # solid angle of equal areas of the plane
-        value = distribution.intensity(directions if turn is None else np.tensordot(turn.T, directions, 1), self.aim)
-        split = len(rows), down, len(cols), across
-        mean = (value * weight).reshape(split).sum((1, 3)) / weight.reshape(split).sum((1, 3))
-        return (rows[:, None] * grid.cols + cols).ravel(), mean.ravel()
-
-
-def _window(grid: TexelGrid, axis: Array, reach: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _window(grid: TexelGrid, axis: Array, reach: float) -> Window:
     """Rows and columns that a cone crosses; all, where it reaches far from the beam axis."""
     found = []
     for along, first, last, n in ((axis[2], grid.top, grid.bottom, grid.rows), (axis[1], grid.left, grid.right, grid.cols)):
@@ -191,18 +172,6 @@ def _nodes(distribution: Distribution, aim: Aim) -> tuple[Array, Array, NDArray[
     return directions_of(distribution.type, v_at, h_at, aim), candela, lit
 
 
-def directions_of(kind: Kind, vertical_deg: ArrayLike, horizontal_deg: ArrayLike, aim: Aim = "beam") -> Array:
-    """Unit directions `[3, ...]` of the headlight frame for photometric angles: the inverse of `angles_of`."""
-    v, h = np.radians(vertical_deg), np.radians(horizontal_deg)
-    if kind == "A":
-        return np.stack([np.cos(v) * np.cos(h), -np.cos(v) * np.sin(h), np.sin(v)])
-    if kind == "B":
-        x, y, z = np.cos(h) * np.cos(v), -np.sin(h), np.cos(h) * np.sin(v)
-    else:
-        x, y, z = np.cos(v), -np.sin(v) * np.cos(h), np.sin(v) * np.sin(h)
-    return np.stack([x, y, z] if aim == "beam" else [z, y, -x])
-
-
 @lru_cache(maxsize=4)
 def _cap(distribution: Distribution, aim: Aim) -> tuple[Array, float]:
     """The axis `[3]` of a cone that holds all light of a distribution, and its half angle in rad."""
@@ -218,19 +187,6 @@ def _cap(distribution: Distribution, aim: Aim) -> tuple[Array, float]:
 
 def _turned(directions: Array, turn: Array | None) -> Array:
     return directions if turn is None else np.tensordot(turn, directions, 1)
-
-
-def _difference(light: Array, pixel: Pixel, aim: Aim, grid: TexelGrid) -> tuple[Array, float]:
-    """What a texture `[n_texels]` makes of each direction in which the pixel was measured to shine, minus that; and its peak. In cd."""
-    directions, candela, _ = _nodes(pixel.distribution, aim)
-    shines = candela > 0
-    x, y, z = _turned(directions[:, shines], pixel.turn)
-    ahead = x > 0
-    row, col = grid.texel_of(*(torch.from_numpy(each[ahead] / x[ahead]) for each in (y, z)))
-    texel, weight = bilinear(grid, row, col)
-    difference = -candela[shines]
-    difference[ahead] += (light[texel.numpy()] * weight.numpy()).sum(0)
-    return difference, float(candela.max())
 
 
 def _steps(array: PixelArray) -> Array:

@@ -18,7 +18,8 @@ Array = NDArray[np.float64]
 # Least and greatest vertical and horizontal angle in deg that mean something.
 VERTICAL_RANGE = {"A": (-90.0, 90.0), "B": (-180.0, 180.0), "C": (0.0, 180.0)}
 HORIZONTAL_RANGE = {"A": (-180.0, 180.0), "B": (-90.0, 90.0), "C": (-360.0, 720.0)}
-_EDGE_DEG = 1e-9  # a direction on the table's edge may come out of atan2 by so much beyond it
+EDGE_DEG = 1e-6  # a step that is an edge, where light stops at once
+_BEYOND_DEG = 1e-9  # a direction on the table's edge may come out of atan2 by so much beyond it
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +72,7 @@ class Distribution:
     def complete(self) -> bool:
         """Whether every azimuth of a type C distribution is said; types A and B end where their lamp does."""
         _, h, _ = self.unfolded
-        return self.type != "C" or h[-1] - h[0] >= 360 - _EDGE_DEG
+        return self.type != "C" or h[-1] - h[0] >= 360 - _BEYOND_DEG
 
     def at(self, vertical_deg: ArrayLike, horizontal_deg: ArrayLike) -> Array:
         """Luminous intensity in cd at angles `[...]` in deg: bilinear in the table, symmetry unfolded, zero beyond it."""
@@ -117,6 +118,18 @@ def angles_of(kind: Kind, directions: ArrayLike, aim: Aim = "beam") -> tuple[Arr
     return np.rad2deg(v), np.rad2deg(h)
 
 
+def directions_of(kind: Kind, vertical_deg: ArrayLike, horizontal_deg: ArrayLike, aim: Aim = "beam") -> Array:
+    """Unit directions `[3, ...]` of the headlight frame for photometric angles: the inverse of `angles_of`."""
+    v, h = np.radians(vertical_deg), np.radians(horizontal_deg)
+    if kind == "A":
+        return np.stack([np.cos(v) * np.cos(h), -np.cos(v) * np.sin(h), np.sin(v)])
+    if kind == "B":
+        x, y, z = np.cos(h) * np.cos(v), -np.sin(h), np.cos(h) * np.sin(v)
+    else:
+        x, y, z = np.cos(v), -np.sin(v) * np.cos(h), np.sin(v) * np.sin(h)
+    return np.stack([x, y, z] if aim == "beam" else [z, y, -x])
+
+
 def sample(intensity: Callable[[Tensor], Tensor], horizontal_deg: ArrayLike, vertical_deg: ArrayLike) -> Distribution:
     """A type A distribution of any lamp, measured at the nodes of a grid.
 
@@ -124,9 +137,8 @@ def sample(intensity: Callable[[Tensor], Tensor], horizontal_deg: ArrayLike, ver
     horizontal_deg `[H]` to the right and vertical_deg `[V]` up, ascending.
     """
     h, v = np.array(horizontal_deg, np.float64), np.array(vertical_deg, np.float64)
-    phi, psi = (np.deg2rad(angles).ravel() for angles in np.meshgrid(h, v, indexing="ij"))
-    directions = np.stack([np.cos(psi) * np.cos(phi), -np.cos(psi) * np.sin(phi), np.sin(psi)])
-    candela = intensity(torch.from_numpy(directions)).double().cpu().numpy().reshape(len(h), len(v))
+    h_at, v_at = (angles.ravel() for angles in np.meshgrid(h, v, indexing="ij"))
+    candela = intensity(torch.from_numpy(directions_of("A", v_at, h_at))).double().cpu().numpy().reshape(len(h), len(v))
     return Distribution("A", v, h, candela)
 
 
@@ -144,7 +156,7 @@ def _around(h: Array, candela: Array) -> tuple[Array, Array]:
 
 def _between(nodes: Array, x: Array) -> tuple[NDArray[np.intp], Array, NDArray[np.bool_]]:
     """Index of the node before x, the fraction on the way to the next, and whether x lies within the nodes."""
-    inside = (x >= nodes[0] - _EDGE_DEG) & (x <= nodes[-1] + _EDGE_DEG)
+    inside = (x >= nodes[0] - _BEYOND_DEG) & (x <= nodes[-1] + _BEYOND_DEG)
     i = np.clip(np.searchsorted(nodes, x, side="right") - 1, 0, len(nodes) - 2)
     return i, np.clip((x - nodes[i]) / (nodes[i + 1] - nodes[i]), 0.0, 1.0), inside
 

@@ -4,54 +4,79 @@ A texel that spans more than half a step of the file's angles holds the average 
 one is interpolated. Which of the two is decided texel by texel, since the steps of a file and the angles of texels both vary.
 """
 
+from functools import lru_cache
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from world.photometry.distribution import Aim, Array, Distribution, angles_of
+from world.photometry.distribution import EDGE_DEG, Aim, Array, Distribution, angles_of, directions_of
 from world.texels import TexelGrid, bilinear
 
-FINE_STEPS = 0.5  # up to so much of a step, a texel is interpolated: its share of a kink hardly counts
+FINE_STEPS = 0.52  # of a step, up to which a texel is interpolated: half of one, and a little as texels are seen aslant
 SAMPLES_PER_STEP = 4  # in each direction: the file is bilinear within a step
 MOST_SAMPLES = 256  # a side of a texel; more than that no average needs, and at the pole of type C the azimuth turns without end
-EDGE_STEPS = 4  # the end of a table, where light may stop at once, counts as so many steps
+EDGE_STEPS = 4  # an edge, where light stops at once, counts as so many steps
+PROBES = 1 << 16  # directions in which a texture is compared with its source
 _CHUNK = 1 << 20  # samples in memory at a time
-_PROBES = 1 << 16
+
+Window = tuple[NDArray[np.intp], NDArray[np.intp]]  # consecutive rows and columns of texels
 
 
-def light_texture(distribution: Distribution, grid: TexelGrid, aim: Aim = "beam") -> Array:
-    """Luminous intensity `[rows, cols]` in cd of each texel (T 5.2); aim as in Distribution.intensity."""
-    texture = np.empty((grid.rows, grid.cols))
-    across, down = samples(distribution, grid, aim)
+def light_texture(
+    distribution: Distribution, grid: TexelGrid, aim: Aim = "beam", turn: Array | None = None, window: Window | None = None
+) -> Array:
+    """Luminous intensity `[rows, cols]` in cd of each texel, or of those in a window of the grid (T 5.2).
+
+    aim: as in Distribution.intensity. turn: `[3, 3]`, takes directions of the distribution's frame to the headlight frame.
+    """
+    rows, cols = window = window or (np.arange(grid.rows), np.arange(grid.cols))
+    v, h = angles_about(distribution, grid, aim, turn, window)
+    texture = distribution.at(v[1:-1, 1:-1], h[1:-1, 1:-1])
+    across, down = samples(distribution, v, h)
     both = across * (MOST_SAMPLES + 1) + down
-    for n in np.unique(both):
+    for n in np.unique(both[across > 1]):
         n_y, n_z = divmod(int(n), MOST_SAMPLES + 1)
-        rows, cols = np.nonzero(both == n)
+        i, j = np.nonzero(both == n)
         step = max(_CHUNK // (n_y * n_z), 1)
-        for start in range(0, len(rows), step):
-            r, c = rows[start : start + step], cols[start : start + step]
-            y, z = _plane(grid, r[:, None, None] + _centres(n_z)[:, None], c[:, None, None] + _centres(n_y))
-            light = distribution.intensity(_directions(y, z), aim)
-            weight = (1 + y**2 + z**2) ** -1.5  # solid angle of equal areas of the plane
+        for start in range(0, len(i), step):
+            r, c = i[start : start + step], j[start : start + step]
+            y, z = _plane(grid, rows[r, None, None] + _centres(n_z)[:, None], cols[c, None, None] + _centres(n_y))
+            light = distribution.intensity(_towards(y, z, turn), aim)
+            square = 1 + y**2 + z**2
+            weight = 1 / (square * np.sqrt(square))  # solid angle of equal areas of the plane
             texture[r, c] = (light * weight).sum((1, 2)) / weight.sum((1, 2))
     return texture
 
 
-def samples(distribution: Distribution, grid: TexelGrid, aim: Aim = "beam") -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """How many samples across and down average each texel, `[rows, cols]` twice, powers of two; 1 where it is interpolated."""
-    row, col = np.arange(grid.rows)[:, None] + 0.5, np.arange(grid.cols) + 0.5
-    half_rows, half_cols = np.arange(2 * grid.rows + 1)[:, None] / 2, np.arange(2 * grid.cols + 1) / 2
+def angles_about(distribution: Distribution, grid: TexelGrid, aim: Aim, turn: Array | None, window: Window) -> tuple[Array, Array]:
+    """Vertical and horizontal angles `[rows + 2, cols + 2]` in deg of the centres of texels and of those all round."""
+    row, col = (np.arange(each[0] - 1, each[-1] + 2) + 0.5 for each in window)
+    return angles_of(distribution.type, _towards(*_plane(grid, row[:, None], col), turn), aim)
+
+
+def samples(distribution: Distribution, v_deg: Array, h_deg: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """How many samples across and down average each texel, `[rows, cols]` twice; 1 where it is interpolated.
+
+    Few numbers (2, 3, 4, 6, 8, 12 and so on), so that many texels can be averaged together v_deg and h_deg: see angles_about.
+    """
+    v, h, candela = distribution.unfolded
+    if distribution.type == "C":
+        h_deg = h[0] + np.mod(h_deg - h[0], 360.0)
+    v_at, h_at = _counted(v_deg, v, candela.T), _counted(h_deg, h, candela)
+    turn = _counted(h, h, candela)[-1] if distribution.type == "C" and distribution.complete else np.inf
     counts = []
-    for axis, (v, h) in ((1, _steps(distribution, grid, row, half_cols, aim)), (0, _steps(distribution, grid, half_rows, col, aim))):
-        # By halves, since the pole of type C may lie in the middle, with the same angle on both sides.
-        crossed = np.maximum(np.abs(np.diff(v, axis=axis)), _turned(np.diff(h, axis=axis), distribution))
-        crossed = np.add.reduceat(crossed, np.arange(0, crossed.shape[axis], 2), axis=axis)
-        finer = np.exp2(np.ceil(np.log2(np.maximum(SAMPLES_PER_STEP * crossed, 1)))).astype(np.int64)
-        counts.append(np.where(crossed <= FINE_STEPS, 1, np.minimum(finer, MOST_SAMPLES)))
-    across, down = counts
+    for axis, inner in ((1, slice(1, -1)), (0, slice(1, -1))):
+        dv, dh = np.abs(np.diff(v_at, axis=axis)), np.abs(np.diff(h_at, axis=axis))
+        crossed = np.maximum(dv, np.minimum(dh, turn - dh))  # the short way round
+        # To the neighbour on the one side or on the other: at the pole of type C both may have the same angle.
+        crossed = np.maximum(crossed[:, 1:], crossed[:, :-1])[inner] if axis else np.maximum(crossed[1:], crossed[:-1])[:, inner]
+        finer = np.ceil(np.exp2(np.ceil(2 * np.log2(np.maximum(SAMPLES_PER_STEP * crossed, 2))) / 2))
+        counts.append((np.minimum(finer, MOST_SAMPLES).astype(np.int64), crossed <= FINE_STEPS))
+    (across, narrow), (down, low) = counts
     # The table's lines may run aslant: what is averaged one way is not constant the other.
-    averaged = (across > 1) | (down > 1)
-    return np.where(averaged, np.maximum(across, SAMPLES_PER_STEP), 1), np.where(averaged, np.maximum(down, SAMPLES_PER_STEP), 1)
+    fine = narrow & low
+    return np.where(fine, 1, across), np.where(fine, 1, down)
 
 
 def solid_angles(grid: TexelGrid) -> Array:
@@ -62,18 +87,56 @@ def solid_angles(grid: TexelGrid) -> Array:
 
 
 def rmse(distribution: Distribution, grid: TexelGrid, texture: Array, aim: Aim = "beam") -> float:
-    """Root mean square difference in cd between a texture, as it is looked up, and its source.
+    """Root mean square difference in cd between a texture `[rows, cols]`, as it is looked up, and its source.
 
-    Over the solid angle within the texture's borders, at 65 536 evenly spread directions that favour no texel and no angle of the file.
+    Over the solid angle into which the source shines; light beyond the texture's borders counts as an error.
     """
+    squares, solid = squared_error(distribution, grid, texture, aim)
+    return float(np.sqrt(squares / max(solid, np.finfo(float).tiny)))
+
+
+def squared_error(
+    distribution: Distribution, grid: TexelGrid, texture: Array, aim: Aim = "beam", turn: Array | None = None, number: int = PROBES
+) -> tuple[float, float]:
+    """The integral in cd² sr of the squared difference of a texture and its source where that shines, and that solid angle in sr.
+
+    number: of evenly spread directions, which favour no texel and no angle of the file.
+    """
+    directions, candela, solid = _probes(distribution, aim, number)
+    x, y, z = directions if turn is None else turn @ directions
+    ahead = x > 0
+    row, col = grid.texel_of(*(torch.from_numpy(each[ahead] / x[ahead]) for each in (y, z)))
+    texel, share = bilinear(grid, row, col)
+    difference = -candela
+    difference[ahead] += (texture.ravel()[texel.numpy()] * share.numpy()).sum(0)
+    return float(difference @ difference) * solid, len(candela) * solid
+
+
+@lru_cache(maxsize=4)
+def _probes(distribution: Distribution, aim: Aim, number: int) -> tuple[Array, Array, float]:
+    """Directions `[3, N]` into which a distribution shines, its cd there `[N]`, and the solid angle of each in sr."""
+    v, h, candela = distribution.unfolded
     # Additive recurrence with the reciprocals of the plastic number: as even as a grid, without its rows.
-    row, col = (np.arange(_PROBES) * share % 1.0 * n for share, n in ((0.7548776662466927, grid.rows), (0.5698402909980532, grid.cols)))
-    y, z = _plane(grid, row, col)
-    weight = (1 + y**2 + z**2) ** -1.5
-    texel, share = bilinear(grid, torch.from_numpy(row), torch.from_numpy(col))
-    looked_up = (texture.ravel()[texel.numpy()] * share.numpy()).sum(0)
-    difference = looked_up - distribution.intensity(_directions(y, z), aim)
-    return float(np.sqrt((weight * difference**2).sum() / weight.sum()))
+    across, up = (np.arange(number) * share % 1.0 for share in (0.7548776662466927, 0.5698402909980532))
+    (v0, v1), (h0, h1) = _lit(v, candela.T), _lit(h, candela)
+    if distribution.type == "B":
+        low, high = np.sin(np.radians([h0, h1]))
+        v_at, h_at = v0 + up * (v1 - v0), np.degrees(np.arcsin(low + across * (high - low)))
+        area = np.radians(v1 - v0) * (high - low)
+    else:
+        pole = 90.0 if distribution.type == "C" else 0.0
+        low, high = np.sin(np.radians([v0 - pole, v1 - pole]))
+        v_at, h_at = pole + np.degrees(np.arcsin(low + up * (high - low))), h0 + across * (h1 - h0)
+        area = np.radians(h1 - h0) * (high - low)
+    light = distribution.at(v_at, h_at)
+    shines = light > 0
+    return directions_of(distribution.type, v_at[shines], h_at[shines], aim), light[shines], float(area) / number
+
+
+def _lit(nodes: Array, light: Array) -> tuple[float, float]:
+    """The angles between which there is light; light: `[nodes, ...]`."""
+    lit = np.flatnonzero(light.any(1))
+    return (nodes[max(lit[0] - 1, 0)], nodes[min(lit[-1] + 1, len(nodes) - 1)]) if len(lit) else (nodes[0], nodes[-1])
 
 
 def _plane(grid: TexelGrid, row: NDArray, col: NDArray) -> tuple[Array, Array]:
@@ -84,32 +147,18 @@ def _plane(grid: TexelGrid, row: NDArray, col: NDArray) -> tuple[Array, Array]:
     return y, z
 
 
-def _directions(y: Array, z: Array) -> Array:
-    return np.stack([np.ones_like(y), y, z])
+def _towards(y: Array, z: Array, turn: Array | None) -> Array:
+    """Directions `[3, ...]` of the distribution's frame through points of the texture's plane."""
+    directions = np.stack([np.ones_like(y), y, z])
+    return directions if turn is None else np.tensordot(turn.T, directions, 1)
 
 
 def _centres(n: int) -> Array:
     return (np.arange(n) + 0.5) / n
 
 
-def _steps(distribution: Distribution, grid: TexelGrid, row: NDArray, col: NDArray, aim: Aim) -> tuple[Array, Array]:
-    """Where texture coordinates lie in the table, counted in its steps: vertical, horizontal."""
-    v, h, _ = distribution.unfolded
-    v_at, h_at = angles_of(distribution.type, _directions(*_plane(grid, row, col)), aim)
-    if distribution.type == "C":
-        h_at = h[0] + np.mod(h_at - h[0], 360.0)
-    return _counted(v_at, v), _counted(h_at, h)
-
-
-def _counted(x: Array, nodes: Array) -> Array:
-    n = len(nodes)
-    return np.interp(x, nodes, np.arange(n), left=-EDGE_STEPS, right=n - 1 + EDGE_STEPS)
-
-
-def _turned(steps: Array, distribution: Distribution) -> Array:
-    """Horizontal steps crossed, the short way round where a distribution goes round."""
-    steps = np.abs(steps)
-    if distribution.type == "C" and distribution.complete:
-        turn = len(distribution.unfolded[1]) - 1
-        return np.minimum(steps, turn - steps)
-    return steps
+def _counted(x: Array, nodes: Array, light: Array) -> Array:
+    """Where angles lie in the table, counted in its steps; its edges count as more where light stops at once. light: `[nodes, ...]`."""
+    count = np.append(0.0, np.cumsum(np.where(np.diff(nodes) <= EDGE_DEG, EDGE_STEPS, 1)))
+    before, behind = (EDGE_STEPS if each.any() else 0 for each in (light[0], light[-1]))
+    return np.interp(x, nodes, count, left=-before, right=count[-1] + behind)

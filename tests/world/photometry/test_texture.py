@@ -9,7 +9,7 @@ import torch
 
 from world.photometry import Distribution, light_texture, rmse
 from world.photometry.distribution import Kind
-from world.photometry.texture import samples, solid_angles
+from world.photometry.texture import angles_about, samples, solid_angles
 from world.texels import TexelGrid
 
 
@@ -30,6 +30,10 @@ def centres(g: TexelGrid) -> np.ndarray:
     return np.stack([np.ones_like(y), y, z])
 
 
+def samples_of(d: Distribution, g: TexelGrid) -> tuple[np.ndarray, np.ndarray]:
+    return samples(d, *angles_about(d, g, "beam", None, (np.arange(g.rows), np.arange(g.cols))))
+
+
 def test_solid_angles_add_up_to_that_of_the_whole_plane() -> None:
     assert solid_angles(grid(7, 13, 45, 45)).sum() == pytest.approx(4 * math.pi / 6, rel=1e-12)  # a face of a cube
     small = solid_angles(TexelGrid(rows=1, cols=1, left=0.501, right=0.5, bottom=0.2, top=0.201))[0, 0]
@@ -38,7 +42,7 @@ def test_solid_angles_add_up_to_that_of_the_whole_plane() -> None:
 
 def test_fine_texels_are_interpolated() -> None:
     d, g = beam(5), grid(64, 64)
-    across, down = samples(d, g)
+    across, down = samples_of(d, g)
     assert across.max() == down.max() == 1
     np.testing.assert_allclose(light_texture(d, g), d.intensity(centres(g)), rtol=1e-12)
 
@@ -51,7 +55,7 @@ def test_coarse_texels_hold_the_average_over_their_solid_angle(kind: Kind) -> No
     weight = solid_angles(fine)
     flux = (d.intensity(centres(fine)) * weight).reshape(4, 128, 6, 128).sum((1, 3))
     np.testing.assert_allclose(coarse, flux / solid_angles(g), rtol=2e-3)  # two samples a step resolve its kinks to that
-    assert (samples(d, g)[0] >= 16).all()  # some 7 deg of 0.5
+    assert (samples_of(d, g)[0] >= 16).all()  # some 7 deg of 0.5
 
 
 def test_one_texture_may_have_both() -> None:
@@ -59,9 +63,9 @@ def test_one_texture_may_have_both() -> None:
     h = np.concatenate([np.arange(-40, -5, 5), np.arange(-5, 5, 0.1), np.arange(5, 41, 5)])
     v = np.array([-30.0, 30])
     d = Distribution("A", v, h, np.repeat(1 + np.cos(np.deg2rad(40 * h))[:, None], 2, axis=1))
-    across, down = samples(d, grid(4, 40))
+    across, down = samples_of(d, grid(4, 40))
     assert across[0, 0] == down[0, 0] == across[0, -1] == down[0, -1] == 1  # 1 deg of 5
-    assert across[0, 20] >= 32 and down[0, 20] == 4  # 1 deg of 0.1 across; a step of 60 deg down
+    assert across[0, 20] >= 32 and down[0, 20] == 2  # 1 deg of 0.1 across; a step of 60 deg down
 
 
 @pytest.mark.parametrize("shape", [(3, 5), (10, 20), (33, 64), (80, 160)])
@@ -81,6 +85,42 @@ def test_flux_of_a_pointed_spot_is_kept(shape: tuple[int, int]) -> None:
     g = grid(*shape, 40, 30)
     # Half a step is the coarsest that is interpolated: there, kinks cost some 0.2 %.
     assert (light_texture(d, g) * solid_angles(g)).sum() == pytest.approx(d.luminous_flux, rel=5e-3)
+
+
+@pytest.mark.parametrize("n", [12, 20, 28, 33])
+@pytest.mark.parametrize("aside_deg", [0.0, 0.13])
+def test_flux_of_a_spot_that_is_hardly_resolved_is_kept(n: int, aside_deg: float) -> None:
+    """A standard deviation of 0.6 steps of the file, on texels of one to three steps that lie anyhow to them."""
+    angles = np.arange(-10, 10.1, 0.5)
+    spot = np.exp(-0.5 * (angles / 0.3) ** 2)
+    d = Distribution("A", angles, angles, 1e4 * np.outer(spot, spot))
+    g = TexelGrid.from_degrees(n, n, 10 + aside_deg, -10, -10, 10 + aside_deg)
+    # The kink on the peak at four samples a step: up to 1.5 / step * (step / 4)^2 / 12 of 1.5 steps, 0.5 %, in each direction.
+    assert (light_texture(d, g) * solid_angles(g)).sum() == pytest.approx(d.luminous_flux, rel=0.01)
+
+
+def test_a_window_is_a_part_of_the_whole() -> None:
+    d, g = beam(1.3), grid(12, 80)
+    window = np.arange(2, 9), np.arange(31, 60)
+    np.testing.assert_array_equal(light_texture(d, g, window=window), light_texture(d, g)[2:9, 31:60])
+
+
+def test_a_hard_edge_is_sampled_densely() -> None:
+    """Light that stops at once in the middle of a texel, at the end of a table or at a step of next to nothing."""
+    v = np.array([-30.0, 30])
+    ends = Distribution("A", v, np.array([-5.0, 5]), np.ones((2, 2)))
+    steps = Distribution("A", v, np.array([-30.0, -5 - 1e-7, -5, 5, 5 + 1e-7, 30]), np.array([0, 0, 1, 1, 0, 0])[:, None] * np.ones(2))
+    g = grid(6, 40, 7, 5)  # texels of 0.35 deg, which interpolation alone would take whole
+    inside = solid_angles(TexelGrid.from_degrees(1, 1, 5, -5, -5, 5)).sum()
+    for d in (ends, steps):
+        assert (light_texture(d, g) * solid_angles(g)).sum() == pytest.approx(inside, rel=0.35 / 16 / 10 * 2)  # half a sample a side
+
+
+def test_the_error_counts_where_the_source_shines_and_light_that_is_cut_off() -> None:
+    d = Distribution("A", np.array([-5.0, 5]), np.array([-10.0, 10]), np.full((2, 2), 8.0))
+    assert rmse(d, grid(20, 40), light_texture(d, grid(20, 40))) < 8 * 0.3  # blurred edges
+    half = TexelGrid.from_degrees(40, 40, 0, -10, -5, 5)
+    assert rmse(d, half, light_texture(d, half)) == pytest.approx(8 * math.sqrt(0.5), rel=0.01)
 
 
 def test_uniform_light_stays_uniform() -> None:
@@ -107,22 +147,24 @@ def test_type_c_turns_with_its_aim() -> None:
 def test_the_error_falls_to_zero_with_resolution(kind: Kind) -> None:
     """A bilinear table on other lines than the texels': kinks give an error of order h on a share h of the area, order 1.5 in all."""
     d = beam(2.0, kind)
-    errors = [rmse(d, g, light_texture(d, g)) / d.candela.max() for g in (grid(n, 2 * n) for n in (16, 32, 64, 128, 256))]
+    errors = [rmse(d, g, light_texture(d, g)) / d.candela.max() for g in (grid(n, 2 * n, 41, 21) for n in (32, 64, 128, 256, 512))]
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     assert (orders > 1.3).all() and orders[1:].mean() == pytest.approx(1.5, abs=0.2)
     assert errors[-1] < 2e-4
 
 
 def test_the_error_falls_for_uneven_type_c_too() -> None:
-    v, h = np.array([0.0, 1, 2.5, 5, 9, 20, 90]), np.arange(0.0, 361, 15)
-    d = Distribution("C", v, h, np.outer(2 + np.cos(np.deg2rad(h)), [9, 8, 6, 3, 1, 0.3, 0]))
-    errors = [rmse(d, g, light_texture(d, g)) for g in (grid(n, 2 * n) for n in (8, 16, 32, 64, 128))]
+    v, h = np.array([0.0, 1, 2.5, 5, 9, 15, 20]), np.arange(0.0, 361, 15)
+    candela = np.outer(2 + np.cos(np.deg2rad(h)), [9, 8, 6, 3, 1, 0.3, 0])
+    candela[:, 0] = 18  # one value into one direction
+    d = Distribution("C", v, h, candela)
+    errors = [rmse(d, g, light_texture(d, g)) for g in (grid(n, 2 * n, 21, 21) for n in (8, 16, 32, 64, 128))]
     assert all(finer < coarser / 2 for coarser, finer in pairwise(errors))
 
 
 def test_averages_are_better_than_samples_where_texels_are_coarse() -> None:
     rng = np.random.default_rng(5)
-    h, v = np.arange(-21, 21.1, 0.25), np.arange(-11, 11.1, 0.25)
+    h, v = np.arange(-20, 20.1, 0.25), np.arange(-10, 10.1, 0.25)
     speckled = Distribution("A", v, h, rng.random((len(h), len(v))))
     g = grid(10, 20)
     assert rmse(speckled, g, light_texture(speckled, g)) < 0.85 * rmse(speckled, g, speckled.intensity(centres(g)))
