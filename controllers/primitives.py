@@ -1,8 +1,9 @@
 """Primitives: rectangles in the world that carry a symbol image and a setpoint (T 7.1, 7.2.1)."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 import cv2
 import numpy as np
@@ -13,28 +14,215 @@ from world.errors import LuxloopError
 from world.frames import rotation
 
 Quantity = Literal["I_v", "E_v", "u_abs", "u_rel"]
+QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)  # a quantity's code is its place in here
+I_V, E_V, U_ABS, U_REL = range(4)
+
+_VECTORS = ("origin", "d1", "d2", "normal")
+
+
+@dataclass(frozen=True)
+class Observer:
+    """For whom symbols shall look undistorted (T 7.2.2): eyes and flying symbol rectangles in m, all `[..., P, 3]`; active: `[P]` bool."""
+
+    eye: Tensor
+    origin: Tensor
+    d1: Tensor
+    d2: Tensor
+    active: Tensor
 
 
 @dataclass(frozen=True)
 class Primitives:
-    """P rectangles per scene, batch dimensions first.
+    """P rectangles per scene, batch dimensions first. What has no batch dimensions lies on the host, since it chooses the path of a step.
 
     origin: `[..., P, 3]` m, the corner where symbol coordinates are (0, 0). d1, d2: `[..., P, 3]` m, the edges along symbol u and v.
-    normal: `[..., P, 3]`, unit, towards the side that takes light. symbols: `[P, h, w]` in 0..1, image row 0 at v = 0.
-    value: `[..., P]`, setpoint at symbol value 1 in cd, lx or as a share, by `quantity`.
+    normal: `[..., P, 3]`, unit, towards the side that takes light. value: `[..., P]`, setpoint at symbol value 1 in cd, lx or as a share.
+    weight: `[..., P]`, 0 to infinity: 0 hides what lies behind but does not count, infinity beats every finite one.
+    quantity: `[P]` int64, places in QUANTITIES. forced: `[P]` bool, hit whatever lies before it. priority: `[P]` int64, decides between
+    forced hits and between coplanar ones. symbols: images `[h, w]` in 0..1, row 0 at v = 0; symbol_of: `[P]` int64, whose image.
+    nearest: `[P]` bool, images are read at the nearest texel, else bilinearly. group: `[P]` int64, what moves as one body.
+    modules: names of modules or lamps that may draw each, all where there are none.
     """
 
     origin: Tensor
     d1: Tensor
     d2: Tensor
     normal: Tensor
-    symbols: Tensor
     value: Tensor
-    quantity: Quantity = "u_abs"
+    weight: Tensor
+    quantity: Tensor
+    forced: Tensor
+    priority: Tensor
+    symbols: tuple[Tensor, ...]
+    symbol_of: Tensor
+    nearest: Tensor
+    group: Tensor
+    modules: tuple[tuple[str, ...], ...]
+    observer: Observer | None = None
+
+    def __len__(self) -> int:
+        return self.origin.shape[-2]
 
     def corners(self) -> Tensor:
         """The four corners, `[..., P, 4, 3]` m."""
         return torch.stack([self.origin, self.origin + self.d1, self.origin + self.d2, self.origin + self.d1 + self.d2], -2)
+
+    def select(self, mask: Tensor) -> "Primitives":
+        """Those where `[P]` bool is true, with all images."""
+        mask = mask.cpu()
+        at = mask.nonzero()[:, 0]
+        picked = {name: getattr(self, name)[..., at.to(self.origin.device), :] for name in _VECTORS}
+        picked |= {name: getattr(self, name)[..., at.to(self.origin.device)] for name in ("value", "weight")}
+        picked |= {name: getattr(self, name)[at] for name in ("quantity", "forced", "priority", "symbol_of", "nearest", "group")}
+        observer = self.observer
+        if observer is not None:
+            vectors = {f.name: getattr(observer, f.name)[..., at.to(self.origin.device), :] for f in fields(observer) if f.name != "active"}
+            observer = Observer(**vectors, active=observer.active[at])
+        return replace(self, **picked, modules=tuple(self.modules[k] for k in at.tolist()), observer=observer)
+
+    def for_module(self, name: str) -> "Primitives":
+        """Those that a module may draw; "left lores" is meant by its name, by "left" and by "lores"."""
+        may = [not names or any(f" {each} " in f" {name} " for each in names) for names in self.modules]
+        return self if all(may) else self.select(torch.tensor(may))
+
+    def to(self, target: torch.device | torch.dtype) -> "Primitives":
+        """Move coordinates, setpoints and images to a device or a floating dtype."""
+        moved = {name: getattr(self, name).to(target) for name in (*_VECTORS, "value", "weight")}
+        observer = self.observer
+        if observer is not None:
+            vectors = {f.name: getattr(observer, f.name).to(target) for f in fields(observer) if f.name != "active"}
+            observer = replace(observer, **vectors)
+        return replace(self, **moved, symbols=tuple(symbol.to(target) for symbol in self.symbols), observer=observer)
+
+
+def rectangles(
+    origin: Tensor,
+    d1: Tensor,
+    d2: Tensor,
+    value: float | Tensor,
+    quantity: Quantity = "u_abs",
+    *,
+    normal: Tensor | None = None,
+    symbol: Tensor | None = None,
+    weight: float | Tensor = 1.0,
+    forced: bool = False,
+    priority: int = 0,
+    nearest: bool = False,
+    modules: Sequence[str] = (),
+) -> Primitives:
+    """A group of rectangles `[..., P, 3]` that share everything but place, setpoint and weight (each a number or `[..., P]`).
+
+    normal: default d1 x d2; of any length. symbol: `[h, w]` in 0..1, homogeneous where there is none. Raises LuxloopError for a quantity
+    that there is not and for a symbol that is no image.
+    """
+    if quantity not in QUANTITIES:
+        raise LuxloopError(f"there is no quantity {quantity!r} of a primitive; the quantities are {', '.join(QUANTITIES)}")
+    symbol = torch.ones(1, 1) if symbol is None else symbol
+    if symbol.ndim != 2 or not symbol.numel():
+        raise LuxloopError(f"a primitive's symbol is an image [rows, columns], not of shape {list(symbol.shape)}")
+    origin, d1, d2 = torch.broadcast_tensors(origin, d1, d2)
+    normal = torch.linalg.cross(d1, d2) if normal is None else normal.to(origin).expand_as(origin)
+    P = origin.shape[-2]
+
+    def each(number: float | Tensor) -> Tensor:
+        return torch.as_tensor(number, dtype=origin.dtype, device=origin.device).expand(origin.shape[:-1])
+
+    return Primitives(
+        origin,
+        d1,
+        d2,
+        torch.nn.functional.normalize(normal, dim=-1),
+        each(value),
+        each(weight),
+        torch.full((P,), QUANTITIES.index(quantity)),
+        torch.full((P,), forced),
+        torch.full((P,), priority),
+        (symbol.to(origin),),
+        torch.zeros(P, dtype=torch.int64),
+        torch.full((P,), nearest),
+        torch.zeros(P, dtype=torch.int64),
+        (tuple(modules),) * P,
+    )
+
+
+def rectangle(
+    origin: Tensor,
+    d1: Tensor,
+    d2: Tensor,
+    value: float | Tensor,
+    quantity: Quantity = "u_abs",
+    *,
+    normal: Tensor | None = None,
+    symbol: Tensor | None = None,
+    weight: float | Tensor = 1.0,
+    forced: bool = False,
+    priority: int = 0,
+    nearest: bool = False,
+    modules: Sequence[str] = (),
+) -> Primitives:
+    """One rectangle `[..., 3]`, value and weight `[...]`; else as `rectangles`."""
+    return rectangles(
+        origin[..., None, :],
+        d1[..., None, :],
+        d2[..., None, :],
+        value[..., None] if isinstance(value, Tensor) else value,
+        quantity,
+        normal=None if normal is None else normal[..., None, :],
+        symbol=symbol,
+        weight=weight[..., None] if isinstance(weight, Tensor) else weight,
+        forced=forced,
+        priority=priority,
+        nearest=nearest,
+        modules=modules,
+    )
+
+
+def concatenate(*parts: Primitives) -> Primitives:
+    """All primitives in one list, batch dimensions broadcast; groups stay apart, an image that several use is kept once.
+
+    Raises LuxloopError where there is nothing to put together.
+    """
+    if not parts:
+        raise LuxloopError("there are no primitives to put together: give at least one")
+    batch = torch.broadcast_shapes(*(part.origin.shape[:-2] for part in parts))
+
+    def joined(name: str, width: int) -> Tensor:
+        tensors = [getattr(part, name) for part in parts]
+        return torch.cat([t.expand(*batch, *t.shape[t.ndim - width :]) for t in tensors], -width)
+
+    symbols: list[Tensor] = []
+    symbol_of, group, groups = [], [], 0
+    for part in parts:
+        place = []
+        for symbol in part.symbols:
+            known = [k for k, other in enumerate(symbols) if other is symbol]
+            symbols += [] if known else [symbol]
+            place.append(known[0] if known else len(symbols) - 1)
+        symbol_of.append(torch.tensor(place)[part.symbol_of])
+        group.append(part.group + groups)
+        groups += int(part.group.max()) + 1 if len(part) else 0
+    return Primitives(
+        **{name: joined(name, 2) for name in _VECTORS},
+        **{name: joined(name, 1) for name in ("value", "weight")},
+        **{name: torch.cat([getattr(part, name) for part in parts]) for name in ("quantity", "forced", "priority", "nearest")},
+        symbols=tuple(symbols),
+        symbol_of=torch.cat(symbol_of),
+        group=torch.cat(group),
+        modules=tuple(names for part in parts for names in part.modules),
+        observer=_observers(parts, batch),
+    )
+
+
+def _observers(parts: Sequence[Primitives], batch: torch.Size) -> Observer | None:
+    if all(part.observer is None for part in parts):
+        return None
+    vectors: dict[str, list[Tensor]] = {name: [] for name in ("eye", "origin", "d1", "d2")}
+    for part in parts:
+        for name, found in vectors.items():
+            vector = torch.zeros_like(part.origin) if part.observer is None else getattr(part.observer, name)
+            found.append(vector.expand(*batch, len(part), 3))
+    active = [torch.zeros(len(part), dtype=torch.bool) if part.observer is None else part.observer.active for part in parts]
+    return Observer(**{name: torch.cat(found, -2) for name, found in vectors.items()}, active=torch.cat(active))
 
 
 def road_symbol(pose: Tensor, z_m: float, width_m: float, length_m: float, symbol: Tensor, value: float, quantity: Quantity) -> Primitives:
@@ -47,9 +235,7 @@ def road_symbol(pose: Tensor, z_m: float, width_m: float, length_m: float, symbo
     centre = torch.cat([pose[..., :2], torch.full_like(pose[..., :1], z_m)], -1)
     forward, left, up = R.unbind(-1)
     d1, d2 = -width_m * left, -length_m * forward
-    origin = centre - (d1 + d2) / 2
-    values = torch.full_like(pose[..., :1], value)
-    return Primitives(origin[..., None, :], d1[..., None, :], d2[..., None, :], up[..., None, :], symbol[None].to(pose), values, quantity)
+    return rectangle(centre - (d1 + d2) / 2, d1, d2, value, quantity, normal=up, symbol=symbol)
 
 
 def load_symbol(path: Path) -> Tensor:

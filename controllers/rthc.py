@@ -12,7 +12,7 @@ import torch
 from kornia.geometry.transform import remap
 from torch import Tensor
 
-from controllers.primitives import Primitives
+from controllers.primitives import E_V, Primitives
 from world.headlight import Headlight
 
 COPLANAR = 1e-4  # of the distance: what lies closer together counts as one plane, whatever the dtype rounds
@@ -94,10 +94,13 @@ def trace(primitives: Primitives, headlight: Headlight, T_world_headlight: Tenso
     length = (q * n).sum(-1)[..., None, None] / dn
     facing = along_rays(-normal)
     hit = (torch.maximum(u.abs(), v.abs()) <= 1) & (torch.minimum(length, facing) > 0)
-    value = _symbol_value(primitives.symbols, u, v) * primitives.value[..., None, None]
-    if primitives.quantity == "E_v":
+    seen = [_symbol_value(primitives.symbols[k], u[..., p, :, :], v[..., p, :, :]) for p, k in enumerate(primitives.symbol_of.tolist())]
+    value = torch.stack(seen, -3) * primitives.value[..., None, None]
+    illuminance = primitives.quantity == E_V
+    if illuminance.any():
         d = (1 + y * y + z[:, None] ** 2).sqrt()
-        value = value * length**2 * d**3 / torch.where(hit, facing, 1.0)
+        intensity = value * length**2 * d**3 / torch.where(hit, facing, 1.0)
+        value = torch.where(illuminance.to(value.device)[:, None, None], intensity, value)
     value = torch.where(hit, value, 0.0)
     if value.shape[-3] == 1:
         return Setpoints(value[..., 0, :, :], hit[..., 0, :, :], window)
@@ -112,11 +115,11 @@ def _nearest(hit: Tensor, length: Tensor) -> Tensor:
     return torch.where(in_front, order, -1).amax(-3, keepdim=True)
 
 
-def _symbol_value(symbols: Tensor, u: Tensor, v: Tensor) -> Tensor:
-    """Symbol images `[P, h, w]` at coordinates -1..1 `[..., P, rows, cols]`, bilinear, texel centres at (2 k + 1) / n - 1."""
+def _symbol_value(symbol: Tensor, u: Tensor, v: Tensor) -> Tensor:
+    """Symbol image `[h, w]` at coordinates -1..1 `[..., rows, cols]`, bilinear, texel centres at (2 k + 1) / n - 1."""
     shape = u.shape
     if not u.numel():
         return u  # out of sight
-    images = symbols.expand(*shape[:-2], *symbols.shape[-2:]).reshape(-1, 1, *symbols.shape[-2:])
     u, v = u.reshape(-1, *shape[-2:]), v.reshape(-1, *shape[-2:])
+    images = symbol.expand(len(u), 1, *symbol.shape)
     return remap(images, u, v, padding_mode="border", align_corners=False, normalized_coordinates=True).reshape(shape)

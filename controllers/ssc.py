@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from controllers.mrpc import MrpcParams, PixelMajor, pixel_major, reduce_setpoints
-from controllers.primitives import Primitives
+from controllers.primitives import QUANTITIES, Primitives
 from controllers.rthc import projected_window, trace
 from world.headlight import Headlight
 
@@ -59,5 +59,7 @@ class Ssc:
         banded = primitives.origin.ndim == 2 and primitives.origin.device.type == "cpu"
         window = projected_window(primitives, self.headlight, T_world_headlight) if banded else None
         setpoints = trace(primitives, self.headlight, T_world_headlight, window)
-        u, band = reduce_setpoints(setpoints, primitives.quantity, self.headlight, self.pixels, self.params, self.default, self.dark)
+        u, band = reduce_setpoints(
+            setpoints, QUANTITIES[int(primitives.quantity[0])], self.headlight, self.pixels, self.params, self.default, self.dark
+        )
         return Utilisation(u, band if banded and self.dark else None)

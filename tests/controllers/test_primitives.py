@@ -1,6 +1,7 @@
 """Where a symbol's corners lie, which way it is read, and what counts as a picture."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -11,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from controllers.primitives import Primitives, load_symbol, road_symbol
+from controllers.primitives import QUANTITIES, Observer, Primitives, concatenate, load_symbol, rectangle, road_symbol
 from world.errors import LuxloopError
 
 SYMBOL = torch.ones(2, 3)
@@ -60,7 +61,7 @@ def test_batches_keep_dtype_and_device(device: torch.device) -> None:
     assert p.origin.shape == p.d1.shape == p.d2.shape == p.normal.shape == (5, 3, 1, 3)
     assert p.corners().shape == (5, 3, 1, 4, 3)
     assert p.value.shape == (5, 3, 1)
-    assert p.symbols.shape == (1, 2, 3)
+    assert [symbol.shape for symbol in p.symbols] == [(2, 3)]
     assert (p.value == 0.5).all()
     assert {(t.dtype, t.device.type) for t in (p.origin, p.d1, p.normal, p.symbols, p.value)} == {(torch.float32, device.type)}
 
@@ -106,3 +107,62 @@ def test_what_is_no_symbol_is_refused_by_a_sentence(tmp_path: Path) -> None:
     refused(empty, "cannot be read")
     refused(write(tmp_path, np.ones((2, 2), np.float32), "float.tiff"), "cannot be read as a picture of 8 or 16 bits")
     refused(write(tmp_path, np.zeros((2, 2), np.uint8)), "all black")
+
+
+def board(x: float, **changes) -> Primitives:
+    origin, d1, d2 = torch.tensor([[x, 1.0, 1.0], [0.0, -2.0, 0.0], [0.0, 0.0, -2.0]], dtype=torch.float64)
+    return rectangle(origin, d1, d2, **{"value": 1.0, "quantity": "I_v", **changes})
+
+
+def test_lists_are_put_together_and_taken_apart() -> None:
+    image = torch.rand(3, 4)
+    first = concatenate(board(10, weight=2.0, symbol=image), board(11, forced=True, priority=3, modules=("left",)))
+    both = concatenate(first, road_symbol(torch.zeros(5, 4), 0.0, 1.0, 1.0, image, 0.5, "E_v"))
+    assert both.origin.shape == (5, 3, 3)
+    assert both.value.shape == both.weight.shape == (5, 3)
+    assert [QUANTITIES[k] for k in both.quantity] == ["I_v", "I_v", "E_v"]
+    assert both.group.tolist() == [0, 1, 2]
+    assert both.modules == ((), ("left",), ())
+    last = both.select(torch.tensor([False, True, True]))
+    assert len(last) == 2
+    assert last.forced.tolist() == [True, False]
+    assert last.priority.tolist() == [3, 0]
+    assert torch.equal(last.symbols[last.symbol_of[1]], image)
+
+
+def test_an_image_of_several_is_kept_once() -> None:
+    image = torch.rand(3, 4, dtype=torch.float64)
+    both = concatenate(board(10, symbol=image), board(11), board(12, symbol=image))
+    assert len(both.symbols) == 2
+    assert both.symbol_of.tolist() == [0, 1, 0]
+
+
+def test_a_module_draws_what_names_it_its_lamp_or_nobody() -> None:
+    scene = concatenate(board(10), board(11, modules=("left",)), board(12, modules=("lores", "hires")), board(13, modules=("right lores",)))
+    assert scene.for_module("left lores").origin[:, 0].tolist() == [10, 11, 12]
+    assert scene.for_module("right lores").origin[:, 0].tolist() == [10, 12, 13]
+    assert scene.for_module("right auxiliary high beam").origin[:, 0].tolist() == [10]
+
+
+def test_observers_go_with_their_primitives() -> None:
+    eye = torch.tensor([[-1.0, 0.0, 1.5]], dtype=torch.float64)
+    seen = replace(board(10), observer=Observer(eye, eye + 1, eye + 2, eye + 3, torch.tensor([True])))
+    both = concatenate(board(11), seen)
+    assert both.observer is not None
+    assert both.observer.active.tolist() == [False, True]
+    assert torch.equal(both.select(both.observer.active).observer.eye, eye)
+    assert concatenate(board(10), board(11)).observer is None
+
+
+def test_a_normal_of_any_length_is_normalised() -> None:
+    assert board(10, normal=torch.tensor([-3.0, 0.0, 4.0])).normal.tolist() == [[-0.6, 0.0, 0.8]]
+    np.testing.assert_allclose(board(10).normal, [[1, 0, 0]])
+
+
+def test_what_is_no_primitive_is_refused_by_a_sentence() -> None:
+    with pytest.raises(LuxloopError, match=r"no quantity 'lux'.*I_v, E_v, u_abs, u_rel"):
+        board(10, quantity="lux")
+    with pytest.raises(LuxloopError, match=r"shape \[3, 4, 5\]"):
+        board(10, symbol=torch.ones(3, 4, 5))
+    with pytest.raises(LuxloopError, match="at least one"):
+        concatenate()

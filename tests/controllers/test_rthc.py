@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from controllers.primitives import Primitives, road_symbol
+from controllers.primitives import Primitives, concatenate, rectangle, road_symbol
 from controllers.rthc import Setpoints, Window, projected_window, trace, whole
 from tests.reference import ssc as reference
 from world.frames import pose_from_degrees
@@ -25,11 +25,13 @@ def primitives(
     *rectangles: tuple, symbols: Tensor | None = None, quantity: str = "u_abs", dtype: torch.dtype = torch.float64
 ) -> Primitives:
     """Rectangles given as (origin, d1, d2, value), with the normal that looks back at the lamp."""
-    origin, d1, d2 = (torch.tensor([r[i] for r in rectangles], dtype=dtype) for i in range(3))
-    normal = torch.linalg.cross(d1, d2)
-    normal = torch.nn.functional.normalize(normal, dim=-1) * -torch.sign((normal * origin).sum(-1, keepdim=True))
-    symbols = torch.ones(len(rectangles), 1, 1, dtype=dtype) if symbols is None else symbols.to(dtype)
-    return Primitives(origin, d1, d2, normal, symbols, torch.tensor([r[3] for r in rectangles], dtype=dtype), quantity)
+    parts = []
+    for k, r in enumerate(rectangles):
+        origin, d1, d2 = (torch.tensor(vector, dtype=dtype) for vector in r[:3])
+        normal = torch.linalg.cross(d1, d2)
+        symbol = None if symbols is None else symbols[k].to(dtype)
+        parts.append(rectangle(origin, d1, d2, r[3], quantity, normal=-normal * torch.sign(normal @ origin), symbol=symbol))
+    return concatenate(*parts)
 
 
 def facing(x: float, value: float = 1.0, half: float = 100.0, y: float = 0.0) -> tuple:
@@ -66,8 +68,7 @@ def test_equals_rays_solved_one_by_one(seed: int, quantity: str) -> None:
 def test_float32_differs_at_outlines_only(quantity: str, device: torch.device) -> None:
     scene = random_scene(1, quantity)
     exact = trace(scene, LAMP, T_LEFT)
-    tensors = {k: v.float().to(device) for k, v in vars(scene).items() if isinstance(v, Tensor)}
-    fast = trace(replace(scene, **tensors), LAMP.to(device), T_LEFT)
+    fast = trace(scene.to(torch.float32).to(device), LAMP.to(device), T_LEFT)
     assert (fast.value.dtype, fast.value.device.type) == (torch.float32, device.type)
     # No texel's centre happens to lie within 1e-6 of an outline here.
     assert torch.equal(fast.hit.cpu(), exact.hit)
@@ -122,19 +123,7 @@ def test_coplanar_primitives_are_painted_in_order(dtype: torch.dtype) -> None:
         scene = primitives(*order, dtype=dtype)
         scene = replace(scene, normal=torch.tensor([[0.0, 0.0, 1.0]], dtype=dtype).expand(3, 3))
         seen = trace(scene, LAMP, T_LEFT)
-        alone = trace(
-            replace(
-                scene,
-                origin=scene.origin[-1:],
-                d1=scene.d1[-1:],
-                d2=scene.d2[-1:],
-                value=scene.value[-1:],
-                normal=scene.normal[-1:],
-                symbols=scene.symbols[-1:],
-            ),
-            LAMP,
-            T_LEFT,
-        )
+        alone = trace(scene.select(torch.tensor([False, False, True])), LAMP, T_LEFT)
         assert alone.hit.sum() > 100
         assert (seen.value[alone.hit] == order[-1][3]).all()
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.primitives import Primitives
+from controllers.primitives import QUANTITIES, Primitives
 from world.headlight import Headlight
 
 Array = NDArray[np.float64]
@@ -43,8 +43,10 @@ def trace(primitives: Primitives, headlight: Headlight, T_world_headlight: Array
                 length, u, v = np.linalg.solve(np.column_stack([ray, -d1s[p], -d2s[p]]), origins[p] - position)
                 if length <= 0 or not (0 <= u <= 1 and 0 <= v <= 1) or length > nearest:
                     continue
-                value = symbol_value(np.asarray(primitives.symbols[p], dtype=float), u, v) * float(primitives.value[p])
-                if primitives.quantity == "E_v":
+                value = symbol_value(np.asarray(primitives.symbols[primitives.symbol_of[p]], dtype=float), u, v) * float(
+                    primitives.value[p]
+                )
+                if QUANTITIES[primitives.quantity[p]] == "E_v":
                     value *= length**2 / cosine
                 nearest, setpoint[row, col], hit[row, col] = length, value, True
     return setpoint, hit
