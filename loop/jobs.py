@@ -1,0 +1,180 @@
+"""The job runner of evaluations, campaigns and tables: many independent jobs over all cores, each kept on disk as soon as it is done.
+
+A run that was killed or interrupted goes on where it was, failures are collected, and a job whose parameters or code have changed is
+done again. To run jobs elsewhere than in this machine's processes, `_finished` is what to exchange.
+"""
+
+import contextlib
+import hashlib
+import json
+import multiprocessing
+import os
+import signal
+import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from loop.progress import progress
+from world.errors import LuxloopError
+
+Values = Mapping[str, Any]  # what JSON can hold, by name
+_ONE_THREAD = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}  # the cores are shared out among jobs
+_START = b'{"id": '  # of every line
+
+
+@dataclass(frozen=True)
+class Job:
+    """Keyword arguments of one call; key: what people call it, in tables and messages."""
+
+    key: str
+    parameters: Values
+
+
+@dataclass(frozen=True)
+class Results:
+    """What a run has got: key, parameters and result of each job that succeeded, in the order of the jobs; why others failed, by key."""
+
+    rows: list[dict[str, Any]]
+    failures: dict[str, str]
+
+    def write(self, file: Path) -> None:
+        """Write the rows as Parquet, whole or not at all. Raises LuxloopError where that cannot be."""
+        import pyarrow as pa  # and the recorder takes torch: workers need neither and start at once
+
+        from loop.recorder import write_table
+
+        with _writing(file):
+            write_table(file, pa.Table.from_pylist(self.rows))
+
+
+def run(
+    function: Callable[..., Values], jobs: Sequence[Job], file: Path, *, version: str, processes: int | None = None, title: str = "jobs"
+) -> Results:
+    """Do those jobs that the file has no result of, and give the results of all.
+
+    function: of a module's top level, so that another process can import it; called with the parameters of a job, gives what JSON can
+    hold. file: JSON lines, one a result; it only grows, and results of other functions, parameters and versions stay in it. version: what
+    decides a result besides its parameters, such as `digest_of(...)`. processes: each with one thread, by default one a core; 1 stays in
+    this process. Failed jobs are tried again by the next run.
+
+    Raises: KeyboardInterrupt that says what is kept; LuxloopError where a worker is killed, or the file is of another kind or cannot be
+    written.
+    """
+    pairs = [(_identity(function, job.parameters, version), job) for job in jobs]
+    done = _read(file)
+    left = {identity: job for identity, job in pairs if identity not in done}
+    total, failures = len(dict(pairs)), dict[str, str]()
+    try:
+        with progress(title, total, total - len(left)) as advance:
+            for identity, (result, error) in _finished(function, left, processes or os.cpu_count() or 1):
+                if error:
+                    failures[identity] = error
+                else:
+                    _append(file, f'{{"id": "{identity}", "key": {json.dumps(left[identity].key)}, "result": {result}}}')
+                    done[identity] = json.loads(result)
+                advance()
+    except (KeyboardInterrupt, BrokenProcessPool) as error:
+        kept = f"{len(done.keys() & dict(pairs))} of {total} {title} are kept in {file}, the same command goes on from there"
+        if isinstance(error, KeyboardInterrupt):
+            raise KeyboardInterrupt(kept) from error
+        raise LuxloopError(f"a worker process was killed, as happens for want of memory: {kept}; take fewer processes") from error
+    return Results(
+        [{"key": job.key, **job.parameters, **done[identity]} for identity, job in pairs if identity in done],
+        {job.key: failures[identity] for identity, job in pairs if identity in failures},
+    )
+
+
+def digest_of(*modules: ModuleType) -> str:
+    """A version made of the source of modules, for results that have to follow their code."""
+    return hashlib.sha256(b"".join(Path(str(module.__file__)).read_bytes() for module in modules)).hexdigest()
+
+
+def _identity(function: Callable[..., Values], parameters: Values, version: str) -> str:
+    decisive = [function.__module__, function.__qualname__, version, parameters]
+    return hashlib.sha256(json.dumps(decisive, sort_keys=True).encode()).hexdigest()[:32]
+
+
+def _finished(function: Callable[..., Values], jobs: Mapping[str, Job], processes: int) -> Iterator[tuple[str, tuple[str, str]]]:
+    """Identities of jobs with what `_call` gives, as they finish."""
+    if processes == 1 or len(jobs) < 2:
+        yield from ((identity, _call(function, job.parameters)) for identity, job in jobs.items())
+        return
+    others = set(multiprocessing.active_children())
+    with _environment(_ONE_THREAD):  # read when libraries are loaded, so a worker has to be born with it
+        pool = ProcessPoolExecutor(min(processes, len(jobs)), multiprocessing.get_context("spawn"), signal.signal, _IGNORE_CTRL_C)
+        try:
+            futures = {pool.submit(_call, function, job.parameters): identity for identity, job in jobs.items()}
+            yield from ((futures[future], future.result()) for future in as_completed(futures))
+        except BaseException:  # also where nobody wants to hear more
+            pool.shutdown(wait=False, cancel_futures=True)
+            for worker in set(multiprocessing.active_children()) - others:
+                worker.terminate()
+            raise
+        pool.shutdown()
+
+
+_IGNORE_CTRL_C = (signal.SIGINT, signal.SIG_IGN)  # the terminal sends it to workers, too; this process ends them
+
+
+def _call(function: Callable[..., Values], parameters: Values) -> tuple[str, str]:
+    """The result as JSON, or why there is none."""
+    try:
+        return json.dumps(dict(function(**parameters))), ""
+    except Exception as error:
+        if isinstance(error, LuxloopError):
+            return "", str(error)
+        where = traceback.extract_tb(error.__traceback__)[-1]
+        return "", f"{type(error).__name__}: {error} ({Path(where.filename).name}, line {where.lineno})"
+
+
+def _read(file: Path) -> dict[str, dict[str, Any]]:
+    """Results by identity. A last line without its end was cut off by a kill: it is removed, and its job will be done again."""
+    try:
+        content = file.read_bytes() if file.exists() else b""
+        whole = content.rfind(b"\n") + 1
+        cut = content[whole:]
+        entries = [json.loads(line) for line in content[:whole].splitlines()]
+        results = {entry["id"]: entry["result"] for entry in entries}
+        if not (cut.startswith(_START) or _START.startswith(cut)):
+            raise ValueError("its last line is none of theirs")
+        if cut:
+            os.truncate(file, whole)
+        return results
+    except (ValueError, KeyError, TypeError) as error:
+        raise LuxloopError(f"{file}: holds something else than results of jobs ({error}); remove it or give another folder") from error
+    except OSError as error:
+        raise LuxloopError(f"{file}: cannot be read ({error.strerror}); check its permissions") from error
+
+
+def _append(file: Path, line: str) -> None:
+    with _writing(file):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with file.open("ab") as stream:
+            stream.write(line.encode() + b"\n")
+
+
+@contextlib.contextmanager
+def _writing(file: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise LuxloopError(f"{file}: cannot be written ({error.strerror}); give another folder") from error
+
+
+@contextlib.contextmanager
+def _environment(values: Mapping[str, str]) -> Iterator[None]:
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name)
+            else:
+                os.environ[name] = value
