@@ -63,7 +63,7 @@ def test_batches_keep_dtype_and_device(device: torch.device) -> None:
     assert p.value.shape == (5, 3, 1)
     assert [symbol.shape for symbol in p.symbols] == [(2, 3)]
     assert (p.value == 0.5).all()
-    assert {(t.dtype, t.device.type) for t in (p.origin, p.d1, p.normal, p.symbols, p.value)} == {(torch.float32, device.type)}
+    assert {(t.dtype, t.device.type) for t in (p.origin, p.d1, p.normal, *p.symbols, p.value, p.weight)} == {(torch.float32, device.type)}
 
 
 def write(folder: Path, image: np.ndarray, name: str = "symbol.png") -> Path:
