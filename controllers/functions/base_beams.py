@@ -1,0 +1,60 @@
+"""The base beam: one of the lamp's beams by name or by situation, bent into curves and levelled (T 3.4)."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from pydantic import Field
+
+from controllers.functions.situation import Situation
+from world.params import Params
+
+BeamName = Literal["low", "high", "town", "motorway", "adverse", "full", "off"]
+
+TOWN_BELOW_M_S = 50 / 3.6  # our choice, close to where UN R149 has its class V (town) and class E (motorway)
+MOTORWAY_ABOVE_M_S = 110 / 3.6
+
+
+@dataclass(frozen=True)
+class BaseBeam:
+    """A beam by name and how it is morphed, in rad: bend to the left, level nose down, roll right side down."""
+
+    name: str
+    bend: float = 0.0
+    level: float = 0.0
+    roll: float = 0.0
+
+
+class BaseBeamParams(Params):
+    """The light below all functions."""
+
+    beam: Literal[BeamName, "auto"] = Field("off", description="beam of the lamps; `auto`: by speed, wetness and street lighting")
+    bend_deg: float = Field(0.0, ge=-20, le=20, description="turned to the left, digitally")
+    level_deg: float = Field(0.0, ge=-10, le=10, description="turned down, digitally")
+    roll_deg: float = Field(0.0, ge=-20, le=20, description="rolled, right side down, digitally")
+    follow_course: bool = Field(False, description="bends into curves by the car's course, in addition")
+    look_ahead_s: float = Field(2.0, gt=0, le=5, description="how far ahead the bent beam points, as time at the car's speed")
+    largest_bend_deg: float = Field(10.0, gt=0, le=20, description="bends no further than this")
+
+    def at(self, now: Situation) -> BaseBeam:
+        bend = math.radians(self.bend_deg)
+        if self.follow_course:
+            bend += bend_of_course(now.curvature_1_m, self.look_ahead_s * now.speed_m_s)
+        largest = math.radians(self.largest_bend_deg)
+        name = chosen(now) if self.beam == "auto" else self.beam
+        bend = min(max(bend, -largest), largest) if self.follow_course else bend
+        return BaseBeam(name, bend, math.radians(self.level_deg), math.radians(self.roll_deg))
+
+
+def chosen(now: Situation) -> BeamName:
+    """The AFS beam for a situation (T 3.4): adverse weather first, then town, then motorway, else the low beam."""
+    if now.wet:
+        return "adverse"
+    if now.street_lit or now.speed_m_s < TOWN_BELOW_M_S:
+        return "town"
+    return "motorway" if now.speed_m_s > MOTORWAY_ABOVE_M_S else "low"
+
+
+def bend_of_course(curvature_1_m: float, distance_m: float) -> float:
+    """Angle in rad to the left at which the car's circular course is met at a distance: a chord turns by half the arc's angle."""
+    return math.asin(min(max(curvature_1_m * distance_m / 2, -1.0), 1.0))

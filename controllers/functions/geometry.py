@@ -1,0 +1,55 @@
+"""Rectangles of lighting functions: boxes around objects, strips and areas on the road; batch dimensions first."""
+
+import torch
+from torch import Tensor
+
+Rectangles = tuple[Tensor, Tensor, Tensor]  # origin, d1, d2
+
+
+def cuboid(T_world_box: Tensor, low: Tensor, high: Tensor) -> Rectangles:
+    """The six faces of a box as rectangles `[..., 6, 3]` m whose `d1 x d2` points outward: front, back, left, right, top, bottom.
+
+    T_world_box: `[..., 4, 4]`. low, high: `[..., 3]` m, opposite corners in the box's frame.
+    """
+    low, high = torch.broadcast_tensors(low.to(T_world_box), high.to(T_world_box))
+    size = high - low
+    zero = torch.zeros_like(size[..., 0])
+    x, y, z = (torch.stack([size[..., i] if i == k else zero for i in range(3)], -1) for k in range(3))
+    at_low = torch.stack([low] * 3, -2)
+    far = torch.stack([low + x, low + y, low + z], -2)
+    u, v = torch.stack([y, z, x], -2), torch.stack([z, x, y], -2)
+    # On the lower side u and v change places, which turns the normal round.
+    origin, d1, d2 = (torch.stack([a, b], -2).flatten(-3, -2) for a, b in ((far, at_low), (u, v), (v, u)))
+    R = T_world_box[..., :3, :3].transpose(-1, -2)
+    return origin @ R + T_world_box[..., None, :3, 3], d1 @ R, d2 @ R
+
+
+def strip(T_world_road: Tensor, start: Tensor, stop: Tensor, width_m: float) -> Rectangles:
+    """A rectangle `[..., 3]` on the road from the middle of its near side to that of its far one; image row 0 lies at the far side.
+
+    T_world_road: `[4, 4]`, the road is its plane z = 0. start, stop: `[..., 2]` m in that frame.
+    """
+    along = stop - start
+    right = torch.stack([along[..., 1], -along[..., 0]], -1)
+    d1 = width_m * torch.nn.functional.normalize(right, dim=-1)
+    return on_road(T_world_road, stop - d1 / 2, d1, -along)
+
+
+def on_road(T_world_road: Tensor, origin: Tensor, d1: Tensor, d2: Tensor) -> Rectangles:
+    """A rectangle on the road, given in its plane `[..., 2]` m, in the world `[..., 3]` m."""
+    T = T_world_road.to(origin)
+    p, a, b = (torch.nn.functional.pad(v, (0, 1)) @ T[:3, :3].T for v in (origin, d1, d2))
+    return p + T[:3, 3], a, b
+
+
+def facing(T_world_box: Tensor, low: Tensor, high: Tensor, viewer: Tensor) -> Rectangles:
+    """An upright rectangle `[3]` in the middle of a box, turned to the viewer `[3]` m, as wide and high as the box looks from there."""
+    low, high, viewer = low.to(T_world_box), high.to(T_world_box), viewer.to(T_world_box)
+    up = T_world_box[:3, 2]
+    middle = T_world_box[:3, :3] @ ((low + high) / 2) + T_world_box[:3, 3]
+    to_viewer = viewer - middle
+    normal = torch.nn.functional.normalize(to_viewer - (to_viewer @ up) * up, dim=0)
+    left = torch.linalg.cross(normal, up)  # the viewer's left
+    length, width = ((T_world_box[:3, k] @ left).abs() * (high - low)[k] for k in (0, 1))
+    d1, d2 = -(length + width) * left, -(high - low)[2] * up
+    return middle - (d1 + d2) / 2, d1, d2

@@ -1,0 +1,72 @@
+"""Glare-free high beam: the boxes of other road users stay dark (T 3.5.1, 7.2.2)."""
+
+import math
+from typing import Literal
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from controllers.functions.geometry import cuboid
+from controllers.functions.situation import LAYERS, MASK, SelectionParams, Situation, TrackedObject, fade
+from controllers.primitives import Primitives, rectangles
+from world.frames import inverse, transform
+from world.params import Params
+
+CLEARANCE = 0.8  # share of the gap between a box and a lamp beside it that a margin may take
+
+
+class SoftZoneParams(Params):
+    """A larger box that is dimmed only."""
+
+    margin_m: float = Field(gt=0, description="how much larger it is to each side than the mask")
+    u_rel: float = Field(ge=0, le=1, description="what is left of the base beam in it")
+
+
+class GlareFreeParams(SelectionParams):
+    """No light on other road users."""
+
+    kind: Literal["glare_free"] = "glare_free"
+    margin_m: float = Field(0.2, ge=0, description="safety margin around the box, except below its foot")
+    margin_deg: float = Field(0.2, ge=0, le=5, description="the same as an angle seen from the lamps, in addition")
+    fade_in_s: float = Field(0.0, ge=0, description="time to go dark for a new object; 0 goes dark at once, which is safe")
+    fade_out_s: float = Field(0.6, ge=0, description="time to become bright again behind an object that is gone")
+    soft_zones: tuple[SoftZoneParams, ...] = Field((), max_length=LAYERS - 1, description="dimmed boxes around the mask, inner ones first")
+
+    def primitives(self, now: Situation) -> tuple[Primitives, ...]:
+        """A cuboid of six outward primitives for each object, forced and of infinite weight, and one for each soft zone."""
+        return tuple(part for each in self.selected(now) for part in self._around(each, now))
+
+    def _around(self, each: TrackedObject, now: Situation) -> tuple[Primitives, ...]:
+        share = fade(now.time_s, each.since_s, each.until_s, self.fade_in_s, self.fade_out_s)
+        if share == 0:
+            return ()
+        T, lamps = each.T_world_object, now.lamps
+        distance = float((T[:3, 3] - lamps.to(T)).norm(dim=-1).amin())
+        margin = self.margin_m + distance * math.tan(math.radians(self.margin_deg))
+        mask = cuboid(T, *enlarged(each, margin, lamps))
+        quantity: Literal["u_abs", "u_rel"] = "u_abs" if share == 1 else "u_rel"
+        parts = [rectangles(*mask, 1 - share, quantity, weight=math.inf, forced=True, priority=MASK * LAYERS + LAYERS - 1)]
+        for layer, zone in enumerate(self.soft_zones, 1):
+            box = cuboid(T, *enlarged(each, margin + zone.margin_m, lamps))
+            parts.append(rectangles(*box, 1 - share * (1 - zone.u_rel), "u_rel", forced=True, priority=MASK * LAYERS + LAYERS - 1 - layer))
+        return tuple(parts)
+
+
+def enlarged(each: TrackedObject, margin_m: float, lamps: Tensor) -> tuple[Tensor, Tensor]:
+    """Corners `[3]` m in the object's frame of its box with a margin to all sides but the foot, which stays: below is the road to be lit.
+
+    lamps: `[L, 3]` m. A box around a lamp would have only back faces, which mask nothing, so on the side on which a lamp is farthest
+    from the box the margin ends before it.
+    """
+    length, width, height = each.size_m
+    low, high = torch.tensor([-length / 2, -width / 2, 0.0]).double(), torch.tensor([length / 2, width / 2, height]).double()
+    margins_low, margins_high = torch.full((3,), margin_m).double(), torch.full((3,), margin_m).double()
+    margins_low[2] = 0.0
+    for lamp in transform(inverse(each.T_world_object.double()), lamps.double().T).T:
+        below, above = low - lamp, lamp - high
+        gap, axis = torch.cat([below, above]).max(dim=0)
+        side, k = divmod(int(axis), 3)
+        margins = margins_high if side else margins_low
+        margins[k] = torch.minimum(margins[k], CLEARANCE * gap.clamp(min=0))
+    return low - margins_low, high + margins_high

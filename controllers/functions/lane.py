@@ -1,0 +1,86 @@
+"""Optical lane and width assistant: where the lane goes, and whether the car fits through (T 3.5.2)."""
+
+import math
+from typing import Literal
+
+import torch
+from pydantic import Field
+
+from controllers.functions.geometry import strip
+from controllers.functions.path import Drawing, draw
+from controllers.functions.situation import LAYERS, Drawn, Situation
+from controllers.primitives import Primitives, rectangle
+
+STRAIGHT_1_M = 1e-5  # a curve that turns less leaves its tangent by 2 cm in 60 m
+
+
+class LaneParams(Drawn):
+    """A carpet of light on the lane, or a line along each of its borders, bent as the car's course."""
+
+    kind: Literal["lane"] = "lane"
+    style: Literal["carpet", "lines"] = Field("carpet", description="`carpet` fills the lane, `lines` marks its borders")
+    lane_width_m: float = Field(2.6, gt=0, description="width of the carpet, or between the middles of the lines")
+    line_width_m: float = Field(0.2, gt=0, description="width of a line")
+    near_m: float = Field(6.0, gt=0, description="where it begins, ahead of the car")
+    far_m: float = Field(40.0, gt=0, description="where it ends")
+    y_m: float = Field(0.0, description="middle of the lane at the car, to the left")
+    texel_m: float = Field(0.05, gt=0, le=1, description="resolution of the drawing in a bend")
+
+    def primitives(self, now: Situation) -> tuple[Primitives, ...]:
+        """Rectangles on a straight course; in a bend a drawing along a cubic curve."""
+        if not self.active(now.time_s) or self.far_m <= self.near_m:
+            return ()
+        carpet = self.style == "carpet"
+        offsets, width = ((0.0,), self.lane_width_m) if carpet else ((self.lane_width_m / 2, -self.lane_width_m / 2), self.line_width_m)
+        if abs(now.curvature_1_m) < STRAIGHT_1_M:
+            return tuple(straight(self, now, self.near_m, self.far_m, self.y_m + offset, width) for offset in offsets)
+        drawing = Drawing.over(arc(now.curvature_1_m, self.near_m, self.far_m, self.y_m), offsets[0] + width / 2, self.texel_m)
+        image = torch.stack([drawing.band(width / 2, offset) for offset in offsets]).amax(0)
+        return (draw(self, drawing, image, now),)
+
+
+class WidthParams(Drawn):
+    """Two lines as far apart as the car is wide, for narrow passages."""
+
+    kind: Literal["width"] = "width"
+    vehicle_width_m: float = Field(2.1, gt=0, description="between the outer edges of the lines: the car's width with its mirrors")
+    line_width_m: float = Field(0.15, gt=0, description="width of a line")
+    near_m: float = Field(5.0, gt=0, description="where the lines begin, ahead of the car")
+    far_m: float = Field(25.0, gt=0, description="where they end")
+
+    def primitives(self, now: Situation) -> tuple[Primitives, ...]:
+        if not self.active(now.time_s) or self.far_m <= self.near_m:
+            return ()
+        y = (self.vehicle_width_m - self.line_width_m) / 2
+        return tuple(straight(self, now, self.near_m, self.far_m, side * y, self.line_width_m) for side in (1, -1))
+
+
+def straight(params: Drawn, now: Situation, near_m: float, far_m: float, y_m: float, width_m: float) -> Primitives:
+    """One line along the car's axis."""
+    start, stop = (torch.tensor([x, y_m], dtype=torch.float64) for x in (near_m, far_m))
+    return rectangle(
+        *strip(now.T_world_vehicle, start, stop, width_m),
+        params.value,
+        params.quantity,
+        weight=params.weight,
+        forced=params.forced,
+        priority=params.priority * LAYERS,
+        modules=params.modules,
+    )
+
+
+def arc(curvature_1_m: float, near_m: float, far_m: float, y_m: float = 0.0) -> torch.Tensor:
+    """Control points `[4, 2]` m of the cubic curve closest to the circle through the car, between two lengths along it.
+
+    Its distance from the circle is below 1e-4 of the radius for a quarter turn.
+    """
+    angle = curvature_1_m * (far_m - near_m)
+    reach = 4 / 3 * math.tan(angle / 4) / curvature_1_m
+
+    def at(s: float) -> tuple[torch.Tensor, torch.Tensor]:
+        heading = curvature_1_m * s
+        place = torch.tensor([math.sin(heading), 1 - math.cos(heading)], dtype=torch.float64) / curvature_1_m
+        return place + place.new_tensor([0.0, y_m]), torch.tensor([math.cos(heading), math.sin(heading)], dtype=torch.float64)
+
+    (start, ahead), (stop, on) = at(near_m), at(far_m)
+    return torch.stack([start, start + reach * ahead, stop - reach * on, stop])

@@ -1,0 +1,114 @@
+"""Light along curves on the road: paths, chevrons bent along them, lane borders (T B.2)."""
+
+from typing import Literal
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from controllers.functions.bezier import closest, derivative, length_at, point
+from controllers.functions.geometry import on_road
+from controllers.functions.situation import LAYERS, Drawn, Situation
+from controllers.primitives import Primitives, rectangle
+
+Point = tuple[float, float]
+
+
+class PathParams(Drawn):
+    """A Bezier curve on the road, drawn as a band or with a symbol that is repeated and bent along it."""
+
+    kind: Literal["path"] = "path"
+    control_m: tuple[Point, ...] = Field(
+        min_length=2, max_length=12, description="control points, x ahead and y left, from the car outward"
+    )
+    width_m: float = Field(1.0, gt=0, description="width of the band")
+    image: str | None = Field(None, description="symbol that is bent along the curve, its far end ahead; left out: an even band")
+    image_length_m: float = Field(3.0, gt=0, description="length of one such symbol along the curve")
+    image_pitch_m: float = Field(4.0, gt=0, description="from one symbol to the next")
+    speed_m_s: float = Field(0.0, description="how fast the symbols run along the curve")
+    texel_m: float = Field(0.05, gt=0, le=1, description="resolution of the drawing")
+
+    def primitives(self, now: Situation) -> tuple[Primitives, ...]:
+        if not self.active(now.time_s):
+            return ()
+        control = torch.tensor(self.control_m, dtype=torch.float64)
+        drawing = Drawing.over(control, self.width_m / 2, self.texel_m)
+        if self.image is None:
+            image = drawing.band(self.width_m / 2)
+        else:
+            shift = self.speed_m_s * now.time_s
+            image = drawing.bent(now.symbols[self.image].at(now.time_s), self.width_m, self.image_length_m, self.image_pitch_m, shift)
+        return (draw(self, drawing, image, now),)
+
+
+class Drawing:
+    """Texels of a rectangle on the road around a curve, each with its place on the curve.
+
+    low: `[2]` m, the corner with the least x and y. shape: rows, columns. distance: `[h, w]` m, to the left of the curve positive.
+    along: `[h, w]` m, arc length of the closest point, less than zero or more than the length before and beyond the ends.
+    inside: `[h, w]` m, distance to the curve with round ends, which (B.2.2) asks for.
+    """
+
+    def __init__(self, control: Tensor, low: Tensor, shape: tuple[int, int], texel_m: float) -> None:
+        """control: `[n + 1, 2]` m, x ahead and y left."""
+        self.low, self.shape, self.texel_m = low, shape, texel_m
+        rows, cols = shape
+        x = low[0] + (rows - 0.5 - torch.arange(rows).to(control)) * texel_m  # row 0 is farthest ahead
+        y = low[1] + (cols - 0.5 - torch.arange(cols).to(control)) * texel_m  # column 0 is farthest to the left
+        texels = torch.stack([x[:, None].expand(shape), y.expand(shape)], -1).flatten(0, 1)
+        t, distance = closest(control, texels)
+        slope = point(derivative(control), t)
+        tangent = torch.nn.functional.normalize(slope, dim=-1)
+        away = texels - point(control, t)
+        left = tangent[..., 0] * away[..., 1] - tangent[..., 1] * away[..., 0]
+        self.inside = distance.view(shape)
+        self.distance = left.view(shape)
+        self.along = (length_at(control, t) + (away * tangent).sum(-1)).view(shape)
+
+    @classmethod
+    def over(cls, control: Tensor, reach_m: float, texel_m: float) -> "Drawing":
+        """All texels that are closer than reach_m to a curve."""
+        curve = point(control, torch.linspace(0, 1, 257).to(control))
+        margin = reach_m + 2 * texel_m
+        low, high = curve.amin(0) - margin, curve.amax(0) + margin
+        rows, cols = ((high - low) / texel_m).ceil().long().tolist()
+        return cls(control, low, (rows, cols), texel_m)
+
+    def band(self, half_width_m: float, offset_m: float = 0.0) -> Tensor:
+        """A band `[h, w]` in 0..1 along the curve, its middle offset_m to the left; its edges are soft over a texel.
+
+        On the curve itself the band ends round, beside it straight.
+        """
+        if offset_m == 0:
+            return self._soft(half_width_m - self.inside)
+        ends = (self.inside - self.distance.abs()).abs()
+        return self._soft(torch.minimum(half_width_m - (self.distance - offset_m).abs(), self.texel_m / 2 - ends))
+
+    def bent(self, image: Tensor, width_m: float, length_m: float, pitch_m: float, shift_m: float = 0.0) -> Tensor:
+        """An image `[h, w]` bent along the curve, its last row first, again every pitch_m, and moved on by shift_m."""
+        place = (self.along - shift_m) % pitch_m
+        u, v = 0.5 - self.distance / width_m, 1 - place / length_m
+        grid = torch.stack([2 * u - 1, 2 * v - 1], -1)[None]
+        bent = torch.nn.functional.grid_sample(image[None, None].to(grid), grid, padding_mode="zeros", align_corners=False)[0, 0]
+        return bent * ((v >= 0) & (u >= 0) & (u <= 1) & ((self.inside - self.distance.abs()).abs() < self.texel_m))
+
+    def _soft(self, inside_m: Tensor) -> Tensor:
+        return (0.5 + inside_m / self.texel_m).clamp(0, 1)
+
+
+def draw(params: Drawn, drawing: Drawing, image: Tensor, now: Situation) -> Primitives:
+    """The drawing as one primitive on the road."""
+    rows, cols = drawing.shape
+    length, width = rows * drawing.texel_m, cols * drawing.texel_m
+    corner = drawing.low + torch.tensor([length, width]).to(drawing.low)
+    d1, d2 = torch.tensor([0.0, -width]).to(corner), torch.tensor([-length, 0.0]).to(corner)
+    return rectangle(
+        *on_road(now.T_world_vehicle, corner, d1, d2),
+        params.value,
+        params.quantity,
+        symbol=image,
+        weight=params.weight,
+        forced=params.forced,
+        priority=params.priority * LAYERS,
+        modules=params.modules,
+    )

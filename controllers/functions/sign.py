@@ -1,0 +1,40 @@
+"""Sign dimming: less light on traffic signs, whose reflection dazzles the driver (T 3.5.1, 7.2.2)."""
+
+from typing import Literal
+
+import torch
+from pydantic import Field
+
+from controllers.functions.geometry import cuboid
+from controllers.functions.situation import LAYERS, Category, SelectionParams, Situation, TrackedObject
+from controllers.primitives import Primitives, rectangle
+
+
+class SignParams(SelectionParams):
+    """Dims signs, or lights them as bright as is good to read."""
+
+    kind: Literal["sign"] = "sign"
+    categories: tuple[Category, ...] = Field(("sign",), min_length=1, description="classes of objects meant")
+    quantity: Literal["E_v", "u_abs", "u_rel"] = Field("u_rel", description="u_rel: a share of the base beam; E_v: lx on the sign")
+    value: float = Field(0.2, ge=0, description="setpoint")
+    weight: float = Field(1.0, ge=0, description="how much it counts where a pixel lights more than the sign")
+    priority: int = Field(50, ge=0, le=100, description="of two functions in one place, the higher is drawn")
+    margin_m: float = Field(0.1, ge=0, description="how much larger than the sign the primitive is, to each side")
+
+    def primitives(self, now: Situation) -> tuple[Primitives, ...]:
+        """One primitive in each sign's face, forced, turned to the car."""
+        present = (each for each in self.selected(now) if each.since_s <= now.time_s < each.until_s)
+        return tuple(self._face(each, now) for each in present)
+
+    def _face(self, each: TrackedObject, now: Situation) -> Primitives:
+        length, width, height = each.size_m
+        m = self.margin_m
+        low = torch.tensor([-length / 2, -width / 2 - m, -m]).double()
+        high = torch.tensor([length / 2, width / 2 + m, height + m]).double()
+        T = each.T_world_object.double()
+        origin, d1, d2 = cuboid(T, low, high)
+        ahead = (now.lamps.mean(0).to(T) - T[:3, 3]) @ T[:3, 0] >= 0
+        face = 0 if ahead else 3  # the faces across x
+        return rectangle(
+            origin[face], d1[face], d2[face], self.value, self.quantity, weight=self.weight, forced=True, priority=self.priority * LAYERS
+        )

@@ -1,0 +1,137 @@
+"""What lighting functions know: the car, its lamps, and the objects that a tracker reports, at one time."""
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal, Protocol
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from controllers.primitives import Primitives
+from controllers.symbols import SymbolSource
+from world.body import Body
+from world.frames import inverse, transform
+from world.params import Params
+
+Category = Literal["car", "truck", "motorcycle", "cyclist", "pedestrian", "animal", "sign", "other"]
+
+LAYERS = 16  # a function's primitives may lie above each other in so many layers
+MASK = 1000  # priority of masks: above every function's own, which are at most 100
+
+
+@dataclass(frozen=True, eq=False)
+class TrackedObject:
+    """A box around an object.
+
+    T_world_object: `[4, 4]`, origin in the middle of the box's foot, x along its length. size_m: length, width, height.
+    since_s, until_s: when the tracker first saw it and when it lost it; a lost object stays in the list while its functions fade out.
+    """
+
+    name: str
+    category: Category
+    T_world_object: Tensor
+    size_m: tuple[float, float, float]
+    since_s: float = -math.inf
+    until_s: float = math.inf
+
+    @classmethod
+    def of(cls, body: Body, category: Category, time_s: float) -> "TrackedObject":
+        """What a perfect tracker says of a body: the smallest box along its axes."""
+        low, high = body.corners.flatten(0, 1).aminmax(dim=0)
+        length, width, height = (high - low).tolist()
+        foot = torch.eye(4, dtype=torch.float64)
+        foot[:3, 3] = torch.stack([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
+        track = body.track
+        return cls(
+            body.name, category, track.pose_at(time_s) @ foot, (length, width, height), since_s=track.appears_s, until_s=track.vanishes_s
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Situation:
+    """One moment.
+
+    T_world_vehicle: `[4, 4]`, the road is its plane z = 0. lamps: `[L, 3]` m, photometric centres of all modules in the world.
+    curvature_1_m: of the car's course, to the left positive. symbols: images of the functions that draw any, by the name that they use.
+    """
+
+    time_s: float
+    T_world_vehicle: Tensor
+    lamps: Tensor
+    objects: tuple[TrackedObject, ...] = ()
+    speed_m_s: float = 0.0
+    curvature_1_m: float = 0.0
+    wet: bool = False
+    street_lit: bool = False
+    symbols: dict[str, SymbolSource] = field(default_factory=dict)
+
+    def distance_m(self, each: TrackedObject) -> float:
+        """Along the road from the car's origin to the nearest corner of the object; negative for what lies behind."""
+        corners = transform(inverse(self.T_world_vehicle) @ each.T_world_object.to(self.T_world_vehicle), _foot(each).to(self.lamps))
+        return float(corners[:2].norm(dim=0).amin().copysign(corners[0].amax()))
+
+
+def _foot(each: TrackedObject) -> Tensor:
+    """Corners of the box's foot in its frame, `[3, 4]` m."""
+    length, width, _ = each.size_m
+    signs = torch.tensor([[1.0, 1, -1, -1], [1, -1, 1, -1], [0, 0, 0, 0]])
+    return signs * torch.tensor([[length / 2], [width / 2], [0.0]])
+
+
+class SelectionParams(Params):
+    """Which objects are meant."""
+
+    categories: tuple[Category, ...] = Field(
+        ("car", "truck", "motorcycle", "cyclist"), min_length=1, description="classes of objects meant"
+    )
+    names: tuple[str, ...] | None = Field(None, description="only objects of these names; left out: all of the classes")
+    nearer_than_m: float = Field(200.0, gt=0, description="only objects nearer than this")
+    farther_than_m: float = Field(0.0, ge=0, description="only objects at least this far away")
+
+    def selected(self, now: Situation) -> tuple[TrackedObject, ...]:
+        """The objects meant that lie ahead; those that the tracker has lost are among them."""
+        return tuple(
+            each
+            for each in now.objects
+            if each.category in self.categories
+            and (self.names is None or each.name in self.names)
+            and self.farther_than_m <= now.distance_m(each) < self.nearer_than_m
+        )
+
+
+class LightingFunction(Protocol):
+    """What the planner composes."""
+
+    def primitives(self, now: Situation) -> tuple[Primitives, ...]:
+        """The function's primitives at this moment, none where it has nothing to do."""
+        ...
+
+
+class Drawn(Params):
+    """What all functions that draw light have."""
+
+    quantity: Literal["I_v", "E_v", "u_abs", "u_rel"] = Field("u_abs", description="I_v in cd, E_v in lx, u_abs or u_rel as a share")
+    value: float = Field(1.0, ge=0, description="setpoint of white")
+    weight: float = Field(1.0, ge=0, description="how much it counts where a pixel lights more than it")
+    priority: int = Field(0, ge=0, le=100, description="of two functions in one place on the road, the higher is drawn")
+    forced: bool = Field(False, description="drawn even behind other primitives, masks excepted")
+    modules: tuple[str, ...] = Field((), description="lamps or modules that draw it; left out: all")
+    start_s: float | None = Field(None, description="drawn from this time on; left out: from the beginning")
+    stop_s: float | None = Field(None, description="drawn until this time; left out: to the end")
+
+    def active(self, time_s: float) -> bool:
+        return (self.start_s is None or time_s >= self.start_s) and (self.stop_s is None or time_s < self.stop_s)
+
+
+def fade(time_s: float, since_s: float, until_s: float, in_s: float, out_s: float) -> float:
+    """How far a function is there at a time, 0..1: it rises from `since_s` for `in_s` and falls from `until_s` for `out_s` (T 3.5.1)."""
+    return min(_sigmoid(time_s - since_s, in_s), 1 - _sigmoid(time_s - until_s, out_s))
+
+
+def _sigmoid(t: float, duration: float) -> float:
+    """A logistic curve cut at +-6 and stretched, so that it is 0 at t = 0 and 1 after the duration; a step where that is zero."""
+    if duration == 0 or math.isinf(t):
+        return float(t >= 0)
+    x = min(max(t / duration, 0.0), 1.0)
+    return 0.5 + 0.5 * math.tanh(6 * (x - 0.5)) / math.tanh(3.0)

@@ -1,0 +1,116 @@
+"""Symbols on the road: still, animated, only under a condition, or undistorted for an observer (T 3.5.2, 7.2.2)."""
+
+from dataclasses import replace
+from typing import Literal
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from controllers.animations import Animated, AnimationParams
+from controllers.functions.geometry import Rectangles, on_road
+from controllers.functions.situation import LAYERS, Category, Drawn, SelectionParams, Situation
+from controllers.primitives import Observer, Primitives, rectangle
+from controllers.secondary import drawing_rectangle
+from world.errors import LuxloopError
+from world.frames import transform
+from world.params import Params
+
+
+class ConditionParams(SelectionParams):
+    """Whether any of the objects meant is there, at the distances given (T fig. 7.10)."""
+
+    categories: tuple[Category, ...] = Field(
+        ("car", "truck", "motorcycle", "cyclist", "pedestrian", "animal", "other"), min_length=1, description="classes of objects meant"
+    )
+
+    def holds(self, now: Situation) -> bool:
+        return any(each.since_s <= now.time_s < each.until_s for each in self.selected(now))
+
+
+class ObserverParams(Params):
+    """For whom the symbol shall look like a picture that hangs upright in the air, turned to them."""
+
+    eye_m: tuple[float, float, float] | None = Field(None, description="the eye, seen from the car (x ahead, y left, z up)")
+    name: str | None = Field(None, description="instead: the tracked object that looks")
+    eye_height_m: float = Field(1.5, gt=0, description="height of the tracked object's eye above its foot")
+    centre_m: tuple[float, float, float] = Field((12.0, 0.0, 0.5), description="middle of the picture, seen from the car")
+    width_m: float = Field(2.0, gt=0, description="width of the picture")
+    height_m: float = Field(0.6, gt=0, description="height of the picture")
+
+    def eye(self, now: Situation) -> Tensor | None:
+        """`[3]` m in the world, None where the object that looks is not there."""
+        if self.name is None:
+            return _world(now, self.eye_m or (-1.5, 0.35, 1.3))
+        for each in now.objects:
+            if each.name == self.name and each.since_s <= now.time_s < each.until_s:
+                return each.T_world_object[:3, 3] + self.eye_height_m * each.T_world_object[:3, 2]
+        return None
+
+    def picture(self, now: Situation, eye: Tensor) -> Rectangles:
+        """The flying symbol `[3]` m: upright on the road's plane, turned to the eye."""
+        centre, up = _world(now, self.centre_m), now.T_world_vehicle[:3, 2].to(eye)
+        towards = eye - centre
+        normal = torch.nn.functional.normalize(towards - (towards @ up) * up, dim=0)
+        d1, d2 = self.width_m * torch.linalg.cross(up, normal), -self.height_m * up
+        return centre - (d1 + d2) / 2, d1, d2
+
+
+class SymbolFunctionParams(Drawn):
+    """Draws a symbol on the road."""
+
+    kind: Literal["symbol"] = "symbol"
+    image: str = Field(description="name of a shipped symbol, or path of a picture, SVG, video or folder of pictures")
+    x_m: float = Field(17.0, description="centre ahead of the car")
+    y_m: float = Field(0.0, description="centre to the left")
+    yaw_deg: float = Field(0.0, ge=-180, le=180, description="turn to the left")
+    width_m: float = Field(2.0, gt=0, description="extent across")
+    length_m: float = Field(4.0, gt=0, description="extent along")
+    animation: AnimationParams | None = Field(None, description="how it changes with time; left out: as the image does")
+    when: ConditionParams | None = Field(None, description="drawn only while such an object is there")
+    unless: ConditionParams | None = Field(None, description="not drawn while such an object is there")
+    observer: ObserverParams | None = Field(None, description="for whom it shall look undistorted; it takes the place of x_m to length_m")
+
+    def primitives(self, now: Situation) -> tuple[Primitives, ...]:
+        if not self.active(now.time_s) or (self.when and not self.when.holds(now)) or (self.unless and self.unless.holds(now)):
+            return ()
+        source = now.symbols[self.image]
+        image = (Animated(source, self.animation) if self.animation else source).at(now.time_s - (self.start_s or 0.0))
+        if self.observer is None:
+            return (self._draw(self._place(now), image),)
+        eye = self.observer.eye(now)
+        return () if eye is None else (self._draw_for(eye, self.observer.picture(now, eye), image, now),)
+
+    def _place(self, now: Situation) -> Rectangles:
+        yaw = torch.deg2rad(torch.tensor(self.yaw_deg, dtype=torch.float64))
+        ahead, left = torch.stack([yaw.cos(), yaw.sin()]), torch.stack([-yaw.sin(), yaw.cos()])
+        d1, d2 = -self.width_m * left, -self.length_m * ahead
+        return on_road(now.T_world_vehicle, torch.tensor([self.x_m, self.y_m]).to(d1) - (d1 + d2) / 2, d1, d2)
+
+    def _draw_for(self, eye: Tensor, picture: Rectangles, image: Tensor, now: Situation) -> Primitives:
+        T = now.T_world_vehicle.to(eye)
+        place = drawing_rectangle(*picture, eye, T[:3, 3], T[:3, 2])
+        if not all(bool(v.isfinite().all()) for v in place):
+            raise LuxloopError(
+                f"symbol {self.image!r}: observer.centre_m and height_m put the picture above the observer's eye, "
+                "behind which lies no road; lower the picture"
+            )
+        origin, d1, d2 = picture
+        observer = Observer(eye[None], origin[None], d1[None], d2[None], active=torch.tensor([True]))
+        return replace(self._draw(place, image), observer=observer)
+
+    def _draw(self, place: Rectangles, image: Tensor) -> Primitives:
+        return rectangle(
+            *place,
+            self.value,
+            self.quantity,
+            symbol=image,
+            weight=self.weight,
+            forced=self.forced,
+            priority=self.priority * LAYERS,
+            modules=self.modules,
+        )
+
+
+def _world(now: Situation, point_m: tuple[float, float, float]) -> Tensor:
+    return transform(now.T_world_vehicle.double(), torch.tensor(point_m, dtype=torch.float64)[:, None])[:, 0]

@@ -1,0 +1,74 @@
+"""The planner: base beam and lighting functions, composed for one moment into primitives (T 4.1, 7.2.2)."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import torch
+from pydantic import Field
+
+from controllers.functions.base_beams import BaseBeam, BaseBeamParams
+from controllers.functions.glare_free import GlareFreeParams
+from controllers.functions.lane import LaneParams, WidthParams
+from controllers.functions.marker import MarkerParams
+from controllers.functions.path import PathParams
+from controllers.functions.sign import SignParams
+from controllers.functions.situation import LightingFunction, Situation
+from controllers.functions.symbol import SymbolFunctionParams
+from controllers.primitives import Primitives, concatenate
+from controllers.symbols import SymbolSource, load
+from world.params import Params
+
+FunctionParams = Annotated[
+    GlareFreeParams | MarkerParams | SignParams | SymbolFunctionParams | PathParams | LaneParams | WidthParams,
+    Field(discriminator="kind"),
+]
+
+
+class LightingParams(Params):
+    """All light of the car: a base beam, and functions on top of it."""
+
+    base: BaseBeamParams = Field(BaseBeamParams(), description="the light below all functions")
+    functions: tuple[FunctionParams, ...] = Field((), description="lighting functions; of equal priority, later ones lie on top")
+    power_limit: float | None = Field(None, gt=0, le=1, description="largest power of a lamp, as a share of all pixels on; none: unlimited")
+    share: bool = Field(True, description="modules that reach a point share its illuminance, so that light is not doubled")
+    street_lamps: bool = Field(False, description="take off what street lamps give already")
+    shadow_rays: bool = Field(
+        False, description="lamps that an object blocks are made up for by others; what an observer cannot see is off"
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What the lamps shall do at one moment. primitives: None where no function has anything to do, then the base beam is all."""
+
+    base: BaseBeam
+    primitives: Primitives | None
+
+    def for_module(self, name: str) -> Primitives | None:
+        """What a module may draw, by its name, its lamp's, or both ("left hires"); None where that is nothing."""
+        mine = None if self.primitives is None else self.primitives.for_module(name)
+        return mine if mine is not None and len(mine) else None
+
+
+@dataclass(frozen=True, eq=False)
+class Planner:
+    """The functions of a scenario with the symbols that they draw."""
+
+    params: LightingParams
+    symbols: Mapping[str, SymbolSource]
+    dtype: torch.dtype = torch.float32
+
+    @classmethod
+    def prepare(cls, params: LightingParams, find: Callable[[str], Path] = Path, dtype: torch.dtype = torch.float32) -> "Planner":
+        """Load every symbol once. find: turns the name of a shipped symbol or a path into a path. Raises LuxloopError for a bad one."""
+        images = {image: None for function in params.functions if (image := getattr(function, "image", None))}
+        return cls(params, {image: load(find(image)) for image in images}, dtype)
+
+    def plan(self, now: Situation) -> Plan:
+        """Compose all functions. Masks of road users beat everything else; else the higher priority wins where two lie in one place."""
+        now = replace(now, symbols=dict(self.symbols))
+        functions: tuple[LightingFunction, ...] = self.params.functions
+        parts = [part for function in functions for part in function.primitives(now)]
+        return Plan(self.params.base.at(now), concatenate(*parts).to(self.dtype) if parts else None)
