@@ -30,6 +30,7 @@ from loop import tables
 from world import presets
 from world.spmv import FORMATS, CapturedProduct, Csr, SparseFormat, build
 from world.spmv.auto import best_of, candidates, processor
+from world.spmv.memory import zeros
 from world.spmv.protocol import lit_rows
 
 ROOT = Path(__file__).parents[1]
@@ -44,23 +45,27 @@ GOAL_SHORT, GOAL_LONG, GOAL_COPY, GOAL_FLAT, GOAL_BAND, GOAL_GPU_US = 1.0, 0.6, 
 
 def moved_bytes(form: SparseFormat) -> int:
     """What one product must move: the format, the utilisation, the rows written; each once."""
-    rows = form.stop - form.start if hasattr(form, "start") else form.n_rows
-    return form.storage.bytes(form.dtype) + form.dtype.itemsize * (form.n_cols + rows)
+    return form.storage.bytes(form.dtype) + form.dtype.itemsize * (form.n_cols + form.written_rows)
+
+
+def check(name: str, lamp: Lamp, product: torch.Tensor, expected: torch.Tensor) -> None:
+    """End with a sentence where a format gives another light texture."""
+    if not (product.cpu() - expected).abs().max() <= FLOAT_TOLERANCE * expected.max():
+        sys.exit(f"not the same work: {name} differs from SciPy at {lamp.name}")
 
 
 def measure_lamp(lamp: Lamp, copy: Copy, rounds: int, names: list[str] | None = None) -> dict[str, Any]:
     """Every format beside SciPy, and which one `fastest` would take; each product is checked."""
-    csr = Csr.from_scipy(lamp.matrix)
+    csr = Csr.from_scipy(lamp.matrix).settled()
     u = torch.rand(csr.n_cols, generator=torch.Generator().manual_seed(1))
     vector = u.numpy()
     expected = torch.from_numpy(lamp.matrix @ vector)
     steps: dict[str, Step] = {"copy": copy, "SciPy": lambda: lamp.matrix @ vector}
-    forms = {name: build(csr, name) for name in names or [*candidates(csr), "coo", "lgc"]}
+    forms = {name: FORMATS[name].from_csr(csr) for name in names or [*candidates(csr), "coo", "lgc"]}
+    out = zeros((csr.n_rows,), u.dtype, u.device)  # of all formats: where it lies in memory shall not decide between them
     for name, form in forms.items():
-        out = form.multiply(u)
-        if not (out - expected).abs().max() <= FLOAT_TOLERANCE * expected.max():
-            sys.exit(f"not the same work: {name} differs from SciPy at {lamp.name}")
-        steps[name] = lambda form=form, out=out: form.refresh(u, out)
+        check(name, lamp, form.multiply(u, out.fill_(torch.nan)), expected)
+        steps[name] = partial(form.refresh, u, out)
     chosen = best_of({name: forms[name] for name in names or candidates(csr)})
     ms = interleaved(steps, rounds)
     copied = ms.pop("copy")["median"]
@@ -78,7 +83,7 @@ def measure_lamp(lamp: Lamp, copy: Copy, rounds: int, names: list[str] | None = 
         "bytes": moved_bytes(best),
         "copy_share": moved_bytes(best) / ms[chosen]["median"] / (copy.bytes / copied),
         "copy_gb_s": 1e-6 * copy.bytes / copied,
-        "gpu": measure_gpu(csr, [name for name in forms if name != "scipy"]) if torch.cuda.is_available() else None,
+        "gpu": measure_gpu(lamp, csr, u, expected, [name for name in forms if name != "scipy"]) if torch.cuda.is_available() else None,
     }
 
 
@@ -99,19 +104,22 @@ def measure_flatness(lamps: list[Lamp], name: str, rounds: int) -> dict[str, flo
     return {lamp_name: median(each) for lamp_name, each in medians.items()}
 
 
-def measure_gpu(csr: Csr, names: list[str]) -> dict[str, Any]:
-    """Captured products in µs, synchronised before and after each."""
+def measure_gpu(lamp: Lamp, csr: Csr, u: torch.Tensor, expected: torch.Tensor, names: list[str]) -> dict[str, Any]:
+    """Captured products in µs, synchronised before and after each.
+
+    A copy that is larger than the GPU's caches runs before each, so that all of the matrix comes from memory. Each product is checked.
+    """
     device = torch.device("cuda")
     csr = csr.to(device)
     copy = Copy(device, quick=False)
     captured = {name: CapturedProduct(build(csr, name)) for name in names}
-    for each in captured.values():
-        each.input.uniform_()
+    for name, each in captured.items():
+        check(f"{name} on the GPU", lamp, each(u.to(device)), expected)
     steps: dict[str, Step] = {"copy": copy, **{name: each.replay for name, each in captured.items()}}
     taken: dict[str, list[float]] = {name: [] for name in steps}
     for number in range(GPU_ROUNDS + 10):
         for name, step in steps.items():
-            step()
+            copy()
             torch.cuda.synchronize()
             before = time.perf_counter_ns()
             step()

@@ -6,20 +6,26 @@ import os
 import platform
 import tempfile
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from statistics import median
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from world.spmv.csr import Csr
-from world.spmv.formats import FORMATS
+from world.spmv.formats import FORMATS, build
+from world.spmv.graph import CapturedProduct
 from world.spmv.protocol import SparseFormat, lit_rows
 
-ROUNDS = 7  # of measurements at least, at most ten times as many
-ENOUGH_S = 0.3  # of measuring; small lamps take more rounds
+ROUNDS = 100  # of measurements at most
+ENOUGH_S = 0.8  # of measuring; the round that is on is finished
+FIRST_SLACK, LAST_SLACK = 2.0, 0.3  # by which a format may be slower than the best and still run on, after one round and after many
 LARGEST = 3  # times the bytes of CSR: what a format may store to be considered
 LONG_ROWS = 6  # entries a lit row from which tiles can pay
+TILED = 0.9  # times the bytes of CSR: what tiles may store, which save bytes and nothing else and are dear to build
 PART_ROWS = 2**15  # of the middle, on either side: planning all tiles only to count them is dear
 SAMPLES = 4096
 
@@ -34,8 +40,9 @@ def fastest(csr: Csr, cache: Path | None = None) -> SparseFormat:
     key = _key(csr)
     name = _remembered(cache).get(key)
     if isinstance(name, str) and name in FORMATS:
-        return FORMATS[name].from_csr(csr)
-    forms = {name: FORMATS[name].from_csr(csr) for name in candidates(csr)}
+        return build(csr, name)
+    settled = csr.settled()
+    forms = {name: FORMATS[name].from_csr(settled) for name in candidates(csr)}
     best = best_of(forms)
     _remember(cache, key, best)
     return forms[best]
@@ -55,7 +62,7 @@ def candidates(csr: Csr) -> list[str]:
     if len(csr.values) >= LONG_ROWS * len(lit) > 0:
         middle = int(lit[len(lit) // 2])
         part = csr.band(max(middle - PART_ROWS, 0), min(middle + PART_ROWS, csr.n_rows))
-        names += [name for name in ("tiles", "tiles64") if _size(part, name) <= LARGEST]
+        names += [name for name in ("tiles", "tiles64") if _size(part, name) <= TILED]
     return names
 
 
@@ -66,35 +73,51 @@ def _size(csr: Csr, name: str) -> float:
 
 
 def timings(forms: dict[str, SparseFormat]) -> dict[str, float]:
-    """Median ms of a product of each, in turn: process time of one CPU thread, clock time of several, events on CUDA."""
-    steps = {}
-    for name, form in forms.items():
-        x = torch.rand(form.n_cols, dtype=form.dtype, device=form.device)
-        out = form.multiply(x)
-        steps[name] = (form, x, form.refresh(x, out))
+    """Median ms of a product of each, in turn: process time of one CPU thread, clock time of several; of captured graphs on CUDA.
+
+    All run in the first round. One that falls behind is left out of the next: the longer it lasts, the closer are those compared.
+    """
+    steps, device = _steps(forms), next(iter(forms.values())).device
     taken: dict[str, list[float]] = {name: [] for name in forms}
-    start = time.monotonic()
-    for number in range(10 * ROUNDS):
-        if number >= ROUNDS and time.monotonic() - start > ENOUGH_S:
+    medians: dict[str, float] = {}
+    racing, start = list(forms), time.monotonic()
+    for number in range(ROUNDS):
+        for name in racing:
+            steps[name]()  # formats share arrays: none shall find in the caches what another left there
+            taken[name].append(_milliseconds(steps[name], device))
+            medians[name] = median(taken[name])
+        slack = max(FIRST_SLACK / (number + 1), LAST_SLACK)
+        racing = [name for name in racing if medians[name] <= (1 + slack) * min(medians[each] for each in racing)]
+        if len(racing) == 1 or time.monotonic() - start > ENOUGH_S:
             break
-        for name, (form, x, out) in steps.items():
-            form.refresh(x, out)  # formats share arrays: none shall find in the caches what another left there
-            taken[name].append(_milliseconds(form, x, out))
-    return {name: median(times) for name, times in taken.items()}
+    return medians
 
 
-def _milliseconds(form: SparseFormat, x: torch.Tensor, out: torch.Tensor) -> float:
-    if form.device.type == "cuda":
-        with torch.cuda.device(form.device):
+def _steps(forms: dict[str, SparseFormat]) -> dict[str, Callable[[], Tensor]]:
+    """The product of each as it is best used: into the same memory, on CUDA as a captured graph."""
+    first = next(iter(forms.values()))
+    x = torch.rand(first.n_cols, dtype=first.dtype, device=first.device)
+    if first.device.type != "cuda":
+        out = first.multiply(x)
+        return {name: partial(form.refresh, x, out) for name, form in forms.items()}
+    captured = {name: CapturedProduct(form) for name, form in forms.items()}
+    for each in captured.values():
+        each(x)
+    return {name: each.replay for name, each in captured.items()}
+
+
+def _milliseconds(step: Callable[[], Tensor], device: torch.device) -> float:
+    if device.type == "cuda":
+        with torch.cuda.device(device):
             before, after = torch.cuda.Event(enable_timing=True), torch.cuda.Event(enable_timing=True)
             before.record()
-            form.refresh(x, out)
+            step()
             after.record()
             after.synchronize()
             return before.elapsed_time(after)
     clock = time.process_time_ns if torch.get_num_threads() == 1 else time.perf_counter_ns
     before_ns = clock()
-    form.refresh(x, out)
+    step()
     return 1e-6 * (clock() - before_ns)
 
 

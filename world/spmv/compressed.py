@@ -56,6 +56,7 @@ class Window(SparseFormat):
         super().__init__(csr)
         self.storage = self.count(csr)
         self.start, self.stop = lit_window(csr)
+        self.written_rows = self.stop - self.start
         band = csr.band(self.start, self.stop)
         self.csr = Csr(settled(band.indptr), band.indices, band.values, csr.n_cols)
 
@@ -82,6 +83,7 @@ class Submatrix(SparseFormat):
         super().__init__(csr)
         self.storage = self.count(csr)
         self.rows = lit_rows(csr)
+        self.written_rows = len(self.rows)
         offsets = torch.cat([csr.indptr[self.rows], csr.indptr[-1:]])
         self.csr = Csr(settled(offsets), csr.indices, csr.values, csr.n_cols)
 
@@ -107,6 +109,7 @@ class Lgc(SparseFormat):
         super().__init__(csr)
         self.storage = self.count(csr)
         self.rows = lit_rows(csr)
+        self.written_rows = len(self.rows)
         self.offsets = csr.indptr[self.rows]
         self.lengths = csr.indptr[self.rows + 1] - self.offsets
         self.columns, self.values = csr.indices, csr.values

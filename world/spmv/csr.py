@@ -61,6 +61,12 @@ class Csr:
         """The same pattern with other values `[nnz]`."""
         return Csr(self.indptr, self.indices, values, self.n_cols)
 
+    def settled(self) -> "Csr":
+        """A copy that will be streamed again and again (see `world.spmv.memory`); itself where it is not on the CPU."""
+        if self.values.device.type != "cpu":
+            return self
+        return Csr(settled(self.indptr), settled(self.indices), settled(self.values), self.n_cols)
+
     def band(self, start: int, stop: int) -> "Csr":
         """Rows start to stop as a matrix of their own; a view of indices and values, not a copy."""
         if (start, stop) == (0, self.n_rows):

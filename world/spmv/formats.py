@@ -16,9 +16,9 @@ FORMATS: dict[str, type[SparseFormat]] = {
 
 
 def build(csr: Csr, name: str) -> SparseFormat:
-    """A matrix in a format by name. Raises LuxloopError for a name that is none of FORMATS."""
+    """A matrix in a format by name, in memory of its own on the CPU. Raises LuxloopError for a name that is none of FORMATS."""
     if name not in FORMATS:
         nearest = difflib.get_close_matches(name, FORMATS, 1)
         hint = f"did you mean {nearest[0]!r}?" if nearest else f"take one of {', '.join(FORMATS)}"
         raise LuxloopError(f"there is no sparse format {name!r}; {hint}")
-    return FORMATS[name].from_csr(csr)
+    return FORMATS[name].from_csr(csr.settled())

@@ -30,7 +30,7 @@ class CapturedProduct:
                     form.refresh(self.input, self.output)
             cuda.current_stream().wait_stream(side)
             self.graph = cuda.CUDAGraph()
-            with cuda.graph(self.graph):
+            with cuda.graph(self.graph, stream=cuda.Stream()):  # torch's own is on the device that captured first
                 form.refresh(self.input, self.output)
 
     def replay(self) -> Tensor:
@@ -39,6 +39,10 @@ class CapturedProduct:
         return self.output
 
     def __call__(self, x: Tensor) -> Tensor:
-        """The product of x `[*batch, n_cols]`, in `output`."""
+        """The product of x `[*batch, n_cols]` on the matrix's device, in `output`.
+
+        Raises: ValueError for any other shape, dtype or device (copying would broadcast, convert or wait), or where x wants a gradient.
+        """
+        self.form.check(x, self.output)
         self.input.copy_(x)
         return self.replay()

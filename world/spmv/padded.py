@@ -31,8 +31,6 @@ class Ell(SparseFormat):
 
     def _write(self, x: Tensor, out: Tensor) -> None:
         gathered = self._buffer("gathered", self.n_rows)
-        if not len(self.columns):
-            out.zero_()
         for entry, (columns, values) in enumerate(zip(self.columns, self.values, strict=True)):
             torch.index_select(x, 0, columns, out=gathered)
             if entry:
@@ -67,7 +65,7 @@ class Sell(SparseFormat):
         cells = int(offsets[-1])
         self.columns = zeros((cells,), torch.int32, self.device).index_copy_(0, cell, csr.indices)
         self.values = zeros((cells,), self.dtype, self.device).index_copy_(0, cell, csr.values)
-        self.runs = _runs(sorted_widths)
+        self.runs = equal_runs(sorted_widths)
 
     @classmethod
     def count(cls, csr: Csr, height: int = height) -> Storage:
@@ -78,11 +76,11 @@ class Sell(SparseFormat):
     def _write(self, x: Tensor, out: Tensor) -> None:
         products = torch.index_select(x, 0, self.columns, out=self._buffer("products", len(self.columns))).mul_(self.values)
         sums = self._buffer("sums", len(self.order), self.height)
-        at = 0
-        for start, stop, width in self.runs:
-            cells = (stop - start) * width * self.height
-            torch.sum(products[at : at + cells].view(stop - start, width, self.height), 1, out=sums[start:stop])
-            at += cells
+        first = cell = 0
+        for count, width in self.runs:
+            cells = count * width * self.height
+            torch.sum(products[cell : cell + cells].view(count, width, self.height), 1, out=sums[first : first + count])
+            first, cell = first + count, cell + cells
         slices = self._buffer("slices", len(self.order), self.height)
         out.copy_(slices.index_copy_(0, self.order, sums).view(-1)[: self.n_rows])
 
@@ -92,8 +90,7 @@ def _slice_widths(csr: Csr, height: int) -> Tensor:
     return torch.nn.functional.pad(lengths, (0, -csr.n_rows % height)).view(-1, height).amax(1)
 
 
-def _runs(widths: Tensor) -> list[tuple[int, int, int]]:
-    """Start, stop and width of each run of equal widths."""
+def equal_runs(widths: Tensor) -> list[tuple[int, int]]:
+    """Length and width of each run of equal widths."""
     values, counts = torch.unique_consecutive(widths, return_counts=True)
-    stops = counts.cumsum(0)
-    return list(zip((stops - counts).tolist(), stops.tolist(), values.tolist(), strict=True))
+    return list(zip(counts.tolist(), values.tolist(), strict=True))

@@ -37,9 +37,11 @@ class SparseFormat(ABC):
 
     name: ClassVar[str]
     storage: Storage
+    written_rows: int  # by `refresh`
 
     def __init__(self, csr: Csr) -> None:
         self.n_rows, self.n_cols = csr.n_rows, csr.n_cols
+        self.written_rows = csr.n_rows
         self.dtype, self.device = csr.values.dtype, csr.values.device
         self._buffers: dict[str, Tensor] = {}
 
@@ -67,19 +69,22 @@ class SparseFormat(ABC):
         """
         if out is None:
             return self.refresh(x, zeros((*x.shape[:-1], self.n_rows), x.dtype, x.device))
-        self._check(x, out)
+        self.check(x, out)
         self._clear(out)
         return self.refresh(x, out)
 
     def refresh(self, x: Tensor, out: Tensor) -> Tensor:
         """As `multiply`, for an `out` that came from it: rows that no pixel reaches stay zero and need not be written again."""
-        self._check(x, out)
+        self.check(x, out)
+        if not self.storage.values:
+            return out.zero_()
         # Products of single vectors are faster than one with a matrix of few columns.
         for vector, result in zip(x.reshape(-1, self.n_cols).contiguous(), out.view(-1, self.n_rows), strict=True):
             self._write(vector, result)
         return out
 
-    def _check(self, x: Tensor, out: Tensor) -> None:
+    def check(self, x: Tensor, out: Tensor) -> None:
+        """Raise ValueError where `out = A x` cannot be had: see `multiply`."""
         if x.shape[-1] != self.n_cols:
             raise ValueError(f"a matrix with {self.n_cols} columns cannot multiply a vector of {x.shape[-1]}")
         if out.shape != (*x.shape[:-1], self.n_rows) or not out.is_contiguous():

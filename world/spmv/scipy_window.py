@@ -1,17 +1,16 @@
 """The lit window by SciPy's compiled loop: with one or two entries a row it beats the vendor's library behind torch on many CPUs."""
 
-from scipy.sparse import _sparsetools
 from torch import Tensor
 
 from world.errors import LuxloopError
-from world.spmv.compressed import Window
 from world.spmv.csr import Csr
+from world.spmv.protocol import SparseFormat, Storage, lit_window
 
-ROWS_AT_ONCE = 2**18  # the loop adds to what is there: rows are zeroed while they are in the cache
+ROWS_AT_ONCE = 2**16  # SciPy makes a fresh result at each product: so large that it stays in the cache
 
 
-class ScipyWindow(Window):
-    """As `window`, on the CPU only. Called without SciPy's allocation of a fresh result at each product."""
+class ScipyWindow(SparseFormat):
+    """As `window`, on the CPU only, in parts."""
 
     name = "scipy"
 
@@ -19,11 +18,23 @@ class ScipyWindow(Window):
         if csr.values.device.type != "cpu":
             raise LuxloopError(f"format 'scipy' is for the CPU, this matrix is on {csr.values.device}: take 'window'")
         super().__init__(csr)
+        self.storage = self.count(csr)
+        self.start, self.stop = lit_window(csr)
+        self.written_rows = self.stop - self.start
+        bounds = [(first, min(first + ROWS_AT_ONCE, self.stop)) for first in range(self.start, self.stop, ROWS_AT_ONCE)]
+        self.parts = [(first, last, csr.band(first, last).to_scipy()) for first, last in bounds]
+
+    @classmethod
+    def count(cls, csr: Csr) -> Storage:
+        start, stop = lit_window(csr)
+        nnz = len(csr.values)
+        return Storage(stop - start + -(-(stop - start) // ROWS_AT_ONCE) + 1, nnz, nnz)
+
+    def _clear(self, out: Tensor) -> None:
+        out[..., : self.start].zero_()
+        out[..., self.stop :].zero_()
 
     def _write(self, x: Tensor, out: Tensor) -> None:
-        indptr, indices, values = self.csr.indptr.numpy(), self.csr.indices.numpy(), self.csr.values.numpy()
-        vector, window = x.numpy(), out[self.start : self.stop].numpy()
-        for start in range(0, len(window), ROWS_AT_ONCE):
-            rows = window[start : start + ROWS_AT_ONCE]
-            rows.fill(0)
-            _sparsetools.csr_matvec(len(rows), self.n_cols, indptr[start : start + len(rows) + 1], indices, values, vector, rows)
+        vector, result = x.numpy(), out.numpy()
+        for first, last, matrix in self.parts:
+            result[first:last] = matrix @ vector

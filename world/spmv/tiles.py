@@ -7,6 +7,7 @@ from torch import Tensor
 
 from world.spmv.csr import Csr, row_of_entries
 from world.spmv.memory import settled, zeros
+from world.spmv.padded import equal_runs
 from world.spmv.protocol import SparseFormat, Storage, lit_rows, lit_window
 
 
@@ -26,10 +27,11 @@ class Tiles(SparseFormat):
         plan, height = _plan(csr, self.height), self.height
         self.storage = plan.storage(height)
         self.start, self.stop = plan.window
+        self.written_rows = self.stop - self.start
         order = torch.argsort(plan.widths, stable=True)
         rank = torch.empty_like(order).index_copy_(0, order, torch.arange(len(order), device=self.device))
         widths = plan.widths[order]
-        self.runs = _runs(widths)
+        self.runs = equal_runs(widths)
         self.n_sums = len(widths) * height
 
         # Cells move from the order of tiles to the order of widths.
@@ -53,15 +55,15 @@ class Tiles(SparseFormat):
     def _write(self, x: Tensor, out: Tensor) -> None:
         gathered = torch.index_select(x, 0, self.columns, out=self._buffer("gathered", len(self.columns)))
         sums = self._buffer("sums", self.n_sums + 1)  # the last one stays zero, for dark rows
-        tile = 0
-        for cell, count, width in self.runs:
+        tile = cell = 0
+        for count, width in self.runs:
             cells = slice(cell, cell + count * width)
             torch.bmm(
                 gathered[cells].view(count, 1, width),
                 self.values[cells].view(count, width, self.height),
                 out=sums[tile * self.height : (tile + count) * self.height].view(count, 1, self.height),
             )
-            tile += count
+            tile, cell = tile + count, cell + count * width
         torch.index_select(sums, 0, self.places, out=out[self.start : self.stop])
 
 
@@ -100,10 +102,3 @@ def _plan(csr: Csr, height: int) -> _Plan:
     tile = keys // csr.n_cols
     widths = torch.bincount(tile, minlength=-(-len(lit) // height))
     return _Plan(lit_window(csr), place, widths, tile, keys % csr.n_cols, cell_of_entry)
-
-
-def _runs(widths: Tensor) -> list[tuple[int, int, int]]:
-    """First cell, number of tiles and width of each run of tiles of a width."""
-    values, counts = torch.unique_consecutive(widths, return_counts=True)
-    first = (values * counts).cumsum(0) - values * counts
-    return list(zip(first.tolist(), counts.tolist(), values.tolist(), strict=True))

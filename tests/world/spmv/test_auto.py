@@ -1,6 +1,7 @@
 """The fastest format is measured once and remembered; a bad cache costs nothing but the measurement."""
 
 import json
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import scipy.sparse as sp
 import torch
 
 from tests.world.spmv.matrices import random_matrix
-from world.spmv import Csr, auto, fastest
+from world.spmv import Csr, auto, build, fastest
 
 
 @pytest.fixture
@@ -94,6 +95,8 @@ def test_padding_without_end_is_no_candidate() -> None:
     assert "ell" not in names
     assert {"csr", "window", "submatrix"} <= set(names)
     assert "tiles" in auto.candidates(Csr.from_scipy(sp.csr_matrix(np.ones((200, 20)))))
+    # As many pixels a texel, but no two texels share theirs.
+    assert "tiles" not in auto.candidates(Csr.from_scipy(sp.kron(sp.eye_array(200), np.ones((1, 20)))))
 
 
 def test_every_candidate_is_really_measured(device: torch.device, tmp_path: Path) -> None:
@@ -103,6 +106,50 @@ def test_every_candidate_is_really_measured(device: torch.device, tmp_path: Path
     assert times.keys() == forms.keys()
     assert all(0 <= time < 1000 for time in times.values())
     assert fastest(csr, tmp_path / "formats.json").name in times
+
+
+class Clock:
+    """Products that take as long as they are said to: `products` counts them."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, milliseconds: dict[str, float]) -> None:
+        self.now_s, self.products = 0.0, dict.fromkeys(milliseconds, 0)
+        forms = dict.fromkeys(milliseconds, auto.FORMATS["csr"](Csr.from_scipy(sp.eye_array(2))))
+        monkeypatch.setattr(auto, "_steps", lambda forms: {name: partial(self.step, name, ms) for name, ms in milliseconds.items()})
+        monkeypatch.setattr(auto, "_milliseconds", lambda step, device: step())
+        monkeypatch.setattr(auto.time, "monotonic", lambda: self.now_s)
+        self.times = auto.timings(forms)
+
+    def step(self, name: str, ms: float) -> float:
+        self.products[name] += 1
+        self.now_s += 1e-3 * ms
+        return ms
+
+
+def test_measuring_takes_about_a_second_at_most(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The largest lamp of table A.2, with its times on one machine."""
+    clock = Clock(monkeypatch, {"scipy": 15.6, "csr": 19.4, "window": 14.7, "submatrix": 28.3, "sell": 60.7})
+    assert clock.now_s < 1.1
+    assert clock.products["sell"] == 2  # once to warm up, once measured
+    assert min(clock.times, key=clock.times.__getitem__) == "window"
+
+
+def test_close_formats_are_measured_often_and_slow_ones_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = Clock(monkeypatch, {"a": 1.0, "b": 1.25, "c": 1.5, "d": 2.5, "e": 3.1})
+    assert clock.products["e"] == 2 < clock.products["d"] < clock.products["c"] < clock.products["a"] == clock.products["b"] == 200
+    assert clock.times == {"a": 1.0, "b": 1.25, "c": 1.5, "d": 2.5, "e": 3.1}
+    assert Clock(monkeypatch, {"a": 1.0, "b": 4.0}).products == {"a": 2, "b": 2}
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="CUDA graphs need CUDA")
+def test_graphs_are_timed_on_cuda(csr: Csr, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A format whose product is many launches must not lose to one whose product is a single one."""
+    replays: list[str] = []
+    replay = auto.CapturedProduct.replay
+    monkeypatch.setattr(auto.CapturedProduct, "replay", lambda self: replays.append(self.form.name) or replay(self))
+    forms = {name: build(csr.to(torch.device("cuda")), name) for name in ("csr", "sell")}
+    monkeypatch.setattr(auto, "ROUNDS", 1)
+    auto.timings(forms)
+    assert replays == ["csr", "sell", "csr", "csr", "sell", "sell"]
 
 
 def test_choices_go_to_the_users_cache_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

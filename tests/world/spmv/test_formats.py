@@ -1,5 +1,8 @@
 """Every format gives the product of the dense matrix, and stores what the thesis says."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -9,8 +12,9 @@ from hypothesis import strategies as st
 
 from tests.world.spmv.matrices import matrices, random_matrix
 from world.errors import LuxloopError
-from world.spmv import FORMATS, Csr, SparseFormat, Storage, build
+from world.spmv import FORMATS, Csr, SparseFormat, Storage, build, scipy_window
 from world.spmv.padded import Sell
+from world.spmv.scipy_window import ScipyWindow
 
 each_format = pytest.mark.parametrize("name", FORMATS)
 
@@ -24,6 +28,8 @@ def matrix(dense: np.ndarray) -> Csr:
 
 def stored(form: SparseFormat) -> int:
     """Cells of a padded or packed format, from its tensors."""
+    if isinstance(form, ScipyWindow):
+        return sum(part.nnz for _, _, part in form.parts)
     values = form.values if hasattr(form, "values") else form.csr.values
     return values.numel()
 
@@ -115,10 +121,52 @@ def test_float32_on_every_device(name: str, device: torch.device) -> None:
 
 
 @each_format
-@pytest.mark.parametrize("shape", [(3, 2), (1, 5)])
+@pytest.mark.parametrize("shape", [(3, 2), (1, 5), (0, 3), (3, 0), (0, 0)])
 def test_matrices_without_entries(name: str, shape: tuple[int, int]) -> None:
     form = build(matrix(np.zeros(shape)), name)
     assert form.multiply(torch.ones(shape[1], dtype=torch.float64)).tolist() == [0] * shape[0]
+    garbage = torch.full((2, shape[0]), torch.nan, dtype=torch.float64)
+    assert form.multiply(torch.ones(2, shape[1], dtype=torch.float64), out=garbage).tolist() == [[0] * shape[0]] * 2
+
+
+@each_format
+def test_no_vectors_have_no_products(name: str) -> None:
+    assert build(matrix(BY_HAND), name).multiply(torch.ones(0, 4, dtype=torch.float64)).shape == (0, 6)
+
+
+@each_format
+@settings(deadline=None)
+@given(matrices)
+def test_a_refresh_writes_the_rows_that_it_says(name: str, sparse: sp.csr_array) -> None:
+    form = build(Csr.from_scipy(sparse, torch.float64), name)
+    out = torch.full((form.n_rows,), torch.nan, dtype=torch.float64)
+    form.refresh(torch.ones(form.n_cols, dtype=torch.float64), out)
+    if form.storage.values:  # else there is nothing to multiply, and all is zeroed
+        assert form.written_rows == (~out.isnan()).sum()
+
+
+@settings(deadline=None)
+@given(matrices, st.integers(1, 8))
+def test_scipys_parts_of_any_height(sparse: sp.csr_array, height: int) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(scipy_window, "ROWS_AT_ONCE", height)
+        form = ScipyWindow(Csr.from_scipy(sparse, torch.float64))
+    x = torch.linspace(0.1, 1, form.n_cols, dtype=torch.float64)
+    np.testing.assert_allclose(form.multiply(x), sparse @ x.numpy(), rtol=1e-13, atol=1e-13)
+    assert form.storage.row_indices == sum(part.shape[0] + 1 for _, _, part in form.parts) + 1
+    assert stored(form) == form.storage.values
+
+
+def test_scipy_reads_the_matrix_where_it_lies() -> None:
+    csr = matrix(np.ones((10, 6)))
+    (_, _, part), *_ = ScipyWindow(csr).parts
+    assert np.shares_memory(part.data, csr.values.numpy()) and np.shares_memory(part.indices, csr.indices.numpy())
+
+
+def test_scipys_private_parts_are_not_needed() -> None:
+    """SciPy may move them in any release; a luxloop that wanted them would not even be imported."""
+    package = Path(scipy_window.__file__).parent
+    assert [path.name for path in package.glob("*.py") if re.search(r"scipy\S* import _|scipy\.\S*\b_\w", path.read_text("utf-8"))] == []
 
 
 @each_format

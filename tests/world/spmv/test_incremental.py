@@ -78,6 +78,37 @@ def test_capture_is_refused_without_cuda() -> None:
         CapturedProduct(build(Csr.from_scipy(sp.eye_array(3)), "csr"))
 
 
+def misfits(x: torch.Tensor) -> list[torch.Tensor]:
+    """What `copy_` into x would broadcast, convert or move, and what would lose its gradient."""
+    return [x[..., :1], x.flatten()[: x.shape[-1] - 1], x.expand(3, *x.shape), x.double(), x.clone().requires_grad_()]
+
+
+@pytest.mark.parametrize("batch", [(), (2,)])
+def test_a_captured_product_takes_only_its_own_shape_dtype_and_device(batch: tuple[int, ...]) -> None:
+    """As it would be on CUDA: an object with nothing captured, which must not even be asked to copy."""
+    captured = object.__new__(CapturedProduct)
+    captured.form = build(Csr.from_scipy(sp.eye_array(4)), "csr")
+    captured.input = torch.zeros(*batch, 4)
+    captured.output = captured.form.multiply(captured.input)
+    x = torch.ones(*batch, 4)
+    for wrong in [*misfits(x), x.to("meta"), *([x[0]] if batch else [])]:
+        with pytest.raises(ValueError, match=r"cannot|alike|gradient"):
+            captured(wrong)
+        assert not captured.input.any()
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="CUDA graphs need CUDA")
+@pytest.mark.parametrize("batch", [(), (2,)])
+def test_what_does_not_fit_a_captured_product_is_refused(batch: tuple[int, ...]) -> None:
+    x = torch.ones(*batch, 100, device="cuda")
+    captured = CapturedProduct(build(Csr.from_scipy(random_matrix(2, 200, 100, 0.1)).to(torch.device("cuda")), "csr"), batch)
+    before = captured(x).clone()
+    for wrong in [*misfits(2 * x), 2 * x.cpu(), *([2 * x[0]] if batch else [])]:
+        with pytest.raises(ValueError, match=r"cannot|alike|gradient"):
+            captured(wrong)
+        assert torch.equal(captured.replay(), before)
+
+
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="CUDA graphs need CUDA")
 @pytest.mark.parametrize("batch", [(), (2,)])
 @pytest.mark.parametrize("name", [name for name in FORMATS if name != "scipy"])
