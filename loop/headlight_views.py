@@ -29,6 +29,7 @@ SHADOW_PX = 1024  # width of a shadow map
 BIRDSEYE_X_M, BIRDSEYE_Y_M, BIRDSEYE_CELL_M = (-6.0, 100.0), (-20.0, 20.0), 0.1
 BIRDSEYE_HEIGHT_M = 300.0  # of the pinhole: a body 1.5 m high, 50 m aside, is seen 25 cm off
 FARTHEST_M = 400.0  # that a ray through fog is followed where it meets nothing
+NIGHT_LX = 0.03  # a clouded night near a town; by full moon it is ten times as much
 NEAR_BY = 0.05  # of its distance, that a pixel may be off a place on the road: a row spans so much of the road far ahead
 LUMINANCE_OF_RGB = np.array([0.2126, 0.7152, 0.0722], np.float32)  # linear sRGB
 Image = NDArray[np.floating]
@@ -169,7 +170,8 @@ def _through_air(
 
 
 def _plain_road() -> Scenario:
-    return validate({"name": "flat road", "symbol": {"image": "snowflake"}, "surface": {"markings": True}}, "flat road")
+    tables = {"surface": {"markings": True}, "light": {"ambient_lx": NIGHT_LX}}
+    return validate({"name": "flat road", "symbol": {"image": "snowflake"}, **tables}, "flat road")
 
 
 def driver(width_px: int = 1280) -> View:
