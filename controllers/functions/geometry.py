@@ -1,13 +1,26 @@
 """Rectangles of lighting functions: boxes around objects, strips and areas on the road; batch dimensions first."""
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
 
-Rectangles = tuple[Tensor, Tensor, Tensor]  # origin, d1, d2
+
+@dataclass(frozen=True)
+class Place:
+    """Rectangles `[..., 3]` m in the world: a corner, two sides along symbol u and v, and the unit normal of the side that takes light.
+
+    Who reads a symbol sees u to the right and v down, so the normal that looks at the reader is -d1 x d2.
+    """
+
+    origin: Tensor
+    d1: Tensor
+    d2: Tensor
+    normal: Tensor
 
 
-def cuboid(T_world_box: Tensor, low: Tensor, high: Tensor) -> Rectangles:
-    """The six faces of a box as rectangles `[..., 6, 3]` m whose `d1 x d2` points outward: front, back, left, right, top, bottom.
+def cuboid(T_world_box: Tensor, low: Tensor, high: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The six faces of a box, origin, d1 and d2 `[..., 6, 3]` m, `d1 x d2` outward: front, back, left, right, top, bottom.
 
     T_world_box: `[..., 4, 4]`. low, high: `[..., 3]` m, opposite corners in the box's frame.
     """
@@ -24,7 +37,7 @@ def cuboid(T_world_box: Tensor, low: Tensor, high: Tensor) -> Rectangles:
     return origin @ R + T_world_box[..., None, :3, 3], d1 @ R, d2 @ R
 
 
-def strip(T_world_road: Tensor, start: Tensor, stop: Tensor, width_m: float) -> Rectangles:
+def strip(T_world_road: Tensor, start: Tensor, stop: Tensor, width_m: float) -> Place:
     """A rectangle `[..., 3]` on the road from the middle of its near side to that of its far one; image row 0 lies at the far side.
 
     T_world_road: `[4, 4]`, the road is its plane z = 0. start, stop: `[..., 2]` m in that frame.
@@ -35,14 +48,14 @@ def strip(T_world_road: Tensor, start: Tensor, stop: Tensor, width_m: float) -> 
     return on_road(T_world_road, stop - d1 / 2, d1, -along)
 
 
-def on_road(T_world_road: Tensor, origin: Tensor, d1: Tensor, d2: Tensor) -> Rectangles:
+def on_road(T_world_road: Tensor, origin: Tensor, d1: Tensor, d2: Tensor) -> Place:
     """A rectangle on the road, given in its plane `[..., 2]` m, in the world `[..., 3]` m."""
     T = T_world_road.to(origin)
     p, a, b = (torch.nn.functional.pad(v, (0, 1)) @ T[:3, :3].T for v in (origin, d1, d2))
-    return p + T[:3, 3], a, b
+    return Place(p + T[:3, 3], a, b, T[:3, 2])
 
 
-def facing(T_world_box: Tensor, low: Tensor, high: Tensor, viewer: Tensor) -> Rectangles:
+def facing(T_world_box: Tensor, low: Tensor, high: Tensor, viewer: Tensor) -> Place:
     """An upright rectangle `[3]` in the middle of a box, turned to the viewer `[3]` m, as wide and high as the box looks from there."""
     low, high, viewer = low.to(T_world_box), high.to(T_world_box), viewer.to(T_world_box)
     up = T_world_box[:3, 2]
@@ -52,4 +65,4 @@ def facing(T_world_box: Tensor, low: Tensor, high: Tensor, viewer: Tensor) -> Re
     left = torch.linalg.cross(normal, up)  # the viewer's left
     length, width = ((T_world_box[:3, k] @ left).abs() * (high - low)[k] for k in (0, 1))
     d1, d2 = -(length + width) * left, -(high - low)[2] * up
-    return middle - (d1 + d2) / 2, d1, d2
+    return Place(middle - (d1 + d2) / 2, d1, d2, normal)

@@ -7,9 +7,9 @@ import torch
 from pydantic import Field
 
 from controllers.functions.geometry import strip
-from controllers.functions.path import Drawing, draw
-from controllers.functions.situation import LAYERS, Drawn, Situation
-from controllers.primitives import Primitives, rectangle
+from controllers.functions.path import Drawing
+from controllers.functions.situation import Drawn, Situation
+from controllers.primitives import Primitives
 
 STRAIGHT_1_M = 1e-5  # a curve that turns less leaves its tangent by 2 cm in 60 m
 
@@ -36,7 +36,7 @@ class LaneParams(Drawn):
             return tuple(straight(self, now, self.near_m, self.far_m, self.y_m + offset, width) for offset in offsets)
         drawing = Drawing.over(arc(now.curvature_1_m, self.near_m, self.far_m, self.y_m), offsets[0] + width / 2, self.texel_m)
         image = torch.stack([drawing.band(width / 2, offset) for offset in offsets]).amax(0)
-        return (draw(self, drawing, image, now),)
+        return (self.draw(drawing.place(now.T_world_vehicle), image),)
 
 
 class WidthParams(Drawn):
@@ -58,15 +58,7 @@ class WidthParams(Drawn):
 def straight(params: Drawn, now: Situation, near_m: float, far_m: float, y_m: float, width_m: float) -> Primitives:
     """One line along the car's axis."""
     start, stop = (torch.tensor([x, y_m], dtype=torch.float64) for x in (near_m, far_m))
-    return rectangle(
-        *strip(now.T_world_vehicle, start, stop, width_m),
-        params.value,
-        params.quantity,
-        weight=params.weight,
-        forced=params.forced,
-        priority=params.priority * LAYERS,
-        modules=params.modules,
-    )
+    return params.draw(strip(now.T_world_vehicle, start, stop, width_m))
 
 
 def arc(curvature_1_m: float, near_m: float, far_m: float, y_m: float = 0.0) -> torch.Tensor:

@@ -6,9 +6,9 @@ import torch
 from pydantic import Field
 
 from controllers.animations import Animated, AnimationParams
-from controllers.functions.geometry import facing, strip
-from controllers.functions.situation import LAYERS, Category, Drawn, SelectionParams, Situation, TrackedObject
-from controllers.primitives import Primitives, rectangle
+from controllers.functions.geometry import Place, facing, strip
+from controllers.functions.situation import Category, Drawn, SelectionParams, Situation, TrackedObject
+from controllers.primitives import Primitives
 from controllers.symbols import Still
 from world.frames import inverse, transform
 
@@ -41,14 +41,12 @@ class MarkerParams(Drawn, SelectionParams):
         start, stop = self.near_m * way, (now.distance_m(each) - self.gap_m) * way
         if (stop - start) @ way < SHORTEST_M:
             return ()
-        line = strip(now.T_world_vehicle, start, stop, self.width_m)
-        parts = [self._draw(line, now)]
-        if self.surround_m:
-            around = strip(now.T_world_vehicle, start, stop, self.width_m + 2 * self.surround_m)
-            parts.append(
-                rectangle(*around, self.surround_u_rel, "u_rel", forced=self.forced, priority=self.priority * LAYERS, modules=self.modules)
-            )
-        return tuple(parts)
+        line = self._draw(strip(now.T_world_vehicle, start, stop, self.width_m), now)
+        if not self.surround_m:
+            return (line,)
+        around = strip(now.T_world_vehicle, start, stop, self.width_m + 2 * self.surround_m)
+        dimmed = self.model_copy(update={"quantity": "u_rel", "value": self.surround_u_rel, "weight": 1.0})
+        return line, dimmed.draw(around)
 
     def _body(self, each: TrackedObject, now: Situation) -> tuple[Primitives, ...]:
         length, width, height = each.size_m
@@ -56,19 +54,6 @@ class MarkerParams(Drawn, SelectionParams):
         high = torch.tensor([length / 2, width / 2, self.up_to * height]).double()
         return (self._draw(facing(each.T_world_object, low, high, now.lamps.mean(0)), now),)
 
-    def _draw(self, place: tuple[torch.Tensor, ...], now: Situation) -> Primitives:
+    def _draw(self, place: Place, now: Situation) -> Primitives:
         white = Still(torch.ones(1, 1))
-        symbol = (Animated(white, self.animation) if self.animation else white).at(now.time_s)
-        origin, d1, d2 = place
-        return rectangle(
-            origin,
-            d1,
-            d2,
-            self.value,
-            self.quantity,
-            symbol=symbol,
-            weight=self.weight,
-            forced=self.forced,
-            priority=self.priority * LAYERS + 1,
-            modules=self.modules,
-        )
+        return self.draw(place, (Animated(white, self.animation) if self.animation else white).at(now.time_s), layer=1)

@@ -7,9 +7,9 @@ from pydantic import Field
 from torch import Tensor
 
 from controllers.functions.bezier import closest, derivative, length_at, point
-from controllers.functions.geometry import on_road
-from controllers.functions.situation import LAYERS, Drawn, Situation
-from controllers.primitives import Primitives, rectangle
+from controllers.functions.geometry import Place, on_road
+from controllers.functions.situation import Drawn, Situation
+from controllers.primitives import Primitives
 
 Point = tuple[float, float]
 
@@ -38,15 +38,15 @@ class PathParams(Drawn):
         else:
             shift = self.speed_m_s * now.time_s
             image = drawing.bent(now.symbols[self.image].at(now.time_s), self.width_m, self.image_length_m, self.image_pitch_m, shift)
-        return (draw(self, drawing, image, now),)
+        return (self.draw(drawing.place(now.T_world_vehicle), image),)
 
 
 class Drawing:
     """Texels of a rectangle on the road around a curve, each with its place on the curve.
 
     low: `[2]` m, the corner with the least x and y. shape: rows, columns. distance: `[h, w]` m, to the left of the curve positive.
-    along: `[h, w]` m, arc length of the closest point, less than zero or more than the length before and beyond the ends.
-    inside: `[h, w]` m, distance to the curve with round ends, which (B.2.2) asks for.
+    along: `[h, w]` m, arc length of the closest point. beyond: `[h, w]` m, how far before the start or after the end.
+    nearest: `[h, w]` m, distance to the curve, around its ends too, which (B.2.2) asks for.
     """
 
     def __init__(self, control: Tensor, low: Tensor, shape: tuple[int, int], texel_m: float) -> None:
@@ -61,9 +61,10 @@ class Drawing:
         tangent = torch.nn.functional.normalize(slope, dim=-1)
         away = texels - point(control, t)
         left = tangent[..., 0] * away[..., 1] - tangent[..., 1] * away[..., 0]
-        self.inside = distance.view(shape)
+        self.nearest = distance.view(shape)
         self.distance = left.view(shape)
-        self.along = (length_at(control, t) + (away * tangent).sum(-1)).view(shape)
+        self.along = length_at(control, t).view(shape)
+        self.beyond = (away * tangent).sum(-1).abs().view(shape)
 
     @classmethod
     def over(cls, control: Tensor, reach_m: float, texel_m: float) -> "Drawing":
@@ -74,15 +75,20 @@ class Drawing:
         rows, cols = ((high - low) / texel_m).ceil().long().tolist()
         return cls(control, low, (rows, cols), texel_m)
 
+    def place(self, T_world_vehicle: Tensor) -> Place:
+        """The rectangle on the road that is drawn on."""
+        length, width = (n * self.texel_m for n in self.shape)
+        corner = self.low + self.low.new_tensor([length, width])
+        return on_road(T_world_vehicle, corner, corner.new_tensor([0.0, -width]), corner.new_tensor([-length, 0.0]))
+
     def band(self, half_width_m: float, offset_m: float = 0.0) -> Tensor:
         """A band `[h, w]` in 0..1 along the curve, its middle offset_m to the left; its edges are soft over a texel.
 
         On the curve itself the band ends round, beside it straight.
         """
         if offset_m == 0:
-            return self._soft(half_width_m - self.inside)
-        ends = (self.inside - self.distance.abs()).abs()
-        return self._soft(torch.minimum(half_width_m - (self.distance - offset_m).abs(), self.texel_m / 2 - ends))
+            return self._soft(half_width_m - self.nearest)
+        return self._soft(torch.minimum(half_width_m - (self.distance - offset_m).abs(), self.texel_m / 2 - self.beyond))
 
     def bent(self, image: Tensor, width_m: float, length_m: float, pitch_m: float, shift_m: float = 0.0) -> Tensor:
         """An image `[h, w]` bent along the curve, its last row first, again every pitch_m, and moved on by shift_m."""
@@ -90,25 +96,7 @@ class Drawing:
         u, v = 0.5 - self.distance / width_m, 1 - place / length_m
         grid = torch.stack([2 * u - 1, 2 * v - 1], -1)[None]
         bent = torch.nn.functional.grid_sample(image[None, None].to(grid), grid, padding_mode="zeros", align_corners=False)[0, 0]
-        return bent * ((v >= 0) & (u >= 0) & (u <= 1) & ((self.inside - self.distance.abs()).abs() < self.texel_m))
+        return bent * ((v >= 0) & (u >= 0) & (u <= 1) & (self.beyond < self.texel_m / 2))
 
     def _soft(self, inside_m: Tensor) -> Tensor:
         return (0.5 + inside_m / self.texel_m).clamp(0, 1)
-
-
-def draw(params: Drawn, drawing: Drawing, image: Tensor, now: Situation) -> Primitives:
-    """The drawing as one primitive on the road."""
-    rows, cols = drawing.shape
-    length, width = rows * drawing.texel_m, cols * drawing.texel_m
-    corner = drawing.low + torch.tensor([length, width]).to(drawing.low)
-    d1, d2 = torch.tensor([0.0, -width]).to(corner), torch.tensor([-length, 0.0]).to(corner)
-    return rectangle(
-        *on_road(now.T_world_vehicle, corner, d1, d2),
-        params.value,
-        params.quantity,
-        symbol=image,
-        weight=params.weight,
-        forced=params.forced,
-        priority=params.priority * LAYERS,
-        modules=params.modules,
-    )

@@ -34,7 +34,7 @@ class SignParams(SelectionParams):
         T = each.T_world_object.double()
         origin, d1, d2 = cuboid(T, low, high)
         ahead = (now.lamps.mean(0).to(T) - T[:3, 3]) @ T[:3, 0] >= 0
-        face = 0 if ahead else 3  # the faces across x
+        face = 0 if ahead else 1  # the faces across x
         return rectangle(
             origin[face], d1[face], d2[face], self.value, self.quantity, weight=self.weight, forced=True, priority=self.priority * LAYERS
         )

@@ -8,7 +8,8 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from controllers.primitives import Primitives
+from controllers.functions.geometry import Place
+from controllers.primitives import Primitives, rectangle
 from controllers.symbols import SymbolSource
 from world.body import Body
 from world.frames import inverse, transform
@@ -122,6 +123,22 @@ class Drawn(Params):
 
     def active(self, time_s: float) -> bool:
         return (self.start_s is None or time_s >= self.start_s) and (self.stop_s is None or time_s < self.stop_s)
+
+    def draw(self, place: Place, image: Tensor | None = None, layer: int = 0) -> Primitives:
+        """One primitive; image: `[h, w]` in 0..1, white where there is none; layer: of several of a function, the higher lies on top."""
+        return rectangle(
+            place.origin,
+            place.d1,
+            place.d2,
+            self.value,
+            self.quantity,
+            normal=place.normal,
+            symbol=image,
+            weight=self.weight,
+            forced=self.forced,
+            priority=self.priority * LAYERS + layer,
+            modules=self.modules,
+        )
 
 
 def fade(time_s: float, since_s: float, until_s: float, in_s: float, out_s: float) -> float:

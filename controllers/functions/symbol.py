@@ -8,9 +8,9 @@ from pydantic import Field
 from torch import Tensor
 
 from controllers.animations import Animated, AnimationParams
-from controllers.functions.geometry import Rectangles, on_road
-from controllers.functions.situation import LAYERS, Category, Drawn, SelectionParams, Situation
-from controllers.primitives import Observer, Primitives, rectangle
+from controllers.functions.geometry import Place, on_road
+from controllers.functions.situation import Category, Drawn, SelectionParams, Situation
+from controllers.primitives import Observer, Primitives
 from controllers.secondary import drawing_rectangle
 from world.errors import LuxloopError
 from world.frames import transform
@@ -47,8 +47,8 @@ class ObserverParams(Params):
                 return each.T_world_object[:3, 3] + self.eye_height_m * each.T_world_object[:3, 2]
         return None
 
-    def picture(self, now: Situation, eye: Tensor) -> Rectangles:
-        """The flying symbol `[3]` m: upright on the road's plane, turned to the eye."""
+    def picture(self, now: Situation, eye: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """The flying symbol, origin, d1 and d2 `[3]` m: upright on the road's plane, turned to the eye."""
         centre, up = _world(now, self.centre_m), now.T_world_vehicle[:3, 2].to(eye)
         towards = eye - centre
         normal = torch.nn.functional.normalize(towards - (towards @ up) * up, dim=0)
@@ -77,17 +77,17 @@ class SymbolFunctionParams(Drawn):
         source = now.symbols[self.image]
         image = (Animated(source, self.animation) if self.animation else source).at(now.time_s - (self.start_s or 0.0))
         if self.observer is None:
-            return (self._draw(self._place(now), image),)
+            return (self.draw(self._place(now), image),)
         eye = self.observer.eye(now)
         return () if eye is None else (self._draw_for(eye, self.observer.picture(now, eye), image, now),)
 
-    def _place(self, now: Situation) -> Rectangles:
+    def _place(self, now: Situation) -> Place:
         yaw = torch.deg2rad(torch.tensor(self.yaw_deg, dtype=torch.float64))
         ahead, left = torch.stack([yaw.cos(), yaw.sin()]), torch.stack([-yaw.sin(), yaw.cos()])
         d1, d2 = -self.width_m * left, -self.length_m * ahead
         return on_road(now.T_world_vehicle, torch.tensor([self.x_m, self.y_m]).to(d1) - (d1 + d2) / 2, d1, d2)
 
-    def _draw_for(self, eye: Tensor, picture: Rectangles, image: Tensor, now: Situation) -> Primitives:
+    def _draw_for(self, eye: Tensor, picture: tuple[Tensor, Tensor, Tensor], image: Tensor, now: Situation) -> Primitives:
         T = now.T_world_vehicle.to(eye)
         place = drawing_rectangle(*picture, eye, T[:3, 3], T[:3, 2])
         if not all(bool(v.isfinite().all()) for v in place):
@@ -97,19 +97,7 @@ class SymbolFunctionParams(Drawn):
             )
         origin, d1, d2 = picture
         observer = Observer(eye[None], origin[None], d1[None], d2[None], active=torch.tensor([True]))
-        return replace(self._draw(place, image), observer=observer)
-
-    def _draw(self, place: Rectangles, image: Tensor) -> Primitives:
-        return rectangle(
-            *place,
-            self.value,
-            self.quantity,
-            symbol=image,
-            weight=self.weight,
-            forced=self.forced,
-            priority=self.priority * LAYERS,
-            modules=self.modules,
-        )
+        return replace(self.draw(Place(*place, T[:3, 2]), image), observer=observer)
 
 
 def _world(now: Situation, point_m: tuple[float, float, float]) -> Tensor:

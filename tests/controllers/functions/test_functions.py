@@ -1,0 +1,213 @@
+"""Where functions draw, and when."""
+
+import math
+
+import pytest
+import torch
+import trimesh
+from torch import Tensor
+
+from controllers.functions.base_beams import BaseBeamParams, bend_of_course
+from controllers.functions.bezier import length_at, point
+from controllers.functions.lane import LaneParams, WidthParams, arc
+from controllers.functions.marker import MarkerParams
+from controllers.functions.path import Drawing, PathParams
+from controllers.functions.sign import SignParams
+from controllers.functions.situation import Situation, TrackedObject, fade
+from controllers.functions.symbol import SymbolFunctionParams
+from controllers.primitives import Primitives
+from controllers.symbols import OverTime, Still
+from world.body import Body, PoseTrack
+from world.errors import LuxloopError
+from world.frames import pose_from_degrees, transform
+
+HERE = torch.eye(4, dtype=torch.float64)
+LAMPS = torch.tensor([[0.0, 0.6, 0.75], [0.0, -0.6, 0.75]], dtype=torch.float64)
+UP = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+PERSON = TrackedObject("anna", "pedestrian", pose_from_degrees((20.0, 3.0, 0.0), yaw_deg=90), (0.4, 0.6, 1.8), since_s=1.0, until_s=9.0)
+
+
+def now(*objects: TrackedObject, time_s: float = 2.0, T: Tensor = HERE, **more: object) -> Situation:
+    symbols = {"a": Still(torch.ones(4, 4)), "ramp": OverTime(lambda time_s: torch.full((2, 2), time_s / 10))}
+    return Situation(time_s, T, LAMPS, objects, symbols=symbols, **more)
+
+
+def extent(p: Primitives) -> tuple[Tensor, Tensor]:
+    corners = p.corners().reshape(-1, 3)
+    return corners.amin(0), corners.amax(0)
+
+
+def test_fades_keep_their_ends() -> None:
+    assert [fade(t, 0, math.inf, 1, 1) for t in (-1, 0, 0.5, 1, 5)] == [0, 0, 0.5, 1, 1]
+    assert fade(0.2, 0, math.inf, 1, 1) + fade(0.8, 0, math.inf, 1, 1) == pytest.approx(1)
+    assert [fade(t, -math.inf, 2, 0, 0) for t in (0, 1.9, 2)] == [1, 1, 0]
+
+
+def test_a_marker_leads_to_the_object_and_ends_before_it() -> None:
+    (line,) = MarkerParams(near_m=8, gap_m=0.5, width_m=0.3).primitives(now(PERSON))
+    torch.testing.assert_close(line.normal[0], UP)
+    far = line.origin[0] + line.d1[0] / 2
+    way = torch.tensor([20.0, 3.0]).double() / math.hypot(20, 3)
+    torch.testing.assert_close((far + line.d2[0])[:2], 8 * way)  # row 0 of its image is far: d2 comes back to the car
+    assert far[:2] @ way == pytest.approx(math.hypot(19.7, 2.8) - 0.5)
+    assert line.d1[0].norm() == pytest.approx(0.3)
+    assert not MarkerParams(near_m=19.5).primitives(now(PERSON))
+    assert not MarkerParams().primitives(now(PERSON, time_s=0.5)) and not MarkerParams().primitives(now(PERSON, time_s=9.0))
+    assert not MarkerParams(start_s=3.0).primitives(now(PERSON))
+
+
+def test_a_marker_is_dimmed_around_for_contrast() -> None:
+    line, around = MarkerParams(surround_m=0.5, surround_u_rel=0.2).primitives(now(PERSON))
+    assert line.priority[0] > around.priority[0]  # they lie in one plane
+    assert around.d1[0].norm() - line.d1[0].norm() == pytest.approx(1.0)
+
+
+def test_a_body_is_lit_up_to_a_share_of_its_height() -> None:
+    (light,) = MarkerParams(target="body", up_to=0.5).primitives(now(PERSON))
+    low, high = extent(light)
+    assert (low[2], high[2]) == (pytest.approx(0.0, abs=1e-9), pytest.approx(0.9))
+    assert light.normal[0] @ (LAMPS.mean(0) - PERSON.T_world_object[:3, 3]) > 0
+    (blinking,) = MarkerParams(target="body", animation={"kind": "blinking", "rate_hz": 1.0}).primitives(now(PERSON, time_s=2.6))
+    assert not blinking.symbols[0].any()
+
+
+@pytest.mark.parametrize("yaw_deg", [0.0, 180.0, 160.0])
+def test_a_sign_is_dimmed_in_its_face_that_looks_at_the_car(yaw_deg: float) -> None:
+    sign = TrackedObject("stop", "sign", pose_from_degrees((30, -4, 2.0), yaw_deg=yaw_deg), (0.05, 0.8, 0.8))
+    (face,) = SignParams(margin_m=0.1).primitives(now(sign))
+    assert face.forced.all() and face.normal[0, 0] < -0.9
+    assert sorted(v.norm().item() for v in (face.d1[0], face.d2[0])) == pytest.approx([1.0, 1.0])
+    assert not SignParams().primitives(now(PERSON))
+
+
+def test_functions_move_with_the_car() -> None:
+    T = pose_from_degrees((100, 50, 2), yaw_deg=90)
+    for function in (SymbolFunctionParams(image="a"), PathParams(control_m=((5, 0), (10, 0))), LaneParams(), WidthParams()):
+        for here, there in zip(function.primitives(now()), function.primitives(now(T=T)), strict=True):
+            torch.testing.assert_close(transform(T, here.corners()[0].T).T, there.corners()[0])
+            torch.testing.assert_close(T[:3, :3] @ here.normal[0], there.normal[0])
+
+
+def test_a_symbol_lies_where_it_shall_with_its_far_end_first() -> None:
+    (p,) = SymbolFunctionParams(image="a", x_m=20, y_m=1, width_m=2, length_m=6).primitives(now())
+    torch.testing.assert_close(p.origin[0], torch.tensor([23.0, 2.0, 0.0]).double())
+    torch.testing.assert_close(torch.stack([p.d1[0], p.d2[0]]), torch.tensor([[0.0, -2.0, 0], [-6.0, 0, 0]]).double())
+    torch.testing.assert_close(p.normal[0], UP)
+
+
+def test_conditions_exchange_symbols_as_an_object_comes_near() -> None:
+    """The example of T fig. 7.10."""
+    near = {"nearer_than_m": 25.0}
+    snow, arrow = SymbolFunctionParams(image="a", unless=near), SymbolFunctionParams(image="a", when=near)
+    for x, shows_arrow in ((40.0, False), (20.0, True), (-5.0, False)):
+        other = TrackedObject("c", "car", pose_from_degrees((x, 0, 0)), (4, 2, 1.5))
+        assert (len(snow.primitives(now(other))), len(arrow.primitives(now(other)))) == (int(not shows_arrow), int(shows_arrow))
+    assert snow.primitives(now()) and not arrow.primitives(now())
+
+
+def test_a_symbol_begins_when_its_function_begins() -> None:
+    (p,) = SymbolFunctionParams(image="ramp", start_s=1.5).primitives(now(time_s=2.0))
+    assert p.symbols[0].amax().item() == pytest.approx(0.05)
+
+
+def test_an_observer_gets_a_rectangle_of_his_own() -> None:
+    (p,) = SymbolFunctionParams(image="a", observer={"name": "anna"}).primitives(now(PERSON))
+    assert p.observer is not None and p.observer.active.all()
+    torch.testing.assert_close(p.observer.eye[0], torch.tensor([20.0, 3.0, 1.5]).double())
+    torch.testing.assert_close(p.normal[0], UP)
+    assert not SymbolFunctionParams(image="a", observer={"name": "anna"}).primitives(now())
+    with pytest.raises(LuxloopError, match="lower the picture"):
+        SymbolFunctionParams(image="a", observer={"centre_m": (10, 0, 2.0)}).primitives(now())
+
+
+CURVE = torch.tensor([[5.0, 0.0], [12.0, 0.0], [16.0, 2.0], [18.0, 6.0]], dtype=torch.float64)
+
+
+def test_a_path_is_as_large_as_its_band() -> None:
+    drawing = Drawing.over(CURVE, 0.5, 0.02)
+    image = drawing.band(0.5)
+    length = length_at(CURVE, torch.ones(1).double()).item()
+    assert image.sum().item() * 0.02**2 == pytest.approx(length * 1.0 + math.pi * 0.25, rel=2e-3)  # a soft edge of 2 cm averages out
+    assert not image[0].any() and not image[-1].any() and not image[:, 0].any() and not image[:, -1].any()
+
+
+def test_a_path_lies_on_the_road_where_its_points_say() -> None:
+    (p,) = PathParams(control_m=((10, 2), (20, 2)), width_m=1.0, texel_m=0.05).primitives(now())
+    image, rows = p.symbols[0], p.symbols[0].shape[0]
+    centre = (p.origin + (p.d1 + p.d2) / 2)[0]
+    assert centre[:2].tolist() == pytest.approx([15, 2], abs=0.05)
+    lit = image.sum(1).nonzero()[:, 0]
+    ahead = p.origin[0, 0] - (lit + 0.5) / rows * p.d2[0].norm()
+    assert ahead.min() == pytest.approx(9.5, abs=0.06) and ahead.max() == pytest.approx(20.5, abs=0.06)
+
+
+def test_chevrons_are_bent_along_the_path_and_run() -> None:
+    """On a straight path a bent image is the image; moved by a pitch it looks the same."""
+    line = torch.tensor([[0.0, 0.0], [8.0, 0.0]], dtype=torch.float64)
+    drawing = Drawing.over(line, 1.0, 0.05)
+    image = torch.zeros(4, 2, dtype=torch.float64)
+    image[0, 0] = 1  # far left
+    bent = drawing.bent(image, 2.0, 4.0, 4.0)
+    inside = (drawing.along > 3.4) & (drawing.along < 3.6) & (drawing.distance > 0.4) & (drawing.distance < 0.6)
+    assert bent[inside].min() > 0.7
+    assert not bent[(drawing.along % 4 < 2.0) | (drawing.distance < -0.6)].any()
+    torch.testing.assert_close(drawing.bent(image, 2.0, 4.0, 4.0, shift_m=4.0), bent, atol=1e-6, rtol=0)
+    moved = drawing.bent(image, 2.0, 4.0, 4.0, shift_m=1.0)
+    assert moved[(drawing.along > 4.4) & (drawing.along < 4.6) & (drawing.distance > 0.4) & (drawing.distance < 0.6)].min() > 0.7
+
+
+@pytest.mark.parametrize("curvature", [0.02, -0.03])
+def test_a_bent_lane_follows_the_circle(curvature: float) -> None:
+    control = arc(curvature, 6.0, 40.0)
+    points = point(control, torch.linspace(0, 1, 50, dtype=torch.float64))
+    centre = torch.tensor([0.0, 1 / curvature], dtype=torch.float64)
+    torch.testing.assert_close((points - centre).norm(dim=-1), torch.full((50,), 1 / abs(curvature)).double(), rtol=1e-4, atol=0)
+    (bent,) = LaneParams(style="lines").primitives(now(curvature_1_m=curvature))
+    p, image = bent, bent.symbols[0]
+    rows, cols = image.shape
+    r, c = (image > 0.5).nonzero().double().T + 0.5
+    lit = p.origin[0] + (c / cols)[:, None] * p.d1[0] + (r / rows)[:, None] * p.d2[0]
+    offset = (lit[:, :2] - centre).norm(dim=-1) - 1 / abs(curvature)
+    assert offset.abs().min() > 1.15 and offset.abs().max() < 1.45  # borders at +-1.3 m, 20 cm wide, and texels of 5 cm
+    assert (offset > 0).double().mean() == pytest.approx(0.5, abs=0.05)
+
+
+def test_lines_of_a_lane_are_its_width_apart() -> None:
+    left, right = LaneParams(style="lines", lane_width_m=3.0, line_width_m=0.2).primitives(now())
+    assert extent(left)[1][1] == pytest.approx(1.6) and extent(right)[0][1] == pytest.approx(-1.6)
+    left, right = WidthParams(vehicle_width_m=2.0).primitives(now())
+    assert extent(left)[1][1] == pytest.approx(1.0) and extent(right)[0][1] == pytest.approx(-1.0)
+
+
+@pytest.mark.parametrize(
+    ("moment", "beam"),
+    [
+        ({"speed_m_s": 10.0}, "town"),
+        ({"speed_m_s": 25.0}, "low"),
+        ({"speed_m_s": 25.0, "street_lit": True}, "town"),
+        ({"speed_m_s": 36.0}, "motorway"),
+        ({"speed_m_s": 36.0, "wet": True}, "adverse"),
+    ],
+)
+def test_the_base_beam_is_chosen_by_situation(moment: dict[str, object], beam: str) -> None:
+    assert BaseBeamParams(beam="auto").at(now(**moment)).name == beam
+    assert BaseBeamParams(beam="high").at(now(**moment)).name == "high"
+
+
+def test_the_base_beam_bends_into_curves() -> None:
+    radius, distance = 200.0, 50.0
+    angle = bend_of_course(1 / radius, distance)
+    chord = 2 * radius * math.sin(distance / radius / 2)
+    assert math.hypot(chord * math.cos(angle), chord * math.sin(angle) - radius) == pytest.approx(radius, rel=1e-3)
+    params = BaseBeamParams(beam="low", follow_course=True, largest_bend_deg=5, level_deg=1)
+    beam = params.at(now(curvature_1_m=-0.02, speed_m_s=20.0))
+    assert beam.bend == pytest.approx(-math.radians(5)) and beam.level == pytest.approx(math.radians(1))
+
+
+def test_a_perfect_tracker_reports_the_box_of_a_body() -> None:
+    mesh = trimesh.creation.box((4, 2, 1))
+    mesh.apply_translation((1, 0, 0.8))
+    track = PoseTrack((0.0, 1.0), torch.stack([HERE, pose_from_degrees((10, 0, 0))]), 0.0, 5.0)
+    each = TrackedObject.of(Body("van", mesh, track=track), "car", 1.0)
+    assert each.size_m == pytest.approx((4, 2, 1)) and each.until_s == 5.0
+    torch.testing.assert_close(each.T_world_object[:3, 3], torch.tensor([11.0, 0.0, 0.3]).double())
