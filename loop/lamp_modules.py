@@ -10,6 +10,7 @@ import torch
 from pydantic import Field, model_validator
 
 from world import presets
+from world.errors import LuxloopError
 from world.frames import pose_from_degrees
 from world.headlight import Headlight
 from world.lamp import Module
@@ -18,11 +19,12 @@ from world.parametric import BlurredRectangles, GaussianPixels
 from world.params import Params
 from world.photometry.distribution import Array
 from world.pixel_sources import FileSource, FolderSource, TableSource
-from world.pixels import CUTOFF, Assembled, affordable, assemble, default_grid
+from world.pixels import CUTOFF, Assembled, affordable, assemble, default_grid, describe
 from world.presets.modules import headlight
 from world.spmv import Csr
 from world.texels import LARGEST_ANGLE_DEG, TexelGrid
 
+DARK_CD = 1e-3  # no lamp is so dim, but what rounding leaves of a model far away
 SIGMAS = 3.5  # of a Gaussian that a default texture holds: all but 0.2 % of the peak
 
 Progress = Callable[[int, int], None]
@@ -153,8 +155,14 @@ def build_module(
     module, assembled = _with_light(params, folder, on_progress)
     full = module.headlight
     light, overlap = full, None
+    if _dark(full):
+        raise LuxloopError(f"its source lights no texel of the texture ({describe(full)}); widen the texture, or look at the source")
     if params.overlap is not None:
         light, overlap = _reduced(full, params.overlap, use_cases(full.pixel_rows, full.pixel_cols))
+        if _dark(light):
+            raise LuxloopError(
+                f"overlap: bound_cd = {params.overlap.bound_cd:g} leaves no light; the brightest texel has {full.peak_cd:g} cd"
+            )
     changes: dict[str, Any] = {key: getattr(params, key) for key in ("swivel_deg", "level_deg") if getattr(params, key) is not None}
     if params.mount is not None:
         m = params.mount
@@ -171,6 +179,10 @@ def build_module(
         rmse_cd=None if assembled is None else assembled.rmse_cd,
         overlap=overlap,
     )
+
+
+def _dark(light: Headlight) -> bool:
+    return not bool((light.matrix.values > DARK_CD).any())
 
 
 def _with_light(params: ModuleParams, folder: Path, on_progress: Progress | None) -> tuple[Module, Assembled | None]:

@@ -95,7 +95,8 @@ def _curves(figure: SubFigure, distribution: Distribution) -> None:
         axes.set_rlabel_position(75)
         axes.legend(loc="lower center", bbox_to_anchor=(0.5, -0.2), ncols=2)
     else:
-        axes.set(xlim=(-1.3 * max(bright), 1.3 * max(bright)), ylim=(0, None))
+        width = 1.3 * max(bright) or NEEDLE_DEG  # nothing shines
+        axes.set(xlim=(-width, width), ylim=(0, None))
         axes.xaxis.set_major_formatter(FuncFormatter(lambda angle, _: charts.degrees(angle)))
         axes.legend(loc="upper right")
 

@@ -6,7 +6,9 @@ import cv2
 import numpy as np
 
 from world.errors import LuxloopError
+from world.files import UNREADABLE
 from world.photometry.distribution import Array
+from world.pixel_tables import separators
 
 
 def read_utilisation(path: Path, rows: int, columns: int) -> Array:
@@ -21,7 +23,7 @@ def read_utilisation(path: Path, rows: int, columns: int) -> Array:
         given: Array = readers[path.suffix.lower()](path)
     except OSError as error:
         raise LuxloopError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
-    except (ValueError, EOFError) as error:
+    except UNREADABLE as error:
         raise LuxloopError(f"{path}: holds no utilisations ({error}); save numbers from 0 to 1") from error
     if given.shape not in ((rows, columns), (rows * columns,)):
         size = " x ".join(map(str, given.shape))
@@ -32,18 +34,24 @@ def read_utilisation(path: Path, rows: int, columns: int) -> Array:
 
 
 def _npy(path: Path) -> Array:
-    return np.asarray(np.load(path, allow_pickle=False), np.float64)
+    with path.open("rb") as stream:
+        given = np.lib.format.read_array(stream, allow_pickle=False)
+    if given.dtype.kind not in "biuf":
+        raise ValueError("no real numbers")
+    return np.asarray(given, np.float64)
 
 
 def _csv(path: Path) -> Array:
-    with path.open("rb") as stream:
-        delimiter = ";" if b";" in stream.readline() else ","
-    lines = (line.replace(",", ".") if delimiter == ";" else line for line in path.read_text("utf-8-sig").splitlines())
-    return np.loadtxt(lines, delimiter=delimiter, ndmin=2)
+    delimiter, decimal_point = separators(path)
+    lines = [line.replace(decimal_point, ".") for line in path.read_text("utf-8-sig").splitlines() if line.strip()]
+    if not lines:
+        raise ValueError("no lines")
+    return np.loadtxt(lines, delimiter=delimiter, comments=None, ndmin=2)
 
 
 def _png(path: Path) -> Array:
-    image = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
+    data = np.frombuffer(path.read_bytes(), np.uint8)
+    image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH) if len(data) else None
     if image is None:
         raise ValueError("no picture")
     return np.asarray(image, np.float64) / (65535 if image.dtype == np.uint16 else 255)

@@ -19,12 +19,16 @@ Floats = NDArray[np.float64]
 Matrix = tuple[sp.csr_array, int, int]
 Spacing = Literal["angle", "tangent"]
 
+MOST_PIXELS = 4096  # along a side
+BRIGHTEST_CD = 1e9  # of a pixel
+SHARP_DEG = 1e-6  # a blur that no texture shows: as none
+
 
 class _Pixels(Params):
-    columns: int = Field(description="pixels in a row", gt=0)
+    columns: int = Field(description="pixels in a row", gt=0, le=MOST_PIXELS)
     left_deg: float = Field(description="left border of the pixel field, left positive", gt=-80, lt=80)
     right_deg: float = Field(description="right border of the pixel field", gt=-80, lt=80)
-    widening: float = Field(0.0, description="how much wider the outermost column is than the middle one, as a share", ge=0)
+    widening: float = Field(0.0, description="how much wider the outermost column is than the middle one, as a share", ge=0, le=10)
     cut: float = Field(0.01, description="share of a pixel's peak below which its light is left out: the limit of overlap", ge=0, lt=1)
 
     def _columns(self, left: float, right: float) -> tuple[Floats, Floats]:
@@ -44,10 +48,14 @@ class GaussianPixels(_Pixels):
     """Pixels whose light falls off as a Gaussian on every side; rows of unequal height, brightness and distance."""
 
     kind: Literal["gaussian"] = "gaussian"
-    row_centres_deg: tuple[float, ...] = Field(description="middle of each pixel row, top row first, up positive", min_length=1)
-    row_sigmas_deg: tuple[Annotated[float, Field(gt=0)], ...] = Field(description="standard deviation down each pixel row")
-    column_sigma: float = Field(description="standard deviation along a row, in column widths", gt=0)
-    peak_cd: tuple[Annotated[float, Field(ge=0)], ...] = Field(description="peak of a single pixel in the middle of each row")
+    row_centres_deg: tuple[Annotated[float, Field(ge=-80, le=80)], ...] = Field(
+        description="middle of each pixel row, top row first, up positive", min_length=1, max_length=MOST_PIXELS
+    )
+    row_sigmas_deg: tuple[Annotated[float, Field(ge=1e-3, le=90)], ...] = Field(description="standard deviation down each pixel row")
+    column_sigma: float = Field(description="standard deviation along a row, in column widths", ge=1e-3, le=100)
+    peak_cd: tuple[Annotated[float, Field(ge=0, le=BRIGHTEST_CD)], ...] = Field(
+        description="peak of a single pixel in the middle of each row"
+    )
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -74,15 +82,15 @@ class BlurredRectangles(_Pixels):
     """Rectangles side by side, each convolved with a Gaussian: all pixels on, they are an even field with soft borders."""
 
     kind: Literal["blurred_rectangles"] = "blurred_rectangles"
-    rows: int = Field(description="pixel rows", gt=0)
+    rows: int = Field(description="pixel rows", gt=0, le=MOST_PIXELS)
     bottom_deg: float = Field(description="lower border of the pixel field, up positive", gt=-80, lt=80)
     top_deg: float = Field(description="upper border of the pixel field", gt=-80, lt=80)
-    row_heights: tuple[Annotated[float, Field(gt=0)], ...] = Field(
+    row_heights: tuple[Annotated[float, Field(ge=1e-3, le=1e3)], ...] = Field(
         (), description="heights of the rows to each other, top row first; equal if empty"
     )
-    blur_deg: float = Field(description="standard deviation of the Gaussian that softens the edges", ge=0)
-    overlap: float = Field(0.0, description="how much wider and higher a pixel is than its place in the grid, as a share", ge=0)
-    peak_cd: float = Field(description="intensity in the middle of the field, all pixels on", ge=0)
+    blur_deg: float = Field(description="standard deviation of the Gaussian that softens the edges", ge=0, le=90)
+    overlap: float = Field(0.0, description="how much wider and higher a pixel is than its place in the grid, as a share", ge=0, le=10)
+    peak_cd: float = Field(description="intensity in the middle of the field, all pixels on", ge=0, le=BRIGHTEST_CD)
     spacing: Spacing = Field(
         "angle", description="pixels of equal size in angle, or on the plane of the texture (a lens without distortion)"
     )
@@ -108,9 +116,6 @@ class BlurredRectangles(_Pixels):
         peak = np.broadcast_to(self.peak_cd * dimming, (self.rows, self.columns))
         vertical, horizontal = (_rectangle(axis, borders, self.blur_deg, self.overlap) for axis, borders in ((z, rows), (y, columns)))
         return _product(vertical, horizontal, peak, self.cut), self.rows, self.columns
-
-
-PixelModel = Annotated[GaussianPixels | BlurredRectangles, Field(discriminator="kind")]
 
 
 def _along_axis(angle_deg: Floats, spacing: Spacing) -> Floats:
@@ -141,7 +146,7 @@ def _rectangle(axis: Floats, borders: Floats, blur: float, overlap: float) -> Fl
 
 def _ramp(x: Floats, blur: float) -> Floats:
     """The ramp max(x, 0) convolved with a Gaussian: twice differentiated it is the Gaussian itself."""
-    if blur == 0:
+    if blur < SHARP_DEG:
         return np.maximum(x, 0.0)
     return x * ndtr(x / blur) + blur / np.sqrt(2 * np.pi) * np.exp(-0.5 * (x / blur) ** 2)
 

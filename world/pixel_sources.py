@@ -2,13 +2,14 @@
 
 import re
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from world.errors import LuxloopError
 from world.frames import pose_from_degrees
+from world.parametric import MOST_PIXELS
 from world.params import Params
 from world.photometry.distribution import Aim
 from world.photometry.files import read
@@ -25,8 +26,8 @@ class FolderSource(Params):
 
     kind: Literal["folder"] = "folder"
     path: Path = Field(description="folder with one .ies or .ldt file a pixel")
-    rows: int = Field(gt=0, description="pixel rows")
-    columns: int = Field(gt=0, description="pixels in a row")
+    rows: int = Field(gt=0, le=MOST_PIXELS, description="pixel rows")
+    columns: int = Field(gt=0, le=MOST_PIXELS, description="pixels in a row")
     pattern: str | None = Field(
         None,
         description="names with the pixel's place, such as r{row}_c{column}.ies, counted from 0 or 1; left out: files in natural order",
@@ -86,12 +87,12 @@ class FileSource(Params):
 
     kind: Literal["file"] = "file"
     path: Path = Field(description=".ies or .ldt file of one pixel")
-    rows: int = Field(1, gt=0, description="pixel rows")
-    columns: int = Field(1, gt=0, description="pixels in a row")
+    rows: int = Field(1, gt=0, le=MOST_PIXELS, description="pixel rows")
+    columns: int = Field(1, gt=0, le=MOST_PIXELS, description="pixels in a row")
     pitch_deg: float | None = Field(
-        None, gt=0, le=90, description="angle between neighbours in a row; needed where there are several pixels"
+        None, ge=1e-4, le=90, description="angle between neighbours in a row; needed where there are several pixels"
     )
-    aspect: float = Field(1.0, gt=0, description="width of a pixel's place over its height: rows are pitch_deg / aspect apart")
+    aspect: float = Field(1.0, ge=0.01, le=100, description="width of a pixel's place over its height: rows are pitch_deg / aspect apart")
     aim: Aim = Field("beam", description=AIM)
 
     @model_validator(mode="after")
@@ -116,15 +117,12 @@ class TableSource(Params):
 
     kind: Literal["table"] = "table"
     path: Path = Field(description="table of all pixels, .npz or .csv")
-    rows: int | None = Field(None, gt=0, description="pixel rows, where the table does not tell")
-    columns: int | None = Field(None, gt=0, description="pixels in a row, where the table does not tell")
+    rows: int | None = Field(None, gt=0, le=MOST_PIXELS, description="pixel rows, where the table does not tell")
+    columns: int | None = Field(None, gt=0, le=MOST_PIXELS, description="pixels in a row, where the table does not tell")
 
     def pixels(self) -> PixelArray:
         """Read the table. Raises LuxloopError that names the file and what is wrong in it."""
         return read_table(self.path, self.rows, self.columns)
-
-
-MeasuredSource = Annotated[FolderSource | FileSource | TableSource, Field(discriminator="kind")]
 
 
 def _turn(left_deg: float, up_deg: float) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
@@ -133,4 +131,4 @@ def _turn(left_deg: float, up_deg: float) -> np.ndarray[tuple[int, int], np.dtyp
 
 def _natural(path: Path) -> list[tuple[int, str]]:
     """Sort p2 before p10."""
-    return [(int(part), "") if part.isdigit() else (-1, part.lower()) for part in re.split(r"(\d+)", path.name)]
+    return [(int(part), "") if part.isdecimal() else (-1, part.lower()) for part in re.split(r"(\d+)", path.name)]

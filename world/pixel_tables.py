@@ -1,6 +1,5 @@
 """Tables that hold all pixels of a module: `.npz` tensors and `.csv` lists; angles to the right and up positive (type A)."""
 
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,11 +10,13 @@ import pyarrow.csv
 from numpy.typing import NDArray
 
 from world.errors import LuxloopError
+from world.files import UNREADABLE
 from world.photometry.distribution import EDGE_DEG, Array, Distribution
 from world.pixels import LUMINANCE, Pixel, PixelArray
 
 ANGLES = ("horizontal_deg", "vertical_deg")
 CHANNELS = ("red", "green", "blue")
+KNOWN = (*ANGLES, "candela", "pixel", "row", "column", *CHANNELS)
 CSV_FORM = "pixel,horizontal_deg,vertical_deg,candela, or row,column in place of pixel"
 
 
@@ -39,17 +40,25 @@ def read_table(path: Path, rows: int | None = None, columns: int | None = None) 
 
 def _read_npz(path: Path, rows: int | None, columns: int | None) -> PixelArray:
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        archive = np.load(path, allow_pickle=False)
+        if not isinstance(archive, np.lib.npyio.NpzFile):
+            raise ValueError("it is a single array")
+        with archive:
             arrays = {name: archive[name] for name in archive.files}
-    except (ValueError, EOFError, zipfile.BadZipFile) as error:
+    except UNREADABLE as error:
         raise LuxloopError(f"{path}: is no readable .npz file ({error}); save it with numpy.savez") from error
     for name in ("candela", *ANGLES):
         if name not in arrays:
             raise LuxloopError(
                 f"{path}: has no array {name!r}, only {', '.join(arrays)}; it needs candela, horizontal_deg and vertical_deg"
             )
+    for name in {"candela", "rgb", *ANGLES} & arrays.keys():
+        if arrays[name].dtype.kind not in "iuf":
+            raise LuxloopError(f"{path}: {name} holds {arrays[name].dtype}, not real numbers; save it as float64")
     candela, h, v = (arrays[name] for name in ("candela", *ANGLES))
     rgb = arrays.get("rgb")
+    if candela.size == 0 or h.ndim != 1 or v.ndim != 1:
+        raise LuxloopError(f"{path}: candela must not be empty, and horizontal_deg and vertical_deg must be lists of angles")
     if candela.ndim not in (3, 4) or candela.shape[-2:] != (len(v), len(h)):
         raise LuxloopError(
             f"{path}: candela has the shape {candela.shape}; it must be (pixels, {len(v)}, {len(h)}) or (rows, columns, {len(v)}, {len(h)})"
@@ -68,9 +77,8 @@ def _read_npz(path: Path, rows: int | None, columns: int | None) -> PixelArray:
 
 def _read_csv(path: Path, rows: int | None, columns: int | None) -> PixelArray:
     table = _csv_columns(path)
-    missing = [name for name in (*ANGLES, "candela") if name not in table]
-    if missing or not ("pixel" in table or {"row", "column"} <= table.keys()):
-        raise LuxloopError(f"{path}: has the columns {', '.join(table)}; the first line must name {CSV_FORM}")
+    if not len(table["candela"]):
+        raise LuxloopError(f"{path}: has a first line only; add a line for each value")
     if "pixel" in table:
         number = _numbers(path, table, "pixel")
         shape = _shape(path, int(number.max()) + 1, rows, columns)
@@ -78,6 +86,8 @@ def _read_csv(path: Path, rows: int | None, columns: int | None) -> PixelArray:
         row, column = (_numbers(path, table, name) for name in ("row", "column"))
         shape = _same_shape(path, (int(row.max()) + 1, int(column.max()) + 1), rows, columns)
         number = row * shape[1] + column
+    if shape[0] * shape[1] > len(number):
+        raise LuxloopError(f"{path}: names {shape[0]} x {shape[1]} pixels in {len(number)} lines; add a line for each, 0 cd if it is dark")
     order = np.argsort(number, kind="stable")
     bounds = np.searchsorted(number[order], np.arange(shape[0] * shape[1] + 1))
     nodes = {name: np.unique(table[name]) for name in ANGLES}
@@ -102,26 +112,42 @@ def _read_csv(path: Path, rows: int | None, columns: int | None) -> PixelArray:
 
 
 def _csv_columns(path: Path) -> Mapping[str, Array]:
-    """Columns by name, float64; with semicolons and decimal commas too, as spreadsheets write them where commas are decimal."""
-    with path.open("rb") as stream:
-        german = b";" in stream.readline()
+    """Columns that a table needs or may have, by name, float64; others, such as notes, are nobody's business."""
+    delimiter, decimal_point = separators(path)
     try:
         table = pyarrow.csv.read_csv(
             path,
-            parse_options=pyarrow.csv.ParseOptions(delimiter=";" if german else ","),
-            convert_options=pyarrow.csv.ConvertOptions(decimal_point="," if german else "."),
+            parse_options=pyarrow.csv.ParseOptions(delimiter=delimiter),
+            convert_options=pyarrow.csv.ConvertOptions(decimal_point=decimal_point),
         )
-        return {name.strip().lower(): table[name].cast(pa.float64()).to_numpy() for name in table.column_names}
-    except pa.ArrowInvalid as error:
-        raise LuxloopError(f"{path}: is no table of numbers ({error}); the first line must name {CSV_FORM}") from error
+        names = [name.strip().lower() for name in table.column_names]
+        columns = {name: table.column(i).cast(pa.float64()).to_numpy() for i, name in enumerate(names) if name in KNOWN}
+    except (pa.ArrowException, UnicodeDecodeError) as error:
+        reason = str(error).split("\n")[0]
+        raise LuxloopError(f"{path}: is no table of numbers ({reason}); the first line must name {CSV_FORM}") from error
+    twice = next((name for name in columns if names.count(name) > 1), None)
+    if twice is not None:
+        raise LuxloopError(f"{path}: has two columns {twice}; remove one")
+    needed = {"pixel"} <= columns.keys() or {"row", "column"} <= columns.keys()
+    if not needed or not {*ANGLES, "candela"} <= columns.keys():
+        raise LuxloopError(f"{path}: has the columns {', '.join(names)}; the first line must name {CSV_FORM}")
+    return columns
+
+
+def separators(path: Path) -> tuple[str, str]:
+    """Delimiter and decimal point of a .csv: semicolon and comma where spreadsheets write them so, told by the first line."""
+    with path.open("rb") as stream:
+        return (";", ",") if b";" in stream.readline() else (",", ".")
 
 
 def _numbers(path: Path, table: Mapping[str, Array], name: str) -> NDArray[np.int64]:
     """Numbers of pixels, rows or columns, counted from 0."""
     given = table[name]
-    first = given.min() if len(given) else 0
+    first = given.min()
     if first not in (0, 1) or (given != np.floor(given)).any():
         raise LuxloopError(f"{path}: {name} must be whole numbers from 0 or 1 on; the first is {first:g}")
+    if given.max() > len(given):
+        raise LuxloopError(f"{path}: {name} goes up to {given.max():g} in {len(given)} lines; add a line for each, 0 cd if it is dark")
     return (given - first).astype(np.int64)
 
 
@@ -155,6 +181,8 @@ def _pixel(path: Path, name: str, v: Any, h: Any, candela: Any, rgb: Any | None)
     try:
         if rgb is None:
             return Pixel(_distribution(v, h, candela))
+        if not (np.isfinite(rgb).all() and (rgb >= 0).all()):
+            raise LuxloopError("colours must be finite and not negative")
         luminance = rgb @ LUMINANCE
         white = luminance <= 0
         share = np.where(white[..., None], 1.0, rgb / np.where(white, 1.0, luminance)[..., None])

@@ -4,6 +4,7 @@ import io
 import json
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from world.spmv import Csr
 def headlight(dtype: torch.dtype, coloured: bool) -> Headlight:
     generator = np.random.default_rng(0)
     matrix = Csr.from_scipy(sp.random_array((12, 6), density=0.5, rng=generator) * 1e4, dtype)
-    chroma = torch.from_numpy(generator.random((3, len(matrix.values)))) if coloured else None
+    chroma = torch.from_numpy(generator.random((3, len(matrix.values)))).to(dtype) if coloured else None
     borders = {"left": 0.1, "right": -1 / 3, "bottom": -0.2, "top": 0.07}
     return Headlight(name="a headlight", rows=3, cols=4, matrix=matrix, pixel_rows=2, pixel_cols=3, chroma=chroma, **borders)
 
@@ -35,9 +36,9 @@ def lamp() -> Lamp:
     pose = pose_from_degrees((0.01, -0.2, 1 / 7), 1.0, -0.3, 0.1).double()
     modules = (
         Module("matrix", headlight(torch.float32, False)),
-        Module("Füllicht", headlight(torch.float64, True), pose, (-5.0, 12.5), (-1.0, 0.5)),
+        Module("Füllicht", headlight(torch.float32, True), pose, (-5.0, 12.5), (-1.0, 0.5)),
     )
-    beams = {"low beam": (torch.rand(6), torch.rand(6)), "town": (torch.zeros(6), torch.ones(6).double())}
+    beams = {"low beam": (torch.rand(6), torch.rand(6)), "town": (torch.zeros(6), torch.ones(6))}
     return Lamp("two modules", modules, beams, "Measured on a bench.\nOne pixel is guessed.")
 
 
@@ -72,6 +73,17 @@ def test_round_trip_is_exact(lamp: Lamp, tmp_path: Path) -> None:
     assert_equal(lamp, loaded)
     assert torch.equal(loaded.modules[0].headlight.light_texture(torch.ones(6)), light.light_texture(torch.ones(6)))
     assert [path.name for path in tmp_path.iterdir()] == ["lamp.npz"]
+
+
+def test_a_lamp_in_double_precision_is_stored_in_single(tmp_path: Path) -> None:
+    u = torch.rand(6, dtype=torch.float64)
+    save(tmp_path / "lamp.npz", Lamp("double", (Module("matrix", headlight(torch.float64, True)),), {"low": (u,)}))
+    loaded = load(tmp_path / "lamp.npz")
+    light = loaded.modules[0].headlight
+    for beam in ("low", "full"):
+        assert light.colour_texture(*loaded.beam(beam)).dtype == torch.float32
+    assert torch.equal(light.matrix.values, headlight(torch.float64, True).matrix.values.float())
+    assert torch.equal(loaded.beam("low")[0], u.float())
 
 
 def test_equal_lamps_give_equal_bytes(lamp: Lamp, content: bytes, tmp_path: Path) -> None:
@@ -134,6 +146,15 @@ def rewritten(content: bytes, change: Callable[[dict[str, Any]], None]) -> bytes
         (lambda a: a["module0_beam0"].__setitem__(0, 1.5), "module0_beam0"),
         (lambda a: a.update(module0_pose=np.eye(3)), "module0_pose"),
         (lambda a: a.update(module0_values=a["module0_values"].astype(complex)), "module0_values"),
+        (lambda a: a.update(module0_values=a["module0_values"].astype(np.float64)), "module0_values"),
+        (lambda a: a["module0_values"].__setitem__(0, -1), "module0_values"),
+        (lambda a: a.update(module0_beam0=a["module0_beam0"].astype(np.float64)), "module0_beam0"),
+        (lambda a: a.update(module0_pose=np.zeros((4, 4))), "module0_pose"),
+        (lambda a: a.update(module0_pose=np.diag([1.0, -1, 1, 1])), "module0_pose"),
+        (lambda a: a["header"]["modules"][1].update(swivel_deg=[5, -5]), "swivel_deg = 5 to -5 is in the wrong order"),
+        (lambda a: a["header"]["modules"][1].update(name="matrix"), "module 'matrix' is there twice"),
+        (lambda a: a["header"].update(beams=["town", "town"]), "beam 'town' is there twice"),
+        (lambda a: a["header"].update(beams=["low beam", "full"]), "beam 'full' is there twice (every lamp has it)"),
         (lambda a: a.pop("module0_values"), "module0_values"),
     ],
 )
@@ -168,4 +189,6 @@ def test_writing_names_what_is_wrong_and_leaves_nothing_behind(lamp: Lamp, tmp_p
         save(tmp_path / "lamp.toml", lamp)
     with pytest.raises(LuxloopError, match="cannot be written"):
         save(tmp_path / "no folder" / "lamp.npz", lamp)
+    with pytest.raises(LuxloopError, match="beam 'off' is there twice"):
+        save(tmp_path / "lamp.npz", replace(lamp, beams={"off": lamp.beams["town"]}))
     assert list(tmp_path.iterdir()) == []

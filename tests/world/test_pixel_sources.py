@@ -110,6 +110,9 @@ def test_patterns_and_pitches_that_cannot_work_are_refused(tmp_path: Path) -> No
         FolderSource(path=tmp_path, rows=1, columns=1, pattern="p{row}.ies")
     with pytest.raises(ValidationError, match="need the angle between neighbours"):
         FileSource(path=tmp_path / "p.ies", rows=2, columns=2)
+    for key, value in (("rows", 10**10), ("columns", 4097), ("aspect", 1e-9)):
+        with pytest.raises(ValidationError, match=key):
+            FileSource(path=tmp_path / "p.ies", pitch_deg=1, **{key: value})
 
 
 def test_one_real_file_is_a_lamp_of_one_pixel(data_dir: Path) -> None:
@@ -178,9 +181,14 @@ def npz(**arrays: object) -> Callable[[Path], Path]:
     return write
 
 
-def csv(text: str, name: str = "t.csv") -> Callable[[Path], Path]:
+def single_array(folder: Path) -> Path:
+    np.save(folder / "t.npy", candela())
+    return (folder / "t.npy").rename(folder / "t.npz")
+
+
+def csv(text: str, name: str = "t.csv", encoding: str = "utf-8") -> Callable[[Path], Path]:
     def write(folder: Path) -> Path:
-        (folder / name).write_text(text)
+        (folder / name).write_text(text, encoding)
         return folder / name
 
     return write
@@ -199,6 +207,21 @@ HEAD = "pixel,horizontal_deg,vertical_deg,candela\n"
         (npz(rgb=np.ones((6, 13, 25))), "rgb has the shape"),
         (npz(candela=-candela()), "pixel 0: luminous intensities must be finite and not negative"),
         (npz(vertical_deg=V[::-1]), "vertical angles of type A must ascend"),
+        (npz(candela=np.full((6, 13, 25), 1e300)), "1e+15 cd at most"),
+        (npz(candela=np.full((6, 13, 25), "x")), "candela holds <U1, not real numbers"),
+        (npz(candela=1j * candela()), "candela holds complex128"),
+        (npz(rgb=-np.ones((6, 13, 25, 3))), "pixel 0: colours must be finite and not negative"),
+        (npz(horizontal_deg=1.0), "must be lists of angles"),
+        (npz(horizontal_deg=H[:, None]), "must be lists of angles"),
+        (npz(candela=np.ones((0, 13, 25))), "candela must not be empty"),
+        (single_array, "no readable .npz file (it is a single array)"),
+        (csv(HEAD), "has a first line only"),
+        (csv(HEAD.replace("vertical_deg", "candela") + "0,1,1,1\n"), "two columns candela"),
+        (csv(HEAD + "0,1,1,2020-01-01\n"), "no table of numbers"),
+        (csv("pixel\xe9,horizontal_deg,vertical_deg,candela\n0,1,1,1\n", encoding="latin-1"), "no table of numbers"),
+        (csv("row,column,horizontal_deg,vertical_deg,candela\n0,0,1,1,1\n1000000,1000000,2,2,1\n"), "row goes up to 1e+06 in 2 lines"),
+        (csv("row,column,horizontal_deg,vertical_deg,candela\n0,0,1,1,1\n1,1,2,2,1\n"), "names 2 x 2 pixels in 2 lines"),
+        (csv(HEAD + "0,0,0,1\n1e300,1,1,1\n"), "pixel goes up to 1e+300 in 2 lines"),
         (csv("nothing", "t.txt"), "neither .npz nor .csv"),
         (csv("nothing", "t.npz"), "no readable .npz"),
         (csv("a,b\n1,2\n"), "has the columns a, b"),
@@ -206,7 +229,7 @@ HEAD = "pixel,horizontal_deg,vertical_deg,candela\n"
         (csv(HEAD + "0,1,1\n"), "no table of numbers"),
         (csv(HEAD + "2,0,0,1\n"), "from 0 or 1"),
         (csv(HEAD + "0,0,0,1\n0,0,0,1\n1,1,1,1\n"), "two lines for the same angles"),
-        (csv(HEAD + "0,0,0,1\n3,1,1,1\n"), "pixel 0, 1, counted from 0, has no lines"),
+        (csv(HEAD + "0,0,0,1\n0,1,1,1\n0,0,1,1\n3,1,1,1\n"), "pixel 0, 1, counted from 0, has no lines"),
     ],
 )
 def test_what_is_wrong_in_a_table_is_named(tmp_path: Path, write: Callable[[Path], Path], words: str) -> None:
@@ -215,6 +238,18 @@ def test_what_is_wrong_in_a_table_is_named(tmp_path: Path, write: Callable[[Path
         TableSource(path=path, rows=2).pixels()
     assert words in str(error.value)
     assert path.name in str(error.value)
+
+
+def test_notes_in_a_table_are_left_alone(tmp_path: Path) -> None:
+    head = "pixel,horizontal_deg,vertical_deg,candela,note,Note,day\n"
+    lines = "".join(f"0,{h},{v},5,fine,yes,2026-05-0{1 + h}\n" for h in (0, 1) for v in (0, 1))
+    array = TableSource(path=csv(head + lines)(tmp_path), rows=1, columns=1).pixels()
+    assert array.pixels[0].distribution.candela.max() == 5
+
+
+def test_numbers_in_names_may_be_written_in_any_script(tmp_path: Path) -> None:
+    write_folder(tmp_path / "p", lambda j: f"²{j + 1}.ies")
+    check(FolderSource(path=tmp_path / "p", rows=ROWS, columns=COLUMNS).pixels())
 
 
 def test_a_missing_table_is_named(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 # Least and greatest vertical and horizontal angle in deg that mean something.
 VERTICAL_RANGE = {"A": (-90.0, 90.0), "B": (-180.0, 180.0), "C": (0.0, 180.0)}
 HORIZONTAL_RANGE = {"A": (-180.0, 180.0), "B": (-90.0, 90.0), "C": (-360.0, 720.0)}
+BRIGHTEST_CD = 1e15  # no lamp comes near it, and sums and products of a few stay finite
 EDGE_DEG = 1e-6  # a step that is an edge, where light stops at once
 _BEYOND_DEG = 1e-9  # a direction on the table's edge may come out of atan2 by so much beyond it
 
@@ -28,7 +29,8 @@ class Distribution:
 
     A: vertical polar axis, h to the right, v up. B: horizontal polar axis, v turns the plane about it (up), h runs in the plane, to the
     right. C: v from the downward axis, h about it, counterclockwise seen from above.
-    Raises LuxloopError where angles do not ascend or lie beyond what the type knows, and where intensities are negative or not finite.
+    Raises LuxloopError where angles do not ascend or lie beyond what the type knows, and where intensities are negative, not finite or
+    beyond reason.
     """
 
     type: Kind
@@ -50,8 +52,8 @@ class Distribution:
                 f"distribution: {len(self.horizontal_deg)} horizontal and {len(self.vertical_deg)} vertical angles need as many rows and "
                 f"columns of candela, not {self.candela.shape}"
             )
-        if not np.isfinite(self.candela).all() or (self.candela < 0).any():
-            raise LuxloopError("distribution: luminous intensities must be finite and not negative")
+        if not ((self.candela >= 0) & (self.candela <= BRIGHTEST_CD)).all():
+            raise LuxloopError(f"distribution: luminous intensities must be finite and not negative, {BRIGHTEST_CD:g} cd at most")
 
     @cached_property
     def unfolded(self) -> tuple[Array, Array, Array]:

@@ -10,7 +10,7 @@ import numpy as np
 from world.errors import LuxloopError
 from world.photometry.distribution import VERTICAL_RANGE, Array, Distribution
 from world.photometry.record import Photometry
-from world.photometry.text import Numbers, PhotometryError, load
+from world.photometry.text import Numbers, PhotometryError
 
 _SETS_AT = 26  # line of the number of lamp sets, each of which takes six lines
 _RATIOS = 10  # lines of direct ratios, which nobody here needs
@@ -48,14 +48,11 @@ class _Lines:
             return 0.0
 
 
-def read(path: str | Path) -> Photometry:
-    """Read an EULUMDAT file. Raises PhotometryError with the line and what was expected there."""
-    path = Path(path)
-    return parse(load(path), path)
-
-
 def parse(text: str, path: Path) -> Photometry:
-    """Photometry of an EULUMDAT file's text; `path` is for messages. Several sets of lamps are alternatives: the first one counts."""
+    """Photometry of an EULUMDAT file's text; `path` is for messages. Several sets of lamps are alternatives: the first one counts.
+
+    Raises PhotometryError with the line and what was expected there.
+    """
     warnings: list[str] = []
     text, stop, _ = text.partition("\x1a")
     if stop:
@@ -118,6 +115,6 @@ def _stored(symmetry: int, c: Array, numbers: Numbers) -> Array:
         return c if symmetry == 0 else c[:1]
     planes = np.concatenate([c[c >= 270] - 360, c[c <= 90]]) if symmetry == 3 else c[c <= (180 if symmetry == 2 else 90)]
     first, last = {2: (0, 180), 3: (-90, 90), 4: (0, 90)}[symmetry]
-    if planes[0] != first or planes[-1] != last:
+    if not len(planes) or planes[0] != first or planes[-1] != last:
         raise numbers.wrong(f"C planes that hold C{first % 360} and C{last}, as symmetry {symmetry} needs")
     return planes

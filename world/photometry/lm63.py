@@ -3,7 +3,6 @@
 Numbers are read as tokens, since files break their lines as they like; what is odd but clear is read with a warning.
 """
 
-import os
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from world.errors import LuxloopError
+from world.files import whole
 from world.photometry.distribution import HORIZONTAL_RANGE, VERTICAL_RANGE, Distribution, Kind
 from world.photometry.record import Photometry, Tilt
 from world.photometry.text import Numbers, PhotometryError, load
@@ -27,14 +27,11 @@ _TYPES: dict[int, Kind] = {1: "C", 2: "B", 3: "A"}
 _PER_LINE = 12  # numbers of a written line, which the standard limits to 256 characters
 
 
-def read(path: str | Path) -> Photometry:
-    """Read an LM-63 file. Raises PhotometryError with the line and what was expected there."""
-    path = Path(path)
-    return parse(load(path), path)
-
-
 def parse(text: str, path: Path) -> Photometry:
-    """Photometry of an LM-63 file's text; `path` is for messages and to find a TILT file beside it."""
+    """Photometry of an LM-63 file's text; `path` is for messages and to find a TILT file beside it.
+
+    Raises PhotometryError with the line and what was expected there.
+    """
     tilt_line = _TILT.search(text)
     if tilt_line is None:
         last = text.rstrip().count("\n") + 1
@@ -73,6 +70,7 @@ def _header(lines: list[str], warnings: list[str]) -> tuple[int, dict[str, str]]
         edition = int(version[1]) + (1900 if len(version[1]) == 2 else 0)
         if edition not in _EDITIONS:
             warnings.append(f"names edition {edition}, which is unknown: read as {_EDITIONS[-1]}")
+            edition = _EDITIONS[-1]
     keywords: dict[str, str] = {}
     last = ""
     for number, line in enumerate(lines, start=1):
@@ -169,7 +167,7 @@ def is_lm63(text: str) -> bool:
 def write(path: str | Path, distribution: Distribution, keywords: Mapping[str, str] | None = None) -> None:
     """Write a distribution as LM-63-2019, absolute photometry; the file appears whole or not at all.
 
-    Nine significant digits. keywords: more of them, or other values of those that the standard demands. Raises PhotometryError where
+    Nine significant digits. keywords: more of them, or other values of those that the standard demands. Raises LuxloopError where
     the file cannot be written.
     """
     required = {"TEST": "none", "TESTLAB": "luxloop (computed)", "ISSUEDATE": "none", "MANUFAC": "none"}
@@ -183,13 +181,8 @@ def write(path: str | Path, distribution: Distribution, keywords: Mapping[str, s
     # One lamp of unknown flux; an opening of no size, in metres. 1.00001: how the file came about is not told.
     head = ["IES:LM-63-2019", *labels, "TILT=NONE", f"1 -1 1 {len(v)} {len(h)} {code} 2 0 0 0", "1 1.00001 0"]
     lines = [line for values in (v, h, *distribution.candela) for line in _wrapped(values)]
-    target = Path(path)
-    partial = target.with_name(target.name + ".part")
-    try:
-        partial.write_bytes("\r\n".join([*head, *lines, ""]).encode())
-        os.replace(partial, target)
-    except OSError as error:
-        raise PhotometryError(f"{path}: cannot be written ({error.strerror}); give a file in a folder that exists") from error
+    with whole(Path(path)) as part:
+        part.write_bytes("\r\n".join([*head, *lines, ""]).encode())
 
 
 def _wrapped(values: NDArray[np.float64]) -> Iterator[str]:

@@ -41,7 +41,7 @@ def test_a_plain_file() -> None:
         ("IESNA:LM-63-1995\n", 1995, None),
         ("IESNA:LM-63-2002\n", 2002, None),
         ("IES:LM-63-2019\n", 2019, None),
-        ("IES:LM-63-2044\n", 2044, "unknown"),
+        ("IES:LM-63-2044\n", 2019, "edition 2044, which is unknown: read as 2019"),
         ("IESNA:LM-63-2002\nSCCS stray\n", 2002, "line 2"),
     ],
 )
@@ -201,6 +201,10 @@ def test_what_is_written_is_read_back(tmp_path: Path, d: Distribution) -> None:
 def test_writing_to_nowhere_is_a_sentence(tmp_path: Path) -> None:
     with pytest.raises(LuxloopError, match="cannot be written"):
         write(tmp_path / "no" / "lamp.ies", parsed(PLAIN).distribution)
+    (tmp_path / "d.ies").mkdir()
+    with pytest.raises(LuxloopError, match=r"d\.ies: cannot be written, for it is a folder"):
+        write(tmp_path / "d.ies", parsed(PLAIN).distribution)
+    assert [path.name for path in tmp_path.iterdir()] == ["d.ies"]
 
 
 PIECES = st.sampled_from(

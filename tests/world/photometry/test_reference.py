@@ -73,7 +73,10 @@ def test_eulumdat(data_dir: Path, name: str) -> None:
 
 @pytest.mark.parametrize("name", IES)
 def test_every_file_makes_the_way_back_through_the_writer(data_dir: Path, tmp_path: Path, name: str) -> None:
-
     d = read(data_dir / "ies" / f"{name}.ies").distribution
     write(tmp_path / "again.ies", d)
-    np.testing.assert_allclose(read(tmp_path / "again.ies").distribution.candela, d.candela, rtol=5.1e-9)
+    again = read(tmp_path / "again.ies").distribution
+    assert again.type == d.type
+    np.testing.assert_array_equal(again.vertical_deg, d.vertical_deg)
+    np.testing.assert_array_equal(again.horizontal_deg, d.horizontal_deg)
+    np.testing.assert_allclose(again.candela, d.candela, rtol=5.1e-9)  # nine significant digits
