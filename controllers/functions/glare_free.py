@@ -60,9 +60,8 @@ def enlarged(each: TrackedObject, margin_m: float, lamps: Tensor) -> tuple[Tenso
     from the box the margin ends before it.
     """
     length, width, height = each.size_m
-    low, high = torch.tensor([-length / 2, -width / 2, 0.0]).double(), torch.tensor([length / 2, width / 2, height]).double()
-    margins_low, margins_high = torch.full((3,), margin_m).double(), torch.full((3,), margin_m).double()
-    margins_low[2] = 0.0
+    low, high = torch.tensor([[-length / 2, -width / 2, 0.0], [length / 2, width / 2, height]], dtype=torch.float64)
+    margins_low, margins_high = torch.tensor([[margin_m, margin_m, 0.0], [margin_m] * 3], dtype=torch.float64)
     for lamp in transform(inverse(each.T_world_object.double()), lamps.double().T).T:
         below, above = low - lamp, lamp - high
         gap, axis = torch.cat([below, above]).max(dim=0)

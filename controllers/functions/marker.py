@@ -50,8 +50,7 @@ class MarkerParams(Drawn, SelectionParams):
 
     def _body(self, each: TrackedObject, now: Situation) -> tuple[Primitives, ...]:
         length, width, height = each.size_m
-        low = torch.tensor([-length / 2, -width / 2, 0.0]).double()
-        high = torch.tensor([length / 2, width / 2, self.up_to * height]).double()
+        low, high = torch.tensor([[-length / 2, -width / 2, 0.0], [length / 2, width / 2, self.up_to * height]], dtype=torch.float64)
         return (self._draw(facing(each.T_world_object, low, high, now.lamps.mean(0)), now),)
 
     def _draw(self, place: Place, now: Situation) -> Primitives:

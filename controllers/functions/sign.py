@@ -29,8 +29,7 @@ class SignParams(SelectionParams):
     def _face(self, each: TrackedObject, now: Situation) -> Primitives:
         length, width, height = each.size_m
         m = self.margin_m
-        low = torch.tensor([-length / 2, -width / 2 - m, -m]).double()
-        high = torch.tensor([length / 2, width / 2 + m, height + m]).double()
+        low, high = torch.tensor([[-length / 2, -width / 2 - m, -m], [length / 2, width / 2 + m, height + m]], dtype=torch.float64)
         T = each.T_world_object.double()
         origin, d1, d2 = cuboid(T, low, high)
         ahead = (now.lamps.mean(0).to(T) - T[:3, 3]) @ T[:3, 0] >= 0

@@ -69,15 +69,13 @@ class Situation:
 
     def distance_m(self, each: TrackedObject) -> float:
         """Along the road from the car's origin to the nearest corner of the object; negative for what lies behind."""
-        corners = transform(inverse(self.T_world_vehicle) @ each.T_world_object.to(self.T_world_vehicle), _foot(each).to(self.lamps))
+        length, width, _ = each.size_m
+        x, y, zero = (
+            torch.tensor(v, dtype=torch.float64) / 2 for v in ([length, length, -length, -length], [width, -width] * 2, [0.0] * 4)
+        )
+        T_vehicle_object = inverse(self.T_world_vehicle.double()) @ each.T_world_object.double()
+        corners = transform(T_vehicle_object, torch.stack([x, y, zero]))
         return float(corners[:2].norm(dim=0).amin().copysign(corners[0].amax()))
-
-
-def _foot(each: TrackedObject) -> Tensor:
-    """Corners of the box's foot in its frame, `[3, 4]` m."""
-    length, width, _ = each.size_m
-    signs = torch.tensor([[1.0, 1, -1, -1], [1, -1, 1, -1], [0, 0, 0, 0]])
-    return signs * torch.tensor([[length / 2], [width / 2], [0.0]])
 
 
 class SelectionParams(Params):
