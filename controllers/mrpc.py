@@ -1,123 +1,235 @@
-"""MapReduce pixel control (T 7.4): from ray setpoints to pixel utilisations, exact on every entry of the headlight matrix."""
+"""MapReduce pixel control (T 7.4): from ray setpoints to pixel utilisations, exact on every entry of the headlight matrix.
 
-from dataclasses import dataclass
+Where all pixels of a texel are asked for the same utilisation, the sums of (7.4.5) are products of the pixel-major matrix with images on
+the texture; else they are taken entry by entry. Finite and infinite weights are two cases, so that 0 inf and inf / inf never arise.
+"""
+
+from dataclasses import dataclass, replace
 
 import torch
-from pydantic import Field
+from kornia.filters import gaussian_blur2d
 from torch import Tensor
 
-from controllers.primitives import Quantity
-from controllers.rthc import Setpoints, Window
-from world.headlight import Headlight
-from world.params import Params
-from world.spmv import Csr, multiply, row_of_entries, segment_bounds
+from controllers.mrpc_params import MrpcParams
+from controllers.pixel_major import PixelMajor, pixel_major
+from controllers.primitives import E_V, I_V, U_ABS, U_REL
+from controllers.rthc import Setpoints
+from controllers.windows import Window
+from world.spmv import Csr, multiply, row_of_entries
 
-
-class MrpcParams(Params):
-    """Exponents of mapping and reduction (T 7.4.1, 7.4.5)."""
-
-    a_m: float = Field(1.0, ge=0, description="mapping: 0 shares a setpoint equally among its pixels, 1 by what they can give")
-    a_r: float = Field(1.0, ge=0, description="reduction: 0 averages utilisations, 1 conserves light, 2 is the least-squares solution")
+__all__ = ["MrpcParams", "PixelMajor", "pixel_major", "reduce_setpoints"]
 
 
 @dataclass(frozen=True)
-class PixelMajor:
-    """What MRPC needs of a headlight, pixel-major, made once.
-
-    entries: `[n_p, n_t]`, I_m,ij. weight: `[n_p, n_t]`, `I_m^a_r / sum_i I_m^a_r`, rows add up to one. share: `[n_t]`, 1 / sum_j I_m^a_m.
-    pixel_first, pixel_last: `[rows]`, pixels with a texel in that texture row. row_first, row_last: `[n_p]`, texture rows of that pixel.
+class _Sums:
+    """Of each pixel of a band, all `[..., band]`: numerator and denominator of (7.4.5) over its rays of finite weight, the denominator
+    None where it is one; the same over its rays of infinite weight, None where there are none; and how many of its setpoints are lit.
     """
 
-    entries: Csr
-    weight: Csr
-    share: Tensor
-    pixel_first: Tensor
-    pixel_last: Tensor
-    row_first: Tensor
-    row_last: Tensor
-
-
-def pixel_major(headlight: Headlight, params: MrpcParams) -> PixelMajor:
-    """Turn a headlight matrix around for MRPC."""
-    entries = headlight.matrix.transposed
-    pixel = row_of_entries(entries)
-    texture_row = entries.indices.long() // headlight.cols
-    raised = entries.values**params.a_r
-    total = torch.zeros(headlight.n_pixels, dtype=raised.dtype, device=raised.device).index_add(0, pixel, raised)
-    potential = torch.zeros(entries.n_cols, dtype=raised.dtype, device=raised.device)
-    potential = potential.index_add(0, entries.indices.long(), entries.values**params.a_m)
-    return PixelMajor(
-        entries,
-        entries.with_values(raised / total[pixel]),
-        torch.where(potential > 0, 1 / potential, 0.0),
-        *segment_bounds(texture_row, pixel, headlight.rows),
-        *segment_bounds(pixel, texture_row, headlight.n_pixels),
-    )
+    light: Tensor
+    weight: Tensor | None
+    forced_light: Tensor | None = None
+    forced_weight: Tensor | None = None
+    lit: Tensor | None = None
 
 
 def reduce_setpoints(
-    setpoints: Setpoints,
-    quantity: Quantity,
-    headlight: Headlight,
-    pixels: PixelMajor,
-    params: MrpcParams,
-    default: Tensor,
-    dark: bool = False,
+    setpoints: Setpoints, pixels: PixelMajor, params: MrpcParams, default: Tensor, dark: bool = False
 ) -> tuple[Tensor, slice]:
-    """Map and reduce (7.4.1, 7.4.5): utilisation `[..., n_p]` in 0..1 and the band of pixels that may differ from the default.
+    """Map and reduce (7.4.1 to 7.4.5): utilisation `[..., n_p]` in 0..1 and the band of pixels that may differ from the default.
 
-    default: `[n_p]`; a ray without a hit counts with `I_m,ij u_def,j`. dark: the default is zero, so these rays need no counting.
-    For u_abs, and for a_m = 1, all pixels of a texel get the same utilisation: it is bounded by `I_s,ij <= I_m,ij` once a texel and then
-    reduced by a matrix; else everything goes entry by entry.
+    default: `[n_p]`; a ray without a hit counts with `I_m,ij u_def,j` and weight 1. dark: the default is zero.
     """
-    w = setpoints.window
     batch = setpoints.value.shape[:-2]
-    if w.row_stop <= w.row_start or w.col_stop <= w.col_start:
+    if setpoints.window.empty:
         return default.expand(*batch, -1), slice(0, 0)
-    band, rows = _touched(pixels, w.row_start, w.row_stop, headlight)
-    weight = pixels.weight.band(band.start, band.stop)
-    value = setpoints.value
-    if quantity in ("I_v", "E_v"):
-        value = value * pixels.share.view(headlight.rows, headlight.cols)[w.slices]
-    if quantity == "u_abs" or (quantity != "u_rel" and params.a_m == 1):
-        mapped = multiply(weight, _as_texture(value.clamp(0, 1), w, rows, headlight))
-    else:
-        factor = default if quantity == "u_rel" else None
-        mapped = _entrywise(_as_texture(value, w, rows, headlight), factor, pixels, params, band)
-    if not dark:
-        covered = multiply(weight, _as_texture(setpoints.hit.to(value), w, rows, headlight))
-        mapped = mapped + (1 - covered) * default[band]
+    band, rows = _touched(pixels, setpoints.window)
+    if band.stop == band.start:
+        return default.expand(*batch, -1), band
+    if params.sharpening:
+        setpoints = replace(setpoints, value=setpoints.value * _sharpened(setpoints, pixels, params, dark))
+    sums = _by_products if _same_for_all_pixels(setpoints, pixels, params, dark) else _by_entries
     u = default.expand(*batch, -1).clone()
-    u[..., band] = mapped.clamp(0, 1)
+    u[..., band] = _reduced(sums(setpoints, pixels, params, default, dark, band, rows), pixels, params, default[band], band)
     return u, band
 
 
-def _entrywise(texture: Tensor, factor: Tensor | None, pixels: PixelMajor, params: MrpcParams, band: slice) -> Tensor:
-    """Reduce texels times a factor a pixel `[n_p]`, without one times `I_m^(a_m - 1)`, bounded entry by entry: `[..., band]`."""
+def _same_for_all_pixels(setpoints: Setpoints, pixels: PixelMajor, params: MrpcParams, dark: bool) -> bool:
+    """Whether every ray asks all pixels of its texel for one utilisation (or one share of their default, if no bound cuts that)."""
+    if params.upper_cd is not None or params.lower_cd or (params.a_x and params.exclusion == "printed"):
+        return False
+    if U_REL in setpoints.quantities and not dark:
+        if setpoints.value.device.type != "cpu":
+            return False  # to know whether a share is more than one, the device would have to be waited for
+        relative = setpoints.value if setpoints.quantity is None else torch.where(setpoints.quantity == U_REL, setpoints.value, 0.0)
+        if bool(relative.max() > 1):
+            return False
+    return pixels.potential is None or not {I_V, E_V} & set(setpoints.quantities)
+
+
+def _of(setpoints: Setpoints, *codes: int) -> Tensor | bool:
+    """Which rays have one of these quantities."""
+    present = set(setpoints.quantities)
+    if setpoints.quantity is None or not present & set(codes) or present <= set(codes):
+        return bool(present & set(codes))
+    return torch.isin(setpoints.quantity, torch.tensor(codes, dtype=torch.uint8, device=setpoints.value.device))
+
+
+def _where(condition: Tensor | bool, a: Tensor, b: Tensor | float) -> Tensor:
+    if isinstance(condition, bool):
+        return a if condition else torch.as_tensor(b, dtype=a.dtype, device=a.device).expand_as(a)
+    return torch.where(condition, a, b)
+
+
+def _by_products(
+    setpoints: Setpoints, pixels: PixelMajor, params: MrpcParams, default: Tensor, dark: bool, band: slice, rows: slice
+) -> _Sums:
+    """Sums as products of images on the texture with the pixel-major matrices."""
+    grid, w = pixels.grid, setpoints.window
+    kept, full = pixels.weight.band(band.start, band.stop), pixels.full.band(band.start, band.stop)
+
+    def summed(matrix: Csr, image: Tensor, beside: float = 0.0) -> Tensor:
+        return multiply(matrix, _as_texture(image, w, rows, grid.rows, grid.cols, beside))
+
+    value = setpoints.value
+    share = pixels.share.view(grid.rows, grid.cols)[w.slices]
+    utilisation = torch.where(in_cd, value * share, value) if isinstance(in_cd := _of(setpoints, I_V, E_V), Tensor) else value
+    utilisation = utilisation * share if in_cd is True else utilisation
+    if pixels.darkening is not None:
+        utilisation = utilisation * pixels.darkening.view(grid.rows, grid.cols)[w.slices]
+    utilisation = utilisation.clamp(0, 1)
+    relative = _of(setpoints, U_REL)
+    absolute = utilisation if relative is False else _where(relative, torch.zeros_like(utilisation), utilisation)
+    share_of_default = None if relative is False or dark else _where(relative, utilisation, 0.0)
+
+    def light(matrix: Csr, weight: Tensor | None) -> Tensor:
+        lit = summed(matrix, absolute if weight is None else absolute * weight)
+        if share_of_default is None:
+            return lit
+        return lit + default[band] * summed(matrix, share_of_default if weight is None else share_of_default * weight)
+
+    numerator = denominator = forced_light = forced_weight = lit = None
+    if setpoints.weight is None:
+        numerator = light(kept, None)
+        if not dark:
+            numerator = numerator + (1 - summed(kept, setpoints.hit.to(value))) * default[band]
+    else:
+        forced = setpoints.weight.isinf()
+        finite = torch.where(forced, 0.0, setpoints.weight)
+        numerator, denominator = light(kept, finite), summed(kept, finite, 1.0)
+        if not dark:
+            numerator = numerator + summed(kept, (~setpoints.hit).to(value), 1.0) * default[band]
+        if value.device.type != "cpu" or bool(forced.any()):
+            alone = forced.to(value)
+            forced_light, forced_weight = light(full, alone), summed(full, alone)
+    if params.a_ac:
+        ones = pixels.ones.band(band.start, band.stop)
+        lit = summed(ones, (absolute > 0).to(value))
+        if not dark:
+            lit = lit + (default[band] > 0) * summed(ones, (~setpoints.hit).to(value), 1.0)
+            if share_of_default is not None:
+                lit = lit + (default[band] > 0) * summed(ones, (share_of_default > 0).to(value))
+    return _Sums(numerator, denominator, forced_light, forced_weight, lit)
+
+
+def _by_entries(
+    setpoints: Setpoints, pixels: PixelMajor, params: MrpcParams, default: Tensor, dark: bool, band: slice, rows: slice
+) -> _Sums:
+    """The same entry by entry, with every bound."""
+    grid, w = pixels.grid, setpoints.window
     entries = pixels.entries.band(band.start, band.stop)
-    weight = pixels.weight.band(band.start, band.stop).values
-    pixel = row_of_entries(entries)
-    potential = entries.values ** (params.a_m - 1) if factor is None else factor[band][pixel]
-    utilisation = (texture[..., entries.indices.long()] * potential).clamp(0, 1)
-    zeros = torch.zeros(*texture.shape[:-1], entries.n_rows, dtype=texture.dtype, device=texture.device)
-    return zeros.index_add(-1, pixel, weight * utilisation)
+    pixel, texel, I_m = row_of_entries(entries), entries.indices.long(), entries.values
+    place = slice(int(pixels.entries.indptr[band.start]), int(pixels.entries.indptr[band.stop]))
+
+    def of_entries(image: Tensor, beside: float = 0.0) -> Tensor:
+        return _as_texture(image, w, rows, grid.rows, grid.cols, beside)[..., texel]
+
+    value, hit = setpoints.value, of_entries(setpoints.hit.to(setpoints.value)) > 0
+    mapped = of_entries(value) * pixels.share[texel]
+    mapped = mapped if pixels.potential is None else mapped * pixels.potential[place]
+    code = None if setpoints.quantity is None else of_entries(setpoints.quantity.to(value))
+    if code is not None or setpoints.quantities[0] in (U_ABS, U_REL):
+        plain = of_entries(value)
+        relative = code == U_REL if code is not None else setpoints.quantities[0] == U_REL
+        plain = _where(relative, plain * default[band][pixel], plain)
+        mapped = _where(code >= U_ABS if code is not None else True, plain, mapped)
+    if pixels.darkening is not None:
+        mapped = mapped * pixels.darkening[texel]
+    weight = None if setpoints.weight is None else of_entries(setpoints.weight, 1.0)
+    if params.lower_cd:
+        mask = (of_entries(value) == 0) & (False if weight is None else weight.isinf())
+        mapped = torch.where(mask, 0.0, mapped.maximum(params.lower_cd / I_m))
+    if params.upper_cd is not None:
+        mapped = mapped.minimum(params.upper_cd / I_m)
+    mapped = torch.where(hit, mapped.clamp(0, 1), default[band][pixel])
+    kept = pixels.kept[place]
+    if params.a_x and params.exclusion == "printed":
+        kept = torch.where(mapped * I_m <= params.a_x * pixels.peak[band][pixel], 0.0, kept)
+
+    def summed(terms: Tensor) -> Tensor:
+        zeros = torch.zeros(*mapped.shape[:-1], entries.n_rows, dtype=terms.dtype, device=terms.device)
+        return zeros.index_add(-1, pixel, terms.expand(*mapped.shape[:-1], -1))
+
+    lit = summed((mapped > 0).to(mapped)) if params.a_ac else None
+    if weight is None:
+        return _Sums(summed(kept * mapped), summed(kept), lit=lit)
+    forced = weight.isinf()
+    finite = torch.where(forced, 0.0, weight) * kept
+    alone = forced * pixels.full.values[place]
+    return _Sums(summed(finite * mapped), summed(finite), summed(alone * mapped), summed(alone), lit)
 
 
-def _touched(pixels: PixelMajor, row_start: int, row_stop: int, headlight: Headlight) -> tuple[slice, slice]:
-    """The contiguous band of pixels with texels in these texture rows, and all texture rows that those pixels have."""
-    if (row_start, row_stop) == (0, headlight.rows):
-        return slice(0, headlight.n_pixels), slice(0, headlight.rows)
-    first = min(int(pixels.pixel_first[row_start:row_stop].min()), headlight.n_pixels)
-    band = slice(first, max(int(pixels.pixel_last[row_start:row_stop].max()) + 1, first))
+def _reduced(sums: _Sums, pixels: PixelMajor, params: MrpcParams, default: Tensor, band: slice) -> Tensor:
+    """Utilisation `[..., band]` of sums: infinite weights first, then the default where nothing counts, then the activation threshold."""
+    u = sums.light
+    if sums.weight is not None:
+        counts = sums.weight > 0
+        u = torch.where(counts, u / torch.where(counts, sums.weight, 1.0), default)
+    if sums.lit is not None:
+        off = sums.lit < params.a_ac * pixels.reached[band]
+        u = torch.where(off if sums.weight is None else off & counts, 0.0, u)
+    if sums.forced_light is not None and sums.forced_weight is not None:
+        forced = sums.forced_weight > 0
+        u = torch.where(forced, sums.forced_light / torch.where(forced, sums.forced_weight, 1.0), u)
+    return u.clamp(0, 1)
+
+
+def _sharpened(setpoints: Setpoints, pixels: PixelMajor, params: MrpcParams, dark: bool) -> Tensor:
+    """By how much setpoints are raised for the darkness beside them, blurred as a pixel's light is (T 7.5.2): `[..., rows, cols]`.
+
+    Darkness is what a setpoint misses to the greatest in view, in cd. Where no primitive is hit it is dark if the base pattern is.
+    """
+    grid, w = pixels.grid, setpoints.window
+    total = pixels.total.view(grid.rows, grid.cols)[w.slices]
+    level = _where(_of(setpoints, I_V, E_V), setpoints.value, setpoints.value * total)
+    bright = (level / level.amax((-2, -1), keepdim=True).clamp(min=1e-30)).clamp(0, 1)
+    lit = bright if dark else torch.where(setpoints.hit, bright, 1.0)
+    sigma = (max(pixels.spread[0], 0.3), max(pixels.spread[1], 0.3))
+    kernel = (2 * round(3 * sigma[0]) + 1, 2 * round(3 * sigma[1]) + 1)
+    margins = (kernel[1] // 2, kernel[1] // 2, kernel[0] // 2, kernel[0] // 2)
+    lit = torch.nn.functional.pad(lit, margins, value=0.0 if dark else 1.0)
+    flat = lit.reshape(-1, 1, *lit.shape[-2:])
+    blurred = gaussian_blur2d(flat, kernel, sigma, border_type="constant").reshape(lit.shape)
+    rows, cols = bright.shape[-2:]
+    return 1 + params.sharpening * (1 - blurred[..., margins[2] : margins[2] + rows, margins[0] : margins[0] + cols])
+
+
+def _touched(pixels: PixelMajor, w: Window) -> tuple[slice, slice]:
+    """The contiguous band of pixels with texels in the window's rows, and all texture rows that those pixels have."""
+    grid = pixels.grid
+    if (w.row_start, w.row_stop) == (0, grid.rows):
+        return slice(0, grid.n_pixels), slice(0, grid.rows)
+    first = min(int(pixels.pixel_first[w.row_start : w.row_stop].min()), grid.n_pixels)
+    band = slice(first, max(int(pixels.pixel_last[w.row_start : w.row_stop].max()) + 1, first))
     if band.stop == band.start:
-        return band, slice(row_start, row_stop)
-    low = min(int(pixels.row_first[band].min()), row_start)
-    return band, slice(low, max(int(pixels.row_last[band].max()) + 1, row_stop))
+        return band, slice(w.row_start, w.row_stop)
+    low = min(int(pixels.row_first[band].min()), w.row_start)
+    return band, slice(low, max(int(pixels.row_last[band].max()) + 1, w.row_stop))
 
 
-def _as_texture(image: Tensor, w: Window, rows: slice, headlight: Headlight) -> Tensor:
-    """Texels `[..., rows * cols]` of an image on a window, zero beside it; beyond these rows they are undefined and never read."""
-    texture = image.new_empty(*image.shape[:-2], headlight.rows, headlight.cols)
-    texture[..., rows, :] = 0
+def _as_texture(image: Tensor, w: Window, rows: slice, n_rows: int, n_cols: int, beside: float) -> Tensor:
+    """Texels `[..., rows * cols]` of an image on a window, a constant beside it; beyond these rows they are undefined and never read."""
+    texture = image.new_empty(*image.shape[:-2], n_rows, n_cols)
+    texture[..., rows, :] = beside
     texture[..., *w.slices] = image
     return texture.flatten(-2)

@@ -7,8 +7,9 @@ import torch
 from torch import Tensor
 
 from controllers.mrpc import MrpcParams, PixelMajor, pixel_major, reduce_setpoints
-from controllers.primitives import QUANTITIES, Primitives
-from controllers.rthc import projected_window, trace
+from controllers.primitives import Primitives
+from controllers.rthc import masks, trace
+from controllers.windows import projected_windows
 from world.headlight import Headlight
 
 
@@ -57,9 +58,7 @@ class Ssc:
     def utilisation(self, primitives: Primitives, T_world_headlight: Tensor) -> Utilisation:
         """A single scene on the CPU touches only the projected rectangle and its band of pixels; batches and accelerators take all rays."""
         banded = primitives.origin.ndim == 2 and primitives.origin.device.type == "cpu"
-        window = projected_window(primitives, self.headlight, T_world_headlight) if banded else None
-        setpoints = trace(primitives, self.headlight, T_world_headlight, window)
-        u, band = reduce_setpoints(
-            setpoints, QUANTITIES[int(primitives.quantity[0])], self.headlight, self.pixels, self.params, self.default, self.dark
-        )
+        windows = projected_windows(primitives, self.headlight, T_world_headlight, masks(primitives)) if banded else None
+        setpoints = trace(primitives, self.headlight, T_world_headlight, windows)
+        u, band = reduce_setpoints(setpoints, self.pixels, self.params, self.default, self.dark)
         return Utilisation(u, band if banded and self.dark else None)

@@ -10,8 +10,9 @@ from pydantic import ValidationError
 from torch import Tensor
 
 from controllers.mrpc import MrpcParams, pixel_major, reduce_setpoints
-from controllers.primitives import Quantity
-from controllers.rthc import Setpoints, Window, whole
+from controllers.primitives import QUANTITIES, U_ABS, Quantity
+from controllers.rthc import Setpoints
+from controllers.windows import Window, whole
 from tests.reference import ssc as reference
 from world.headlight import Headlight
 from world.spmv import Csr
@@ -43,11 +44,20 @@ def random_setpoints(seed: int, A: np.ndarray, quantity: Quantity, window: Windo
     hit = generator.random((ROWS, COLS)) < 0.67
     value[~hit] = 0
     cut = slice(window.row_start, window.row_stop), slice(window.col_start, window.col_stop)
-    return Setpoints(torch.from_numpy(value[cut].copy()), torch.from_numpy(hit[cut].copy()), window)
+    return Setpoints(torch.from_numpy(value[cut].copy()), torch.from_numpy(hit[cut].copy()), window, (QUANTITIES.index(quantity),))
 
 
-def reduced(setpoints: Setpoints, quantity: Quantity, lamp: Headlight, params: MrpcParams, default: Tensor) -> tuple[Tensor, slice]:
-    return reduce_setpoints(setpoints, quantity, lamp, pixel_major(lamp, params), params, default)
+def rays(setpoints: Setpoints) -> list[reference.Ray]:
+    """The same for the reference, texel by texel."""
+    value, hit = setpoints.value, setpoints.hit
+    weight = torch.ones_like(value) if setpoints.weight is None else setpoints.weight
+    code = torch.full_like(value, setpoints.quantities[0]) if setpoints.quantity is None else setpoints.quantity
+    images = (hit.flatten().tolist(), value.flatten().tolist(), weight.flatten().tolist(), code.flatten().tolist())
+    return [reference.Ray(h, v, w, QUANTITIES[int(q)]) if h else reference.Ray() for h, v, w, q in zip(*images, strict=True)]
+
+
+def reduced(setpoints: Setpoints, lamp: Headlight, params: MrpcParams, default: Tensor) -> tuple[Tensor, slice]:
+    return reduce_setpoints(setpoints, pixel_major(lamp, params), params, default)
 
 
 def base_pattern(seed: int) -> Tensor:
@@ -64,10 +74,8 @@ def test_equals_the_plain_sums(a_m: float, a_r: float, quantity: Quantity) -> No
         setpoints = random_setpoints(seed, A, quantity)
         if quantity == "u_rel":
             setpoints = replace(setpoints, value=2 * setpoints.value)  # so that some pixels would need more than full
-        u, _ = reduced(setpoints, quantity, lamp, MrpcParams(a_m=a_m, a_r=a_r), default)
-        expected = reference.map_reduce(
-            A, setpoints.value.flatten().numpy(), setpoints.hit.flatten().numpy(), quantity, a_m, a_r, default.numpy()
-        )
+        u, _ = reduced(setpoints, lamp, MrpcParams(a_m=a_m, a_r=a_r), default)
+        expected, _ = reference.map_reduce(A, rays(setpoints), MrpcParams(a_m=a_m, a_r=a_r), default.numpy(), COLS)
         # float64 sums over at most 48 texels.
         np.testing.assert_allclose(u, expected, rtol=0, atol=1e-12)
         assert u[DARK_PIXEL] == default[DARK_PIXEL]
@@ -78,10 +86,10 @@ def test_equals_the_plain_sums(a_m: float, a_r: float, quantity: Quantity) -> No
 def test_float32_on_every_device(quantity: Quantity, a_m: float, device: torch.device) -> None:
     lamp, A = random_lamp(1)
     setpoints, default, params = random_setpoints(1, A, quantity), base_pattern(1), MrpcParams(a_m=a_m, a_r=2)
-    exact, _ = reduced(setpoints, quantity, lamp, params, default)
+    exact, _ = reduced(setpoints, lamp, params, default)
     fast = replace(lamp, matrix=lamp.matrix.to(torch.float32)).to(device)
-    moved = Setpoints(setpoints.value.float().to(device), setpoints.hit.to(device), setpoints.window)
-    u, _ = reduced(moved, quantity, fast, params, default.float().to(device))
+    moved = replace(setpoints, value=setpoints.value.float().to(device), hit=setpoints.hit.to(device))
+    u, _ = reduced(moved, fast, params, default.float().to(device))
     assert (u.dtype, u.device.type) == (torch.float32, device.type)
     torch.testing.assert_close(u.cpu().double(), exact, rtol=0, atol=1e-6)  # means of numbers in 0..1
 
@@ -110,8 +118,8 @@ def test_a_window_equals_the_whole(window: Window, a_m: float) -> None:
     cut = slice(window.row_start, window.row_stop), slice(window.col_start, window.col_stop)
     value[cut], hit[cut] = part.value, part.hit
     default, params = base_pattern(3), MrpcParams(a_m=a_m)
-    u, band = reduced(part, "I_v", lamp, params, default)
-    expected, everything = reduced(Setpoints(value, hit, whole(lamp)), "I_v", lamp, params, default)
+    u, band = reduced(part, lamp, params, default)
+    expected, everything = reduced(Setpoints(value, hit, whole(lamp), part.quantities), lamp, params, default)
     assert everything == slice(0, PIXELS)
     torch.testing.assert_close(u, expected, rtol=0, atol=1e-14)
     rest = torch.ones(PIXELS, dtype=torch.bool)
@@ -124,8 +132,8 @@ def test_a_window_equals_the_whole(window: Window, a_m: float) -> None:
 def test_an_empty_window_leaves_the_default() -> None:
     lamp, _ = random_lamp(0)
     default = base_pattern(0)
-    nothing = Setpoints(torch.zeros(2, 0, 8, dtype=torch.float64), torch.zeros(2, 0, 8, dtype=torch.bool), Window(3, 3, 0, 8))
-    u, band = reduced(nothing, "u_abs", lamp, MrpcParams(), default)
+    nothing = Setpoints(torch.zeros(2, 0, 8, dtype=torch.float64), torch.zeros(2, 0, 8, dtype=torch.bool), Window(3, 3, 0, 8), (U_ABS,))
+    u, band = reduced(nothing, lamp, MrpcParams(), default)
     assert torch.equal(u, default.expand(2, -1))
     assert band == slice(0, 0)
 
@@ -146,8 +154,8 @@ def test_rows_without_pixels_leave_the_default() -> None:
         pixel_cols=4,
     )
     default = base_pattern(0)
-    below = Setpoints(torch.ones(2, 8, dtype=torch.float64), torch.ones(2, 8, dtype=torch.bool), Window(3, 5, 0, 8))
-    u, band = reduced(below, "u_abs", lamp, MrpcParams(), default)
+    below = Setpoints(torch.ones(2, 8, dtype=torch.float64), torch.ones(2, 8, dtype=torch.bool), Window(3, 5, 0, 8), (U_ABS,))
+    u, band = reduced(below, lamp, MrpcParams(), default)
     assert torch.equal(u, default)
     assert band.start == band.stop
 
@@ -161,21 +169,23 @@ def test_a_batch_is_a_loop_of_singles(quantity: Quantity, a_m: float) -> None:
         torch.stack([s.value for s in singles]).view(2, 2, ROWS, COLS),
         torch.stack([s.hit for s in singles]).view(2, 2, ROWS, COLS),
         whole(lamp),
+        singles[0].quantities,
     )
-    u, _ = reduced(stacked, quantity, lamp, params, default)
+    u, _ = reduced(stacked, lamp, params, default)
     assert u.shape == (2, 2, PIXELS)
     for k, single in enumerate(singles):
-        torch.testing.assert_close(u[k // 2, k % 2], reduced(single, quantity, lamp, params, default)[0], rtol=0, atol=1e-14)
+        torch.testing.assert_close(u[k // 2, k % 2], reduced(single, lamp, params, default)[0], rtol=0, atol=1e-14)
 
 
-def everywhere(value: Tensor, lamp: Headlight) -> Setpoints:
-    return Setpoints(value.view(ROWS, COLS), torch.ones(ROWS, COLS, dtype=torch.bool), whole(lamp))
+def everywhere(value: Tensor, lamp: Headlight, quantity: Quantity = "I_v") -> Setpoints:
+    hit = torch.ones(ROWS, COLS, dtype=torch.bool)
+    return Setpoints(value.view(ROWS, COLS), hit, whole(lamp), (QUANTITIES.index(quantity),))
 
 
 def test_exponent_2_is_the_least_squares_solution_of_each_pixel() -> None:
     lamp, A = random_lamp(4)
     setpoint = 0.3 * A.min(1, where=A > 0, initial=1e9) * (A > 0).sum(1)  # an equal share never exceeds what a pixel can give
-    u, _ = reduced(everywhere(torch.from_numpy(setpoint), lamp), "I_v", lamp, MrpcParams(a_m=0, a_r=2), base_pattern(4))
+    u, _ = reduced(everywhere(torch.from_numpy(setpoint), lamp), lamp, MrpcParams(a_m=0, a_r=2), base_pattern(4))
     share = setpoint / np.maximum((A > 0).sum(1), 1)
     for j in set(range(PIXELS)) - {DARK_PIXEL}:
         reached = A[:, j] > 0
@@ -185,9 +195,7 @@ def test_exponent_2_is_the_least_squares_solution_of_each_pixel() -> None:
 def test_exponent_1_gives_every_pixel_the_light_that_was_asked_of_it() -> None:
     lamp, A = random_lamp(5)
     setpoint = np.random.default_rng(5).uniform(0, 1, ROWS * COLS) * A.sum(1)
-    u, _ = reduced(
-        everywhere(torch.from_numpy(setpoint), lamp), "I_v", lamp, MrpcParams(a_m=1, a_r=1), torch.zeros(PIXELS, dtype=torch.float64)
-    )
+    u, _ = reduced(everywhere(torch.from_numpy(setpoint), lamp), lamp, MrpcParams(a_m=1, a_r=1), torch.zeros(PIXELS, dtype=torch.float64))
     given = A * np.divide(setpoint, A.sum(1), out=np.zeros_like(setpoint), where=A.sum(1) > 0)[:, None]
     np.testing.assert_allclose(u.numpy() * A.sum(0), given.sum(0), rtol=1e-12)
 
@@ -198,8 +206,8 @@ def test_a_setpoint_beyond_the_lamp_gives_full_light_and_none_gives_none() -> No
     reached = A.sum(0) > 0
     for quantity, a_m in (("I_v", 1.0), ("I_v", 0.5), ("u_abs", 1.0), ("u_rel", 1.0)):
         params = MrpcParams(a_m=a_m)
-        full, _ = reduced(everywhere(torch.full((48,), 1e9, dtype=torch.float64), lamp), quantity, lamp, params, default)
-        none, _ = reduced(everywhere(torch.zeros(48, dtype=torch.float64), lamp), quantity, lamp, params, default)
+        full, _ = reduced(everywhere(torch.full((48,), 1e9, dtype=torch.float64), lamp, quantity), lamp, params, default)
+        none, _ = reduced(everywhere(torch.zeros(48, dtype=torch.float64), lamp, quantity), lamp, params, default)
         np.testing.assert_allclose(full[reached], 1)
         np.testing.assert_allclose(none[reached], 0, atol=1e-15)
         assert full.max() <= 1
@@ -220,9 +228,9 @@ def test_a_bound_holds_for_every_ray_and_not_for_the_mean() -> None:
         pixel_rows=1,
         pixel_cols=1,
     )
-    setpoints = Setpoints(torch.tensor([[2.0, 0.0]], dtype=torch.float64), torch.ones(1, 2, dtype=torch.bool), whole(lamp))
-    for quantity in ("I_v", "E_v", "u_abs", "u_rel"):
-        u, _ = reduced(setpoints, quantity, lamp, MrpcParams(), torch.ones(1, dtype=torch.float64))
+    for code in range(len(QUANTITIES)):
+        setpoints = Setpoints(torch.tensor([[2.0, 0.0]], dtype=torch.float64), torch.ones(1, 2, dtype=torch.bool), whole(lamp), (code,))
+        u, _ = reduced(setpoints, lamp, MrpcParams(), torch.ones(1, dtype=torch.float64))
         assert u.item() == 0.5
 
 
@@ -235,7 +243,7 @@ def test_gradient_against_differences(quantity: Quantity, a_m: float) -> None:
     scale = 1.0 if quantity.startswith("u") else 300.0
 
     def u(value: Tensor) -> Tensor:
-        return reduce_setpoints(replace(setpoints, value=value * scale), quantity, lamp, pixels, params, default)[0]
+        return reduce_setpoints(replace(setpoints, value=value * scale), pixels, params, default)[0]
 
     value = (0.4 * setpoints.value / scale + 0.01).requires_grad_()  # no ray comes near its bounds, where the slope breaks
     assert torch.autograd.gradcheck(u, (value,))

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from controllers.primitives import Primitives, concatenate, rectangle, road_symbol
-from controllers.rthc import Setpoints, Window, projected_window, trace, whole
+from controllers.rthc import Setpoints, trace
+from controllers.windows import NOWHERE, Window, projected_windows, whole
 from tests.reference import ssc as reference
 from world.frames import pose_from_degrees
 from world.presets import idealised
@@ -51,12 +52,19 @@ def random_scene(seed: int, quantity: str) -> Primitives:
     return primitives(*rectangles, symbols=torch.from_numpy(generator.random((4, 5, 7))), quantity=quantity)
 
 
+def plain(scene: Primitives, T: Tensor) -> tuple[np.ndarray, np.ndarray]:
+    """Setpoints and hits of the reference, `[rows, cols]`."""
+    rays = reference.trace(scene, LAMP, T.numpy())
+    shape = (LAMP.rows, LAMP.cols)
+    return np.array([ray.value for ray in rays]).reshape(shape), np.array([ray.hit for ray in rays]).reshape(shape)
+
+
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("quantity", ["u_abs", "E_v"])
 def test_equals_rays_solved_one_by_one(seed: int, quantity: str) -> None:
     scene = random_scene(seed, quantity)
     T = pose_from_degrees((0.3, 0.2, 0.1), roll_deg=5, pitch_deg=-1, yaw_deg=3)
-    value, hit = reference.trace(scene, LAMP, T.numpy())
+    value, hit = plain(scene, T)
     assert 50 < hit.sum() < hit.size
     fast = trace(scene, LAMP, T)
     np.testing.assert_array_equal(fast.hit, hit)
@@ -171,29 +179,31 @@ def cut(setpoints: Setpoints, w: Window) -> tuple[Tensor, Tensor]:
 def test_projected_window_holds_every_hit(pose: tuple[float, float, float, float]) -> None:
     scene = road_symbol(torch.tensor(pose), 0.0, 2.0, 4.0, torch.rand(4, 4), 1.0, "u_abs")
     all_rays = trace(scene, LAMP, T_LEFT)
-    window = projected_window(scene, LAMP, T_LEFT)
+    (window,) = projected_windows(scene, LAMP, T_LEFT)
     value, hit = cut(all_rays, window)
     assert hit.sum() == all_rays.hit.sum()
-    banded = trace(scene, LAMP, T_LEFT, window)
+    banded = trace(scene, LAMP, T_LEFT, [window])
     assert banded.window == window
     assert torch.equal(banded.hit, hit)
     torch.testing.assert_close(banded.value, value, rtol=1e-5, atol=1e-6)
 
 
-def test_window_is_tight_and_whole_for_what_reaches_behind() -> None:
+def test_window_is_tight_and_cut_where_it_reaches_behind() -> None:
     wall = primitives(facing(10, half=0.3))
-    window = projected_window(wall, LAMP, T_ORIGIN)
+    (window,) = projected_windows(wall, LAMP, T_ORIGIN)
     hit = torch.nonzero(trace(wall, LAMP, T_ORIGIN).hit)
     assert (hit.amin(0) - torch.tensor([window.row_start, window.col_start]) <= 1).all()
     assert (torch.tensor([window.row_stop, window.col_stop]) - hit.amax(0) <= 2).all()
     around = primitives(((-5.0, 3.0, -1.0), (40.0, 0.0, 0.0), (0.0, -6.0, 0.0), 1.0))
-    assert projected_window(around, LAMP, T_ORIGIN) == whole(LAMP)
+    (ahead,) = projected_windows(around, LAMP, T_ORIGIN)
+    assert ahead == Window(25, LAMP.rows, 0, LAMP.cols), "as high as its far end, which lies 35 m ahead"
+    assert projected_windows(around, LAMP, T_ORIGIN, [True]) == [whole(LAMP)]
 
 
 def test_out_of_sight_the_window_is_empty() -> None:
-    window = projected_window(primitives(facing(10, half=0.3, y=50.0)), LAMP, T_ORIGIN)
-    assert (window.row_stop - window.row_start) * (window.col_stop - window.col_start) == 0
-    assert trace(primitives(facing(10, half=0.3, y=50.0)), LAMP, T_ORIGIN, window).hit.numel() == 0
+    windows = projected_windows(primitives(facing(10, half=0.3, y=50.0)), LAMP, T_ORIGIN)
+    assert windows == [NOWHERE]
+    assert trace(primitives(facing(10, half=0.3, y=50.0)), LAMP, T_ORIGIN, windows).hit.numel() == 0
 
 
 @pytest.mark.parametrize("quantity", ["u_abs", "E_v"])

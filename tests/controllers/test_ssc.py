@@ -40,10 +40,10 @@ def test_equals_the_reference_from_primitive_to_pixel(quantity: Quantity, value:
     primitive = road_primitive(torch.tensor([17.0, 0.5, 0.05, -0.05], dtype=torch.float64), quantity, value)
     default = torch.rand(40, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
     fast = Ssc.prepare(lamp, MrpcParams(a_m=a_m, a_r=a_r), default).utilisation(primitive, T_LEFT).u
-    setpoint, hit = reference.trace(primitive, lamp, T_LEFT.numpy())
-    assert hit.sum() > 10
+    rays = reference.trace(primitive, lamp, T_LEFT.numpy())
+    assert sum(ray.hit for ray in rays) > 10
     A = lamp.matrix.to_scipy().toarray()
-    expected = reference.map_reduce(A, setpoint.ravel(), hit.ravel(), quantity, a_m, a_r, default.numpy())
+    expected, _ = reference.map_reduce(A, rays, MrpcParams(a_m=a_m, a_r=a_r), default.numpy(), lamp.cols)
     np.testing.assert_allclose(fast, expected, rtol=0, atol=1e-10)
 
 
