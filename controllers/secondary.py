@@ -4,11 +4,13 @@ All functions take points as the world has them, `[..., 3, N]` in m, and are pur
 """
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
+from controllers.primitives import U_ABS, Primitives
+from controllers.rthc import Setpoints
 from world.frames import inverse, transform
 from world.headlight import Headlight
 from world.raycast import first_hits
@@ -59,8 +61,10 @@ class Light:
         return intensity / (x * x + y * y + z * z)
 
 
-def shares(lights: Sequence[Light], points: Tensor, occluded: Caster | None = None) -> Tensor:
+def shares(lights: Sequence[Light], points: Tensor, occluded: Caster | None = None, may: Tensor | None = None) -> Tensor:
     """Which share of a setpoint each light takes, `[L, ..., N]`: in proportion to what it can give there (T 7.5.1).
+
+    may: `[L, ..., N]` bool, which lights are meant at all, by default all of them.
 
     They add up to one where any light gets to, so light is not doubled; a light that something blocks takes none, and the others
     compensate. Two cars that draw one symbol together are lights of one list.
@@ -69,6 +73,8 @@ def shares(lights: Sequence[Light], points: Tensor, occluded: Caster | None = No
     if occluded is not None:
         for light, at_points in zip(lights, possible, strict=True):
             at_points *= ~_cast(occluded, points, light.T_world_headlight[:3, 3])
+    if may is not None:
+        possible = possible * may
     total = possible.sum(0)
     return torch.where(total > 0, possible / torch.where(total > 0, total, 1.0), 0.0)
 
@@ -102,58 +108,75 @@ def less_street_light(setpoint_cd: Tensor, street_lx: Tensor, points: Tensor, no
     return torch.where(cos > 0, (setpoint_cd - offset).clamp(min=0), setpoint_cd)
 
 
-def seen_symbol(points: Tensor, eye: Tensor, origin: Tensor, d1: Tensor, d2: Tensor, image: Tensor) -> Tensor:
-    """Value `[..., N]` of the flying symbol where the rays from points to the eye `[..., 3]` meet it (T 7.2.2, fig. 7.9); else zero.
-
-    origin, d1, d2: `[..., 3]` m, the symbol's rectangle; image: `[h, w]` in 0..1, bilinear, texel centres at (k + 1/2) / n.
-    """
-    ray = eye[..., None] - points
-    n = torch.linalg.cross(d1, d2)
-    along = (ray * n[..., None]).sum(-2)
-    q = points - origin[..., None]
-    reach = -(q * n[..., None]).sum(-2) / torch.where(along == 0, 1.0, along)
-    hit = q + reach[..., None, :] * ray
-    n2 = (n * n).sum(-1)[..., None]
-    u = (hit * torch.linalg.cross(d2, n)[..., None]).sum(-2) / n2
-    v = (hit * torch.linalg.cross(n, d1)[..., None]).sum(-2) / n2
-    inside = (along != 0) & (reach > 0) & (u >= 0) & (u <= 1) & (v >= 0) & (v <= 1)
-    rows, cols = image.shape
-    grid = TexelGrid(rows=rows, cols=cols, left=1.0, right=0.0, bottom=0.0, top=1.0)
-    texel, weight = bilinear(grid, v * rows, u * cols)
-    return torch.where(inside, (image.to(points).flatten()[texel] * weight).sum(0), 0.0)
-
-
-def drawing_rectangle(origin: Tensor, d1: Tensor, d2: Tensor, eye: Tensor, at: Tensor, normal: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """The smallest rectangle on a plane that holds all that an observer sees through the flying symbol: origin, d1, d2 `[..., 3]` m.
-
-    origin, d1, d2, eye: `[..., 3]` m, the symbol and the observer (T fig. 7.9). at, normal: `[..., 3]`, a point of the plane and its unit
-    normal. Everything of the symbol must lie below the observer's horizon: above it, the corners' images are not numbers.
-    A smallest rectangle around four points has a side along one of their connections.
-    """
-    corners = torch.stack([origin, origin + d1, origin + d1 + d2, origin + d2], -2)
-    ray = corners - eye[..., None, :]
-    down = (ray * normal[..., None, :]).sum(-1)
-    depth = ((at - eye) * normal).sum(-1)[..., None] / down
-    seen = eye[..., None, :] + torch.where(depth > 0, depth, torch.nan)[..., None] * ray
-    first, second = torch.triu_indices(4, 4, 1, device=seen.device)
-    along = torch.nn.functional.normalize(seen[..., second, :] - seen[..., first, :], dim=-1)
-    across = torch.linalg.cross(normal[..., None, :].expand_as(along), along)
-    a = (seen[..., None, :, :] * along[..., :, None, :]).sum(-1)
-    b = (seen[..., None, :, :] * across[..., :, None, :]).sum(-1)
-    low_a, low_b = a.amin(-1), b.amin(-1)
-    size_a, size_b = a.amax(-1) - low_a, b.amax(-1) - low_b
-    best = (size_a * size_b).argmin(-1, keepdim=True)
-
-    def chosen(per_side: Tensor) -> Tensor:
-        return per_side.gather(-1, best)
-
-    along, across = (v.gather(-2, best[..., None].expand(*best.shape, 3))[..., 0, :] for v in (along, across))
-    height = (at * normal).sum(-1, keepdim=True)
-    corner = chosen(low_a) * along + chosen(low_b) * across + height * normal
-    return corner, chosen(size_a) * along, chosen(size_b) * across
-
-
 def _cast(occluded: Caster, points: Tensor, target: Tensor) -> Tensor:
     """A caster's answer for points with batch dimensions."""
     flat = points.movedim(-2, 0).flatten(1)
     return occluded(flat, target).reshape(points.shape[:-2] + points.shape[-1:])
+
+
+@dataclass(frozen=True, eq=False)
+class SecondaryRays:
+    """What a module's rays ask where they hit, after the primary rays.
+
+    lights: all modules that may draw, of all lamps and cars that draw together, by name. own: which of them the setpoints are for.
+    street_lamps: whose light is taken off. occluded: what blocks secondary rays, nothing where it is None.
+    """
+
+    lights: tuple[tuple[str, Light], ...]
+    own: int
+    street_lamps: tuple[StreetLamp, ...] = ()
+    occluded: Caster | None = None
+
+    def adjusted(self, setpoints: Setpoints, primitives: Primitives, grid: TexelGrid, T_world_headlight: Tensor) -> Setpoints:
+        """Setpoints less the street lamps' light, shared among the lights that may draw, and off where their observer cannot see them.
+
+        Only setpoints in cd and lx are shared and lessened: a utilisation says itself what each module does.
+        """
+        if not len(primitives) or not setpoints.value.numel():
+            return setpoints
+        w = setpoints.window
+        points, normals = hit_points(setpoints, primitives, grid, T_world_headlight)
+        winner = setpoints.winner.long().flatten(-2) if setpoints.winner is not None else torch.zeros_like(points[..., 0, :]).long()
+        value, hit = setpoints.value.flatten(-2), setpoints.hit.flatten(-2)
+        physical = (primitives.quantity < U_ABS).to(value.device)[winner] & hit
+        wanted = value
+        if self.street_lamps:
+            street = street_light(points, normals, self.street_lamps, self.occluded)
+            wanted = less_street_light(wanted, street, points, normals, T_world_headlight[:3, 3])
+        may = torch.tensor([[may_draw(names, name) for names in primitives.modules] for name, _ in self.lights])
+        taken = shares([light for _, light in self.lights], points, self.occluded, may.to(value.device)[:, winner])[self.own]
+        value = torch.where(physical, wanted * taken, value)
+        if self.occluded is not None and primitives.observer is not None:
+            for p in primitives.observer.active.nonzero()[:, 0].tolist():
+                unseen = _cast(self.occluded, points, primitives.observer.eye[..., p, :])
+                value = torch.where(hit & (winner == p) & unseen, 0.0, value)
+        size = (w.row_stop - w.row_start, w.col_stop - w.col_start)
+        return replace(setpoints, value=value.unflatten(-1, size))
+
+
+def hit_points(setpoints: Setpoints, primitives: Primitives, grid: TexelGrid, T_world_headlight: Tensor) -> tuple[Tensor, Tensor]:
+    """Where the rays of a window hit their primitives, and the primitives' normals there, both `[..., 3, rows * cols]`.
+
+    Where nothing is hit, the point lies a metre before the lamp.
+    """
+    rows, cols = setpoints.window.slices
+    y, z = grid.tangents(primitives.origin.dtype, primitives.origin.device)
+    y, z = torch.broadcast_tensors(y[cols], z[rows, None])
+    T = T_world_headlight.to(y)
+    ray = T[:3, :3] @ torch.stack([torch.ones_like(y), y, z]).flatten(1)
+    winner = setpoints.winner.long().flatten(-2) if setpoints.winner is not None else torch.zeros_like(setpoints.hit).long().flatten(-2)
+
+    def won(vectors: Tensor) -> Tensor:
+        vectors = vectors.expand(*winner.shape[:-1], *vectors.shape[-2:])
+        return vectors.gather(-2, winner[..., None].expand(*winner.shape, 3)).transpose(-1, -2)
+
+    n = won(torch.linalg.cross(primitives.d1, primitives.d2))
+    along = (n * ray).sum(-2)
+    hit = setpoints.hit.flatten(-2) & (along != 0)
+    x = ((won(primitives.origin) - T[:3, 3:]) * n).sum(-2) / torch.where(hit, along, 1.0)
+    return T[:3, 3:] + torch.where(hit, x, 1.0)[..., None, :] * ray, won(primitives.normal)
+
+
+def may_draw(names: Sequence[str], module: str) -> bool:
+    """Whether a primitive for these modules, or for all where there are none, is meant for "left hires", say."""
+    return not names or any(f" {name} " in f" {module} " for name in names)

@@ -10,8 +10,8 @@ from torch import Tensor
 from controllers.animations import Animated, AnimationParams
 from controllers.functions.geometry import Place, on_road
 from controllers.functions.situation import Category, Drawn, SelectionParams, Situation
+from controllers.observer import drawing_rectangle
 from controllers.primitives import Observer, Primitives
-from controllers.secondary import drawing_rectangle
 from world.errors import LuxloopError
 from world.frames import transform
 from world.params import Params

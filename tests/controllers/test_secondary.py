@@ -1,12 +1,10 @@
 """Secondary rays against geometry that can be written down."""
 
-import math
-
 import pytest
 import torch
 import trimesh
 
-from controllers.secondary import Light, drawing_rectangle, less_street_light, scene_caster, seen_by, seen_symbol, shares, street_light
+from controllers.secondary import Light, less_street_light, scene_caster, seen_by, shares, street_light
 from world.body import Body, PoseTrack
 from world.frames import pose_from_degrees
 from world.presets import idealised
@@ -78,44 +76,3 @@ def test_street_light_is_taken_off_and_never_below_zero() -> None:
     torch.testing.assert_close(together, street.clamp(min=wanted_lx))
     dark = street_light(points, UP[:, None], [lamp], lambda p, _: torch.ones(p.shape[1], dtype=torch.bool))
     assert not dark.any()
-
-
-def flying() -> tuple[torch.Tensor, ...]:
-    """A symbol 1.6 m wide and 0.6 m high, upright 10 m ahead, seen by a driver."""
-    origin = torch.tensor([10.0, 0.8, 1.0], dtype=torch.float64)
-    return origin, *torch.tensor([[0.0, -1.6, 0.0], [0.0, 0.0, -0.6]], dtype=torch.float64), torch.tensor([-1.0, 0.3, 1.3]).double()
-
-
-def test_the_rectangle_holds_what_is_seen_and_is_no_larger_than_any_other() -> None:
-    origin, d1, d2, eye = flying()
-    p, a, b = drawing_rectangle(origin, d1, d2, eye, torch.zeros(3).double(), UP)
-    assert torch.linalg.cross(a, b)[2] > 0 and p[2] == a[2] == b[2] == 0
-    edge = torch.linspace(0, 1, 9, dtype=torch.float64)
-    through = origin + edge[:, None, None] * d1 + edge[:, None] * d2 - eye
-    seen = (eye + through * (-eye[2] / through[..., 2:])).reshape(-1, 3) - p
-    u, v = seen @ a / (a @ a), seen @ b / (b @ b)
-    for each in (u, v):
-        assert each.min().item() == pytest.approx(0, abs=1e-9) and each.max().item() == pytest.approx(1, abs=1e-9)
-    area = a.norm() * b.norm()
-    for angle in torch.linspace(0, math.pi / 2, 91).tolist():
-        turned = seen[:, :2] @ torch.tensor([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]).double()
-        assert area <= (turned.amax(0) - turned.amin(0)).prod() + 1e-9
-
-
-def test_what_is_above_the_horizon_cannot_be_drawn() -> None:
-    origin, d1, d2, eye = flying()
-    above = drawing_rectangle(origin + 2 * UP, d1, d2, eye, torch.zeros(3).double(), UP)
-    assert torch.isnan(torch.stack(above)).any()
-
-
-def test_the_observer_sees_the_image_upright(device: torch.device) -> None:
-    image = torch.rand(4, 6, dtype=torch.float64, device=device)
-    origin, d1, d2, eye = (v.to(device) for v in flying())
-    u, v = torch.meshgrid((torch.arange(6) + 0.5) / 6, (torch.arange(4) + 0.5) / 4, indexing="xy")
-    on_symbol = origin + u.flatten()[:, None].to(image) * d1 + v.flatten()[:, None].to(image) * d2
-    ray = on_symbol - eye
-    points = (eye + ray * (-eye[2] / ray[:, 2:])).T
-    torch.testing.assert_close(seen_symbol(points, eye, origin, d1, d2, image), image.flatten())
-    assert not seen_symbol(points * 3, eye, origin, d1, d2, image).any()
-    batch = seen_symbol(torch.stack([points, points]), torch.stack([eye, eye]), origin, d1, d2, image)
-    torch.testing.assert_close(batch[1], image.flatten())

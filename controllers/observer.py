@@ -1,0 +1,79 @@
+"""Symbols that look undistorted for an observer (T 7.2.2, fig. 7.8, 7.9, 7.16): a picture hangs in space, and the road shows it.
+
+The wanted picture is a rectangle in space. Where a ray from the observer's eye passes it and goes on to the road, the road shows what the
+picture has there; the primitive on the road need only be large enough.
+"""
+
+import torch
+from torch import Tensor
+
+from world.texels import TexelGrid, bilinear
+
+
+def seen_symbol(points: Tensor, eye: Tensor, origin: Tensor, d1: Tensor, d2: Tensor, image: Tensor) -> Tensor:
+    """Value `[..., N]` of the flying symbol on the lines from the eye `[..., 3]` to points `[..., 3, N]` (T 7.2.2, fig. 7.9); else zero.
+
+    origin, d1, d2: `[..., 3]` m, the symbol's rectangle; image: `[h, w]` in 0..1, bilinear, texel centres at (k + 1/2) / n.
+    """
+    ray = eye[..., None] - points
+    n = torch.linalg.cross(d1, d2)
+    along = (ray * n[..., None]).sum(-2)
+    q = points - origin[..., None]
+    reach = -(q * n[..., None]).sum(-2) / torch.where(along == 0, 1.0, along)
+    hit = q + reach[..., None, :] * ray
+    n2 = (n * n).sum(-1)[..., None]
+    u = (hit * torch.linalg.cross(d2, n)[..., None]).sum(-2) / n2
+    v = (hit * torch.linalg.cross(n, d1)[..., None]).sum(-2) / n2
+    inside = (along != 0) & (reach < 1) & (u >= 0) & (u <= 1) & (v >= 0) & (v <= 1)
+    rows, cols = image.shape
+    grid = TexelGrid(rows=rows, cols=cols, left=1.0, right=0.0, bottom=0.0, top=1.0)
+    texel, weight = bilinear(grid, v * rows, u * cols)
+    return torch.where(inside, (image.to(points).flatten()[texel] * weight).sum(0), 0.0)
+
+
+def drawing_rectangle(origin: Tensor, d1: Tensor, d2: Tensor, eye: Tensor, at: Tensor, normal: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The smallest rectangle on a plane that holds all that an observer sees through the flying symbol: origin, d1, d2 `[..., 3]` m.
+
+    origin, d1, d2, eye: `[..., 3]` m, the symbol and the observer (T fig. 7.9). at, normal: `[..., 3]`, a point of the plane and its unit
+    normal. Everything of the symbol must lie below the observer's horizon: above it, the corners' images are not numbers.
+    A smallest rectangle around four points has a side along one of their connections.
+    """
+    corners = torch.stack([origin, origin + d1, origin + d1 + d2, origin + d2], -2)
+    ray = corners - eye[..., None, :]
+    down = (ray * normal[..., None, :]).sum(-1)
+    depth = ((at - eye) * normal).sum(-1)[..., None] / down
+    seen = eye[..., None, :] + torch.where(depth > 0, depth, torch.nan)[..., None] * ray
+    first, second = torch.triu_indices(4, 4, 1, device=seen.device)
+    along = torch.nn.functional.normalize(seen[..., second, :] - seen[..., first, :], dim=-1)
+    across = torch.linalg.cross(normal[..., None, :].expand_as(along), along)
+    a = (seen[..., None, :, :] * along[..., :, None, :]).sum(-1)
+    b = (seen[..., None, :, :] * across[..., :, None, :]).sum(-1)
+    low_a, low_b = a.amin(-1), b.amin(-1)
+    size_a, size_b = a.amax(-1) - low_a, b.amax(-1) - low_b
+    best = (size_a * size_b).argmin(-1, keepdim=True)
+
+    def chosen(per_side: Tensor) -> Tensor:
+        return per_side.gather(-1, best)
+
+    along, across = (v.gather(-2, best[..., None].expand(*best.shape, 3))[..., 0, :] for v in (along, across))
+    height = (at * normal).sum(-1, keepdim=True)
+    corner = chosen(low_a) * along + chosen(low_b) * across + height * normal
+    return corner, chosen(size_a) * along, chosen(size_b) * across
+
+
+def sight(eye: Tensor, origin: Tensor, d1: Tensor, d2: Tensor, n: Tensor, qn: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The same without points: from a lamp's rays to the flying symbol is one homography, as from rays to the road is.
+
+    All `[..., 3]` in the lamp's frame: eye and flying symbol, and the road primitive's n = d1 x d2 and qn `[...]` = q.n, turned so that
+    qn > 0. Returns n', u' and v' `[..., 3]`: a ray d that hits the primitive shows the symbol at u'.d / n'.d and v'.d / n'.d, which run
+    from -1 to 1 from border to border, provided n'.d > 0. With the hit point p = qn d / n.d, the eye's line of sight p - e is parallel to
+    qn d - (n.d) e, which is linear in d.
+    """
+    q = origin + (d1 + d2) / 2 - eye
+    across = torch.linalg.cross(d1, d2)
+    turn = torch.where((q * across).sum(-1, keepdim=True) < 0, -1.0, 1.0).to(q)
+
+    def along_rays(a: Tensor) -> Tensor:
+        return turn * (qn[..., None] * a - n * (eye * a).sum(-1, keepdim=True))
+
+    return along_rays(across), along_rays(2 * torch.linalg.cross(d2, q)), along_rays(2 * torch.linalg.cross(q, d1))

@@ -1,0 +1,164 @@
+"""Masks hold all of what they mask, seen from every lamp, and leave no light on it."""
+
+import math
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor
+
+from controllers.functions.geometry import cuboid
+from controllers.functions.glare_free import GlareFreeParams, enlarged
+from controllers.functions.situation import Situation, TrackedObject
+from controllers.primitives import Primitives, concatenate
+from controllers.ssc import Ssc
+from world.frames import inverse, pose_from_degrees, transform
+from world.headlight import Headlight
+from world.presets import idealised, lamp
+
+LAMPS = torch.tensor([[0.0, 0.6, 0.75], [0.0, -0.6, 0.75]], dtype=torch.float64)
+HERE = torch.eye(4, dtype=torch.float64)
+SIZE = (4.5, 1.8, 1.5)
+
+
+def car(x: float, y: float, yaw_deg: float = 180.0, **times: float) -> TrackedObject:
+    return TrackedObject("car", "car", pose_from_degrees((x, y, 0.0), yaw_deg=yaw_deg), SIZE, **times)
+
+
+def now(*objects: TrackedObject, time_s: float = 0.0) -> Situation:
+    return Situation(time_s, HERE, LAMPS, objects)
+
+
+def surface(each: TrackedObject, n: int = 12) -> Tensor:
+    """Points all over the surface of the box, corners and edges among them, `[3, N]` m."""
+    length, width, height = each.size_m
+    low, high = torch.tensor([-length / 2, -width / 2, 0.0]), torch.tensor([length / 2, width / 2, height])
+    origin, d1, d2 = cuboid(each.T_world_object, low, high)
+    s = torch.linspace(0, 1, n, dtype=torch.float64)
+    points = origin[:, None, None] + s[:, None, None] * d1[:, None, None] + s[:, None] * d2[:, None, None]
+    return points.reshape(-1, 3).T
+
+
+def enters(mask: Primitives, eye: Tensor, points: Tensor) -> Tensor:
+    """Which rays from the eye to points `[3, N]` pass a front face, `[N]`: each plane solved by itself."""
+    ray = points - eye[:, None]
+    entered = torch.zeros(points.shape[1], dtype=torch.bool)
+    for p, a, b in zip(mask.origin, mask.d1, mask.d2, strict=True):
+        n = torch.linalg.cross(a, b)
+        along = n @ ray
+        hit = eye[:, None] + ray * ((p - eye) @ n / along) - p[:, None]
+        u, v = (hit * a[:, None]).sum(0) / (a @ a), (hit * b[:, None]).sum(0) / (b @ b)
+        entered |= (along < 0) & ((p - eye) @ n < 0) & (torch.stack([u, v, 1 - u, 1 - v]).amin(0) >= -1e-9)
+    return entered
+
+
+def test_a_cuboid_has_six_faces_that_look_outward() -> None:
+    T = pose_from_degrees((10, 3, 1), 10, 20, 30)
+    low, high = torch.tensor([-1.0, -2.0, 0.0]).double(), torch.tensor([2.0, 3.0, 4.0]).double()
+    origin, d1, d2 = cuboid(T, low, high)
+    middle = origin + (d1 + d2) / 2
+    normal = torch.linalg.cross(d1, d2)
+    assert (((middle - middle.mean(0)) * normal).sum(-1) > 0).all()
+    corners = torch.stack([origin, origin + d1, origin + d2, origin + d1 + d2], 1).reshape(-1, 3)
+    local = transform(inverse(T), corners.T).T
+    assert len(local.round(decimals=6).unique(dim=0)) == 8
+    torch.testing.assert_close(local.amin(0), low)
+    torch.testing.assert_close(local.amax(0), high)
+    assert normal.norm(dim=-1).sum().item() == pytest.approx(2 * (3 * 5 + 3 * 4 + 5 * 4))
+    batch = cuboid(torch.stack([T, HERE]), low, high)
+    torch.testing.assert_close(batch[0][0], origin)
+
+
+@settings(deadline=None, max_examples=40)
+@given(x=st.floats(3.5, 90), y=st.floats(-12, 12), yaw_deg=st.floats(-180, 180), margin_m=st.floats(0, 1.5), margin_deg=st.floats(0, 1))
+def test_the_mask_holds_the_whole_box_seen_from_both_lamps(x: float, y: float, yaw_deg: float, margin_m: float, margin_deg: float) -> None:
+    """Right beside the car too, where a margin would reach around a lamp if it were not cut."""
+    each = car(x, y, yaw_deg)
+    parts = GlareFreeParams(margin_m=margin_m, margin_deg=margin_deg).primitives(now(each))
+    if not parts:
+        assert now().distance_m(each) < 0
+        return
+    mask = parts[0]
+    assert mask.forced.all() and mask.weight.isinf().all() and not mask.value.any()
+    for eye in LAMPS:
+        assert enters(mask, eye, surface(each)).all()
+
+
+def test_the_foot_stays_so_that_the_road_before_it_is_lit() -> None:
+    low, high = enlarged(car(40, 0), 0.5, LAMPS)
+    assert low.tolist() == [-2.75, -1.4, 0.0] and high.tolist() == [2.75, 1.4, 2.0]
+
+
+def test_the_margin_in_degrees_grows_with_the_distance() -> None:
+    params = GlareFreeParams(margin_m=0.0, margin_deg=0.5)
+    (mask,) = params.primitives(now(car(60, 0)))
+    top = mask.corners()[..., 2].max().item()
+    distance = math.hypot(60, 0.6, 0.75)
+    assert top == pytest.approx(1.5 + distance * math.tan(math.radians(0.5)))
+
+
+def test_fades_are_dark_at_once_and_bright_again_slowly() -> None:
+    params = GlareFreeParams(fade_out_s=1.0)
+    each = car(40, 0, since_s=1.0, until_s=5.0)
+
+    def value(time_s: float) -> float:
+        parts = params.primitives(now(each, time_s=time_s))
+        return float(parts[0].value[0]) if parts else 1.0
+
+    assert [value(t) for t in (0.99, 1.0, 3.0, 5.0)] == [1.0, 0.0, 0.0, 0.0]
+    falling = [value(5 + t) for t in (0.1, 0.3, 0.5, 0.7, 0.9)]
+    assert falling == sorted(falling) and falling[2] == pytest.approx(0.5) and value(6.0) == 1.0
+    slow = GlareFreeParams(fade_in_s=1.0).primitives(now(each, time_s=1.5))[0]
+    assert float(slow.value[0]) == pytest.approx(0.5) and slow.weight.isinf().all()
+
+
+def test_soft_zones_are_nested_and_the_mask_lies_on_top() -> None:
+    zones = [{"margin_m": 0.5, "u_rel": 0.3}, {"margin_m": 1.0, "u_rel": 0.6}]
+    mask, inner, outer = GlareFreeParams(soft_zones=zones).primitives(now(car(40, 0)))
+    assert mask.priority[0] > inner.priority[0] > outer.priority[0]
+    assert inner.value[0] == pytest.approx(0.3) and outer.value[0] == pytest.approx(0.6)
+    assert not inner.weight.isinf().any()
+    assert outer.corners()[..., 2].max() > inner.corners()[..., 2].max() > mask.corners()[..., 2].max()
+
+
+def test_only_the_classes_and_distances_meant_are_masked() -> None:
+    person = TrackedObject("p", "pedestrian", pose_from_degrees((20, 2, 0)), (0.4, 0.5, 1.7))
+    assert not GlareFreeParams().primitives(now(person, car(-10, 0), car(300, 0)))
+    assert GlareFreeParams(categories=("pedestrian",)).primitives(now(person))
+    assert not GlareFreeParams(names=("other",)).primitives(now(car(20, 0)))
+
+
+FINE = idealised(60, 200)
+
+
+def light_on(each: TrackedObject, light: Headlight, params: GlareFreeParams, points: Tensor) -> tuple[Tensor, Tensor]:
+    """Intensity in cd towards points `[3, N]` of each lamp, with and without the function, on a full beam."""
+    full = torch.ones(light.n_pixels)
+    ssc = Ssc.prepare(light, default=full)
+    scene = concatenate(*params.primitives(now(each))).to(torch.float32)
+    masked, free = [], []
+    for position in LAMPS.tolist():
+        T = pose_from_degrees(tuple(position))
+        local = transform(inverse(T), points).float()
+        masked.append(light.intensity(light.light_texture(ssc.utilisation(scene, T).u), local))
+        free.append(light.intensity(light.light_texture(full), local))
+    return torch.stack(masked), torch.stack(free)
+
+
+@pytest.mark.parametrize("light", [FINE, lamp("hd84").finest.headlight], ids=["fine", "coarse"])
+@pytest.mark.parametrize(("x", "y"), [(25.0, 2.5), (60.0, -2.0), (12.0, 0.4)])
+@pytest.mark.parametrize("margin", [0.0, 0.2])
+def test_no_light_gets_to_the_box(light: Headlight, x: float, y: float, margin: float) -> None:
+    """Zero, not little: edges and corners included, though texels beside the box are lit and are interpolated with."""
+    each = car(x, y, yaw_deg=170.0)
+    masked, free = light_on(each, light, GlareFreeParams(margin_m=margin, margin_deg=margin), surface(each))
+    assert free.max() > 100
+    assert masked.max() == 0
+
+
+def test_light_far_beside_the_box_stays() -> None:
+    each = car(40.0, 0.0)
+    beside = torch.tensor([[40.0, 40.0], [4.0, -4.0], [0.5, 0.5]], dtype=torch.float64)
+    masked, free = light_on(each, FINE, GlareFreeParams(), beside)
+    torch.testing.assert_close(masked, free)
