@@ -1,12 +1,26 @@
 """What an observer sees of a symbol on the road is the picture that he shall see."""
 
 import math
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
 
+from controllers.functions.situation import Situation
+from controllers.functions.symbol import SymbolFunctionParams
+from controllers.mrpc import reduce_setpoints
 from controllers.observer import drawing_rectangle, seen_symbol, sight
+from controllers.primitives import load_symbol
+from controllers.rthc import trace
+from controllers.secondary import hit_points
+from controllers.ssc import Ssc
+from controllers.symbols import Still
+from perception.metrics import iou
+from world.frames import inverse, pose_from_degrees, transform
+from world.presets import lamp
 
+SYMBOLS = Path(__file__).parents[2] / "scenarios" / "symbols"
 UP = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
 
 
@@ -41,7 +55,7 @@ def test_what_is_above_the_horizon_cannot_be_drawn() -> None:
 def test_the_observer_sees_the_image_upright(device: torch.device) -> None:
     image = torch.rand(4, 6, dtype=torch.float64, device=device)
     origin, d1, d2, eye = (v.to(device) for v in flying())
-    u, v = torch.meshgrid((torch.arange(6) + 0.5) / 6, (torch.arange(4) + 0.5) / 4, indexing="xy")
+    u, v = torch.meshgrid((torch.arange(6.0).double() + 0.5) / 6, (torch.arange(4.0).double() + 0.5) / 4, indexing="xy")
     on_symbol = origin + u.flatten()[:, None].to(image) * d1 + v.flatten()[:, None].to(image) * d2
     ray = on_symbol - eye
     points = (eye + ray * (-eye[2] / ray[:, 2:])).T
@@ -69,3 +83,46 @@ def test_lines_of_sight_are_a_homography_of_rays() -> None:
     for coordinate, image in ((u, ramp), (v, ramp.T)):
         expected = (((coordinate / across + 1) / 2 * 8 - 0.5) / 7).clamp(0, 1)
         torch.testing.assert_close(seen_symbol(points, eye, origin, d1, d2, image), torch.where(inside, expected, 0.0))
+
+
+# Eye, and the picture's middle, width and height: as large as the field of the lamp, 14 x 7 deg, lets it be.
+OBSERVERS = {
+    "driver": ((-1.6, 0.35, 1.3), (9.0, 0.0, 0.4), 1.0, 0.2),
+    "cyclist": ((28.0, 2.5, 1.6), (21.0, 1.5, 0.8), 0.6, 0.2),
+    "pedestrian": ((14.0, 6.0, 1.6), (13.7, 3.1, 0.72), 1.0, 0.25),
+}
+
+
+@pytest.fixture(scope="module")
+def ssc() -> Ssc:
+    return Ssc.prepare(lamp("dmd-1m3").finest.headlight)
+
+
+@pytest.mark.parametrize("who", OBSERVERS)
+def test_the_observer_sees_what_he_shall_see(who: str, ssc: Ssc) -> None:
+    """IoU of what is lit more than half as bright as the lamp can, with the wanted image, in a camera that looks through the picture."""
+    eye_m, centre_m, width_m, height_m = OBSERVERS[who]
+    image, light, T = load_symbol(SYMBOLS / "chevrons.png"), ssc.headlight, pose_from_degrees((0.0, 0.6, 0.75))
+    observer = {"eye_m": eye_m, "centre_m": centre_m, "width_m": width_m, "height_m": height_m}
+    now = Situation(0.0, torch.eye(4, dtype=torch.float64), T[None, :3, 3], symbols={"a": Still(image)})
+    (p,) = SymbolFunctionParams(image="a", observer=observer).primitives(now)
+    p = p.to(torch.float32)
+    assert p.observer is not None
+    picture = [v[0] for v in (p.observer.eye, p.observer.origin, p.observer.d1, p.observer.d2)]
+
+    white = replace(p, symbols=(torch.ones(1, 1),), observer=None)
+    setpoints = trace(white, light, T)
+    points, _ = hit_points(setpoints, white, light, T)
+    value = seen_symbol(points, *picture, image) * setpoints.hit.flatten()
+    u, _ = reduce_setpoints(replace(setpoints, value=value.view_as(setpoints.value)), ssc.pixels, ssc.params, ssc.default, True)
+
+    rows, cols = round(640 * height_m / width_m), 640
+    x, y = torch.meshgrid((torch.arange(cols) + 0.5) / cols, (torch.arange(rows) + 0.5) / rows, indexing="xy")
+    eye, origin, d1, d2 = picture
+    ray = origin + x[..., None] * d1 + y[..., None] * d2 - eye
+    road = (eye + ray * (-eye[2] / ray[..., 2:])).flatten(0, 1).T
+    local = transform(inverse(T).float(), road)
+    lit, full = (light.intensity(light.light_texture(each), local) for each in (u, torch.ones_like(u)))
+    assert full.min() > 0  # all of the picture lies in the lamp's field
+    wanted = seen_symbol(road, *picture, image).view(rows, cols) > 0.5
+    assert iou((lit > full / 2).view(rows, cols), wanted) >= 0.97  # 0.983, 0.983 and 0.979

@@ -1,12 +1,18 @@
 """Secondary rays against geometry that can be written down."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 import trimesh
 
-from controllers.secondary import Light, less_street_light, scene_caster, seen_by, shares, street_light
+from controllers.mrpc import reduce_setpoints
+from controllers.primitives import concatenate, rectangle
+from controllers.rthc import trace
+from controllers.secondary import Caster, Light, SecondaryRays, hit_points, less_street_light, scene_caster, seen_by, shares, street_light
+from controllers.ssc import Ssc
 from world.body import Body, PoseTrack
-from world.frames import pose_from_degrees
+from world.frames import inverse, pose_from_degrees, transform
 from world.presets import idealised
 from world.scene import Scene, StreetLamp
 
@@ -76,3 +82,83 @@ def test_street_light_is_taken_off_and_never_below_zero() -> None:
     torch.testing.assert_close(together, street.clamp(min=wanted_lx))
     dark = street_light(points, UP[:, None], [lamp], lambda p, _: torch.ones(p.shape[1], dtype=torch.bool))
     assert not dark.any()
+
+
+FINE = idealised(166, 512)
+POSES = [pose_from_degrees((0.0, y, 0.75)) for y in (0.6, -0.6)]
+WANTED_LX = 4.0
+
+
+def carpet(width_m: float = 1.6, near_m: float = 12.0, far_m: float = 18.0, **more):  # type: ignore[no-untyped-def]
+    origin, d1, d2 = torch.tensor([[far_m, width_m / 2, 0], [0, -width_m, 0], [near_m - far_m, 0, 0]])
+    return rectangle(origin, d1, d2, WANTED_LX, "E_v", normal=UP, **more)
+
+
+def illuminance(points: torch.Tensor, primitives, occluded: Caster | None = None, street: tuple = ()) -> torch.Tensor:  # type: ignore[no-untyped-def, type-arg]
+    """lx on the road at points, of each lamp that sees them: `[2, N]`."""
+    ssc = Ssc.prepare(FINE)
+    lights = tuple((name, Light.of(FINE, T)) for name, T in zip(("left hires", "right hires"), POSES, strict=True))
+    total = []
+    for own, T in enumerate(POSES):
+        setpoints = trace(primitives, FINE, T)
+        setpoints = SecondaryRays(lights, own, street, occluded).adjusted(setpoints, primitives, FINE, T)
+        u, _ = reduce_setpoints(setpoints, ssc.pixels, ssc.params, ssc.default, True)
+        intensity = FINE.intensity(FINE.light_texture(u), transform(inverse(T), points).float())
+        away = T[:3, 3:] - points
+        light = intensity * away[2] / away.norm(dim=0) ** 3
+        total.append(light if occluded is None else light * ~occluded(points, T[:3, 3]))
+    return torch.stack(total)
+
+
+def inner(n: int = 300) -> torch.Tensor:
+    xy = torch.rand(2, n, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    return torch.stack([12.5 + 5 * xy[0], 1.2 * xy[1] - 0.6, torch.zeros(n, dtype=torch.float64)])
+
+
+def test_two_lamps_give_together_what_is_wanted() -> None:
+    """Within 3 %: a pixel averages over the rays that it lights, between which the setpoint changes."""
+    light = illuminance(inner(), carpet())
+    assert light.amin() > 0.3 * WANTED_LX
+    torch.testing.assert_close(light.sum(0), torch.full((300,), WANTED_LX).double(), rtol=0.03, atol=0)
+
+
+def test_only_modules_that_may_draw_take_a_share() -> None:
+    light = illuminance(inner(), carpet(modules=("left",)))
+    torch.testing.assert_close(light[0], torch.full((300,), WANTED_LX).double(), rtol=0.03, atol=0)
+
+
+def test_the_free_lamp_makes_up_for_the_blocked_one() -> None:
+    occluded = scene_caster(Scene((Body("road", trimesh.creation.box((1, 1, 1))), box(6.0, 0.35, 0.4, (0.1, 0.3, 0.8)))).at(0.0))
+    points = inner()
+    blocked = occluded(points, POSES[0][:3, 3])
+    assert 20 < blocked.sum() < 200
+    light = illuminance(points, carpet(), occluded).sum(0)
+    free = ~occluded(points, POSES[1][:3, 3])
+    # Beside the shadow's edge, pixels average over rays with and without it.
+    assert ((light[free] - WANTED_LX).abs() < 0.05 * WANTED_LX).double().mean() > 0.85
+
+
+def test_street_lamps_are_made_up_to_what_is_wanted() -> None:
+    street = (StreetLamp(position_m=(15.0, 0.0, 6.0), intensity_cd=100.0),)
+    points = inner()
+    given = street_light(points, UP[:, None], street)
+    torch.testing.assert_close(
+        illuminance(points, carpet(), street=street).sum(0) + given, torch.full((300,), WANTED_LX).double(), rtol=0.03, atol=0
+    )
+
+
+def test_hit_points_lie_on_the_primitives_that_were_hit() -> None:
+    scene = concatenate(carpet(near_m=15), carpet(near_m=13, far_m=14))
+    setpoints = trace(scene, FINE, POSES[0])
+    points, normals = hit_points(setpoints, scene, FINE, POSES[0])
+    hit = setpoints.hit.flatten()
+    assert points[2, hit].abs().max() < 1e-5 and (normals[2, hit] == 1).all()
+    assert points[0, hit].min() == pytest.approx(13, abs=0.2) and points[0, hit].max() == pytest.approx(18, abs=0.2)
+    assert not ((points[0, hit] > 14.01) & (points[0, hit] < 14.99)).any()
+
+
+def test_utilisations_are_not_shared() -> None:
+    scene = replace(carpet(), quantity=torch.tensor([2]))
+    setpoints = trace(scene, FINE, POSES[0])
+    lights = tuple((str(k), Light.of(FINE, T)) for k, T in enumerate(POSES))
+    torch.testing.assert_close(SecondaryRays(lights, 0).adjusted(setpoints, scene, FINE, POSES[0]).value, setpoints.value)
