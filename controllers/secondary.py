@@ -1,16 +1,16 @@
 """Secondary rays (T 7.5.1): what else is known of the point that a ray hits, from its sight of observers, lamps and street lamps.
 
-All functions take points as the world has them, `[..., 3, N]` in m, and are pure: `controllers.rthc.trace` has the points.
+All functions are pure and take points as the world has them, `[..., 3, N]` in m.
 """
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from controllers.primitives import U_ABS, Primitives
-from controllers.rthc import Setpoints
+from controllers.windows import Window
 from world.frames import inverse, transform
 from world.headlight import Headlight
 from world.raycast import first_hits
@@ -61,10 +61,9 @@ class Light:
         return intensity / (x * x + y * y + z * z)
 
 
-def shares(lights: Sequence[Light], points: Tensor, occluded: Caster | None = None, may: Tensor | None = None) -> Tensor:
+def shares(lights: Sequence[Light], points: Tensor, occluded: Caster | None = None) -> Tensor:
     """Which share of a setpoint each light takes, `[L, ..., N]`: in proportion to what it can give there (T 7.5.1).
 
-    may: `[L, ..., N]` bool, which lights are meant at all, by default all of them.
 
     They add up to one where any light gets to, so light is not doubled; a light that something blocks takes none, and the others
     compensate. Two cars that draw one symbol together are lights of one list.
@@ -73,8 +72,6 @@ def shares(lights: Sequence[Light], points: Tensor, occluded: Caster | None = No
     if occluded is not None:
         for light, at_points in zip(lights, possible, strict=True):
             at_points *= ~_cast(occluded, points, light.T_world_headlight[:3, 3])
-    if may is not None:
-        possible = possible * may
     total = possible.sum(0)
     return torch.where(total > 0, possible / torch.where(total > 0, total, 1.0), 0.0)
 
@@ -116,9 +113,9 @@ def _cast(occluded: Caster, points: Tensor, target: Tensor) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class SecondaryRays:
-    """What a module's rays ask where they hit, after the primary rays.
+    """What a module's rays ask where they hit a primitive.
 
-    lights: all modules that may draw, of all lamps and cars that draw together, by name. own: which of them the setpoints are for.
+    lights: all modules that may draw, of all lamps and cars that draw together, with their names. own: which of them the rays are of.
     street_lamps: whose light is taken off. occluded: what blocks secondary rays, nothing where it is None.
     """
 
@@ -127,54 +124,46 @@ class SecondaryRays:
     street_lamps: tuple[StreetLamp, ...] = ()
     occluded: Caster | None = None
 
-    def adjusted(self, setpoints: Setpoints, primitives: Primitives, grid: TexelGrid, T_world_headlight: Tensor) -> Setpoints:
-        """Setpoints less the street lamps' light, shared among the lights that may draw, and off where their observer cannot see them.
+    def ask(self, primitives: Primitives, p: int) -> bool:
+        """Whether the p-th primitive's setpoint may change: utilisations say themselves what each module does."""
+        return int(primitives.quantity[p]) < U_ABS or self._watched(primitives, p)
 
-        Only setpoints in cd and lx are shared and lessened: a utilisation says itself what each module does.
+    def adjusted(self, value: Tensor, points: Tensor, primitives: Primitives, p: int) -> Tensor:
+        """Setpoints `[..., rows, cols]` of the p-th primitive at its points `[..., 3, rows, cols]` m.
+
+        In cd and lx they are lessened by the street lamps' light and shared among the lights that may draw. What the primitive's observer
+        cannot see is off.
         """
-        if not len(primitives) or not setpoints.value.numel():
-            return setpoints
-        w = setpoints.window
-        points, normals = hit_points(setpoints, primitives, grid, T_world_headlight)
-        winner = setpoints.winner.long().flatten(-2) if setpoints.winner is not None else torch.zeros_like(points[..., 0, :]).long()
-        value, hit = setpoints.value.flatten(-2), setpoints.hit.flatten(-2)
-        physical = (primitives.quantity < U_ABS).to(value.device)[winner] & hit
-        wanted = value
-        if self.street_lamps:
-            street = street_light(points, normals, self.street_lamps, self.occluded)
-            wanted = less_street_light(wanted, street, points, normals, T_world_headlight[:3, 3])
-        may = torch.tensor([[may_draw(names, name) for names in primitives.modules] for name, _ in self.lights])
-        taken = shares([light for _, light in self.lights], points, self.occluded, may.to(value.device)[:, winner])[self.own]
-        value = torch.where(physical, wanted * taken, value)
-        if self.occluded is not None and primitives.observer is not None:
-            for p in primitives.observer.active.nonzero()[:, 0].tolist():
-                unseen = _cast(self.occluded, points, primitives.observer.eye[..., p, :])
-                value = torch.where(hit & (winner == p) & unseen, 0.0, value)
-        size = (w.row_stop - w.row_start, w.col_stop - w.col_start)
-        return replace(setpoints, value=value.unflatten(-1, size))
+        size, value, points = value.shape[-2:], value.flatten(-2), points.flatten(-2)
+        if int(primitives.quantity[p]) < U_ABS:
+            names, normals = primitives.modules[p], primitives.normal[..., p, :, None]
+            if self.street_lamps:
+                street = street_light(points, normals, self.street_lamps, self.occluded)
+                value = less_street_light(value, street, points, normals, self.lights[self.own][1].T_world_headlight[:3, 3])
+            drawing = [k for k, (name, _) in enumerate(self.lights) if k == self.own or may_draw(names, name)]
+            value = value * shares([self.lights[k][1] for k in drawing], points, self.occluded)[drawing.index(self.own)]
+        if self.occluded is not None and primitives.observer is not None and self._watched(primitives, p):
+            value = value * seen_by(points, primitives.observer.eye[..., p, :], self.occluded)
+        return value.unflatten(-1, size)
+
+    def _watched(self, primitives: Primitives, p: int) -> bool:
+        return self.occluded is not None and primitives.observer is not None and bool(primitives.observer.active[p])
 
 
-def hit_points(setpoints: Setpoints, primitives: Primitives, grid: TexelGrid, T_world_headlight: Tensor) -> tuple[Tensor, Tensor]:
-    """Where the rays of a window hit their primitives, and the primitives' normals there, both `[..., 3, rows * cols]`.
+def hit_points(primitives: Primitives, p: int, grid: TexelGrid, T_world_headlight: Tensor, window: Window) -> Tensor:
+    """Where the rays through a window's texels meet the plane of the p-th primitive, `[..., 3, rows, cols]` m in the world.
 
-    Where nothing is hit, the point lies a metre before the lamp.
+    Rays that never meet it end a metre before the lamp.
     """
-    rows, cols = setpoints.window.slices
+    rows, cols = window.slices
     y, z = grid.tangents(primitives.origin.dtype, primitives.origin.device)
     y, z = torch.broadcast_tensors(y[cols], z[rows, None])
     T = T_world_headlight.to(y)
-    ray = T[:3, :3] @ torch.stack([torch.ones_like(y), y, z]).flatten(1)
-    winner = setpoints.winner.long().flatten(-2) if setpoints.winner is not None else torch.zeros_like(setpoints.hit).long().flatten(-2)
-
-    def won(vectors: Tensor) -> Tensor:
-        vectors = vectors.expand(*winner.shape[:-1], *vectors.shape[-2:])
-        return vectors.gather(-2, winner[..., None].expand(*winner.shape, 3)).transpose(-1, -2)
-
-    n = won(torch.linalg.cross(primitives.d1, primitives.d2))
-    along = (n * ray).sum(-2)
-    hit = setpoints.hit.flatten(-2) & (along != 0)
-    x = ((won(primitives.origin) - T[:3, 3:]) * n).sum(-2) / torch.where(hit, along, 1.0)
-    return T[:3, 3:] + torch.where(hit, x, 1.0)[..., None, :] * ray, won(primitives.normal)
+    ray = torch.einsum("ij,jrc->irc", T[:3, :3], torch.stack([torch.ones_like(y), y, z]))
+    n = torch.linalg.cross(primitives.d1[..., p, :], primitives.d2[..., p, :])
+    along = torch.einsum("...i,irc->...rc", n, ray)
+    x = ((primitives.origin[..., p, :] - T[:3, 3]) * n).sum(-1)[..., None, None] / torch.where(along == 0, 1.0, along)
+    return T[:3, 3, None, None] + torch.where((along != 0) & (x > 0), x, 1.0)[..., None, :, :] * ray
 
 
 def may_draw(names: Sequence[str], module: str) -> bool:

@@ -112,7 +112,7 @@ def test_the_observer_sees_what_he_shall_see(who: str, ssc: Ssc) -> None:
 
     white = replace(p, symbols=(torch.ones(1, 1),), observer=None)
     setpoints = trace(white, light, T)
-    points, _ = hit_points(setpoints, white, light, T)
+    points = hit_points(white, 0, light, T, setpoints.window).flatten(-2)
     value = seen_symbol(points, *picture, image) * setpoints.hit.flatten()
     u, _ = reduce_setpoints(replace(setpoints, value=value.view_as(setpoints.value)), ssc.pixels, ssc.params, ssc.default, True)
 

@@ -7,7 +7,7 @@ import torch
 import trimesh
 
 from controllers.mrpc import reduce_setpoints
-from controllers.primitives import concatenate, rectangle
+from controllers.primitives import Observer, rectangle
 from controllers.rthc import trace
 from controllers.secondary import Caster, Light, SecondaryRays, hit_points, less_street_light, scene_caster, seen_by, shares, street_light
 from controllers.ssc import Ssc
@@ -101,7 +101,9 @@ def illuminance(points: torch.Tensor, primitives, occluded: Caster | None = None
     total = []
     for own, T in enumerate(POSES):
         setpoints = trace(primitives, FINE, T)
-        setpoints = SecondaryRays(lights, own, street, occluded).adjusted(setpoints, primitives, FINE, T)
+        points_hit = hit_points(primitives, 0, FINE, T, setpoints.window)
+        value = SecondaryRays(lights, own, street, occluded).adjusted(setpoints.value, points_hit, primitives, 0)
+        setpoints = replace(setpoints, value=value)
         u, _ = reduce_setpoints(setpoints, ssc.pixels, ssc.params, ssc.default, True)
         intensity = FINE.intensity(FINE.light_texture(u), transform(inverse(T), points).float())
         away = T[:3, 3:] - points
@@ -147,18 +149,32 @@ def test_street_lamps_are_made_up_to_what_is_wanted() -> None:
     )
 
 
-def test_hit_points_lie_on_the_primitives_that_were_hit() -> None:
-    scene = concatenate(carpet(near_m=15), carpet(near_m=13, far_m=14))
-    setpoints = trace(scene, FINE, POSES[0])
-    points, normals = hit_points(setpoints, scene, FINE, POSES[0])
-    hit = setpoints.hit.flatten()
-    assert points[2, hit].abs().max() < 1e-5 and (normals[2, hit] == 1).all()
-    assert points[0, hit].min() == pytest.approx(13, abs=0.2) and points[0, hit].max() == pytest.approx(18, abs=0.2)
-    assert not ((points[0, hit] > 14.01) & (points[0, hit] < 14.99)).any()
+def test_hit_points_lie_on_the_plane() -> None:
+    p = carpet()
+    setpoints = trace(p, FINE, POSES[0])
+    points = hit_points(p, 0, FINE, POSES[0], setpoints.window)[:, setpoints.hit]
+    assert points[2].abs().max() < 1e-5
+    assert points[0].min() == pytest.approx(12.26, abs=0.05) and points[0].max() == pytest.approx(18, abs=0.05)  # 3.5 deg down
+    assert points[1].abs().max() == pytest.approx(0.8, abs=0.01)
+    upward = hit_points(p, 0, FINE, pose_from_degrees((0, 0, 0.75), pitch_deg=-30), setpoints.window)
+    assert upward.isfinite().all() and upward[0].max() < 2
+
+
+def test_what_the_observer_cannot_see_is_off() -> None:
+    occluded = scene_caster(Scene((Body("road", trimesh.creation.box((1, 1, 1))), box(4, 0, 0.6, (0.2, 1.0, 0.8)))).at(0.0))
+    eye = torch.tensor([[0.0, 0.0, 1.3]])
+    watched = replace(carpet(), quantity=torch.tensor([2]), observer=Observer(eye, eye, eye, eye, torch.tensor([True])))
+    setpoints = trace(replace(watched, observer=None), FINE, POSES[0])
+    points = hit_points(watched, 0, FINE, POSES[0], setpoints.window)
+    rays = SecondaryRays((("left", Light.of(FINE, POSES[0])),), 0, occluded=occluded)
+    assert rays.ask(watched, 0) and not rays.ask(replace(watched, observer=None), 0)
+    value = rays.adjusted(setpoints.value, points, watched, 0)
+    hidden = occluded(points.flatten(-2), eye[0]).view_as(value)
+    assert (hidden & setpoints.hit).any() and (~hidden & setpoints.hit).any()
+    torch.testing.assert_close(value, setpoints.value * ~hidden)
 
 
 def test_utilisations_are_not_shared() -> None:
     scene = replace(carpet(), quantity=torch.tensor([2]))
-    setpoints = trace(scene, FINE, POSES[0])
     lights = tuple((str(k), Light.of(FINE, T)) for k, T in enumerate(POSES))
-    torch.testing.assert_close(SecondaryRays(lights, 0).adjusted(setpoints, scene, FINE, POSES[0]).value, setpoints.value)
+    assert not SecondaryRays(lights, 0).ask(scene, 0) and SecondaryRays(lights, 0).ask(carpet(), 0)
