@@ -22,9 +22,9 @@ def solve(
     """u `[..., n]` in `0..upper` with the least `sum (weight * distance of A u from low..high)^2` (T 3.5.2).
 
     matrix: A `[m, n]`, several modules side by side. low, high: `[..., m]`, the wanted values, or bounds between which any value is
-    welcome, infinite where there is none; high is low unless given. weight: `[m]` or `[..., m]`, 1 by default. upper: `[n]`, 1 by
-    default. start: `[..., n]`, taken up warm; a pixel that reaches no row keeps it. Stops when ten steps in a row move no pixel by more
-    than the tolerance. Accelerated projected gradient with restarts, all batch entries at once.
+    welcome, infinite where there is none; high is low unless given. weight: `[m]` or `[..., m]`, 1 by default. upper: `[n]` or
+    `[..., n]`, 1 by default. start: `[..., n]`, taken up warm; a pixel that reaches no row keeps it. Stops when ten steps in a row move no
+    pixel by more than the tolerance. Accelerated projected gradient with restarts, all batch entries at once.
     """
     high = low if high is None else high
     squared = torch.ones_like(low) if weight is None else weight.to(low).square().expand(low.shape)

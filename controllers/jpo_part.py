@@ -1,0 +1,103 @@
+"""The part of a joint optimisation that is not decided beforehand: some pixels, and the texels that they light.
+
+Luminous intensities are not negative. So what a texel that shall be dark gets is its error, proportional to every utilisation, and what
+other pixels give is only taken off the setpoint. A pixel that no texel with a positive setpoint is lit by can only do harm and is off in
+every optimum. For a symbol a few hundred of 16 k pixels are left.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from world.errors import LuxloopError
+from world.headlight import Headlight
+from world.spmv import Csr, multiply
+
+HARD = 1_000.0  # what an infinite weight on light counts, since light cannot be forced on a lamp; darkness can
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """Setpoints of all texels, and which pixels may be changed to reach them.
+
+    target: `[..., n_t]` cd. weight: `[..., n_t]`, finite and not negative. start: `[..., n_p]` in 0..1. free: `[..., n_p]` bool; all other
+    pixels keep their start.
+    """
+
+    target: Tensor
+    weight: Tensor
+    start: Tensor
+    free: Tensor
+
+
+def wanted(
+    headlight: Headlight, texture: Tensor, weight: Tensor | None = None, start: Tensor | None = None, free: Tensor | None = None
+) -> Wanted:
+    """What a light texture `[..., rows, cols]` in cd asks of a lamp.
+
+    weight: `[..., rows, cols]`, 0 to infinity, 1 by default. start: `[..., n_p]`, by default what SSC with a_m = a_r = 1 gives. free:
+    `[..., n_p]` bool, by default all. A pixel that reaches a texel of infinite weight that shall be dark is off, and not free.
+    Raises LuxloopError where a texture is not of the headlight's size or a start not of its number of pixels.
+    """
+    size = (headlight.rows, headlight.cols)
+    for name, given in (("wanted light texture", texture), ("weight of a wanted light texture", weight)):
+        if given is not None and tuple(given.shape[-2:]) != size:
+            raise LuxloopError(f"the {name} is of shape {list(given.shape)}; {headlight.name!r} needs {size[0]} rows by {size[1]} columns")
+    if start is not None and start.shape[-1] != headlight.n_pixels:
+        raise LuxloopError(
+            f"the start has {start.shape[-1]} pixels and {headlight.name!r} has {headlight.n_pixels}: give one utilisation each"
+        )
+    transposed = headlight.matrix.transposed
+    target = texture.flatten(-2)
+    weight = torch.ones_like(target) if weight is None else weight.flatten(-2).to(target).expand_as(target)
+    masked = reaching(transposed, weight.isinf() & (target <= 0))
+    weight = weight.masked_fill(weight.isinf(), HARD)
+    if start is None:
+        reach = multiply(headlight.matrix, target.new_ones(headlight.n_pixels))
+        share = torch.where(reach > 0, (target / reach).clamp(0, 1), 0.0)
+        start = multiply(transposed, weight * share) / multiply(transposed, weight).clamp(min=torch.finfo(target.dtype).tiny)
+    start = start.to(target).expand_as(masked).masked_fill(masked, 0.0)
+    return Wanted(target, weight, start, ~masked if free is None else free & ~masked)
+
+
+def reaching(transposed: Csr, texels: Tensor) -> Tensor:
+    """Pixels that light any of these texels, `[..., n_p]` bool of `[..., n_t]` bool; the matrix is given pixel-major."""
+    return multiply(transposed, texels.to(transposed.values)) > 0
+
+
+def submatrix(matrix: Csr, rows: Tensor, cols: Tensor) -> Csr:
+    """`A[rows][:, cols]` for ascending rows and columns, at the cost of the entries in these rows."""
+    number = torch.full((matrix.n_cols,), -1, dtype=torch.int32, device=cols.device)
+    number[cols] = torch.arange(len(cols), dtype=torch.int32, device=cols.device)
+    row, entry = _entries(matrix, rows)
+    col = number[matrix.indices[entry]]
+    kept = col >= 0
+    stop = torch.bincount(row[kept], minlength=len(rows)).cumsum(0)
+    return Csr(torch.nn.functional.pad(stop, (1, 0)).int(), col[kept], matrix.values[entry[kept]], len(cols))
+
+
+def anywhere(mask: Tensor) -> Tensor:
+    """Whether any batch entry has it: `[n]` of `[..., n]`."""
+    return mask.reshape(-1, mask.shape[-1]).any(0)
+
+
+def reached_rows(transposed: Csr, cols: Tensor) -> Tensor:
+    """Texels that these pixels light, bool `[n_t]`; the matrix is given pixel-major."""
+    lit = torch.zeros(transposed.n_cols, dtype=torch.bool, device=cols.device)
+    lit[transposed.indices[_entries(transposed, cols)[1]].long()] = True
+    return lit
+
+
+def _entries(matrix: Csr, rows: Tensor) -> tuple[Tensor, Tensor]:
+    """Of all entries in these rows: which of the rows, and where it is stored."""
+    start, stop = matrix.indptr[:-1].long()[rows], matrix.indptr[1:].long()[rows]
+    row = torch.repeat_interleave(torch.arange(len(rows), device=rows.device), stop - start)
+    before = (stop - start).cumsum(0) - (stop - start)
+    return row, torch.arange(len(row), device=rows.device) + (start - before)[row]
+
+
+def without_fixed(matrix: Csr, goal: Wanted) -> Tensor:
+    """What the free pixels have to give: the setpoint less the light of all others, `[..., n_t]`."""
+    fixed = torch.where(goal.free, 0.0, goal.start)
+    return goal.target - multiply(matrix, fixed) if bool(fixed.any()) else goal.target
