@@ -1,7 +1,6 @@
 """Pictures of headlamps: beams on a wall, on the road, for the driver and in fog; pixels and light textures."""
 
 import math
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from loop.report import STYLE
 from loop.scenario import HeadlightParams, Scenario
 from loop.validation import did_you_mean
 from world.errors import LuxloopError
+from world.files import whole
 from world.lamp import Lamp
 from world.volumetric import Medium
 
@@ -90,16 +90,8 @@ def check_format(out: Path) -> None:
 def write(figure: Figure, out: Path) -> None:
     """Save a figure, whole or not at all. Raises LuxloopError where the file cannot be written."""
     FigureCanvasAgg(figure)
-    part = out.with_name(f".{out.name}.part")
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            figure.savefig(part, format=out.suffix[1:].lower())
-            os.replace(part, out)
-        finally:
-            part.unlink(missing_ok=True)
-    except OSError as error:
-        raise LuxloopError(f"{out}: cannot be written ({error.strerror or error}); give another file") from error
+    with whole(out) as part:
+        figure.savefig(part, format=out.suffix[1:].lower())
 
 
 def _style(view: str, style: str | None) -> str:

@@ -17,6 +17,7 @@ from world.ambient import ambient_luminance
 from world.face_source import FaceSource, face_source
 from world.frames import R_ISO_OPENCV, pose, pose_from_degrees
 from world.gbuffer import GBuffer, gbuffer
+from world.headlight import LUMINANCE
 from world.lamp import Lamp, direction
 from world.shadow import ShadowMap, shadow_map
 from world.sources import Source, sources, surface_light
@@ -31,7 +32,7 @@ BIRDSEYE_HEIGHT_M = 300.0  # of the pinhole: a body 1.5 m high, 50 m aside, is s
 FARTHEST_M = 400.0  # that a ray through fog is followed where it meets nothing
 NIGHT_LX = 0.03  # a clouded night near a town; by full moon it is ten times as much
 NEAR_BY = 0.05  # of its distance, that a pixel may be off a place on the road: a row spans so much of the road far ahead
-LUMINANCE_OF_RGB = np.array([0.2126, 0.7152, 0.0722], np.float32)  # linear sRGB
+LUMINANCE_OF_RGB = np.array(LUMINANCE, np.float32)
 Image = NDArray[np.floating]
 
 

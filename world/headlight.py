@@ -9,6 +9,8 @@ from torch import Tensor
 from world.spmv import Csr, SparseFormat, build, fastest, multiply
 from world.texels import TexelGrid, bilinear
 
+LUMINANCE = (0.2126, 0.7152, 0.0722)  # of the channels of linear sRGB
+
 
 @dataclass(frozen=True, kw_only=True)
 class Headlight(TexelGrid):

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from world.errors import LuxloopError
 from world.files import UNREADABLE
+from world.headlight import LUMINANCE
 from world.photometry.distribution import EDGE_DEG, Array, Distribution
-from world.pixels import LUMINANCE, Pixel, PixelArray
+from world.pixels import Pixel, PixelArray
 
 ANGLES = ("horizontal_deg", "vertical_deg")
 CHANNELS = ("red", "green", "blue")
@@ -183,7 +184,7 @@ def _pixel(path: Path, name: str, v: Any, h: Any, candela: Any, rgb: Any | None)
             return Pixel(_distribution(v, h, candela))
         if not (np.isfinite(rgb).all() and (rgb >= 0).all()):
             raise LuxloopError("colours must be finite and not negative")
-        luminance = rgb @ LUMINANCE
+        luminance = rgb @ np.array(LUMINANCE)
         white = luminance <= 0
         share = np.where(white[..., None], 1.0, rgb / np.where(white, 1.0, luminance)[..., None])
         red, green, blue = (_distribution(v, h, candela * each) for each in np.moveaxis(share, -1, 0))

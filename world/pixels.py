@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
 from world.errors import LuxloopError
+from world.headlight import LUMINANCE
 from world.photometry.distribution import EDGE_DEG, Aim, Array, Distribution, directions_of
 from world.photometry.texture import PROBES, Window, light_texture, squared_error
 from world.texels import LARGEST_ANGLE_DEG, TexelGrid
 
 CUTOFF = 1e-4  # share of a pixel's peak below which its light is left out: fewer entries, and next to nothing is lost
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB
 MOST_TEXELS = 2048  # along a side, unless a user wants more
 TEXELS_A_PIXEL = 4  # along a side at least, since symbols need rays between pixels
 FEWEST_PROBES = 1024  # directions in which a pixel is compared with its source, where there are many
@@ -211,6 +211,6 @@ def _at(wanted: NDArray[np.intp], texel: NDArray[np.intp], light: Array, grid: T
 
 def _chroma(channels: Array) -> Array:
     """Linear sRGB `[3, N]` at luminance 1; white where there is no light."""
-    luminance = LUMINANCE @ channels
+    luminance = np.array(LUMINANCE) @ channels
     dark = luminance <= 0
     return np.where(dark, 1.0, channels / np.where(dark, 1.0, luminance))

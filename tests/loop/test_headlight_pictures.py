@@ -265,7 +265,7 @@ def test_a_scenario_is_shown_at_full_size(lamps: dict[str, Lamp], tmp_path: Path
 @pytest.mark.parametrize("view", ["wall", "pixels", "overview"])
 @pytest.mark.usefixtures("quick")
 def test_a_dark_lamp_can_be_shown(view: str, lamps: dict[str, Lamp], tmp_path: Path) -> None:
-    file = show({"right": lamps["right"]}, tmp_path / "new" / "dark.jpg", beam="off", view=view)
+    file = show({"right": lamps["right"]}, tmp_path / "dark.jpg", beam="off", view=view)
     assert cv2.imread(str(file)) is not None
 
 

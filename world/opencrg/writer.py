@@ -1,11 +1,11 @@
 """Write OpenCRG files of all four data kinds."""
 
-import os
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from world.files import whole
 from world.opencrg.crg import KINDS, TEXT_WIDTH, Crg, CrgError
 
 
@@ -20,10 +20,8 @@ def write_crg(path: str | Path, crg: Crg, kind: str | None = None) -> None:
     reference = {name: getattr(crg, name) for name in ("phi", "slope", "banking") if getattr(crg, name) is not None}
     table = np.column_stack([*reference.values(), crg.z])
     data = _text(table, TEXT_WIDTH[kind]) if kind in TEXT_WIDTH else _binary(table, KINDS[kind])
-    target = Path(path)
-    partial = target.with_name(target.name + ".part")
-    partial.write_bytes(_header(crg, kind, list(reference)).encode("latin-1", errors="replace") + data)
-    os.replace(partial, target)
+    with whole(Path(path)) as part:
+        part.write_bytes(_header(crg, kind, list(reference)).encode("latin-1", errors="replace") + data)
 
 
 def _header(crg: Crg, kind: str, reference: list[str]) -> str:

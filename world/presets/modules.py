@@ -5,12 +5,10 @@ import scipy.sparse as sp
 import torch
 from torch import Tensor
 
-from world.headlight import Headlight
+from world.headlight import LUMINANCE, Headlight
 from world.parametric import BlurredRectangles, GaussianPixels
 from world.spmv import Csr
 from world.texels import TexelGrid
-
-LUMINANCE = (0.2126, 0.7152, 0.0722)  # of the linear sRGB channels
 
 
 def headlight(name: str, model: GaussianPixels | BlurredRectangles, grid: TexelGrid, chromatic_shift: float = 0.0) -> Headlight:
