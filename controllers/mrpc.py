@@ -12,7 +12,7 @@ from torch import Tensor
 
 from controllers.mrpc_params import MrpcParams
 from controllers.pixel_major import PixelMajor, pixel_major
-from controllers.primitives import E_V, I_V, U_ABS, U_REL
+from controllers.primitives import E_V, I_V, U_REL
 from controllers.rthc import Setpoints
 from controllers.windows import Window
 from world.spmv import Csr, multiply, row_of_entries
@@ -61,24 +61,25 @@ def _same_for_all_pixels(setpoints: Setpoints, pixels: PixelMajor, params: MrpcP
     if U_REL in setpoints.quantities and not dark:
         if setpoints.value.device.type != "cpu":
             return False  # to know whether a share is more than one, the device would have to be waited for
-        relative = setpoints.value if setpoints.quantity is None else torch.where(setpoints.quantity == U_REL, setpoints.value, 0.0)
-        if bool(relative.max() > 1):
+        if bool((setpoints.value * _portion(setpoints, setpoints.relative, U_REL)).max() > 1):
             return False
     return pixels.potential is None or not {I_V, E_V} & set(setpoints.quantities)
 
 
-def _of(setpoints: Setpoints, *codes: int) -> Tensor | bool:
-    """Which rays have one of these quantities."""
-    present = set(setpoints.quantities)
-    if setpoints.quantity is None or not present & set(codes) or present <= set(codes):
-        return bool(present & set(codes))
-    return torch.isin(setpoints.quantity, torch.tensor(codes, dtype=torch.uint8, device=setpoints.value.device))
+def _none(portion: Tensor | float) -> bool:
+    return isinstance(portion, float) and not portion
 
 
-def _where(condition: Tensor | bool, a: Tensor, b: Tensor | float) -> Tensor:
-    if isinstance(condition, bool):
-        return a if condition else torch.as_tensor(b, dtype=a.dtype, device=a.device).expand_as(a)
-    return torch.where(condition, a, b)
+def _portion(setpoints: Setpoints, image: Tensor | None, *codes: int) -> Tensor | float:
+    """One where a ray has one of these quantities: the image of it, or a number where all rays are alike."""
+    return float(setpoints.quantities[0] in codes) if image is None else image
+
+
+def _blended(a: Tensor, b: Tensor, portion: Tensor | float) -> Tensor:
+    """a where the portion is zero, b where it is one."""
+    if isinstance(portion, float):
+        return b if portion else a
+    return torch.lerp(a, b, portion)
 
 
 def _by_products(
@@ -92,43 +93,37 @@ def _by_products(
         return multiply(matrix, _as_texture(image, w, rows, grid.rows, grid.cols, beside))
 
     value = setpoints.value
-    share = pixels.share.view(grid.rows, grid.cols)[w.slices]
-    utilisation = torch.where(in_cd, value * share, value) if isinstance(in_cd := _of(setpoints, I_V, E_V), Tensor) else value
-    utilisation = utilisation * share if in_cd is True else utilisation
+    utilisation = value
+    in_cd, relative = _portion(setpoints, setpoints.in_cd, I_V, E_V), _portion(setpoints, setpoints.relative, U_REL)
+    if not _none(in_cd):
+        utilisation = _blended(value, value * pixels.share.view(grid.rows, grid.cols)[w.slices], in_cd)
     if pixels.darkening is not None:
         utilisation = utilisation * pixels.darkening.view(grid.rows, grid.cols)[w.slices]
     utilisation = utilisation.clamp(0, 1)
-    relative = _of(setpoints, U_REL)
-    absolute = utilisation if relative is False else _where(relative, torch.zeros_like(utilisation), utilisation)
-    share_of_default = None if relative is False or dark else _where(relative, utilisation, 0.0)
+    of_default = None if dark or _none(relative) else utilisation * relative
+    absolute = utilisation if _none(relative) else utilisation * (1 - relative)
 
     def light(matrix: Csr, weight: Tensor | None) -> Tensor:
         lit = summed(matrix, absolute if weight is None else absolute * weight)
-        if share_of_default is None:
-            return lit
-        return lit + default[band] * summed(matrix, share_of_default if weight is None else share_of_default * weight)
+        return lit if of_default is None else lit + default[band] * summed(matrix, of_default if weight is None else of_default * weight)
 
-    numerator = denominator = forced_light = forced_weight = lit = None
-    if setpoints.weight is None:
-        numerator = light(kept, None)
-        if not dark:
-            numerator = numerator + (1 - summed(kept, setpoints.hit.to(value))) * default[band]
-    else:
-        forced = setpoints.weight.isinf()
-        finite = torch.where(forced, 0.0, setpoints.weight)
-        numerator, denominator = light(kept, finite), summed(kept, finite, 1.0)
-        if not dark:
-            numerator = numerator + summed(kept, (~setpoints.hit).to(value), 1.0) * default[band]
-        if value.device.type != "cpu" or bool(forced.any()):
-            alone = forced.to(value)
-            forced_light, forced_weight = light(full, alone), summed(full, alone)
+    denominator = forced_light = forced_weight = lit = None
+    numerator = light(kept, setpoints.finite)
+    if not dark:
+        missed = 1 - summed(kept, setpoints.cover) if setpoints.finite is None else summed(kept, 1 - setpoints.cover, 1.0)
+        numerator = numerator + missed * default[band]
+    if setpoints.finite is not None:
+        denominator = summed(kept, setpoints.finite, 1.0)
+    if setpoints.forced is not None:
+        forced_weight = summed(full, setpoints.forced)
+        forced_light = torch.zeros_like(forced_weight) if setpoints.masking else light(full, setpoints.forced)
     if params.a_ac:
         ones = pixels.ones.band(band.start, band.stop)
         lit = summed(ones, (absolute > 0).to(value))
         if not dark:
-            lit = lit + (default[band] > 0) * summed(ones, (~setpoints.hit).to(value), 1.0)
-            if share_of_default is not None:
-                lit = lit + (default[band] > 0) * summed(ones, (share_of_default > 0).to(value))
+            missed = summed(ones, 1 - setpoints.cover, 1.0)
+            missed = missed if of_default is None else missed + summed(ones, (of_default > 0).to(value))
+            lit = lit + (default[band] > 0) * missed
     return _Sums(numerator, denominator, forced_light, forced_weight, lit)
 
 
@@ -144,24 +139,24 @@ def _by_entries(
     def of_entries(image: Tensor, beside: float = 0.0) -> Tensor:
         return _as_texture(image, w, rows, grid.rows, grid.cols, beside)[..., texel]
 
-    value, hit = setpoints.value, of_entries(setpoints.hit.to(setpoints.value)) > 0
-    mapped = of_entries(value) * pixels.share[texel]
-    mapped = mapped if pixels.potential is None else mapped * pixels.potential[place]
-    code = None if setpoints.quantity is None else of_entries(setpoints.quantity.to(value))
-    if code is not None or setpoints.quantities[0] in (U_ABS, U_REL):
-        plain = of_entries(value)
-        relative = code == U_REL if code is not None else setpoints.quantities[0] == U_REL
-        plain = _where(relative, plain * default[band][pixel], plain)
-        mapped = _where(code >= U_ABS if code is not None else True, plain, mapped)
+    value, cover = of_entries(setpoints.value), of_entries(setpoints.cover)
+    in_cd, relative = (
+        portion if isinstance(portion, float) else of_entries(portion)
+        for portion in (_portion(setpoints, setpoints.in_cd, I_V, E_V), _portion(setpoints, setpoints.relative, U_REL))
+    )
+    weight = None if setpoints.finite is None else of_entries(setpoints.finite, 1.0)
+    forced = None if setpoints.forced is None else of_entries(setpoints.forced)
+    shared = value * pixels.share[texel]
+    shared = shared if pixels.potential is None else shared * pixels.potential[place]
+    mapped = _blended(_blended(value, value * default[band][pixel], relative), shared, in_cd)
     if pixels.darkening is not None:
         mapped = mapped * pixels.darkening[texel]
-    weight = None if setpoints.weight is None else of_entries(setpoints.weight, 1.0)
     if params.lower_cd:
-        mask = (of_entries(value) == 0) & (False if weight is None else weight.isinf())
-        mapped = torch.where(mask, 0.0, mapped.maximum(params.lower_cd / I_m))
+        masked = torch.zeros_like(cover, dtype=torch.bool) if forced is None else (forced > 0) & (value == 0)
+        mapped = torch.where(masked, 0.0, mapped.maximum(params.lower_cd / I_m))
     if params.upper_cd is not None:
         mapped = mapped.minimum(params.upper_cd / I_m)
-    mapped = torch.where(hit, mapped.clamp(0, 1), default[band][pixel])
+    mapped = torch.where(cover > 0, mapped.clamp(0, 1), default[band][pixel])
     kept = pixels.kept[place]
     if params.a_x and params.exclusion == "printed":
         kept = torch.where(mapped * I_m <= params.a_x * pixels.peak[band][pixel], 0.0, kept)
@@ -171,12 +166,12 @@ def _by_entries(
         return zeros.index_add(-1, pixel, terms.expand(*mapped.shape[:-1], -1))
 
     lit = summed((mapped > 0).to(mapped)) if params.a_ac else None
-    if weight is None:
-        return _Sums(summed(kept * mapped), summed(kept), lit=lit)
-    forced = weight.isinf()
-    finite = torch.where(forced, 0.0, weight) * kept
-    alone = forced * pixels.full.values[place]
-    return _Sums(summed(finite * mapped), summed(finite), summed(alone * mapped), summed(alone), lit)
+    finite = kept if weight is None else weight * kept
+    forced_light = forced_weight = None
+    if forced is not None:
+        alone = forced * pixels.full.values[place]
+        forced_light, forced_weight = summed(alone * mapped), summed(alone)
+    return _Sums(summed(finite * mapped), summed(finite), forced_light, forced_weight, lit)
 
 
 def _reduced(sums: _Sums, pixels: PixelMajor, params: MrpcParams, default: Tensor, band: slice) -> Tensor:
@@ -201,9 +196,9 @@ def _sharpened(setpoints: Setpoints, pixels: PixelMajor, params: MrpcParams, dar
     """
     grid, w = pixels.grid, setpoints.window
     total = pixels.total.view(grid.rows, grid.cols)[w.slices]
-    level = _where(_of(setpoints, I_V, E_V), setpoints.value, setpoints.value * total)
+    level = _blended(setpoints.value * total, setpoints.value, _portion(setpoints, setpoints.in_cd, I_V, E_V))
     bright = (level / level.amax((-2, -1), keepdim=True).clamp(min=1e-30)).clamp(0, 1)
-    lit = bright if dark else torch.where(setpoints.hit, bright, 1.0)
+    lit = bright if dark else torch.lerp(torch.ones_like(bright), bright, setpoints.cover)
     sigma = (max(pixels.spread[0], 0.3), max(pixels.spread[1], 0.3))
     kernel = (2 * round(3 * sigma[0]) + 1, 2 * round(3 * sigma[1]) + 1)
     margins = (kernel[1] // 2, kernel[1] // 2, kernel[0] // 2, kernel[0] // 2)

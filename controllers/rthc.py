@@ -5,40 +5,67 @@ primitive's centre, n = d1 x d2 and the unnormalised ray d = [1, y, z], u = d.(d
 from the centre, u and v run from -1/2 to 1/2; twice that, from -1 to 1, is what image sampling takes. Turned so that q.n > 0, a ray hits
 where |u d.n| <= d.n and |v d.n| <= d.n. Each term is affine in the texel's row and column, so no rays are stored.
 
-Primitives are painted one after the other, so that the last that may cover a ray is the one that wins it.
+Primitives are painted one after the other, so that the last that may cover a ray is the one that wins it. On the CPU comparisons and
+selections cost ten times as much as sums, so masks are images of zeros and ones, and painting is blending.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import groupby
 
 import torch
 from kornia.geometry.transform import remap
 from torch import Tensor
 
-from controllers.primitives import E_V, Primitives
-from controllers.windows import NEAREST_M, SLACK, Window, union, whole
+from controllers.primitives import E_V, U_ABS, U_REL, Primitives
+from controllers.windows import NEAREST_M, NOWHERE, SLACK, Window, union, whole
 from world.texels import TexelGrid
 
 COPLANAR = 1e-4  # of the distance: what lies closer together counts as one plane, whatever the dtype rounds
 PARALLEL = 1e-6  # of the cosine: a given normal that is that of the edges
+STEEP = 1e30  # takes whatever is not rounded to zero beyond one
 
 
 @dataclass(frozen=True)
 class Setpoints:
-    """Ray setpoints on a window of the light texture.
+    """Ray setpoints on a window of the light texture; all images are `[..., rows, cols]`, those that are 0 or 1 in the dtype of value.
 
-    value: `[..., rows, cols]`, in cd (I_v, E_v) or as a share (u_abs, u_rel). hit: `[..., rows, cols]` bool; elsewhere the default counts
-    with weight 1. weight: `[..., rows, cols]`, 0 to infinity, None where all are 1. quantity: `[..., rows, cols]` uint8, None where all are
-    `quantities[0]`. quantities: codes that may occur. winner: `[..., rows, cols]` int16, the primitive that was hit, undefined elsewhere.
+    value: in cd (I_v, E_v) or as a share (u_abs, u_rel), 0 without a hit. cover: 1 where a primitive is hit; elsewhere the default counts
+    with weight 1. quantities: codes that may occur. finite: weights where they are finite, else 0; None where all are 1. forced: 1 where
+    the weight is infinite, None if it is so nowhere; masking: whether the setpoint is zero there, as far as the host knows. in_cd,
+    relative: 1 where the value is an intensity or a share of the default, None if all rays are alike. winner: the primitive that is hit,
+    where something is, None if there is only one.
     """
 
     value: Tensor
-    hit: Tensor
+    cover: Tensor
     window: Window
     quantities: tuple[int, ...]
-    weight: Tensor | None = None
-    quantity: Tensor | None = None
+    finite: Tensor | None = None
+    forced: Tensor | None = None
+    masking: bool = False
+    in_cd: Tensor | None = None
+    relative: Tensor | None = None
     winner: Tensor | None = None
+
+    @property
+    def hit(self) -> Tensor:
+        """Which rays hit a primitive, `[..., rows, cols]` bool."""
+        return self.cover > 0
+
+    @property
+    def weight(self) -> Tensor | None:
+        """Weights from 0 to infinity, 1 without a hit; None where all are 1."""
+        return self.finite if self.forced is None or self.finite is None else self.finite.masked_fill(self.forced > 0, torch.inf)
+
+    @property
+    def quantity(self) -> Tensor | None:
+        """Codes `[..., rows, cols]`, I_v for all that is in cd; None if all rays are alike."""
+        if self.in_cd is None and self.relative is None:
+            return None
+        absolute = torch.full_like(self.value, U_ABS)
+        absolute = absolute if self.in_cd is None else absolute - U_ABS * self.in_cd
+        return absolute if self.relative is None else absolute + (U_REL - U_ABS) * self.relative
 
 
 @dataclass(frozen=True)
@@ -101,15 +128,14 @@ def homographies(primitives: Primitives, grid: TexelGrid, T_world_headlight: Ten
     )
 
 
-def paint_order(primitives: Primitives) -> list[tuple[int, bool]]:
-    """Primitives as they are painted, and whether each one begins a class that beats all before it, at any distance.
+def paint_classes(primitives: Primitives) -> list[list[int]]:
+    """Primitives as they are painted, in classes of which each beats all before it, at any distance.
 
     Forced hits come after the others, by priority; within a class the nearer one wins, coplanar ones by priority and then as listed.
     """
     keys = [(forced, priority) for forced, priority in zip(primitives.forced.tolist(), primitives.priority.tolist(), strict=True)]
     order = sorted(range(len(keys)), key=keys.__getitem__)
-    classes = [keys[p] if keys[p][0] else None for p in order]
-    return [(p, k > 0 and classes[k] != classes[k - 1]) for k, p in enumerate(order)]
+    return [list(of_class) for _, of_class in groupby(order, key=lambda p: keys[p] if keys[p][0] else None)]
 
 
 def masks(primitives: Primitives) -> list[bool]:
@@ -126,21 +152,27 @@ def trace(primitives: Primitives, grid: TexelGrid, T_world_headlight: Tensor, wi
     Differentiable in the primitives (not across their edges).
     """
     single = windows is not None
-    windows = [whole(grid)] * len(primitives) if windows is None else windows
-    window = union(list(windows))
+    windows = [whole(grid)] * len(primitives) if windows is None else list(windows)
     seen = homographies(primitives, grid, T_world_headlight)
-    codes = primitives.quantity.tolist()
-    weighted = bool((primitives.weight != 1).any()) if primitives.weight.device.type == "cpu" else True
-    canvas = _Canvas.blank(primitives, window, weighted, len(set(codes)) > 1)
     front = _from_the_front(seen) if single else [None] * len(primitives)
     is_mask = masks(primitives) if single else [None] * len(primitives)
+    windows = [NOWHERE if seen_from is False else window for window, seen_from in zip(windows, front, strict=True)]
+    canvas = _Canvas.blank(primitives, union(windows))
     y, z = grid.tangents(primitives.origin.dtype, primitives.origin.device)
-    for p, beats in paint_order(primitives):
-        if windows[p].empty or front[p] is False:
-            continue
-        rays = _Rays(y[windows[p].slices[1]], z[windows[p].slices[0]], windows[p])
-        canvas.paint(p, _hit(rays, seen, p, is_mask[p], front[p]), rays, primitives, seen, beats)
-    return canvas.setpoints(window, tuple(sorted(set(codes))))
+    for painted in paint_classes(primitives):
+        canvas.begin([windows[p] for p in painted])
+        for p in painted:
+            if not windows[p].empty:
+                rays = _Rays(y[windows[p].slices[1]], z[windows[p].slices[0]], windows[p])
+                rivals = any(windows[p].meets(windows[k]) for k in painted if k != p)
+                canvas.paint(p, _hit(rays, seen, p, is_mask[p], front[p]), rays, primitives, seen, rivals)
+    return canvas.setpoints(primitives, all(is_mask[p] for p, weight in enumerate(_weights(primitives)) if weight == torch.inf))
+
+
+def _weights(primitives: Primitives) -> list[float]:
+    """Weights as far as the host knows them without waiting: of a single scene; empty else."""
+    known = primitives.weight.ndim == 1 and primitives.weight.device.type == "cpu"
+    return primitives.weight.tolist() if known else []
 
 
 @dataclass(frozen=True)
@@ -166,22 +198,26 @@ def _from_the_front(seen: Homographies) -> list[bool | None]:
     return [cosine > 0 if abs(abs(cosine) - 1) < PARALLEL else None for cosine in toward.tolist()]
 
 
+def _step(a: Tensor) -> Tensor:
+    """One where a >= 0, else zero; overwrites a."""
+    return a.mul_(STEEP).add_(1).clamp_(0, 1)
+
+
 def _hit(rays: _Rays, seen: Homographies, p: int, mask: bool | None, front: bool | None) -> Tensor:
-    """Which rays hit the p-th primitive, `[..., rows, cols]`; mask, front: whether it is one and is seen so, where the host knows."""
-    n = rays.times(seen.n[..., p, :]).detach()
-    u, v = (rays.times(a[..., p, :]).detach().abs_() for a in (seen.u, seen.v))
-    if mask is False:
-        hit = (torch.maximum(u, v, out=u) <= n) & (n > 0)
-        return hit if front else hit & (rays.times(-seen.normal[..., p, :]) > 0)
-    wide = seen.mask[..., p]
-
-    def only_masks(a: Tensor) -> Tensor:
-        return torch.where(wide, a[..., p], 0.0)[..., None, None]
-
-    hit = (u - n <= only_masks(seen.widen_u)) & (v - n <= only_masks(seen.widen_v)) & ((n > 0) | wide[..., None, None])
+    """One where a ray hits the p-th primitive, `[..., rows, cols]`; mask, front: whether it is one and is seen so, where the host knows."""
+    n = rays.times(seen.n[..., p, :].detach())
+    u, v = (rays.times(a[..., p, :].detach()).abs_() for a in (seen.u, seen.v))
+    if mask is not False:
+        wide = seen.mask[..., p, None, None]
+        u -= torch.where(wide, seen.widen_u.detach()[..., p, None, None], 0.0)
+        v -= torch.where(wide, seen.widen_v.detach()[..., p, None, None], 0.0)
+    hit = _step(n - torch.maximum(u, v))
     if not front:
-        hit &= rays.times(-seen.normal[..., p, :]) + only_masks(seen.widen_n) > 0
-    return hit & _near_outline(rays, seen.low[..., p, :], seen.high[..., p, :])
+        facing = rays.times(-seen.normal[..., p, :].detach())
+        if mask is not False:
+            facing += torch.where(wide, seen.widen_n.detach()[..., p, None, None], 0.0)
+        hit *= _step(facing)
+    return hit if mask is False else hit * torch.where(wide, _near_outline(rays, seen.low[..., p, :], seen.high[..., p, :]), 1.0)
 
 
 def _near_outline(rays: _Rays, low: Tensor, high: Tensor) -> Tensor:
@@ -190,58 +226,80 @@ def _near_outline(rays: _Rays, low: Tensor, high: Tensor) -> Tensor:
     for axis, (start, stop) in enumerate((rays.window.slices[0].indices(1 << 30)[:2], rays.window.slices[1].indices(1 << 30)[:2])):
         centre = torch.arange(start, stop, dtype=low.dtype, device=low.device) + 0.5
         within.append((centre >= low[..., axis, None] - 1 - SLACK) & (centre <= high[..., axis, None] + 1 + SLACK))
-    return within[0][..., :, None] & within[1][..., None, :]
+    return (within[0][..., :, None] & within[1][..., None, :]).to(low)
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Canvas:
     """What the rays of the window carry so far; closeness: 1/x of the nearest hit of the class that is being painted."""
 
-    value: Tensor
-    hit: Tensor
-    winner: Tensor
-    weight: Tensor | None
-    quantity: Tensor | None
-    closeness: Tensor | None
     window: Window
+    value: Tensor
+    cover: Tensor
+    finite: Tensor | None
+    forced: Tensor | None
+    in_cd: Tensor | None
+    relative: Tensor | None
+    winner: Tensor | None
+    closeness: Tensor | None
 
     @classmethod
-    def blank(cls, primitives: Primitives, window: Window, weighted: bool, mixed: bool) -> "_Canvas":
+    def blank(cls, primitives: Primitives, window: Window) -> "_Canvas":
+        """Images only of what differs from ray to ray."""
         size = (window.row_stop - window.row_start, window.col_stop - window.col_start)
         zero = primitives.origin.new_zeros(*primitives.origin.shape[:-2], *size)
+        codes, known = set(primitives.quantity.tolist()), primitives.weight.device.type == "cpu"
+
+        def image(needed: bool, filled: float = 0.0) -> Tensor | None:
+            return torch.full_like(zero, filled) if needed else None
+
         return cls(
-            zero,
-            torch.zeros_like(zero, dtype=torch.bool),
-            torch.zeros_like(zero, dtype=torch.int16),
-            torch.ones_like(zero) if weighted else None,
-            torch.zeros_like(zero, dtype=torch.uint8) if mixed else None,
-            torch.zeros_like(zero) if len(primitives) > 1 else None,
             window,
+            zero,
+            torch.zeros_like(zero),
+            image(not known or bool((primitives.weight != 1).any()), 1.0),
+            image(not known or bool(primitives.weight.isinf().any())),
+            image(min(codes) < U_ABS <= max(codes)),
+            image(U_REL in codes and len(codes) > 1),
+            image(len(primitives) > 1),
+            image(len(primitives) > 1),
         )
 
-    def paint(self, p: int, hit: Tensor, rays: _Rays, primitives: Primitives, seen: Homographies, beats: bool) -> None:
-        """Lay the p-th primitive over the rays that it wins."""
-        cut = (..., *rays.window.within(self.window))
+    def begin(self, windows: Sequence[Window]) -> None:
+        """A new class beats what is there at any distance."""
         if self.closeness is not None:
-            if beats:
-                self.closeness.zero_()
-            ends = (a.detach()[..., p, None, None] for a in (seen.far, seen.near))
-            closeness = rays.times((seen.n[..., p, :] / seen.qn[..., p, None]).detach()).nan_to_num_().clamp(*ends)
-            before = self.closeness[cut]
-            hit = hit & (closeness * (1 + COPLANAR) >= before)
-            self.closeness[cut] = torch.where(hit, torch.maximum(before, closeness), before)
-        value = _setpoint(p, hit, rays, primitives, seen)
-        self.value[cut] = torch.where(hit, value, self.value[cut])
-        self.hit[cut] |= hit
-        if self.weight is not None:
-            self.weight[cut] = torch.where(hit, primitives.weight[..., p, None, None], self.weight[cut])
-        if self.quantity is not None:
-            self.quantity[cut].masked_fill_(hit, int(primitives.quantity[p]))
-        if self.closeness is not None:
-            self.winner[cut].masked_fill_(hit, p)
+            for window in windows:
+                self.closeness[(..., *window.within(self.window))] = 0
 
-    def setpoints(self, window: Window, quantities: tuple[int, ...]) -> Setpoints:
-        return Setpoints(self.value, self.hit, window, quantities, self.weight, self.quantity, self.winner)
+    def paint(self, p: int, hit: Tensor, rays: _Rays, primitives: Primitives, seen: Homographies, rivals: bool) -> None:
+        """Lay the p-th primitive over the rays that it wins; rivals: whether others of its class may be before it."""
+        cut = (..., *rays.window.within(self.window))
+        if self.closeness is not None and rivals:
+            ends = (a.detach()[..., p, None, None] for a in (seen.far, seen.near))
+            closeness = rays.times((seen.n[..., p, :] / seen.qn[..., p, None]).detach())
+            closeness = closeness.maximum(next(ends)).minimum(next(ends))
+            before = self.closeness[cut]
+            hit = hit * _step(closeness * (1 + COPLANAR) - before)
+            self.closeness[cut] = before.maximum(closeness.mul_(hit))
+        value, weight = _setpoint(p, hit, rays, primitives, seen), primitives.weight[..., p, None, None]
+        infinite, code = weight.isinf(), int(primitives.quantity[p])
+        painted = (
+            (self.value, value),
+            (self.cover, 1.0),
+            (self.finite, torch.where(infinite, 0.0, weight)),
+            (self.forced, infinite.to(value)),
+            (self.in_cd, float(code < U_ABS)),
+            (self.relative, float(code == U_REL)),
+            (self.winner, float(p)),
+        )
+        for image, new in painted:
+            if image is not None:
+                image[cut] = torch.lerp(image[cut], torch.as_tensor(new, dtype=hit.dtype, device=hit.device).expand_as(hit), hit)
+
+    def setpoints(self, primitives: Primitives, masking: bool) -> Setpoints:
+        quantities = tuple(sorted(set(primitives.quantity.tolist())))
+        images = (self.finite, self.forced, masking, self.in_cd, self.relative, self.winner)
+        return Setpoints(self.value, self.cover, self.window, quantities, *images)
 
 
 def _setpoint(p: int, hit: Tensor, rays: _Rays, primitives: Primitives, seen: Homographies) -> Tensor:
@@ -251,13 +309,14 @@ def _setpoint(p: int, hit: Tensor, rays: _Rays, primitives: Primitives, seen: Ho
     value = value * symbol if homogeneous else value
     if homogeneous and not illuminance:
         return value
-    n = rays.times(seen.n[..., p, :]).masked_fill(~hit, 1.0)
+    miss = 1 - hit
+    n = rays.times(seen.n[..., p, :]) * hit + miss
     if not homogeneous:
-        u, v = (rays.times(a[..., p, :]).masked_fill(~hit, 0.0) / n for a in (seen.u, seen.v))
+        u, v = (rays.times(a[..., p, :]) * hit / n for a in (seen.u, seen.v))
         value = value * _symbol_value(symbol, u, v, bool(primitives.nearest[p]))
     if not illuminance:
         return value
-    facing = rays.times(-seen.normal[..., p, :]).masked_fill(~hit, 1.0)
+    facing = rays.times(-seen.normal[..., p, :]) * hit + miss
     d = (1 + rays.y * rays.y + rays.z[:, None] ** 2).sqrt()
     x = seen.qn[..., p, None, None] / n
     return value * x * x * d**3 / facing

@@ -34,6 +34,11 @@ class Window:
     def empty(self) -> bool:
         return self.row_stop <= self.row_start or self.col_stop <= self.col_start
 
+    def meets(self, other: "Window") -> bool:
+        """Whether they have a texel in common."""
+        rows = self.row_start < other.row_stop and other.row_start < self.row_stop
+        return rows and self.col_start < other.col_stop and other.col_start < self.col_stop
+
     def within(self, outer: "Window") -> tuple[slice, slice]:
         """Row and column slices of an image on a window around this one."""
         rows = slice(self.row_start - outer.row_start, self.row_stop - outer.row_start)

@@ -44,7 +44,7 @@ def random_setpoints(seed: int, A: np.ndarray, quantity: Quantity, window: Windo
     hit = generator.random((ROWS, COLS)) < 0.67
     value[~hit] = 0
     cut = slice(window.row_start, window.row_stop), slice(window.col_start, window.col_stop)
-    return Setpoints(torch.from_numpy(value[cut].copy()), torch.from_numpy(hit[cut].copy()), window, (QUANTITIES.index(quantity),))
+    return Setpoints(torch.from_numpy(value[cut].copy()), torch.from_numpy(hit[cut].astype(float)), window, (QUANTITIES.index(quantity),))
 
 
 def rays(setpoints: Setpoints) -> list[reference.Ray]:
@@ -88,7 +88,7 @@ def test_float32_on_every_device(quantity: Quantity, a_m: float, device: torch.d
     setpoints, default, params = random_setpoints(1, A, quantity), base_pattern(1), MrpcParams(a_m=a_m, a_r=2)
     exact, _ = reduced(setpoints, lamp, params, default)
     fast = replace(lamp, matrix=lamp.matrix.to(torch.float32)).to(device)
-    moved = replace(setpoints, value=setpoints.value.float().to(device), hit=setpoints.hit.to(device))
+    moved = replace(setpoints, value=setpoints.value.float().to(device), cover=setpoints.cover.float().to(device))
     u, _ = reduced(moved, fast, params, default.float().to(device))
     assert (u.dtype, u.device.type) == (torch.float32, device.type)
     torch.testing.assert_close(u.cpu().double(), exact, rtol=0, atol=1e-6)  # means of numbers in 0..1
@@ -114,9 +114,9 @@ def test_a_window_equals_the_whole(window: Window, a_m: float) -> None:
         pixel_cols=4,
     )
     part = random_setpoints(3, A, "I_v", window)
-    value, hit = torch.zeros(ROWS, COLS, dtype=torch.float64), torch.zeros(ROWS, COLS, dtype=torch.bool)
+    value, hit = torch.zeros(ROWS, COLS, dtype=torch.float64), torch.zeros(ROWS, COLS, dtype=torch.float64)
     cut = slice(window.row_start, window.row_stop), slice(window.col_start, window.col_stop)
-    value[cut], hit[cut] = part.value, part.hit
+    value[cut], hit[cut] = part.value, part.cover
     default, params = base_pattern(3), MrpcParams(a_m=a_m)
     u, band = reduced(part, lamp, params, default)
     expected, everything = reduced(Setpoints(value, hit, whole(lamp), part.quantities), lamp, params, default)
@@ -132,7 +132,7 @@ def test_a_window_equals_the_whole(window: Window, a_m: float) -> None:
 def test_an_empty_window_leaves_the_default() -> None:
     lamp, _ = random_lamp(0)
     default = base_pattern(0)
-    nothing = Setpoints(torch.zeros(2, 0, 8, dtype=torch.float64), torch.zeros(2, 0, 8, dtype=torch.bool), Window(3, 3, 0, 8), (U_ABS,))
+    nothing = Setpoints(torch.zeros(2, 0, 8, dtype=torch.float64), torch.zeros(2, 0, 8, dtype=torch.float64), Window(3, 3, 0, 8), (U_ABS,))
     u, band = reduced(nothing, lamp, MrpcParams(), default)
     assert torch.equal(u, default.expand(2, -1))
     assert band == slice(0, 0)
@@ -154,7 +154,7 @@ def test_rows_without_pixels_leave_the_default() -> None:
         pixel_cols=4,
     )
     default = base_pattern(0)
-    below = Setpoints(torch.ones(2, 8, dtype=torch.float64), torch.ones(2, 8, dtype=torch.bool), Window(3, 5, 0, 8), (U_ABS,))
+    below = Setpoints(torch.ones(2, 8, dtype=torch.float64), torch.ones(2, 8, dtype=torch.float64), Window(3, 5, 0, 8), (U_ABS,))
     u, band = reduced(below, lamp, MrpcParams(), default)
     assert torch.equal(u, default)
     assert band.start == band.stop
@@ -167,7 +167,7 @@ def test_a_batch_is_a_loop_of_singles(quantity: Quantity, a_m: float) -> None:
     singles = [random_setpoints(seed, A, quantity) for seed in range(4)]
     stacked = Setpoints(
         torch.stack([s.value for s in singles]).view(2, 2, ROWS, COLS),
-        torch.stack([s.hit for s in singles]).view(2, 2, ROWS, COLS),
+        torch.stack([s.cover for s in singles]).view(2, 2, ROWS, COLS),
         whole(lamp),
         singles[0].quantities,
     )
@@ -178,7 +178,7 @@ def test_a_batch_is_a_loop_of_singles(quantity: Quantity, a_m: float) -> None:
 
 
 def everywhere(value: Tensor, lamp: Headlight, quantity: Quantity = "I_v") -> Setpoints:
-    hit = torch.ones(ROWS, COLS, dtype=torch.bool)
+    hit = torch.ones(ROWS, COLS, dtype=torch.float64)
     return Setpoints(value.view(ROWS, COLS), hit, whole(lamp), (QUANTITIES.index(quantity),))
 
 
@@ -229,7 +229,7 @@ def test_a_bound_holds_for_every_ray_and_not_for_the_mean() -> None:
         pixel_cols=1,
     )
     for code in range(len(QUANTITIES)):
-        setpoints = Setpoints(torch.tensor([[2.0, 0.0]], dtype=torch.float64), torch.ones(1, 2, dtype=torch.bool), whole(lamp), (code,))
+        setpoints = Setpoints(torch.tensor([[2.0, 0.0]], dtype=torch.float64), torch.ones(1, 2, dtype=torch.float64), whole(lamp), (code,))
         u, _ = reduced(setpoints, lamp, MrpcParams(), torch.ones(1, dtype=torch.float64))
         assert u.item() == 0.5
 

@@ -183,9 +183,11 @@ def test_projected_window_holds_every_hit(pose: tuple[float, float, float, float
     value, hit = cut(all_rays, window)
     assert hit.sum() == all_rays.hit.sum()
     banded = trace(scene, LAMP, T_LEFT, [window])
-    assert banded.window == window
-    assert torch.equal(banded.hit, hit)
-    torch.testing.assert_close(banded.value, value, rtol=1e-5, atol=1e-6)
+    assert banded.hit.sum() == hit.sum()
+    if hit.any():  # what turns its back is left out from the start
+        assert banded.window == window
+        assert torch.equal(banded.hit, hit)
+        torch.testing.assert_close(banded.value, value, rtol=1e-5, atol=1e-6)
 
 
 def test_window_is_tight_and_cut_where_it_reaches_behind() -> None:
