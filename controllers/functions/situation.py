@@ -111,7 +111,7 @@ class Drawn(Params):
     """What all functions that draw light have."""
 
     quantity: Literal["I_v", "E_v", "u_abs", "u_rel"] = Field("u_abs", description="I_v in cd, E_v in lx, u_abs or u_rel as a share")
-    value: float = Field(1.0, ge=0, description="setpoint of white")
+    value: float = Field(1.0, ge=0, description="setpoint of white; black is 0, or for u_rel 1, which leaves the base beam")
     weight: float = Field(1.0, ge=0, description="how much it counts where a pixel lights more than it")
     priority: int = Field(0, ge=0, le=100, description="of two functions in one place on the road, the higher is drawn")
     forced: bool = Field(False, description="drawn even behind other primitives, masks excepted")
@@ -123,12 +123,19 @@ class Drawn(Params):
         return (self.start_s is None or time_s >= self.start_s) and (self.stop_s is None or time_s < self.stop_s)
 
     def draw(self, place: Place, image: Tensor | None = None, layer: int = 0) -> Primitives:
-        """One primitive; image: `[h, w]` in 0..1, white where there is none; layer: of several of a function, the higher lies on top."""
+        """One primitive; image: `[h, w]` in 0..1, white where there is none; layer: of several of a function, the higher lies on top.
+
+        Black is dark, but for u_rel it leaves the base beam as it is: a curve's drawing is much larger than the curve.
+        """
+        value = self.value
+        if self.quantity == "u_rel" and image is not None:
+            value = max(self.value, 1.0)
+            image = (image * self.value + (1 - image)) / value
         return rectangle(
             place.origin,
             place.d1,
             place.d2,
-            self.value,
+            value,
             self.quantity,
             normal=place.normal,
             symbol=image,

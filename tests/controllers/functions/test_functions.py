@@ -1,6 +1,7 @@
 """Where functions draw, and when."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -108,6 +109,15 @@ def test_conditions_exchange_symbols_as_an_object_comes_near() -> None:
 def test_a_symbol_begins_when_its_function_begins() -> None:
     (p,) = SymbolFunctionParams(image="ramp", start_s=1.5).primitives(now(time_s=2.0))
     assert p.symbols[0].amax().item() == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize("value", [0.2, 5.0])
+def test_black_leaves_the_base_beam_where_it_is_changed_relatively(value: float) -> None:
+    ramp = torch.linspace(0, 1, 5).view(1, 5)
+    situation = replace(now(), symbols={"a": Still(ramp)})
+    (p,) = SymbolFunctionParams(image="a", quantity="u_rel", value=value).primitives(situation)
+    torch.testing.assert_close(p.symbols[0] * p.value[0], (1 + (value - 1) * ramp).double())
+    assert p.symbols[0].max() <= 1
 
 
 def test_an_observer_gets_a_rectangle_of_his_own() -> None:
