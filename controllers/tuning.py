@@ -12,15 +12,24 @@ from typing import Literal
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 from scipy.optimize import differential_evolution, minimize
 from torch import Tensor
 
+from controllers.sampling import pixel_spread
 from world.errors import LuxloopError
 from world.headlight import Headlight
 from world.spmv import Csr
 
 Floats = NDArray[np.float32]
-RANGES: Mapping[str, tuple[float, float]] = {"a_m": (0.0, 2.0), "a_x": (0.0, 1.0), "a_r": (0.0, 3.0)}  # T 8.4
+THESIS = ("a_m", "a_x", "a_r")  # what is tuned in T 8.4
+OPTIONS = ("a_x", "a_ac", "sharpening")  # what brings the most on top of it, by our evaluation
+RANGES: Mapping[str, tuple[float, float]] = {
+    **dict(zip(THESIS, ((0.0, 2.0), (0.0, 1.0), (0.0, 3.0)), strict=True)),
+    "a_ac": (0.0, 1.0),
+    "granularity": (0.0, 4.0),
+    "sharpening": (0.0, 4.0),
+}
 POPULATION, GENERATIONS, REFINEMENTS = 10, 40, 80  # individuals a parameter; evaluations of the closing local search
 
 
@@ -74,17 +83,20 @@ class Trial:
 
     a_m: None gives every pixel the whole setpoint (no mapping). a_x: exclusion by what a pixel can give. shape: rectangle takes all texels
     in the bounding rectangle of those that are not excluded, as controls do that simplify pixels to rectangles (T 3.5.1, 8.5); where a
-    pixel has no light there is nothing to take.
+    pixel has no light there is nothing to take. The others are those of `controllers.mrpc_params`.
     """
 
     a_m: float | None = 1.0
     a_x: float = 0.0
     a_r: float = 1.0
     shape: Literal["arbitrary", "rectangle"] = "arbitrary"
+    a_ac: float = 0.0
+    granularity: float = 0.0
+    sharpening: float = 0.0
 
 
 class TextureControl:
-    """MapReduce control of a part of a headlight, ready for many trials: (7.4.1), (7.4.3) on the capability, (7.4.5), weights one."""
+    """MapReduce control of a part of a headlight for many trials: (7.4.1), (7.4.3) on the capability, (7.4.5), T 7.5.2; weights are one."""
 
     def __init__(self, part: Part) -> None:
         self.part = part
@@ -95,25 +107,31 @@ class TextureControl:
         self._each = np.diff(entries.indptr.numpy())
         self._I = entries.values.float().numpy()
         self._log = np.log(self._I)
-        self._relative = self._I / np.repeat(np.maximum.reduceat(self._I, self._first), self._each)
+        peak = np.maximum.reduceat(self._I, self._first)
+        self._relative = self._I / np.repeat(peak, self._each)
+        self._log_size = np.repeat(np.log(np.add.reduceat(self._I, self._first) / peak), self._each)  # a pixel's size in texels
         self._row, self._col = np.divmod(self._texel, light.cols)
-        wanted = part.wanted.flatten().numpy().astype(np.float32)[self._texel]
-        self._lit = np.flatnonzero(wanted > 0)
-        self._wanted = wanted[self._lit]
+        wanted = part.wanted.numpy().astype(np.float32)
+        self._lit = np.flatnonzero(wanted.ravel()[self._texel] > 0)
+        self._wanted = wanted.ravel()[self._texel[self._lit]]
+        sigma = [max(each, 0.3) for each in pixel_spread(entries, light)]
+        darkness = 1 - gaussian_filter(wanted / wanted.max(), sigma, mode="constant", truncate=3)
+        self._beside_dark = darkness.ravel()[self._texel[self._lit]]
+        self._share_lit = np.add.reduceat(wanted.ravel()[self._texel] > 0, self._first, dtype=np.float32) / self._each
 
     def utilisation(self, trial: Trial) -> Tensor:
         """Utilisation `[n]` of the part's pixels, float32."""
         counts = np.exp(np.float32(trial.a_r) * self._log) * self._counted(trial)
         lit = self._lit
-        mapped = self._wanted
+        mapped = self._wanted * (1 + np.float32(trial.sharpening) * self._beside_dark)
         if trial.a_m is not None:
-            raised = np.exp(np.float32(trial.a_m) * self._log[lit])
+            raised = np.exp(np.float32(trial.a_m) * self._log[lit] - np.float32(trial.granularity) * self._log_size[lit])
             total = np.bincount(self._texel[lit], raised, self.part.headlight.n_texels)
             mapped = (raised / total[self._texel[lit]] * mapped).astype(np.float32)
         numerator = np.zeros_like(self._I)
         numerator[lit] = counts[lit] * np.minimum(mapped / self._I[lit], 1)
         u = np.add.reduceat(numerator, self._first) / np.add.reduceat(counts, self._first)
-        return torch.from_numpy(u.clip(0, 1).astype(np.float32))
+        return torch.from_numpy(np.where(self._share_lit < trial.a_ac, 0, u.clip(0, 1)).astype(np.float32))
 
     def _counted(self, trial: Trial) -> NDArray[np.bool_]:
         kept = self._relative >= np.float32(trial.a_x)
@@ -127,7 +145,7 @@ class TextureControl:
         return inside
 
 
-def tune(cost: Callable[[Trial], float], start: Trial | None = None, tuned: tuple[str, ...] = tuple(RANGES), seed: int = 0) -> Trial:
+def tune(cost: Callable[[Trial], float], start: Trial | None = None, tuned: tuple[str, ...] = THESIS, seed: int = 0) -> Trial:
     """The trial of least cost within RANGES, the others of its parameters as in `start`; never worse than the start.
 
     The cost jumps where a texel is excluded, so a population searches first, and a simplex refines its best. The same seed gives the same.

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from controllers.tuning import RANGES
+from controllers.tuning import OPTIONS, THESIS
 from loop import evaluate_jobs as work
 from loop.jobs import Job, Results, run
 from loop.rectangles import QUICK, RECTANGLES, Rectangle
@@ -79,9 +79,9 @@ def evaluate(
 
 def summary(rows: Sequence[Row]) -> dict[str, float]:
     """Means and medians over the setpoints of one lamp: MAE, ratios to the joint optimum, and tuned parameters."""
-    values = {name: np.array([row[f"{name}_mae"] for row in rows]) for name in ("jpo", "mrpc", "median", "default")}
-    values |= {f"{name}_ratio": values[name] / values["jpo"] for name in ("mrpc", "median", "default")}
-    values |= {name: np.array([row[name] for row in rows]) for name in RANGES}
+    values = {name: np.array([row[f"{name}_mae"] for row in rows]) for name in ("jpo", "mrpc", "options", "median", "default")}
+    values |= {f"{name}_ratio": values[name] / values["jpo"] for name in ("mrpc", "options", "median", "default")}
+    values |= {name: np.array([row[name] for row in rows]) for name in [*THESIS, *(f"options_{each}" for each in OPTIONS)]}
     means = {f"{name}_mean": float(each.mean()) for name, each in values.items()}
     medians = {f"{name}_median": float(np.median(each)) for name, each in values.items()}
     return {"setpoints": len(rows), "gap": max(row["jpo_gap"] for row in rows), **means, **medians}

@@ -103,7 +103,7 @@ def differences(rows: Sequence[Row], name: str) -> Figure:
         axes.set_title(f"{row['width']:g} x {row['height']:g}° at {row['h']:g}, {row['v']:g}°, turned {row['turn']:g}°", fontsize=9)
         axes.set_xlabel("horizontal in °, left positive", fontsize=8)
     grid[0][0].set_ylabel("vertical in °")
-    figure.colorbar(shown, ax=grid, label="(MRPC - joint) / setpoint", fraction=0.02, pad=0.01)
+    figure.colorbar(shown, ax=grid, label="share of the setpoint", fraction=0.02, pad=0.01)
     lines = {"wanted": ("black", "-"), "MRPC, half of the setpoint": ("0.35", "-"), "joint, half of the setpoint": ("0.35", "--")}
     handles = [plt.Line2D([], [], color=colour, ls=style, label=label) for label, (colour, style) in lines.items()]
     figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=8)

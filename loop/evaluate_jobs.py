@@ -4,13 +4,14 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from controllers import tuning
-from controllers.tuning import RANGES, Part, TextureControl, Trial, part, tune
+from controllers import jpo_mae, jpo_part, tuning
+from controllers.jpo_mae import least_error
+from controllers.jpo_part import wanted
+from controllers.tuning import OPTIONS, THESIS, Part, TextureControl, Trial, part, tune
 from loop import rectangles
 from loop.jobs import digest_of
 from loop.rectangles import Rectangle
@@ -36,23 +37,31 @@ def version() -> str:
     """Changes with everything that decides a result."""
     import loop.evaluate_jobs as here
 
-    return digest_of(here, tuning, rectangles, metrics, parametric, hd84, ssl_hd)
+    return digest_of(here, jpo_mae, jpo_part, tuning, rectangles, metrics, parametric, hd84, ssl_hd)
 
 
 def setpoint(name: str, h: float, v: float, width: float, height: float, turn: float) -> dict[str, Any]:
-    """MAE of a rectangle by joint optimisation of all pixels, and by MRPC: tuned for it, by default, and with the thesis' median."""
+    """MAE of a rectangle by joint optimisation of all pixels, and by MRPC: tuned for it as in the thesis, tuned with the options of T 7.5.2
+    as well, by default, and with the thesis' median."""
     control = _control(name, Rectangle(h, v, width, height, turn))
     joint, gap = joint_optimum(control.part)
-    best = tune(lambda trial: _mae(control.part, control.utilisation(trial)))
+
+    def cost(trial: Trial) -> float:
+        return _mae(control.part, control.utilisation(trial))
+
+    best = tune(cost)
+    finest = tune(cost, best, OPTIONS)
     u = control.utilisation(best)
     lit = ((u > 0) | (joint > 0)).nonzero().flatten()
     return {
         "jpo_mae": _mae(control.part, joint),
         "jpo_gap": gap,
         "mrpc_mae": _mae(control.part, u),
-        "default_mae": _mae(control.part, control.utilisation(Trial())),
-        "median_mae": _mae(control.part, control.utilisation(THESIS_MEDIAN.get(name, Trial()))),
-        **{parameter: getattr(best, parameter) for parameter in RANGES},
+        "options_mae": cost(finest),
+        "default_mae": cost(Trial()),
+        "median_mae": cost(THESIS_MEDIAN.get(name, Trial())),
+        **{parameter: getattr(best, parameter) for parameter in THESIS},
+        **{f"options_{parameter}": getattr(finest, parameter) for parameter in OPTIONS},
         "pixels": control.part.pixels[lit].tolist(),
         "mrpc_u": [round(value, 5) for value in u[lit].tolist()],
         "jpo_u": [round(value, 5) for value in joint[lit].tolist()],
@@ -75,30 +84,11 @@ def sensitivity_row(name: str, a_m: float | None, a_r: float, shape: Any, thresh
     return {error: [each[error] for each in errors] for error in ("mae", "rmse", "dssim")}
 
 
-def joint_optimum(part: Part, gap: float = GAP, most: int = 20_000) -> tuple[Tensor, float]:
-    """Utilisations `[n]` of the least MAE (T 3.5.2, 8.4), float32, and by what share that might still be lower.
-
-    min |A u - s|_1 over 0 <= u <= 1 by primal-dual steps, with step widths from the sums of rows and columns; the dual value proves it.
-    """
-    s = part.wanted.flatten().double().numpy()
-    peak = s.max()
-    A = part.headlight.matrix.to_scipy().astype(np.float64) / peak
-    texels = (np.diff(A.indptr) > 0) | (s > 0)
-    A, s = A[texels], s[texels] / peak
-    At: sp.csr_matrix = A.T.tocsr()
-    down, up = (1 / np.maximum(np.asarray(m.sum(axis=1)).ravel(), 1e-12) for m in (At, A))
-    u, dual = np.zeros(A.shape[1]), np.zeros(A.shape[0])
-    best, least, bound = u, float(s.sum()), 0.0  # all pixels off
-    for step in range(1, most + 1):
-        before = u
-        u = np.clip(u - down * (At @ dual), 0, 1)
-        dual = np.clip(dual + up * (A @ (2 * u - before) - s), -1, 1)
-        if step % 50 == 0:
-            best, least = min((best, least), (u, float(np.abs(A @ u - s).sum())), key=lambda each: each[1])
-            bound = max(bound, float(-s @ dual + np.minimum(At @ dual, 0).sum()))
-            if least - bound <= gap * least:
-                break
-    return torch.from_numpy(best.astype(np.float32)), (least - bound) / least
+def joint_optimum(part: Part) -> tuple[Tensor, float]:
+    """Utilisations `[n]` of the least MAE (T 3.5.2, 8.4), and by what share that might still be lower."""
+    light = part.headlight
+    found = least_error(light.matrix, wanted(light, part.wanted), gap=GAP)
+    return found.u, float((found.error - found.bound) / found.error)
 
 
 def light_of(name: str, pixels: list[int], u: list[float]) -> NDArray[np.float32]:
@@ -122,16 +112,16 @@ def _mae(part: Part, u: Tensor) -> float:
 def _errors(name: str, control: TextureControl, trial: Trial) -> dict[str, float]:
     """All four errors over the whole texture. SSIM's range is the lamp's peak, its radius twice the setpoint's mean extent (T 8.3)."""
     whole = headlight(name)
-    light, wanted = (torch.zeros(whole.rows, whole.cols) for _ in range(2))
+    light, target = (torch.zeros(whole.rows, whole.cols) for _ in range(2))
     light[control.part.window] = control.part.headlight.light_texture(control.utilisation(trial))
-    wanted[control.part.window] = control.part.wanted
-    rows, cols = ((wanted > 0).any(axis).sum() for axis in (1, 0))
-    structure = dssim(light, wanted, float(rows + cols), _peak_cd(name))
+    target[control.part.window] = control.part.wanted
+    rows, cols = ((target > 0).any(axis).sum() for axis in (1, 0))
+    structure = dssim(light, target, float(rows + cols), _peak_cd(name))
     return {
-        "mae": float(mae(light, wanted)),
-        "rmse": float(rmse(light, wanted)),
+        "mae": float(mae(light, target)),
+        "rmse": float(rmse(light, target)),
         "dssim": float(structure),
-        "mare": float(mare(light, wanted)),
+        "mare": float(mare(light, target)),
     }
 
 

@@ -30,8 +30,11 @@ MEASURES = {
     "jpo": "MAE, joint optimum",
     "mrpc": "MAE, MRPC tuned for each setpoint",
     "mrpc_ratio": "ratio MRPC / joint, tuned for each setpoint",
+    "options_ratio": "ratio, a_ac and sharpening tuned as well",
     "median_ratio": "ratio with the thesis' median parameters",
     "default_ratio": "ratio with the default parameters",
+    "options_sharpening": "best sharpening",
+    "options_a_ac": "best a_ac",
     "a_m": "best a_m",
     "a_x": "best a_x",
     "a_r": "best a_r",
@@ -40,7 +43,7 @@ CAPTIONS = {
     "errors": "MAE of the joint optimum, and how much larger that of MRPC is, over all setpoints (T figures 8.5 to 8.8)",
     "difference": "light of MRPC less that of the joint optimum (T figures 8.9, 8.10)",
     "profiles": "where the two differ (T figure 8.11)",
-    "sensitivity": "errors of the wide rectangle over the parameters, a star where they are least (T figures 8.12 to 8.19)",
+    "sensitivity": "errors of the wide rectangle over the parameters, bright where small, a star where least (T figures 8.12 to 8.19)",
     "parameters": "best parameters of all setpoints (T figures B.2 to B.7)",
 }
 
@@ -75,11 +78,11 @@ def write_report(evaluation: Evaluation, out: Path) -> None:
 
 def overview(evaluation: Evaluation) -> Table:
     """Means of all lamps for the terminal."""
-    shown = tables.plain("lamp", "setpoints", "MAE joint", "MAE MRPC", "MRPC / joint", "thesis")
+    shown = tables.plain("lamp", "setpoints", "MAE joint", "MAE MRPC", "MRPC / joint", "thesis", "with options")
     for name in evaluation.lamps:
         values = summary(evaluation.of(name).setpoints)
-        means = (f"{values['jpo_mean']:.3f}", f"{values['mrpc_mean']:.3f}", f"{values['mrpc_ratio_mean']:.3f}")
-        shown.add_row(f"[bold]{name}[/]", str(values["setpoints"]), *means, f"{THESIS[name]['mrpc_ratio'][0]:g}")
+        joint, mrpc, ratio, options = (f"{values[f'{key}_mean']:.3f}" for key in ("jpo", "mrpc", "mrpc_ratio", "options_ratio"))
+        shown.add_row(f"[bold]{name}[/]", f"{values['setpoints']:g}", joint, mrpc, ratio, f"{THESIS[name]['mrpc_ratio'][0]:g}", options)
     return shown
 
 

@@ -103,18 +103,29 @@ def test_a_part_gives_the_light_of_the_whole(light: Headlight, wanted: torch.Ten
         torch.testing.assert_close(of_part, of_whole[some.window[axis]])
 
 
-@pytest.mark.parametrize(("a_m", "a_r"), [(1.0, 1.0), (0.4, 0.0), (1.6, 2.3)])
-def test_the_lamps_own_control_does_the_same(a_m: float, a_r: float, light: Headlight) -> None:
+@pytest.mark.parametrize(
+    "values",
+    [
+        {},
+        {"a_m": 0.4, "a_r": 0.0},
+        {"a_m": 1.6, "a_r": 2.3, "a_x": 0.37},
+        {"a_m": 1.3, "granularity": 0.8, "a_ac": 0.4},
+        {"sharpening": 1.3, "a_r": 0.5},
+    ],
+    ids=str,
+)
+def test_the_lamps_own_control_does_the_same(values: dict[str, float], light: Headlight) -> None:
     """A primitive of constant luminous intensity across the lamp's axis lights the texels whose centres it covers."""
-    left, bottom, width, height = 0.1, -0.1, 0.15, 0.12
+    left, bottom, width, height = 0.22, -0.11, 0.35, 0.2
     origin = torch.tensor([10.0, 10 * left, 10 * (bottom + height)])
     d1, d2, towards = (torch.tensor(v) for v in ([0.0, -10 * width, 0.0], [0.0, 0.0, -10 * height], [-1.0, 0.0, 0.0]))
     primitive = rectangle(origin, d1, d2, 2.5, "I_v", normal=towards)
     y, z = light.tangents(torch.float32, torch.device("cpu"))
     inside = ((y < left) & (y > left - width)) & ((z > bottom) & (z < bottom + height))[:, None]
     some = part(light, 2.5 * inside.float())
-    found = whole(light, some, TextureControl(some).utilisation(Trial(a_m=a_m, a_r=a_r)))
-    driven = Ssc.prepare(light, MrpcParams(a_m=a_m, a_r=a_r)).utilisation(primitive, torch.eye(4)).u
+    assert some.headlight.n_pixels == PIXELS  # so that both sharpen by the same blur
+    found = whole(light, some, TextureControl(some).utilisation(Trial(**values)))
+    driven = Ssc.prepare(light, MrpcParams(**values)).utilisation(primitive, torch.eye(4)).u
     assert found.any()
     np.testing.assert_allclose(found, driven, atol=1e-5)  # float32 both
 

@@ -77,6 +77,7 @@ def test_mrpc_is_never_better_than_the_joint_optimum(found: Evaluation) -> None:
     assert found.failures == {}
     for row in found.setpoints:
         assert row["jpo_mae"] <= row["mrpc_mae"] * (1 + evaluate_jobs.GAP)
+        assert row["options_mae"] <= row["mrpc_mae"] + 1e-9
         assert row["mrpc_mae"] <= min(row["median_mae"], row["default_mae"]) * 1.1  # a short search of the three
     values = summary(found.setpoints)
     assert values["setpoints"] == 3
