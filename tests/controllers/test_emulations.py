@@ -1,0 +1,139 @@
+"""Earlier ways of control: what each samples, and how they bend a beam."""
+
+import math
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+import torch
+
+from controllers.emulations import EMULATIONS, angle_intensity_bend, matrix_shift_bend
+from controllers.mrpc import pixel_major
+from controllers.power import limit_power, pixel_flux
+from controllers.primitives import rectangle
+from controllers.sampling import SAMPLINGS, rectangular, sample_weights
+from controllers.ssc import Ssc
+from tests.reference import ssc as reference
+from world.errors import LuxloopError
+from world.frames import pose_from_degrees
+from world.headlight import Headlight
+from world.presets import idealised, lamp
+from world.spmv import Csr, row_of_entries
+
+LAMP = idealised(8, 20)
+T = pose_from_degrees((0.0, 0.0, 0.0))
+
+
+def wall(value: float = 0.5, half: float = 1.0):
+    """A homogeneous square, 10 m ahead."""
+    vectors = [torch.tensor(v) for v in ((10.0, half, half), (0.0, -2 * half, 0.0), (0.0, 0.0, -2 * half))]
+    return rectangle(*vectors, value, "u_abs", normal=torch.tensor([-1.0, 0.0, 0.0]))
+
+
+@pytest.mark.parametrize("sampling", SAMPLINGS)
+def test_samples_are_those_of_the_reference(sampling: str) -> None:
+    light = lamp("hd84").modules[0].headlight
+    entries = light.matrix.transposed
+    weights = sample_weights(entries, light, sampling)
+    pixel = row_of_entries(entries)
+    for j in (0, 17, 40, 83):
+        mine = pixel == j
+        texels = entries.indices[mine].tolist()
+        dense = np.zeros(light.n_texels)
+        dense[texels] = entries.values[mine].numpy()
+        expected = reference.sample_weights(texels, dense, sampling, light.cols)
+        assert dict(zip(texels, weights[mine].tolist(), strict=True)) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("sampling", "samples", "total"), [("brightest", 1, 1), ("centroid", 1, 1), ("uniform", 4, 4), ("quincunx", 5, 1)])
+def test_every_pixel_has_its_samples(sampling: str, samples: int, total: float) -> None:
+    light = idealised(8, 20, texels_per_pixel=(6, 6))
+    entries = light.matrix.transposed
+    weights = sample_weights(entries, light, sampling)
+    pixel = row_of_entries(entries)
+    assert torch.bincount(pixel, weights=(weights > 0).double(), minlength=160).eq(samples).all()
+    assert torch.bincount(pixel, weights=weights.double(), minlength=160).allclose(torch.full((160,), total, dtype=torch.float64))
+
+
+def test_rendering_is_free_of_anti_aliasing() -> None:
+    """One ray a pixel: it is asked for what its middle hits, all or nothing."""
+    edge = wall(1.0)
+    hard, soft = (Ssc.prepare(LAMP, params).utilisation(edge, T).u for params in (EMULATIONS["rendering"], None))
+    assert set(hard.unique().tolist()) == {0.0, 1.0}
+    assert len(soft.unique()) > 2
+
+
+def test_a_rectangle_keeps_the_pixel_s_light_and_fills_its_box() -> None:
+    A = np.zeros((1, 30))
+    A[0, [7, 8, 13]] = [4.0, 2.0, 1.9]  # 5 x 6 texels: two in row 1, one in row 2, which is below half of the peak
+    A[0, 14] = 2.5
+    grid = idealised(1, 1)
+    box = rectangular(Csr.from_scipy(sp.csr_array(A), torch.float64), type(grid)(**{**vars(grid), "rows": 5, "cols": 6}), 0.5)
+    dense = box.to_scipy().toarray().reshape(5, 6)
+    assert (dense > 0).sum() == 4
+    assert (dense[1:3, 1:3] > 0).all()
+    assert dense.sum() == pytest.approx(4 + 2 + 1.9 + 2.5)
+
+
+def test_rectangles_fill_gaps_with_a_little_light() -> None:
+    A = np.zeros((1, 9))
+    A[0, [0, 4, 8]] = 1.0
+    grid = type(LAMP)(**{**vars(LAMP), "rows": 3, "cols": 3})
+    dense = rectangular(Csr.from_scipy(sp.csr_array(A), torch.float64), grid, 0.5).to_scipy().toarray()
+    assert (dense > 0).all()
+    assert dense.sum() == pytest.approx(3)
+    assert dense[0, 1] < 2e-3
+
+
+@pytest.mark.parametrize("name", EMULATIONS)
+def test_every_emulation_draws_a_homogeneous_wall(name: str) -> None:
+    light = lamp("hd84").modules[0].headlight
+    u = Ssc.prepare(light, EMULATIONS[name]).utilisation(wall(0.5, half=100.0), T).u
+    torch.testing.assert_close(u, torch.full_like(u, 0.5), rtol=0, atol=1e-5)
+
+
+def test_maximal_influence_asks_the_strongest_for_all() -> None:
+    A = np.array([[3.0, 1.0], [1.0, 2.0]])
+    light = Headlight(
+        name="two", matrix=Csr.from_scipy(sp.csr_array(A), torch.float64), rows=1, cols=2, left=0.1, right=-0.1, bottom=-0.1, top=0.1,
+        pixel_rows=1, pixel_cols=2,
+    )  # fmt: skip
+    assert pixel_major(light, EMULATIONS["maximal_influence"]).share.tolist() == [1 / 3, 1 / 2]
+
+
+@pytest.mark.parametrize("bent", [angle_intensity_bend, matrix_shift_bend])
+def test_digital_bends_move_a_column_by_their_angle(bent) -> None:
+    beam = torch.zeros(8, 20)
+    beam[:, 10] = 1
+    pitch = math.radians(1.0)  # 20 columns over 20 deg, nearly
+    one = bent(beam.flatten(), LAMP, pitch).view(8, 20)
+    assert one[:, 9].min() > 0.9
+    half = bent(beam.flatten(), LAMP, pitch / 2).view(8, 20)
+    torch.testing.assert_close(half[:, 9:11], torch.full((8, 2), 0.5), rtol=0, atol=0.05)
+    torch.testing.assert_close(bent(beam.flatten(), LAMP, 0.0).view(8, 20), beam, rtol=0, atol=1e-6)
+    assert not bent(beam.flatten(), LAMP, 1.0).any(), "nothing comes in from beyond the field"
+
+
+def test_digital_bends_batch() -> None:
+    beams = torch.rand(3, 160, generator=torch.Generator().manual_seed(1))
+    for bent in (angle_intensity_bend, matrix_shift_bend):
+        for k in range(3):
+            assert torch.equal(bent(beams, LAMP, 0.05)[k], bent(beams[k], LAMP, 0.05))
+
+
+def test_a_power_limit_dims_all_alike_and_tells_by_how_much() -> None:
+    u, power = torch.tensor([[0.5, 1.0], [0.1, 0.1]]), torch.tensor([2.0, 4.0])
+    dimmed, factor = limit_power(u, power, 2.5)
+    assert factor.tolist() == [0.5, 1.0]
+    assert dimmed.tolist() == [[0.25, 0.5], u[1].tolist()]
+    assert limit_power(torch.zeros(2), power, 0.0)[1].item() == 1
+    with pytest.raises(LuxloopError, match="below zero"):
+        limit_power(u, power, -1.0)
+
+
+def test_flux_of_pixels_adds_up_to_the_lamp_s() -> None:
+    y, z = LAMP.tangents(torch.float64, torch.device("cpu"))
+    area = (LAMP.left - LAMP.right) * (LAMP.top - LAMP.bottom) / LAMP.n_texels
+    light = LAMP.light_texture(torch.ones(LAMP.n_pixels)).double()
+    expected = (light * area / (1 + y * y + z[:, None] ** 2) ** 1.5).sum().item()
+    assert pixel_flux(LAMP).sum().item() == pytest.approx(expected, rel=1e-4)
