@@ -14,7 +14,7 @@ from world.spmv import Csr, multiply
 
 OVER = 1.9  # relaxation: below 2 steps converge, and nearly twice as fast as at 1
 PRIMAL_WEIGHT = 0.3  # of the mean utilisation, as measured in docs/jpo.md: how far pixels move a step, against the dual
-NEAR = 0.1  # of the largest setpoint: texels this close to theirs are undecided between too dark and too bright
+NEAR = 0.1  # of the mean setpoint: texels this close to theirs are undecided between too dark and too bright
 CHECKED_EVERY = 20  # steps between looks at the gap, each of which waits for the device
 
 
@@ -39,56 +39,98 @@ def least_error(
     """The utilisation with the least weighted sum of absolute deviations; never worse than its start.
 
     matrix: `[n_t, n_p]` cd, not negative. dual: `[..., n_t]` of a similar problem. gap: stop where the error is proved to be at most this
-    share above the least; None makes all iterations and does not ask the device. Batch entries share the texels and pixels that are left.
+    share above the least; None makes all iterations and looks at the end only.
+    """
+    left = _undecided(matrix, goal)
+    u = goal.start[..., left.cols] * left.upper
+    best, light = u, multiply(left.A, u)
+    least, bound = left.error(light, u), left.constant
+    y = left.pull(light) if dual is None else dual[..., left.rows].clamp(-left.w, left.w)
+    tau, sigma = left.steps()
+    done = 0
+    while done < iterations and len(left.cols):
+        steps = iterations if gap is None else min(CHECKED_EVERY, iterations - done)
+        for _ in range(steps):
+            following = (u - tau * (left.c + multiply(left.At, y))).clamp(min=0).minimum(left.upper)
+            answer = (y + sigma * (multiply(left.A, 2 * following - u) - left.s)).clamp(-left.w, left.w)
+            u, y = u + OVER * (following - u), y + OVER * (answer - y)
+        done += steps
+        error = left.error(multiply(left.A, following), following)
+        best = torch.where((error < least)[..., None], following, best)
+        least, bound = torch.minimum(error, least), torch.maximum(bound, left.bound(answer))
+        if gap is not None and bool((least - bound <= gap * least).all()):
+            break
+    full, everywhere = torch.where(goal.free, 0.0, goal.start), torch.zeros_like(goal.target)
+    full[..., left.cols] += best
+    everywhere[..., left.rows] = y.clamp(-left.w, left.w)
+    return LeastError(full, everywhere, least, bound if len(left.cols) else least, done, len(left.A.values))
 
-    Left are the texels with a positive setpoint, since the error of all others is linear in u, and the pixels that make good there more
-    than they cost elsewhere: all others are off in an optimum, since no light of theirs lowers the sum.
+
+@dataclass(frozen=True)
+class _Undecided:
+    """`min c'u + sum_i w_i |(A u)_i - s_i| + constant, 0 <= u <= upper`, on some rows and columns of a headlight matrix.
+
+    A, At: both ways. s, w: `[..., m]`. c, gain, upper: `[..., n]`; gain is `A'w`. A batch entry that has no use for a row or a column has
+    w or upper zero there.
+    """
+
+    rows: Tensor
+    cols: Tensor
+    A: Csr
+    At: Csr
+    s: Tensor
+    w: Tensor
+    c: Tensor
+    gain: Tensor
+    upper: Tensor
+    constant: Tensor
+
+    def error(self, light: Tensor, u: Tensor) -> Tensor:
+        return (self.c * u).sum(-1) + (self.w * (light - self.s).abs()).sum(-1) + self.constant
+
+    def bound(self, y: Tensor) -> Tensor:
+        """The dual value: for any y in -w..w, no u has a smaller error."""
+        slope = (self.c + multiply(self.At, y)).clamp(max=0)
+        return self.constant - (self.s * y).sum(-1) + (slope * self.upper).sum(-1)
+
+    def pull(self, light: Tensor) -> Tensor:
+        """A first dual: texels that are clearly too bright or too dark pull with all their weight."""
+        counts = self.w > 0
+        near = NEAR * torch.where(counts, self.s, 0.0).sum(-1, keepdim=True) / counts.sum(-1, keepdim=True).clamp(min=1)
+        return (self.w * (light - self.s) / near.clamp(min=torch.finfo(self.s.dtype).tiny)).clamp(-self.w, self.w)
+
+    def steps(self) -> tuple[Tensor, Tensor]:
+        """Widths of primal and dual steps, which converge for any PRIMAL_WEIGHT and have the units of u and w."""
+        reach = multiply(self.A, torch.ones_like(self.c[(0,) * (self.c.ndim - 1)]))
+        width = torch.where(self.upper > 0, 1 / self.gain, 0.0)
+        ssc = width * multiply(self.At, self.w * (self.s / reach).clamp(max=1))
+        pace = PRIMAL_WEIGHT * ssc.sum(-1, keepdim=True) / self.upper.sum(-1, keepdim=True).clamp(min=1)
+        return pace * width, torch.where(self.w > 0, self.w / (pace * reach), 0.0)
+
+
+def _undecided(matrix: Csr, goal: Wanted) -> _Undecided:
+    """Take out of a problem what is decided beforehand.
+
+    The error of a texel without a positive setpoint is linear in u. A pixel whose light costs more there than it can ever make good at the
+    others is off in an optimum: the error grows with it, whatever the others do. No row is needed that only such pixels light.
     """
     transposed = matrix.transposed
-    target, weight = without_fixed(matrix, goal), goal.weight
-    short = (target > 0) & (weight > 0)
-    gain, cost = (multiply(transposed, torch.where(mask, weight, 0.0)) for mask in (short, ~short))
+    target = without_fixed(matrix, goal)
+    short = (target > 0) & (goal.weight > 0)
+    gain, cost = (multiply(transposed, torch.where(mask, goal.weight, 0.0)) for mask in (short, ~short))
     useful = goal.free & (gain > cost)
     cols = anywhere(useful).nonzero()[:, 0]
     rows = (anywhere(short) & reached_rows(transposed, cols)).nonzero()[:, 0]
-    A, At = submatrix(matrix, rows, cols), submatrix(transposed, cols, rows)
-
-    s, w = target[..., rows], torch.where(short, weight, 0.0)[..., rows]
-    c, gain, upper = cost[..., cols], gain[..., cols], useful[..., cols].to(s)
-    constant = (weight * target.abs()).sum(-1) - (w * s).sum(-1)  # of texels that no pixel here lights, or only too bright
-    reach = multiply(A, torch.ones_like(c[(0,) * (c.ndim - 1)]))
-
-    def error_of(light: Tensor, u: Tensor) -> Tensor:
-        return (c * u).sum(-1) + (w * (light - s).abs()).sum(-1) + constant
-
-    u = goal.start[..., cols] * upper
-    best, light = u, multiply(A, u)
-    least, bound = error_of(light, u), constant.clone()
-    near = NEAR * s.amax(-1, keepdim=True) if len(rows) else s
-    y = (w * (light - s) / near).clamp(-w, w) if dual is None else dual[..., rows].clamp(-w, w)
-    typical = (multiply(At, w * (s / reach).clamp(max=1)) / gain).clamp(0, 1)  # as SSC would have it
-    pace = PRIMAL_WEIGHT * (typical * upper).sum(-1, keepdim=True) / upper.sum(-1, keepdim=True).clamp(min=1)
-    tau, sigma = pace / gain, w / (pace * reach)
-    tau, sigma = torch.where(upper > 0, tau, 0.0), torch.where(w > 0, sigma, 0.0)
-
-    done = 0
-    while done < iterations and len(cols):
-        steps = min(CHECKED_EVERY, iterations - done) if gap is not None else iterations
-        for _ in range(steps):
-            following = (u - tau * (c + multiply(At, y))).clamp(min=0).minimum(upper)
-            answer = (y + sigma * (multiply(A, 2 * following - u) - s)).clamp(-w, w)
-            u, y = u + OVER * (following - u), y + OVER * (answer - y)
-        done += steps
-        error = error_of(multiply(A, following), following)
-        best = torch.where((error < least)[..., None], following, best)
-        least = torch.minimum(error, least)
-        proved = constant - (s * answer).sum(-1) + ((c + multiply(At, answer)).clamp(max=0) * upper).sum(-1)
-        bound = torch.maximum(bound, proved)
-        if gap is not None and bool((least - bound <= gap * least).all()):
-            break
-
-    full = torch.where(goal.free, 0.0, goal.start)
-    full[..., cols] += best
-    everywhere = torch.zeros_like(target)
-    everywhere[..., rows] = y.clamp(-w, w)
-    return LeastError(full, everywhere, least, bound if len(cols) else least, done, len(A.values))
+    s, w = target[..., rows], torch.where(short, goal.weight, 0.0)[..., rows]
+    return _Undecided(
+        rows,
+        cols,
+        submatrix(matrix, rows, cols),
+        submatrix(transposed, cols, rows),
+        s,
+        w,
+        cost[..., cols],
+        gain[..., cols],
+        useful[..., cols].to(s),
+        (goal.weight * target.abs()).sum(-1) - (w * s).sum(-1),
+    )

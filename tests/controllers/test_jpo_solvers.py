@@ -1,6 +1,6 @@
 """Joint pixel optimisation: the optimum is one, bounds and masks hold, and a start is never made worse."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -9,7 +9,6 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog, lsq_linear
-from torch import Tensor
 
 from controllers.jpo_mae import least_error
 from controllers.jpo_part import Wanted, submatrix, wanted
@@ -20,16 +19,16 @@ from world.errors import LuxloopError
 from world.headlight import Headlight
 from world.presets import lamp
 from world.spmv import Csr, multiply
+from world.texels import TexelGrid
 
 EVERY = 135  # of the 1,215 rectangles, from the middle one of each: nine, of all sizes and turns
 
 
-def headlight_of(A: Tensor | np.ndarray, rows: int = 1) -> Headlight:
+def headlight_of(A: np.ndarray, rows: int = 1) -> Headlight:
     """A made-up lamp with this matrix."""
-    matrix = Csr.from_scipy(sp.csr_matrix(np.asarray(A)), torch.float64)
-    tangents = {"left": 0.1, "right": -0.1, "top": 0.05, "bottom": -0.05}
-    cols = matrix.n_rows // rows
-    return Headlight(rows=rows, cols=cols, **tangents, name="made up", matrix=matrix, pixel_rows=1, pixel_cols=matrix.n_cols)
+    matrix = Csr.from_scipy(sp.csr_matrix(A), torch.float64)
+    grid = TexelGrid(rows=rows, cols=matrix.n_rows // rows, left=0.1, right=-0.1, top=0.05, bottom=-0.05)
+    return Headlight(**asdict(grid), name="made up", matrix=matrix, pixel_rows=1, pixel_cols=matrix.n_cols)
 
 
 def random_problem(seed: int, n_t: int = 40, n_p: int = 12) -> tuple[Headlight, Wanted]:
@@ -61,7 +60,7 @@ def test_the_check_values_of_one_pixel() -> None:
     texture = torch.tensor([[0.0, 0.0, 1.0, 1.0]], dtype=torch.float64)
     goal = wanted(light, texture)
     found = least_error(light.matrix, goal, gap=1e-6)
-    assert float(found.u) == pytest.approx(1 / 1.3, abs=1e-4)
+    assert float(found.u[0]) == pytest.approx(1 / 1.3, abs=1e-4)
     assert float(least_squares(light.matrix, goal, tolerance=1e-9)) == pytest.approx(2.25 / 2.7319, abs=1e-6)
     assert float(MoorePenrose.prepare(light).utilisation(texture)) == pytest.approx(2.25 / 2.7319, abs=1e-9)
 
@@ -136,14 +135,15 @@ def test_a_batch_gives_what_its_entries_give(device: torch.device) -> None:
     light = light.to(device)
     textures = torch.rand(3, 2, 1, light.cols, generator=torch.Generator().manual_seed(2)).double().to(device)
     textures *= textures > 0.4
+    textures[0, 0, :, :20] = textures[1, 1, :, 20:] = textures[2, 0] = 0  # what one entry needs is nothing to another
     goal = wanted(light, textures)
-    found = least_error(light.matrix, goal, gap=1e-5)
-    squares = least_squares(light.matrix, goal, iterations=5000, tolerance=1e-10)
+    found = least_error(light.matrix, goal, gap=1e-4)
+    squares = least_squares(light.matrix, goal, iterations=2000, tolerance=1e-8)
     assert found.u.shape == (3, 2, light.n_pixels) and found.error.shape == (3, 2)
     for k in np.ndindex(3, 2):
-        alone = least_error(light.matrix, wanted(light, textures[k]), gap=1e-5)
-        torch.testing.assert_close(found.error[k], alone.error, rtol=2e-5, atol=0)
-        torch.testing.assert_close(squares[k], least_squares(light.matrix, wanted(light, textures[k]), 5000, 1e-10), rtol=0, atol=1e-6)
+        alone = least_error(light.matrix, wanted(light, textures[k]), gap=1e-4)
+        torch.testing.assert_close(found.error[k], alone.error, rtol=2e-4, atol=0)
+        torch.testing.assert_close(squares[k], least_squares(light.matrix, wanted(light, textures[k]), 2000, 1e-8), rtol=0, atol=1e-4)
 
 
 def test_brighter_units_change_nothing() -> None:

@@ -1,0 +1,113 @@
+"""Joint pixel optimisation behind the protocol of pixel controllers: from primitives to pixels, step by step."""
+
+import itertools
+from dataclasses import replace
+
+import pytest
+import torch
+
+from controllers.jpo import Jpo, JpoParams
+from controllers.primitives import Primitives, concatenate, rectangle
+from controllers.ssc import Ssc
+from perception.metrics import mae, rmse
+from world.frames import pose_from_degrees
+from world.headlight import Headlight
+from world.presets import lamp
+from world.spmv import multiply
+
+T_LAMP = pose_from_degrees((0.0, 0.6, 0.75))
+
+
+def on_a_wall(y_m: float = 0.5, value: float = 8000.0, quantity: str = "I_v", **given: float) -> Primitives:
+    """A rectangle of 3 m x 1 m on a wall 25 m ahead, at the lamp's height."""
+    width, height = torch.tensor([0.0, -3.0, 0.0]), torch.tensor([0.0, 0.0, 1.0])
+    origin = torch.tensor([25.0, y_m + 1.5, 0.25])
+    return rectangle(origin, width, height, value, quantity, normal=torch.tensor([-1.0, 0.0, 0.0]), **given)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def hd84() -> Headlight:
+    return lamp("hd84").modules[0].headlight
+
+
+@pytest.mark.parametrize("objective", ["mae", "least_squares"])
+@pytest.mark.parametrize(("quantity", "value"), [("I_v", 8000.0), ("E_v", 12.0), ("u_abs", 0.4), ("u_rel", 1.8)])
+def test_the_controller_is_nearer_to_its_primitives_than_ssc(hd84: Headlight, objective: str, quantity: str, value: float) -> None:
+    default = torch.full((84,), 0.2)
+    jpo = Jpo.prepare(hd84, JpoParams(objective=objective), default)
+    primitives = on_a_wall(value=value, quantity=quantity)
+    goal = jpo.goal(primitives, T_LAMP)
+    error = mae if objective == "mae" else rmse
+    texture = goal.target.unflatten(-1, (hd84.rows, hd84.cols))
+    ssc, joint = Ssc.prepare(hd84, default=default).utilisation(primitives, T_LAMP).u, jpo.utilisation(primitives, T_LAMP).u
+    assert error(hd84.light_texture(joint), texture) < 0.99 * error(hd84.light_texture(ssc), texture)
+    assert torch.equal(joint[~goal.free], default[~goal.free]) and goal.free.any() and not goal.free.all()
+
+
+def test_shares_mean_the_light_that_they_give(hd84: Headlight) -> None:
+    jpo = Jpo.prepare(hd84, default=torch.rand(84, generator=torch.Generator().manual_seed(1)))
+    goal = jpo.goal(concatenate(on_a_wall(2.5, 0.4, "u_abs"), on_a_wall(-2.5, 1.5, "u_rel")), T_LAMP)
+    full, default = hd84.light_texture(torch.ones(84)).flatten(), hd84.light_texture(jpo.default).flatten()
+    changed = (goal.target - default).abs() > 1
+    close = torch.isclose(goal.target, 0.4 * full) | torch.isclose(goal.target, 1.5 * default)
+    assert changed.sum() > 500 and close[changed].all()
+
+
+def test_a_mask_is_dark_and_its_surroundings_are_not(hd84: Headlight) -> None:
+    jpo = Jpo.prepare(hd84, default=torch.ones(84))
+    mask = on_a_wall(value=0.0, weight=float("inf"))
+    goal, u = jpo.goal(mask, T_LAMP), jpo.utilisation(mask, T_LAMP).u
+    dark = goal.target == 0
+    reached = multiply(hd84.matrix.transposed, dark.float()) > 0
+    assert dark.sum() > 500 and (u[reached] == 0).all() and (u[~reached] > 0.9).all()
+    assert (hd84.light_texture(u).flatten()[dark] == 0).all()
+
+
+def test_nothing_in_sight_leaves_the_default(hd84: Headlight) -> None:
+    default = torch.rand(84, generator=torch.Generator().manual_seed(2))
+    for objective in ("mae", "least_squares"):
+        jpo = Jpo.prepare(hd84, JpoParams(objective=objective), default)
+        torch.testing.assert_close(jpo.utilisation(on_a_wall(y_m=60.0), T_LAMP).u, default, rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("objective", ["mae", "least_squares"])
+def test_steps_go_on_where_the_last_one_ended(hd84: Headlight, objective: str) -> None:
+    """A scene at rest is solved a few iterations a step."""
+    jpo = Jpo.prepare(hd84, JpoParams(objective=objective, iterations=10))
+    primitives = on_a_wall()
+    texture = jpo.goal(primitives, T_LAMP).target.unflatten(-1, (hd84.rows, hd84.cols))
+    state, error = jpo.start(), mae if objective == "mae" else rmse
+    errors = []
+    for _ in range(25):
+        state, seen = jpo.step(state, primitives, T_LAMP)
+        assert (seen.u == state.u).all()
+        errors.append(float(error(hd84.light_texture(seen.u), texture)))
+    many = Jpo.prepare(hd84, JpoParams(objective=objective, iterations=1000)).utilisation(primitives, T_LAMP).u
+    assert all(later <= earlier + 1e-6 for earlier, later in itertools.pairwise(errors))
+    assert errors[-1] == pytest.approx(float(error(hd84.light_texture(many), texture)), rel=2e-3)
+
+
+def test_a_batch_of_scenes_gives_what_each_gives(hd84: Headlight, device: torch.device) -> None:
+    jpo = Jpo.prepare(hd84.to(device), JpoParams(iterations=400))
+    places = [2.0, -1.0]
+    alone = [jpo.utilisation(on_a_wall(y).to(device), T_LAMP).u for y in places]
+    one = on_a_wall()
+    shift = torch.tensor([[0.0, y - 0.5, 0.0] for y in places])[:, None]
+    batch = replace(
+        one,
+        origin=one.origin + shift,
+        d1=one.d1.expand(2, 1, 3),
+        d2=one.d2.expand(2, 1, 3),
+        normal=one.normal.expand(2, 1, 3),
+        value=one.value.expand(2, 1),
+        weight=one.weight.expand(2, 1),
+    ).to(device)
+    both = jpo.utilisation(batch, T_LAMP).u
+    state, stepped = jpo.step(jpo.start(), batch, T_LAMP)
+    assert stepped.u.shape == state.u.shape == (2, 84)
+    for k, u in enumerate(alone):
+        goal = jpo.goal(on_a_wall(places[k]).to(device), T_LAMP)
+        errors = [(multiply(jpo.headlight.matrix, each) - goal.target).abs().sum() for each in (u, both[k], stepped.u[k])]
+        # An optimum is not unique, its error is.
+        torch.testing.assert_close(errors[1], errors[0], rtol=2e-3, atol=0)
+        torch.testing.assert_close(errors[2], errors[0], rtol=2e-3, atol=0)
