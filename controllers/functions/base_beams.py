@@ -7,6 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from controllers.functions.situation import Situation
+from controllers.morphing import Morph, turn
 from world.params import Params
 
 BeamName = Literal["low", "high", "town", "motorway", "adverse", "full", "off"]
@@ -23,6 +24,10 @@ class BaseBeam:
     bend: float = 0.0
     level: float = 0.0
     roll: float = 0.0
+
+    @property
+    def morph(self) -> Morph:
+        return turn(self.roll, self.level, self.bend)
 
 
 class BaseBeamParams(Params):

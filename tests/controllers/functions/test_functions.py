@@ -211,7 +211,8 @@ def test_the_base_beam_bends_into_curves() -> None:
     assert math.hypot(chord * math.cos(angle), chord * math.sin(angle) - radius) == pytest.approx(radius, rel=1e-3)
     params = BaseBeamParams(beam="low", follow_course=True, largest_bend_deg=5, level_deg=1)
     beam = params.at(now(curvature_1_m=-0.02, speed_m_s=20.0))
-    assert beam.bend == pytest.approx(-math.radians(5)) and beam.level == pytest.approx(math.radians(1))
+    ahead = beam.morph.T_headlight_screen[:3, 0].tolist()
+    assert math.degrees(math.atan2(ahead[1], ahead[0])) == pytest.approx(-5) and math.degrees(math.asin(-ahead[2])) == pytest.approx(1)
 
 
 def test_a_perfect_tracker_reports_the_box_of_a_body() -> None:
