@@ -24,7 +24,7 @@ class LaneParams(Drawn):
     near_m: float = Field(6.0, gt=0, description="where it begins, ahead of the car")
     far_m: float = Field(40.0, gt=0, description="where it ends")
     y_m: float = Field(0.0, description="middle of the lane at the car, to the left")
-    texel_m: float = Field(0.05, gt=0, le=1, description="resolution of the drawing in a bend")
+    texel_m: float = Field(0.1, gt=0, le=1, description="resolution of the drawing in a bend")
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
         """Rectangles on a straight course; in a bend a drawing along a cubic curve."""
@@ -34,7 +34,7 @@ class LaneParams(Drawn):
         offsets, width = ((0.0,), self.lane_width_m) if carpet else ((self.lane_width_m / 2, -self.lane_width_m / 2), self.line_width_m)
         if abs(now.curvature_1_m) < STRAIGHT_1_M:
             return tuple(straight(self, now, self.near_m, self.far_m, self.y_m + offset, width) for offset in offsets)
-        drawing = Drawing.over(arc(now.curvature_1_m, self.near_m, self.far_m, self.y_m), offsets[0] + width / 2, self.texel_m)
+        drawing = Drawing(arc(now.curvature_1_m, self.near_m, self.far_m, self.y_m), offsets[0] + width / 2, self.texel_m)
         image = torch.stack([drawing.band(width / 2, offset) for offset in offsets]).amax(0)
         return (self.draw(drawing.place(now.T_world_vehicle), image),)
 

@@ -1,7 +1,11 @@
 """Light along curves on the road: paths, chevrons bent along them, lane borders (T B.2)."""
 
+import math
+from functools import lru_cache
 from typing import Literal
 
+import cv2
+import numpy as np
 import torch
 from pydantic import Field
 from torch import Tensor
@@ -31,8 +35,7 @@ class PathParams(Drawn):
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
         if not self.active(now.time_s):
             return ()
-        control = torch.tensor(self.control_m, dtype=torch.float64)
-        drawing = Drawing.over(control, self.width_m / 2, self.texel_m)
+        drawing = drawn(self.control_m, self.width_m / 2, self.texel_m)
         if self.image is None:
             image = drawing.band(self.width_m / 2)
         else:
@@ -41,39 +44,48 @@ class PathParams(Drawn):
         return (self.draw(drawing.place(now.T_world_vehicle), image),)
 
 
+@lru_cache(maxsize=16)
+def drawn(control_m: tuple[Point, ...], reach_m: float, texel_m: float) -> "Drawing":
+    """The same curve is asked for step after step."""
+    return Drawing(torch.tensor(control_m, dtype=torch.float64), reach_m, texel_m)
+
+
 class Drawing:
     """Texels of a rectangle on the road around a curve, each with its place on the curve.
 
     low: `[2]` m, the corner with the least x and y. shape: rows, columns. distance: `[h, w]` m, to the left of the curve positive.
     along: `[h, w]` m, arc length of the closest point. beyond: `[h, w]` m, how far before the start or after the end.
-    nearest: `[h, w]` m, distance to the curve, around its ends too, which (B.2.2) asks for.
+    nearest: `[h, w]` m, distance to the curve, around its ends too, which (B.2.2) asks for; infinite for texels that are out of reach.
     """
 
-    def __init__(self, control: Tensor, low: Tensor, shape: tuple[int, int], texel_m: float) -> None:
-        """control: `[n + 1, 2]` m, x ahead and y left."""
+    def __init__(self, control: Tensor, reach_m: float, texel_m: float) -> None:
+        """All texels that are closer than reach_m to the curve; control: `[n + 1, 2]` m, x ahead and y left."""
+        curve = point(control, torch.linspace(0, 1, 257).to(control))
+        margin = reach_m + 2 * texel_m
+        low, high = curve.amin(0) - margin, curve.amax(0) + margin
+        rows, cols = shape = tuple(((high - low) / texel_m).ceil().long().tolist())
         self.low, self.shape, self.texel_m = low, shape, texel_m
-        rows, cols = shape
         x = low[0] + (rows - 0.5 - torch.arange(rows).to(control)) * texel_m  # row 0 is farthest ahead
         y = low[1] + (cols - 0.5 - torch.arange(cols).to(control)) * texel_m  # column 0 is farthest to the left
-        texels = torch.stack([x[:, None].expand(shape), y.expand(shape)], -1).flatten(0, 1)
+        texels = torch.stack([x[:, None].expand(shape), y.expand(shape)], -1)
+        # A thick stroke finds the few texels that are near: looking for the closest point of all would take most of the time.
+        stroke = ((curve - low) / texel_m).flip(-1).round().int().numpy()
+        painted = cv2.polylines(np.zeros(shape, np.uint8), [stroke], False, 1, thickness=2 * math.ceil(margin / texel_m) + 1)
+        near = torch.from_numpy(np.asarray(painted, bool)).flip(0, 1)
+        texels = texels[near]
         t, distance = closest(control, texels)
         slope = point(derivative(control), t)
         tangent = torch.nn.functional.normalize(slope, dim=-1)
         away = texels - point(control, t)
         left = tangent[..., 0] * away[..., 1] - tangent[..., 1] * away[..., 0]
-        self.nearest = distance.view(shape)
-        self.distance = left.view(shape)
-        self.along = length_at(control, t).view(shape)
-        self.beyond = (away * tangent).sum(-1).abs().view(shape)
 
-    @classmethod
-    def over(cls, control: Tensor, reach_m: float, texel_m: float) -> "Drawing":
-        """All texels that are closer than reach_m to a curve."""
-        curve = point(control, torch.linspace(0, 1, 257).to(control))
-        margin = reach_m + 2 * texel_m
-        low, high = curve.amin(0) - margin, curve.amax(0) + margin
-        rows, cols = ((high - low) / texel_m).ceil().long().tolist()
-        return cls(control, low, (rows, cols), texel_m)
+        def image(values: Tensor, elsewhere: float = 0.0) -> Tensor:
+            return control.new_full(shape, elsewhere).masked_scatter(near, values)
+
+        self.nearest = image(distance, math.inf)
+        self.distance = image(left)
+        self.along = image(length_at(control, t))
+        self.beyond = image((away * tangent).sum(-1).abs(), math.inf)
 
     def place(self, T_world_vehicle: Tensor) -> Place:
         """The rectangle on the road that is drawn on."""

@@ -134,7 +134,7 @@ CURVE = torch.tensor([[5.0, 0.0], [12.0, 0.0], [16.0, 2.0], [18.0, 6.0]], dtype=
 
 
 def test_a_path_is_as_large_as_its_band() -> None:
-    drawing = Drawing.over(CURVE, 0.5, 0.02)
+    drawing = Drawing(CURVE, 0.5, 0.02)
     image = drawing.band(0.5)
     length = length_at(CURVE, torch.ones(1).double()).item()
     assert image.sum().item() * 0.02**2 == pytest.approx(length * 1.0 + math.pi * 0.25, rel=2e-3)  # a soft edge of 2 cm averages out
@@ -154,7 +154,7 @@ def test_a_path_lies_on_the_road_where_its_points_say() -> None:
 def test_chevrons_are_bent_along_the_path_and_run() -> None:
     """On a straight path a bent image is the image; moved by a pitch it looks the same."""
     line = torch.tensor([[0.0, 0.0], [8.0, 0.0]], dtype=torch.float64)
-    drawing = Drawing.over(line, 1.0, 0.05)
+    drawing = Drawing(line, 1.0, 0.05)
     image = torch.zeros(4, 2, dtype=torch.float64)
     image[0, 0] = 1  # far left
     bent = drawing.bent(image, 2.0, 4.0, 4.0)
@@ -172,7 +172,7 @@ def test_a_bent_lane_follows_the_circle(curvature: float) -> None:
     points = point(control, torch.linspace(0, 1, 50, dtype=torch.float64))
     centre = torch.tensor([0.0, 1 / curvature], dtype=torch.float64)
     torch.testing.assert_close((points - centre).norm(dim=-1), torch.full((50,), 1 / abs(curvature)).double(), rtol=1e-4, atol=0)
-    (bent,) = LaneParams(style="lines").primitives(now(curvature_1_m=curvature))
+    (bent,) = LaneParams(style="lines", texel_m=0.05).primitives(now(curvature_1_m=curvature))
     p, image = bent, bent.symbols[0]
     rows, cols = image.shape
     r, c = (image > 0.5).nonzero().double().T + 0.5
