@@ -65,14 +65,14 @@ def test_the_check_values_of_one_pixel() -> None:
     assert float(MoorePenrose.prepare(light).utilisation(texture)) == pytest.approx(2.25 / 2.7319, abs=1e-9)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_the_least_error_of_any_lamp_is_that_of_a_linear_programme(seed: int) -> None:
     """All texels and pixels are in the programme: what the solver leaves out beforehand costs nothing."""
     light, goal = random_problem(seed)
-    found = least_error(light.matrix, goal, gap=1e-5)
+    found = least_error(light.matrix, goal, gap=1e-4)
     least = linear_programme(light.matrix.to_scipy(), goal.target.numpy(), goal.weight.numpy())
-    assert float(found.error) == pytest.approx(least, rel=2e-5, abs=1e-9)
+    assert float(found.error) == pytest.approx(least, rel=1e-4, abs=1e-9)
     assert float(found.bound) <= least + 1e-9
     direct = (goal.weight * (multiply(light.matrix, found.u) - goal.target).abs()).sum()
     assert float(found.error) == pytest.approx(float(direct), rel=1e-9)

@@ -5,12 +5,11 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-import scipy.sparse as sp
 import torch
-from scipy.optimize import linprog
 from torch import Tensor
 
-from benchmarks.calibration import PUBLISHED, REACH_DEG, RECTANGLES, least_error
+from benchmarks.calibration import PUBLISHED, drawn
+from loop.rectangles import RECTANGLES
 from world.errors import LuxloopError
 from world.lamp import Lamp, direction
 from world.presets import NAMES, lamp
@@ -148,28 +147,9 @@ def test_beams_are_fitted_once_and_only_when_asked_for(monkeypatch: pytest.Monke
     lamp.cache_clear()
 
 
-def test_the_least_error_is_that_of_a_linear_programme() -> None:
-    """min |A u - s|: what is wanted dark costs its light, what is wanted bright has a slack of its own."""
-    light, rectangle = lamp("hd84").modules[0].headlight, RECTANGLES[700]
-    error, gap = least_error(light, rectangle, reach_deg=50.0, gap=1e-4)
-    A = light.matrix.to_scipy().astype(np.float64) / 10_000
-    y, z = (np.degrees(np.arctan(axis.numpy())) for axis in light.tangents(torch.float64, torch.device("cpu")))
-    inside = (rectangle.distance(y[None, :], z[:, None]) <= 0).ravel()
-    n, bright = int(inside.sum()), A[inside]
-    slack = sp.eye_array(n)
-    best = linprog(
-        np.concatenate([np.asarray(A[~inside].sum(axis=0)).ravel(), np.ones(n)]),
-        A_ub=sp.vstack([sp.hstack([bright, -slack]), sp.hstack([-bright, -slack])]),
-        b_ub=np.repeat([1.0, -1.0], n),
-        bounds=[(0, 1)] * light.n_pixels + [(0, None)] * n,
-    )
-    assert 0.3 < error < 0.95, "a rectangle that says something"
-    assert error == pytest.approx(best.fun / n, rel=2e-4) and gap <= 1e-4
-
-
 def mean_error(name: str, every: int) -> float:
     light = lamp(name).modules[0].headlight
-    return float(np.mean([least_error(light, rectangle, REACH_DEG[name])[0] for rectangle in RECTANGLES[every // 2 :: every]]))
+    return float(np.mean([drawn(light, rectangle)[0] for rectangle in RECTANGLES[every // 2 :: every]]))
 
 
 def test_hd84_draws_rectangles_as_badly_as_published() -> None:
