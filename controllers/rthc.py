@@ -73,7 +73,8 @@ class Homographies:
     """Primitives as a headlight sees them: `[..., P, 3]`, to be multiplied with rays [1, y, z], and `[..., P]`.
 
     n, u, v: d.n and twice u d.n and v d.n, turned so that `qn`, q.n, is positive. normal: as given. mask: a zero setpoint of infinite
-    weight. widen_u, widen_v, widen_n: by how much u, v and the cosine change over one texel. near, far: 1/x of the nearest and the
+    weight. aside_u, wider_u, aside_v, wider_v: how far a mask's edges move for it to reach one texel further: |u - aside| <= n + wider.
+    toward: cosine, times a length, at which the lamp sees the primitive's middle. near, far: 1/x of the nearest and the
     farthest corner. low, high: `[..., P, 2]`, projected outline in rows and columns, infinite where it reaches behind the lamp.
     """
 
@@ -83,9 +84,11 @@ class Homographies:
     normal: Tensor
     qn: Tensor
     mask: Tensor
-    widen_u: Tensor
-    widen_v: Tensor
-    widen_n: Tensor
+    aside_u: Tensor
+    wider_u: Tensor
+    aside_v: Tensor
+    wider_v: Tensor
+    toward: Tensor
     near: Tensor
     far: Tensor
     low: Tensor
@@ -104,7 +107,11 @@ def homographies(primitives: Primitives, grid: TexelGrid, T_world_headlight: Ten
     sign = torch.where(qn < 0, -1.0, 1.0).to(qn)[..., None]
     n, u, v = n * sign, 2 * torch.linalg.cross(d2, q) * sign, 2 * torch.linalg.cross(q, d1) * sign
 
+    mask = (primitives.value == 0) & primitives.weight.isinf()
+
     def change(a: Tensor) -> Tensor:
+        """By how much a product with a ray changes over one texel."""
+        a = a.detach()
         return a[..., 1].abs() * ((grid.left - grid.right) / grid.cols) + a[..., 2].abs() * ((grid.top - grid.bottom) / grid.rows)
 
     x, y, z = torch.stack([origin, origin + d1, origin + d2, origin + d1 + d2], -2).detach().unbind(-1)
@@ -117,10 +124,9 @@ def homographies(primitives: Primitives, grid: TexelGrid, T_world_headlight: Ten
         v,
         normal,
         qn.abs(),
-        (primitives.value == 0) & primitives.weight.isinf(),
-        change(u) + change(n),
-        change(v) + change(n),
-        change(normal),
+        mask,
+        *(mask * moved / 2 for a in (u, v) for moved in (change(n - a) - change(n + a), change(n - a) + change(n + a))),
+        -(normal * q).sum(-1).detach(),
         1 / x.amin(-1),
         1 / x.amax(-1),
         at.amin(-2).masked_fill(behind, -torch.inf),
@@ -166,13 +172,8 @@ def trace(primitives: Primitives, grid: TexelGrid, T_world_headlight: Tensor, wi
                 rays = _Rays(y[windows[p].slices[1]], z[windows[p].slices[0]], windows[p])
                 rivals = any(windows[p].meets(windows[k]) for k in painted if k != p)
                 canvas.paint(p, _hit(rays, seen, p, is_mask[p], front[p]), rays, primitives, seen, rivals)
-    return canvas.setpoints(primitives, all(is_mask[p] for p, weight in enumerate(_weights(primitives)) if weight == torch.inf))
-
-
-def _weights(primitives: Primitives) -> list[float]:
-    """Weights as far as the host knows them without waiting: of a single scene; empty else."""
-    known = primitives.weight.ndim == 1 and primitives.weight.device.type == "cpu"
-    return primitives.weight.tolist() if known else []
+    masking = single and all(mask for mask, weight in zip(is_mask, primitives.weight.tolist(), strict=True) if weight == torch.inf)
+    return canvas.setpoints(primitives, masking)
 
 
 @dataclass(frozen=True)
@@ -192,10 +193,11 @@ class _Rays:
 def _from_the_front(seen: Homographies) -> list[bool | None]:
     """Whether the lamp sees the front of a single scene's primitives, None where each ray has to be asked.
 
-    It has where a given normal is not that of the edges.
+    It has where a given normal is not that of the edges, except of masks, which are seen as their middles are.
     """
-    toward = -(seen.normal * seen.n).sum(-1) / seen.n.norm(dim=-1)
-    return [cosine > 0 if abs(abs(cosine) - 1) < PARALLEL else None for cosine in toward.tolist()]
+    cosine = (seen.normal * seen.n).sum(-1).abs() / seen.n.norm(dim=-1)
+    decided = seen.mask | (cosine > 1 - PARALLEL)
+    return [front if known else None for front, known in zip((seen.toward > 0).tolist(), decided.tolist(), strict=True)]
 
 
 def _step(a: Tensor) -> Tensor:
@@ -206,18 +208,17 @@ def _step(a: Tensor) -> Tensor:
 def _hit(rays: _Rays, seen: Homographies, p: int, mask: bool | None, front: bool | None) -> Tensor:
     """One where a ray hits the p-th primitive, `[..., rows, cols]`; mask, front: whether it is one and is seen so, where the host knows."""
     n = rays.times(seen.n[..., p, :].detach())
-    u, v = (rays.times(a[..., p, :].detach()).abs_() for a in (seen.u, seen.v))
-    if mask is not False:
-        wide = seen.mask[..., p, None, None]
-        u -= torch.where(wide, seen.widen_u.detach()[..., p, None, None], 0.0)
-        v -= torch.where(wide, seen.widen_v.detach()[..., p, None, None], 0.0)
-    hit = _step(n - torch.maximum(u, v))
+    u, v = (rays.times(a[..., p, :].detach()) for a in (seen.u, seen.v))
+    if mask is False:
+        hit = _step(n - torch.maximum(u.abs_(), v.abs_()))
+        return hit if front else hit * _step(rays.times(-seen.normal[..., p, :].detach()))
+    aside_u, wider_u, aside_v, wider_v = (a[..., p, None, None] for a in (seen.aside_u, seen.wider_u, seen.aside_v, seen.wider_v))
+    hit = _step(n - torch.maximum((u - aside_u).abs_() - wider_u, (v - aside_v).abs_() - wider_v))
+    wide = seen.mask[..., p, None, None]
     if not front:
-        facing = rays.times(-seen.normal[..., p, :].detach())
-        if mask is not False:
-            facing += torch.where(wide, seen.widen_n.detach()[..., p, None, None], 0.0)
+        facing = torch.where(wide, seen.toward[..., p, None, None], rays.times(-seen.normal[..., p, :].detach()))
         hit *= _step(facing)
-    return hit if mask is False else hit * torch.where(wide, _near_outline(rays, seen.low[..., p, :], seen.high[..., p, :]), 1.0)
+    return hit * torch.where(wide, _near_outline(rays, seen.low[..., p, :], seen.high[..., p, :]), 1.0)
 
 
 def _near_outline(rays: _Rays, low: Tensor, high: Tensor) -> Tensor:

@@ -10,11 +10,12 @@ from pydantic import ValidationError
 from torch import Tensor
 
 from controllers.mrpc import MrpcParams, pixel_major, reduce_setpoints
-from controllers.primitives import QUANTITIES, U_ABS, Quantity
+from controllers.primitives import I_V, QUANTITIES, U_ABS, Quantity
 from controllers.rthc import Setpoints
 from controllers.windows import Window, whole
 from tests.reference import ssc as reference
 from world.headlight import Headlight
+from world.presets import idealised
 from world.spmv import Csr
 
 ROWS, COLS, PIXELS = 6, 8, 12
@@ -252,3 +253,81 @@ def test_gradient_against_differences(quantity: Quantity, a_m: float) -> None:
 def test_negative_exponents_are_refused() -> None:
     with pytest.raises(ValidationError, match="a_m"):
         MrpcParams(a_m=-1)
+
+
+def one_pixel(light: list[float]) -> Headlight:
+    """A pixel alone on a row of texels."""
+    return Headlight(
+        name="one",
+        matrix=Csr.from_scipy(sp.csr_array(np.array(light)[:, None]), torch.float64),
+        rows=1,
+        cols=len(light),
+        left=0.1,
+        right=-0.1,
+        bottom=-0.1,
+        top=0.1,
+        pixel_rows=1,
+        pixel_cols=1,
+    )
+
+
+def asked(*setpoints: float) -> Setpoints:
+    value = torch.tensor([setpoints], dtype=torch.float64)
+    return Setpoints(value, torch.ones_like(value), Window(0, 1, 0, len(setpoints)), (I_V,))
+
+
+def test_the_pixel_of_the_check_values() -> None:
+    """Setpoints 0, 0, s, s for a pixel of 0.13, 0.35, 0.95, 1.3 cd: least squares at s 2.25 / 2.7319, if no bound cuts s."""
+    pixel, dark = one_pixel([0.13, 0.35, 0.95, 1.3]), torch.zeros(1, dtype=torch.float64)
+    u, _ = reduced(asked(0, 0, 0.9, 0.9), pixel, MrpcParams(a_r=2), dark)
+    assert u.item() == pytest.approx(0.9 * 2.25 / 2.7319)
+    u, _ = reduced(asked(0, 0, 1, 1), pixel, MrpcParams(a_r=2), dark)
+    assert u.item() == pytest.approx((0.95**2 + 1.3) / 2.7319), "0.95 cd is all that the third texel can get"
+    # Of equal texels above 0.9 of the peak there is one: the pixel's stray light is not asked.
+    u, _ = reduced(asked(0, 0, 1, 1), pixel, MrpcParams(a_x=0.9), dark)
+    assert u.item() == pytest.approx(1 / 1.3)
+
+
+@pytest.mark.parametrize(("a_ac", "lit"), [(0.5, True), (0.51, False)])
+def test_a_pixel_with_too_few_lit_setpoints_is_off(a_ac: float, lit: bool) -> None:
+    for params in (MrpcParams(a_ac=a_ac), MrpcParams(a_ac=a_ac, upper_cd=100)):
+        u, _ = reduced(asked(0, 0, 0.5, 0.5), one_pixel([1.0, 1.0, 1.0, 1.0]), params, torch.zeros(1, dtype=torch.float64))
+        assert u.item() == (0.25 if lit else 0)
+
+
+def test_smaller_pixels_are_asked_for_more() -> None:
+    A = np.ones((8, 2))
+    A[:6, 1] = 0  # the second pixel reaches two texels of the eight
+    lamp = Headlight(
+        name="coarse and fine", matrix=Csr.from_scipy(sp.csr_array(A), torch.float64), rows=1, cols=8,
+        left=0.1, right=-0.1, bottom=-0.1, top=0.1, pixel_rows=1, pixel_cols=2,
+    )  # fmt: skip
+    wanted = asked(0, 0, 0, 0, 0, 0, 0.9, 0.9)
+    dark = torch.zeros(2, dtype=torch.float64)
+    alike, finer = (reduced(wanted, lamp, MrpcParams(granularity=g), dark)[0] for g in (0.0, 1.0))
+    assert alike.tolist() == pytest.approx([0.45 / 4, 0.45])
+    assert finer.tolist() == pytest.approx([0.9 / 5 / 4, 0.9 * 4 / 5])  # sizes 8 and 2
+
+
+def test_sharpening_raises_edges_and_nothing_else() -> None:
+    lamp = idealised(1, 40)
+    value = torch.zeros(lamp.rows, lamp.cols, dtype=torch.float32)
+    value[:, 20:60] = 20_000
+    setpoints = Setpoints(value, (value > 0).float(), whole(lamp), (I_V,))
+    dark = torch.zeros(40)
+    plain, sharp = (reduce_setpoints(setpoints, pixel_major(lamp, p), p, dark, True)[0] for p in (MrpcParams(), MrpcParams(sharpening=0.3)))
+    assert (sharp[10] / plain[10]).item() > 1.05
+    assert torch.equal(sharp[:9], torch.zeros(9))
+    # Above and below there is no light either: everywhere the upper and lower rows are edges, the columns' middle is not.
+    assert sharp[20] < sharp[10]
+    tall = idealised(20, 40)
+    filled = torch.full((tall.rows, tall.cols), 20_000.0)
+    everywhere_lit = Setpoints(filled, torch.ones_like(filled), whole(tall), (I_V,))
+    p = MrpcParams(sharpening=0.3)
+    u = reduce_setpoints(everywhere_lit, pixel_major(tall, p), p, torch.zeros(800), True)[0].view(20, 40)
+    torch.testing.assert_close(u[5:15, 5:35], torch.full((10, 30), 0.4), rtol=1e-5, atol=0)
+
+
+def test_bounds_in_the_wrong_order_are_refused() -> None:
+    with pytest.raises(ValidationError, match="below lower_cd"):
+        MrpcParams(lower_cd=500, upper_cd=100)

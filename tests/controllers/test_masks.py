@@ -1,0 +1,145 @@
+"""Weights and masks: what an infinite weight rules, and that no light reaches what is masked."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from controllers.mrpc import MrpcParams
+from controllers.primitives import Primitives, concatenate, rectangle
+from controllers.rthc import trace
+from controllers.ssc import Ssc
+from controllers.windows import bounding_ellipsoid
+from world.frames import pose_from_degrees
+from world.presets import idealised
+
+LAMP = idealised(20, 40)
+T = pose_from_degrees((0.0, 0.0, 0.0))
+FULL = torch.ones(LAMP.n_pixels)
+SEEN_FROM_THE_LAMP = torch.tensor([-1.0, 0.0, 0.0])
+
+
+def board(y: float, z: float, width: float, height: float, x: float = 20.0, turn: float = 0.0, **changes) -> Primitives:
+    """An upright rectangle about (x, y, z), turned in its plane."""
+    c, s = math.cos(turn), math.sin(turn)
+    d1, d2 = torch.tensor([0.0, -width * c, -width * s]), torch.tensor([0.0, height * s, -height * c])
+    origin = torch.tensor([x, y, z]) - (d1 + d2) / 2
+    return rectangle(origin, d1, d2, **{"value": 0.0, "normal": SEEN_FROM_THE_LAMP, **changes})
+
+
+def mask(*place: float, **changes) -> Primitives:
+    return board(*place, weight=math.inf, forced=True, **changes)
+
+
+def light_at(u: torch.Tensor, primitive: Primitives, n: int = 25) -> torch.Tensor:
+    """Luminous intensities `[n * n]` towards points spread over a primitive, its edges included."""
+    s = torch.linspace(0, 1, n)
+    points = primitive.origin[0] + s[:, None, None] * primitive.d1[0] + s[None, :, None] * primitive.d2[0]
+    return LAMP.intensity(LAMP.light_texture(u), points.flatten(0, 1).T)
+
+
+places = st.tuples(st.floats(-2, 2), st.floats(-1, 0.3), st.floats(0.001, 1), st.floats(0.001, 0.6), st.floats(10, 40), st.floats(0, 1.5))
+
+
+@settings(deadline=None, max_examples=60)
+@given(places)
+def test_no_light_reaches_a_masked_body_however_thin(place: tuple[float, ...]) -> None:
+    dark = mask(*place)
+    u = Ssc.prepare(LAMP, default=FULL).utilisation(dark, T).u
+    assert light_at(FULL, dark).max() > 0 or not trace(dark, LAMP, T).hit.any()
+    assert not light_at(u, dark).any()
+
+
+@settings(deadline=None, max_examples=40)
+@given(places)
+def test_a_mask_takes_all_texels_whose_light_is_interpolated_on_it_and_few_more(place: tuple[float, ...]) -> None:
+    dark = mask(*place)
+    hit = trace(dark, LAMP, T).hit
+    corners = dark.corners()[0, [0, 1, 3, 2]]
+    row, col = LAMP.texel_of(corners[:, 1] / corners[:, 0], corners[:, 2] / corners[:, 0])
+    low, high = torch.stack([row, col]).amin(1) - 1.52, torch.stack([row, col]).amax(1) + 1.52
+    at = torch.nonzero(hit)
+    assert (at + 0.5 >= low).all() and (at + 0.5 <= high + 1e-3).all()
+
+
+def test_a_window_of_a_mask_holds_its_fringe() -> None:
+    dark = mask(0.3, -0.2, 0.4, 0.3, 20.0, 0.3)
+    single = Ssc.prepare(LAMP, default=FULL).utilisation(dark, T).u
+    batch = concatenate(dark, mask(50.0, 0.0, 1.0, 1.0))
+    stacked = type(batch)(**{**vars(batch), **{k: getattr(batch, k)[None] for k in ("origin", "d1", "d2", "normal", "value", "weight")}})
+    assert torch.equal(Ssc.prepare(LAMP, default=FULL).utilisation(stacked, T).u[0], single)
+
+
+def test_one_ray_of_infinite_weight_darkens_a_pixel_fully() -> None:
+    tiny = mask(0.02, -0.11, 0.01, 0.01)
+    u = Ssc.prepare(LAMP, default=FULL).utilisation(tiny, T).u
+    assert 1 <= (u == 0).sum() <= 4 * 4  # the pixels that reach one of at most 2 x 2 texels
+    assert ((u == 0) | (u == 1)).all()
+
+
+def test_infinite_beats_finite_and_forced_beats_near() -> None:
+    near = board(0.0, 0.0, 100.0, 100.0, x=10.0, value=1.0, weight=1e6)
+    far = board(0.0, 0.0, 100.0, 100.0, x=30.0, weight=math.inf)
+    ssc = Ssc.prepare(LAMP)
+    assert (ssc.utilisation(concatenate(near, far), T).u == 1).all(), "the mask lies behind and is not forced"
+    far = board(0.0, 0.0, 100.0, 100.0, x=30.0, weight=math.inf, forced=True)
+    assert not ssc.utilisation(concatenate(near, far), T).u.any()
+    above = board(0.0, 0.0, 100.0, 100.0, x=40.0, value=0.7, forced=True, priority=1)
+    u = ssc.utilisation(concatenate(above, near, far), T).u
+    torch.testing.assert_close(u, torch.full_like(u, 0.7))
+
+
+def test_weight_0_occludes_but_does_not_count() -> None:
+    hidden = board(0.0, 0.0, 100.0, 100.0, x=30.0, value=0.3)
+    clear = board(0.0, 0.0, 100.0, 100.0, x=10.0, value=1.0, weight=0.0)
+    default = torch.rand(LAMP.n_pixels, generator=torch.Generator().manual_seed(1))
+    u = Ssc.prepare(LAMP, default=default).utilisation(concatenate(hidden, clear), T).u
+    torch.testing.assert_close(u, default, rtol=0, atol=1e-6)
+
+
+def test_coplanar_ties_go_by_priority_and_then_to_the_later() -> None:
+    first, second = (board(0.0, 0.0, 100.0, 100.0, value=v) for v in (0.2, 0.6))
+    ssc = Ssc.prepare(LAMP)
+    assert ssc.utilisation(concatenate(first, second), T).u.mean().item() == pytest.approx(0.6)
+    important = board(0.0, 0.0, 100.0, 100.0, value=0.2, priority=1)
+    assert ssc.utilisation(concatenate(important, second), T).u.mean().item() == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("changes", [{"lower_cd": 5000.0}, {"a_ac": 1.0}, {"a_x": 1.0}, {"sampling": "brightest"}, {"a_d": 2.0}])
+def test_nothing_lifts_a_mask(changes: dict) -> None:
+    dark = mask(0.3, -0.2, 0.4, 0.3)
+    u = Ssc.prepare(LAMP, MrpcParams(**changes), default=FULL).utilisation(dark, T).u
+    assert not light_at(u, dark).any()
+
+
+def test_bright_setpoints_of_infinite_weight_beat_exclusion_and_activation() -> None:
+    bright = board(0.3, -0.2, 0.4, 0.3, value=0.5, weight=math.inf)
+    u = Ssc.prepare(LAMP, MrpcParams(a_x=1.0, a_ac=1.0), default=FULL).utilisation(bright, T).u
+    assert sorted(u.unique().tolist()) == pytest.approx([0.5, 1.0])
+
+
+@given(st.lists(st.floats(-3, 3), min_size=9, max_size=9), st.floats(0.2, 5), st.floats(0.2, 5))
+def test_an_ellipsoid_goes_through_the_corners_of_its_box(edges: list[float], width: float, height: float) -> None:
+    E = torch.tensor(edges, dtype=torch.float64).view(3, 3) + torch.diag(torch.tensor([8.0, 8 * width, 8 * height], dtype=torch.float64))
+    centre = torch.tensor([20.0, 1.0, -2.0], dtype=torch.float64)
+    ball = bounding_ellipsoid(centre, E)
+    signs = torch.cartesian_prod(*[torch.tensor([-1.0, 1.0], dtype=torch.float64)] * 3)
+    np.testing.assert_allclose(((centre + signs @ E - ball.centre) @ ball.unit_ball.T).norm(dim=1), 1, rtol=1e-9)
+
+
+def test_rays_that_miss_the_ellipsoid_miss_the_box() -> None:
+    half = torch.diag(torch.tensor([2.0, 0.8, 0.7], dtype=torch.float64))
+    ball = bounding_ellipsoid(torch.tensor([15.0, 0.5, -0.3], dtype=torch.float64), half)
+    y, z = torch.meshgrid(
+        torch.linspace(-0.2, 0.2, 81, dtype=torch.float64), torch.linspace(-0.2, 0.2, 81, dtype=torch.float64), indexing="ij"
+    )
+    rays = torch.stack([torch.ones_like(y), y, z], -1).reshape(-1, 3)
+    hit = ball.hit(torch.zeros(3, dtype=torch.float64), rays)
+    low, high = ((rays * 0 + ball.centre + sign * half.diag()) / rays for sign in (-1, 1))
+    box = torch.minimum(low, high).amax(1) <= torch.maximum(low, high).amin(1)
+    assert (hit | ~box).all()
+    assert 0 < box.sum() < hit.sum() < len(rays)
+    assert not ball.hit(torch.zeros(3, dtype=torch.float64), -rays).any(), "it lies ahead"

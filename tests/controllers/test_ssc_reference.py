@@ -1,0 +1,148 @@
+"""SuperSampling Control as a whole against the plain reference, over random lamps, primitives and parameters."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from controllers.mrpc import MrpcParams
+from controllers.primitives import QUANTITIES, Primitives, concatenate, rectangle
+from controllers.rthc import trace
+from controllers.ssc import Ssc
+from tests.reference import ssc as reference
+from world.frames import pose_from_degrees
+from world.headlight import Headlight
+from world.spmv import Csr
+
+ROWS, COLS, PIXELS = 7, 9, 8
+T = pose_from_degrees((0.2, 0.5, 0.7), roll_deg=2, pitch_deg=-1, yaw_deg=3)
+
+parameters = st.builds(
+    MrpcParams,
+    a_m=st.sampled_from([0.0, 0.5, 1.0, 1.0, 2.0]),
+    a_r=st.sampled_from([0.0, 0.7, 1.0, 2.0]),
+    a_x=st.sampled_from([0.0, 0.0, 0.3, 1.0]),
+    exclusion=st.sampled_from(["capability", "printed"]),
+    a_ac=st.sampled_from([0.0, 0.0, 0.4, 1.0]),
+    a_d=st.sampled_from([None, None, 0.5, 1.5]),
+    lower_cd=st.sampled_from([0.0, 0.0, 60.0]),
+    upper_cd=st.sampled_from([None, None, 400.0]),
+    mapping=st.sampled_from(["potentiated", "potentiated", "direct", "maximal"]),
+    sampling=st.sampled_from(["all", "all", "brightest", "centroid", "uniform", "rotated", "n_rooks", "quincunx"]),
+    granularity=st.sampled_from([0.0, 0.0, 0.5]),
+)
+
+
+def random_lamp(generator: np.random.Generator) -> tuple[Headlight, np.ndarray]:
+    """Pixels that overlap; some texels and sometimes a pixel are dark."""
+    A = generator.uniform(20, 1000, (ROWS * COLS, PIXELS)) * (generator.random((ROWS * COLS, PIXELS)) < 0.3)
+    matrix = Csr.from_scipy(sp.csr_array(A), torch.float64)
+    light = Headlight(
+        name="random", matrix=matrix, rows=ROWS, cols=COLS, left=0.25, right=-0.2, bottom=-0.1, top=0.15, pixel_rows=2, pixel_cols=4
+    )
+    return light, A
+
+
+def random_primitive(generator: np.random.Generator) -> Primitives:
+    """A skewed rectangle that mostly faces the lamp, of any quantity, weight and rank."""
+    x = generator.uniform(6, 20)
+    centre = T[:3, 3].numpy() + T[:3, :3].numpy() @ (x * np.array([1, generator.uniform(-0.2, 0.25), generator.uniform(-0.1, 0.15)]))
+    d1 = x * generator.uniform(0.05, 0.4) * np.array([generator.normal() * 0.4, -1, generator.normal() * 0.3])
+    d2 = x * generator.uniform(0.03, 0.25) * np.array([generator.normal() * 0.4, generator.normal() * 0.3, -1])
+    origin, d1, d2 = (torch.from_numpy(vector) for vector in (centre - (d1 + d2) / 2, d1, d2))
+    quantity = QUANTITIES[generator.integers(4)]
+    value = {"I_v": 1500.0, "E_v": 8.0, "u_abs": 1.2, "u_rel": 1.8}[quantity] * generator.random() * (generator.random() < 0.75)
+    normal = -torch.linalg.cross(d1, d2) if generator.random() < 0.9 else torch.tensor([-1.0, 0.2, 0.3])
+    return rectangle(
+        origin,
+        d1,
+        d2,
+        value,
+        quantity,
+        normal=normal,
+        symbol=torch.from_numpy(generator.random((3, 4))) if generator.random() < 0.5 else None,
+        weight=float(generator.choice([0.0, 0.4, 1.0, 1.0, 3.0, math.inf])),
+        forced=bool(generator.random() < 0.3),
+        priority=int(generator.integers(3)),
+        nearest=bool(generator.random() < 0.3),
+    )
+
+
+def random_case(seed: int) -> tuple[Headlight, np.ndarray, Primitives, torch.Tensor]:
+    generator = np.random.default_rng(seed)
+    light, A = random_lamp(generator)
+    scene = concatenate(*(random_primitive(generator) for _ in range(generator.integers(1, 5))))
+    default = torch.from_numpy(generator.random(PIXELS)) * bool(generator.random() < 0.6)
+    return light, A, scene, default
+
+
+@settings(deadline=None, max_examples=150)
+@given(st.integers(0, 2**32 - 1), parameters)
+def test_equals_the_reference(seed: int, params: MrpcParams) -> None:
+    light, A, scene, default = random_case(seed)
+    rays = reference.trace(scene, light, T.numpy())
+    expected, close = reference.map_reduce(A, rays, params, default.numpy(), COLS)
+    ssc = Ssc.prepare(light, params, default)
+    for form in (scene, batched(scene)):
+        u = ssc.utilisation(form, T).u.reshape(-1)
+        # float64; pixels with an entry at a threshold are left out.
+        np.testing.assert_allclose(u[~close], expected[~close], rtol=0, atol=1e-9)
+
+
+def batched(scene: Primitives) -> Primitives:
+    """The scene as a batch of one, which takes all rays."""
+    vectors = {name: getattr(scene, name)[None] for name in ("origin", "d1", "d2", "normal", "value", "weight")}
+    return replace(scene, **vectors)
+
+
+@pytest.mark.parametrize("a_x", [0.0, 0.3])
+@pytest.mark.parametrize("bounds", [{}, {"upper_cd": 400.0, "a_m": 0.5}], ids=["products", "entries"])
+def test_float32_on_every_device(a_x: float, bounds: dict[str, float], device: torch.device) -> None:
+    excepted = 0
+    for seed in range(40):
+        light, A, scene, default = random_case(seed)
+        params = MrpcParams(a_x=a_x, a_r=2, a_ac=0.2, **bounds)
+        rays = reference.trace(scene, light, T.numpy())
+        expected, close = reference.map_reduce(A, rays, params, default.numpy(), COLS)
+        single = replace(light, matrix=light.matrix.to(torch.float32)).to(device)
+        moved, place = scene.to(torch.float32).to(device), T.to(device)
+        u = Ssc.prepare(single, params, default.float().to(device)).utilisation(moved, place).u
+        assert (u.dtype, u.device.type) == (torch.float32, device.type)
+        seen = trace(moved, single, place)
+        apart = (seen.hit.cpu().flatten().numpy() != [ray.hit for ray in rays]) | (
+            np.abs(seen.value.cpu().flatten().numpy() - [ray.value for ray in rays]) > 1e-3 * max(1.0, *(ray.value for ray in rays))
+        )
+        at_threshold = close | (A[apart] > 0).any(0)
+        excepted += at_threshold.sum()
+        np.testing.assert_allclose(u.cpu().numpy()[~at_threshold], expected[~at_threshold], rtol=0, atol=1e-5)
+    # Of 320 pixels: rays that hit an outline within a rounding.
+    assert excepted <= 8
+
+
+def test_a_list_in_any_order_gives_the_same_light() -> None:
+    """No two lie in one plane here, where the order would decide."""
+    light, _, scene, default = random_case(7)
+    ssc = Ssc.prepare(light, MrpcParams(), default)
+    flags = [torch.arange(len(scene)) == p for p in reversed(range(len(scene)))]
+    backwards = concatenate(*(scene.select(flag) for flag in flags))
+    assert len(scene) > 1
+    torch.testing.assert_close(ssc.utilisation(scene, T).u, ssc.utilisation(backwards, T).u, rtol=0, atol=1e-12)
+
+
+def test_gradients_in_many_primitives_are_those_of_differences() -> None:
+    generator = np.random.default_rng(5)
+    light, _ = random_lamp(generator)
+    scene = concatenate(*(random_primitive(generator) for _ in range(3)))
+    scene = replace(scene, quantity=torch.tensor([0, 2, 3]), weight=torch.tensor([1.0, 0.5, 2.0], dtype=torch.float64))
+    ssc = Ssc.prepare(light, MrpcParams(), torch.full((PIXELS,), 0.3, dtype=torch.float64))
+
+    def u(value: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
+        return ssc.utilisation(replace(scene, value=value, weight=weight), T).u
+
+    value = torch.tensor([50.0, 0.4, 0.5], dtype=torch.float64, requires_grad=True)  # no ray comes near a bound
+    assert torch.autograd.gradcheck(u, (value, scene.weight.clone().requires_grad_()), eps=1e-5, rtol=1e-4)
