@@ -3,6 +3,7 @@
 import difflib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 import torch
 
@@ -16,10 +17,12 @@ from loop.scenario import HeadlightParams, Scenario, shipped_symbols
 from world.body import Body
 from world.errors import LuxloopError
 from world.frames import pose_from_degrees
-from world.lamp import Module
+from world.lamp import Lamp, Module
 from world.roadmesh import road_mesh
 from world.scanroad import OpenCrgRoad
 from world.scene import Scene
+
+TurnedPart = TypeVar("TurnedPart", Lamp, Module)
 
 
 def build_scene(scenario: Scenario) -> Scene:
@@ -47,9 +50,18 @@ def _drawing_modules(params: HeadlightParams, ssc: MrpcParams, device: torch.dev
         scale = 1.0 if params.intensity_cd is None else params.intensity_cd / _brightest(modules)
         T_world_lamp = pose_from_degrees((0.0, (0.5 if side == "left" else -0.5) * params.distance_m, params.height_m))
         for module in modules:
-            T_world_module = T_world_lamp @ module.turned(params.swivel_deg, params.level_deg).T_lamp_module
+            T_world_module = T_world_lamp @ turned(module, side, params).T_lamp_module
             controller = Ssc.prepare(module.headlight.scaled(scale).to(device), ssc)
             yield DrawingModule(f"{side} {module.name}", controller, T_world_module.to(device))
+
+
+def turned(part: TurnedPart, side: str, params: HeadlightParams) -> TurnedPart:
+    """A lamp or module turned as a scenario says. Raises LuxloopError that names the lamp's side where it cannot be turned so far."""
+    try:
+        return part.turned(params.swivel_deg, params.level_deg)
+    except LuxloopError as error:
+        mirrored = "; a right lamp is the left one's mirror image, and so is its range" if side == "right" else ""
+        raise LuxloopError(f"headlight: {side} lamp, {error}{mirrored}") from error
 
 
 def _brightest(modules: Sequence[Module]) -> float:

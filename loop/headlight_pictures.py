@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from loop import headlight_charts as charts
+from loop.build import turned
 from loop.headlight_overview import draw_overview
 from loop.headlight_panels import WALL_M, draw_birdseye, draw_eye, draw_pixels, draw_texture, draw_wall
 from loop.headlight_views import SIDES, LitCar, Road, beside, birdseye, driver
@@ -74,8 +75,7 @@ def show(
         raise LuxloopError(f"visibility of {visibility_m:g} m: give a number greater than 0")
     name, patterns = _patterns(lamps, beam)
     mount = scenario.headlight if scenario else HeadlightParams()
-    turned = {side: lamp.turned(mount.swivel_deg, mount.level_deg) for side, lamp in lamps.items()}
-    car = LitCar(turned, patterns, mount.height_m, mount.distance_m)
+    car = LitCar({side: turned(lamp, side, mount) for side, lamp in lamps.items()}, patterns, mount.height_m, mount.distance_m)
     with rc_context(STYLE):
         write(_draw(car, name, view, style, scenario, visibility_m), out)
     return out

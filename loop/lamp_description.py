@@ -60,6 +60,9 @@ class LampDescription(Params):
 
 def describe(path: Path) -> LampDescription:
     """Read a description. Raises LuxloopError that names the file, the key and the remedy."""
+    if path.suffix.lower() in (".npz", *SUFFIXES):
+        what = "a lamp file" if path.suffix.lower() == ".npz" else "a photometric file, which is a lamp of one pixel"
+        raise LuxloopError(f"{path}: is {what} already; look at it with `luxloop headlight info` or `show`, or build a description (.toml)")
     return validate(read_toml(path), str(path))
 
 

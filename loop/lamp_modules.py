@@ -1,6 +1,7 @@
 """A module of a lamp's description: what it may say, and the light that it becomes."""
 
 import math
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,12 +20,13 @@ from world.parametric import BlurredRectangles, GaussianPixels
 from world.params import Params
 from world.photometry.distribution import Array
 from world.pixel_sources import FileSource, FolderSource, TableSource
-from world.pixels import CUTOFF, Assembled, affordable, assemble, default_grid, describe
+from world.pixels import CUTOFF, TEXELS_A_PIXEL, Assembled, PixelArray, affordable, assemble, border_share, default_grid, describe
 from world.presets.modules import headlight
 from world.spmv import Csr
 from world.texels import LARGEST_ANGLE_DEG, TexelGrid
 
 DARK_CD = 1e-3  # no lamp is so dim, but what rounding leaves of a model far away
+STILL_SHINES = 0.05  # of its peak: a measurement that ends there was cut off
 SIGMAS = 3.5  # of a Gaussian that a default texture holds: all but 0.2 % of the peak
 
 Progress = Callable[[int, int], None]
@@ -53,8 +55,17 @@ class TextureParams(Params):
     bottom_deg: float | None = Field(None, ge=-80, le=80, description="lower border, up positive")
     top_deg: float | None = Field(None, ge=-80, le=80, description="upper border")
 
-    def on(self, default: TexelGrid) -> TexelGrid:
-        """The grid, with what is left out taken from a default. Raises LuxloopError where the borders are in the wrong order."""
+    def on(self, default: TexelGrid, pixel_rows: int, pixel_cols: int) -> TexelGrid:
+        """The grid, with what is left out taken from a default.
+
+        Raises LuxloopError where the borders are in the wrong order, or texels are fewer than pixels.
+        """
+        for key, given, pixels in (("rows", self.rows, pixel_rows), ("columns", self.columns, pixel_cols)):
+            if given is not None and given < pixels:
+                raise LuxloopError(
+                    f"texture.{key} = {given}: cannot show {pixels} {key} of pixels; give at least {pixels}, better "
+                    f"{TEXELS_A_PIXEL * pixels}, or leave it out"
+                )
         borders = [
             math.degrees(math.atan(tangent)) if given is None else given
             for given, tangent in (
@@ -193,9 +204,12 @@ def _with_light(params: ModuleParams, folder: Path, on_progress: Progress | None
         given = lamp.finest if source.module is None else lamp.module(source.module)
         return replace(given, name=params.name), None
     if isinstance(source, GaussianPixels | BlurredRectangles):
-        return Module(params.name, headlight(params.name, source, params.texture.on(_grid_of_model(source)))), None
+        rows = source.rows if isinstance(source, BlurredRectangles) else len(source.row_centres_deg)
+        grid = params.texture.on(_grid_of_model(source), rows, source.columns)
+        return Module(params.name, headlight(params.name, source, grid)), None
     array = source.model_copy(update={"path": folder / source.path}).pixels()
-    grid = params.texture.on(default_grid(array))
+    grid = params.texture.on(default_grid(array), array.rows, array.columns)
+    _warn_of_oddities(source, array)
     assembled = assemble(array, grid, params.cutoff, on_progress)
     light = Headlight(
         **vars(grid),
@@ -206,6 +220,28 @@ def _with_light(params: ModuleParams, folder: Path, on_progress: Progress | None
         chroma=None if assembled.chroma is None else torch.from_numpy(assembled.chroma).float(),
     )
     return Module(params.name, light), assembled
+
+
+def _warn_of_oddities(source: FolderSource | FileSource | TableSource, array: PixelArray) -> None:
+    """Tell of measurements that are probably not what was meant."""
+    shares = {id(each): border_share(each) for each in {id(pixel.distribution): pixel.distribution for pixel in array.pixels}.values()}
+    cut_off = [(shares[id(pixel.distribution)], j) for j, pixel in enumerate(array.pixels) if shares[id(pixel.distribution)] > STILL_SHINES]
+    if cut_off:
+        share, worst = max(cut_off, key=lambda each: each[0])
+        row, column = divmod(worst, array.columns)
+        which = "" if len(shares) == 1 else f"the measurement of the pixel in row {row}, column {column} (counted from 0) "
+        more = "" if len(shares) == 1 or len(cut_off) == 1 else f", as do {len(cut_off) - 1} more"
+        warnings.warn(
+            f"{source.path}: {which}ends where it still gives {share:.0%} of its peak{more}; measure farther out, for beyond it is dark",
+            stacklevel=2,
+        )
+    hangs = any(pixel.distribution.type == "C" for pixel in array.pixels)
+    if hangs and "aim" not in source.model_fields_set:
+        warnings.warn(
+            f'{source.path}: is a luminaire\'s file (type C), so its nadir was taken as the beam axis; in a description, aim = "beam" says '
+            'that this is right, aim = "nadir" leaves it as it hangs',
+            stacklevel=2,
+        )
 
 
 def _reduced(light: Headlight, params: OverlapParams, given: Sequence[Array]) -> tuple[Headlight, OverlapErrors]:

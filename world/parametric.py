@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from scipy.special import ndtr
 
+from world.errors import LuxloopError
 from world.params import Params
 from world.texels import TexelGrid
 
@@ -20,6 +21,7 @@ Matrix = tuple[sp.csr_array, int, int]
 Spacing = Literal["angle", "tangent"]
 
 MOST_PIXELS = 4096  # along a side
+MOST_ENTRIES = 200_000_000  # of a headlight matrix: several GB while it is made
 BRIGHTEST_CD = 1e9  # of a pixel
 SHARP_DEG = 1e-6  # a blur that no texture shows: as none
 
@@ -151,6 +153,15 @@ def _ramp(x: Floats, blur: float) -> Floats:
     return x * ndtr(x / blur) + blur / np.sqrt(2 * np.pi) * np.exp(-0.5 * (x / blur) ** 2)
 
 
+def affordable_entries(entries: float) -> None:
+    """Raises LuxloopError where a headlight matrix would have more entries than memory bears."""
+    if entries > MOST_ENTRIES:
+        raise LuxloopError(
+            f"its pixels light {entries / 1e6:,.0f} million texels in all, more than the {MOST_ENTRIES / 1e6:g} million that memory bears; "
+            "give texture.rows and texture.columns for a coarser texture, cut off more faint light, or let pixels overlap less"
+        )
+
+
 def _product(vertical: Floats, horizontal: Floats, peak: Floats, cut: float) -> sp.csr_array:
     """Pixels `[T, P]` from profiles of rows and columns and peaks `[rows, columns]`, without what is below `cut` of a pixel's maximum."""
     factors = []
@@ -159,6 +170,7 @@ def _product(vertical: Floats, horizontal: Floats, peak: Floats, cut: float) -> 
         share = profile / np.where(top > 0, top, 1.0)
         factors.append((sp.csr_array(np.where(share > cut, share, 0.0)), top))
     (rows, row_top), (columns, column_top) = factors
+    affordable_entries(rows.nnz * columns.nnz)
     matrix = sp.csr_array(sp.kron(rows, columns, format="csr"))
     matrix.data[matrix.data <= cut] = 0.0
     matrix.eliminate_zeros()

@@ -15,6 +15,7 @@ from world.photometry.distribution import Aim
 from world.photometry.files import read
 from world.pixel_tables import read_table
 from world.pixels import Pixel, PixelArray
+from world.texels import LARGEST_ANGLE_DEG
 
 SUFFIXES = (".ies", ".ldt")
 SHOWN = 5  # names in a message
@@ -78,7 +79,10 @@ class FolderSource(Params):
         for names, what in ((missing, "has no file for"), (extra, f"has more than {self.rows} x {self.columns} pixels:")):
             if names:
                 more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-                raise LuxloopError(f"{self.path}: {what} {', '.join(names[:SHOWN])}{more}; correct the folder, or rows and columns")
+                raise LuxloopError(
+                    f"{self.path}: {what} {', '.join(names[:SHOWN])}{more}, rows counted from {first_row} and columns from {first_column}; "
+                    "correct the folder, or rows and columns"
+                )
         return [places[place] for place in wanted]
 
 
@@ -96,9 +100,18 @@ class FileSource(Params):
     aim: Aim = Field("beam", description=AIM)
 
     @model_validator(mode="after")
-    def _pitch_where_needed(self) -> Self:
+    def _pitch_fits(self) -> Self:
         if self.pitch_deg is None and self.rows * self.columns > 1:
             raise ValueError(f"pitch_deg: is missing; {self.rows} x {self.columns} pixels need the angle between neighbours")
+        for number, what, step in (
+            (self.columns, "columns", self.pitch_deg or 0.0),
+            (self.rows, "rows", (self.pitch_deg or 0.0) / self.aspect),
+        ):
+            if number > 1 and number * step > 2 * LARGEST_ANGLE_DEG:
+                raise ValueError(
+                    f"pitch_deg: {number} {what} {step:g} deg apart span {number * step:g} deg; a texture reaches "
+                    f"±{LARGEST_ANGLE_DEG:g} deg, so give a smaller pitch or fewer pixels"
+                )
         return self
 
     def pixels(self) -> PixelArray:

@@ -12,6 +12,7 @@ from scipy.ndimage import maximum_filter
 
 from world.errors import LuxloopError
 from world.headlight import LUMINANCE
+from world.parametric import affordable_entries
 from world.photometry.distribution import EDGE_DEG, Aim, Array, Distribution, directions_of
 from world.photometry.texture import PROBES, Window, light_texture, squared_error
 from world.texels import LARGEST_ANGLE_DEG, TexelGrid
@@ -19,6 +20,7 @@ from world.texels import LARGEST_ANGLE_DEG, TexelGrid
 CUTOFF = 1e-4  # share of a pixel's peak below which its light is left out: fewer entries, and next to nothing is lost
 MOST_TEXELS = 2048  # along a side, unless a user wants more
 TEXELS_A_PIXEL = 4  # along a side at least, since symbols need rays between pixels
+ENOUGH_TO_TELL = 0.1  # of all pixels: what these take up tells what all will
 FEWEST_PROBES = 1024  # directions in which a pixel is compared with its source, where there are many
 AZIMUTHS_DEG = 15.0  # in which a distribution about an axis is looked at
 
@@ -70,7 +72,7 @@ def assemble(
     Each is a light texture of its own (see world.photometry.texture), but for the texels that it cannot light.
     on_progress: called with the pixels done and their number.
 
-    Raises: LuxloopError where the texture sees no light at all.
+    Raises: LuxloopError where the texture sees no light at all, or all pixels together need more memory than there may be.
     """
 
     def light_of(distribution: Distribution, turn: Array | None) -> tuple[NDArray[np.intp], Array]:
@@ -86,11 +88,15 @@ def assemble(
     chroma: list[Array] = []
     texture = np.zeros(grid.n_texels)
     lost = total = squares = solid = peak = 0.0
+    entries = 0
     for number, pixel in enumerate(array.pixels, 1):
         texel, light = light_of(pixel.distribution, pixel.turn)
         bright = light > cutoff * light.max(initial=0)
         total += float(light.sum())
         lost += float(light[~bright].sum())
+        entries += int(bright.sum())
+        if number >= ENOUGH_TO_TELL * len(array.pixels):
+            affordable_entries(entries / number * len(array.pixels))
         rows.append(texel[bright])
         values.append(light[bright])
         if pixel.rgb is not None:
@@ -131,6 +137,17 @@ def default_grid(array: PixelArray) -> TexelGrid:
     rows = affordable(2 * (top - bottom) / down, array.rows)
     cols = affordable(2 * (left - right) / across, array.columns)
     return TexelGrid(rows=rows, cols=cols, left=float(left), right=float(right), bottom=float(bottom), top=float(top))
+
+
+def border_share(distribution: Distribution) -> float:
+    """What a measurement still gives at the border of its angles, as a share of its peak; 0 where it goes all the way round."""
+    v, h, candela = distribution.unfolded
+    all_round = (v[0] <= -90 if distribution.type != "C" else v[0] <= 0, v[-1] >= (180 if distribution.type == "C" else 90))
+    borders = [candela[:, end] for end, closed in zip((0, -1), all_round, strict=True) if not closed]
+    if distribution.type != "C":
+        borders += [candela[end] for end, angle in ((0, -h[0]), (-1, h[-1])) if angle < 90]
+    peak = float(candela.max())
+    return max((float(each.max()) for each in borders), default=0.0) / peak if peak else 0.0
 
 
 def affordable(texels: float, pixels: int) -> int:

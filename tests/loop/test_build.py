@@ -65,7 +65,8 @@ def test_what_can_turn_is_turned_and_the_rest_stays(scenario: Scenario) -> None:
     ("values", "words"),
     [
         ({"modules": ("narow",)}, "no module 'narow'; it has wide, narrow"),
-        ({"swivel_deg": 15.0}, "'narrow': swivel of 15 deg.*-5 to 12"),
+        ({"swivel_deg": 15.0}, "left lamp, module 'narrow': swivel of 15 deg.*-5 to 12 deg$"),
+        ({"swivel_deg": 10.0, "lamps": ("left", "right")}, "right lamp, module 'narrow': swivel of 10 deg.*-12 to 5 deg; .*mirror image"),
         ({"modules": ("wide",), "level_deg": 1.0}, "headlight.level_deg.*wide.*turn"),
         ({"model": "ssl-hdd"}, "'ssl-hdd'.*'ssl-hd'"),
     ],

@@ -177,6 +177,12 @@ def test_files_that_are_no_description_are_named(tmp_path: Path) -> None:
             describe(tmp_path / name)
 
 
+@pytest.mark.parametrize(("name", "words"), [("a.npz", "is a lamp file already"), ("a.ies", "is a photometric file")])
+def test_what_is_a_lamp_already_needs_no_building(name: str, words: str) -> None:
+    with pytest.raises(LuxloopError, match=f"{name}: {words}.*info"):
+        describe(Path(name))
+
+
 def test_lamps_come_by_name_and_by_file(tmp_path: Path) -> None:
     assert load_lamp("hd84", "right") is presets.lamp("hd84", "right")
     described = load_lamp(write(tmp_path, MATRIX))

@@ -1,5 +1,6 @@
 """Modules of a description that would be dark are refused, whatever their light is to come from."""
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,12 @@ RECTANGLES = {
 GAUSSIAN = {
     **{"kind": "gaussian", "columns": 3, "left_deg": 5, "right_deg": -5, "row_centres_deg": [0], "row_sigmas_deg": [1]},
     **{"column_sigma": 0.5, "peak_cd": [1000]},
+}
+
+
+OVERLAPPING = {
+    **{"kind": "gaussian", "columns": 40, "left_deg": 79, "right_deg": -79, "row_centres_deg": [0] * 12, "row_sigmas_deg": [50] * 12},
+    **{"column_sigma": 50, "peak_cd": [1000] * 12},
 }
 
 
@@ -48,3 +55,40 @@ def test_measured_pixels_beside_their_texture_are_refused(tmp_path: Path) -> Non
 
 def test_a_bound_above_all_light_is_refused(tmp_path: Path) -> None:
     assert "bound_cd = 1e+06 leaves no light" in refusal(tmp_path, source=RECTANGLES, overlap={"bound_cd": 1e6})
+
+
+def test_a_model_beyond_all_memory_is_refused(tmp_path: Path) -> None:
+    assert "coarser texture" in refusal(tmp_path, source=OVERLAPPING, texture={"rows": 4096, "columns": 4096})
+
+
+@pytest.mark.parametrize(
+    ("texture", "words"), [({"rows": 1}, "texture.rows = 1: cannot show 2 rows"), ({"columns": 3}, "at least 4, better 16")]
+)
+def test_fewer_texels_than_pixels_are_refused(tmp_path: Path, texture: dict[str, Any], words: str) -> None:
+    assert words in refusal(tmp_path, source=RECTANGLES, texture=texture)
+
+
+def build_source(folder: Path, **source: Any) -> None:
+    build_module(ModuleParams.model_validate({"name": "m", "source": source, "texture": {"rows": 8, "columns": 8}}), folder, lambda *_: [])
+
+
+def test_light_that_the_measurement_cuts_off_is_told(tmp_path: Path) -> None:
+    angles = np.linspace(-2.0, 2.0, 9)
+    cone = np.clip(2.25 - np.hypot(*np.meshgrid(angles, angles)), 0, None)
+    for column, light in enumerate((cone, cone + 0.25 * (cone > 0), 0 * cone + cone * (cone > 0.5))):
+        write(tmp_path / f"p{column}.ies", Distribution("A", angles, angles, light))
+    with pytest.warns(UserWarning, match=r"p0.ies: ends where it still gives 11 % of its peak; measure".replace(" %", "%")):
+        build_source(tmp_path, kind="file", path="p0.ies")
+    words = r"pixel in row 0, column 1 \(counted from 0\) ends where it still gives 20% of its peak, as do 1 more"
+    with pytest.warns(UserWarning, match=words):
+        build_source(tmp_path, kind="folder", path=".", rows=1, columns=3)
+
+
+def test_a_luminaire_as_a_lamp_is_told_unless_its_aim_is_given(tmp_path: Path) -> None:
+    spot = Distribution("C", np.array([0.0, 5, 10, 90]), np.array([0.0]), np.array([[900.0, 500, 0, 0]]))
+    write(tmp_path / "spot.ies", spot)
+    with pytest.warns(UserWarning, match="nadir was taken as the beam axis"):
+        build_source(tmp_path, kind="file", path="spot.ies")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        build_source(tmp_path, kind="file", path="spot.ies", aim="beam")

@@ -87,7 +87,11 @@ def damage(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "with_pattern", "without"),
     [
-        (remove, "has no file for row 1 column 2", "holds 5 photometric files, from r00_c00.ies to r01_c01.ies, but 2 x 3 pixels need 6"),
+        (
+            remove,
+            "has no file for row 1 column 2, rows counted from 0 and columns from 0",
+            "holds 5 photometric files, from r00_c00.ies to r01_c01.ies, but 2 x 3 pixels need 6",
+        ),
         (add, "has more than 2 x 3 pixels: r02_c00.ies", "holds 7 photometric files"),
         (twice, "is the same pixel as", "holds 7"),
         (stray, "spare.ies: does not fit the pattern", "holds 7"),
@@ -110,6 +114,12 @@ def test_patterns_and_pitches_that_cannot_work_are_refused(tmp_path: Path) -> No
         FolderSource(path=tmp_path, rows=1, columns=1, pattern="p{row}.ies")
     with pytest.raises(ValidationError, match="need the angle between neighbours"):
         FileSource(path=tmp_path / "p.ies", rows=2, columns=2)
+    for number, words in (
+        ({"rows": 12, "columns": 40}, "40 columns 8 deg apart span 320 deg; a texture reaches ±80 deg"),
+        ({"rows": 21}, "21 rows"),
+    ):
+        with pytest.raises(ValidationError, match=words):
+            FileSource(path=tmp_path / "p.ies", pitch_deg=8, **number)
     for key, value in (("rows", 10**10), ("columns", 4097), ("aspect", 1e-9)):
         with pytest.raises(ValidationError, match=key):
             FileSource(path=tmp_path / "p.ies", pitch_deg=1, **{key: value})

@@ -9,12 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from world import parametric
 from world.errors import LuxloopError
 from world.photometry import files, lm63
 from world.photometry.distribution import Aim, Distribution, angles_of, directions_of
 from world.photometry.texture import light_texture, solid_angles
 from world.pixel_sources import FileSource
-from world.pixels import Pixel, PixelArray, _window, assemble, default_grid
+from world.pixels import Pixel, PixelArray, _window, assemble, border_share, default_grid
 from world.texels import TexelGrid
 
 ANGLES = np.linspace(-3, 3, 25)
@@ -165,3 +166,24 @@ def test_real_files_agree_with_their_own_texture(data_dir: Path, name: str) -> N
     peak = distribution.candela.max()
     # Texels here are finer than most steps of these files, about as fine as others.
     np.testing.assert_allclose(made.matrix.toarray().ravel(), light_texture(distribution, grid).ravel(), atol=0.01 * peak)
+
+
+def test_a_measurement_tells_what_it_cuts_off() -> None:
+    h, v = np.meshgrid(ANGLES, ANGLES, indexing="ij")
+    cone = np.clip(4 - np.hypot(h, v), 0, None)
+    assert border_share(Distribution("A", ANGLES, ANGLES, cone)) == pytest.approx(0.25)
+    assert border_share(gaussian()) == 0
+    quadrant = ANGLES[ANGLES >= 0]  # a table that begins at zero is mirrored there, which is no border
+    assert border_share(Distribution("A", quadrant, quadrant, cone[12:, 12:])) == pytest.approx(0.25)
+    even = np.full((1, 2), 7.0)
+    assert border_share(Distribution("C", np.array([0.0, 180.0]), np.array([0.0]), even)) == 0
+    assert border_share(Distribution("C", np.array([0.0, 90.0]), np.array([0.0]), even)) == 1
+    assert border_share(Distribution("A", ANGLES, ANGLES, 0 * cone)) == 0
+
+
+def test_a_matrix_beyond_all_memory_is_refused_early(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(parametric, "MOST_ENTRIES", 10_000)
+    seen = []
+    with pytest.raises(LuxloopError, match="coarser texture"):
+        assemble(PixelArray([Pixel(gaussian())] * 100, 10, 10), GRID, on_progress=lambda done, of: seen.append(done))
+    assert seen[-1] < 10

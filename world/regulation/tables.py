@@ -70,10 +70,12 @@ def sets() -> dict[str, RuleSet]:
 
 
 def rule_set(set_id: str) -> RuleSet:
-    """The set of this id, whatever its case. Raises LuxloopError that names the nearest ones."""
+    """The set of this id, whatever its case. Raises LuxloopError that names those that have the word in them, or the nearest ones."""
     wanted = set_id.lower().replace("_", "-").replace(" ", "-")
     known = sets() | {each.also: each for each in sets().values() if each.also}
     if wanted in known:
         return known[wanted]
-    near = difflib.get_close_matches(wanted, known, 3, 0.5) or sorted(sets())
-    raise LuxloopError(f"there is no rule {set_id!r}; {'did you mean' if len(near) <= 3 else 'there are'} {', '.join(near)}")
+    alike = sorted(name for name in known if wanted in name) if wanted else []
+    near = alike or difflib.get_close_matches(wanted, known, 3, 0.5)
+    names = ", ".join(near or sorted(sets()))
+    raise LuxloopError(f"there is no rule {set_id!r}; {'did you mean' if near else 'there are'} {names}")
