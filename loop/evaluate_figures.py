@@ -20,13 +20,13 @@ ERRORS = {"mae": "MAE", "rmse": "RMSE", "dssim": "DSSIM"}
 SHOWN = [Rectangle(0, 0, 3.75, height) for height in (1, 2, 3)]  # of T figures 8.9 and 8.10
 
 
-def draw(evaluation: Evaluation, folder: Path) -> list[Path]:
-    """Draw all figures of all lamps as PNG; their files."""
+def draw(evaluation: Evaluation, folder: Path, prefix: str = "") -> list[Path]:
+    """Draw all figures of all lamps as PNG; their files, whose names begin with the prefix."""
     folder.mkdir(parents=True, exist_ok=True)
     files = []
     for name in evaluation.lamps:
         for kind, figure in _figures(evaluation.of(name), name):
-            files.append(folder / f"{kind}-{name}.png")
+            files.append(folder / f"{prefix}{kind}-{name}.png")
             figure.savefig(files[-1], dpi=DPI)
             plt.close(figure)
     return files
