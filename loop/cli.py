@@ -108,18 +108,20 @@ def new(file: Path, /) -> None:
 
 
 @app.command
-def check(name: str, /) -> None:
+def check(name: str, /, *, set: Annotated[list[str] | None, Parameter(consume_multiple=True, negative=())] = None) -> None:
     """Validate a scenario and everything that it names: symbol, road, meshes, whether lamps and camera reach the target.
 
     Parameters
     ----------
     name
         Scenario file, or name of a shipped scenario.
+    set
+        Keys to change, as key=value in TOML syntax, such as headlight.model=mylamp.npz.
     """
     from loop.run import prepare
     from loop.scenario import load
 
-    scenario = load(name)
+    scenario = load(name, set or [])
     prepare(scenario)
     print(f"{name}: ok ({scenario.steps} steps, road {scenario.road.kind}, controller {scenario.controller.name})")
 
@@ -231,6 +233,32 @@ def replay(directory: Path, /, *, compare: bool | None = None, csv: Path | None 
     if compare or (compare is None and csv is None):
         return OK if compare_recording(directory) else DIFFERS
     return OK
+
+
+@app.command
+def evaluate(
+    *,
+    quick: bool = False,
+    lamp: Literal["hd84", "ssl-hd-lores"] | None = None,
+    out: Path = Path("runs/evaluation"),
+    jobs: int | None = None,
+) -> int:
+    """Judge MapReduce control by the joint optimum of all pixels, over rectangles in five degrees of freedom; exit code 1 where jobs failed.
+
+    Parameters
+    ----------
+    quick
+        Take 45 of the 1,215 rectangles, evenly spread, and coarser sensitivities: minutes in place of an hour.
+    lamp
+        Lamp to evaluate, by default both.
+    out
+        Folder for results, figures and report.md; a run that was stopped goes on from what is there.
+    jobs
+        Processes, each with one thread; by default one a core.
+    """
+    from loop.evaluate_report import run_evaluation
+
+    return OK if run_evaluation(out, lamp, quick, jobs) else DIFFERS
 
 
 if __name__ == "__main__":
