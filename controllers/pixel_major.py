@@ -20,11 +20,11 @@ class PixelMajor:
 
     entries: `[n_p, n_t]`, I_m,ij. full: the same with `I_m^a_r / sum_i I_m^a_r`, rows add up to one. kept: `[nnz]`, weights `I_m^a_r` of
     entries that are neither excluded nor left out by the sampling, a pixel's adding up to one. weight: `[n_p, n_t]`, those that are not
-    zero. share: `[n_t]`, what takes an intensity to the utilisation of all pixels of its texel (the pixel by pixel part of it is
-    `potential`, `[nnz]` or None where it is one). total: `[n_t]`, cd with all pixels full. darkening: `[n_t]` (7.4.2). reached: `[n_p]`,
-    number of texels. ones: the pattern of entries. peak: `[n_p]`, greatest I_m,ij. spread: standard deviation of a pixel's light in rows
-    and columns, 0 where unused. pixel_first, pixel_last: `[rows]`, pixels with a texel in that texture row. row_first, row_last:
-    `[n_p]`, texture rows of that pixel.
+    zero. share: `[n_t]`, what takes an intensity to the utilisation of all pixels of its texel; potential: `[nnz]`, the factor by which an
+    entry's differs, None where it is one. total: `[n_t]`, cd with all pixels full. darkening: `[n_t]` (7.4.2). reached: `[n_p]`, number
+    of texels; idle: `[n_p]`, pixels without an entry that counts, None if there are none. ones: the pattern of entries. peak: `[n_p]`,
+    greatest I_m,ij. spread: standard deviation of a pixel's light in rows and columns, 0 where unused. pixel_first, pixel_last:
+    `[rows]`, pixels with a texel in that texture row. row_first, row_last: `[n_p]`, texture rows of that pixel.
     """
 
     grid: Headlight
@@ -37,6 +37,7 @@ class PixelMajor:
     total: Tensor
     darkening: Tensor | None
     reached: Tensor
+    idle: Tensor | None
     ones: Csr
     peak: Tensor
     spread: tuple[float, float]
@@ -65,12 +66,14 @@ def pixel_major(headlight: Headlight, params: MrpcParams) -> PixelMajor:
     chosen = raised * sample_weights(entries, headlight, params.sampling)
     if params.exclusion == "capability" and params.a_x and params.shape == "arbitrary":
         chosen = torch.where(I_m < params.a_x * peak[pixel], 0.0, chosen)
-    kept = chosen / of_pixels(chosen, "sum")[pixel]
+    counted = of_pixels(chosen, "sum")
+    idle = counted == 0
+    kept = chosen / torch.where(idle, 1.0, counted)[pixel]
     share, potential = _mapping(params, entries, pixel, of_pixels, of_texels)
     darkening = None
     if params.a_d is not None:
         darkening = (total / (total[total > 0].mean() * params.a_d)).clamp(max=1)
-    rows = texel // headlight.cols
+    rows, reached = texel // headlight.cols, of_pixels(torch.ones_like(I_m), "sum")
     return PixelMajor(
         headlight,
         entries,
@@ -81,7 +84,8 @@ def pixel_major(headlight: Headlight, params: MrpcParams) -> PixelMajor:
         potential,
         total,
         darkening,
-        of_pixels(torch.ones_like(I_m), "sum"),
+        reached,
+        idle if bool(idle.any()) else None,
         entries.with_values(torch.ones_like(I_m)),
         peak,
         pixel_spread(entries, headlight) if params.sharpening else (0.0, 0.0),

@@ -1,15 +1,10 @@
 """Ray tracing headlight control (T 7.3): from primitives to a setpoint for every ray of a light texture.
 
-All rays of a module share their origin, so the ray-plane system (7.3.3) is one 3 x 3 homography a primitive: with q from the lamp to the
-primitive's centre, n = d1 x d2 and the unnormalised ray d = [1, y, z], u = d.(d2 x q) / d.n, v = d.(q x d1) / d.n, x = q.n / d.n. Counted
-from the centre, u and v run from -1/2 to 1/2; twice that, from -1 to 1, is what image sampling takes. Turned so that q.n > 0, a ray hits
-where |u d.n| <= d.n and |v d.n| <= d.n. Each term is affine in the texel's row and column, so no rays are stored.
-
-Primitives are painted one after the other, so that the last that may cover a ray is the one that wins it. On the CPU comparisons and
-selections cost ten times as much as sums, so masks are images of zeros and ones, and painting is blending.
+Primitives are painted one after the other, each over the rays that it wins from those before it. On the CPU comparisons and selections
+cost ten times as much as sums, so masks are images of zeros and ones, and painting is blending.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
@@ -17,8 +12,9 @@ import torch
 from kornia.geometry.transform import remap
 from torch import Tensor
 
+from controllers.homographies import Homographies, homographies
 from controllers.primitives import E_V, U_ABS, U_REL, Primitives
-from controllers.windows import NEAREST_M, NOWHERE, SLACK, Window, union, whole
+from controllers.windows import NOWHERE, SLACK, Window, union, whole
 from world.texels import TexelGrid
 
 COPLANAR = 1e-4  # of the distance: what lies closer together counts as one plane, whatever the dtype rounds
@@ -48,6 +44,10 @@ class Setpoints:
     relative: Tensor | None = None
     winner: Tensor | None = None
 
+    def portion(self, image: Tensor | None, *codes: int) -> Tensor | float:
+        """One where a ray has one of these quantities: `in_cd` or `relative`, or a number where all rays are alike."""
+        return float(self.quantities[0] in codes) if image is None else image
+
     @property
     def hit(self) -> Tensor:
         """Which rays hit a primitive, `[..., rows, cols]` bool."""
@@ -66,72 +66,6 @@ class Setpoints:
         absolute = torch.full_like(self.value, U_ABS)
         absolute = absolute if self.in_cd is None else absolute - U_ABS * self.in_cd
         return absolute if self.relative is None else absolute + (U_REL - U_ABS) * self.relative
-
-
-@dataclass(frozen=True)
-class Homographies:
-    """Primitives as a headlight sees them: `[..., P, 3]`, to be multiplied with rays [1, y, z], and `[..., P]`.
-
-    n, u, v: d.n and twice u d.n and v d.n, turned so that `qn`, q.n, is positive. normal: as given. mask: a zero setpoint of infinite
-    weight. aside_u, wider_u, aside_v, wider_v: how far a mask's edges move for it to reach one texel further: |u - aside| <= n + wider.
-    toward: cosine, times a length, at which the lamp sees the primitive's middle. near, far: 1/x of the nearest and the
-    farthest corner. low, high: `[..., P, 2]`, projected outline in rows and columns, infinite where it reaches behind the lamp.
-    """
-
-    n: Tensor
-    u: Tensor
-    v: Tensor
-    normal: Tensor
-    qn: Tensor
-    mask: Tensor
-    aside_u: Tensor
-    wider_u: Tensor
-    aside_v: Tensor
-    wider_v: Tensor
-    toward: Tensor
-    near: Tensor
-    far: Tensor
-    low: Tensor
-    high: Tensor
-
-
-def homographies(primitives: Primitives, grid: TexelGrid, T_world_headlight: Tensor) -> Homographies:
-    """Every primitive in the coordinates of a headlight's rays."""
-    R = T_world_headlight[:3, :3].to(primitives.origin)
-    origin, d1, d2, normal = (
-        v @ R for v in (primitives.origin - T_world_headlight[:3, 3].to(R), primitives.d1, primitives.d2, primitives.normal)
-    )
-    q = origin + (d1 + d2) / 2
-    n = torch.linalg.cross(d1, d2)
-    qn = (q * n).sum(-1)
-    sign = torch.where(qn < 0, -1.0, 1.0).to(qn)[..., None]
-    n, u, v = n * sign, 2 * torch.linalg.cross(d2, q) * sign, 2 * torch.linalg.cross(q, d1) * sign
-
-    mask = (primitives.value == 0) & primitives.weight.isinf()
-
-    def change(a: Tensor) -> Tensor:
-        """By how much a product with a ray changes over one texel."""
-        a = a.detach()
-        return a[..., 1].abs() * ((grid.left - grid.right) / grid.cols) + a[..., 2].abs() * ((grid.top - grid.bottom) / grid.rows)
-
-    x, y, z = torch.stack([origin, origin + d1, origin + d2, origin + d1 + d2], -2).detach().unbind(-1)
-    behind = (x < NEAREST_M).any(-1)[..., None]
-    x = x.clamp(min=NEAREST_M)
-    at = torch.stack(grid.texel_of(y / x, z / x), -1)
-    return Homographies(
-        n,
-        u,
-        v,
-        normal,
-        qn.abs(),
-        mask,
-        *(mask * moved / 2 for a in (u, v) for moved in (change(n - a) - change(n + a), change(n - a) + change(n + a))),
-        -(normal * q).sum(-1).detach(),
-        1 / x.amin(-1),
-        1 / x.amax(-1),
-        at.amin(-2).masked_fill(behind, -torch.inf),
-        at.amax(-2).masked_fill(behind, torch.inf),
-    )
 
 
 def paint_classes(primitives: Primitives) -> list[list[int]]:
@@ -157,23 +91,125 @@ def trace(primitives: Primitives, grid: TexelGrid, T_world_headlight: Tensor, wi
     setpoint of infinite weight, is hit by all rays within one texel of its outline, since light is interpolated between them.
     Differentiable in the primitives (not across their edges).
     """
-    single = windows is not None
-    windows = [whole(grid)] * len(primitives) if windows is None else list(windows)
-    seen = homographies(primitives, grid, T_world_headlight)
-    front = _from_the_front(seen) if single else [None] * len(primitives)
-    is_mask = masks(primitives) if single else [None] * len(primitives)
-    windows = [NOWHERE if seen_from is False else window for window, seen_from in zip(windows, front, strict=True)]
-    canvas = _Canvas.blank(primitives, union(windows))
-    y, z = grid.tangents(primitives.origin.dtype, primitives.origin.device)
-    for painted in paint_classes(primitives):
-        canvas.begin([windows[p] for p in painted])
-        for p in painted:
-            if not windows[p].empty:
-                rays = _Rays(y[windows[p].slices[1]], z[windows[p].slices[0]], windows[p])
-                rivals = any(windows[p].meets(windows[k]) for k in painted if k != p)
-                canvas.paint(p, _hit(rays, seen, p, is_mask[p], front[p]), rays, primitives, seen, rivals)
-    masking = single and all(mask for mask, weight in zip(is_mask, primitives.weight.tolist(), strict=True) if weight == torch.inf)
-    return canvas.setpoints(primitives, masking)
+    return Casting.prepare(primitives, grid, T_world_headlight, windows).setpoints()
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """One primitive over the rays of its window that it wins: hit `[..., rows, cols]` is 1 there, else 0; value, where it is 1, is its
+    setpoint, elsewhere finite, and broadcastable. finite, forced: its weight `[..., 1, 1]`, the one 0 where it is infinite, the other
+    1 there.
+    """
+
+    window: Window
+    hit: Tensor
+    value: Tensor
+    finite: Tensor
+    forced: Tensor
+    quantity: int
+    primitive: int
+
+
+@dataclass(frozen=True)
+class Casting:
+    """Rays about to be cast. windows: of each primitive, empty where it is not seen; window: around all.
+
+    is_mask, front: of each primitive whether it is a mask and whether its front is seen, None where the host does not know. unit, finite:
+    whether all weights are 1, whether none is infinite, as far as the host knows.
+    """
+
+    primitives: Primitives
+    grid: TexelGrid
+    seen: Homographies
+    windows: tuple[Window, ...]
+    window: Window
+    is_mask: tuple[bool | None, ...]
+    front: tuple[bool | None, ...]
+    unit: bool
+    finite: bool
+
+    @classmethod
+    def prepare(
+        cls, primitives: Primitives, grid: TexelGrid, T_world_headlight: Tensor, windows: Sequence[Window] | None = None
+    ) -> "Casting":
+        """As for `trace`."""
+        seen = homographies(primitives, grid, T_world_headlight)
+        nobody: list[bool | None] = [None] * len(primitives)
+        front, is_mask = (nobody, nobody) if windows is None else (_from_the_front(seen), [*masks(primitives)])
+        windows = [whole(grid)] * len(primitives) if windows is None else windows
+        windows = [NOWHERE if seen_from is False else window for window, seen_from in zip(windows, front, strict=True)]
+        known = primitives.weight.device.type == "cpu"
+        unit, finite = known and not bool((primitives.weight != 1).any()), known and not bool(primitives.weight.isinf().any())
+        return cls(primitives, grid, seen, tuple(windows), union(windows), tuple(is_mask), tuple(front), unit, finite)
+
+    @property
+    def quantities(self) -> tuple[int, ...]:
+        """Codes that may occur."""
+        return tuple(sorted(set(self.primitives.quantity.tolist())))
+
+    @property
+    def masking(self) -> bool:
+        """Whether all setpoints of infinite weight are known to be zero."""
+        infinite = (self.primitives.weight == torch.inf).tolist() if None not in self.is_mask else []
+        return all(mask for mask, weighty in zip(self.is_mask, infinite, strict=False) if weighty) and None not in self.is_mask
+
+    def blank(self, filled: float = 0.0) -> Tensor:
+        """An image on the window."""
+        w, origin = self.window, self.primitives.origin
+        return origin.new_full((*origin.shape[:-2], max(w.row_stop - w.row_start, 0), max(w.col_stop - w.col_start, 0)), filled)
+
+    def strokes(self) -> Iterator[Stroke]:
+        """The primitives in the order in which they are painted."""
+        weight, windows = self.primitives.weight[..., None, None], self.windows
+        infinite = weight.isinf()
+        finite, forced = torch.where(infinite, 0.0, weight), infinite.to(weight)
+        y, z = self.grid.tangents(weight.dtype, weight.device)
+        nearest: Tensor | None = None  # 1/x of the nearest hits of a class
+        for painted in paint_classes(self.primitives):
+            rivals = {p: any(windows[p].meets(windows[k]) for k in painted if k != p) for p in painted}
+            if any(rivals.values()):
+                nearest = self.blank() if nearest is None else nearest
+                for p in painted:
+                    nearest[(..., *windows[p].within(self.window))] = 0
+            for p in painted:
+                if windows[p].empty:
+                    continue
+                rays = _Rays(y[windows[p].slices[1]], z[windows[p].slices[0]])
+                hit = _hit(rays, self.seen, p, self.is_mask[p], self.front[p], windows[p])
+                if rivals[p] and nearest is not None:
+                    hit = _won(hit, rays, self.seen, p, nearest[(..., *windows[p].within(self.window))])
+                value = _setpoint(p, hit, rays, self.primitives, self.seen)
+                yield Stroke(windows[p], hit, value, finite[..., p, :, :], forced[..., p, :, :], int(self.primitives.quantity[p]), p)
+
+    def setpoints(self) -> Setpoints:
+        """All strokes on one canvas."""
+        codes, many = self.quantities, len(self.primitives) > 1
+
+        def image(needed: bool, filled: float = 0.0) -> Tensor | None:
+            return self.blank(filled) if needed else None
+
+        value, cover = self.blank(), self.blank()
+        finite, forced = image(not self.unit, 1.0), image(not self.finite)
+        in_cd, relative, winner = image(min(codes) < U_ABS <= max(codes)), image(U_REL in codes and len(codes) > 1), image(many)
+        for stroke in self.strokes():
+            cut = (..., *stroke.window.within(self.window))
+            for canvas, new in (
+                (value, stroke.value),
+                (cover, 1.0),
+                (finite, stroke.finite),
+                (forced, stroke.forced),
+                (in_cd, float(stroke.quantity < U_ABS)),
+                (relative, float(stroke.quantity == U_REL)),
+                (winner, float(stroke.primitive)),
+            ):
+                if canvas is not None:
+                    canvas[cut].lerp_(expanded(new, stroke.hit), stroke.hit)
+        return Setpoints(value, cover, self.window, codes, finite, forced, self.masking, in_cd, relative, winner)
+
+
+def expanded(new: Tensor | float, hit: Tensor) -> Tensor:
+    """An image or a number in the shape of a hit, to be blended in."""
+    return torch.as_tensor(new, dtype=hit.dtype, device=hit.device).expand_as(hit)
 
 
 @dataclass(frozen=True)
@@ -182,7 +218,6 @@ class _Rays:
 
     y: Tensor
     z: Tensor
-    window: Window
 
     def times(self, a: Tensor) -> Tensor:
         """Products with vectors `[..., 3]`: `[..., rows, cols]`."""
@@ -205,7 +240,7 @@ def _step(a: Tensor) -> Tensor:
     return a.mul_(STEEP).add_(1).clamp_(0, 1)
 
 
-def _hit(rays: _Rays, seen: Homographies, p: int, mask: bool | None, front: bool | None) -> Tensor:
+def _hit(rays: _Rays, seen: Homographies, p: int, mask: bool | None, front: bool | None, window: Window) -> Tensor:
     """One where a ray hits the p-th primitive, `[..., rows, cols]`; mask, front: whether it is one and is seen so, where the host knows."""
     n = rays.times(seen.n[..., p, :].detach())
     u, v = (rays.times(a[..., p, :].detach()) for a in (seen.u, seen.v))
@@ -218,89 +253,25 @@ def _hit(rays: _Rays, seen: Homographies, p: int, mask: bool | None, front: bool
     if not front:
         facing = torch.where(wide, seen.toward[..., p, None, None], rays.times(-seen.normal[..., p, :].detach()))
         hit *= _step(facing)
-    return hit * torch.where(wide, _near_outline(rays, seen.low[..., p, :], seen.high[..., p, :]), 1.0)
+    return hit * torch.where(wide, _near_outline(window, seen.low[..., p, :], seen.high[..., p, :]), 1.0)
 
 
-def _near_outline(rays: _Rays, low: Tensor, high: Tensor) -> Tensor:
+def _won(hit: Tensor, rays: _Rays, seen: Homographies, p: int, nearest: Tensor) -> Tensor:
+    """The part of a hit that no nearer one of its class is before; nearest, 1/x of those so far, learns of it."""
+    far, near = (a.detach()[..., p, None, None] for a in (seen.far, seen.near))
+    closeness = rays.times((seen.n[..., p, :] / seen.qn[..., p, None]).detach()).maximum(far).minimum(near)
+    hit = hit * _step(closeness * (1 + COPLANAR) - nearest)
+    nearest.copy_(nearest.maximum(closeness.mul_(hit)))
+    return hit
+
+
+def _near_outline(window: Window, low: Tensor, high: Tensor) -> Tensor:
     """Texels at most one beyond the rectangle around an outline: where its corners are acute, widening alone would reach too far."""
     within = []
-    for axis, (start, stop) in enumerate((rays.window.slices[0].indices(1 << 30)[:2], rays.window.slices[1].indices(1 << 30)[:2])):
+    for axis, (start, stop) in enumerate(((window.row_start, window.row_stop), (window.col_start, window.col_stop))):
         centre = torch.arange(start, stop, dtype=low.dtype, device=low.device) + 0.5
         within.append((centre >= low[..., axis, None] - 1 - SLACK) & (centre <= high[..., axis, None] + 1 + SLACK))
     return (within[0][..., :, None] & within[1][..., None, :]).to(low)
-
-
-@dataclass(frozen=True)
-class _Canvas:
-    """What the rays of the window carry so far; closeness: 1/x of the nearest hit of the class that is being painted."""
-
-    window: Window
-    value: Tensor
-    cover: Tensor
-    finite: Tensor | None
-    forced: Tensor | None
-    in_cd: Tensor | None
-    relative: Tensor | None
-    winner: Tensor | None
-    closeness: Tensor | None
-
-    @classmethod
-    def blank(cls, primitives: Primitives, window: Window) -> "_Canvas":
-        """Images only of what differs from ray to ray."""
-        size = (window.row_stop - window.row_start, window.col_stop - window.col_start)
-        zero = primitives.origin.new_zeros(*primitives.origin.shape[:-2], *size)
-        codes, known = set(primitives.quantity.tolist()), primitives.weight.device.type == "cpu"
-
-        def image(needed: bool, filled: float = 0.0) -> Tensor | None:
-            return torch.full_like(zero, filled) if needed else None
-
-        return cls(
-            window,
-            zero,
-            torch.zeros_like(zero),
-            image(not known or bool((primitives.weight != 1).any()), 1.0),
-            image(not known or bool(primitives.weight.isinf().any())),
-            image(min(codes) < U_ABS <= max(codes)),
-            image(U_REL in codes and len(codes) > 1),
-            image(len(primitives) > 1),
-            image(len(primitives) > 1),
-        )
-
-    def begin(self, windows: Sequence[Window]) -> None:
-        """A new class beats what is there at any distance."""
-        if self.closeness is not None:
-            for window in windows:
-                self.closeness[(..., *window.within(self.window))] = 0
-
-    def paint(self, p: int, hit: Tensor, rays: _Rays, primitives: Primitives, seen: Homographies, rivals: bool) -> None:
-        """Lay the p-th primitive over the rays that it wins; rivals: whether others of its class may be before it."""
-        cut = (..., *rays.window.within(self.window))
-        if self.closeness is not None and rivals:
-            ends = (a.detach()[..., p, None, None] for a in (seen.far, seen.near))
-            closeness = rays.times((seen.n[..., p, :] / seen.qn[..., p, None]).detach())
-            closeness = closeness.maximum(next(ends)).minimum(next(ends))
-            before = self.closeness[cut]
-            hit = hit * _step(closeness * (1 + COPLANAR) - before)
-            self.closeness[cut] = before.maximum(closeness.mul_(hit))
-        value, weight = _setpoint(p, hit, rays, primitives, seen), primitives.weight[..., p, None, None]
-        infinite, code = weight.isinf(), int(primitives.quantity[p])
-        painted = (
-            (self.value, value),
-            (self.cover, 1.0),
-            (self.finite, torch.where(infinite, 0.0, weight)),
-            (self.forced, infinite.to(value)),
-            (self.in_cd, float(code < U_ABS)),
-            (self.relative, float(code == U_REL)),
-            (self.winner, float(p)),
-        )
-        for image, new in painted:
-            if image is not None:
-                image[cut] = torch.lerp(image[cut], torch.as_tensor(new, dtype=hit.dtype, device=hit.device).expand_as(hit), hit)
-
-    def setpoints(self, primitives: Primitives, masking: bool) -> Setpoints:
-        quantities = tuple(sorted(set(primitives.quantity.tolist())))
-        images = (self.finite, self.forced, masking, self.in_cd, self.relative, self.winner)
-        return Setpoints(self.value, self.cover, self.window, quantities, *images)
 
 
 def _setpoint(p: int, hit: Tensor, rays: _Rays, primitives: Primitives, seen: Homographies) -> Tensor:

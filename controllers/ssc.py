@@ -8,7 +8,7 @@ from torch import Tensor
 
 from controllers.mrpc import MrpcParams, PixelMajor, pixel_major, reduce_setpoints
 from controllers.primitives import Primitives
-from controllers.rthc import masks, trace
+from controllers.rthc import Casting, masks
 from controllers.windows import projected_windows
 from world.headlight import Headlight
 
@@ -59,6 +59,6 @@ class Ssc:
         """A single scene on the CPU touches only the projected rectangle and its band of pixels; batches and accelerators take all rays."""
         banded = primitives.origin.ndim == 2 and primitives.origin.device.type == "cpu"
         windows = projected_windows(primitives, self.headlight, T_world_headlight, masks(primitives)) if banded else None
-        setpoints = trace(primitives, self.headlight, T_world_headlight, windows)
-        u, band = reduce_setpoints(setpoints, self.pixels, self.params, self.default, self.dark)
+        casting = Casting.prepare(primitives, self.headlight, T_world_headlight, windows)
+        u, band = reduce_setpoints(casting, self.pixels, self.params, self.default, self.dark)
         return Utilisation(u, band if banded and self.dark else None)

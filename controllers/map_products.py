@@ -1,0 +1,139 @@
+"""Mapping where all pixels of a texel are asked for the same utilisation: sums are products of matrices with images (T 7.4.1)."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from controllers.map_sums import Band, Sums
+from controllers.mrpc_params import MrpcParams
+from controllers.pixel_major import PixelMajor
+from controllers.primitives import E_V, I_V, U_ABS, U_REL
+from controllers.rthc import Casting, Setpoints, expanded
+from controllers.windows import Window
+from world.spmv import Csr, multiply
+
+RULING = 1e36  # stands for an infinite weight where the setpoint is zero: no sum of finite ones comes near it
+LARGEST_FINITE = 1e12  # what finite weights are cut to there
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """Rays of a window that ask for something: all, or where hit is 1. The others are images or numbers.
+
+    missed: 1 where nothing is hit after all. relative, in_cd: 1 where the value is such a one.
+    """
+
+    window: Window
+    hit: Tensor | None
+    value: Tensor
+    finite: Tensor | None
+    forced: Tensor | None
+    missed: Tensor | float
+    in_cd: Tensor | float
+    relative: Tensor | float
+
+
+def _pieces(asked: Setpoints | Casting) -> Iterator[_Piece]:
+    if isinstance(asked, Setpoints):
+        in_cd, relative = asked.portion(asked.in_cd, I_V, E_V), asked.portion(asked.relative, U_REL)
+        yield _Piece(asked.window, None, asked.value, asked.finite, asked.forced, 1 - asked.cover, in_cd, relative)
+        return
+    for stroke in asked.strokes():
+        in_cd, relative = float(stroke.quantity < U_ABS), float(stroke.quantity == U_REL)
+        yield _Piece(stroke.window, stroke.hit, stroke.value, stroke.finite, stroke.forced, 0.0, in_cd, relative)
+
+
+def by_products(
+    asked: Setpoints | Casting, pixels: PixelMajor, params: MrpcParams, default: Tensor, dark: bool, place: Band, batch: tuple[int, ...]
+) -> Sums:
+    """Sums over a band of pixels; default: `[n_p]`, dark where it is zero. batch: the batch dimensions of what is asked.
+
+    Images of the texture, by name: light is weight times utilisation (of_default: as a share of the default) and weight that of finite
+    ones, 1 where nothing is hit; missed is 1 there; forced, forced_light, forced_of_default are the same over infinite weights; lit and
+    lit_of_default are 1 where a setpoint is not zero.
+    """
+    unit, finite = (asked.finite is None, asked.forced is None) if isinstance(asked, Setpoints) else (asked.unit, asked.finite)
+    ruling = asked.masking and not finite and pixels.weight is pixels.full
+    of_default = U_REL in asked.quantities and not dark
+    apart = not finite and not ruling
+    wanted = {
+        "light": True,
+        "of_default": of_default,
+        "weight": not unit,
+        "missed": not dark,
+        "forced": apart,
+        "forced_light": apart and not asked.masking,
+        "forced_of_default": apart and not asked.masking and of_default,
+        "lit": params.a_ac > 0,
+        "lit_of_default": params.a_ac > 0 and of_default,
+    }
+    images = {
+        name: place.blank(pixels.share, batch, pixels.grid, float(name in ("weight", "missed")))
+        for name, needed in wanted.items()
+        if needed
+    }
+    for piece in _pieces(asked):
+        cut = (..., *piece.window.slices)
+        for name, image in _mapped(piece, pixels, ruling, images).items():
+            if piece.hit is None:
+                images[name][cut] = image
+            else:
+                images[name][cut].lerp_(expanded(image, piece.hit), piece.hit)
+    return _summed(images, ruling, pixels, default, place)
+
+
+def _mapped(piece: _Piece, pixels: PixelMajor, ruling: bool, wanted: dict[str, Tensor]) -> dict[str, Tensor | float]:
+    """What a piece adds to the images that are wanted."""
+    cut, size = piece.window.slices, (pixels.grid.rows, pixels.grid.cols)
+    utilisation = piece.value
+    if isinstance(piece.in_cd, Tensor):
+        utilisation = torch.lerp(utilisation, utilisation * pixels.share.view(size)[cut], piece.in_cd)
+    elif piece.in_cd:
+        utilisation = utilisation * pixels.share.view(size)[cut]
+    if pixels.darkening is not None:
+        utilisation = utilisation * pixels.darkening.view(size)[cut]
+    utilisation = utilisation.clamp(0, 1)
+    of_default = utilisation * piece.relative
+    absolute = utilisation if piece.relative == 0.0 else utilisation - of_default
+    finite, forced = piece.finite, piece.forced
+    made: dict[str, Tensor | float] = {"missed": piece.missed}
+    if finite is None:
+        made |= {"light": absolute, "of_default": of_default}
+    else:
+        made |= {"light": absolute * finite, "of_default": of_default * finite, "weight": finite}
+        if ruling and forced is not None:
+            made["weight"] = finite.clamp(max=LARGEST_FINITE) + RULING * forced
+    if "forced" in wanted and forced is not None:
+        made |= {"forced": forced, "forced_light": absolute * forced, "forced_of_default": of_default * forced}
+    if "lit" in wanted:
+        made |= {"lit": (absolute > 0).to(absolute), "lit_of_default": (of_default > 0).to(absolute)}
+    return {name: image for name, image in made.items() if name in wanted}
+
+
+def _summed(images: dict[str, Tensor], ruling: bool, pixels: PixelMajor, default: Tensor, place: Band) -> Sums:
+    band = place.pixels
+    default = default[band]
+
+    def summed(name: str, matrix: Csr) -> Tensor:
+        return multiply(matrix.band(band.start, band.stop), images[name].flatten(-2))
+
+    light, forced_light, forced_weight, lit = summed("light", pixels.weight), None, None, None
+    weight = summed("weight", pixels.weight) if "weight" in images else None
+    for name in {"of_default", "missed"} & images.keys():
+        light = light + default * summed(name, pixels.weight)
+    if "forced" in images:
+        forced_weight = summed("forced", pixels.full)
+        forced_light = torch.zeros_like(forced_weight)
+        if "forced_light" in images:
+            forced_light = summed("forced_light", pixels.full)
+        if "forced_of_default" in images:
+            forced_light = forced_light + default * summed("forced_of_default", pixels.full)
+    if "lit" in images:
+        lit = summed("lit", pixels.ones)
+        if "missed" in images:
+            lit = lit + (default > 0) * summed("missed", pixels.ones)
+        if "lit_of_default" in images:
+            lit = lit + (default > 0) * summed("lit_of_default", pixels.ones)
+    return Sums(light, weight, forced_light, forced_weight, lit, LARGEST_FINITE if ruling else None)
