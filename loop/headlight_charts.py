@@ -106,6 +106,17 @@ def map_frame(axes: Axes, ink: str, lane_width_m: float) -> None:
     axes.add_patch(Rectangle((rear, -half), front - rear, 2 * half, fill=False, ec=ink, lw=1))
 
 
+def object_outlines(axes: Axes, seen: Seen, extent: tuple[float, float, float, float], ink: str) -> None:
+    """The outlines of all objects in a picture of this extent, row 0 at its upper end."""
+    ids = seen.surfaces.object_id.cpu().numpy()
+    rows, cols = ids.shape
+    left, right, bottom, top = extent
+    x = left + (np.arange(cols) + 0.5) / cols * (right - left)
+    y = top + (np.arange(rows) + 0.5) / rows * (bottom - top)
+    for number in np.unique(ids[ids > 0]):
+        axes.contour(x, y, (ids == number).astype(float), levels=[0.5], colors=[ink], linewidths=1)
+
+
 def distance_marks(axes: Axes, seen: Seen, lane_width_m: float) -> None:
     """Distances beside the right edge of the lane in a view ahead, where the road is to be seen there and they keep apart."""
     lowest = 0.97 * seen.view.height

@@ -1,11 +1,16 @@
 """The commands `luxloop headlight ...`: facts and pictures of lamps and photometric files, lamp files built, exported and checked."""
 
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from cyclopts import App
 
 from loop import tables
+
+if TYPE_CHECKING:
+    from world.lamp import Lamp
 
 headlight_app = App(name="headlight", help="Lamps and photometric files: facts, pictures, lamp files, and the regulations' test points.")
 PHOTOMETRIC = (".ies", ".ldt")
@@ -43,6 +48,7 @@ def info(lamp: str, /) -> None:
     tables.show(headlight_tables.modules(described))
     print()
     tables.show(headlight_tables.beams(described))
+    _tell_what_beams_keep(described)
 
 
 @headlight_app.command
@@ -54,6 +60,7 @@ def show(
     view: str | None = None,
     style: str | None = None,
     side: Literal["both", "left", "right"] | None = None,
+    traffic: Literal["right", "left"] | None = None,
     scenario: str | None = None,
     visibility_m: float | None = None,
     out: Path | None = None,
@@ -72,6 +79,8 @@ def show(
         luminance, falsecolour, isolux or isocandela, as far as the view has it.
     side
         Lamps that shine, both by default.
+    traffic
+        Side of the road that the traffic drives on, right by default; for the left, default beams are fitted to it.
     scenario
         Scenario whose road, objects and light are shown; by default a flat road by night.
     visibility_m
@@ -79,13 +88,15 @@ def show(
     out
         Picture to write (.png, .jpg, .pdf or .svg); by default the lamp's name, beam and view.
     """
-    from loop import headlight_pictures
-    from loop.lamp_description import load_lamp
-    from loop.scenario import load
+    from loop.headlight_styles import check_format, style_of
     from world.errors import LuxloopError
 
     stem = Path(lamp).stem
-    chosen = {"beam": beam, "style": style, "side": side, "scenario": scenario, "visibility-m": visibility_m}
+    if view is not None or style is not None:
+        style_of(view or "overview", style)
+    if out is not None:
+        check_format(out)
+    chosen = {"beam": beam, "style": style, "side": side, "traffic": traffic, "scenario": scenario, "visibility-m": visibility_m}
     if Path(lamp).suffix.lower() in PHOTOMETRIC and view is None:
         from loop.photometry_picture import show_distribution
         from world.photometry import read
@@ -93,20 +104,26 @@ def show(
         for name, value in chosen.items():
             if value is not None:
                 raise LuxloopError(f"--{name}: a photometric file is drawn as it was measured; for a picture as a lamp give --view, too")
-        written = show_distribution(read(Path(lamp)), out or Path(f"{stem}.png"))
+        print(f"{show_distribution(read(Path(lamp)), out or Path(f'{stem}.png'))} written")
     else:
-        lamps = {each: load_lamp(lamp, each) for each in (("left", "right") if side in (None, "both") else (side,))}
+        from loop.headlight_pictures import show as show_lamps
+        from loop.lamp_description import for_traffic, load_lamp
+        from loop.scenario import load
+
+        sides: tuple[Literal["left", "right"], ...] = ("left", "right") if side is None or side == "both" else (side,)
+        lamps: dict[str, Lamp] = {each: for_traffic(load_lamp(lamp, each), traffic or "right") for each in sides}
         target = out or Path("-".join([stem, *([beam] if beam else []), *([style] if style else []), view or "overview"]) + ".png")
-        written = headlight_pictures.show(
+        shown = beam or lamps[sides[0]].default_beam
+        written = show_lamps(
             lamps,
             target,
-            beam=beam,
+            beam=shown,
             view=view or "overview",
             style=style,
             scenario=None if scenario is None else load(scenario),
             visibility_m=visibility_m,
         )
-    print(f"{written} written")
+        print(f"{written} written: {lamps[sides[0]].name}, beam {shown}")
 
 
 @headlight_app.command
@@ -124,15 +141,26 @@ def build(description: Path, /, *, out: Path | None = None) -> None:
     from loop.lamp_description import build as build_lamp
     from world.lampfile import save
 
-    lamp, report = build_lamp(description)
+    with _pixels_done() as on_progress:
+        lamp, report = build_lamp(description, on_progress=on_progress)
     target = out or description.with_suffix(".npz")
     save(target, lamp)
     tables.show(headlight_tables.built(report))
+    _tell_what_beams_keep(lamp)
     print(f"{target} written, {target.stat().st_size / 1e6:.1f} MB; look at it with: luxloop headlight show {target}")
 
 
 @headlight_app.command
-def export(lamp: str, /, *, out: Path, beam: str = "full", side: Literal["left", "right"] = "left", step_deg: float = 0.1) -> None:
+def export(
+    lamp: str,
+    /,
+    *,
+    out: Path,
+    beam: str | None = None,
+    side: Literal["left", "right"] = "left",
+    traffic: Literal["right", "left"] = "right",
+    step_deg: float = 0.1,
+) -> None:
     """Write a beam as an IES file (LM-63-2019, type A) that other programs read.
 
     Parameters
@@ -142,17 +170,22 @@ def export(lamp: str, /, *, out: Path, beam: str = "full", side: Literal["left",
     out
         File to write, such as low.ies.
     beam
-        Name of the beam, full or off.
+        Name of the beam, full or off; by default low, or full where the lamp has no low beam.
     side
         Lamp of which side of the car.
+    traffic
+        Side of the road that the traffic drives on; for the left, default beams are fitted to it.
     step_deg
         Step of both angles.
     """
     from loop.headlight_export import export as export_beam
-    from loop.lamp_description import load_lamp
+    from loop.lamp_description import for_traffic, load_lamp
 
-    written = export_beam(load_lamp(lamp, side), beam, out, step_deg)
-    print(f"{out} written: {written.candela.shape[0]} x {written.candela.shape[1]} angles, peak {written.candela.max():,.0f} cd")
+    exported = for_traffic(load_lamp(lamp, side), traffic)
+    name = beam or exported.default_beam
+    candela = export_beam(exported, name, out, step_deg).candela
+    angles = f"{candela.shape[0]} x {candela.shape[1]} angles"
+    print(f"{out} written: {exported.name}, beam {name}, {angles}, peak {candela.max():,.0f} cd")
 
 
 @headlight_app.command
@@ -189,14 +222,39 @@ def check(
     aim
         Aim the lamp by its cut-off or its maximum first, as the regulation says.
     traffic
-        Side of the road that the traffic drives on; the tables are mirrored for the left.
+        Side of the road that the traffic drives on; for the left, the tables are mirrored and default beams are fitted to it.
     """
     from loop import headlight_tables
     from loop.headlight_check import judge
-    from loop.lamp_description import load_lamp
+    from loop.lamp_description import for_traffic, load_lamp
     from world.regulation import passes
 
-    judged = load_lamp(lamp, side)
-    title, results = judge(judged, beam or ("low" if "low" in judged.beams else "full"), rule, aim, traffic)
+    judged = for_traffic(load_lamp(lamp, side), traffic)
+    title, results = judge(judged, beam or judged.default_beam, rule, aim, traffic)
     tables.show(headlight_tables.results(results, title))
     return 0 if passes(results) else DIFFERS
+
+
+def _tell_what_beams_keep(lamp: "Lamp") -> None:
+    from loop.headlight_check import kept
+
+    lines = kept(lamp)
+    if lines:
+        print("\n".join(["", *lines, "`luxloop headlight check` tells more of each."]))
+
+
+@contextmanager
+def _pixels_done() -> Iterator[Callable[[str, int, int], None]]:
+    """A progress bar a module; call what it gives with the module's name, its pixels done and their number."""
+    from loop.progress import progress
+
+    with ExitStack() as bars:
+        advance: list[Callable[[], None]] = []
+
+        def on_progress(name: str, done: int, of: int) -> None:
+            if done == 1:
+                bars.close()
+                advance[:] = [bars.enter_context(progress(f"{name}, pixels", of))]
+            advance[0]()
+
+        yield on_progress

@@ -12,15 +12,17 @@ from world.photometry.texture import solid_angles
 from world.texels import TexelGrid
 
 STEP_DEG = 0.1  # of the search for a beam's peak
+EVEN_SHARE, EVEN_PART = 0.995, 0.02  # a peak that more than 2 % of all directions reach but for 0.5 % has no place
 MARGIN_DEG = 0.5  # beyond the field, so that no border is missed
 
 
 class Peak(NamedTuple):
-    """Greatest luminous intensity, and where it is: h to the right, v up."""
+    """Greatest luminous intensity, and where it is: h to the right, v up. even: so much is as bright that the place says nothing."""
 
     candela: float
     h_deg: float
     v_deg: float
+    even: bool
 
 
 def peak(lamp: Lamp, utilisations: Sequence[Tensor]) -> Peak:
@@ -29,7 +31,8 @@ def peak(lamp: Lamp, utilisations: Sequence[Tensor]) -> Peak:
     h, v = torch.meshgrid(_around(-left, -right), _around(bottom, top), indexing="ij")
     candela = lamp.intensity(utilisations, direction(h, v).flatten(1))
     at = int(candela.argmax())
-    return Peak(float(candela[at]), float(h.flatten()[at]), float(v.flatten()[at]))
+    even = float((candela >= EVEN_SHARE * candela[at]).double().mean()) > EVEN_PART
+    return Peak(float(candela[at]), float(h.flatten()[at]), float(v.flatten()[at]), even)
 
 
 def _around(low_deg: float, high_deg: float) -> Tensor:

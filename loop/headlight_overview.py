@@ -44,13 +44,13 @@ def facts(car: LitCar, beam: str) -> list[tuple[str, str]]:
     side, lamp = next(iter(car.lamps.items()))
     pattern = car.patterns[side]
     fluxes = [flux_lm(module.headlight, module.headlight.light_texture(u)) for module, u in zip(lamp.modules, pattern, strict=True)]
-    candela, h_deg, v_deg = peak(lamp, pattern)
+    brightest = peak(lamp, pattern)
     return [
         ("beam", beam),
         (f"{side} lamp", f"{sum(module.headlight.n_pixels for module in lamp.modules):,} pixels, {sum(fluxes):,.0f} lm"),
         *((f"   {module.name}", _described(module.headlight, flux)) for module, flux in zip(lamp.modules, fluxes, strict=True)),
-        ("peak", f"{candela / 1e3:.3g} kcd, {candela / WALL_M**2:.3g} lx at {WALL_M:g} m"),
-        ("", f"{_angle(h_deg, 'right', 'left')}, {_angle(v_deg, 'up', 'down')}"),
+        ("peak", f"{brightest.candela / 1e3:.3g} kcd, {brightest.candela / WALL_M**2:.3g} lx at {WALL_M:g} m"),
+        ("", "even" if brightest.even else f"{_angle(brightest.h_deg, 'right', 'left')}, {_angle(brightest.v_deg, 'up', 'down')}"),
         ("reach", "facing the car, at the road, both lamps" if len(car.lamps) > 1 else "facing the car, at the road"),
         *((f"   {lux:g} lx", _reach(car, lux)) for lux in REACHES_LX),
     ]

@@ -62,7 +62,9 @@ def draw_birdseye(axes: Axes, seen: Seen, style: str, lane_width_m: float) -> No
         charts.false_colours(axes, seen.illuminance, (x0, x1, y0, y1), "lx")
     else:
         charts.as_seen(axes, seen.luminance, (x0, x1, y0, y1))
-    charts.map_frame(axes, "0.2" if style == "isolux" else "white", lane_width_m)
+    ink = "0.2" if style == "isolux" else "white"
+    charts.map_frame(axes, ink, lane_width_m)
+    charts.object_outlines(axes, seen, (x0, x1, y0, y1), ink)
 
 
 def draw_eye(axes: Axes, seen: Seen, style: str) -> None:
@@ -83,7 +85,7 @@ def draw_eye(axes: Axes, seen: Seen, style: str) -> None:
 def draw_pixels(axes: Axes, light: Headlight, utilisation: Tensor) -> None:
     """Utilisation of a module's pixels in %, the dark half of the scale drawn out."""
     image = 100 * utilisation.view(light.pixel_rows, light.pixel_cols).cpu().numpy()
-    extent = (0, light.pixel_cols, light.pixel_rows, 0)
+    extent = (-0.5, light.pixel_cols - 0.5, light.pixel_rows - 0.5, -0.5)  # a pixel's number at its middle
     shown = axes.imshow(image, cmap="magma", norm=PowerNorm(0.5, 0, 100), extent=extent, aspect="auto", interpolation="nearest")
     axes.set(xlabel="column", ylabel="row")
     for axis in (axes.xaxis, axes.yaxis):
@@ -92,16 +94,17 @@ def draw_pixels(axes: Axes, light: Headlight, utilisation: Tensor) -> None:
     charts.scale(axes, shown, "%").set_ticks([0, 5, 20, 50, 100])
 
 
-def draw_texture(axes: Axes, light: Headlight, utilisation: Tensor) -> None:
-    """A module's light texture in kcd, on the plane of tangents with a scale in degrees."""
-    image = light.light_texture(utilisation).cpu().numpy() / 1e3
-    extent = (light.left, light.right, light.bottom, light.top)
-    peak = float(image.max()) or 1.0
-    shown = axes.imshow(image, cmap="inferno", vmin=0, vmax=peak, extent=extent, aspect="auto", interpolation="antialiased")
+def draw_texture(axes: Axes, light: Headlight, texture: Tensor, peak_cd: float) -> None:
+    """A module's light texture `[rows, cols]` in cd, up to a peak, on the plane of tangents with a scale in degrees."""
+    image = texture.cpu().numpy() / 1e3
+    extent = (-light.left, -light.right, light.bottom, light.top)
+    shown = axes.imshow(
+        image, cmap="inferno", vmin=0, vmax=(peak_cd or 1e3) / 1e3, extent=extent, aspect="auto", interpolation="antialiased"
+    )
     for axis, ends in ((axes.xaxis, extent[:2]), (axes.yaxis, extent[2:])):
         axis.set_major_locator(FixedLocator(_round_tangents(*ends)))
         axis.set_major_formatter(FuncFormatter(lambda tangent, _: charts.degrees(math.degrees(math.atan(tangent)))))
-    axes.set(xlabel="to the left", ylabel="up")
+    axes.set(xlabel="to the right", ylabel="up")
     axes.grid(False)
     charts.scale(axes, shown, "kcd")
 

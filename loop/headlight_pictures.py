@@ -13,26 +13,15 @@ from loop import headlight_charts as charts
 from loop.build import turned
 from loop.headlight_overview import draw_overview
 from loop.headlight_panels import WALL_M, draw_birdseye, draw_eye, draw_pixels, draw_texture, draw_wall
+from loop.headlight_styles import check_format, style_of
 from loop.headlight_views import SIDES, LitCar, Road, beside, birdseye, driver
 from loop.report import STYLE
 from loop.scenario import HeadlightParams, Scenario
-from loop.validation import did_you_mean
 from world.errors import LuxloopError
 from world.files import whole
 from world.lamp import Lamp
 from world.volumetric import Medium
 
-# Styles of each view; the first one unless another is asked for.
-VIEWS: Mapping[str, tuple[str, ...]] = {
-    "overview": ("isolux",),
-    "wall": ("isolux", "isocandela", "falsecolour", "luminance"),
-    "driver": ("luminance", "falsecolour", "isolux"),
-    "birdseye": ("isolux", "falsecolour", "luminance"),
-    "volume": ("luminance", "falsecolour"),
-    "pixels": ("falsecolour",),
-    "texture": ("falsecolour",),
-}
-FORMATS = (".png", ".jpg", ".jpeg", ".pdf", ".svg")
 DPI = 110
 VISIBILITY_M = 100.0
 
@@ -64,7 +53,7 @@ def show(
     "volume", by default 100.
     Raises LuxloopError for what there is not or has no meaning, and where the file cannot be written.
     """
-    style = _style(view, style)
+    style = style_of(view, style)
     check_format(out)
     if view in ("pixels", "texture") and scenario is not None:
         raise LuxloopError(f"the view {view!r} shows the lamps by themselves; leave the scenario out or choose another view")
@@ -81,28 +70,11 @@ def show(
     return out
 
 
-def check_format(out: Path) -> None:
-    """Raises LuxloopError where a file's name does not end in the format of a picture."""
-    if out.suffix.lower() not in FORMATS:
-        raise LuxloopError(f"{out}: pictures are written as {', '.join(FORMATS)}; end the file's name in one of them")
-
-
 def write(figure: Figure, out: Path) -> None:
     """Save a figure, whole or not at all. Raises LuxloopError where the file cannot be written."""
     FigureCanvasAgg(figure)
     with whole(out) as part:
         figure.savefig(part, format=out.suffix[1:].lower())
-
-
-def _style(view: str, style: str | None) -> str:
-    if view not in VIEWS:
-        raise LuxloopError(f"there is no view {view!r}; {did_you_mean(view, VIEWS)}")
-    if style is None or style in VIEWS[view]:
-        return style or VIEWS[view][0]
-    known = dict.fromkeys(name for names in VIEWS.values() for name in names)
-    if style not in known:
-        raise LuxloopError(f"there is no style {style!r}; {did_you_mean(style, known)}")
-    raise LuxloopError(f"the view {view!r} is not to be had as {style!r}; give one of {', '.join(VIEWS[view])}")
 
 
 def _patterns(lamps: Mapping[str, Lamp], beam: str | Mapping[str, Sequence[Tensor]] | None) -> tuple[str, Mapping[str, Sequence[Tensor]]]:
@@ -115,7 +87,7 @@ def _patterns(lamps: Mapping[str, Lamp], beam: str | Mapping[str, Sequence[Tenso
         if missing := [side for side in lamps if side not in beam]:
             raise LuxloopError(f"beam: there are no utilisations for the {missing[0]} lamp; give them for each side that has a lamp")
         return "own pattern", {side: _pattern(side, lamp, beam[side]) for side, lamp in lamps.items()}
-    name = beam or ("low" if all("low" in lamp.beams for lamp in lamps.values()) else "full")
+    name = beam or ("low" if all(lamp.default_beam == "low" for lamp in lamps.values()) else "full")
     return name, {side: lamp.beam(name) for side, lamp in lamps.items()}
 
 
@@ -168,17 +140,23 @@ def _modules(car: LitCar, beam: str, view: str) -> Figure:
     what = "utilisation of the pixels" if view == "pixels" else "light textures"
     figure = _page(car, beam, what, (9.0 if columns == 1 else 13.0, 0.6 + 2.4 * rows))
     panels = figure.subplots(rows, columns, squeeze=False)
+    textures = {
+        side: [module.headlight.light_texture(u) for module, u in zip(lamp.modules, car.patterns[side], strict=True)]
+        for side, lamp in car.lamps.items()
+        if view == "texture"
+    }
     for column, (side, lamp) in enumerate(car.lamps.items()):
         for axes in panels[len(lamp.modules) :, column]:
             axes.set_visible(False)
-        for axes, module, u in zip(panels[:, column], lamp.modules, car.patterns[side], strict=False):
-            light = module.headlight
+        for row, (module, u) in enumerate(zip(lamp.modules, car.patterns[side], strict=True)):
+            axes, light = panels[row, column], module.headlight
             if view == "pixels":
                 axes.set_title(f"{side}, {module.name}: {light.pixel_rows} x {light.pixel_cols} pixels")
                 draw_pixels(axes, light, u)
             else:
                 axes.set_title(f"{side}, {module.name}: {light.rows} x {light.cols} texels")
-                draw_texture(axes, light, u)
+                brightest = max(float(each[row].max()) for each in textures.values() if row < len(each))
+                draw_texture(axes, light, textures[side][row], brightest)
     return figure
 
 

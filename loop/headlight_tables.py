@@ -95,7 +95,8 @@ def beams(described: Lamp) -> Table:
             flux_lm(module.headlight, module.headlight.light_texture(u)) for module, u in zip(described.modules, utilisations, strict=True)
         )
         mean = float(torch.cat(tuple(utilisations)).mean())
-        where = f"{brightest.h_deg:+.1f}, {brightest.v_deg:+.1f} deg" if brightest.candela else "–"
+        place = "even" if brightest.even else f"{brightest.h_deg:+.1f}, {brightest.v_deg:+.1f} deg"
+        where = place if brightest.candela else "–"
         table.add_row(f"[bold]{escape(name)}[/]", f"{brightest.candela:,.0f} cd", where, f"{flux:,.0f} lm", f"{mean:.1%}")
     return table
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import warnings
 from collections import ChainMap
 from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from dataclasses import replace
@@ -21,7 +22,7 @@ from world.lamp import Lamp
 from world.params import Params
 from world.photometry.distribution import Array
 from world.pixel_sources import SUFFIXES, FileSource
-from world.presets.beams import FittedBeams
+from world.presets.beams import FittedBeams, Traffic
 
 Side = Literal["left", "right"]
 Progress = Callable[[str, int, int], None]
@@ -134,6 +135,21 @@ def load_lamp(name: str | Path, side: Side = "left") -> Lamp:
         return build(path, side)[0]
     lamp = lampfile.load(path) if suffix == ".npz" else _of_one_pixel(path)
     return lamp if side == "left" else replace(lamp, modules=tuple(module.mirrored() for module in lamp.modules))
+
+
+def for_traffic(lamp: Lamp, traffic: Traffic) -> Lamp:
+    """The lamp with its default beams fitted for traffic on this side; own beams stay, and a warning tells where there are no others."""
+    if traffic == "right":
+        return lamp
+    maps = lamp.beams.maps if isinstance(lamp.beams, ChainMap) else [lamp.beams]
+    if not any(isinstance(each, FittedBeams) for each in maps) and lamp.beams:
+        warnings.warn(
+            f"lamp {lamp.name!r} has no default beams that could be fitted for traffic on the left, its own stay as they are; "
+            "presets have, and descriptions (.toml) with beams.default = true",
+            stacklevel=2,
+        )
+    turned = [each.for_traffic(traffic) if isinstance(each, FittedBeams) else each for each in maps]
+    return replace(lamp, beams=ChainMap(*cast(list[MutableMapping[str, tuple[Tensor, ...]]], turned)))
 
 
 def _of_one_pixel(path: Path) -> Lamp:

@@ -10,7 +10,8 @@ from matplotlib.projections.polar import PolarAxes
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from loop import headlight_charts as charts
-from loop.headlight_pictures import DPI, check_format, write
+from loop.headlight_pictures import DPI, write
+from loop.headlight_styles import check_format
 from loop.headlight_views import Image
 from loop.report import FOUR, STYLE
 from world.photometry import Distribution, Photometry

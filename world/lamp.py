@@ -98,6 +98,11 @@ class Lamp:
         low_v, high_v = (float(value) for value in torch.cat(v).aminmax())
         return high_h, low_h, low_v, high_v
 
+    @property
+    def default_beam(self) -> str:
+        """The beam that is meant where none is named: the low beam, or all pixels on where the lamp knows none."""
+        return "low" if "low" in self.beams else "full"
+
     def beam(self, name: str) -> tuple[Tensor, ...]:
         """Utilisations of a beam by name, or of `full` (all pixels on) and `off`. Raises LuxloopError that names the beams there are."""
         if name in ("full", "off"):

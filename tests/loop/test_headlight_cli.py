@@ -1,9 +1,11 @@
 """The commands `luxloop headlight ...`: what an engineer would type, and what they would get wrong."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 
 from loop import cli
@@ -41,13 +43,14 @@ def test_facts_of_a_preset(lux: Lux) -> None:
 
 def test_a_beam_goes_out_as_a_photometric_file_and_comes_back(lux: Lux) -> None:
     code, out, _ = lux("export hd84 --beam high --out high.ies --step-deg 0.5")
-    assert code == 0 and "high.ies written" in out
+    assert code == 0 and "high.ies written: hd84, beam high" in out
     file = read(Path("high.ies"))
     assert (file.distribution.type, file.warnings) == ("A", ())
     code, out, _ = lux("info high.ies")
     assert code == 0 and "hd84, beam high" in out and "type A" in out
     # As a lamp of one pixel it has the beam it was made from, but for what half a degree cannot hold.
     code, checked, _ = lux("check high.ies --rule r112-driving-b")
+    assert checked.startswith("high: ")  # one pixel has no beams to tell apart
     _, original, _ = lux("check hd84 --beam high --rule r112-driving-b")
     assert code == 0 and checked.count("pass") == original.count("pass")
 
@@ -65,7 +68,7 @@ def test_rules_say_how_sure_they_are(lux: Lux) -> None:
 
 def test_a_description_is_built_into_a_file_that_every_command_takes(lux: Lux) -> None:
     code, out, _ = lux(f"build {EXAMPLE} --out my.npz")
-    assert code == 0 and "my.npz written" in out
+    assert code == 0 and "my.npz written" in out and "of r149-passing-c" in out
     assert lux("info my.npz")[0] == 0
     code, out, _ = lux("show my.npz --view pixels --out pixels.png")
     assert code == 0 and cv2.imread("pixels.png") is not None
@@ -73,7 +76,7 @@ def test_a_description_is_built_into_a_file_that_every_command_takes(lux: Lux) -
 
 
 def test_a_photometric_file_is_drawn_as_it_was_measured(lux: Lux) -> None:
-    lux("export hd84 --out full.ies --step-deg 1")
+    lux("export hd84 --beam full --out full.ies --step-deg 1")
     code, out, _ = lux("show full.ies")
     assert code == 0 and "full.png written" in out and cv2.imread("full.png") is not None
 
@@ -85,6 +88,8 @@ def test_a_photometric_file_is_drawn_as_it_was_measured(lux: Lux) -> None:
         ("info nothing.ies", ["nothing.ies", "cannot be read"]),
         ("info nothing.npz", ["nothing.npz", "does not exist"]),
         ("show hd84 --view wal", ["'wal'", "'wall'"]),
+        ("build folder.npz", ["folder.npz", "lamp file already"]),
+        ("check hd84 --rule R112", ["r112-driving-a, r112-driving-b, r112-passing-a, r112-passing-b"]),
         ("show hd84 --beam lo", ["'lo'", "low"]),
         ("show hd84 --view driver --visibility-m 50", ["'driver'", "no fog", "'volume'"]),
         ("show hd84 --view volume --visibility-m nan", ["visibility of nan m"]),
@@ -122,3 +127,34 @@ def test_options_that_a_photometric_file_has_no_use_for_are_refused(lux: Lux) ->
 def test_a_name_too_long_for_a_file_is_no_lamp(lux: Lux) -> None:
     code, _, err = lux(f"info {'a' * 300}.npz")
     assert code == 2 and "does not exist" in err
+
+
+def test_every_command_takes_the_low_beam_and_says_so(lux: Lux) -> None:
+    assert "hd84, beam low" in lux("export hd84 --out low.ies --step-deg 2")[1]
+    assert "hd84, beam low" in lux("show hd84 --view pixels")[1]
+    assert "hd84, beam low" in lux("check hd84")[1]
+    assert "low.npz, beam" not in lux("show low.ies")[1]
+
+
+def test_facts_say_what_default_beams_keep(lux: Lux) -> None:
+    _, out, _ = lux("info hd84")
+    assert re.search(r"^low: keeps \d+ of \d+ of r149-passing-c$", out, re.M)
+    assert re.search(r"^high: keeps all of \d+ of r149-driving-b$", out, re.M)
+    _, out, _ = lux("info ssl-hd-lores")
+    assert out.splitlines()[1].startswith("The module LoRes alone")
+
+
+def test_traffic_on_the_left_gets_beams_of_its_own(lux: Lux) -> None:
+    right, left = (lux(f"check ssl-hd-lores --traffic {side}")[1] for side in ("right", "left"))
+    assert right.count("pass") == left.count("pass")
+    lux("export hd84 --out right.ies --step-deg 0.5")
+    lux("export hd84 --out left.ies --step-deg 0.5 --traffic left")
+    right, left = (read(Path(f"{side}.ies")).distribution.candela for side in ("right", "left"))
+    np.testing.assert_allclose(left, right[::-1], atol=0.05 * right.max())
+    assert abs(left - right).max() > 0.1 * right.max()
+
+
+def test_beams_of_a_lamp_file_stay_for_traffic_on_the_left(lux: Lux) -> None:
+    lux(f"build {EXAMPLE} --out my.npz")
+    code, _, err = lux("show my.npz --view pixels --traffic left")
+    assert code == 0 and err.startswith("warning: lamp ") and "stay as they are" in err and err.count("\n") == 1

@@ -11,11 +11,12 @@ from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 
 from loop import headlight_overview, headlight_pictures, headlight_views
-from loop.headlight_charts import distance_marks, isolines, map_frame, steps
+from loop.headlight_charts import distance_marks, isolines, map_frame, object_outlines, steps
 from loop.headlight_facts import borders_deg, flux_lm, peak
 from loop.headlight_overview import facts, reach_m
 from loop.headlight_panels import wall_angles
-from loop.headlight_pictures import VIEWS, show
+from loop.headlight_pictures import show
+from loop.headlight_styles import VIEWS
 from loop.headlight_views import BIRDSEYE_X_M, BIRDSEYE_Y_M, LitCar, Road, beside, birdseye, driver, grey, picture
 from loop.scenario import Scenario, validate
 from world.errors import LuxloopError
@@ -327,3 +328,31 @@ def test_a_folder_that_cannot_be_written_is_named(lamps: dict[str, Lamp], tmp_pa
     (tmp_path / "file").write_text("")
     with pytest.raises(LuxloopError, match="cannot be written"):
         show(lamps, tmp_path / "file" / "beam.png", view="wall")
+
+
+def test_left_and_right_textures_are_to_one_scale_and_to_the_right(lamps: dict[str, Lamp]) -> None:
+    half = {"left": (torch.full((800,), 0.5),), "right": (torch.ones(800),)}
+    figure = headlight_pictures._modules(LitCar(lamps, half), "half", "texture")
+    shown = [axes.images[0] for axes in figure.axes if axes.images]
+    assert [image.get_clim() for image in shown] == [(0, pytest.approx(50.0))] * 2
+    assert shown[0].get_extent()[:2] == pytest.approx((-math.tan(math.radians(12)), math.tan(math.radians(12))))
+
+
+def test_pixels_are_numbered_at_their_middle(lamps: dict[str, Lamp]) -> None:
+    car = LitCar({"left": lamps["left"]}, {"left": lamps["left"].beam("full")})
+    (shown,) = headlight_pictures._modules(car, "full", "pixels").axes[0].images
+    assert shown.get_extent() == [-0.5, 39.5, 19.5, -0.5]
+
+
+def test_the_map_shows_the_outlines_of_objects(car: LitCar) -> None:
+    box = {"kind": "box", "name": "box", "size_m": [4.0, 2.0, 1.5], "track": [{"position_m": [20.0, 3.0, 0.0]}]}
+    axes = Figure().subplots()
+    object_outlines(axes, Road(scenario(objects=[box])).look(car, birdseye(0.5)), (*BIRDSEYE_X_M, *BIRDSEYE_Y_M), "white")
+    (outline,) = axes.collections
+    x, y = np.concatenate([path.vertices for path in outline.get_paths()]).T
+    assert (x.min(), x.max(), y.min(), y.max()) == pytest.approx((18, 22, 2, 4), abs=0.3)  # cells of half a metre
+
+
+def test_an_even_peak_has_no_place(light: Headlight) -> None:
+    lamp = Lamp("even", (Module("main", light),))
+    assert peak(lamp, lamp.beam("full")).even and not peak(lamp, [torch.eye(800)[410]]).even

@@ -136,7 +136,7 @@ def test_an_unknown_lamp_or_side_is_named_with_what_there_is() -> None:
 def test_beams_are_fitted_once_and_only_when_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     fitted = []
     fake = ModuleType("world.beams")
-    fake.default_beams = lambda lamp: fitted.append(lamp) or {"low": lamp.beam("off")}  # type: ignore[attr-defined]
+    fake.default_beams = lambda lamp, traffic: fitted.append(lamp) or {"low": lamp.beam("off")}  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "world.beams", fake)
     lamp.cache_clear()
     one = lamp("hd84")

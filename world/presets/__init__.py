@@ -25,8 +25,8 @@ def _alone(name: str, light: Callable[[float], Headlight]) -> Callable[[float], 
 _LAMPS: dict[str, tuple[Callable[[float], tuple[Module, ...]], str]] = {
     "idealised-332x1024": (_alone("matrix", ideal.light), ideal.NOTES),
     "hd84": (_alone("matrix", hd84.light), hd84.NOTES),
-    "ssl-hd-lores": (_alone("lores", ssl_hd.lores), ssl_hd.NOTES),
-    "ssl-hd-hires": (_alone("hires", ssl_hd.hires), ssl_hd.NOTES),
+    "ssl-hd-lores": (_alone("lores", ssl_hd.lores), f"The module LoRes alone, of the lamp of which the rest tells.\n{ssl_hd.NOTES}"),
+    "ssl-hd-hires": (_alone("hires", ssl_hd.hires), f"The module HiRes alone, of the lamp of which the rest tells.\n{ssl_hd.NOTES}"),
     "ssl-hd": (ssl_hd.modules, ssl_hd.NOTES),
     "dmd-1m3": (_alone("matrix", dmd.light), dmd.NOTES),
 }
