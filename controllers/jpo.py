@@ -33,10 +33,9 @@ class JpoParams(Params):
 
 @dataclass(frozen=True)
 class JpoState:
-    """What a step leaves for the next: u `[..., n_p]`; dual `[..., n_t]`, see `controllers.jpo_mae.LeastError`."""
+    """What a step leaves for the next: u `[..., n_p]`."""
 
     u: Tensor
-    dual: Tensor
 
 
 @dataclass(frozen=True)
@@ -63,16 +62,20 @@ class Jpo:
         return self.ssc.default
 
     def start(self) -> JpoState:
-        """Nothing seen yet: the default, and no texel that pulls."""
-        return JpoState(self.default, self.default.new_zeros(self.headlight.n_texels))
+        """Nothing drawn yet."""
+        return JpoState(self.default)
 
     def utilisation(self, primitives: Primitives, T_world_headlight: Tensor) -> Utilisation:
         """Utilisation `[..., n_p]` for one moment, warm from SSC."""
-        return self._optimised(self.goal(primitives, T_world_headlight), None)[1]
+        return self._optimised(self.goal(primitives, T_world_headlight))
 
     def step(self, state: JpoState, primitives: Primitives, T_world_headlight: Tensor) -> tuple[JpoState, Utilisation]:
         """The same, warm from the last step where that serves better than SSC."""
-        return self._optimised(self.goal(primitives, T_world_headlight), state)
+        goal = self.goal(primitives, T_world_headlight)
+        last = replace(goal, start=torch.where(goal.free, state.u, goal.start))
+        better = (self._error(last) < self._error(goal))[..., None]
+        seen = self._optimised(replace(goal, start=torch.where(better, last.start, goal.start)))
+        return JpoState(seen.u), seen
 
     def goal(self, primitives: Primitives, T_world_headlight: Tensor) -> Wanted:
         """What the primitives ask of the light texture, the pixels they touch, and where SSC would have these start.
@@ -99,19 +102,10 @@ class Jpo:
         start = torch.where(touched, self.ssc.utilisation(primitives, T_world_headlight).u, self.default)
         return wanted(grid, texture, weights, start, touched)
 
-    def _optimised(self, goal: Wanted, state: JpoState | None) -> tuple[JpoState, Utilisation]:
-        matrix = self.headlight.matrix
-        dual = None
-        if state is not None:
-            last = replace(goal, start=torch.where(goal.free, state.u, goal.start))
-            better = (self._error(last) < self._error(goal))[..., None]
-            goal = replace(goal, start=torch.where(better, last.start, goal.start))
-            dual = state.dual
+    def _optimised(self, goal: Wanted) -> Utilisation:
         if self.params.objective == "mae":
-            found = least_error(matrix, goal, dual=dual, iterations=self.params.iterations, gap=None)
-            return JpoState(found.u, found.dual), Utilisation(found.u)
-        u = least_squares(matrix, goal, self.params.iterations)
-        return JpoState(u, torch.zeros_like(goal.target)), Utilisation(u)
+            return Utilisation(least_error(self.headlight.matrix, goal, self.params.iterations, gap=None).u)
+        return Utilisation(least_squares(self.headlight.matrix, goal, self.params.iterations))
 
     def _error(self, goal: Wanted) -> Tensor:
         """The objective at the start: the weighted sum of deviations in cd, or of their squares, `[...]`."""

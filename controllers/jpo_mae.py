@@ -20,32 +20,28 @@ CHECKED_EVERY = 20  # steps between looks at the gap, each of which waits for th
 
 @dataclass(frozen=True)
 class LeastError:
-    """u: `[..., n_p]`. dual: `[..., n_t]`, what the sum would lose a cd of setpoint, to start a similar problem from. error: `[...]` cd,
-    the weighted sum of absolute deviations at u. bound: `[...]` cd, no utilisation has less. iterations: that were made; entries: of the
-    headlight matrix that each of them read, twice.
+    """u: `[..., n_p]`. error: `[...]` cd, the weighted sum of absolute deviations at u. bound: `[...]` cd, no utilisation has less.
+    iterations: that were made. entries: of the headlight matrix that each of them read, twice.
     """
 
     u: Tensor
-    dual: Tensor
     error: Tensor
     bound: Tensor
     iterations: int
     entries: int
 
 
-def least_error(
-    matrix: Csr, goal: Wanted, *, dual: Tensor | None = None, iterations: int = 20_000, gap: float | None = 0.005
-) -> LeastError:
+def least_error(matrix: Csr, goal: Wanted, iterations: int = 20_000, gap: float | None = 0.005) -> LeastError:
     """The utilisation with the least weighted sum of absolute deviations; never worse than its start.
 
-    matrix: `[n_t, n_p]` cd, not negative. dual: `[..., n_t]` of a similar problem. gap: stop where the error is proved to be at most this
+    matrix: `[n_t, n_p]` cd, not negative. gap: stop where the error is proved to be at most this
     share above the least; None makes all iterations and looks at the end only.
     """
     left = _undecided(matrix, goal)
     u = goal.start[..., left.cols] * left.upper
     best, light = u, multiply(left.A, u)
     least, bound = left.error(light, u), left.constant
-    y = left.pull(light) if dual is None else dual[..., left.rows].clamp(-left.w, left.w)
+    y = left.pull(light)
     tau, sigma = left.steps()
     done = 0
     while done < iterations and len(left.cols):
@@ -60,21 +56,19 @@ def least_error(
         least, bound = torch.minimum(error, least), torch.maximum(bound, left.bound(answer))
         if gap is not None and bool((least - bound <= gap * least).all()):
             break
-    full, everywhere = torch.where(goal.free, 0.0, goal.start), torch.zeros_like(goal.target)
+    full = torch.where(goal.free, 0.0, goal.start)
     full[..., left.cols] += best
-    everywhere[..., left.rows] = y.clamp(-left.w, left.w)
-    return LeastError(full, everywhere, least, bound if len(left.cols) else least, done, len(left.A.values))
+    return LeastError(full, least, bound if len(left.cols) else least, done, len(left.A.values))
 
 
 @dataclass(frozen=True)
 class _Undecided:
-    """`min c'u + sum_i w_i |(A u)_i - s_i| + constant, 0 <= u <= upper`, on some rows and columns of a headlight matrix.
+    """`min c'u + sum_i w_i |(A u)_i - s_i| + constant, 0 <= u <= upper`, on some rows, and the columns `cols`, of a headlight matrix.
 
     A, At: both ways. s, w: `[..., m]`. c, gain, upper: `[..., n]`; gain is `A'w`. A batch entry that has no use for a row or a column has
     w or upper zero there.
     """
 
-    rows: Tensor
     cols: Tensor
     A: Csr
     At: Csr
@@ -123,7 +117,6 @@ def _undecided(matrix: Csr, goal: Wanted) -> _Undecided:
     rows = (anywhere(short) & reached_rows(transposed, cols)).nonzero()[:, 0]
     s, w = target[..., rows], torch.where(short, goal.weight, 0.0)[..., rows]
     return _Undecided(
-        rows,
         cols,
         submatrix(matrix, rows, cols),
         submatrix(transposed, cols, rows),

@@ -155,14 +155,6 @@ def test_brighter_units_change_nothing() -> None:
     torch.testing.assert_close(again.u, found.u, rtol=0, atol=1e-9)
 
 
-def test_the_last_dual_is_a_start_as_good_as_the_end() -> None:
-    light = lamp("hd84").modules[0].headlight
-    goal = wanted(light, RECTANGLES[700].texture(light))
-    end = least_error(light.matrix, goal, gap=1e-4)
-    again = least_error(light.matrix, replace(goal, start=end.u), dual=end.dual, gap=1e-4)
-    assert end.iterations > 2 * again.iterations
-
-
 def test_pixels_that_are_not_free_keep_their_light() -> None:
     light, goal = random_problem(4)
     free = torch.arange(light.n_pixels) % 2 == 0

@@ -1,0 +1,211 @@
+"""How near a few iterations of joint pixel optimisation come to the optimum, and what they cost: one thread, process time.
+
+`python benchmarks/jpo.py` prints the tables; `--page` writes docs/jpo.md and its picture; `--quick` is to see that it works.
+"""
+
+import argparse
+import platform
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from datetime import date
+from pathlib import Path
+from statistics import median
+
+import matplotlib
+import numpy as np
+import torch
+
+torch.set_num_threads(1)
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt  # noqa: E402
+from torch import Tensor  # noqa: E402
+
+from controllers.jpo import Jpo, JpoParams  # noqa: E402
+from controllers.jpo_mae import least_error  # noqa: E402
+from controllers.jpo_part import Wanted, wanted  # noqa: E402
+from controllers.jpo_squares import least_squares  # noqa: E402
+from controllers.mrpc import MrpcParams, PixelMajor, pixel_major, reduce_setpoints  # noqa: E402
+from controllers.primitives import I_V, Primitives, load_symbol, rectangle  # noqa: E402
+from controllers.rthc import Setpoints  # noqa: E402
+from controllers.ssc import Ssc  # noqa: E402
+from controllers.windows import whole  # noqa: E402
+from loop.build import symbol_path  # noqa: E402
+from loop.rectangles import RECTANGLES  # noqa: E402
+from perception.metrics import mae  # noqa: E402
+from world.frames import pose_from_degrees  # noqa: E402
+from world.headlight import Headlight  # noqa: E402
+from world.presets import lamp  # noqa: E402
+from world.spmv import multiply  # noqa: E402
+from world.spmv.auto import processor  # noqa: E402
+
+TEMPLATE = Path(__file__).with_name("jpo_page.md")
+DOCS = Path(__file__).parents[1] / "docs"
+LAMPS = ("hd84", "ssl-hd-lores")
+EVERY = 41  # of the 1,215 rectangles: 30
+# The best of those that were tried; sharpening is for pixels that are small beside what they draw.
+GOOD = {"hd84": MrpcParams(a_x=0.9, a_r=2.0), "ssl-hd-lores": MrpcParams(a_x=0.9, a_r=2.0, sharpening=1.0)}
+START = "SSC, a_m = a_r = 1"
+BUDGETS = (10, 20, 40, 100)
+PACES_M = (0.01, 0.05)  # of the moving symbol, a step
+T_LAMP = pose_from_degrees((0.0, 0.0, 0.75))
+
+Row = tuple[str, list[float], list[float]]  # a method, its error and its cost in ms of each rectangle
+
+
+def pair_ms(light: Headlight) -> float:
+    """One product with the headlight matrix and one with its transpose."""
+    u, y = torch.rand(light.n_pixels), torch.rand(light.n_texels)
+    taken = []
+    for _ in range(15):
+        before = time.process_time_ns()
+        multiply(light.matrix, u)
+        multiply(light.matrix.transposed, y)
+        taken.append(1e-6 * (time.process_time_ns() - before))
+    return median(taken)
+
+
+def by_ssc(light: Headlight, tables: PixelMajor, params: MrpcParams, texture: Tensor) -> Tensor:
+    """Utilisation of the MapReduce control, every texel being hit that shall be lit."""
+    setpoints = Setpoints(texture, (texture > 0).to(texture), whole(light), (I_V,))
+    return reduce_setpoints(setpoints, tables, params, torch.zeros(light.n_pixels), dark=True)[0]
+
+
+def methods(light: Headlight, params: MrpcParams) -> dict[str, Callable[[Wanted, Tensor], Tensor]]:
+    """Ways to a wanted texture, by name; the joint ones begin at the SSC that is given to them."""
+    good, matrix = pixel_major(light, params), light.matrix
+
+    def joint(iterations: int, gap: float | None) -> Callable[[Wanted, Tensor], Tensor]:
+        return lambda goal, _: least_error(matrix, goal, iterations=iterations, gap=gap).u
+
+    ways: dict[str, Callable[[Wanted, Tensor], Tensor]] = {
+        START: lambda goal, _: goal.start,
+        f"SSC, a_x = 0.9, a_r = 2{', sharpened' * bool(params.sharpening)}": lambda _, texture: by_ssc(light, good, params, texture),
+        "joint, least squares, converged": lambda goal, _: least_squares(matrix, goal),
+    }
+    ways |= {f"joint, MAE, {budget} iterations": joint(budget, None) for budget in BUDGETS}
+    return ways | {"joint, MAE, converged": joint(20_000, 0.005)}
+
+
+def compare(name: str, every: int) -> tuple[list[Row], float, float]:
+    """All ways to every so many-th rectangle; ms of an SpMV pair; the largest proved gap."""
+    light = lamp(name).modules[0].headlight
+    params = MrpcParams()
+    tables, ways = pixel_major(light, params), methods(light, GOOD[name])
+    rows: dict[str, tuple[list[float], list[float]]] = {way: ([], []) for way in ways}
+    gaps = []
+    for each in RECTANGLES[every // 2 :: every]:
+        texture = each.texture(light)
+        goal = wanted(light, texture, start=by_ssc(light, tables, params, texture))
+        for way, drawn in ways.items():
+            errors, ms = rows[way]
+            before = time.process_time_ns()
+            u = drawn(goal, texture)
+            ms.append(1e-6 * (time.process_time_ns() - before))
+            errors.append(float(mae(light.light_texture(u), texture)))
+        proof = least_error(light.matrix, goal)
+        gaps.append(float(1 - proof.bound / proof.error))
+    return [(way, errors, ms) for way, (errors, ms) in rows.items()], pair_ms(light), max(gaps)
+
+
+def report(name: str, every: int) -> str:
+    rows, pair, gap = compare(name, every)
+    best = np.array(rows[-1][1])
+    lines = [
+        f"`{name}`, {len(best)} rectangles, an SpMV pair takes {pair:.2g} ms, largest gap of the converged {100 * gap:.2f} %:",
+        "",
+        "| | mean MAE | over converged | worst rectangle | ms | SpMV pairs |",
+        "| --- | ---: | ---: | ---: | ---: | ---: |",
+    ]
+    for way, errors, ms in rows:
+        ratio = np.array(errors) / best
+        cost = " | " if way == START else f"{median(ms):.1f} | {median(ms) / pair:.1f}"
+        lines.append(f"| {way} | {np.mean(errors):.4f} | {np.mean(errors) / best.mean():.3f} | {ratio.max():.3f} | {cost} |")
+    return "\n".join(lines)
+
+
+def on_a_wall(y_m: float, symbol: Tensor) -> Primitives:
+    """A symbol of 2.4 m x 2.4 m and 8,000 cd on a wall 25 m ahead of the lamp."""
+    origin = torch.tensor([25.0, y_m + 1.2, 1.95])
+    d1, d2 = torch.tensor([0.0, -2.4, 0.0]), torch.tensor([0.0, 0.0, -2.4])
+    return rectangle(origin, d1, d2, 8000.0, "I_v", normal=torch.tensor([-1.0, 0.0, 0.0]), symbol=symbol)
+
+
+def moving(steps: int) -> str:
+    """A snowflake that moves over a wall: errors of the last half of the steps over those at convergence."""
+    light = lamp("ssl-hd-lores").modules[0].headlight
+    symbol = load_symbol(symbol_path("snowflake"))
+    reference = Jpo.prepare(light)
+    half = slice(steps // 2, None)
+    lines = ["| cm a step | iterations a step | each step from SSC | from the last step |", "| ---: | ---: | ---: | ---: |"]
+    for pace_m in PACES_M:
+        places = [on_a_wall(pace_m * (step - steps / 2), symbol) for step in range(steps)]
+        goals = [reference.goal(place, T_LAMP) for place in places]
+        best = np.array([float(least_error(light.matrix, goal).error) for goal in goals[half]])
+        for budget in (5, *BUDGETS[:3]):
+            jpo = replace(reference, params=JpoParams(iterations=budget))
+            state = jpo.start()
+            warm: list[float] = []
+            cold: list[float] = []
+            for place, goal in zip(places, goals, strict=True):
+                state, seen = jpo.step(state, place, T_LAMP)
+                for errors, u in ((warm, seen.u), (cold, jpo.utilisation(place, T_LAMP).u)):
+                    errors.append(float((multiply(light.matrix, u) - goal.target).abs().sum()))
+            ratios = " | ".join(f"{np.mean(np.array(errors[half]) / best):.3f}" for errors in (cold, warm))
+            lines.append(f"| {100 * pace_m:.0f} | {budget} | {ratios} |")
+    return "\n".join(lines)
+
+
+def picture(file: Path) -> str:
+    """The snowflake of SSC and of joint optimisation, light above and pixels below (T fig. 8.1); returns their errors in words."""
+    light = lamp("ssl-hd-lores").modules[0].headlight
+    place = on_a_wall(0.0, load_symbol(symbol_path("snowflake")))
+    jpo = Jpo.prepare(light)
+    goal = jpo.goal(place, T_LAMP).target.unflatten(-1, (light.rows, light.cols))
+    drawn = {START: Ssc.prepare(light).utilisation(place, T_LAMP).u}
+    drawn["SSC, sharpened"] = Ssc.prepare(light, GOOD["ssl-hd-lores"]).utilisation(place, T_LAMP).u
+    drawn["real-time JPO"] = jpo.utilisation(place, T_LAMP).u
+    figure, axes = plt.subplots(2, 4, figsize=(11, 6), layout="constrained")
+    lit = goal.nonzero()
+    (top, left), (bottom, right) = lit.amin(0).tolist(), lit.amax(0).tolist()
+    cut = slice(top - 12, bottom + 13), slice(left - 12, right + 13)
+    scale = light.pixel_rows / light.rows, light.pixel_cols / light.cols
+    pixels = tuple(slice(int(part.start * each), int(part.stop * each) + 1) for part, each in zip(cut, scale, strict=True))
+    shown = {"wanted": goal, **{name: light.light_texture(u) for name, u in drawn.items()}}
+    errors = {name: float(mae(texture, goal)) for name, texture in shown.items()}
+    for axis, (name, texture) in zip(axes[0], shown.items(), strict=True):
+        axis.imshow(texture[cut], cmap="inferno", vmin=0, vmax=float(goal.max()))
+        axis.set_title(name if name == "wanted" else f"{name}\nMAE {errors[name]:.3f}", fontsize=10)
+    for axis, u in zip(axes[1, 1:], drawn.values(), strict=True):
+        image = u.view(light.pixel_rows, light.pixel_cols)[pixels]
+        drawing = axis.imshow(image, cmap="viridis", vmin=0, vmax=1)
+        axis.set_title(f"mean {float(image.mean()):.2f}, largest {float(image.max()):.2f}", fontsize=10)
+    figure.colorbar(drawing, ax=axes[1, 1:].tolist(), shrink=0.8, label="utilisation")
+    for axis in axes.flat:
+        axis.set_axis_off()
+    file.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(file, dpi=110)
+    plt.close(figure)
+    return ", ".join(f"{error:.3f} by {name}" for name, error in errors.items() if name != "wanted")
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="three rectangles and four steps, to see that it works")
+    parser.add_argument("--page", nargs="?", type=Path, const=DOCS, help="write jpo.md and its picture into a folder (docs)")
+    chosen = parser.parse_args(arguments)
+    began = time.monotonic()
+    tables = {name.replace("-", "_"): report(name, 405 if chosen.quick else EVERY) for name in LAMPS}
+    tables["moving"] = moving(4 if chosen.quick else 24)
+    for table in tables.values():
+        print(table, end="\n\n")
+    if chosen.page:
+        errors = picture(chosen.page / "images" / "jpo-snowflake.png")
+        machine = f"{processor()}, Python {platform.python_version()}, torch {torch.__version__}"
+        minutes = max(1, round((time.monotonic() - began) / 60))
+        words = TEMPLATE.read_text("utf-8").format(**tables, errors=errors, machine=machine, date=date.today(), minutes=minutes)
+        (chosen.page / "jpo.md").write_text(words, "utf-8")
+
+
+if __name__ == "__main__":
+    main()
