@@ -106,7 +106,7 @@ class MountParams(Params):
     y_m: float = Field(0.0, ge=-2, le=2, description="to the left of it")
     z_m: float = Field(0.0, ge=-2, le=2, description="above it")
     roll_deg: float = Field(0.0, ge=-180, le=180, description="turn about the forward axis, right side down positive")
-    pitch_deg: float = Field(0.0, ge=-90, le=90, description="turn about the left axis, nose down positive")
+    pitch_deg: float = Field(0.0, ge=-90, le=90, description="turn about the left axis, positive is nose down: the light moves down")
     yaw_deg: float = Field(0.0, ge=-180, le=180, description="turn about the upward axis, to the left positive")
 
 

@@ -1,5 +1,6 @@
 """Run a scenario: recorded, filmed and reported. The command line and Python programs use it alike."""
 
+import math
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
@@ -7,9 +8,12 @@ from typing import Any
 
 import torch
 
+from controllers.symbol.projector import DrawingModule
+from loop.lighting.run import run_lighting
+from loop.lighting.simulation import LightingResult, LightingSimulation
 from loop.recorder import REPORT, VIDEO, Recorder
 from loop.report import Gathered, write_report
-from loop.scenario import Scenario
+from loop.scenario import AnyScenario, LightingScenario, Scenario
 from loop.simulation import Simulation, StepResult
 from loop.video import VideoWriter, frame_picture
 from perception.camera import camera_view, saturation_luminance
@@ -20,19 +24,21 @@ LEAST_PX = 4  # of the target in either direction; quadrants need two pixels eac
 
 
 def run(
-    scenario: Scenario,
+    scenario: AnyScenario,
     directory: Path | str,
     *,
     device: str = "auto",
     video: bool = True,
-    on_step: Callable[[StepResult], None] = lambda result: None,
+    on_step: Callable[[StepResult | LightingResult], None] = lambda result: None,
 ) -> dict[str, Any]:
-    """Run a scenario into a directory (`luxloop replay` reads it) and return its summary.
+    """Run a scenario of either kind into a directory (`luxloop replay` reads it) and return its summary.
 
     on_step: called after every step. Ctrl-C ends the recording, reports on the steps so far and goes on as KeyboardInterrupt.
     Raises LuxloopError, before anything is written, where the scenario cannot run.
     """
     directory = Path(directory)
+    if isinstance(scenario, LightingScenario):
+        return run_lighting(scenario, directory, torch_device(device), video, on_step)
     simulation = prepare(scenario, device)
     gathered = Gathered(scenario.steps)
     recorder = Recorder(directory, simulation)
@@ -65,8 +71,8 @@ def prepare(scenario: Scenario, device: str = "auto") -> Simulation:
     gains = simulation.observer.model.gains
     if not (gains.isfinite() & (gains != 0)).all():
         raise LuxloopError(
-            f"{where} cannot be told from noise on a flat road; raise symbol.value or headlight.intensity_cd, "
-            "draw the symbol with wider strokes, or take a finer camera"
+            f"{where} cannot be told from noise on a flat road ({_pixels_there(simulation)}); raise symbol.value or "
+            "headlight.intensity_cd, draw the symbol larger or with wider strokes, or take a lamp with finer pixels or a finer camera"
         )
     brightest = float(simulation.world.lit(0.0).base.median() + simulation.goal.median)
     if brightest > saturation_luminance(scenario.camera):
@@ -75,6 +81,35 @@ def prepare(scenario: Scenario, device: str = "auto") -> Simulation:
             f"{saturation_luminance(scenario.camera):.3g} cd/m^2; shorten camera.exposure_s, or raise camera.saturation_e"
         )
     return simulation
+
+
+def _pixels_there(simulation: Simulation) -> str:
+    """How large the finest pixels are at the target, and how large the symbol: coarse pixels draw no symbol."""
+
+    def size_deg(module: DrawingModule) -> tuple[float, float]:
+        light = module.pixel_controller.headlight
+        angles = ((light.left - light.right) / light.pixel_cols, (light.top - light.bottom) / light.pixel_rows)
+        return math.degrees(angles[0]), math.degrees(angles[1])
+
+    symbol, module = simulation.scenario.symbol, min(simulation.projector.modules, key=lambda each: math.prod(size_deg(each)))
+    across, down = size_deg(module)
+    height = max(float(module.T_world_headlight[2, 3]), 0.1)  # a mount may put it below the road
+    distance = math.hypot(symbol.x_m, symbol.y_m, height)
+    width, length = math.radians(across) * distance, math.radians(down) * distance**2 / height
+    return (
+        f"a pixel of {module.name} spans about {across:.2g} x {down:.2g} deg, there {100 * width:.0f} cm across and "
+        f"{100 * length:.0f} cm along the road, and the symbol {100 * symbol.width_m:.0f} x {100 * symbol.length_m:.0f} cm"
+    )
+
+
+def check(scenario: AnyScenario, device: str = "auto") -> str:
+    """Build everything that a scenario names, and say in a line what it is. Raises LuxloopError where it cannot run."""
+    if isinstance(scenario, LightingScenario):
+        LightingSimulation.prepare(scenario, torch_device(device))
+        kinds = ", ".join(function.kind for function in scenario.lighting.functions) or "none"
+        return f"{scenario.steps} steps, road {scenario.road.kind}, base beam {scenario.lighting.base.beam}, functions {kinds}"
+    prepare(scenario, device)
+    return f"{scenario.steps} steps, road {scenario.road.kind}, controller {scenario.controller.name}"
 
 
 def _in_the_image(scenario: Scenario) -> bool:

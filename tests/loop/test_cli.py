@@ -126,7 +126,8 @@ def test_did_you_mean(lux: Lux, arguments: str, named: str) -> None:
         ("run small.toml --set camera.yaw_deg=90", ["symbol.x_m = 17", "camera's sight"]),
         ("run small.toml --set symbol.y_m=-9 camera.yaw_deg=-26", ["symbol.y_m = -9", "lamps' reach"]),
         ("run small.toml --set headlight.intensity_cd=1", ["noise", "headlight.intensity_cd"]),
-        ("check small.toml --set a=1", ["--set"]),
+        ("check small.toml --set headlight.model=hd84", ["noise", "left matrix", "1.7 x 4.4 deg", "200 x 400 cm", "finer pixels"]),
+        ("check small.toml --set a=1", ["a: unknown key"]),
         ("check mesh.toml", ["none.obj"]),
         ("replay .", ["no recording", "luxloop run"]),
         ("replay nowhere", ["nowhere", "luxloop run"]),
@@ -182,6 +183,7 @@ def test_check(lux: Lux) -> None:
     code, out, error = lux("check", "small.toml")
     assert (code, error) == (0, "")
     assert out == "small.toml: ok (3 steps, road flat, controller thesis_pid)\n"
+    assert "(5 steps, " in lux("check", "small.toml", "--set", "steps=5")[1]
 
 
 def test_schema_is_json(lux: Lux) -> None:
