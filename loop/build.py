@@ -13,7 +13,7 @@ from controllers.ssc import Ssc
 from controllers.symbol.projector import DrawingModule, Projector
 from loop import data
 from loop.lamp_description import load_lamp
-from loop.scenario import HeadlightParams, Scenario, shipped_symbols
+from loop.scenario import HeadlightParams, Scenario, WorldScenario, shipped_symbols
 from world.body import Body
 from world.errors import LuxloopError
 from world.frames import pose_from_degrees
@@ -25,7 +25,7 @@ from world.scene import Scene
 TurnedPart = TypeVar("TurnedPart", Lamp, Module)
 
 
-def build_scene(scenario: Scenario) -> Scene:
+def build_scene(scenario: WorldScenario) -> Scene:
     """Road and objects. Raises LuxloopError where a file is missing or broken."""
     road = scenario.road
     if isinstance(road, OpenCrgRoad):

@@ -118,12 +118,10 @@ def check(name: str, /, *, set: Annotated[list[str] | None, Parameter(consume_mu
     set
         Keys to change, as key=value in TOML syntax, such as headlight.model=mylamp.npz.
     """
-    from loop.run import prepare
-    from loop.scenario import load
+    from loop.run import check as check_scenario
+    from loop.scenario import load_any
 
-    scenario = load(name, set or [])
-    prepare(scenario)
-    print(f"{name}: ok ({scenario.steps} steps, road {scenario.road.kind}, controller {scenario.controller.name})")
+    print(f"{name}: ok ({check_scenario(load_any(name, set or []))})")
 
 
 @app.command

@@ -10,10 +10,14 @@ import torch
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from loop import tables
-from loop.replay import load as load_recording
-from loop.replay import replay
+from loop.lighting.replay import replay as replay_lighting
+from loop.lighting.simulation import LightingResult
+from loop.lighting.summary import shown
+from loop.manifest import Manifest
+from loop.recorder import TRAJECTORY
+from loop.replay import Comparison, read_parquet, replay
 from loop.run import run
-from loop.scenario import load
+from loop.scenario import LightingScenario, load_any
 from loop.simulation import StepResult
 
 
@@ -25,13 +29,13 @@ def _one_thread() -> None:
 
 def run_scenario(name: str, out: Path, overrides: Sequence[str], values: dict[str, Any], device: str, video: bool) -> None:
     """Run, and say how it went and where the files lie. Raises KeyboardInterrupt that says what was kept."""
-    scenario = load(name, overrides, **values)
+    scenario = load_any(name, overrides, **values)
     _one_thread()
     done = 0
 
     with _progress(scenario.name, scenario.steps) as advance:
 
-        def on_step(result: StepResult) -> None:
+        def on_step(result: StepResult | LightingResult) -> None:
             nonlocal done
             done = result.step + 1
             advance()
@@ -40,15 +44,17 @@ def run_scenario(name: str, out: Path, overrides: Sequence[str], values: dict[st
             summary = run(scenario, out, device=device, video=video, on_step=on_step)
         except KeyboardInterrupt as error:
             raise KeyboardInterrupt(f"{done} of {scenario.steps} steps are kept in {out}" if done else "nothing was recorded") from error
-    tables.show(tables.summary(summary, str(out)))
+    table = shown if isinstance(scenario, LightingScenario) else tables.summary
+    tables.show(table(summary, str(out)))
 
 
 def compare_recording(directory: Path) -> bool:
     """Run a recording again, show how the two differ, return whether they agree."""
-    recording = load_recording(directory)
+    manifest = Manifest.read(directory)
+    again: Callable[..., Comparison] = replay_lighting if "lighting" in manifest.scenario else replay
     _one_thread()
-    with _progress(recording.scenario.name, recording.table.num_rows) as advance:
-        comparison = replay(directory, on_step=lambda result: advance())
+    with _progress(str(manifest.scenario.get("name")), read_parquet(directory / TRAJECTORY).num_rows) as advance:
+        comparison = again(directory, on_step=lambda result: advance())
     console = tables.console()
     for note in comparison.notes:
         console.print(f"note: {note}", markup=False)

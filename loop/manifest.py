@@ -15,7 +15,7 @@ from pydantic import Field, ValidationError
 
 from loop import data
 from loop.build import symbol_path
-from loop.scenario import Scenario
+from loop.scenario import AnyScenario, Scenario
 from loop.validation import sentence
 from world.errors import LuxloopError
 from world.objects import MeshParams
@@ -52,7 +52,7 @@ class Manifest(Params):
     started_utc: str = Field(description="start time, ISO 8601")
 
     @classmethod
-    def of(cls, scenario: Scenario, renderer: str, device: torch.device) -> "Manifest":
+    def of(cls, scenario: AnyScenario, renderer: str, device: torch.device) -> "Manifest":
         """The manifest of a run that starts now; renderer: name of the face source. Raises LuxloopError where an input file is missing."""
         return cls(
             scenario=scenario.model_dump(mode="json"),
@@ -119,9 +119,15 @@ def write_json(file: Path, value: Any) -> None:
     os.replace(part, file)
 
 
-def input_files(scenario: Scenario) -> Iterator[tuple[str, Path]]:
+def input_files(scenario: AnyScenario) -> Iterator[tuple[str, Path]]:
     """Files that decide a run beside the scenario, by the key that names them."""
-    yield "symbol.image", symbol_path(scenario.symbol.image)
+    if isinstance(scenario, Scenario):
+        yield "symbol.image", symbol_path(scenario.symbol.image)
+    else:
+        for i, function in enumerate(scenario.lighting.functions):
+            image = getattr(function, "image", None)
+            if image is not None and (path := symbol_path(image)).is_file():
+                yield f"lighting.functions[{i}].image", path
     if isinstance(scenario.road, OpenCrgRoad):
         yield "road.file", Path(data.locate(scenario.road.file))
     for i, item in enumerate(scenario.objects):

@@ -2,11 +2,12 @@
 
 import os
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Generic, Self, TypeVar
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -18,6 +19,8 @@ from loop.simulation import Simulation, StepResult
 from loop.summary import summarise
 from perception.extraction import Loss
 from world.errors import LuxloopError
+
+Result = TypeVar("Result")
 
 TRAJECTORY, SUMMARY, REPORT, VIDEO = "trajectory.parquet", "summary.json", "report.png", "video.mp4"
 REST = 10  # times what a write takes pass between two: recording costs a tenth at most, and a kill the last 50 ms or so
@@ -104,10 +107,10 @@ def loss_name(code: int) -> str:
     return "" if code == Loss.SEEN else Loss(code).name.lower()
 
 
-def table_of(rows: list[dict[str, Any]]) -> pa.Table:
-    """Rows as a table of SCHEMA; NaN becomes null."""
-    columns = [pa.array([r[field.name] for r in rows], field.type, from_pandas=True) for field in SCHEMA]
-    return pa.Table.from_arrays(columns, schema=SCHEMA)
+def table_of(rows: list[dict[str, Any]], schema: pa.Schema = SCHEMA) -> pa.Table:
+    """Rows as a table; NaN becomes null."""
+    columns = [pa.array([r[field.name] for r in rows], field.type, from_pandas=True) for field in schema]
+    return pa.Table.from_arrays(columns, schema=schema)
 
 
 def write_table(file: Path, table: pa.Table) -> None:
@@ -117,32 +120,39 @@ def write_table(file: Path, table: pa.Table) -> None:
     os.replace(part, file)
 
 
-class Recorder:
+class TableRecorder(ABC, Generic[Result]):
     """Records a run into a directory; use it in a `with` statement and `add` every step.
 
     Leaving the block finishes the recording, as interrupted where an exception (Ctrl-C too) ended it, and writes the summary.
     """
 
-    def __init__(self, directory: Path, simulation: Simulation) -> None:
+    def __init__(self, directory: Path, manifest: Manifest, schema: pa.Schema) -> None:
         """Make the directory, replace a recording that is there, write the manifest.
 
-        Raises LuxloopError if the directory holds something else, cannot be written, or an input file cannot be read.
+        Raises LuxloopError if the directory holds something else, or cannot be written.
         """
-        self.directory, self.simulation = directory, simulation
-        self.manifest = Manifest.of(simulation.scenario, simulation.world.source.name, simulation.device)
-        self._written = SCHEMA.empty_table()
+        self.directory, self.manifest = directory, manifest
+        self._written = schema.empty_table()
         self._fresh: list[dict[str, Any]] = []
         self._next_write_s = 0.0
         with self._writing():
             _clear(directory)
             self.manifest.write(directory)
 
-    def __enter__(self) -> "Recorder":
+    @abstractmethod
+    def row(self, result: Result) -> dict[str, Any]:
+        """A step as plain Python values, by the names of the schema."""
+
+    @abstractmethod
+    def summary(self) -> dict[str, Any]:
+        """The summary of the steps so far."""
+
+    def __enter__(self) -> Self:
         return self
 
-    def add(self, result: StepResult) -> dict[str, Any]:
+    def add(self, result: Result) -> dict[str, Any]:
         """Record a step; returns its row. Raises LuxloopError if the directory can no longer be written."""
-        added = row(result)
+        added = self.row(result)
         self._fresh.append(added)
         if time.perf_counter() >= self._next_write_s:
             self._write_trajectory()
@@ -151,17 +161,9 @@ class Recorder:
     def table(self) -> pa.Table:
         """All steps so far."""
         if self._fresh:
-            self._written = pa.concat_tables([self._written, table_of(self._fresh)]).combine_chunks()
+            self._written = pa.concat_tables([self._written, table_of(self._fresh, self._written.schema)]).combine_chunks()
             self._fresh = []
         return self._written
-
-    def summary(self) -> dict[str, Any]:
-        """The summary of the steps so far, the open loop simulated beside them."""
-        simulation, table = self.simulation, self.table()
-        time_s = table["time_s"][-1].as_py() if table.num_rows else 0.0
-        light = simulation.projector.light(simulation.projector.target)
-        iou_open = simulation.judge(light, time_s).iou.item()
-        return summarise(table, simulation.scenario.name, simulation.scenario.controller.name, iou_open)
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self._write_trajectory()
@@ -183,6 +185,26 @@ class Recorder:
         except OSError as error:
             reason = error.strerror or error
             raise LuxloopError(f"{self.directory}: cannot be written ({reason}); give another directory with --out") from error
+
+
+class Recorder(TableRecorder[StepResult]):
+    """Records the run of a closed loop."""
+
+    def __init__(self, directory: Path, simulation: Simulation) -> None:
+        """Raises LuxloopError as any recorder does, and if an input file cannot be read."""
+        self.simulation = simulation
+        super().__init__(directory, Manifest.of(simulation.scenario, simulation.world.source.name, simulation.device), SCHEMA)
+
+    def row(self, result: StepResult) -> dict[str, Any]:
+        return row(result)
+
+    def summary(self) -> dict[str, Any]:
+        """The summary of the steps so far, the open loop simulated beside them."""
+        simulation, table = self.simulation, self.table()
+        time_s = table["time_s"][-1].as_py() if table.num_rows else 0.0
+        light = simulation.projector.light(simulation.projector.target)
+        iou_open = simulation.judge(light, time_s).iou.item()
+        return summarise(table, simulation.scenario.name, simulation.scenario.controller.name, iou_open)
 
 
 def _clear(directory: Path) -> None:

@@ -48,14 +48,19 @@ def load(directory: Path) -> Recording:
     return Recording(manifest, scenario, read_table(directory / TRAJECTORY))
 
 
-def read_table(file: Path) -> pa.Table:
-    """Read a trajectory, with the columns of a recording and no others. Raises LuxloopError where it is damaged."""
+def read_parquet(file: Path) -> pa.Table:
+    """Read a recording's table of steps. Raises LuxloopError where it is missing or damaged."""
     try:
-        table = pq.read_table(file)
+        return pq.read_table(file)
     except FileNotFoundError as error:
         raise LuxloopError(f"{file}: is missing, no step was recorded; record the run again") from error
     except (pa.ArrowException, OSError) as error:
         raise LuxloopError(f"{file}: damaged, not readable as Parquet ({_first_line(error)}); record the run again") from error
+
+
+def read_table(file: Path) -> pa.Table:
+    """Read a trajectory, with the columns of a recording and no others. Raises LuxloopError where it is damaged."""
+    table = read_parquet(file)
     missing = [name for name in COLUMNS if name not in table.column_names]
     if missing:
         raise LuxloopError(f"{file}: the column {missing[0]!r} is missing; record the run again")
@@ -90,7 +95,8 @@ def replay(
 
 def to_csv(directory: Path, file: Path) -> None:
     """Write a recording's steps as CSV, values that are missing as empty fields. Raises LuxloopError where it cannot."""
-    table = load(directory).table
+    lighting = "lighting" in Manifest.read(directory).scenario
+    table = read_parquet(directory / TRAJECTORY) if lighting else load(directory).table
     try:
         pyarrow.csv.write_csv(table, file)
     except OSError as error:

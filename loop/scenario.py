@@ -1,4 +1,4 @@
-"""Scenario files: one typed, frozen model; TOML, `--set key=value` and every other front end edit it and nothing else."""
+"""Scenario files: a typed, frozen model for each of the two kinds; TOML, `--set key=value` and every other front end edit it alone."""
 
 import hashlib
 import json
@@ -6,12 +6,14 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from datetime import date, time
 from importlib.resources import files
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
 
 from controllers.mrpc import MrpcParams
+from controllers.planner import LightingParams
 from controllers.symbol import ControllerParams, ThesisPidParams
 from controllers.symbol.flat_model import FeatureParams
 from controllers.symbol.projector import SymbolParams
@@ -70,8 +72,8 @@ class LightParams(Params):
     street_lamps: tuple[StreetLamp, ...] = Field((), description="point lights")
 
 
-class Scenario(Params):
-    """Everything that decides a run."""
+class WorldScenario(Params):
+    """What every scenario has: the world, the lamps, the camera, and how long it runs."""
 
     schema_version: Literal[1] = Field(SCHEMA_VERSION, description="version of this file format")
     name: str = Field(min_length=1, max_length=80, description="name, for tables and reports")
@@ -85,13 +87,23 @@ class Scenario(Params):
     light: LightParams = Field(LightParams(), description="ambient light and street lamps")
     headlight: HeadlightParams = Field(HeadlightParams(), description="the lamps")
     camera: CameraParams = Field(CameraParams(), description="the camera")
+    ssc: MrpcParams = Field(MrpcParams(), description="SuperSampling Control")
+    renderer: Literal["auto", "opengl", "raycast"] = Field("auto", description="source of the G-buffer")
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the resolved scenario, hexadecimal."""
+        return hashlib.sha256(json.dumps(self.model_dump(mode="json"), sort_keys=True).encode()).hexdigest()
+
+
+class Scenario(WorldScenario):
+    """Everything that decides a run of the closed loop around a symbol."""
+
     symbol: SymbolParams = Field(description="what is projected, and where it shall lie")
     start: StartParams = Field(StartParams(), description="where the control starts")
-    ssc: MrpcParams = Field(MrpcParams(), description="SuperSampling Control")
     features: FeatureParams = Field(FeatureParams(), description="what of the symbol the controller looks at")
     extraction: ExtractionParams = Field(ExtractionParams(), description="how the symbol is found in the image")
     controller: Annotated[ControllerParams, Field(description="the controller of the symbol")] = ThesisPidParams()
-    renderer: Literal["auto", "opengl", "raycast"] = Field("auto", description="source of the G-buffer")
 
     @model_validator(mode="after")
     def _exposures_fit(self) -> Self:
@@ -116,10 +128,51 @@ class Scenario(Params):
                 raise ValueError(f"start.{key}: {value:g} lies outside of controller.{limits} = [{low:g}, {high:g}]; move it or widen that")
         return self
 
-    @property
-    def digest(self) -> str:
-        """SHA-256 of the resolved scenario, hexadecimal."""
-        return hashlib.sha256(json.dumps(self.model_dump(mode="json"), sort_keys=True).encode()).hexdigest()
+
+class CarLampsParams(HeadlightParams):
+    """The vehicle's pair of headlamps, of which all modules shine unless some are named."""
+
+    model: str = Field("ssl-hd", min_length=1, description="preset, or lamp file: .npz, .toml, .ies or .ldt")
+    intensity_cd: float | None = Field(
+        None, gt=0, le=500_000, description="peak of the brightest module, all pixels on; left out: the model's own"
+    )
+    lamps: tuple[Literal["left", "right"], ...] = Field(("left", "right"), min_length=1, description="lamps that shine")
+    modules: tuple[str, ...] | None = Field(None, min_length=1, description="their modules that shine; left out: all")
+
+
+class DrivingParams(Params):
+    """What lighting functions are told of the car from one time on; in the simulation it stands still."""
+
+    time_s: float = Field(0.0, ge=0, description="time from which on this holds; speed and curvature change evenly until the next")
+    speed_m_s: float = Field(0.0, ge=0, le=100, description="speed")
+    curvature_1_m: float = Field(0.0, ge=-0.2, le=0.2, description="curvature of the car's course, to the left positive")
+    wet: bool = Field(False, description="whether it rains")
+    street_lit: bool = Field(False, description="whether street lamps light the road")
+
+
+class LightingScenario(WorldScenario):
+    """Everything that decides a run of lighting functions."""
+
+    headlight: CarLampsParams = Field(CarLampsParams(), description="the lamps")
+    driving: tuple[DrivingParams, ...] = Field((DrivingParams(),), min_length=1, description="how the car drives, in ascending time")
+    lighting: LightingParams = Field(description="base beam and lighting functions")
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        times = [each.time_s for each in self.driving]
+        if any(later <= earlier for earlier, later in pairwise(times)):
+            raise ValueError(f"driving: time_s must ascend from entry to entry, here {times}")
+        names = [each.name for each in self.objects]
+        if doubled := [name for name in names if names.count(name) > 1]:
+            raise ValueError(f"objects: the name {doubled[0]!r} is there twice, but recordings tell objects by name; rename one")
+        return self
+
+
+AnyScenario = Scenario | LightingScenario
+EXAMPLES: Final[dict[type[AnyScenario], str]] = {
+    Scenario: "`luxloop new FILE` writes a complete example; lighting functions come in [lighting] instead of [symbol]",
+    LightingScenario: "`luxloop list` names examples",
+}
 
 
 def shipped_symbols() -> dict[str, Path]:
@@ -128,6 +181,16 @@ def shipped_symbols() -> dict[str, Path]:
 
 
 def load(name: str, overrides: Sequence[str] = (), **values: Any) -> Scenario:
+    """Read the scenario of a symbol, as `load_any` does. Raises LuxloopError for a lighting scenario as well."""
+    return _of_a_symbol(load_any(name, overrides, **values), name)
+
+
+def validate(data: Mapping[str, Any], source: str) -> Scenario:
+    """Check the scenario of a symbol, as `validate_any` does. Raises LuxloopError for a lighting scenario as well."""
+    return _of_a_symbol(validate_any(data, source), source)
+
+
+def load_any(name: str, overrides: Sequence[str] = (), **values: Any) -> AnyScenario:
     """Read a scenario by shipped name or path; values are top-level keys, overrides on top of them `key.sub=value` in TOML syntax.
 
     Raises LuxloopError that names the file, the key and the remedy.
@@ -145,11 +208,14 @@ def load(name: str, overrides: Sequence[str] = (), **values: Any) -> Scenario:
         *(f"{key}={value['name'] if isinstance(value, dict) and 'name' in value else value}" for key, value in values.items()),
         *overrides,
     ]
-    return validate(data, f"{path} with {' '.join(given)}" if given else str(path))
+    return validate_any(data, f"{path} with {' '.join(given)}" if given else str(path))
 
 
-def validate(data: Mapping[str, Any], source: str) -> Scenario:
-    """Check a scenario given as plain data. Raises LuxloopError that names the source, the key and the remedy."""
+def validate_any(data: Mapping[str, Any], source: str) -> AnyScenario:
+    """Check a scenario given as plain data; its table [symbol] or [lighting] tells the kinds apart.
+
+    Raises LuxloopError that names the source, the key and the remedy.
+    """
     version = data.get("schema_version", SCHEMA_VERSION)
     if version != SCHEMA_VERSION:
         raise LuxloopError(
@@ -158,11 +224,20 @@ def validate(data: Mapping[str, Any], source: str) -> Scenario:
     key = _key_of_date(data)
     if key:
         raise LuxloopError(f"{source}: {key}: is a date or a time, which has no meaning here; write a number or a text in quotes")
+    if "symbol" in data and "lighting" in data:
+        raise LuxloopError(f"{source}: has both a [symbol] and [lighting]; a scenario is of one kind, take one of the two out")
+    kind: type[AnyScenario] = LightingScenario if "lighting" in data else Scenario
     try:
         # By way of JSON, where strict still takes a list for a tuple and a text for a path.
-        return Scenario.model_validate_json(json.dumps(data), strict=True)
+        return kind.model_validate_json(json.dumps(data), strict=True)
     except ValidationError as error:
-        raise LuxloopError(f"{source}: {sentence(error, Scenario, '`luxloop new FILE` writes a complete example')}") from error
+        raise LuxloopError(f"{source}: {sentence(error, kind, EXAMPLES[kind])}") from error
+
+
+def _of_a_symbol(scenario: AnyScenario, source: str) -> Scenario:
+    if isinstance(scenario, LightingScenario):
+        raise LuxloopError(f"{source}: is a lighting scenario, but this needs one with a [symbol]; `luxloop run` runs both kinds")
+    return scenario
 
 
 def _key_of_date(data: Any) -> str:
@@ -201,9 +276,11 @@ def _merge(into: dict[str, Any], changes: Mapping[str, Any]) -> None:
 
 def _resolve_paths(data: dict[str, Any], folder: Path) -> None:
     """Make paths absolute against the file's folder; names of shipped symbols, of presets and of known data stay names."""
-    objects = data.get("objects")
+    objects, lighting = data.get("objects"), data.get("lighting")
+    functions = lighting.get("functions") if isinstance(lighting, dict) else None
     tables = [(data.get("symbol"), "image"), (data.get("road"), "file"), (data.get("headlight"), "model")]
-    tables += [(item, "file") for item in objects] if isinstance(objects, list) else []
+    for items, key in ((objects, "file"), (functions, "image")):
+        tables += [(item, key) for item in items] if isinstance(items, list) else []
     for table, key in tables:
         if isinstance(table, dict) and isinstance(table.get(key), str) and any(mark in table[key] for mark in "/\\."):
             table[key] = str((folder / table[key]).resolve())

@@ -33,14 +33,23 @@ def show(table: Table) -> None:
 
 def scenarios() -> Table:
     """Shipped scenarios; read without validation, which the tests have done."""
-    table = plain("scenario", "controller", "what is to be seen")
+    table = plain("scenario", "controller or functions", "what is to be seen")
     for name, file in shipped().items():
         content = tomllib.loads(file.read_text("utf-8"))
         road = content.get("road", {}).get("file", "")
         lacking = road in data.registry() and data.present(road) is None
         remedy = f"\n[yellow]needs {road}: luxloop data get {road}[/]" if lacking else ""
-        table.add_row(f"[bold]{name}[/]", content["controller"]["name"], escape(content["description"]) + remedy)
+        table.add_row(f"[bold]{name}[/]", _at_work(content), escape(content["description"]) + remedy)
     return table
+
+
+def _at_work(content: dict[str, Any]) -> str:
+    """The controller of a symbol, or the kinds of lighting functions, the base beam where there are none."""
+    if "controller" in content:
+        return str(content["controller"]["name"])
+    lighting = content["lighting"]
+    kinds = dict.fromkeys(function["kind"] for function in lighting.get("functions", ()))
+    return ", ".join(kinds) or f"{lighting['base']['beam']} beam"
 
 
 def data_files() -> Table:

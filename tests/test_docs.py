@@ -20,7 +20,7 @@ from pydantic import BaseModel
 
 from loop import cli, lamp_description
 from loop.lamp_description import LampDescription
-from loop.scenario import TAGS, Scenario, validate
+from loop.scenario import TAGS, LightingScenario, Scenario, validate, validate_any
 from loop.shipped import shipped
 
 ROOT = Path(__file__).parents[1]
@@ -32,6 +32,7 @@ EXEMPT = {
     r"make (demo|test)\b": "sets up an environment, and would run this test inside itself",
     r"\. \.venv/bin/activate": "the test runs in an environment already",
     r"(\.venv/bin/)?python benchmarks/": "takes minutes, and has tests of its own",
+    r"luxloop evaluate\b": "takes minutes, and has tests of its own",
 }
 # What makes a command cheap without changing what it shows.
 CHEAP = {
@@ -113,6 +114,12 @@ def test_scenario_snippets_are_valid(page: Path) -> None:
         validate({"name": "snippet", "symbol": {"image": "snowflake"}, **tomllib.loads(block)}, str(page))
 
 
+@pytest.mark.parametrize("page", with_blocks("toml lighting"))
+def test_lighting_snippets_are_valid(page: Path) -> None:
+    for block in blocks(page, "toml lighting"):
+        assert isinstance(validate_any({"name": "snippet", **tomllib.loads(block)}, str(page)), LightingScenario)
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_links_lead_somewhere(page: Path) -> None:
     for target, anchor in re.findall(r"\]\((?!https?:)([^)#\s]*)#?([^)\s]*)\)", page.read_text("utf-8")):
@@ -138,16 +145,19 @@ def test_pictures_are_small() -> None:
         assert picture.stat().st_size < 400_000, picture.name
 
 
-TABLES: dict[Path, type[BaseModel]] = {SCENARIOS: Scenario, ROOT / "docs" / "lampfiles.md": LampDescription}
+TABLES: dict[Path, tuple[type[BaseModel], ...]] = {
+    SCENARIOS: (Scenario, LightingScenario),
+    ROOT / "docs" / "lampfiles.md": (LampDescription,),
+}
 
 
-def models(root: type[BaseModel]) -> dict[str, Any]:
+def models(roots: tuple[type[BaseModel], ...]) -> dict[str, Any]:
     """JSON Schema of each table that a file may have, by the name of its model."""
-    schema = root.model_json_schema()
-    return {root.__name__: schema, **schema["$defs"]}
+    schemas = {root.__name__: root.model_json_schema() for root in roots}
+    return {**schemas, **{name: inner for schema in schemas.values() for name, inner in schema["$defs"].items()}}
 
 
-ALL_MODELS = {name: schema for root in TABLES.values() for name, schema in models(root).items()}
+ALL_MODELS = {name: schema for roots in TABLES.values() for name, schema in models(roots).items()}
 
 
 def written(value: Any) -> str:

@@ -16,6 +16,8 @@ from world.frames import pose_from_degrees
 from world.materials import MATERIALS, MaterialName
 from world.params import Params
 
+Category = Literal["car", "truck", "motorcycle", "cyclist", "pedestrian", "animal", "sign", "other"]
+
 
 class KeyframeParams(Params):
     """Where an object is at one time."""
@@ -31,6 +33,7 @@ class TrackedParams(Params):
     """What all objects have: a name, a surface, and a pose over time."""
 
     name: str = Field(min_length=1, description="Name, for reports")
+    category: Category | None = Field(None, description="What a tracker reports it as to lighting functions; left out: nothing is told")
     albedo: float = Field(0.2, ge=0, le=1, description="Share of light reflected, diffusely; of what gets wet when it is dry")
     material: MaterialName | None = Field(None, description="What it reflects besides, by name; left out: nothing, it is matt")
     track: tuple[KeyframeParams, ...] = Field(min_length=1, description="Poses in ascending time; one keyframe: the object stands still")

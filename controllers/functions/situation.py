@@ -13,9 +13,8 @@ from controllers.primitives import Primitives, rectangle
 from controllers.symbols import SymbolSource
 from world.body import Body
 from world.frames import inverse, transform
+from world.objects import Category
 from world.params import Params
-
-Category = Literal["car", "truck", "motorcycle", "cyclist", "pedestrian", "animal", "sign", "other"]
 
 LAYERS = 16  # a function's primitives may lie above each other in so many layers
 MASK = 1000  # priority of masks: above every function's own, which are at most 100

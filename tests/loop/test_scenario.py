@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from loop.scenario import Scenario, load, validate
+from loop.scenario import LightingScenario, Scenario, load, load_any, validate, validate_any
 from loop.shipped import shipped
 from world.errors import LuxloopError
 
@@ -164,7 +164,7 @@ def test_manifest_gives_the_same_scenario_back(file: Path) -> None:
 
 @pytest.mark.parametrize("name", shipped())
 def test_shipped_scenarios_are_valid_and_named_like_their_files(name: str) -> None:
-    scenario = load(name)
+    scenario = load_any(name)
     assert scenario.name == name
     assert scenario.description
 
@@ -174,7 +174,44 @@ def test_every_key_is_described() -> None:
         for key, value in schema.get("properties", {}).items():  # type: ignore[attr-defined]
             assert "description" in value or "const" in value, key
 
-    schema = Scenario.model_json_schema()
-    described(schema)
-    for inner in schema["$defs"].values():
-        described(inner)
+    for kind in (Scenario, LightingScenario):
+        schema = kind.model_json_schema()
+        described(schema)
+        for inner in schema["$defs"].values():
+            described(inner)
+
+
+LIT = 'name = "lit"\n[lighting]\nbase = { beam = "low" }\n'
+
+BROKEN_LIGHTING = {
+    "both kinds": (LIT + '[symbol]\nimage = "snowflake"', ["[symbol] and [lighting]", "take one"]),
+    "neither kind": ('name = "x"', ["symbol", "missing", "[lighting]"]),
+    "a loop's key": (LIT + '[controller]\nname = "open"', ["controller", "unknown key"]),
+    "unknown function": (LIT + '[[lighting.functions]]\nkind = "glarefree"', ["lighting.functions[0].kind", "'glare_free'"]),
+    "typo in a function": (LIT + '[[lighting.functions]]\nkind = "marker"\nwidth = 1', ["lighting.functions[0].width", "'width_m'"]),
+    "unknown category": (LIT + BOX + 'category = "pedestrain"', ["objects[0].category", "'pedestrian'"]),
+    "one name twice": (LIT + BOX + BOX, ["objects", "'crate'", "rename"]),
+    "driving out of order": (LIT + "[[driving]]\ntime_s = 1\n[[driving]]\ntime_s = 1", ["driving", "ascend"]),
+}
+
+
+@pytest.mark.parametrize(("text", "named"), BROKEN_LIGHTING.values(), ids=BROKEN_LIGHTING.keys())
+def test_broken_lighting_scenario_gives_one_sentence(file: Path, text: str, named: list[str]) -> None:
+    file.write_text(text)
+    with pytest.raises(LuxloopError) as caught:
+        load_any(str(file))
+    message = str(caught.value)
+    assert is_one_sentence(message) and message.startswith(str(file))
+    for part in named:
+        assert part in message
+
+
+def test_the_kinds_are_told_apart_by_their_tables(file: Path) -> None:
+    assert isinstance(load_any(str(file)), Scenario)
+    file.write_text(LIT + '[[lighting.functions]]\nkind = "symbol"\nimage = "mine.svg"\n')
+    scenario = load_any(str(file), ["lighting.power_limit=0.5"], steps=2)
+    assert isinstance(scenario, LightingScenario)
+    assert (scenario.steps, scenario.lighting.power_limit, scenario.headlight.lamps) == (2, 0.5, ("left", "right"))
+    assert scenario.lighting.functions[0].image == str(file.parent / "mine.svg")  # type: ignore[union-attr]
+    assert "is a lighting scenario" in failure(file)
+    assert validate_any(json.loads(json.dumps(scenario.model_dump(mode="json"))), "manifest.json") == scenario

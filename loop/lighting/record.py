@@ -1,0 +1,88 @@
+"""Recordings of lighting functions: a row a step with the lamps' power and the light on every tracked object."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from loop.lighting.simulation import LightingResult, LightingSimulation
+from loop.lighting.summary import summarise
+from loop.manifest import Manifest
+from loop.recorder import TableRecorder
+
+# name: (type, unit, description); lamps and objects have columns of their own.
+STEP = {
+    "step": (pa.int64(), "1", "control step, from 0"),
+    "time_s": (pa.float64(), "s", "time since the scenario's start"),
+    "speed_m_s": (pa.float64(), "m/s", "speed that the functions are told"),
+    "curvature_1_m": (pa.float64(), "1/m", "curvature of the course that they are told"),
+    "beam": (pa.string(), "", "base beam"),
+    "bend_deg": (pa.float64(), "deg", "its bend to the left"),
+    "level_deg": (pa.float64(), "deg", "its level, down"),
+    "roll_deg": (pa.float64(), "deg", "its roll, right side down"),
+    "primitives": (pa.int64(), "1", "rectangles of all functions together"),
+    "dark_lx_max": (pa.float64(), "lx", "most light of the lamps on any object that must be dark; empty while there is none in sight"),
+    "plan_ms": (pa.float64(), "ms", "from the objects to primitives"),
+    "light_ms": (pa.float64(), "ms", "from primitives to utilisations"),
+    "look_ms": (pa.float64(), "ms", "rendering, which is no part of the car"),
+}
+LAMP = {
+    "flux_lm": (pa.float64(), "lm", "luminous flux"),
+    "power_share": (pa.float64(), "1", "power, as a share of all pixels on"),
+    "power_factor": (pa.float64(), "1", "factor by which the power limit dims all pixels"),
+}
+OBJECT = {
+    "pixels": (pa.int64(), "px", "of the camera that see it"),
+    "lx_min": (pa.float64(), "lx", "least light of the lamps on what the camera sees of it; empty where that is nothing"),
+    "lx_mean": (pa.float64(), "lx", "mean of the light on its pixels"),
+    "lx_max": (pa.float64(), "lx", "most light on it"),
+    "masked": (pa.bool_(), "", "whether a mask must keep it dark"),
+}
+
+
+def schema(simulation: LightingSimulation) -> pa.Schema:
+    """Columns of a simulation's recording: `lamp.left.flux_lm`, `object.NAME.lx_max` and so on."""
+    sides = dict.fromkeys(module.side for module in simulation.modules)
+    tracked = [item.name for item in simulation.scenario.objects if item.category is not None]
+    columns = STEP | {f"lamp.{side}.{key}": of for side in sides for key, of in LAMP.items()}
+    columns |= {f"object.{name}.{key}": of for name in tracked for key, of in OBJECT.items()}
+    return pa.schema(pa.field(name, kind, metadata={"unit": unit, "description": text}) for name, (kind, unit, text) in columns.items())
+
+
+def row(result: LightingResult) -> dict[str, Any]:
+    """A step as plain values by the names of its schema's columns."""
+    base, primitives = result.plan.base, result.plan.primitives
+    values: dict[str, Any] = {
+        "step": result.step,
+        "time_s": result.time_s,
+        "speed_m_s": result.now.speed_m_s,
+        "curvature_1_m": result.now.curvature_1_m,
+        "beam": base.name,
+        **{f"{key}_deg": math.degrees(getattr(base, key)) for key in ("bend", "level", "roll")},
+        "primitives": 0 if primitives is None else len(primitives),
+        "dark_lx_max": result.dark_lx_max,
+        **{f"{part}_ms": ms for part, ms in result.timings.items()},
+    }
+    for side, power in result.powers.items():
+        values |= {f"lamp.{side}.{key}": value for key, value in zip(LAMP, (power.flux_lm, power.share, power.factor), strict=True)}
+    for name, each in result.objects.items():
+        values |= {f"object.{name}.{key}": getattr(each, key) for key in OBJECT}
+    return values
+
+
+class LightingRecorder(TableRecorder[LightingResult]):
+    """Records a run of lighting functions."""
+
+    def __init__(self, directory: Path, simulation: LightingSimulation) -> None:
+        """Raises LuxloopError as any recorder does, and if an input file cannot be read."""
+        self.simulation = simulation
+        manifest = Manifest.of(simulation.scenario, simulation.camera.source.name, simulation.device)
+        super().__init__(directory, manifest, schema(simulation))
+
+    def row(self, result: LightingResult) -> dict[str, Any]:
+        return row(result)
+
+    def summary(self) -> dict[str, Any]:
+        """The summary of the steps so far."""
+        return summarise(self.table(), self.simulation.scenario.name)

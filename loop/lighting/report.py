@@ -1,0 +1,126 @@
+"""report.png of lighting functions: the camera's view, the road from above, the beams on a wall, and the course of flux and light."""
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import torch
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.patches import Polygon
+
+from loop.headlight_views import BIRDSEYE_X_M, BIRDSEYE_Y_M, birdseye
+from loop.lighting.picture import WALL_DEG, box_lines, wall_light, white_of
+from loop.lighting.simulation import LightingResult, LightingSimulation
+from loop.lighting.view import Looker
+from loop.report import FOUR, NIGHT, STYLE
+from loop.summary import column
+from world.errors import LuxloopError
+from world.frames import transform
+
+INCHES, DPI = (13.0, 8.6), 120
+TRACKED, MASKED = "#4fd17a", "#ffaa28"
+COLOURS = (*FOUR, "#56b4e9", "#d55e00", "#000000", "#999999")
+WALL_COLUMNS = 480
+FAINTEST_LX = 0.01  # where the scale of illuminance on objects begins
+
+
+def write_report(file: Path, simulation: LightingSimulation, first: LightingResult, last: LightingResult, table: pa.Table) -> None:
+    """Draw a run on one page. Raises LuxloopError if the file cannot be written."""
+    with rc_context(STYLE):
+        figure = Figure(INCHES, DPI, layout="constrained")
+        FigureCanvasAgg(figure)
+        figure.suptitle(_title(simulation, last, table), x=0.012, ha="left", fontsize=12, weight="bold")
+        left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(7.6, 5.4))[0]
+        top, bottom = left.subfigures(2, 1, squeeze=False, height_ratios=(5.2, 3.4))[:, 0]
+        white = float(max(white_of(first.luminance), white_of(last.luminance)))
+        for axes, result in zip(top.subplots(2, 1), (first, last), strict=True):
+            _camera(axes, simulation, result, white)
+        _from_above(bottom.subplots(), simulation, last)
+        courses, walls = right.subfigures(2, 1, squeeze=False, height_ratios=(5.2, 3.4))[:, 0]
+        _courses(courses, simulation, table)
+        _walls(walls, simulation, last)
+        try:
+            figure.savefig(file)
+        except OSError as error:
+            raise LuxloopError(f"{file}: cannot be written ({error.strerror}); give another directory") from error
+
+
+def _title(simulation: LightingSimulation, last: LightingResult, table: pa.Table) -> str:
+    dark = column(table, "dark_lx_max")
+    dark = dark[np.isfinite(dark)]
+    masked = f"  ·  {dark.max():.3g} lx at most on what must be dark" if len(dark) else ""
+    return f"{simulation.scenario.name}  ·  {simulation.scenario.headlight.model}  ·  {table.num_rows} steps to {last.time_s:.2f} s{masked}"
+
+
+def _camera(axes: Axes, simulation: LightingSimulation, result: LightingResult, white: float) -> None:
+    image = (result.luminance.cpu().numpy() / white).clip(0, 1) ** 0.5
+    axes.imshow(image, cmap=NIGHT, vmin=0, vmax=1, interpolation="antialiased")
+    for each in result.now.objects:
+        if each.since_s <= result.time_s < each.until_s:
+            colour = MASKED if result.objects[each.name].masked else TRACKED
+            for (u0, v0), (u1, v1) in box_lines(each, simulation.camera.view):
+                axes.plot([u0, u1], [v0, v1], color=colour, linewidth=0.7)
+    axes.set(xlim=(0, image.shape[1]), ylim=(image.shape[0], 0), xticks=[], yticks=[])
+    axes.set_title(f"Camera at {result.time_s:.2f} s, base beam {result.plan.base.name}; boxes: tracked, orange where masked")
+    axes.grid(False)
+
+
+def _from_above(axes: Axes, simulation: LightingSimulation, last: LightingResult) -> None:
+    view = birdseye()
+    looker = Looker(simulation.scene, view, simulation.modules, simulation.camera.source, simulation.device)
+    light = looker.at(last.time_s).light(last.lights)[0].cpu().numpy()
+    extent = (*BIRDSEYE_X_M, *BIRDSEYE_Y_M)
+    shown = axes.imshow(
+        np.log10(light.clip(0.1)), cmap="inferno", vmin=-1, vmax=2, extent=extent, aspect="auto", interpolation="antialiased"
+    )
+    for each in last.now.objects:
+        if each.since_s <= last.time_s < each.until_s:
+            x, y = each.size_m[0] / 2, each.size_m[1] / 2
+            foot = torch.tensor([[x, x, -x, -x], [y, -y, -y, y], [0.0] * 4], dtype=torch.float64)
+            colour = MASKED if last.objects[each.name].masked else TRACKED
+            axes.add_patch(Polygon(transform(each.T_world_object.double(), foot)[:2].T.numpy(), fill=False, color=colour, linewidth=1.2))
+    axes.set(xlabel="ahead in m", ylabel="to the left in m", title="Illuminance from above, at the end")
+    axes.grid(False)
+    bar = axes.figure.colorbar(shown, ax=axes, pad=0.01, ticks=[-1, 0, 1, 2])
+    bar.ax.set_yticklabels(["0.1 lx", "1 lx", "10 lx", "100 lx"])
+
+
+def _courses(figure: SubFigure, simulation: LightingSimulation, table: pa.Table) -> None:
+    flux, light = figure.subplots(2, 1, sharex=True)
+    time_s, mark = column(table, "time_s"), "." if table.num_rows < 3 else ""
+    limited = simulation.scenario.lighting.power_limit is not None
+    for side, colour in zip(dict.fromkeys(module.side for module in simulation.modules), FOUR, strict=False):
+        factor = column(table, f"lamp.{side}.power_factor").min()
+        label = f"{side}, dimmed to {100 * factor:.0f} % at least" if limited else side
+        flux.plot(time_s, column(table, f"lamp.{side}.flux_lm"), marker=mark, color=colour, label=label)
+    flux.set(title="Luminous flux of the lamps", ylabel="lm", ylim=(0, None))
+    flux.legend(loc="lower right")
+    objects = [item.name for item in simulation.scenario.objects if item.category is not None]
+    for number, name in enumerate(objects):
+        colour = COLOURS[number % len(COLOURS)]
+        light.plot(time_s, column(table, f"object.{name}.lx_mean"), marker=mark, color=colour, label=name)
+        light.plot(time_s, column(table, f"object.{name}.lx_max"), color=colour, linestyle=":", linewidth=0.9)
+    light.set(title="The lamps' light on objects, mean and most (dotted)", ylabel="lx", xlabel="s")
+    light.set_yscale("symlog", linthresh=FAINTEST_LX)
+    light.set_ylim(bottom=-FAINTEST_LX / 10)
+    if objects:
+        light.legend(loc="best", ncols=2)
+    else:
+        light.text(0.5, 0.5, "no tracked objects", transform=light.transAxes, ha="center", color="0.5")
+
+
+def _walls(figure: SubFigure, simulation: LightingSimulation, last: LightingResult) -> None:
+    sides = tuple(dict.fromkeys(module.side for module in simulation.modules))
+    side_deg, down_deg, up_deg = WALL_DEG
+    for axes, side in zip(figure.subplots(len(sides), 1, squeeze=False, sharex=True)[:, 0], sides, strict=True):
+        mine = [number for number, module in enumerate(simulation.modules) if module.side == side]
+        wall = wall_light([simulation.modules[n] for n in mine], [last.lights[n] for n in mine], WALL_COLUMNS)
+        extent = (-side_deg, side_deg, -down_deg, up_deg)
+        shown = axes.imshow(wall.cpu().numpy(), cmap="inferno", extent=extent, aspect="auto", interpolation="antialiased")
+        axes.set(title=f"The {side} lamp on a wall at 25 m, at the end", ylabel="up in deg")
+        axes.grid(False)
+        axes.figure.colorbar(shown, ax=axes, label="lx", pad=0.01)
+    axes.set_xlabel("to the right in deg")

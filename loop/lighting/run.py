@@ -1,0 +1,46 @@
+"""Run a lighting scenario: recorded, filmed and reported."""
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from loop.lighting.picture import frame_picture, white_of
+from loop.lighting.record import LightingRecorder
+from loop.lighting.report import write_report
+from loop.lighting.simulation import LightingResult, LightingSimulation
+from loop.recorder import REPORT, VIDEO
+from loop.scenario import LightingScenario
+from loop.video import VideoWriter
+
+VIDEO_FPS = 10
+
+
+def run_lighting(
+    scenario: LightingScenario,
+    directory: Path,
+    device: torch.device,
+    video: bool = True,
+    on_step: Callable[[LightingResult], None] = lambda result: None,
+) -> dict[str, Any]:
+    """Run a scenario into a directory and return its summary, as `loop.run.run` does."""
+    simulation = LightingSimulation.prepare(scenario, device)
+    recorder = LightingRecorder(directory, simulation)
+    ends: list[LightingResult] = []
+    try:
+        with recorder, ExitStack() as stack:
+            size = (scenario.camera.width_px, scenario.camera.height_px)
+            film = stack.enter_context(VideoWriter(directory / VIDEO, VIDEO_FPS, size)) if video else None
+            for result in simulation.run():
+                recorder.add(result)
+                ends = [*ends[:1], result]
+                if film is not None:
+                    film.add(frame_picture(result, simulation, white_of(ends[0].luminance)))
+                on_step(result)
+    finally:
+        summary = recorder.summary()
+        if ends:
+            write_report(directory / REPORT, simulation, ends[0], ends[-1], recorder.table())
+    return summary

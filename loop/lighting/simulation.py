@@ -1,0 +1,173 @@
+"""Lighting functions at work: at each step the objects are tracked, the functions planned, the lamps driven, and the light looked at."""
+
+import math
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from controllers.functions.situation import Situation, TrackedObject
+from controllers.planner import Plan, Planner
+from controllers.rthc import masks
+from loop.build import build_scene, symbol_path
+from loop.lighting.lamps import LampPower, ShiningModule, driven, shining_modules
+from loop.lighting.view import Looker
+from loop.scenario import DrivingParams, LightingScenario
+from perception.camera import camera_view
+from world.errors import LuxloopError
+from world.face_source import face_source
+from world.scene import Scene
+
+
+@dataclass(frozen=True)
+class OnObject:
+    """The lamps' light on what the camera sees of an object: pixels, and lx that are NaN where there are none. masked: it must be dark."""
+
+    pixels: int
+    lx_min: float
+    lx_mean: float
+    lx_max: float
+    masked: bool
+
+
+@dataclass(frozen=True)
+class LightingResult:
+    """What happened in one step.
+
+    lights: utilisations `[n_p]`, one a module. powers: by the lamps' sides. illuminance: `[height, width]` lx from the lamps alone, and
+    luminance: in cd/m^2 with all other light, as the camera sees them. objects: by name, those that are there and tracked.
+    timings: ms by part.
+    """
+
+    step: int
+    time_s: float
+    now: Situation
+    plan: Plan
+    lights: tuple[Tensor, ...]
+    powers: Mapping[str, LampPower]
+    illuminance: Tensor
+    luminance: Tensor
+    objects: Mapping[str, OnObject]
+    timings: Mapping[str, float]
+
+    @property
+    def dark_lx_max(self) -> float | None:
+        """The most light on any object that must be dark; None where nothing of any is in sight."""
+        found = [each.lx_max for each in self.objects.values() if each.masked and each.pixels]
+        return max(found, default=None)
+
+
+@dataclass(frozen=True, eq=False)
+class LightingSimulation:
+    """A lighting scenario made ready to run on one device. Its steps depend on nothing but their time."""
+
+    scenario: LightingScenario
+    device: torch.device
+    planner: Planner
+    scene: Scene
+    modules: tuple[ShiningModule, ...]
+    camera: Looker
+
+    @classmethod
+    def prepare(cls, scenario: LightingScenario, device: torch.device | str = "cpu") -> "LightingSimulation":
+        """Build scene and lamps, load symbols, plan the first step. Raises LuxloopError where something is missing or broken."""
+        device = torch.device(device)
+        planner = Planner.prepare(scenario.lighting, _find_image)
+        scene = build_scene(scenario)
+        modules = shining_modules(scenario.headlight, scenario.ssc, device)
+        _check_names(scenario, modules)
+        camera = Looker(scene, camera_view(scenario.camera), modules, face_source(scenario.renderer), device)
+        simulation = cls(scenario, device, planner, scene, modules, camera)
+        base = planner.plan(simulation.situation(0.0)).base
+        for module in modules:
+            module.base(base)
+        return simulation
+
+    def situation(self, time_s: float) -> Situation:
+        """What the car knows at a time, from a tracker that makes no mistakes."""
+        categories = ((body, item.category) for body, item in zip(self.scene.bodies[1:], self.scenario.objects, strict=True))
+        drive = driving(self.scenario.driving, time_s)
+        return Situation(
+            time_s,
+            torch.eye(4, dtype=torch.float64),
+            torch.stack([module.T_world_module[:3, 3].double().cpu() for module in self.modules]),
+            tuple(TrackedObject.of(body, category, time_s) for body, category in categories if category is not None),
+            drive.speed_m_s,
+            drive.curvature_1_m,
+            drive.wet,
+            drive.street_lit,
+        )
+
+    def step(self, step: int) -> LightingResult:
+        """One step."""
+        start = time.perf_counter()
+        time_s = step / self.scenario.rate_hz
+        now = self.situation(time_s)
+        plan = self.planner.plan(now)
+        planned = time.perf_counter()
+        lights, powers = driven(self.modules, plan, self.scenario.lighting.power_limit)
+        lit = time.perf_counter()
+        seen = self.camera.at(time_s)
+        illuminance, luminance = seen.light(lights)
+        objects = self._on_objects(illuminance, seen.surfaces.object_id, now)
+        stop = time.perf_counter()
+        timings = {"plan": 1e3 * (planned - start), "light": 1e3 * (lit - planned), "look": 1e3 * (stop - lit)}
+        return LightingResult(step, time_s, now, plan, lights, powers, illuminance, luminance + seen.base, objects, timings)
+
+    def run(self) -> Iterator[LightingResult]:
+        """All steps of the scenario."""
+        return (self.step(step) for step in range(self.scenario.steps))
+
+    def masked(self, name: str, now: Situation) -> bool:
+        """Whether a glare-free function keeps all light off an object: its own mask is there, and not fading."""
+        alone = replace(now, objects=tuple(each for each in now.objects if each.name == name))
+        functions = (function for function in self.scenario.lighting.functions if function.kind == "glare_free")
+        return any(any(masks(part)) for function in functions for part in function.primitives(alone))
+
+    def _on_objects(self, illuminance: Tensor, object_id: Tensor, now: Situation) -> Mapping[str, OnObject]:
+        found = {}
+        for number, (body, item) in enumerate(zip(self.scene.bodies[1:], self.scenario.objects, strict=True), 1):
+            if item.category is None:
+                continue
+            lx = illuminance[object_id == number]
+            low, mean, high = (float(value) for value in (lx.min(), lx.mean(), lx.max())) if len(lx) else [math.nan] * 3
+            found[item.name] = OnObject(len(lx), low, mean, high, body.track.visible_at(now.time_s) and self.masked(item.name, now))
+        return found
+
+
+def driving(course: tuple[DrivingParams, ...], time_s: float) -> DrivingParams:
+    """How the car drives at a time: speed and curvature change evenly from entry to entry, all else holds until the next."""
+    past = [each for each in course if each.time_s <= time_s] or [course[0]]
+    last, following = past[-1], next((each for each in course if each.time_s > time_s), None)
+    if following is None or following is last:
+        return last
+    share = (time_s - last.time_s) / (following.time_s - last.time_s)
+    between = {key: (1 - share) * getattr(last, key) + share * getattr(following, key) for key in ("speed_m_s", "curvature_1_m")}
+    return last.model_copy(update=between)
+
+
+def _find_image(image: str) -> Path:
+    try:
+        return symbol_path(image)
+    except LuxloopError as error:
+        raise LuxloopError(str(error).replace("symbol.image", "lighting.functions: image", 1)) from error
+
+
+def _check_names(scenario: LightingScenario, modules: tuple[ShiningModule, ...]) -> None:
+    """Raises LuxloopError where a function is meant for a lamp, module or object that is not there."""
+    known = dict.fromkeys(word for module in modules for word in (*module.name.split(" ", 1), module.name))
+    objects = [item.name for item in scenario.objects if item.category is not None]
+    for number, function in enumerate(scenario.lighting.functions):
+        where = f"{scenario.name}: lighting.functions[{number}]"
+        for name in getattr(function, "modules", ()):
+            if name not in known:
+                raise LuxloopError(f"{where}.modules: there is no lamp or module {name!r}; there are {', '.join(known)}")
+        for name in getattr(function, "names", None) or ():
+            if name not in objects:
+                raise LuxloopError(
+                    f"{where}.names: there is no object {name!r} with a category; there are {', '.join(objects) or 'none'}, "
+                    "an object is tracked if it has a category"
+                )

@@ -1,0 +1,64 @@
+"""A recording of lighting functions in a few numbers."""
+
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from rich.markup import escape
+from rich.table import Table
+
+from loop.summary import column
+
+
+def summarise(table: pa.Table, scenario: str) -> dict[str, Any]:
+    """A recording in a few numbers, ready for JSON: None where a value does not exist."""
+    lamps = [name.split(".")[1] for name in table.column_names if name.startswith("lamp.") and name.endswith(".flux_lm")]
+    objects = [name.removeprefix("object.").removesuffix(".lx_max") for name in table.column_names if name.endswith(".lx_max")]
+
+    def over(name: str, what: str) -> float | None:
+        values = column(table, name)
+        values = values[np.isfinite(values)]
+        return float(getattr(values, what)()) if len(values) else None
+
+    return {
+        "scenario": scenario,
+        "functions": "lighting",
+        "steps": table.num_rows,
+        "dark_lx_max": over("dark_lx_max", "max"),
+        "lamps": {
+            side: {
+                "flux_lm_mean": over(f"lamp.{side}.flux_lm", "mean"),
+                "power_share_max": over(f"lamp.{side}.power_share", "max"),
+                "power_factor_min": over(f"lamp.{side}.power_factor", "min"),
+            }
+            for side in lamps
+        },
+        "objects": {
+            name: {"lx_mean": over(f"object.{name}.lx_mean", "mean"), "lx_max": over(f"object.{name}.lx_max", "max")} for name in objects
+        },
+        "control_ms_median": float(np.median(column(table, "plan_ms") + column(table, "light_ms"))) if table.num_rows else None,
+    }
+
+
+def shown(values: dict[str, Any], files: str) -> Table:
+    """The closing table of a run."""
+    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+    rows = {"steps": str(values["steps"])}
+    for side, lamp in values["lamps"].items():
+        dimmed = f", dimmed to {100 * lamp['power_factor_min']:.0f} % at least" if (lamp["power_factor_min"] or 1.0) < 1 else ""
+        rows[f"{side} lamp"] = (
+            f"{_number(lamp['flux_lm_mean'], '.0f')} lm (mean), {_number(lamp['power_share_max'], '.1%')} of its power at most{dimmed}"
+        )
+    for name, light in values["objects"].items():
+        rows[f"light on {name}"] = f"{_number(light['lx_mean'], '.3g')} lx (mean), {_number(light['lx_max'], '.3g')} lx at most"
+    if values["dark_lx_max"] is not None:
+        rows["on what must be dark"] = f"{values['dark_lx_max']:.3g} lx at most"
+    rows["time a step"] = f"{_number(values['control_ms_median'], '.1f')} ms (median) for planning and all lamps"
+    rows["files"] = files
+    for label, value in rows.items():
+        table.add_row(f"[bold]{escape(label)}[/]", escape(value))
+    return table
+
+
+def _number(value: float | None, form: str) -> str:
+    return "–" if value is None else format(value, form)

@@ -1,0 +1,68 @@
+"""What the lamps do to a view of the scene: the light that arrives, and how bright it looks."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from loop.lighting.lamps import ShiningModule
+from world.ambient import ambient_luminance
+from world.face_source import FaceSource
+from world.gbuffer import GBuffer, gbuffer
+from world.illumination import LitSurface, illuminance, luminance, reach
+from world.scene import Key, Scene
+from world.shadow import shadow_map
+from world.triangles import Triangles
+from world.view import View
+
+SHADOW_MAP = (512, 332)  # width, height in px: a texel is 9 cm wide at 60 m for a lamp that lights 43 deg
+
+
+@dataclass(frozen=True, eq=False)
+class LitScene:
+    """A scene in a view at one time. base: luminance `[height, width]` in cd/m^2 without the lamps."""
+
+    triangles: Triangles
+    surfaces: GBuffer
+    base: Tensor
+    modules: tuple[ShiningModule, ...]
+    source: FaceSource
+    _reached: dict[int, LitSurface] = field(default_factory=dict, init=False, repr=False)
+
+    def light(self, lights: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
+        """Illuminance in lx and luminance in cd/m^2 `[height, width]` from the lamps alone, for utilisations `[n_p]`, one a module."""
+        arriving = torch.zeros_like(self.base).flatten()
+        leaving = torch.zeros_like(arriving)
+        for number, (module, u) in enumerate(zip(self.modules, lights, strict=True)):
+            if bool(u.any()):
+                surface, texture = self._surface(number), module.headlight.light_texture(u)
+                arriving[surface.index] += illuminance(surface, texture)
+                leaving[surface.index] += luminance(surface, texture)
+        return arriving.view_as(self.base), leaving.view_as(self.base)
+
+    def _surface(self, number: int) -> LitSurface:
+        if number not in self._reached:
+            module = self.modules[number]
+            seen_by_lamp = module.headlight.view(module.T_world_module, *SHADOW_MAP)
+            shadow = shadow_map(self.triangles, seen_by_lamp, self.source).to(self.base.device)
+            self._reached[number] = reach(self.surfaces, module.headlight, module.T_world_module, shadow)
+        return self._reached[number]
+
+
+class Looker:
+    """Looks at a scene through one view; what has been rendered serves until something moves."""
+
+    def __init__(self, scene: Scene, view: View, modules: tuple[ShiningModule, ...], source: FaceSource, device: torch.device) -> None:
+        self.scene, self.view, self.modules, self.source, self.device = scene, view, modules, source, device
+        self._last: tuple[Key, LitScene] | None = None
+
+    def at(self, time_s: float) -> LitScene:
+        """The scene at a time."""
+        key = self.scene.key_at(time_s)
+        if self._last is None or self._last[0] != key:
+            triangles = self.scene.at(time_s)
+            surfaces = gbuffer(triangles, self.view, self.source.face_ids(triangles, self.view)).to(self.device)
+            base = ambient_luminance(surfaces, self.scene.ambient_lx, self.scene.street_lamps)
+            self._last = (key, LitScene(triangles, surfaces, base, self.modules, self.source))
+        return self._last[1]
