@@ -16,7 +16,9 @@ def by_entries(setpoints: Setpoints, pixels: PixelMajor, params: MrpcParams, def
     band = place.pixels
     entries = pixels.entries.band(band.start, band.stop)
     pixel, texel, I_m = row_of_entries(entries), entries.indices.long(), entries.values
-    own = slice(int(pixels.entries.indptr[band.start]), int(pixels.entries.indptr[band.stop]))
+    own = slice(None)
+    if entries is not pixels.entries:
+        own = slice(int(pixels.entries.indptr[band.start]), int(pixels.entries.indptr[band.stop]))
 
     def of_entries(image: Tensor, beside: float = 0.0) -> Tensor:
         return place.texture(image, setpoints.window, pixels.grid, beside)[..., texel]

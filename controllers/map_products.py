@@ -1,6 +1,6 @@
 """Mapping where all pixels of a texel are asked for the same utilisation: sums are products of matrices with images (T 7.4.1)."""
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
 import torch
@@ -18,21 +18,24 @@ RULING = 1e36  # stands for an infinite weight where the setpoint is zero: no su
 LARGEST_FINITE = 1e12  # what finite weights are cut to there
 
 
+Image = Tensor | float  # one value for all rays where it is a number
+
+
 @dataclass(frozen=True)
 class _Piece:
-    """Rays of a window that ask for something: all, or where hit is 1. The others are images or numbers.
+    """Rays of a window that ask for something: all, or where hit is 1; the others are images, or None where they are not needed.
 
     missed: 1 where nothing is hit after all. relative, in_cd: 1 where the value is such a one.
     """
 
     window: Window
     hit: Tensor | None
-    value: Tensor
-    finite: Tensor | None
-    forced: Tensor | None
-    missed: Tensor | float
-    in_cd: Tensor | float
-    relative: Tensor | float
+    value: Image
+    finite: Image | None
+    forced: Image | None
+    missed: Image
+    in_cd: Image
+    relative: Image
 
 
 def _pieces(asked: Setpoints | Casting) -> Iterator[_Piece]:
@@ -40,9 +43,16 @@ def _pieces(asked: Setpoints | Casting) -> Iterator[_Piece]:
         in_cd, relative = asked.portion(asked.in_cd, I_V, E_V), asked.portion(asked.relative, U_REL)
         yield _Piece(asked.window, None, asked.value, asked.finite, asked.forced, 1 - asked.cover, in_cd, relative)
         return
+    weights = asked.primitives.weight.tolist() if None not in asked.is_mask else []
     for stroke in asked.strokes():
+        finite: Image = stroke.finite
+        forced: Image = stroke.forced
+        if weights and not stroke.finite.requires_grad:  # numbers save passes over the window
+            weight = weights[stroke.primitive]
+            finite, forced = (0.0, 1.0) if weight == torch.inf else (weight, 0.0)
+        value = 0.0 if asked.is_mask[stroke.primitive] else stroke.value
         in_cd, relative = float(stroke.quantity < U_ABS), float(stroke.quantity == U_REL)
-        yield _Piece(stroke.window, stroke.hit, stroke.value, stroke.finite, stroke.forced, 0.0, in_cd, relative)
+        yield _Piece(stroke.window, stroke.hit, value, finite, forced, 0.0, in_cd, relative)
 
 
 def by_products(
@@ -69,14 +79,15 @@ def by_products(
         "lit": params.a_ac > 0,
         "lit_of_default": params.a_ac > 0 and of_default,
     }
-    images = {
-        name: place.blank(pixels.share, batch, pixels.grid, float(name in ("weight", "missed")))
-        for name, needed in wanted.items()
-        if needed
-    }
+    beside = {name: float(name in ("weight", "missed")) for name, needed in wanted.items() if needed}
+    images = {name: place.blank(pixels.share, batch, pixels.grid, value) for name, value in beside.items()}
+    painted: dict[str, list[Window]] = {name: [] for name in images}
     for piece in _pieces(asked):
         cut = (..., *piece.window.slices)
         for name, image in _mapped(piece, pixels, ruling, images).items():
+            if isinstance(image, float) and image == beside[name] and not any(map(piece.window.meets, painted[name])):
+                continue  # it is so already
+            painted[name].append(piece.window)
             if piece.hit is None:
                 images[name][cut] = image
             else:
@@ -84,32 +95,56 @@ def by_products(
     return _summed(images, ruling, pixels, default, place)
 
 
-def _mapped(piece: _Piece, pixels: PixelMajor, ruling: bool, wanted: dict[str, Tensor]) -> dict[str, Tensor | float]:
+def _mapped(piece: _Piece, pixels: PixelMajor, ruling: bool, wanted: Collection[str]) -> dict[str, Image]:
     """What a piece adds to the images that are wanted."""
-    cut, size = piece.window.slices, (pixels.grid.rows, pixels.grid.cols)
-    utilisation = piece.value
-    if isinstance(piece.in_cd, Tensor):
-        utilisation = torch.lerp(utilisation, utilisation * pixels.share.view(size)[cut], piece.in_cd)
-    elif piece.in_cd:
-        utilisation = utilisation * pixels.share.view(size)[cut]
-    if pixels.darkening is not None:
-        utilisation = utilisation * pixels.darkening.view(size)[cut]
-    utilisation = utilisation.clamp(0, 1)
-    of_default = utilisation * piece.relative
-    absolute = utilisation if piece.relative == 0.0 else utilisation - of_default
-    finite, forced = piece.finite, piece.forced
-    made: dict[str, Tensor | float] = {"missed": piece.missed}
-    if finite is None:
+    absolute = utilisation = _utilisation(piece, pixels)
+    of_default: Image = 0.0
+    if isinstance(piece.relative, Tensor) or piece.relative:
+        of_default = _times(utilisation, piece.relative)
+        absolute = utilisation - of_default
+    made: dict[str, Image] = {"missed": piece.missed}
+    if piece.finite is None:
         made |= {"light": absolute, "of_default": of_default}
     else:
-        made |= {"light": absolute * finite, "of_default": of_default * finite, "weight": finite}
-        if ruling and forced is not None:
-            made["weight"] = finite.clamp(max=LARGEST_FINITE) + RULING * forced
-    if "forced" in wanted and forced is not None:
-        made |= {"forced": forced, "forced_light": absolute * forced, "forced_of_default": of_default * forced}
+        made |= {"light": _times(absolute, piece.finite), "of_default": _times(of_default, piece.finite), "weight": piece.finite}
+        if ruling and piece.forced is not None:
+            cut = piece.finite.clamp(max=LARGEST_FINITE) if isinstance(piece.finite, Tensor) else min(piece.finite, LARGEST_FINITE)
+            made["weight"] = cut + RULING * piece.forced
+    if "forced" in wanted and piece.forced is not None:
+        made |= {
+            "forced": piece.forced,
+            "forced_light": _times(absolute, piece.forced),
+            "forced_of_default": _times(of_default, piece.forced),
+        }
     if "lit" in wanted:
-        made |= {"lit": (absolute > 0).to(absolute), "lit_of_default": (of_default > 0).to(absolute)}
+        made |= {"lit": _positive(absolute), "lit_of_default": _positive(of_default)}
     return {name: image for name, image in made.items() if name in wanted}
+
+
+def _utilisation(piece: _Piece, pixels: PixelMajor) -> Image:
+    """What all pixels of a texel are asked for, `[..., rows, cols]` or broadcastable."""
+    cut, size = piece.window.slices, (pixels.grid.rows, pixels.grid.cols)
+    if not isinstance(piece.value, Tensor):
+        return piece.value
+    asked = piece.value
+    if isinstance(piece.in_cd, Tensor):
+        asked = torch.lerp(asked, asked * pixels.share.view(size)[cut], piece.in_cd)
+    elif piece.in_cd:
+        asked = asked * pixels.share.view(size)[cut]
+    if pixels.darkening is not None:
+        asked = asked * pixels.darkening.view(size)[cut]
+    return asked.clamp(0, 1)
+
+
+def _times(a: Image, b: Image) -> Image:
+    """The product, without a pass over an image where it is not needed."""
+    if isinstance(b, float) and b in (0.0, 1.0):
+        return a if b else 0.0
+    return a * b
+
+
+def _positive(a: Image) -> Image:
+    return (a > 0).to(a) if isinstance(a, Tensor) else float(a > 0)
 
 
 def _summed(images: dict[str, Tensor], ruling: bool, pixels: PixelMajor, default: Tensor, place: Band) -> Sums:

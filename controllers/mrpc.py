@@ -76,7 +76,7 @@ def _reduced(sums: Sums, pixels: PixelMajor, params: MrpcParams, default: Tensor
         on = sums.lit >= params.a_ac * pixels.reached[band]
         u = u * (on if idle is None else on | idle)
     if sums.weight is not None and sums.ruled_from is not None:
-        u = u * (sums.weight < sums.ruled_from)
+        u = u * (sums.weight < sums.ruled_from).to(u)
     if sums.forced_light is not None and sums.forced_weight is not None:
         forced = sums.forced_weight > 0
         u = torch.where(forced, sums.forced_light / torch.where(forced, sums.forced_weight, 1.0), u)

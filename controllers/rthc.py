@@ -163,22 +163,23 @@ class Casting:
         weight, windows = self.primitives.weight[..., None, None], self.windows
         infinite = weight.isinf()
         finite, forced = torch.where(infinite, 0.0, weight), infinite.to(weight)
-        y, z = self.grid.tangents(weight.dtype, weight.device)
+        rays = _Rays.of(self.seen, *self.grid.tangents(weight.dtype, weight.device))
         nearest: Tensor | None = None  # 1/x of the nearest hits of a class
         for painted in paint_classes(self.primitives):
             rivals = {p: any(windows[p].meets(windows[k]) for k in painted if k != p) for p in painted}
             if any(rivals.values()):
-                nearest = self.blank() if nearest is None else nearest
-                for p in painted:
-                    nearest[(..., *windows[p].within(self.window))] = 0
+                if nearest is None:
+                    nearest = self.blank()
+                else:
+                    for p in painted:
+                        nearest[(..., *windows[p].within(self.window))].zero_()
             for p in painted:
                 if windows[p].empty:
                     continue
-                rays = _Rays(y[windows[p].slices[1]], z[windows[p].slices[0]])
                 hit = _hit(rays, self.seen, p, self.is_mask[p], self.front[p], windows[p])
                 if rivals[p] and nearest is not None:
-                    hit = _won(hit, rays, self.seen, p, nearest[(..., *windows[p].within(self.window))])
-                value = _setpoint(p, hit, rays, self.primitives, self.seen)
+                    hit = _won(hit, rays, self.seen, p, self.is_mask[p], windows[p], nearest[(..., *windows[p].within(self.window))])
+                value = _setpoint(p, hit, rays, self.primitives, self.seen, windows[p])
                 yield Stroke(windows[p], hit, value, finite[..., p, :, :], forced[..., p, :, :], int(self.primitives.quantity[p]), p)
 
     def setpoints(self) -> Setpoints:
@@ -209,20 +210,32 @@ class Casting:
 
 def expanded(new: Tensor | float, hit: Tensor) -> Tensor:
     """An image or a number in the shape of a hit, to be blended in."""
-    return torch.as_tensor(new, dtype=hit.dtype, device=hit.device).expand_as(hit)
+    return (new if isinstance(new, Tensor) else hit.new_full((), new)).expand_as(hit)
 
 
 @dataclass(frozen=True)
 class _Rays:
-    """Tangents of the rays [1, y, z] through a window: y `[cols]`, z `[rows]`."""
+    """Products of all rays [1, y, z] with the vectors of primitives, by name: sums of a term a row `[..., P, rows]` and one a column.
+
+    y: `[cols]`, z: `[rows]`, tangents.
+    """
 
     y: Tensor
     z: Tensor
+    terms: dict[str, tuple[Tensor, Tensor]]
 
-    def times(self, a: Tensor) -> Tensor:
-        """Products with vectors `[..., 3]`: `[..., rows, cols]`."""
-        a = a[..., None, :]
-        return (a[..., 0] + a[..., 2] * self.z)[..., :, None] + (a[..., 1] * self.y)[..., None, :]
+    @classmethod
+    def of(cls, seen: Homographies, y: Tensor, z: Tensor) -> "_Rays":
+        vectors = {"n": seen.n, "u": seen.u, "v": seen.v, "facing": -seen.normal, "closeness": seen.n / seen.qn[..., None]}
+        terms = {name: (a[..., :1] + a[..., 2:] * z, a[..., 1:2] * y) for name, a in vectors.items()}
+        for name, aside in (("u", seen.aside_u), ("v", seen.aside_v)):  # of masks, which no image is read for
+            terms[name] = (terms[name][0] - aside[..., None], terms[name][1])
+        return cls(y, z, terms)
+
+    def times(self, name: str, p: int, w: Window) -> Tensor:
+        """Products with the p-th primitive's vector on a window: `[..., rows, cols]`."""
+        rows, cols = self.terms[name]
+        return rows[..., p, w.row_start : w.row_stop, None] + cols[..., p, None, w.col_start : w.col_stop]
 
 
 def _from_the_front(seen: Homographies) -> list[bool | None]:
@@ -236,32 +249,31 @@ def _from_the_front(seen: Homographies) -> list[bool | None]:
 
 
 def _step(a: Tensor) -> Tensor:
-    """One where a >= 0, else zero; overwrites a."""
-    return a.mul_(STEEP).add_(1).clamp_(0, 1)
+    """One where a >= 0, else zero."""
+    return torch.rsub(a, 1, alpha=-STEEP).clamp_(0, 1)
 
 
 def _hit(rays: _Rays, seen: Homographies, p: int, mask: bool | None, front: bool | None, window: Window) -> Tensor:
     """One where a ray hits the p-th primitive, `[..., rows, cols]`; mask, front: whether it is one and is seen so, where the host knows."""
-    n = rays.times(seen.n[..., p, :].detach())
-    u, v = (rays.times(a[..., p, :].detach()) for a in (seen.u, seen.v))
+    n, u, v = (rays.times(name, p, window).detach() for name in ("n", "u", "v"))
     if mask is False:
         hit = _step(n - torch.maximum(u.abs_(), v.abs_()))
-        return hit if front else hit * _step(rays.times(-seen.normal[..., p, :].detach()))
-    aside_u, wider_u, aside_v, wider_v = (a[..., p, None, None] for a in (seen.aside_u, seen.wider_u, seen.aside_v, seen.wider_v))
-    hit = _step(n - torch.maximum((u - aside_u).abs_() - wider_u, (v - aside_v).abs_() - wider_v))
+        return hit if front else hit * _step(rays.times("facing", p, window).detach())
+    hit = _step(n - torch.maximum(u.abs_().sub_(seen.wider_u[..., p, None, None]), v.abs_().sub_(seen.wider_v[..., p, None, None])))
+    if mask:
+        return hit  # the window ends where it may reach
     wide = seen.mask[..., p, None, None]
-    if not front:
-        facing = torch.where(wide, seen.toward[..., p, None, None], rays.times(-seen.normal[..., p, :].detach()))
-        hit *= _step(facing)
+    hit *= _step(torch.where(wide, seen.toward[..., p, None, None], rays.times("facing", p, window).detach()))
     return hit * torch.where(wide, _near_outline(window, seen.low[..., p, :], seen.high[..., p, :]), 1.0)
 
 
-def _won(hit: Tensor, rays: _Rays, seen: Homographies, p: int, nearest: Tensor) -> Tensor:
+def _won(hit: Tensor, rays: _Rays, seen: Homographies, p: int, mask: bool | None, window: Window, nearest: Tensor) -> Tensor:
     """The part of a hit that no nearer one of its class is before; nearest, 1/x of those so far, learns of it."""
-    far, near = (a.detach()[..., p, None, None] for a in (seen.far, seen.near))
-    closeness = rays.times((seen.n[..., p, :] / seen.qn[..., p, None]).detach()).maximum(far).minimum(near)
-    hit = hit * _step(closeness * (1 + COPLANAR) - nearest)
-    nearest.copy_(nearest.maximum(closeness.mul_(hit)))
+    closeness = rays.times("closeness", p, window).detach()
+    if mask is not False:  # beyond its outline it is no nearer or farther than its corners
+        closeness = closeness.maximum(seen.far.detach()[..., p, None, None]).minimum(seen.near.detach()[..., p, None, None])
+    hit = hit * _step(torch.sub(closeness, nearest, alpha=1 / (1 + COPLANAR)))
+    torch.maximum(nearest, closeness.mul_(hit), out=nearest)
     return hit
 
 
@@ -274,7 +286,7 @@ def _near_outline(window: Window, low: Tensor, high: Tensor) -> Tensor:
     return (within[0][..., :, None] & within[1][..., None, :]).to(low)
 
 
-def _setpoint(p: int, hit: Tensor, rays: _Rays, primitives: Primitives, seen: Homographies) -> Tensor:
+def _setpoint(p: int, hit: Tensor, rays: _Rays, primitives: Primitives, seen: Homographies, window: Window) -> Tensor:
     """Setpoint of the p-th primitive for the rays that hit it, elsewhere undefined but finite; broadcastable to `[..., rows, cols]`."""
     symbol, value = primitives.symbols[int(primitives.symbol_of[p])], primitives.value[..., p, None, None]
     homogeneous, illuminance = symbol.numel() == 1, int(primitives.quantity[p]) == E_V
@@ -282,16 +294,17 @@ def _setpoint(p: int, hit: Tensor, rays: _Rays, primitives: Primitives, seen: Ho
     if homogeneous and not illuminance:
         return value
     miss = 1 - hit
-    n = rays.times(seen.n[..., p, :]) * hit + miss
+    n = rays.times("n", p, window) * hit + miss
     if not homogeneous:
-        u, v = (rays.times(a[..., p, :]) * hit / n for a in (seen.u, seen.v))
+        u, v = (rays.times(name, p, window) * hit / n for name in ("u", "v"))
         value = value * _symbol_value(symbol, u, v, bool(primitives.nearest[p]))
     if not illuminance:
         return value
-    facing = rays.times(-seen.normal[..., p, :]) * hit + miss
-    d = (1 + rays.y * rays.y + rays.z[:, None] ** 2).sqrt()
+    facing = rays.times("facing", p, window) * hit + miss
+    rows, cols = window.slices
+    d2 = (1 + rays.z[rows, None] ** 2) + rays.y[cols] ** 2
     x = seen.qn[..., p, None, None] / n
-    return value * x * x * d**3 / facing
+    return value * x * x * (d2 * d2.sqrt()) / facing
 
 
 def _symbol_value(symbol: Tensor, u: Tensor, v: Tensor, nearest: bool) -> Tensor:
