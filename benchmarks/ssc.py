@@ -110,14 +110,6 @@ def measure_sizes(sizes: dict[str, tuple[int, int, int, int]], rounds: int) -> d
     controllers = {name: Ssc.prepare(light) for name, light in lights.items()}
     steps: dict[str, Step] = {name: lambda ssc=ssc: ssc.utilisation(boards, T_WORLD_LAMP) for name, ssc in controllers.items()}
     ms = interleaved(steps, rounds)
-    import resource
-
-    for _ in range(3):
-        a = resource.getrusage(resource.RUSAGE_SELF)
-        t0 = time.process_time()
-        steps["many"]()
-        b = resource.getrusage(resource.RUSAGE_SELF)
-        print((time.process_time() - t0) * 1e3, "sys", b.ru_stime - a.ru_stime, "faults", b.ru_minflt - a.ru_minflt)
     return {name: {"pixels": light.n_pixels, "rays": light.n_texels, "ms": ms[name]} for name, light in lights.items()}
 
 
