@@ -31,7 +31,8 @@ class ShiningModule:
     ssc: Ssc
     T_world_module: Tensor
     flux: Tensor
-    _bases: dict[BaseBeam, Tensor] = field(default_factory=dict, init=False, repr=False)
+    _straight: dict[str, Tensor] = field(default_factory=dict, init=False, repr=False)
+    _morphings: dict[str, Morphing] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def name(self) -> str:
@@ -44,13 +45,14 @@ class ShiningModule:
 
     def base(self, beam: BaseBeam) -> Tensor:
         """Utilisation `[n_p]` of a base beam, morphed. Raises LuxloopError where the lamp has no such beam."""
-        if beam not in self._bases:
-            self._bases.clear()
-            u = self.lamp.beam(beam.name)[self.number].to(self.flux)
-            if beam != BaseBeam(beam.name):
-                u = Morphing.prepare(self.headlight, u).utilisation(beam.morph)
-            self._bases[beam] = u
-        return self._bases[beam]
+        name = beam.name
+        if name not in self._straight:
+            self._straight[name] = self.lamp.beam(name)[self.number].to(self.flux)
+        if beam == BaseBeam(name):
+            return self._straight[name]
+        if name not in self._morphings:
+            self._morphings[name] = Morphing.prepare(self.headlight, self._straight[name])
+        return self._morphings[name].utilisation(beam.morph)
 
     def utilisation(self, plan: Plan) -> Tensor:
         """Utilisation `[n_p]` of base beam and functions."""

@@ -1,0 +1,114 @@
+"""No light of the lamps on what a mask must keep dark: zero, measured on rendered surfaces, thin bodies and edges of masks included."""
+
+from typing import Any
+
+import pytest
+import torch
+
+from loop.lighting.simulation import LightingResult, LightingSimulation
+from loop.scenario import LightingScenario, load_any, validate_any
+from loop.shipped import shipped
+from perception.camera import CameraParams, camera_view
+from world.gbuffer import gbuffer
+from world.illumination import illuminance, reach
+from world.view import View
+
+SIZES = {  # length, width, height in m
+    "pole": (0.05, 0.05, 2.0),
+    "walker": (0.3, 0.5, 1.8),
+    "motorcycle": (2.1, 0.8, 1.4),
+    "car": (4.5, 1.8, 1.5),
+    "truck": (12.0, 2.5, 4.0),
+}
+# Where they are at three times: x, y in m and heading in deg, near and far, ahead and aside, straight on and across.
+PLACES = {
+    "pole": ((9.0, -1.0, 0.0), (25.0, 1.5, 45.0), (60.0, -0.3, 10.0)),
+    "walker": ((14.0, 2.0, 90.0), (40.0, -2.5, 70.0), (8.0, 0.3, 0.0)),
+    "motorcycle": ((30.0, -0.5, 180.0), (12.0, -1.6, 160.0), (80.0, 1.0, 0.0)),
+    "car": ((45.0, 3.3, 180.0), (70.0, 0.0, 2.0), (22.0, 4.0, 170.0)),
+    "truck": ((90.0, 0.0, 0.0), (55.0, 4.5, 180.0), (35.0, -5.0, -20.0)),
+}
+LAMPS = ("hd84", "ssl-hd", "idealised-332x1024")
+MASK = {"kind": "glare_free", "categories": ["other"], "margin_m": 0.0, "margin_deg": 0.0}  # the box itself: no margin hides a fault
+
+
+def scenario(model: str, **lighting: Any) -> LightingScenario:
+    def track(name: str) -> list[dict[str, Any]]:
+        return [{"time_s": float(k), "position_m": (x, y, 0.0), "yaw_deg": yaw} for k, (x, y, yaw) in enumerate(PLACES[name])]
+
+    boxes = [{"kind": "box", "name": name, "category": "other", "size_m": size, "track": track(name)} for name, size in SIZES.items()]
+    found = validate_any(
+        {
+            "name": model,
+            "steps": 3,
+            "rate_hz": 1,
+            "headlight": {"model": model},
+            "camera": {"width_px": 480, "height_px": 120, "hfov_deg": 34, "pitch_deg": 1.0},
+            "surface": {"grain": 0.0},
+            "objects": boxes,
+            "lighting": {"base": {"beam": "full"}, "functions": [MASK], **lighting},
+            "renderer": "raycast",
+        },
+        model,
+    )
+    assert isinstance(found, LightingScenario)
+    return found
+
+
+def views(simulation: LightingSimulation) -> dict[str, View]:
+    """The camera's view and that of one module of each lamp."""
+    first = {module.side: module for module in reversed(simulation.modules)}
+    lamps = {side: module.headlight.view(module.T_world_module, 480, 130) for side, module in first.items()}
+    return {"camera": camera_view(simulation.scenario.camera), **lamps}
+
+
+def most_light(simulation: LightingSimulation, result: LightingResult, names: set[str]) -> dict[str, dict[str, float]]:
+    """By view and body: the most light in lx of all modules on what the view sees of the body, as if nothing threw a shadow."""
+    triangles = simulation.scene.at(result.time_s)
+    found: dict[str, dict[str, float]] = {}
+    for view_name, view in views(simulation).items():
+        surfaces = gbuffer(triangles, view, simulation.camera.source.face_ids(triangles, view))
+        light = torch.zeros(surfaces.object_id.numel())
+        for module, u in zip(simulation.modules, result.lights, strict=True):
+            surface = reach(surfaces, module.headlight, module.T_world_module)
+            light[surface.index] += illuminance(surface, module.headlight.light_texture(u))
+        bodies = {number: body.name for number, body in enumerate(simulation.scene.bodies) if body.name in names}
+        ids = surfaces.object_id.flatten()
+        found[view_name] = {name: float(light[ids == number].max()) for number, name in bodies.items() if (ids == number).any()}
+    return found
+
+
+@pytest.mark.parametrize("model", LAMPS)
+def test_masked_bodies_get_exactly_no_light(model: str) -> None:
+    simulation = LightingSimulation.prepare(scenario(model))
+    for step in range(3):
+        result = simulation.step(step)
+        light = most_light(simulation, result, set(SIZES))
+        assert {"pole", "car"} <= {name for seen in light.values() for name in seen}, "a body is not in sight"
+        assert all(lx == 0.0 for seen in light.values() for lx in seen.values()), (step, light)
+        assert result.dark_lx_max == 0.0
+
+
+def test_without_a_mask_they_are_lit() -> None:
+    simulation = LightingSimulation.prepare(scenario("hd84", functions=[]))
+    light = most_light(simulation, simulation.step(0), set(SIZES))
+    assert all(lx > 0.5 for lx in light["camera"].values()), light
+
+
+def test_a_power_limit_keeps_masks_dark() -> None:
+    simulation = LightingSimulation.prepare(scenario("hd84", power_limit=0.2))
+    result = simulation.step(0)
+    assert all(power.share == pytest.approx(0.2) and power.factor < 1 for power in result.powers.values())
+    assert result.dark_lx_max == 0.0
+
+
+@pytest.mark.parametrize("name", [name for name in shipped() if name.startswith("gfhb")])
+def test_shipped_glare_free_scenarios_are_dark_where_they_must_be(name: str) -> None:
+    loaded = load_any(name, camera=CameraParams(width_px=480, height_px=200, hfov_deg=34, pitch_deg=1.5).model_dump(mode="json"))
+    assert isinstance(loaded, LightingScenario)
+    simulation = LightingSimulation.prepare(loaded)
+    for step in range(0, loaded.steps, max(1, loaded.steps // 3)):
+        result = simulation.step(step)
+        masked = {each for each, light in result.objects.items() if light.masked}
+        light = most_light(simulation, result, masked)
+        assert masked and all(lx == 0.0 for seen in light.values() for lx in seen.values()), (step, light)
