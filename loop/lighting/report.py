@@ -1,5 +1,6 @@
 """report.png of lighting functions: the camera's view, the road from above, the beams on a wall, and the course of flux and light."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -27,16 +28,18 @@ WALL_COLUMNS = 480
 FAINTEST_LX = 0.01  # where the scale of illuminance on objects begins
 
 
-def write_report(file: Path, simulation: LightingSimulation, first: LightingResult, last: LightingResult, table: pa.Table) -> None:
-    """Draw a run on one page. Raises LuxloopError if the file cannot be written."""
+def write_report(file: Path, simulation: LightingSimulation, moments: Sequence[LightingResult], table: pa.Table) -> None:
+    """Draw a run on one page; moments: those to show, the last one is the end. Raises LuxloopError if the file cannot be written."""
+    last = moments[-1]
     with rc_context(STYLE):
         figure = Figure(INCHES, DPI, layout="constrained")
         FigureCanvasAgg(figure)
         figure.suptitle(_title(simulation, last, table), x=0.012, ha="left", fontsize=12, weight="bold")
         left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(7.6, 5.4))[0]
         top, bottom = left.subfigures(2, 1, squeeze=False, height_ratios=(5.2, 3.4))[:, 0]
-        white = float(max(white_of(first.luminance), white_of(last.luminance)))
-        for axes, result in zip(top.subplots(2, 1), (first, last), strict=True):
+        top.suptitle("What the camera sees; boxes are tracked objects, orange where a mask keeps them dark", x=0.02, ha="left", fontsize=9)
+        white = float(max(white_of(result.luminance) for result in moments))
+        for axes, result in zip(top.subplots(2, 2).flat, moments, strict=False):
             _camera(axes, simulation, result, white)
         _from_above(bottom.subplots(), simulation, last)
         courses, walls = right.subfigures(2, 1, squeeze=False, height_ratios=(5.2, 3.4))[:, 0]
@@ -64,7 +67,7 @@ def _camera(axes: Axes, simulation: LightingSimulation, result: LightingResult, 
             for (u0, v0), (u1, v1) in box_lines(each, simulation.camera.view):
                 axes.plot([u0, u1], [v0, v1], color=colour, linewidth=0.7)
     axes.set(xlim=(0, image.shape[1]), ylim=(image.shape[0], 0), xticks=[], yticks=[])
-    axes.set_title(f"Camera at {result.time_s:.2f} s, base beam {result.plan.base.name}; boxes: tracked, orange where masked")
+    axes.set_title(f"Camera at {result.time_s:.2f} s, {result.plan.base.name} beam", weight="normal")
     axes.grid(False)
 
 

@@ -16,6 +16,7 @@ from loop.scenario import LightingScenario
 from loop.video import VideoWriter
 
 VIDEO_FPS = 10
+MOMENTS = 4  # that the report shows
 
 
 def run_lighting(
@@ -28,19 +29,20 @@ def run_lighting(
     """Run a scenario into a directory and return its summary, as `loop.run.run` does."""
     simulation = LightingSimulation.prepare(scenario, device)
     recorder = LightingRecorder(directory, simulation)
-    ends: list[LightingResult] = []
+    moments: dict[int, LightingResult] = {}  # first, between, and the last so far
+    kept = {k * (scenario.steps - 1) // (MOMENTS - 1) for k in range(MOMENTS)}
     try:
         with recorder, ExitStack() as stack:
             size = (scenario.camera.width_px, scenario.camera.height_px)
             film = stack.enter_context(VideoWriter(directory / VIDEO, VIDEO_FPS, size)) if video else None
             for result in simulation.run():
                 recorder.add(result)
-                ends = [*ends[:1], result]
+                moments = {step: each for step, each in moments.items() if step in kept} | {result.step: result}
                 if film is not None:
-                    film.add(frame_picture(result, simulation, white_of(ends[0].luminance)))
+                    film.add(frame_picture(result, simulation, white_of(moments[0].luminance)))
                 on_step(result)
     finally:
         summary = recorder.summary()
-        if ends:
-            write_report(directory / REPORT, simulation, ends[0], ends[-1], recorder.table())
+        if moments:
+            write_report(directory / REPORT, simulation, list(moments.values())[-MOMENTS:], recorder.table())
     return summary

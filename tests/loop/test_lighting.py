@@ -1,0 +1,150 @@
+"""Lighting scenarios run, are recorded as they went, and replay."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import pytest
+import torch
+
+from loop import cli
+from loop.lighting.record import schema
+from loop.lighting.simulation import LightingSimulation, driving
+from loop.run import run
+from loop.scenario import DrivingParams, LightingScenario, validate_any
+from world.errors import LuxloopError
+
+BOX = {
+    "kind": "box",
+    "name": "van",
+    "category": "car",
+    "size_m": [4.5, 1.8, 1.9],
+    "track": [{"time_s": 0, "position_m": [40, 3, 0], "yaw_deg": 180}, {"time_s": 1, "position_m": [30, 3, 0], "yaw_deg": 180}],
+}
+GLARE_FREE = {"kind": "glare_free"}
+
+
+def scenario(**changes: Any) -> LightingScenario:
+    base = {
+        "name": "lit",
+        "steps": 3,
+        "rate_hz": 5,
+        "headlight": {"model": "hd84"},
+        "camera": {"width_px": 160, "height_px": 90},
+        "surface": {"grain": 0.0},
+        "objects": [BOX],
+        "lighting": {"base": {"beam": "high"}, "functions": [GLARE_FREE]},
+        "renderer": "raycast",
+    }
+    found = validate_any(base | changes, "lit")
+    assert isinstance(found, LightingScenario)
+    return found
+
+
+def test_a_run_is_recorded_filmed_and_reported(tmp_path: Path) -> None:
+    out = tmp_path / "lit"
+    steps: list[int] = []
+    summary = run(scenario(), out, on_step=lambda result: steps.append(result.step))
+    assert {path.name for path in out.iterdir()} == {"manifest.json", "trajectory.parquet", "summary.json", "report.png", "video.mp4"}
+    assert steps == [0, 1, 2] and summary == json.loads((out / "summary.json").read_text())
+    table = pq.read_table(out / "trajectory.parquet")
+    assert table.num_rows == 3 and table["object.van.masked"].to_pylist() == [True] * 3
+    assert table["dark_lx_max"].to_pylist() == [0.0] * 3 and table["object.van.pixels"][0].as_py() > 20
+    assert table["lamp.left.flux_lm"][0].as_py() > 50 and table["lamp.left.power_factor"].to_pylist() == [1.0] * 3
+    assert json.loads((out / "manifest.json").read_text())["status"] == "complete"
+
+
+def test_the_recording_replays_and_a_changed_one_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "lit"
+    run(scenario(steps=2), out, video=False)
+    assert cli.main(["replay", str(out)]) == cli.OK
+    assert cli.main(["replay", str(out), "--csv", str(tmp_path / "lit.csv")]) == cli.OK
+    assert "object.van.lx_max" in (tmp_path / "lit.csv").read_text()
+    table = pq.read_table(out / "trajectory.parquet")
+    names = table.column_names
+    brighter = table.set_column(names.index("dark_lx_max"), table.schema.field("dark_lx_max"), [[0.001, 0.0]])
+    pq.write_table(brighter, out / "trajectory.parquet")
+    assert cli.main(["replay", str(out)]) == cli.DIFFERS
+    assert "dark_lx_max" in capsys.readouterr().out
+
+
+def test_what_is_interrupted_is_kept(tmp_path: Path) -> None:
+    def stop(result: Any) -> None:
+        if result.step == 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(scenario(), tmp_path / "lit", video=False, on_step=stop)
+    assert pq.read_table(tmp_path / "lit" / "trajectory.parquet").num_rows == 2
+    assert json.loads((tmp_path / "lit" / "manifest.json").read_text())["status"] == "interrupted"
+    assert (tmp_path / "lit" / "report.png").stat().st_size > 10_000
+
+
+def test_the_command_line_knows_both_kinds(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["list"]) == cli.OK
+    listed = capsys.readouterr().out
+    assert "glare_free" in listed and "thesis_pid" in listed
+    assert cli.main(["check", "gfhb", "--set", "headlight.model=hd84", "renderer=raycast"]) == cli.OK
+    assert "base beam high, functions glare_free" in capsys.readouterr().out
+
+
+def test_light_on_an_object_is_that_of_the_law_of_distances() -> None:
+    """An upright plate far ahead, in the full beam of one lamp: E = I / d^2 within what its extent makes of it."""
+    plate = BOX | {"name": "plate", "size_m": [0.02, 0.2, 0.2], "track": [{"position_m": [20, 0, 0.65]}]}
+    simulation = LightingSimulation.prepare(
+        scenario(
+            headlight={"model": "hd84", "lamps": ["left"], "distance_m": 0.0},
+            objects=[plate],
+            lighting={"base": {"beam": "full"}},
+            camera={"width_px": 320, "height_px": 180, "hfov_deg": 3, "pitch_deg": 1.7},
+        )
+    )
+    light = simulation.step(0).objects["plate"]
+    module = simulation.modules[0]
+    ahead = module.headlight.intensity(module.headlight.light_texture(torch.ones(84)), torch.tensor([[1.0], [0.0], [0.0]]))
+    assert light.pixels > 50 and not light.masked
+    assert light.lx_mean == pytest.approx(float(ahead) / 19.99**2, rel=0.05)  # the beam's slope over 0.6 deg
+    assert light.lx_min <= light.lx_mean <= light.lx_max
+
+
+def test_an_object_appears_to_the_tracker_when_it_does_in_the_scene() -> None:
+    simulation = LightingSimulation.prepare(scenario(objects=[BOX | {"appears_s": 0.3, "vanishes_s": 0.5}], steps=4))
+    results = list(simulation.run())
+    assert [result.objects["van"].pixels > 0 for result in results] == [False, False, True, False]
+    assert [result.objects["van"].masked for result in results] == [False, False, True, False]
+    assert results[0].dark_lx_max is None
+
+
+def test_what_stands_still_is_rendered_once() -> None:
+    simulation = LightingSimulation.prepare(scenario(objects=[]))
+    assert simulation.camera.at(0.0) is simulation.camera.at(5.0)
+    torch.testing.assert_close(simulation.step(0).illuminance, simulation.step(2).illuminance)
+
+
+def test_driving_changes_evenly_and_holds_what_is_true() -> None:
+    course = (DrivingParams(time_s=1, speed_m_s=10, wet=True), DrivingParams(time_s=3, speed_m_s=20, curvature_1_m=0.01))
+    assert driving(course, 0.0).speed_m_s == 10 and driving(course, 9.0).speed_m_s == 20
+    middle = driving(course, 2.0)
+    assert (middle.speed_m_s, middle.curvature_1_m, middle.wet) == (15, 0.005, True)
+    assert not driving(course, 3.0).wet
+
+
+WRONG = {
+    "module": ({"lighting": {"functions": [{"kind": "lane", "modules": ["hires"]}]}}, ["lighting.functions[0].modules", "'hires'", "left"]),
+    "object": ({"lighting": {"functions": [GLARE_FREE | {"names": ["bus"]}]}}, ["lighting.functions[0].names", "'bus'", "van"]),
+    "image": ({"lighting": {"functions": [{"kind": "symbol", "image": "snowflak"}]}}, ["lighting.functions", "'snowflake'"]),
+    "beam of the lamp's modules": ({"headlight": {"model": "hd84", "modules": ["hires"]}}, ["'hires'", "matrix"]),
+}
+
+
+@pytest.mark.parametrize(("changes", "named"), WRONG.values(), ids=WRONG.keys())
+def test_what_is_not_there_is_named_in_a_sentence(changes: dict[str, Any], named: list[str]) -> None:
+    with pytest.raises(LuxloopError) as caught:
+        LightingSimulation.prepare(scenario(**changes))
+    assert all(part in str(caught.value) for part in named), caught.value
+
+
+def test_columns_are_described() -> None:
+    for field in schema(LightingSimulation.prepare(scenario())):
+        assert field.metadata[b"description"], field.name
