@@ -215,27 +215,31 @@ def expanded(new: Tensor | float, hit: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class _Rays:
-    """Products of all rays [1, y, z] with the vectors of primitives, by name: sums of a term a row `[..., P, rows]` and one a column.
+    """Products of all rays [1, y, z] with the vectors of primitives, by name: for each the terms of a row `[..., rows]` and of a column.
 
     y: `[cols]`, z: `[rows]`, tangents.
     """
 
     y: Tensor
     z: Tensor
-    terms: dict[str, tuple[Tensor, Tensor]]
+    terms: dict[str, list[tuple[Tensor, Tensor]]]
 
     @classmethod
     def of(cls, seen: Homographies, y: Tensor, z: Tensor) -> "_Rays":
         vectors = {"n": seen.n, "u": seen.u, "v": seen.v, "facing": -seen.normal, "closeness": seen.n / seen.qn[..., None]}
-        terms = {name: (a[..., :1] + a[..., 2:] * z, a[..., 1:2] * y) for name, a in vectors.items()}
-        for name, aside in (("u", seen.aside_u), ("v", seen.aside_v)):  # of masks, which no image is read for
-            terms[name] = (terms[name][0] - aside[..., None], terms[name][1])
+        aside = {"u": seen.aside_u, "v": seen.aside_v}  # of masks, which no image is read for
+        terms = {}
+        for name, a in vectors.items():
+            constant = a[..., 0] - aside[name] if name in aside else a[..., 0]
+            rows, cols = constant[..., None] + a[..., 2:] * z, a[..., 1:2] * y
+            terms[name] = list(zip(rows.unbind(-2), cols.unbind(-2), strict=True))
         return cls(y, z, terms)
 
     def times(self, name: str, p: int, w: Window) -> Tensor:
         """Products with the p-th primitive's vector on a window: `[..., rows, cols]`."""
-        rows, cols = self.terms[name]
-        return rows[..., p, w.row_start : w.row_stop, None] + cols[..., p, None, w.col_start : w.col_stop]
+        rows, cols = self.terms[name][p]
+        rows, cols = rows.narrow(-1, w.row_start, w.row_stop - w.row_start), cols.narrow(-1, w.col_start, w.col_stop - w.col_start)
+        return rows.unsqueeze(-1) + cols.unsqueeze(-2)
 
 
 def _from_the_front(seen: Homographies) -> list[bool | None]:
@@ -293,18 +297,17 @@ def _setpoint(p: int, hit: Tensor, rays: _Rays, primitives: Primitives, seen: Ho
     value = value * symbol if homogeneous else value
     if homogeneous and not illuminance:
         return value
-    miss = 1 - hit
-    n = rays.times("n", p, window) * hit + miss
+    one = hit.new_ones(())
+    n = one.lerp(rays.times("n", p, window), hit)
     if not homogeneous:
         u, v = (rays.times(name, p, window) * hit / n for name in ("u", "v"))
         value = value * _symbol_value(symbol, u, v, bool(primitives.nearest[p]))
     if not illuminance:
         return value
-    facing = rays.times("facing", p, window) * hit + miss
+    facing = one.lerp(rays.times("facing", p, window), hit)
     rows, cols = window.slices
     d2 = (1 + rays.z[rows, None] ** 2) + rays.y[cols] ** 2
-    x = seen.qn[..., p, None, None] / n
-    return value * x * x * (d2 * d2.sqrt()) / facing
+    return value * seen.qn[..., p, None, None] ** 2 * (d2 * d2.sqrt()) / (n * n * facing)
 
 
 def _symbol_value(symbol: Tensor, u: Tensor, v: Tensor, nearest: bool) -> Tensor:

@@ -1,6 +1,7 @@
 """SuperSampling Control as a whole: primitives in, light on the road out."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -140,3 +141,9 @@ def test_on_every_device(device: torch.device) -> None:
     assert light.u.device.type == device.type
     assert (light.band is None) == (device.type != "cpu")
     torch.testing.assert_close(light.u.cpu(), expected.u, rtol=1e-4, atol=1e-5)
+
+
+def test_the_page_tells_every_parameter() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "ssc.md").read_text("utf-8")
+    missing = [name for name in MrpcParams.model_fields if f"`{name}`" not in page]
+    assert not missing
