@@ -241,7 +241,7 @@ def evaluate(
     out: Path = Path("runs/evaluation"),
     jobs: int | None = None,
 ) -> int:
-    """Judge MapReduce control by the joint optimum of all pixels, over rectangles in five degrees of freedom; exit code 1 where jobs failed.
+    """Judge MapReduce control by the joint optimum of all pixels, over rectangles in five degrees of freedom; exit code 1 if jobs failed.
 
     Parameters
     ----------
