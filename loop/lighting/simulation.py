@@ -12,8 +12,10 @@ from torch import Tensor
 from controllers.functions.situation import Situation, TrackedObject
 from controllers.planner import Plan, Planner
 from controllers.rthc import masks
+from controllers.secondary import Light, scene_caster
 from loop.build import build_scene, symbol_path
 from loop.lighting.lamps import LampPower, ShiningModule, driven, shining_modules
+from loop.lighting.secondary import Asking
 from loop.lighting.view import Looker
 from loop.scenario import DrivingParams, LightingScenario
 from perception.camera import camera_view
@@ -69,6 +71,7 @@ class LightingSimulation:
     planner: Planner
     scene: Scene
     modules: tuple[ShiningModule, ...]
+    lights: tuple[tuple[str, Light], ...]
     camera: Looker
 
     @classmethod
@@ -80,7 +83,8 @@ class LightingSimulation:
         modules = shining_modules(scenario.headlight, scenario.ssc, device)
         _check_names(scenario, modules)
         camera = Looker(scene, camera_view(scenario.camera), modules, face_source(scenario.renderer), device)
-        simulation = cls(scenario, device, planner, scene, modules, camera)
+        lights = tuple((module.name, Light.of(module.headlight, module.T_world_module)) for module in modules)
+        simulation = cls(scenario, device, planner, scene, modules, lights, camera)
         base = planner.plan(simulation.situation(0.0)).base
         for module in modules:
             module.base(base)
@@ -108,7 +112,7 @@ class LightingSimulation:
         now = self.situation(time_s)
         plan = self.planner.plan(now)
         planned = time.perf_counter()
-        lights, powers = driven(self.modules, plan, self.scenario.lighting.power_limit)
+        lights, powers = driven(self.modules, plan, self._asking(time_s).asked, self.scenario.lighting.power_limit)
         lit = time.perf_counter()
         seen = self.camera.at(time_s)
         illuminance, luminance = seen.light(lights)
@@ -126,6 +130,11 @@ class LightingSimulation:
         alone = replace(now, objects=tuple(each for each in now.objects if each.name == name))
         functions = (function for function in self.scenario.lighting.functions if function.kind == "glare_free")
         return any(any(masks(part)) for function in functions for part in function.primitives(alone))
+
+    def _asking(self, time_s: float) -> Asking:
+        params = self.scenario.lighting
+        street_lamps = self.scene.street_lamps if params.street_lamps else ()
+        return Asking(params, self.lights, street_lamps, scene_caster(self.scene.at(time_s)) if params.shadow_rays else None)
 
     def _on_objects(self, illuminance: Tensor, object_id: Tensor, now: Situation) -> Mapping[str, OnObject]:
         found = {}

@@ -1,0 +1,98 @@
+"""Lamps share what they draw together, make up for each other, and draw for an observer, in whole scenarios."""
+
+from typing import Any
+
+import pytest
+import torch
+
+from loop.lighting.simulation import LightingResult, LightingSimulation
+from loop.scenario import LightingScenario, load_any, validate_any
+from loop.shipped import shipped
+from perception.camera import CameraParams
+
+CARPET = {"kind": "lane", "quantity": "E_v", "value": 1.0, "lane_width_m": 3.0, "near_m": 14.0, "far_m": 30.0}
+WANTED_LX = 1.0  # a single lamp of 50 kcd can give it up to 33 m ahead
+PATCH = (18.0, 26.0, 1.0)  # from, to and half the width in m, well inside of the carpet
+BARRIER = {"kind": "box", "name": "barrier", "size_m": [0.1, 0.5, 0.9], "albedo": 0.2, "track": [{"position_m": [12.0, 0.6, 0]}]}
+SMALL = CameraParams(width_px=240, height_px=135, hfov_deg=26).model_dump(mode="json")
+LIGHTING = [name for name in shipped() if isinstance(load_any(name), LightingScenario)]
+
+
+def run(lighting: dict[str, Any], **changes: Any) -> tuple[LightingSimulation, LightingResult]:
+    base = {
+        "name": "carpet",
+        "headlight": {"model": "hd84"},
+        "camera": {"width_px": 320, "height_px": 180, "hfov_deg": 20, "pitch_deg": 4.0, "z_m": 2.5},
+        "surface": {"grain": 0.0},
+        "lighting": {"functions": [CARPET], **lighting},
+        "renderer": "raycast",
+    }
+    scenario = validate_any(base | changes, "carpet")
+    assert isinstance(scenario, LightingScenario)
+    simulation = LightingSimulation.prepare(scenario)
+    return simulation, simulation.step(0)
+
+
+def on_road(simulation: LightingSimulation, result: LightingResult, aside_m: float = 0.0) -> float:
+    """Mean illuminance in lx of a patch in the middle of the carpet."""
+    surfaces = simulation.camera.at(0.0).surfaces
+    x, y, _ = surfaces.position
+    near, far, half = PATCH
+    there = (surfaces.object_id == 0) & (x > near) & (x < far) & ((y - aside_m).abs() < half / 2)
+    assert there.sum() > 100
+    return float(result.illuminance[there].mean())
+
+
+def test_lamps_share_a_setpoint_so_that_light_is_not_doubled() -> None:
+    """idealised pixels are 0.06 deg wide, 2 m of road at 26 m, so the mean over the patch keeps to the setpoint within some percent."""
+    fine = {"headlight": {"model": "idealised-332x1024"}}
+    shared, doubled = (on_road(*run({"share": share}, **fine)) for share in (True, False))
+    assert shared == pytest.approx(WANTED_LX, rel=0.06)
+    assert doubled == pytest.approx(2 * shared, rel=0.02)
+
+
+def test_a_lamp_makes_up_for_one_that_is_blocked() -> None:
+    fine = {"headlight": {"model": "idealised-332x1024"}, "objects": [BARRIER]}
+    dim, made_up = (on_road(*run({"shadow_rays": rays}, **fine), aside_m=0.4) for rays in (False, True))
+    assert dim < 0.8 * WANTED_LX < made_up
+
+
+def test_street_light_is_taken_off() -> None:
+    lit = {
+        "light": {"street_lamps": [{"position_m": [22.0, 0.0, 8.0], "intensity_cd": 19.2}]},
+        "headlight": {"model": "idealised-332x1024"},
+    }
+    with_offset, without = (on_road(*run({"street_lamps": off}, **lit)) for off in (True, False))
+    assert without - with_offset == pytest.approx(19.2 / 64, rel=0.15)  # E = I / h^2 right below; less towards the patch's ends
+
+
+def test_an_observer_sees_the_picture_upright() -> None:
+    """The light is where the observer's picture is bright: nothing of it lies on the road before the picture's lower edge."""
+    picture = {"centre_m": [15.0, 0.0, 0.5], "width_m": 1.0, "height_m": 0.4, "eye_m": [-1.6, 0.0, 1.4]}
+    symbol = {"kind": "symbol", "image": "warning_triangle", "observer": picture}
+    simulation, result = run({"functions": [symbol]}, headlight={"model": "idealised-332x1024"})
+    x, y, _ = simulation.camera.at(0.0).surfaces.position[:, result.illuminance > 0.5]
+    assert len(x) > 50
+    # The picture's lower edge at z = 0.3 m is seen on the road at x = -1.6 + 16.6 * 1.4 / 1.1, its upper one at 0.7 m at 31.6 m.
+    assert float(x.min()) > 19.5 - 0.6 and float(x.max()) < 31.6 + 1.5
+    assert float(y.abs().max()) < 0.5 * 33.2 / 16.6 + 0.2
+
+
+@pytest.mark.parametrize("name", LIGHTING)
+def test_shipped_scenarios_run(name: str) -> None:
+    """Their first and last steps, in the light of lamps that load at once."""
+    scenario = load_any(name, ["headlight.model=hd84"], camera=SMALL)
+    assert isinstance(scenario, LightingScenario)
+    parts = [
+        function.model_copy(update={"modules": ()}) if hasattr(function, "modules") else function
+        for function in scenario.lighting.functions
+    ]
+    lighting = scenario.lighting.model_copy(update={"functions": tuple(parts)})
+    headlight = scenario.headlight.model_copy(update={"modules": None})
+    simulation = LightingSimulation.prepare(scenario.model_copy(update={"lighting": lighting, "headlight": headlight}))
+    for step in (0, scenario.steps - 1):
+        result = simulation.step(step)
+        assert all(power.flux_lm > 0 for power in result.powers.values())
+        assert all(((u >= 0) & (u <= 1)).all() for u in result.lights)
+        assert torch.isfinite(result.luminance).all()
+        assert not result.dark_lx_max
