@@ -107,7 +107,7 @@ def test_shipped_glare_free_scenarios_are_dark_where_they_must_be(name: str) -> 
     loaded = load_any(name, camera=CameraParams(width_px=480, height_px=200, hfov_deg=34, pitch_deg=1.5).model_dump(mode="json"))
     assert isinstance(loaded, LightingScenario)
     simulation = LightingSimulation.prepare(loaded)
-    for step in range(0, loaded.steps, max(1, loaded.steps // 3)):
+    for step in range(0, loaded.steps, max(1, (loaded.steps - 1) // 2)):
         result = simulation.step(step)
         masked = {each for each, light in result.objects.items() if light.masked}
         light = most_light(simulation, result, masked)
