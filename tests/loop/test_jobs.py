@@ -119,7 +119,7 @@ def test_a_run_that_is_stopped_goes_on_where_it_was(how: signal.Signals, tmp_pat
         assert time.monotonic() < deadline and stopped.poll() is None
         time.sleep(0.02)
     os.killpg(stopped.pid, how)  # as a terminal does it
-    _, said = stopped.communicate(timeout=20)  # far less than the minute that a hanging job takes
+    _, said = stopped.communicate(timeout=50)  # far less than the minute that a hanging job takes
     assert stopped.returncode != 0
     if how == signal.SIGINT:
         assert "3 of 6 jobs are kept" in said
