@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -113,7 +114,10 @@ def test_a_run_that_is_stopped_goes_on_where_it_was(how: signal.Signals, tmp_pat
     script, log, file = tmp_path / "script.py", tmp_path / "log", tmp_path / "results.jsonl"
     script.write_text(SCRIPT)
     env = {**os.environ, "PYTHONPATH": str(ROOT)}
-    stopped = subprocess.Popen([sys.executable, script, "hang"], env=env, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    # Where the tests run in the background, the shell lets them ignore Ctrl-C; a run at a terminal does not.
+    heard = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    command = [sys.executable, script, "hang"]
+    stopped = subprocess.Popen(command, env=env, stderr=subprocess.PIPE, text=True, start_new_session=True, preexec_fn=heard)
     deadline = time.monotonic() + 60
     while len(file.read_text().splitlines() if file.exists() else []) < 3 or len(log.read_text().split()) < 5:
         assert time.monotonic() < deadline and stopped.poll() is None
