@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from controllers.observer import sight
 from controllers.primitives import Primitives
 from controllers.windows import NEAREST_M
 from world.texels import TexelGrid
@@ -24,6 +25,7 @@ class Homographies:
     weight. aside_u, wider_u, aside_v, wider_v: how far a mask's edges move for it to reach one texel further: |u - aside| <= n + wider.
     toward: cosine, times a length, at which the lamp sees the primitive's middle. near, far: 1/x of the nearest and the
     farthest corner. low, high: `[..., P, 2]`, projected outline in rows and columns, infinite where it reaches behind the lamp.
+    sight: as n, u and v, for where a primitive's observer sees a hit in the flying symbol; None where there are no observers.
     """
 
     n: Tensor
@@ -41,20 +43,22 @@ class Homographies:
     far: Tensor
     low: Tensor
     high: Tensor
+    sight: tuple[Tensor, Tensor, Tensor] | None
 
 
 def homographies(primitives: Primitives, grid: TexelGrid, T_world_headlight: Tensor) -> Homographies:
     """Every primitive in the coordinates of a headlight's rays."""
-    R = T_world_headlight[:3, :3].to(primitives.origin)
-    origin, d1, d2, normal = (
-        v @ R for v in (primitives.origin - T_world_headlight[:3, 3].to(R), primitives.d1, primitives.d2, primitives.normal)
-    )
+    R, position = T_world_headlight[:3, :3].to(primitives.origin), T_world_headlight[:3, 3].to(primitives.origin)
+    origin, d1, d2, normal = (v @ R for v in (primitives.origin - position, primitives.d1, primitives.d2, primitives.normal))
     q = origin + (d1 + d2) / 2
     n = torch.linalg.cross(d1, d2)
     qn = (q * n).sum(-1)
     sign = torch.where(qn < 0, -1.0, 1.0).to(qn)[..., None]
     n, u, v = n * sign, 2 * torch.linalg.cross(d2, q) * sign, 2 * torch.linalg.cross(q, d1) * sign
 
+    eyes = None
+    if (who := primitives.observer) is not None:
+        eyes = sight((who.eye - position) @ R, (who.origin - position) @ R, who.d1 @ R, who.d2 @ R, n, qn.abs())
     mask = (primitives.value == 0) & primitives.weight.isinf()
 
     def change(a: Tensor) -> Tensor:
@@ -82,4 +86,5 @@ def homographies(primitives: Primitives, grid: TexelGrid, T_world_headlight: Ten
         1 / x.amax(-1),
         at.amin(-2).masked_fill(behind, -torch.inf),
         at.amax(-2).masked_fill(behind, torch.inf),
+        eyes,
     )

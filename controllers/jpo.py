@@ -17,6 +17,7 @@ from controllers.jpo_part import Wanted, reaching, wanted
 from controllers.jpo_squares import least_squares
 from controllers.primitives import E_V, I_V, U_REL, Primitives
 from controllers.rthc import Setpoints, masks, trace
+from controllers.secondary import SecondaryRays
 from controllers.ssc import Ssc, Utilisation
 from controllers.windows import projected_windows
 from world.headlight import Headlight
@@ -61,13 +62,17 @@ class Jpo:
     def default(self) -> Tensor:
         return self.ssc.default
 
+    def over(self, default: Tensor) -> "Jpo":
+        """The same tables over another base pattern `[n_p]`."""
+        return replace(self, ssc=self.ssc.over(default))
+
     def start(self) -> JpoState:
         """Nothing drawn yet."""
         return JpoState(self.default)
 
-    def utilisation(self, primitives: Primitives, T_world_headlight: Tensor) -> Utilisation:
+    def utilisation(self, primitives: Primitives, T_world_headlight: Tensor, secondary: SecondaryRays | None = None) -> Utilisation:
         """Utilisation `[..., n_p]` for one moment, warm from SSC."""
-        return self._optimised(self.goal(primitives, T_world_headlight))
+        return self._optimised(self.goal(primitives, T_world_headlight, secondary))
 
     def step(self, state: JpoState, primitives: Primitives, T_world_headlight: Tensor) -> tuple[JpoState, Utilisation]:
         """The same, warm from the last step where that serves better than SSC."""
@@ -77,7 +82,7 @@ class Jpo:
         seen = self._optimised(replace(goal, start=torch.where(better, last.start, goal.start)))
         return JpoState(seen.u), seen
 
-    def goal(self, primitives: Primitives, T_world_headlight: Tensor) -> Wanted:
+    def goal(self, primitives: Primitives, T_world_headlight: Tensor, secondary: SecondaryRays | None = None) -> Wanted:
         """What the primitives ask of the light texture, the pixels they touch, and where SSC would have these start.
 
         u_abs and u_rel become the light that all pixels would give so.
@@ -85,7 +90,7 @@ class Jpo:
         grid = self.headlight
         single = primitives.origin.ndim == 2 and primitives.origin.device.type == "cpu"
         windows = projected_windows(primitives, grid, T_world_headlight, masks(primitives)) if single else None
-        setpoints = trace(primitives, grid, T_world_headlight, windows)
+        setpoints = trace(primitives, grid, T_world_headlight, windows, secondary)
         cut = (..., *setpoints.window.slices)
         hit, in_cd, relative = setpoints.hit, _share(setpoints, setpoints.in_cd, I_V, E_V), _share(setpoints, setpoints.relative, U_REL)
         unit = in_cd + relative * self._light_of_default[cut] + (1 - in_cd - relative) * self._light_of_full[cut]
@@ -99,7 +104,7 @@ class Jpo:
         weights[cut] = torch.where(hit, weight, 1.0)
         counts[cut] = hit & (weight > 0)
         touched = reaching(grid.matrix.transposed, counts.flatten(-2))
-        start = torch.where(touched, self.ssc.utilisation(primitives, T_world_headlight).u, self.default)
+        start = torch.where(touched, self.ssc.utilisation(primitives, T_world_headlight, secondary).u, self.default)
         return wanted(grid, texture, weights, start, touched)
 
     def _optimised(self, goal: Wanted) -> Utilisation:

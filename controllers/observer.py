@@ -7,29 +7,6 @@ picture has there; the primitive on the road need only be large enough.
 import torch
 from torch import Tensor
 
-from world.texels import TexelGrid, bilinear
-
-
-def seen_symbol(points: Tensor, eye: Tensor, origin: Tensor, d1: Tensor, d2: Tensor, image: Tensor) -> Tensor:
-    """Value `[..., N]` of the flying symbol on the lines from the eye `[..., 3]` to points `[..., 3, N]` (T 7.2.2, fig. 7.9); else zero.
-
-    origin, d1, d2: `[..., 3]` m, the symbol's rectangle; image: `[h, w]` in 0..1, bilinear, texel centres at (k + 1/2) / n.
-    """
-    ray = eye[..., None] - points
-    n = torch.linalg.cross(d1, d2)
-    along = (ray * n[..., None]).sum(-2)
-    q = points - origin[..., None]
-    reach = -(q * n[..., None]).sum(-2) / torch.where(along == 0, 1.0, along)
-    hit = q + reach[..., None, :] * ray
-    n2 = (n * n).sum(-1)[..., None]
-    u = (hit * torch.linalg.cross(d2, n)[..., None]).sum(-2) / n2
-    v = (hit * torch.linalg.cross(n, d1)[..., None]).sum(-2) / n2
-    inside = (along != 0) & (reach < 1) & (u >= 0) & (u <= 1) & (v >= 0) & (v <= 1)
-    rows, cols = image.shape
-    grid = TexelGrid(rows=rows, cols=cols, left=1.0, right=0.0, bottom=0.0, top=1.0)
-    texel, weight = bilinear(grid, v * rows, u * cols)
-    return torch.where(inside, (image.to(points).flatten()[texel] * weight).sum(0), 0.0)
-
 
 def drawing_rectangle(origin: Tensor, d1: Tensor, d2: Tensor, eye: Tensor, at: Tensor, normal: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """The smallest rectangle on a plane that holds all that an observer sees through the flying symbol: origin, d1, d2 `[..., 3]` m.
@@ -62,7 +39,7 @@ def drawing_rectangle(origin: Tensor, d1: Tensor, d2: Tensor, eye: Tensor, at: T
 
 
 def sight(eye: Tensor, origin: Tensor, d1: Tensor, d2: Tensor, n: Tensor, qn: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """The same without points: from a lamp's rays to the flying symbol is one homography, as from rays to the road is.
+    """From a lamp's rays, over the road, to the flying symbol is one homography, as from rays to the road is (T 7.2.2, fig. 7.9).
 
     All `[..., 3]` in the lamp's frame: eye and flying symbol, and the road primitive's n = d1 x d2 and qn `[...]` = q.n, turned so that
     qn > 0. Returns n', u' and v' `[..., 3]`: a ray d that hits the primitive shows the symbol at u'.d / n'.d and v'.d / n'.d, which run

@@ -71,4 +71,8 @@ class Planner:
         now = replace(now, symbols=dict(self.symbols))
         functions: tuple[LightingFunction, ...] = self.params.functions
         parts = [part for function in functions for part in function.primitives(now)]
-        return Plan(self.params.base.at(now), concatenate(*parts).to(self.dtype) if parts else None)
+        base = self.params.base.at(now)
+        if not parts:
+            return Plan(base, None)
+        primitives = concatenate(*parts).to(self.dtype)
+        return Plan(base, replace(primitives, shared=primitives.shared & self.params.share))

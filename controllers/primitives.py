@@ -41,7 +41,8 @@ class Primitives:
     quantity: `[P]` int64, places in QUANTITIES. forced: `[P]` bool, hit whatever lies before it. priority: `[P]` int64, decides between
     forced hits and between coplanar ones. symbols: images `[h, w]` in 0..1, row 0 at v = 0; symbol_of: `[P]` int64, whose image.
     nearest: `[P]` bool, images are read at the nearest texel, else bilinearly. group: `[P]` int64, what moves as one body.
-    modules: names of modules or lamps that may draw each, all where there are none.
+    modules: names of modules or lamps that may draw each, all where there are none. shared: `[P]` bool, all that draw give one setpoint
+    in cd or lx together, instead of each the whole.
     """
 
     origin: Tensor
@@ -58,6 +59,7 @@ class Primitives:
     nearest: Tensor
     group: Tensor
     modules: tuple[tuple[str, ...], ...]
+    shared: Tensor
     observer: Observer | None = None
 
     def __len__(self) -> int:
@@ -73,7 +75,7 @@ class Primitives:
         at = mask.nonzero()[:, 0]
         picked = {name: getattr(self, name)[..., at.to(self.origin.device), :] for name in _VECTORS}
         picked |= {name: getattr(self, name)[..., at.to(self.origin.device)] for name in ("value", "weight")}
-        picked |= {name: getattr(self, name)[at] for name in ("quantity", "forced", "priority", "symbol_of", "nearest", "group")}
+        picked |= {name: getattr(self, name)[at] for name in ("quantity", "forced", "priority", "symbol_of", "nearest", "group", "shared")}
         observer = self.observer
         if observer is not None:
             vectors = {f.name: getattr(observer, f.name)[..., at.to(self.origin.device), :] for f in fields(observer) if f.name != "active"}
@@ -109,6 +111,7 @@ def rectangles(
     priority: int = 0,
     nearest: bool = False,
     modules: Sequence[str] = (),
+    shared: bool = True,
 ) -> Primitives:
     """A group of rectangles `[..., P, 3]` that share everything but place, setpoint and weight (each a number or `[..., P]`).
 
@@ -142,6 +145,7 @@ def rectangles(
         torch.full((P,), nearest),
         torch.zeros(P, dtype=torch.int64),
         (tuple(modules),) * P,
+        torch.full((P,), shared),
     )
 
 
@@ -159,6 +163,7 @@ def rectangle(
     priority: int = 0,
     nearest: bool = False,
     modules: Sequence[str] = (),
+    shared: bool = True,
 ) -> Primitives:
     """One rectangle `[..., 3]`, value and weight `[...]`; else as `rectangles`."""
     return rectangles(
@@ -174,6 +179,7 @@ def rectangle(
         priority=priority,
         nearest=nearest,
         modules=modules,
+        shared=shared,
     )
 
 
@@ -204,7 +210,7 @@ def concatenate(*parts: Primitives) -> Primitives:
     return Primitives(
         **{name: joined(name, 2) for name in _VECTORS},
         **{name: joined(name, 1) for name in ("value", "weight")},
-        **{name: torch.cat([getattr(part, name) for part in parts]) for name in ("quantity", "forced", "priority", "nearest")},
+        **{name: torch.cat([getattr(part, name) for part in parts]) for name in ("quantity", "forced", "priority", "nearest", "shared")},
         symbols=tuple(symbols),
         symbol_of=torch.cat(symbol_of),
         group=torch.cat(group),

@@ -14,11 +14,13 @@ from torch import Tensor
 
 from controllers.homographies import Homographies, homographies
 from controllers.primitives import E_V, U_ABS, U_REL, Primitives
+from controllers.secondary import SecondaryRays
 from controllers.windows import NOWHERE, SLACK, Window, union, whole
 from world.texels import TexelGrid
 
 COPLANAR = 1e-4  # of the distance: what lies closer together counts as one plane, whatever the dtype rounds
 PARALLEL = 1e-6  # of the cosine: a given normal that is that of the edges
+OUTLINE, SIGHT = ("n", "u", "v"), ("sight n", "sight u", "sight v")  # products by which symbols are read: on the primitive, by an observer
 STEEP = 1e30  # takes whatever is not rounded to zero beyond one
 
 
@@ -83,15 +85,22 @@ def masks(primitives: Primitives) -> list[bool]:
     return [value == 0 and weight == torch.inf for value, weight in zip(primitives.value.tolist(), primitives.weight.tolist(), strict=True)]
 
 
-def trace(primitives: Primitives, grid: TexelGrid, T_world_headlight: Tensor, windows: Sequence[Window] | None = None) -> Setpoints:
+def trace(
+    primitives: Primitives,
+    grid: TexelGrid,
+    T_world_headlight: Tensor,
+    windows: Sequence[Window] | None = None,
+    secondary: SecondaryRays | None = None,
+) -> Setpoints:
     """Cast a ray through every texel's centre and take the setpoint of the primitive that it hits.
 
     primitives: batch `[..., P]`. T_world_headlight: `[4, 4]`. windows: the texels that each primitive of a single scene on the host can
     touch (all); the setpoints lie on their union. Back faces are not hit; E_v becomes `E d^2 / cos` (T 7.2.1). A mask, which has a zero
-    setpoint of infinite weight, is hit by all rays within one texel of its outline, since light is interpolated between them.
+    setpoint of infinite weight, is hit by all rays within one texel of its outline, since light is interpolated between them. A symbol for
+    an observer is read where he sees the hit (T 7.2.2); secondary: what else the hits are asked (nothing).
     Differentiable in the primitives (not across their edges).
     """
-    return Casting.prepare(primitives, grid, T_world_headlight, windows).setpoints()
+    return Casting.prepare(primitives, grid, T_world_headlight, windows, secondary).setpoints()
 
 
 @dataclass(frozen=True)
@@ -120,6 +129,8 @@ class Casting:
 
     primitives: Primitives
     grid: TexelGrid
+    T_world_headlight: Tensor
+    secondary: SecondaryRays | None
     seen: Homographies
     windows: tuple[Window, ...]
     window: Window
@@ -130,7 +141,12 @@ class Casting:
 
     @classmethod
     def prepare(
-        cls, primitives: Primitives, grid: TexelGrid, T_world_headlight: Tensor, windows: Sequence[Window] | None = None
+        cls,
+        primitives: Primitives,
+        grid: TexelGrid,
+        T_world_headlight: Tensor,
+        windows: Sequence[Window] | None = None,
+        secondary: SecondaryRays | None = None,
     ) -> "Casting":
         """As for `trace`."""
         seen = homographies(primitives, grid, T_world_headlight)
@@ -140,7 +156,8 @@ class Casting:
         windows = [NOWHERE if seen_from is False else window for window, seen_from in zip(windows, front, strict=True)]
         known = primitives.weight.device.type == "cpu"
         unit, finite = known and not bool((primitives.weight != 1).any()), known and not bool(primitives.weight.isinf().any())
-        return cls(primitives, grid, seen, tuple(windows), union(windows), tuple(is_mask), tuple(front), unit, finite)
+        of_each = (tuple(windows), union(windows), tuple(is_mask), tuple(front))
+        return cls(primitives, grid, T_world_headlight, secondary, seen, *of_each, unit, finite)
 
     @property
     def quantities(self) -> tuple[int, ...]:
@@ -180,6 +197,9 @@ class Casting:
                 if rivals[p] and nearest is not None:
                     hit = _won(hit, rays, self.seen, p, self.is_mask[p], windows[p], nearest[(..., *windows[p].within(self.window))])
                 value = _setpoint(p, hit, rays, self.primitives, self.seen, windows[p])
+                if self.secondary is not None and not self.is_mask[p] and self.secondary.ask(self.primitives, p):
+                    points = _points(rays, self.seen, p, windows[p], self.T_world_headlight)
+                    value = self.secondary.adjusted(expanded(value, hit), points, hit > 0, self.primitives, p)
                 yield Stroke(windows[p], hit, value, finite[..., p, :, :], forced[..., p, :, :], int(self.primitives.quantity[p]), p)
 
     def setpoints(self) -> Setpoints:
@@ -227,6 +247,7 @@ class _Rays:
     @classmethod
     def of(cls, seen: Homographies, y: Tensor, z: Tensor) -> "_Rays":
         vectors = {"n": seen.n, "u": seen.u, "v": seen.v, "facing": -seen.normal, "closeness": seen.n / seen.qn[..., None]}
+        vectors |= {} if seen.sight is None else dict(zip(SIGHT, seen.sight, strict=True))
         aside = {"u": seen.aside_u, "v": seen.aside_v}  # of masks, which no image is read for
         terms = {}
         for name, a in vectors.items():
@@ -257,12 +278,18 @@ def _step(a: Tensor) -> Tensor:
     return torch.rsub(a, 1, alpha=-STEEP).clamp_(0, 1)
 
 
+def _inside(rays: _Rays, names: tuple[str, str, str], p: int, window: Window) -> Tensor:
+    """One where a ray passes a rectangle, by products of these names."""
+    n, u, v = (rays.times(name, p, window).detach() for name in names)
+    return _step(n - torch.maximum(u.abs_(), v.abs_()))
+
+
 def _hit(rays: _Rays, seen: Homographies, p: int, mask: bool | None, front: bool | None, window: Window) -> Tensor:
     """One where a ray hits the p-th primitive, `[..., rows, cols]`; mask, front: whether it is one and is seen so, where the host knows."""
-    n, u, v = (rays.times(name, p, window).detach() for name in ("n", "u", "v"))
     if mask is False:
-        hit = _step(n - torch.maximum(u.abs_(), v.abs_()))
+        hit = _inside(rays, OUTLINE, p, window)
         return hit if front else hit * _step(rays.times("facing", p, window).detach())
+    n, u, v = (rays.times(name, p, window).detach() for name in OUTLINE)
     hit = _step(n - torch.maximum(u.abs_().sub_(seen.wider_u[..., p, None, None]), v.abs_().sub_(seen.wider_v[..., p, None, None])))
     if mask:
         return hit  # the window ends where it may reach
@@ -275,10 +302,24 @@ def _won(hit: Tensor, rays: _Rays, seen: Homographies, p: int, mask: bool | None
     """The part of a hit that no nearer one of its class is before; nearest, 1/x of those so far, learns of it."""
     closeness = rays.times("closeness", p, window).detach()
     if mask is not False:  # beyond its outline it is no nearer or farther than its corners
-        closeness = closeness.maximum(seen.far.detach()[..., p, None, None]).minimum(seen.near.detach()[..., p, None, None])
+        closeness = _between_corners(closeness, seen, p)
     hit = hit * _step(torch.sub(closeness, nearest, alpha=1 / (1 + COPLANAR)))
     torch.maximum(nearest, closeness.mul_(hit), out=nearest)
     return hit
+
+
+def _between_corners(closeness: Tensor, seen: Homographies, p: int) -> Tensor:
+    return closeness.maximum(seen.far.detach()[..., p, None, None]).minimum(seen.near.detach()[..., p, None, None])
+
+
+def _points(rays: _Rays, seen: Homographies, p: int, window: Window, T_world_headlight: Tensor) -> Tensor:
+    """Where rays hit the p-th primitive, `[..., 3, rows, cols]` m in the world; those that miss it end as near as its corners lie."""
+    x = 1 / _between_corners(rays.times("closeness", p, window), seen, p)
+    rows, cols = window.slices
+    y, z = torch.broadcast_tensors(rays.y[cols], rays.z[rows, None])
+    T = T_world_headlight.to(x)
+    ray = torch.einsum("ij,jrc->irc", T[:3, :3], torch.stack([torch.ones_like(y), y, z]))
+    return T[:3, 3, None, None] + x[..., None, :, :] * ray
 
 
 def _near_outline(window: Window, low: Tensor, high: Tensor) -> Tensor:
@@ -293,14 +334,20 @@ def _near_outline(window: Window, low: Tensor, high: Tensor) -> Tensor:
 def _setpoint(p: int, hit: Tensor, rays: _Rays, primitives: Primitives, seen: Homographies, window: Window) -> Tensor:
     """Setpoint of the p-th primitive for the rays that hit it, elsewhere undefined but finite; broadcastable to `[..., rows, cols]`."""
     symbol, value = primitives.symbols[int(primitives.symbol_of[p])], primitives.value[..., p, None, None]
-    homogeneous, illuminance = symbol.numel() == 1, int(primitives.quantity[p]) == E_V
+    observer = primitives.observer
+    watched = observer is not None and bool(observer.active[p])
+    homogeneous, illuminance = symbol.numel() == 1 and not watched, int(primitives.quantity[p]) == E_V
     value = value * symbol if homogeneous else value
     if homogeneous and not illuminance:
         return value
     one = hit.new_ones(())
     n = one.lerp(rays.times("n", p, window), hit)
     if not homogeneous:
-        u, v = (rays.times(name, p, window) * hit / n for name in ("u", "v"))
+        shown, across, names = hit, n, OUTLINE
+        if watched:
+            shown, names = hit * _inside(rays, SIGHT, p, window), SIGHT
+            across, value = one.lerp(rays.times(SIGHT[0], p, window), shown), value * shown
+        u, v = (rays.times(name, p, window) * shown / across for name in names[1:])
         value = value * _symbol_value(symbol, u, v, bool(primitives.nearest[p]))
     if not illuminance:
         return value

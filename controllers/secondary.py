@@ -10,7 +10,6 @@ import torch
 from torch import Tensor
 
 from controllers.primitives import U_ABS, Primitives
-from controllers.windows import Window
 from world.frames import inverse, transform
 from world.headlight import Headlight
 from world.raycast import first_hits
@@ -61,35 +60,44 @@ class Light:
         return intensity / (x * x + y * y + z * z)
 
 
-def shares(lights: Sequence[Light], points: Tensor, occluded: Caster | None = None) -> Tensor:
+def shares(lights: Sequence[Light], points: Tensor, occluded: Caster | None = None, asked: Tensor | None = None) -> Tensor:
     """Which share of a setpoint each light takes, `[L, ..., N]`: in proportion to what it can give there (T 7.5.1).
 
-
     They add up to one where any light gets to, so light is not doubled; a light that something blocks takes none, and the others
-    compensate. Two cars that draw one symbol together are lights of one list.
+    compensate. Two cars that draw one symbol together are lights of one list. asked: `[..., N]` bool, for which
+    points shadow rays are cast (all).
     """
     possible = torch.stack([light.possible(points) for light in lights])
     if occluded is not None:
-        for light, at_points in zip(lights, possible, strict=True):
-            at_points *= ~_cast(occluded, points, light.T_world_headlight[:3, 3])
+        possible = possible * torch.stack([seen_by(points, light.T_world_headlight[:3, 3], occluded, asked) for light in lights])
     total = possible.sum(0)
     return torch.where(total > 0, possible / torch.where(total > 0, total, 1.0), 0.0)
 
 
-def seen_by(points: Tensor, eye: Tensor, occluded: Caster) -> Tensor:
-    """Which points an observer at `[3]` m sees, `[..., N]` bool: where nobody looks, a symbol need not be drawn."""
-    return ~_cast(occluded, points, eye)
+def seen_by(points: Tensor, eye: Tensor, occluded: Caster, asked: Tensor | None = None) -> Tensor:
+    """Which points an observer at `[..., 3]` m sees, `[..., N]` bool: where nobody looks, a symbol need not be drawn.
+
+    asked: `[..., N]` bool, for which points rays are cast (all); the others count as seen.
+    """
+    asked = torch.ones_like(points[..., 0, :], dtype=torch.bool) if asked is None else asked
+    seen = torch.ones_like(asked)
+    scenes = (points.reshape(-1, *points.shape[-2:]), eye.expand(*points.shape[:-2], 3).reshape(-1, 3), asked.reshape(-1, asked.shape[-1]))
+    for at, target, of_scene, answer in zip(*scenes, seen.view(-1, seen.shape[-1]), strict=True):
+        answer[of_scene] = ~occluded(at[:, of_scene], target)
+    return seen
 
 
-def street_light(points: Tensor, normals: Tensor, lamps: Sequence[StreetLamp], occluded: Caster | None = None) -> Tensor:
-    """Illuminance `[..., N]` in lx by street lamps on surfaces with unit normals broadcastable to `[..., 3, N]`."""
+def street_light(
+    points: Tensor, normals: Tensor, lamps: Sequence[StreetLamp], occluded: Caster | None = None, asked: Tensor | None = None
+) -> Tensor:
+    """Illuminance `[..., N]` in lx by street lamps; normals: unit, broadcastable to `[..., 3, N]`; asked: as for `seen_by`."""
     total = torch.zeros_like(points[..., 0, :])
     for lamp in lamps:
         position = torch.tensor(lamp.position_m).to(points)
         away = position[:, None] - points
         d2 = away.square().sum(-2)
         light = lamp.intensity_cd * (normals * away).sum(-2).clamp(min=0) / d2**1.5
-        total = total + (light if occluded is None else light * ~_cast(occluded, points, position))
+        total = total + (light if occluded is None else light * seen_by(points, position, occluded, asked))
     return total
 
 
@@ -103,12 +111,6 @@ def less_street_light(setpoint_cd: Tensor, street_lx: Tensor, points: Tensor, no
     cos = (normals * away).sum(-2) / d2.sqrt()
     offset = street_lx * d2 / torch.where(cos > 0, cos, 1.0)
     return torch.where(cos > 0, (setpoint_cd - offset).clamp(min=0), setpoint_cd)
-
-
-def _cast(occluded: Caster, points: Tensor, target: Tensor) -> Tensor:
-    """A caster's answer for points with batch dimensions."""
-    flat = points.movedim(-2, 0).flatten(1)
-    return occluded(flat, target).reshape(points.shape[:-2] + points.shape[-1:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,44 +128,31 @@ class SecondaryRays:
 
     def ask(self, primitives: Primitives, p: int) -> bool:
         """Whether the p-th primitive's setpoint may change: utilisations say themselves what each module does."""
-        return int(primitives.quantity[p]) < U_ABS or self._watched(primitives, p)
+        in_light = int(primitives.quantity[p]) < U_ABS
+        shared = bool(primitives.shared[p]) and len(self.lights) > 1
+        return self._watched(primitives, p) or (in_light and (shared or bool(self.street_lamps) or self.occluded is not None))
 
-    def adjusted(self, value: Tensor, points: Tensor, primitives: Primitives, p: int) -> Tensor:
-        """Setpoints `[..., rows, cols]` of the p-th primitive at its points `[..., 3, rows, cols]` m.
+    def adjusted(self, value: Tensor, points: Tensor, hit: Tensor, primitives: Primitives, p: int) -> Tensor:
+        """Setpoints `[..., rows, cols]` of the p-th primitive at its points `[..., 3, rows, cols]` m, as far as they are hit.
 
         In cd and lx they are lessened by the street lamps' light and shared among the lights that may draw. What the primitive's observer
         cannot see is off.
         """
-        size, value, points = value.shape[-2:], value.flatten(-2), points.flatten(-2)
+        size, value, points, hit = value.shape[-2:], value.flatten(-2), points.flatten(-2), hit.flatten(-2)
         if int(primitives.quantity[p]) < U_ABS:
             names, normals = primitives.modules[p], primitives.normal[..., p, :, None]
             if self.street_lamps:
-                street = street_light(points, normals, self.street_lamps, self.occluded)
+                street = street_light(points, normals, self.street_lamps, self.occluded, hit)
                 value = less_street_light(value, street, points, normals, self.lights[self.own][1].T_world_headlight[:3, 3])
-            drawing = [k for k, (name, _) in enumerate(self.lights) if k == self.own or may_draw(names, name)]
-            value = value * shares([self.lights[k][1] for k in drawing], points, self.occluded)[drawing.index(self.own)]
+            others = bool(primitives.shared[p])
+            drawing = [k for k, (name, _) in enumerate(self.lights) if k == self.own or (others and may_draw(names, name))]
+            value = value * shares([self.lights[k][1] for k in drawing], points, self.occluded, hit)[drawing.index(self.own)]
         if self.occluded is not None and primitives.observer is not None and self._watched(primitives, p):
-            value = value * seen_by(points, primitives.observer.eye[..., p, :], self.occluded)
+            value = value * seen_by(points, primitives.observer.eye[..., p, :], self.occluded, hit)
         return value.unflatten(-1, size)
 
     def _watched(self, primitives: Primitives, p: int) -> bool:
         return self.occluded is not None and primitives.observer is not None and bool(primitives.observer.active[p])
-
-
-def hit_points(primitives: Primitives, p: int, grid: TexelGrid, T_world_headlight: Tensor, window: Window) -> Tensor:
-    """Where the rays through a window's texels meet the plane of the p-th primitive, `[..., 3, rows, cols]` m in the world.
-
-    Rays that never meet it end a metre before the lamp.
-    """
-    rows, cols = window.slices
-    y, z = grid.tangents(primitives.origin.dtype, primitives.origin.device)
-    y, z = torch.broadcast_tensors(y[cols], z[rows, None])
-    T = T_world_headlight.to(y)
-    ray = torch.einsum("ij,jrc->irc", T[:3, :3], torch.stack([torch.ones_like(y), y, z]))
-    n = torch.linalg.cross(primitives.d1[..., p, :], primitives.d2[..., p, :])
-    along = torch.einsum("...i,irc->...rc", n, ray)
-    x = ((primitives.origin[..., p, :] - T[:3, 3]) * n).sum(-1)[..., None, None] / torch.where(along == 0, 1.0, along)
-    return T[:3, 3, None, None] + torch.where((along != 0) & (x > 0), x, 1.0)[..., None, :, :] * ray
 
 
 def may_draw(names: Sequence[str], module: str) -> bool:

@@ -1,7 +1,7 @@
 """SuperSampling Control (T 7): primitives in, pixel utilisations out, behind the protocol of all pixel controllers."""
 
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, replace
+from typing import Protocol, Self
 
 import torch
 from torch import Tensor
@@ -9,6 +9,7 @@ from torch import Tensor
 from controllers.mrpc import MrpcParams, PixelMajor, pixel_major, reduce_setpoints
 from controllers.primitives import Primitives
 from controllers.rthc import Casting, masks
+from controllers.secondary import SecondaryRays
 from controllers.windows import projected_windows
 from world.headlight import Headlight
 
@@ -32,8 +33,12 @@ class PixelController(Protocol):
         """Utilisation `[n_p]` of the base pattern."""
         ...
 
-    def utilisation(self, primitives: Primitives, T_world_headlight: Tensor) -> Utilisation:
-        """Utilisation `[..., n_p]` for primitives with the same batch dimensions."""
+    def utilisation(self, primitives: Primitives, T_world_headlight: Tensor, secondary: SecondaryRays | None = None) -> Utilisation:
+        """Utilisation `[..., n_p]` for primitives with the same batch dimensions; secondary: what else their hits are asked (nothing)."""
+        ...
+
+    def over(self, default: Tensor) -> Self:
+        """The same controller over another base pattern `[n_p]`."""
         ...
 
 
@@ -55,10 +60,14 @@ class Ssc:
         default = torch.zeros(headlight.n_pixels, dtype=values.dtype, device=values.device) if default is None else default
         return cls(headlight, pixel_major(headlight, params), params, default, not bool(default.any()))
 
-    def utilisation(self, primitives: Primitives, T_world_headlight: Tensor) -> Utilisation:
+    def utilisation(self, primitives: Primitives, T_world_headlight: Tensor, secondary: SecondaryRays | None = None) -> Utilisation:
         """A single scene on the CPU touches only the projected rectangle and its band of pixels; batches and accelerators take all rays."""
         banded = primitives.origin.ndim == 2 and primitives.origin.device.type == "cpu"
         windows = projected_windows(primitives, self.headlight, T_world_headlight, masks(primitives)) if banded else None
-        casting = Casting.prepare(primitives, self.headlight, T_world_headlight, windows)
+        casting = Casting.prepare(primitives, self.headlight, T_world_headlight, windows, secondary)
         u, band = reduce_setpoints(casting, self.pixels, self.params, self.default, self.dark)
         return Utilisation(u, band if banded and self.dark else None)
+
+    def over(self, default: Tensor) -> "Ssc":
+        """The same tables over another base pattern `[n_p]`: a morphed one, for the second pass."""
+        return replace(self, default=default.to(self.default), dark=False)

@@ -115,6 +115,7 @@ class Drawn(Params):
     priority: int = Field(0, ge=0, le=100, description="of two functions in one place on the road, the higher is drawn")
     forced: bool = Field(False, description="drawn even behind other primitives, masks excepted")
     modules: tuple[str, ...] = Field((), description="lamps or modules that draw it; left out: all")
+    share: bool = Field(True, description="what draws it gives its cd or lx together; false: each gives the whole")
     start_s: float | None = Field(None, description="drawn from this time on; left out: from the beginning")
     stop_s: float | None = Field(None, description="drawn until this time; left out: to the end")
 
@@ -142,6 +143,7 @@ class Drawn(Params):
             forced=self.forced,
             priority=self.priority * LAYERS + layer,
             modules=self.modules,
+            shared=self.share,
         )
 
 

@@ -1,8 +1,7 @@
 """The car's lamps, ready to be driven: every module that shines, with its pixel controller and its base beams."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 
 import torch
 from torch import Tensor
@@ -12,7 +11,7 @@ from controllers.morphing import Morphing, over
 from controllers.mrpc import MrpcParams
 from controllers.planner import Plan
 from controllers.power import limit_power, pixel_flux
-from controllers.primitives import Primitives
+from controllers.secondary import SecondaryRays
 from controllers.ssc import Ssc
 from loop.build import turned
 from loop.lamp_description import load_lamp
@@ -56,10 +55,12 @@ class ShiningModule:
             self._morphings[name] = Morphing.prepare(self.headlight, self._straight[name])
         return self._morphings[name].utilisation(beam.morph)
 
-    def utilisation(self, plan: Plan, ask: Callable[[Primitives], Primitives]) -> Tensor:
-        """Utilisation `[n_p]` of base beam and functions; ask: what secondary rays make of primitives."""
+    def utilisation(self, plan: Plan, secondary: SecondaryRays) -> Tensor:
+        """Utilisation `[n_p]` of base beam and functions; secondary: what this module's rays ask where they hit."""
         base, primitives = self.base(plan.base), plan.for_module(self.name)
-        return base if primitives is None else over(self.ssc, base).utilisation(ask(primitives.to(base.device)), self.T_world_module).u
+        if primitives is None:
+            return base
+        return over(self.ssc, base).utilisation(primitives.to(base.device), self.T_world_module, secondary).u
 
 
 @dataclass(frozen=True)
@@ -92,16 +93,17 @@ def _modules_of(side: str, params: CarLampsParams, ssc: MrpcParams, device: torc
 
 
 def driven(
-    modules: Sequence[ShiningModule], plan: Plan, asked: Callable[[int, Primitives], Primitives], power_limit: float | None
+    modules: Sequence[ShiningModule], plan: Plan, secondary: Sequence[SecondaryRays], power_limit: float | None
 ) -> tuple[tuple[Tensor, ...], Mapping[str, LampPower]]:
     """Utilisations `[n_p]`, one a module, and the power of each lamp by its side, within the limit if there is one.
 
-    asked: what secondary rays make of primitives for a module, given by its number.
+    secondary: of each module.
     """
+    asks = dict(zip((module.name for module in modules), secondary, strict=True))
     lights, powers = [], {}
     for side in dict.fromkeys(module.side for module in modules):
         mine = [module for module in modules if module.side == side]
-        u = torch.cat([module.utilisation(plan, partial(asked, modules.index(module))) for module in mine])
+        u = torch.cat([module.utilisation(plan, asks[module.name]) for module in mine])
         flux = torch.cat([module.flux for module in mine])
         u, factor = limit_power(u, flux, flux.sum() * (1.0 if power_limit is None else power_limit))
         total = float((u * flux).sum())

@@ -12,10 +12,9 @@ from torch import Tensor
 from controllers.functions.situation import Situation, TrackedObject
 from controllers.planner import Plan, Planner
 from controllers.rthc import masks
-from controllers.secondary import Light, scene_caster
+from controllers.secondary import Light, SecondaryRays, scene_caster
 from loop.build import build_scene, symbol_path
 from loop.lighting.lamps import LampPower, ShiningModule, driven, shining_modules
-from loop.lighting.secondary import Asking
 from loop.lighting.view import Looker
 from loop.scenario import DrivingParams, LightingScenario
 from perception.camera import camera_view
@@ -112,7 +111,7 @@ class LightingSimulation:
         now = self.situation(time_s)
         plan = self.planner.plan(now)
         planned = time.perf_counter()
-        lights, powers = driven(self.modules, plan, self._asking(time_s).asked, self.scenario.lighting.power_limit)
+        lights, powers = driven(self.modules, plan, self._secondary(time_s), self.scenario.lighting.power_limit)
         lit = time.perf_counter()
         seen = self.camera.at(time_s)
         illuminance, luminance = seen.light(lights)
@@ -131,10 +130,11 @@ class LightingSimulation:
         functions = (function for function in self.scenario.lighting.functions if function.kind == "glare_free")
         return any(any(masks(part)) for function in functions for part in function.primitives(alone))
 
-    def _asking(self, time_s: float) -> Asking:
+    def _secondary(self, time_s: float) -> tuple[SecondaryRays, ...]:
         params = self.scenario.lighting
         street_lamps = self.scene.street_lamps if params.street_lamps else ()
-        return Asking(params, self.lights, street_lamps, scene_caster(self.scene.at(time_s)) if params.shadow_rays else None)
+        occluded = scene_caster(self.scene.at(time_s)) if params.shadow_rays else None
+        return tuple(SecondaryRays(self.lights, own, street_lamps, occluded) for own in range(len(self.modules)))
 
     def _on_objects(self, illuminance: Tensor, object_id: Tensor, now: Situation) -> Mapping[str, OnObject]:
         found = {}

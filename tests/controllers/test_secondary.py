@@ -6,10 +6,9 @@ import pytest
 import torch
 import trimesh
 
-from controllers.mrpc import reduce_setpoints
 from controllers.primitives import Observer, rectangle
 from controllers.rthc import trace
-from controllers.secondary import Caster, Light, SecondaryRays, hit_points, less_street_light, scene_caster, seen_by, shares, street_light
+from controllers.secondary import Caster, Light, SecondaryRays, less_street_light, scene_caster, seen_by, shares, street_light
 from controllers.ssc import Ssc
 from world.body import Body, PoseTrack
 from world.frames import inverse, pose_from_degrees, transform
@@ -100,11 +99,7 @@ def illuminance(points: torch.Tensor, primitives, occluded: Caster | None = None
     lights = tuple((name, Light.of(FINE, T)) for name, T in zip(("left hires", "right hires"), POSES, strict=True))
     total = []
     for own, T in enumerate(POSES):
-        setpoints = trace(primitives, FINE, T)
-        points_hit = hit_points(primitives, 0, FINE, T, setpoints.window)
-        value = SecondaryRays(lights, own, street, occluded).adjusted(setpoints.value, points_hit, primitives, 0)
-        setpoints = replace(setpoints, value=value)
-        u, _ = reduce_setpoints(setpoints, ssc.pixels, ssc.params, ssc.default, True)
+        u = ssc.utilisation(primitives, T, SecondaryRays(lights, own, street, occluded)).u
         intensity = FINE.intensity(FINE.light_texture(u), transform(inverse(T), points).float())
         away = T[:3, 3:] - points
         light = intensity * away[2] / away.norm(dim=0) ** 3
@@ -149,32 +144,45 @@ def test_street_lamps_are_made_up_to_what_is_wanted() -> None:
     )
 
 
-def test_hit_points_lie_on_the_plane() -> None:
-    p = carpet()
-    setpoints = trace(p, FINE, POSES[0])
-    points = hit_points(p, 0, FINE, POSES[0], setpoints.window)[:, setpoints.hit]
+def test_hits_lie_on_the_primitive() -> None:
+    """What shadow rays start from: points on the road, within the rectangle."""
+    asked: list[torch.Tensor] = []
+
+    def occluded(points: torch.Tensor, _: torch.Tensor) -> torch.Tensor:
+        asked.append(points)
+        return torch.zeros_like(points[0], dtype=torch.bool)
+
+    hit = trace(carpet(), FINE, POSES[0], secondary=SecondaryRays((("left", Light.of(FINE, POSES[0])),), 0, (), occluded)).hit
+    (points,) = asked
+    assert points.shape[1] == hit.sum()
     assert points[2].abs().max() < 1e-5
     assert points[0].min() == pytest.approx(12.26, abs=0.05) and points[0].max() == pytest.approx(18, abs=0.05)  # 3.5 deg down
     assert points[1].abs().max() == pytest.approx(0.8, abs=0.01)
-    upward = hit_points(p, 0, FINE, pose_from_degrees((0, 0, 0.75), pitch_deg=-30), setpoints.window)
-    assert upward.isfinite().all() and upward[0].max() < 2
 
 
 def test_what_the_observer_cannot_see_is_off() -> None:
+    """A box stands before the eye; the picture that he shall see, all white, is far larger than the carpet."""
     occluded = scene_caster(Scene((Body("road", trimesh.creation.box((1, 1, 1))), box(4, 0, 0.6, (0.2, 1.0, 0.8)))).at(0.0))
-    eye = torch.tensor([[0.0, 0.0, 1.3]])
-    watched = replace(carpet(), quantity=torch.tensor([2]), observer=Observer(eye, eye, eye, eye, torch.tensor([True])))
-    setpoints = trace(replace(watched, observer=None), FINE, POSES[0])
-    points = hit_points(watched, 0, FINE, POSES[0], setpoints.window)
+    eye, corner, right, down = torch.tensor([[0.0, 0.0, 1.3], [8.0, 50, 1.2], [0, -100, 0], [0, 0, -2.5]])[:, None]
+    watched = replace(carpet(), quantity=torch.tensor([2]), observer=Observer(eye, corner, right, down, torch.tensor([True])))
     rays = SecondaryRays((("left", Light.of(FINE, POSES[0])),), 0, occluded=occluded)
     assert rays.ask(watched, 0) and not rays.ask(replace(watched, observer=None), 0)
-    value = rays.adjusted(setpoints.value, points, watched, 0)
-    hidden = occluded(points.flatten(-2), eye[0]).view_as(value)
-    assert (hidden & setpoints.hit).any() and (~hidden & setpoints.hit).any()
-    torch.testing.assert_close(value, setpoints.value * ~hidden)
+    free, asked = trace(watched, FINE, POSES[0]), trace(watched, FINE, POSES[0], secondary=rays)
+    y, z = (each.double() for each in FINE.tangents(torch.float64, torch.device("cpu")))
+    points = torch.stack([torch.ones_like(z[:, None] * y), y.expand(len(z), -1), z[:, None].expand(-1, len(y))])[:, free.hit]
+    hidden = occluded(POSES[0][:3, 3:] - points * POSES[0][2, 3] / points[2], eye[0])
+    assert 100 < hidden.sum() < len(hidden) - 100
+    assert (free.value[free.hit] == WANTED_LX).all()
+    torch.testing.assert_close(asked.value[free.hit], free.value[free.hit] * ~hidden)
 
 
 def test_utilisations_are_not_shared() -> None:
     scene = replace(carpet(), quantity=torch.tensor([2]))
     lights = tuple((str(k), Light.of(FINE, T)) for k, T in enumerate(POSES))
     assert not SecondaryRays(lights, 0).ask(scene, 0) and SecondaryRays(lights, 0).ask(carpet(), 0)
+    assert not SecondaryRays(lights[:1], 0).ask(carpet(), 0)
+
+
+def test_a_primitive_may_turn_sharing_off() -> None:
+    light = illuminance(inner(), carpet(shared=False))
+    torch.testing.assert_close(light, torch.full((2, 300), WANTED_LX).double(), rtol=0.03, atol=0)

@@ -37,6 +37,12 @@ def symbol_value(symbol: Array, u: float, v: float, nearest: bool = False) -> fl
     return float(upper * (r0 + 1 - r) + lower * (r - r0))
 
 
+def seen_at(point: Array, eye: Array, origin: Array, d1: Array, d2: Array) -> tuple[float, float] | None:
+    """Where the line of sight from an eye to a point passes a rectangle before it, u and v in 0..1; None where it does not (T 7.2.2)."""
+    along, u, v = np.linalg.solve(np.column_stack([point - eye, -d1, -d2]), origin - eye)
+    return (float(u), float(v)) if along > 0 and 0 <= u <= 1 and 0 <= v <= 1 else None
+
+
 def ray_through(headlight: Headlight, row: float, col: float) -> Array:
     """Direction [1, y, z] of continuous texture coordinates, texel centres at integers."""
     y = headlight.left + (col + 0.5) / headlight.cols * (headlight.right - headlight.left)
