@@ -65,7 +65,7 @@ def luxloop_step(simulation: Simulation, state: SimulationState, lap: Lap) -> tu
     lit_on = added_light(lit.transports, lights, lit.base)
     lap("luminance")
     noise = (frame_generator(plant.seed, state.step, frame) for frame in (0, 1))
-    frames = (expose(lit_on, plant.camera, next(noise)), expose(lit.base, plant.camera, next(noise)))
+    frames = (expose(lit_on, plant.camera, next(noise)), expose(lit.off, plant.camera, next(noise)))
     lap("camera")
     seen = simulation.observer.look(frames, pose, lights)
     lap("perceive")

@@ -13,7 +13,7 @@ from controllers.ssc import Ssc
 from controllers.symbol.projector import DrawingModule, Projector
 from loop import data
 from loop.lamp_description import load_lamp
-from loop.scenario import HeadlightParams, Scenario, WorldScenario, shipped_symbols
+from loop.scenario import DrawingLampsParams, HeadlightParams, Scenario, WorldScenario, shipped_symbols
 from world.body import Body
 from world.errors import LuxloopError
 from world.frames import pose_from_degrees
@@ -42,16 +42,17 @@ def build_projector(scenario: Scenario, device: torch.device) -> Projector:
     return Projector(modules, load_symbol(symbol_path(scenario.symbol.image)).to(device), scenario.symbol)
 
 
-def _drawing_modules(params: HeadlightParams, ssc: MrpcParams, device: torch.device) -> Iterator[DrawingModule]:
+def _drawing_modules(params: DrawingLampsParams, ssc: MrpcParams, device: torch.device) -> Iterator[DrawingModule]:
     for side in params.lamps:
         lamp = load_lamp(params.model, side)
+        beam = dict(zip((module.name for module in lamp.modules), lamp.beam(params.beam), strict=True))
         modules = [lamp.module(name) for name in params.modules] if params.modules else [lamp.finest]
         _check_movements(params, modules)
         scale = 1.0 if params.intensity_cd is None else params.intensity_cd / _brightest(modules)
         T_world_lamp = pose_from_degrees((0.0, (0.5 if side == "left" else -0.5) * params.distance_m, params.height_m))
         for module in modules:
             T_world_module = T_world_lamp @ turned(module, side, params).T_lamp_module
-            controller = Ssc.prepare(module.headlight.scaled(scale).to(device), ssc)
+            controller = Ssc.prepare(module.headlight.scaled(scale).to(device), ssc, beam[module.name].to(device))
             yield DrawingModule(f"{side} {module.name}", controller, T_world_module.to(device))
 
 

@@ -39,14 +39,18 @@ class Plant(Protocol):
 
 @dataclass(frozen=True)
 class LitView:
-    """A scene as the camera sees it at one time: light transport a module, and luminance `[height, width]` in cd/m^2 without the lamps."""
+    """A scene as the camera sees it at one time: light transport a module, and luminance `[height, width]` in cd/m^2.
+
+    base: without the lamps. off: with their base beams, as an off frame shows it.
+    """
 
     transports: tuple[Transport, ...]
     base: Tensor
+    off: Tensor
 
     def luminance(self, lights: Sequence[Utilisation]) -> Tensor:
-        """Luminance `[..., height, width]` in cd/m^2 of the lamps alone."""
-        return added_light(self.transports, lights, torch.zeros_like(self.base))
+        """Luminance `[..., height, width]` in cd/m^2 of the symbol alone: on minus off, negative where it is darker than the base beams."""
+        return added_light(self.transports, lights, self.base - self.off)
 
 
 class SimulatedPlant:
@@ -77,7 +81,7 @@ class SimulatedPlant:
         """Expose an on frame at the step's time and an off frame half a period later; what moves has moved in between."""
         on_view, off_view = (self.lit(t_s) for t_s in self.exposures(step))
         lit = added_light(on_view.transports, lights, on_view.base)
-        on, off = self._expose(lit, step, 0), self._expose(off_view.base.expand(lit.shape), step, 1)
+        on, off = self._expose(lit, step, 0), self._expose(off_view.off.expand(lit.shape), step, 1)
         queue = (*state, None if self._dropped(step) else (on, off))
         return queue[1:], queue[0]
 
@@ -104,8 +108,9 @@ class SimulatedPlant:
             headlight = module.pixel_controller.headlight
             shadow = shadow_map(triangles, headlight.view(module.T_world_headlight, *SHADOW_MAP), self.source).to(self.device)
             transports.append(transport(reach(surfaces, headlight, module.T_world_headlight, shadow), headlight, view.width, samples))
-        ambient = ambient_luminance(surfaces, self.scene.ambient_lx, self.scene.street_lamps)
-        return LitView(tuple(transports), average_rows(ambient, samples))
+        base = average_rows(ambient_luminance(surfaces, self.scene.ambient_lx, self.scene.street_lamps), samples)
+        beams = [Utilisation(module.pixel_controller.default) for module in self.modules]
+        return LitView(tuple(transports), base, added_light(transports, beams, base))
 
     def _expose(self, luminance: Tensor, step: int, frame: int) -> Tensor:
         return expose(luminance, self.camera, frame_generator(self.seed, step, frame, self.device))

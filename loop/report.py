@@ -193,7 +193,7 @@ def _camera_image(simulation: Simulation, lights: Lights, result: StepResult) ->
     """Luminance `[height, width]` in cd/m^2 that the camera measures under these lights at a step's time, with that step's noise."""
     lit, camera = simulation.world.lit(result.time_s), simulation.scenario.camera
     generator = frame_generator(simulation.scenario.seed, result.step, 0, simulation.device)
-    return luminance_of(expose(lit.base + lit.luminance(lights), camera, generator), camera).cpu().numpy()
+    return luminance_of(expose(lit.off + lit.luminance(lights), camera, generator), camera).cpu().numpy()
 
 
 def _target_luminance(simulation: Simulation) -> torch.Tensor:

@@ -67,6 +67,10 @@ def prepare(scenario: Scenario, device: str = "auto") -> Simulation:
         raise LuxloopError(f"{where} is out of the camera's sight; move it, or turn the camera")
     simulation = Simulation.prepare(scenario, torch_device(device))
     if not simulation.goal.mask.any():
+        if scenario.headlight.beam != "off" and simulation.observer.model.beams.any():
+            raise LuxloopError(
+                f"{where} is nowhere brighter than the {scenario.headlight.beam} beam; raise symbol.value, or name a dimmer beam"
+            )
         raise LuxloopError(f"{where} is out of the lamps' reach; move it, or let another lamp draw it")
     gains = simulation.observer.model.gains
     if not (gains.isfinite() & (gains != 0)).all():
@@ -74,7 +78,7 @@ def prepare(scenario: Scenario, device: str = "auto") -> Simulation:
             f"{where} cannot be told from noise on a flat road ({_pixels_there(simulation)}); raise symbol.value or "
             "headlight.intensity_cd, draw the symbol larger or with wider strokes, or take a lamp with finer pixels or a finer camera"
         )
-    brightest = float(simulation.world.lit(0.0).base.median() + simulation.goal.median)
+    brightest = float(simulation.world.lit(0.0).off.median() + simulation.goal.median)
     if brightest > saturation_luminance(scenario.camera):
         raise LuxloopError(
             f"{scenario.name}: the symbol on the road has {brightest:.3g} cd/m^2, but the camera saturates at "

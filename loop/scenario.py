@@ -65,6 +65,14 @@ class HeadlightParams(Params):
         return names
 
 
+class DrawingLampsParams(HeadlightParams):
+    """The vehicle's pair of headlamps, and the base beam that a symbol is drawn into."""
+
+    beam: str = Field(
+        "off", min_length=1, description="what the modules that draw show beside the symbol: a beam of the lamp, such as low, full or off"
+    )
+
+
 class LightParams(Params):
     """Light that is there without the headlights."""
 
@@ -99,6 +107,7 @@ class WorldScenario(Params):
 class Scenario(WorldScenario):
     """Everything that decides a run of the closed loop around a symbol."""
 
+    headlight: DrawingLampsParams = Field(DrawingLampsParams(), description="the lamps")
     symbol: SymbolParams = Field(description="what is projected, and where it shall lie")
     start: StartParams = Field(StartParams(), description="where the control starts")
     features: FeatureParams = Field(FeatureParams(), description="what of the symbol the controller looks at")
@@ -113,6 +122,12 @@ class Scenario(WorldScenario):
                 f"camera.exposure_s: {self.camera.exposure_s:g} s is longer than half a control period, "
                 f"but an on and an off frame must fit into one; give at most {half_period_s:.4g} s or lower rate_hz"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _share_of_a_beam(self) -> Self:
+        if self.symbol.quantity == "u_rel" and self.headlight.beam == "off":
+            raise ValueError('symbol.quantity: u_rel is a multiple of the base beam, but there is none; give headlight.beam = "low", say')
         return self
 
     @model_validator(mode="after")

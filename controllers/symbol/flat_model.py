@@ -64,12 +64,13 @@ class Eye:
 
 @dataclass(frozen=True)
 class FlatModel:
-    """Light transport a module on the flat road, the threshold `[height, width]` in cd/m^2 there, and the eye that looks at it.
+    """Light transport a module on the flat road, base beams and threshold `[height, width]` in cd/m^2 there, and the eye that looks at it.
 
     target: `[4]` features at the target. gains: `[4]`, change of the paired feature per m or rad of x, y, roll, pitch there.
     """
 
     transports: tuple[Transport, ...]
+    beams: Tensor
     limit: Tensor
     params: ExtractionParams
     eye: Eye
@@ -77,8 +78,8 @@ class FlatModel:
     gains: Tensor
 
     def luminance(self, lights: Sequence[Utilisation]) -> Tensor:
-        """Luminance `[..., height, width]` in cd/m^2 of the lamps alone on the flat road."""
-        return added_light(self.transports, lights, torch.zeros_like(self.limit))
+        """Luminance `[..., height, width]` in cd/m^2 that the lamps add to their base beams on the flat road."""
+        return added_light(self.transports, lights, -self.beams)
 
     def symbol(self, lights: Sequence[Utilisation], crop: Crop) -> Tensor:
         """Symbol image `[..., h, w]` that extraction would find without noise."""
@@ -100,11 +101,14 @@ def flat_model(
     for module in projector.modules:
         headlight = module.pixel_controller.headlight
         transports.append(transport(reach(ground, headlight, module.T_world_headlight), headlight, view.width, samples))
-    limit = noise_limit(average_rows(ambient_luminance(ground, ambient_lx), samples), camera, params)
+    ambient = average_rows(ambient_luminance(ground, ambient_lx), samples)
+    resting = [Utilisation(module.pixel_controller.default) for module in projector.modules]
+    beams = added_light(transports, resting, torch.zeros_like(ambient))
+    limit = noise_limit(ambient + beams, camera, params)
     symbol = projector.params
     region = region_around(symbol.x_m, symbol.y_m, symbol.length_m, symbol.width_m)
     plane = birds_eye(region, view).to(limit.device) if what.view == "birdseye" else None
-    model = FlatModel(tuple(transports), limit, params, Eye(view, plane, what.shape), torch.zeros(4), torch.ones(4))
+    model = FlatModel(tuple(transports), beams, limit, params, Eye(view, plane, what.shape), torch.zeros(4), torch.ones(4))
 
     def seen(pose: Tensor) -> Tensor:
         crop = projector.footprint(pose, view, params.footprint_margin_m)

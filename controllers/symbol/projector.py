@@ -2,13 +2,13 @@
 
 import math
 from dataclasses import dataclass
-from typing import Literal, Self
+from typing import Self
 
 import torch
 from pydantic import Field, model_validator
 from torch import Tensor
 
-from controllers.primitives import Primitives, road_symbol
+from controllers.primitives import Primitives, Quantity, road_symbol
 from controllers.ssc import PixelController, Utilisation
 from perception.extraction import Crop
 from world.params import Params
@@ -23,8 +23,10 @@ class SymbolParams(Params):
     length_m: float = Field(4.0, gt=0, le=50, description="extent along the road")
     x_m: float = Field(17.0, gt=1, le=100, description="target position of the centre ahead of the lamps")
     y_m: float = Field(0.0, ge=-20, le=20, description="target position of the centre to the left")
-    quantity: Literal["I_v", "E_v", "u_abs"] = Field("u_abs", description="unit of the setpoint: I_v in cd, E_v in lx, u_abs as a share")
-    value: float = Field(1.0, gt=0, description="setpoint of a white pixel of the image, shared evenly by the modules that draw it")
+    quantity: Quantity = Field(
+        "u_abs", description="unit of the setpoint: I_v in cd, E_v in lx, u_abs as a share, u_rel as a multiple of the base beam"
+    )
+    value: float = Field(1.0, gt=0, description="setpoint of a white pixel of the image; all but u_rel share it evenly among their modules")
 
     @model_validator(mode="after")
     def _a_share_is_at_most_one(self) -> Self:
@@ -58,7 +60,8 @@ class Projector:
     def primitive(self, pose: Tensor, z_m: float = 0.0) -> Primitives:
         """The symbol's primitive for a pose `[..., 4]` (x, y in m, roll, pitch in rad)."""
         p = self.params
-        return road_symbol(pose, z_m, p.width_m, p.length_m, self.symbol, p.value / len(self.modules), p.quantity)
+        value = p.value if p.quantity == "u_rel" else p.value / len(self.modules)
+        return road_symbol(pose, z_m, p.width_m, p.length_m, self.symbol, value, p.quantity)
 
     def light(self, pose: Tensor) -> tuple[Utilisation, ...]:
         """Utilisations `[..., n_p]`, one a module, that draw the symbol at a pose `[..., 4]`."""
