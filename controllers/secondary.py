@@ -93,7 +93,7 @@ def street_light(
     """Illuminance `[..., N]` in lx by street lamps; normals: unit, broadcastable to `[..., 3, N]`; asked: as for `seen_by`."""
     total = torch.zeros_like(points[..., 0, :])
     for lamp in lamps:
-        position = torch.tensor(lamp.position_m).to(points)
+        position = points.new_tensor(lamp.position_m)
         away = position[:, None] - points
         d2 = away.square().sum(-2)
         light = lamp.intensity_cd * (normals * away).sum(-2).clamp(min=0) / d2**1.5

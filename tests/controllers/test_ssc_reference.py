@@ -11,12 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from controllers.mrpc import MrpcParams
-from controllers.primitives import QUANTITIES, Primitives, concatenate, rectangle
+from controllers.primitives import QUANTITIES, Observer, Primitives, concatenate, rectangle
 from controllers.rthc import trace
+from controllers.secondary import Light, SecondaryRays
 from controllers.ssc import Ssc
 from tests.reference import ssc as reference
 from world.frames import pose_from_degrees
 from world.headlight import Headlight
+from world.scene import StreetLamp
 from world.spmv import Csr
 
 ROWS, COLS, PIXELS = 7, 9, 8
@@ -49,7 +51,7 @@ def random_lamp(generator: np.random.Generator) -> tuple[Headlight, np.ndarray]:
 
 
 def random_primitive(generator: np.random.Generator) -> Primitives:
-    """A skewed rectangle that mostly faces the lamp, of any quantity, weight and rank."""
+    """A skewed rectangle that mostly faces the lamp, of any quantity, weight and rank, at times with a picture before an observer's eye."""
     x = generator.uniform(6, 20)
     centre = T[:3, 3].numpy() + T[:3, :3].numpy() @ (x * np.array([1, generator.uniform(-0.2, 0.25), generator.uniform(-0.1, 0.15)]))
     d1 = x * generator.uniform(0.05, 0.4) * np.array([generator.normal() * 0.4, -1, generator.normal() * 0.3])
@@ -58,7 +60,7 @@ def random_primitive(generator: np.random.Generator) -> Primitives:
     quantity = QUANTITIES[generator.integers(4)]
     value = {"I_v": 1500.0, "E_v": 8.0, "u_abs": 1.2, "u_rel": 1.8}[quantity] * generator.random() * (generator.random() < 0.75)
     normal = -torch.linalg.cross(d1, d2) if generator.random() < 0.9 else torch.tensor([-1.0, 0.2, 0.3])
-    return rectangle(
+    drawn = rectangle(
         origin,
         d1,
         d2,
@@ -70,7 +72,45 @@ def random_primitive(generator: np.random.Generator) -> Primitives:
         forced=bool(generator.random() < 0.3),
         priority=int(generator.integers(3)),
         nearest=bool(generator.random() < 0.3),
+        modules=[(), (), ("left",), ("left", "right far")][generator.integers(4)],
+        shared=bool(generator.random() < 0.8),
     )
+    if generator.random() < 0.6:
+        return drawn
+    eye = torch.from_numpy(T[:3, 3].numpy() + generator.normal(size=3))
+    middle = origin + (d1 + d2) / 2
+    closer, turn = generator.uniform(0.3, 0.9), torch.from_numpy(np.eye(3) + 0.1 * generator.normal(size=(3, 3)))
+    right, down = (closer * generator.uniform(0.5, 1.2) * turn @ edge for edge in (d1, d2))
+    picture = eye + closer * (middle - eye) - (right + down) / 2
+    return replace(drawn, observer=Observer(*(each[None] for each in (eye, picture, right, down)), active=torch.tensor([True])))
+
+
+def random_secondary(generator: np.random.Generator, light: Headlight, A: np.ndarray) -> tuple[SecondaryRays, reference.Asked]:
+    """Three lights, one of them far from the others, up to two street lamps, and a ball that hides what lies behind it."""
+    lights = [("left near", light, A, T)]
+    for name, away in (("right near", (0.1, -0.6, 0.0)), ("right far", (-1.0, 1.0, 0.4))):
+        other, B = random_lamp(generator)
+        lights.append((name, other, B, T @ pose_from_degrees(away, yaw_deg=float(generator.uniform(-3, 3)))))
+    street = tuple(
+        StreetLamp(position_m=tuple(T[:3, 3].numpy() + generator.uniform([3, -3, 2], [10, 3, 5])), intensity_cd=30.0)
+        for _ in range(generator.integers(3))
+    )
+    ball, radius = T[:3, 3].numpy() + generator.uniform([1, -1, -0.5], [5, 1, 0.5]), generator.uniform(0.1, 0.6)
+
+    def occluded(points: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+        centre, target = torch.from_numpy(ball).to(points), target.to(points)
+        ray = points - target[:, None]
+        along = ((centre - target) @ ray / (ray * ray).sum(0)).clamp(0, 1)
+        return (target[:, None] + along * ray - centre[:, None]).norm(dim=0) < radius
+
+    def blocked(point: np.ndarray, target: np.ndarray) -> bool:
+        ray, q = target - point, point - ball
+        roots = np.roots([ray @ ray, 2 * ray @ q, q @ q - radius**2])
+        return bool(np.isreal(roots).all() and roots.real.max() > 0 and roots.real.min() < 1)
+
+    rays = SecondaryRays(tuple((name, Light.of(each, place)) for name, each, _, place in lights), 0, street, occluded)
+    full = [(name, each, B.sum(1).reshape(ROWS, COLS), place.numpy()) for name, each, B, place in lights]
+    return rays, reference.Asked(full, 0, [(np.array(lamp.position_m), lamp.intensity_cd) for lamp in street], blocked)
 
 
 def random_case(seed: int) -> tuple[Headlight, np.ndarray, Primitives, torch.Tensor]:
@@ -82,38 +122,51 @@ def random_case(seed: int) -> tuple[Headlight, np.ndarray, Primitives, torch.Ten
 
 
 @settings(deadline=None, max_examples=150)
-@given(st.integers(0, 2**32 - 1), parameters)
-def test_equals_the_reference(seed: int, params: MrpcParams) -> None:
+@given(st.integers(0, 2**32 - 1), parameters, st.booleans())
+def test_equals_the_reference(seed: int, params: MrpcParams, asks: bool) -> None:
     light, A, scene, default = random_case(seed)
-    rays = reference.trace(scene, light, T.numpy())
-    expected, close = reference.map_reduce(A, rays, params, default.numpy(), COLS)
+    secondary, asked = random_secondary(np.random.default_rng(seed), light, A) if asks else (None, None)
     ssc = Ssc.prepare(light, params, default)
-    for form in (scene, batched(scene)):
-        u = ssc.utilisation(form, T).u.reshape(-1)
-        # float64; pixels with an entry at a threshold are left out.
-        np.testing.assert_allclose(u[~close], expected[~close], rtol=0, atol=1e-9)
+    scenes = [scene, moved(scene)]
+    batch = ssc.utilisation(stacked(scenes), T, secondary).u
+    for each, of_batch in zip(scenes, batch, strict=True):
+        rays = reference.trace(each, light, T.numpy(), asked)
+        expected, close = reference.map_reduce(A, rays, params, default.numpy(), COLS)
+        for u in (ssc.utilisation(each, T, secondary).u, of_batch):
+            # float64; pixels with an entry at a threshold are left out.
+            np.testing.assert_allclose(u[~close], expected[~close], rtol=0, atol=1e-9)
 
 
-def batched(scene: Primitives) -> Primitives:
-    """The scene as a batch of one, which takes all rays."""
-    vectors = {name: getattr(scene, name)[None] for name in ("origin", "d1", "d2", "normal", "value", "weight")}
-    return replace(scene, **vectors)
+def moved(scene: Primitives) -> Primitives:
+    """A scene a little to the left, its observers' eyes a little higher."""
+    observer = scene.observer and replace(scene.observer, eye=scene.observer.eye + torch.tensor([0.0, 0.0, 0.1]))
+    return replace(scene, origin=scene.origin + torch.tensor([0.0, 0.21, 0.0]), observer=observer)
+
+
+def stacked(scenes: list[Primitives]) -> Primitives:
+    """Scenes that differ in places and setpoints alone as a batch, which takes all rays."""
+    vectors = {name: torch.stack([getattr(each, name) for each in scenes]) for name in ("origin", "d1", "d2", "normal", "value", "weight")}
+    who = [each.observer for each in scenes if each.observer is not None]
+    eyes = {name: torch.stack([getattr(each, name) for each in who]) for name in ("eye", "origin", "d1", "d2")} if who else {}
+    return replace(scenes[0], **vectors, observer=replace(who[0], **eyes) if who else None)
 
 
 @pytest.mark.parametrize("a_x", [0.0, 0.3])
 @pytest.mark.parametrize("bounds", [{}, {"upper_cd": 400.0, "a_m": 0.5}], ids=["products", "entries"])
-def test_float32_on_every_device(a_x: float, bounds: dict[str, float], device: torch.device) -> None:
+@pytest.mark.parametrize("asks", [False, True], ids=["primary", "secondary"])
+def test_float32_on_every_device(asks: bool, a_x: float, bounds: dict[str, float], device: torch.device) -> None:
     excepted = 0
     for seed in range(40):
         light, A, scene, default = random_case(seed)
+        secondary, asked = random_secondary(np.random.default_rng(seed), light, A) if asks else (None, None)
         params = MrpcParams(a_x=a_x, a_r=2, a_ac=0.2, **bounds)
-        rays = reference.trace(scene, light, T.numpy())
+        rays = reference.trace(scene, light, T.numpy(), asked)
         expected, close = reference.map_reduce(A, rays, params, default.numpy(), COLS)
         single = replace(light, matrix=light.matrix.to(torch.float32)).to(device)
-        moved, place = scene.to(torch.float32).to(device), T.to(device)
-        u = Ssc.prepare(single, params, default.float().to(device)).utilisation(moved, place).u
+        there, place = scene.to(torch.float32).to(device), T.to(device)
+        u = Ssc.prepare(single, params, default.float().to(device)).utilisation(there, place, secondary).u
         assert (u.dtype, u.device.type) == (torch.float32, device.type)
-        seen = trace(moved, single, place)
+        seen = trace(there, single, place, secondary=secondary)
         apart = (seen.hit.cpu().flatten().numpy() != [ray.hit for ray in rays]) | (
             np.abs(seen.value.cpu().flatten().numpy() - [ray.value for ray in rays]) > 1e-3 * max(1.0, *(ray.value for ray in rays))
         )

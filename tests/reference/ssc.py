@@ -1,6 +1,7 @@
 """SuperSampling Control ray by ray and pixel by pixel in float64, as T 7.3 and 7.4 write it; it shares no code with what it checks."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +23,18 @@ class Ray:
     value: float = 0.0
     weight: float = 1.0
     quantity: str = ""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What hits are asked (T 7.5.1). lights: name, grid, all pixels on `[rows, cols]` cd and `T_world_headlight` of each; own: whose rays
+    they are. street_lamps: position and cd. blocked: whether something lies between a point and a target.
+    """
+
+    lights: list[tuple[str, Headlight, Array, Array]]
+    own: int
+    street_lamps: list[tuple[Array, float]]
+    blocked: Callable[[Array, Array], bool]
 
 
 def symbol_value(symbol: Array, u: float, v: float, nearest: bool = False) -> float:
@@ -50,12 +63,13 @@ def ray_through(headlight: Headlight, row: float, col: float) -> Array:
     return np.array([1.0, y, z])
 
 
-def trace(primitives: Primitives, headlight: Headlight, T_world_headlight: Array) -> list[Ray]:
+def trace(primitives: Primitives, headlight: Headlight, T_world_headlight: Array, asked: Asked | None = None) -> list[Ray]:
     """The setpoint of the ray through every texel's centre, row by row, for a single scene (7.3.3), (7.2.1)."""
-    return [_cast(primitives, headlight, T_world_headlight, row, col) for row in range(headlight.rows) for col in range(headlight.cols)]
+    texels = [(row, col) for row in range(headlight.rows) for col in range(headlight.cols)]
+    return [_cast(primitives, headlight, T_world_headlight, row, col, asked) for row, col in texels]
 
 
-def _cast(primitives: Primitives, headlight: Headlight, T_world_headlight: Array, row: int, col: int) -> Ray:
+def _cast(primitives: Primitives, headlight: Headlight, T_world_headlight: Array, row: int, col: int, asked: Asked | None) -> Ray:
     R, position = T_world_headlight[:3, :3], T_world_headlight[:3, 3]
     ray = R @ ray_through(headlight, row, col)
     ray /= np.linalg.norm(ray)
@@ -76,14 +90,60 @@ def _cast(primitives: Primitives, headlight: Headlight, T_world_headlight: Array
             if length <= 0 or not (0 <= u <= 1 and 0 <= v <= 1):
                 continue
             symbol = np.asarray(primitives.symbols[int(primitives.symbol_of[p])], dtype=float)
-            value *= symbol_value(symbol, u, v, bool(primitives.nearest[p]))
+            point, at = position + length * ray, (float(u), float(v))
+            if (eye := _eye(primitives, p)) is not None:
+                at = seen_at(point, *eye)
+            value *= 0.0 if at is None else symbol_value(symbol, *at, bool(primitives.nearest[p]))
             if quantity == "E_v":
                 value *= length**2 / cosine
+            if asked is not None:
+                value = _answered(asked, value, point, primitives, p)
         forced, priority = bool(primitives.forced[p]), int(primitives.priority[p])
         rank = (forced, priority if forced else 0, -length, priority, p)
         if best is None or _beats(rank, best[0]):
             best = rank, Ray(True, value, weight, quantity)
     return Ray() if best is None else best[1]
+
+
+def _eye(primitives: Primitives, p: int) -> list[Array] | None:
+    """Eye and flying symbol of a primitive's observer."""
+    who = primitives.observer
+    if who is None or not who.active[p]:
+        return None
+    return [np.asarray(each[p], dtype=float) for each in (who.eye, who.origin, who.d1, who.d2)]
+
+
+def _answered(asked: Asked, value: float, point: Array, primitives: Primitives, p: int) -> float:
+    """A setpoint without the street lamps' part, shared by what the lights can give at the point, off where its observer sees it not."""
+    if QUANTITIES[int(primitives.quantity[p])] in ("I_v", "E_v"):
+        normal, own_name = np.asarray(primitives.normal[p], dtype=float), asked.lights[asked.own][0]
+        street = sum(
+            cd * max(normal @ (lamp - point), 0.0) / np.linalg.norm(lamp - point) ** 3
+            for lamp, cd in asked.street_lamps
+            if not asked.blocked(point, lamp)
+        )
+        away = asked.lights[asked.own][3][:3, 3] - point
+        cosine = normal @ away / np.linalg.norm(away)
+        if cosine > 0:
+            value = max(value - street * (away @ away) / cosine, 0.0)
+        names = primitives.modules[p]
+        given = {
+            name: _possible(point, grid, full, T) * (not asked.blocked(point, T[:3, 3]))
+            for name, grid, full, T in asked.lights
+            if name == own_name or (primitives.shared[p] and (not names or set(names) & {name, *name.split()}))
+        }
+        value *= given[own_name] / sum(given.values()) if given[own_name] else 0.0
+    eye = _eye(primitives, p)
+    return 0.0 if eye is not None and asked.blocked(point, eye[0]) else value
+
+
+def _possible(point: Array, grid: Headlight, full: Array, T_world_headlight: Array) -> float:
+    """Illuminance that a light can give, in lx, zero beyond its texture."""
+    x, y, z = T_world_headlight[:3, :3].T @ (point - T_world_headlight[:3, 3])
+    if x <= 0:
+        return 0.0
+    u, v = (grid.left - y / x) / (grid.left - grid.right), (grid.top - z / x) / (grid.top - grid.bottom)
+    return symbol_value(full, u, v) / (x * x + y * y + z * z) if 0 <= u <= 1 and 0 <= v <= 1 else 0.0
 
 
 def _beats(new: tuple[float, ...], old: tuple[float, ...]) -> bool:
