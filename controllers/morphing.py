@@ -1,6 +1,6 @@
 """Moving a beam digitally: its light texture on a screen before the lamp, which SSC draws anew with the pixels there are (T 7.3.2)."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -78,8 +78,3 @@ class Morphing:
         """Utilisation `[..., n_p]` of the moved beam; nothing shines where its texture does not reach."""
         T = torch.eye(4, dtype=self.texture.dtype, device=self.texture.device)
         return self.ssc.utilisation(screen(self.texture, self.ssc.headlight, morph), T).u
-
-
-def over(ssc: Ssc, beam: Tensor) -> Ssc:
-    """The same controller over another base pattern `[n_p]`: a morphed one, for the second pass."""
-    return replace(ssc, default=beam.to(ssc.default), dark=False)

@@ -8,7 +8,7 @@ from typing import Annotated
 import torch
 from pydantic import Field
 
-from controllers.functions.base_beams import BaseBeam, BaseBeamParams
+from controllers.functions.base_beams import BaseBeam, BaseBeamParams, RawParams
 from controllers.functions.glare_free import GlareFreeParams
 from controllers.functions.lane import LaneParams, WidthParams
 from controllers.functions.marker import MarkerParams
@@ -30,6 +30,7 @@ class LightingParams(Params):
     """All light of the car: a base beam, and functions on top of it."""
 
     base: BaseBeamParams = Field(BaseBeamParams(), description="the light below all functions")
+    raw: tuple[RawParams, ...] = Field((), description="utilisations of pixels that take the place of the base beam")
     functions: tuple[FunctionParams, ...] = Field((), description="lighting functions; of equal priority, later ones lie on top")
     power_limit: float | None = Field(None, gt=0, le=1, description="largest power of a lamp, as a share of all pixels on; none: unlimited")
     share: bool = Field(True, description="modules that reach a point share its illuminance, so that light is not doubled")
@@ -43,6 +44,7 @@ class LightingParams(Params):
 class Plan:
     """What the lamps shall do at one moment. primitives: None where no function has anything to do, then the base beam is all."""
 
+    time_s: float
     base: BaseBeam
     primitives: Primitives | None
 
@@ -73,6 +75,6 @@ class Planner:
         parts = [part for function in functions for part in function.primitives(now)]
         base = self.params.base.at(now)
         if not parts:
-            return Plan(base, None)
+            return Plan(now.time_s, base, None)
         primitives = concatenate(*parts).to(self.dtype)
-        return Plan(base, replace(primitives, shared=primitives.shared & self.params.share))
+        return Plan(now.time_s, base, replace(primitives, shared=primitives.shared & self.params.share))

@@ -84,7 +84,7 @@ class Primitives:
 
     def for_module(self, name: str) -> "Primitives":
         """Those that a module may draw; "left lores" is meant by its name, by "left" and by "lores"."""
-        may = [not names or any(f" {each} " in f" {name} " for each in names) for names in self.modules]
+        may = [meant(names, name) for names in self.modules]
         return self if all(may) else self.select(torch.tensor(may))
 
     def to(self, target: torch.device | torch.dtype) -> "Primitives":
@@ -258,3 +258,8 @@ def load_symbol(path: Path) -> Tensor:
     if not grey.any():
         raise LuxloopError(f"symbol image {path} is all black: draw the symbol in white, since white is light")
     return torch.from_numpy(np.ascontiguousarray(grey))
+
+
+def meant(names: Sequence[str], module: str) -> bool:
+    """Whether a module is among those named; "left lores" is by its name, by "left" and by "lores", and where none are named."""
+    return not names or any(f" {each} " in f" {module} " for each in names)

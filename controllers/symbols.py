@@ -18,6 +18,7 @@ from torch import Tensor
 from world.errors import LuxloopError
 
 DRAWN_PX = 512  # longer side of what is drawn from an SVG, and the largest of a video: finer than a lamp can show
+FOLDER_HZ = 25.0  # rate of pictures that do not say one
 LONGEST_VIDEO = 3000  # frames: 512 x 512 of them take 0.8 GB
 DRAWINGS = (".svg", ".svgz")
 PICTURES = (".png", ".bmp", ".jpg", ".jpeg", ".tif", ".tiff", ".webp")
@@ -51,9 +52,13 @@ class Frames:
     repeat: bool = True
 
     def at(self, time_s: float) -> Tensor:
-        n = len(self.images)
-        index = int(max(time_s, 0.0) * self.rate_hz + 1e-6)  # a time that is meant to be the frame's own may round to just before it
-        return self.images[index % n if self.repeat else min(index, n - 1)].float() / 255
+        return self.images[frame_at(len(self.images), time_s, self.rate_hz, self.repeat)].float() / 255
+
+
+def frame_at(n: int, time_s: float, rate_hz: float, repeat: bool) -> int:
+    """Number of the frame of n that is shown at a time: the sequence starts over at its end, or its last frame stays."""
+    index = int(max(time_s, 0.0) * rate_hz + 1e-6)  # a time that is meant to be the frame's own may round to just before it
+    return index % n if repeat else min(index, n - 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,14 +74,14 @@ def load(path: Path, rate_hz: float | None = None, repeat: bool = True) -> Symbo
     rate_hz: images a second; left out: a video's own, 25 for a folder. Raises LuxloopError for what cannot be read or is all black.
     """
     if path.is_dir():
-        return _lit(Frames(_sequence(path), rate_hz or 25.0, repeat), path)
+        return _lit(Frames(_sequence(path), rate_hz or FOLDER_HZ, repeat), path)
     if not path.is_file():
         raise LuxloopError(
             f"symbol {path} does not exist: give the path of a picture, SVG, video or folder, or the name of a shipped symbol"
         )
     suffix = path.suffix.lower()
     if suffix in VIDEOS:
-        images, own_hz = _video(path)
+        images, own_hz = video(path)
         return _lit(Frames(images, rate_hz or own_hz, repeat), path)
     return _lit(Still(_drawn(path) if suffix in DRAWINGS else picture(path)), path)
 
@@ -122,8 +127,8 @@ def _sequence(folder: Path) -> Tensor:
     return torch.stack([(255 * image).round().to(torch.uint8) for image in images])
 
 
-def _video(path: Path) -> tuple[Tensor, float]:
-    """All frames of a video `[n, h, w]` uint8, no larger than DRAWN_PX, and their rate in Hz."""
+def video(path: Path, largest_px: int | None = DRAWN_PX) -> tuple[Tensor, float]:
+    """All frames of a video `[n, h, w]` uint8, shrunk to a largest side unless that is None, and their rate in Hz."""
     frames: list[Tensor] = []
     try:
         with av.open(str(path)) as container:
@@ -131,15 +136,15 @@ def _video(path: Path) -> tuple[Tensor, float]:
             rate_hz = float(stream.average_rate or 25)
             for frame in container.decode(stream):
                 if len(frames) == LONGEST_VIDEO:
-                    raise LuxloopError(f"symbol video {path} has more than {LONGEST_VIDEO} frames: cut it to the part that shall be shown")
-                shrink = min(1.0, DRAWN_PX / max(frame.width, frame.height))
+                    raise LuxloopError(f"video {path} has more than {LONGEST_VIDEO} frames: cut it to the part that shall be shown")
+                shrink = 1.0 if largest_px is None else min(1.0, largest_px / max(frame.width, frame.height))
                 width, height = (max(round(side * shrink), 1) for side in (frame.width, frame.height))
                 rgb = frame.to_ndarray(width=width, height=height, format="rgb24")  # full range: a video's own black may be 16 of 255
                 frames.append(torch.from_numpy(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)))
     except (av.FFmpegError, IndexError, OSError) as error:
-        raise LuxloopError(f"symbol video {path} cannot be read ({error}): convert it to H.264 in an .mp4 file") from error
+        raise LuxloopError(f"video {path} cannot be read ({error}): convert it to H.264 in an .mp4 file") from error
     if not frames:
-        raise LuxloopError(f"symbol video {path} has no frames: export it again")
+        raise LuxloopError(f"video {path} has no frames: export it again")
     return torch.stack(frames), rate_hz
 
 

@@ -1,19 +1,18 @@
 """From a scenario to the things it names: scene, lamps, symbol."""
 
-import difflib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TypeVar
 
 import torch
 
-from controllers.mrpc import MrpcParams
 from controllers.primitives import load_symbol
-from controllers.ssc import Ssc
 from controllers.symbol.projector import DrawingModule, Projector
 from loop import data
 from loop.lamp_description import load_lamp
-from loop.scenario import DrawingLampsParams, HeadlightParams, Scenario, WorldScenario, shipped_symbols
+from loop.pixel_control import pixel_controller
+from loop.scenario import HeadlightParams, Scenario, WorldScenario
+from loop.shipped import named
 from world.body import Body
 from world.errors import LuxloopError
 from world.frames import pose_from_degrees
@@ -38,11 +37,12 @@ def build_scene(scenario: WorldScenario) -> Scene:
 
 def build_projector(scenario: Scenario, device: torch.device) -> Projector:
     """The lamp modules that draw the symbol, and the symbol's image. Raises LuxloopError where the lamp has no such module or movement."""
-    modules = tuple(_drawing_modules(scenario.headlight, scenario.ssc, device))
+    modules = tuple(_drawing_modules(scenario, device))
     return Projector(modules, load_symbol(symbol_path(scenario.symbol.image)).to(device), scenario.symbol)
 
 
-def _drawing_modules(params: DrawingLampsParams, ssc: MrpcParams, device: torch.device) -> Iterator[DrawingModule]:
+def _drawing_modules(scenario: Scenario, device: torch.device) -> Iterator[DrawingModule]:
+    params = scenario.headlight
     for side in params.lamps:
         lamp = load_lamp(params.model, side)
         beam = dict(zip((module.name for module in lamp.modules), lamp.beam(params.beam), strict=True))
@@ -52,7 +52,7 @@ def _drawing_modules(params: DrawingLampsParams, ssc: MrpcParams, device: torch.
         T_world_lamp = pose_from_degrees((0.0, (0.5 if side == "left" else -0.5) * params.distance_m, params.height_m))
         for module in modules:
             T_world_module = T_world_lamp @ turned(module, side, params).T_lamp_module
-            controller = Ssc.prepare(module.headlight.scaled(scale).to(device), ssc, beam[module.name].to(device))
+            controller = pixel_controller(scenario, module.headlight.scaled(scale).to(device), beam[module.name].to(device))
             yield DrawingModule(f"{side} {module.name}", controller, T_world_module.to(device))
 
 
@@ -81,11 +81,4 @@ def _check_movements(params: HeadlightParams, modules: Sequence[Module]) -> None
 
 def symbol_path(image: str) -> Path:
     """File of a symbol given by shipped name or path. Raises LuxloopError with the nearest name."""
-    known = shipped_symbols()
-    if image in known:
-        return known[image]
-    if "/" in image or "." in image:
-        return Path(image)
-    nearest = difflib.get_close_matches(image, known, 1)
-    hint = f"did you mean {nearest[0]!r}?" if nearest else f"shipped are {', '.join(known)}; a picture is given by its path"
-    raise LuxloopError(f"symbol.image: there is no symbol {image!r}; {hint}")
+    return named(image, "symbols", "symbol.image")

@@ -16,6 +16,8 @@ from pydantic import Field, ValidationError
 from loop import data
 from loop.build import symbol_path
 from loop.scenario import AnyScenario, Scenario
+from loop.shipped import named
+from loop.utilisations import sequence_files
 from loop.validation import sentence
 from world.errors import LuxloopError
 from world.objects import MeshParams
@@ -128,6 +130,9 @@ def input_files(scenario: AnyScenario) -> Iterator[tuple[str, Path]]:
             image = getattr(function, "image", None)
             if image is not None and (path := symbol_path(image)).is_file():
                 yield f"lighting.functions[{i}].image", path
+        for i, raw in enumerate(scenario.lighting.raw):
+            for file in sequence_files(named(raw.file, "utilisations", f"lighting.raw[{i}].file")):
+                yield f"lighting.raw[{i}].file {file.name}", file
     if isinstance(scenario.road, OpenCrgRoad):
         yield "road.file", Path(data.locate(scenario.road.file))
     for i, item in enumerate(scenario.objects):

@@ -2,23 +2,24 @@
 
 import hashlib
 import json
+import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from datetime import date, time
-from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
 
+from controllers.jpo import JpoParams
 from controllers.mrpc import MrpcParams
 from controllers.planner import LightingParams
 from controllers.symbol import ControllerParams, ThesisPidParams
 from controllers.symbol.flat_model import FeatureParams
 from controllers.symbol.projector import SymbolParams
 from loop.shipped import find
-from loop.validation import read_toml, sentence
+from loop.validation import did_you_mean, read_toml, sentence
 from perception.camera import CameraParams
 from perception.extraction import ExtractionParams
 from world.errors import LuxloopError
@@ -29,6 +30,7 @@ from world.roads import Flat, RoadParams
 from world.scene import StreetLamp
 
 SCHEMA_VERSION: Final = 1
+PIXEL_CONTROLLERS = ("ssc", "jpo")
 TAGS = ("kind", "name")  # keys that tell the variants of a table apart
 
 
@@ -95,8 +97,24 @@ class WorldScenario(Params):
     light: LightParams = Field(LightParams(), description="ambient light and street lamps")
     headlight: HeadlightParams = Field(HeadlightParams(), description="the lamps")
     camera: CameraParams = Field(CameraParams(), description="the camera")
-    ssc: MrpcParams = Field(MrpcParams(), description="SuperSampling Control")
+    pixel_controller: str = Field("ssc", description="what drives the pixels: ssc, jpo, or one of your own as package.module:Name")
+    ssc: MrpcParams = Field(MrpcParams(), description="SuperSampling Control, which joint pixel optimisation starts from")
+    jpo: JpoParams = Field(JpoParams(), description='joint pixel optimisation, with pixel_controller = "jpo"')
     renderer: Literal["auto", "opengl", "raycast"] = Field("auto", description="source of the G-buffer")
+
+    @field_validator("pixel_controller")
+    @classmethod
+    def _known_or_own(cls, name: str) -> str:
+        if name not in PIXEL_CONTROLLERS and not re.fullmatch(r"\w+(\.\w+)*:\w+", name):
+            known = did_you_mean(name, PIXEL_CONTROLLERS)
+            raise ValueError(f"there is no pixel controller {name!r}; {known} One of your own is given as package.module:Name")
+        return name
+
+    @model_validator(mode="after")
+    def _jpo_at_work(self) -> Self:
+        if self.pixel_controller != "jpo" and self.jpo != JpoParams():
+            raise ValueError(f'jpo: is for pixel_controller = "jpo", which is {self.pixel_controller!r} here; set that, or leave it out')
+        return self
 
     @property
     def digest(self) -> str:
@@ -190,11 +208,6 @@ EXAMPLES: Final[dict[type[AnyScenario], str]] = {
 }
 
 
-def shipped_symbols() -> dict[str, Path]:
-    """Symbol images that come with luxloop, by name."""
-    return {path.stem: path for path in sorted(Path(str(files("scenarios") / "symbols")).glob("*.png"))}
-
-
 def load(name: str, overrides: Sequence[str] = (), **values: Any) -> Scenario:
     """Read the scenario of a symbol, as `load_any` does. Raises LuxloopError for a lighting scenario as well."""
     return _of_a_symbol(load_any(name, overrides, **values), name)
@@ -239,6 +252,11 @@ def validate_any(data: Mapping[str, Any], source: str) -> AnyScenario:
     key = _key_of_date(data)
     if key:
         raise LuxloopError(f"{source}: {key}: is a date or a time, which has no meaning here; write a number or a text in quotes")
+    if "symbol" in data and "raw" in data.get("lighting", ()):
+        raise LuxloopError(
+            f"{source}: lighting.raw: the controller of a [symbol] moves a primitive, which raw utilisations have none of; take one of the "
+            "two out, or give a lamp file the utilisations as a beam (docs/lampfiles.md) and draw the symbol into it with headlight.beam"
+        )
     if "symbol" in data and "lighting" in data:
         raise LuxloopError(f"{source}: has both a [symbol] and [lighting]; a scenario is of one kind, take one of the two out")
     kind: type[AnyScenario] = LightingScenario if "lighting" in data else Scenario
@@ -292,9 +310,9 @@ def _merge(into: dict[str, Any], changes: Mapping[str, Any]) -> None:
 def _resolve_paths(data: dict[str, Any], folder: Path) -> None:
     """Make paths absolute against the file's folder; names of shipped symbols, of presets and of known data stay names."""
     objects, lighting = data.get("objects"), data.get("lighting")
-    functions = lighting.get("functions") if isinstance(lighting, dict) else None
+    functions, raw = (lighting.get(key) if isinstance(lighting, dict) else None for key in ("functions", "raw"))
     tables = [(data.get("symbol"), "image"), (data.get("road"), "file"), (data.get("headlight"), "model")]
-    for items, key in ((objects, "file"), (functions, "image")):
+    for items, key in ((objects, "file"), (functions, "image"), (raw, "file")):
         tables += [(item, key) for item in items] if isinstance(items, list) else []
     for table, key in tables:
         if isinstance(table, dict) and isinstance(table.get(key), str) and any(mark in table[key] for mark in "/\\."):

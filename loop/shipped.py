@@ -12,6 +12,23 @@ def shipped() -> dict[str, Path]:
     return {path.stem: path for path in sorted(Path(str(files("scenarios"))).glob("*.toml"))}
 
 
+def shipped_files(kind: str) -> dict[str, Path]:
+    """What scenarios name that comes with luxloop, "symbols" or "utilisations", by name."""
+    return {path.stem: path for path in sorted(Path(str(files("scenarios") / kind)).iterdir())}
+
+
+def named(name: str, kind: str, key: str) -> Path:
+    """File of a kind given by shipped name or path; key: that names it. Raises LuxloopError with the nearest name."""
+    known = shipped_files(kind)
+    if name in known:
+        return known[name]
+    if "/" in name or "." in name:
+        return Path(name)
+    nearest = difflib.get_close_matches(name, known, 1)
+    hint = f"did you mean {nearest[0]!r}?" if nearest else f"shipped are {', '.join(known)}; a file or folder is given by its path"
+    raise LuxloopError(f"{key}: there are no {kind} {name!r}; {hint}")
+
+
 def find(name: str) -> Path:
     """The file of a scenario given by shipped name or by path. Raises LuxloopError with the nearest name."""
     path = Path(name)

@@ -48,7 +48,8 @@ def _at_work(content: dict[str, Any]) -> str:
     if "controller" in content:
         return str(content["controller"]["name"])
     lighting = content["lighting"]
-    kinds = dict.fromkeys(function["kind"] for function in lighting.get("functions", ()))
+    raw = ["raw utilisations"] if "raw" in lighting else []
+    kinds = dict.fromkeys([*raw, *(function["kind"] for function in lighting.get("functions", ()))])
     return ", ".join(kinds) or f"{lighting['base']['beam']} beam"
 
 

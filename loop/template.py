@@ -7,7 +7,8 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from controllers.symbol import CONTROLLERS, ThesisPidParams
-from loop.scenario import Scenario, shipped_symbols
+from loop.scenario import Scenario
+from loop.shipped import shipped_files
 from world.roads import Mixed, RoadParams
 
 LEFT_OUT = ("schema_version", "objects")  # said in HEAD and TAIL
@@ -60,7 +61,7 @@ def _table(key: str, field: FieldInfo) -> str:
         kinds = [kind.model_fields["kind"].default for kind in get_args(get_args(RoadParams)[0])]
         lines.append(f"# kinds: {', '.join(kinds)}; `luxloop schema` has the keys of each")
     if key == "symbol":
-        lines.append(f"# shipped images: {', '.join(shipped_symbols())}")
+        lines.append(f"# shipped images: {', '.join(shipped_files('symbols'))}")
     if key == "controller":
         lines.append(f"# controllers: {', '.join(CONTROLLERS)}")
     lines += [_line(name, inner, chosen.get(name)) for name, inner in model.model_fields.items()]

@@ -1,41 +1,132 @@
-"""Utilisations of a module's pixels from files, as other programs write them."""
+"""Utilisations of a module's pixels from files, as other programs write them: one for all times, or a sequence."""
 
+import glob
+from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
+import torch
+from torch import Tensor
 
+from controllers.symbols import FOLDER_HZ, VIDEOS, frame_at, video
 from world.errors import LuxloopError
 from world.files import UNREADABLE
 from world.photometry.distribution import Array
 from world.pixel_tables import separators
 
+MOST = 500_000_000  # utilisations of a sequence: 2 GB
+
+
+@dataclass(frozen=True, eq=False)
+class RawUtilisation:
+    """Frames `[n, n_p]` in 0..1 one after the other. rate_hz: frames a second. repeat: start over at the end, or hold the last."""
+
+    frames: Tensor
+    rate_hz: float
+    repeat: bool = True
+
+    def at(self, time_s: float) -> Tensor:
+        """Utilisation `[n_p]` at a time."""
+        return self.frames[frame_at(len(self.frames), time_s, self.rate_hz, self.repeat)]
+
+
+def read_sequence(path: Path, rows: int, columns: int, rate_hz: float | None = None, repeat: bool = True) -> RawUtilisation:
+    """Utilisations over time: what `read_utilisation` reads, an array `[n, rows, columns]`, a folder or pattern of files, or a video.
+
+    rate_hz: frames a second; left out: a video's own, else 25. Raises LuxloopError that names the file and what is wrong in it.
+    """
+    own_hz, parts = _video(path) if path.suffix.lower() in VIDEOS else (FOLDER_HZ, map(_read, sequence_files(path)))
+    frames, n_values = [], 0
+    for file, part in zip(sequence_files(path), parts, strict=True):
+        frames.append(_on_grid(file, part, rows, columns).astype(np.float32))
+        n_values += frames[-1].size
+        if n_values > MOST:
+            raise LuxloopError(
+                f"{path}: holds more than {MOST // (rows * columns)} frames of this module; cut it to the part that shall be shown"
+            )
+    return RawUtilisation(torch.from_numpy(np.concatenate(frames)), rate_hz or own_hz, repeat)
+
+
+def sequence_files(path: Path) -> list[Path]:
+    """The files of a sequence in the order of their names: those of a folder or of a pattern such as `frames/*.png`, or the file itself.
+
+    Raises LuxloopError where there are none.
+    """
+    if path.is_dir():
+        files = sorted(file for file in path.iterdir() if file.suffix.lower() in READERS)
+    elif glob.has_magic(str(path)):
+        files = sorted(map(Path, glob.glob(str(path))))
+    else:
+        return [path]
+    if not files:
+        raise LuxloopError(
+            f"{path}: there are no utilisations ({', '.join(READERS)}) here; check the path, or put a numbered sequence there"
+        )
+    return files
+
 
 def read_utilisation(path: Path, rows: int, columns: int) -> Array:
-    """Utilisations `[rows * columns]` in 0..1 of a .npy (`[rows, columns]` or flat), .csv (a line a row) or grey .png (white is 1).
+    """Utilisations `[rows * columns]` in 0..1 of a .npy or .npz (`[rows, columns]` or flat), .csv (a line a row) or grey .png (white is 1).
 
-    Raises: LuxloopError that names the file and what is wrong in it.
+    Raises LuxloopError that names the file and what is wrong in it.
     """
-    readers = {".npy": _npy, ".csv": _csv, ".png": _png}
-    if path.suffix.lower() not in readers:
-        raise LuxloopError(f"{path}: utilisations are .npy, .csv or .png files; save them as one of these")
+    given = _read(path)
+    if given.ndim > 2:
+        raise LuxloopError(f"{path}: holds {_size(given)} utilisations, a sequence, but one {rows} x {columns} picture is wanted; save one")
+    flat: Array = _on_grid(path, given, rows, columns)[0]
+    return flat
+
+
+def _read(path: Path) -> Array:
+    if path.suffix.lower() not in READERS:
+        raise LuxloopError(f"{path}: utilisations are {', '.join(READERS)} files and videos; save them as one of these")
     try:
-        given: Array = readers[path.suffix.lower()](path)
+        return READERS[path.suffix.lower()](path)
     except OSError as error:
         raise LuxloopError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
     except UNREADABLE as error:
         raise LuxloopError(f"{path}: holds no utilisations ({error}); save numbers from 0 to 1") from error
-    if given.shape not in ((rows, columns), (rows * columns,)):
-        size = " x ".join(map(str, given.shape))
-        raise LuxloopError(f"{path}: holds {size} utilisations, but the module has {rows} x {columns} pixels; bring them to this size")
+
+
+def _on_grid(path: Path, given: Array, rows: int, columns: int) -> Array:
+    """Frames `[n, rows * columns]`, checked."""
+    if given.shape not in ((rows, columns), (rows * columns,)) and not (
+        given.ndim == 3 and len(given) and given.shape[1:] == (rows, columns)
+    ):
+        raise LuxloopError(
+            f"{path}: holds {_size(given)} utilisations, but the module has {rows} x {columns} pixels; bring them to this size"
+        )
     if not ((given >= 0) & (given <= 1)).all():
         raise LuxloopError(f"{path}: utilisations lie between 0 and 1, not {given.min():g} and {given.max():g}; divide by the largest")
-    return given.ravel()
+    return given.reshape(-1, rows * columns)
+
+
+def _video(path: Path) -> tuple[float, Iterable[Array]]:
+    if not path.is_file():
+        raise LuxloopError(f"{path}: there is no such video; check the path")
+    images, rate_hz = video(path, None)
+    return rate_hz, [images.numpy() / 255]
+
+
+def _size(given: Array) -> str:
+    return " x ".join(map(str, given.shape))
 
 
 def _npy(path: Path) -> Array:
     with path.open("rb") as stream:
-        given = np.lib.format.read_array(stream, allow_pickle=False)
+        return _numbers(np.lib.format.read_array(stream, allow_pickle=False))
+
+
+def _npz(path: Path) -> Array:
+    with np.load(path, allow_pickle=False) as arrays:
+        if len(arrays.files) != 1:
+            raise ValueError(f"{len(arrays.files)} arrays in place of one")
+        return _numbers(arrays[arrays.files[0]])
+
+
+def _numbers(given: Array) -> Array:
     if given.dtype.kind not in "biuf":
         raise ValueError("no real numbers")
     return np.asarray(given, np.float64)
@@ -55,3 +146,6 @@ def _png(path: Path) -> Array:
     if image is None:
         raise ValueError("no picture")
     return np.asarray(image, np.float64) / (65535 if image.dtype == np.uint16 else 255)
+
+
+READERS = {".npy": _npy, ".npz": _npz, ".csv": _csv, ".png": _png}

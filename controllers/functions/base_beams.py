@@ -51,6 +51,19 @@ class BaseBeamParams(Params):
         return BaseBeam(name, bend, math.radians(self.level_deg), math.radians(self.roll_deg))
 
 
+class RawParams(Params):
+    """Utilisations of pixels as they are, in place of the base beam of some modules (T 4.1)."""
+
+    file: str = Field(
+        min_length=1,
+        description="name of a shipped sequence, or path of an array (.npy, .npz, .csv) or grey picture (.png), a value a pixel of the "
+        "modules, of a folder or pattern (./frames/*.png) of these, or of a video",
+    )
+    modules: tuple[str, ...] = Field((), description="lamps or modules that show it; left out: all")
+    rate_hz: float | None = Field(None, gt=0, le=1000, description="frames a second; left out: a video's own, else 25")
+    repeat: bool = Field(True, description="start over at the end; else the last frame stays")
+
+
 def chosen(now: Situation) -> BeamName:
     """The AFS beam for a situation (T 3.4): adverse weather first, then town, then motorway, else the low beam."""
     if now.wet:

@@ -7,15 +7,18 @@ import torch
 from torch import Tensor
 
 from controllers.functions.base_beams import BaseBeam
-from controllers.morphing import Morphing, over
-from controllers.mrpc import MrpcParams
+from controllers.morphing import Morphing
 from controllers.planner import Plan
 from controllers.power import limit_power, pixel_flux
+from controllers.primitives import meant
 from controllers.secondary import SecondaryRays
-from controllers.ssc import Ssc
+from controllers.ssc import PixelController
 from loop.build import turned
 from loop.lamp_description import load_lamp
-from loop.scenario import CarLampsParams
+from loop.pixel_control import pixel_controller
+from loop.scenario import LightingScenario
+from loop.shipped import named
+from loop.utilisations import RawUtilisation, read_sequence
 from world.errors import LuxloopError
 from world.frames import pose_from_degrees
 from world.headlight import Headlight
@@ -29,9 +32,10 @@ class ShiningModule:
     side: str
     lamp: Lamp
     number: int
-    ssc: Ssc
+    controller: PixelController
     T_world_module: Tensor
     flux: Tensor
+    raw: RawUtilisation | None = None
     _straight: dict[str, Tensor] = field(default_factory=dict, init=False, repr=False)
     _morphings: dict[str, Morphing] = field(default_factory=dict, init=False, repr=False)
 
@@ -42,11 +46,16 @@ class ShiningModule:
 
     @property
     def headlight(self) -> Headlight:
-        return self.ssc.headlight
+        return self.controller.headlight
 
-    def base(self, beam: BaseBeam) -> Tensor:
-        """Utilisation `[n_p]` of a base beam, morphed. Raises LuxloopError where the lamp has no such beam."""
-        name = beam.name
+    def base(self, plan: Plan) -> Tensor:
+        """Utilisation `[n_p]` below all functions: the raw one, else a base beam, morphed.
+
+        Raises LuxloopError where the lamp has no such beam.
+        """
+        if self.raw is not None:
+            return self.raw.at(plan.time_s).to(self.flux)
+        beam, name = plan.base, plan.base.name
         if name not in self._straight:
             self._straight[name] = self.lamp.beam(name)[self.number].to(self.flux)
         if beam == BaseBeam(name):
@@ -57,10 +66,10 @@ class ShiningModule:
 
     def utilisation(self, plan: Plan, secondary: SecondaryRays) -> Tensor:
         """Utilisation `[n_p]` of base beam and functions; secondary: what this module's rays ask where they hit."""
-        base, primitives = self.base(plan.base), plan.for_module(self.name)
+        base, primitives = self.base(plan), plan.for_module(self.name)
         if primitives is None:
             return base
-        return over(self.ssc, base).utilisation(primitives.to(base.device), self.T_world_module, secondary).u
+        return self.controller.over(base).utilisation(primitives.to(base.device), self.T_world_module, secondary).u
 
 
 @dataclass(frozen=True)
@@ -72,12 +81,13 @@ class LampPower:
     factor: float
 
 
-def shining_modules(params: CarLampsParams, ssc: MrpcParams, device: torch.device) -> tuple[ShiningModule, ...]:
+def shining_modules(scenario: LightingScenario, device: torch.device) -> tuple[ShiningModule, ...]:
     """All modules of a scenario's lamps. Raises LuxloopError where there is no such lamp, module or movement."""
-    return tuple(module for side in params.lamps for module in _modules_of(side, params, ssc, device))
+    return tuple(module for side in scenario.headlight.lamps for module in _modules_of(side, scenario, device))
 
 
-def _modules_of(side: str, params: CarLampsParams, ssc: MrpcParams, device: torch.device) -> Iterator[ShiningModule]:
+def _modules_of(side: str, scenario: LightingScenario, device: torch.device) -> Iterator[ShiningModule]:
+    params = scenario.headlight
     lamp = load_lamp(params.model, "left" if side == "left" else "right")
     names = [module.name for module in lamp.modules]
     chosen = [lamp.module(name) for name in params.modules or names]
@@ -89,7 +99,24 @@ def _modules_of(side: str, params: CarLampsParams, ssc: MrpcParams, device: torc
     for module in chosen:
         T_world_module = T_world_lamp @ turned(module, side, params).T_lamp_module
         light = module.headlight.scaled(scale).to(device)
-        yield ShiningModule(side, lamp, names.index(module.name), Ssc.prepare(light, ssc), T_world_module.to(device), pixel_flux(light))
+        controller, raw = pixel_controller(scenario, light), _raw(scenario, f"{side} {module.name}", light)
+        yield ShiningModule(side, lamp, names.index(module.name), controller, T_world_module.to(device), pixel_flux(light), raw)
+
+
+def _raw(scenario: LightingScenario, name: str, headlight: Headlight) -> RawUtilisation | None:
+    """The raw utilisations of a module. Raises LuxloopError that names the key and the file where they are not its own."""
+    mine = [(i, raw) for i, raw in enumerate(scenario.lighting.raw) if meant(raw.modules, name)]
+    if len(mine) > 1:
+        both = " and ".join(f"lighting.raw[{i}]" for i, _ in mine[:2])
+        raise LuxloopError(f"{scenario.name}: {both} are both meant for module {name!r}; name the modules of each in its modules")
+    for i, raw in mine:
+        key = f"{scenario.name}: lighting.raw[{i}].file"
+        file = named(raw.file, "utilisations", key)
+        try:
+            return read_sequence(file, headlight.pixel_rows, headlight.pixel_cols, raw.rate_hz, raw.repeat)
+        except LuxloopError as error:
+            raise LuxloopError(f"{key}, for module {name!r}: {error}") from error
+    return None
 
 
 def driven(

@@ -79,14 +79,14 @@ class LightingSimulation:
         device = torch.device(device)
         planner = Planner.prepare(scenario.lighting, _find_image)
         scene = build_scene(scenario)
-        modules = shining_modules(scenario.headlight, scenario.ssc, device)
+        modules = shining_modules(scenario, device)
         _check_names(scenario, modules)
         camera = Looker(scene, camera_view(scenario.camera), modules, face_source(scenario.renderer), device)
         lights = tuple((module.name, Light.of(module.headlight, module.T_world_module)) for module in modules)
         simulation = cls(scenario, device, planner, scene, modules, lights, camera)
-        base = planner.plan(simulation.situation(0.0)).base
+        first = planner.plan(simulation.situation(0.0))
         for module in modules:
-            module.base(base)
+            module.base(first)
         return simulation
 
     def situation(self, time_s: float) -> Situation:
@@ -166,14 +166,17 @@ def _find_image(image: str) -> Path:
 
 
 def _check_names(scenario: LightingScenario, modules: tuple[ShiningModule, ...]) -> None:
-    """Raises LuxloopError where a function is meant for a lamp, module or object that is not there."""
+    """Raises LuxloopError where raw utilisations or a function are meant for a lamp, module or object that is not there."""
     known = dict.fromkeys(word for module in modules for word in (*module.name.split(" ", 1), module.name))
     objects = [item.name for item in scenario.objects if item.category is not None]
+    for key, each in (("raw", scenario.lighting.raw), ("functions", scenario.lighting.functions)):
+        for number, item in enumerate(each):
+            for name in getattr(item, "modules", ()):
+                if name not in known:
+                    where = f"{scenario.name}: lighting.{key}[{number}].modules"
+                    raise LuxloopError(f"{where}: there is no lamp or module {name!r}; there are {', '.join(known)}")
     for number, function in enumerate(scenario.lighting.functions):
         where = f"{scenario.name}: lighting.functions[{number}]"
-        for name in getattr(function, "modules", ()):
-            if name not in known:
-                raise LuxloopError(f"{where}.modules: there is no lamp or module {name!r}; there are {', '.join(known)}")
         for name in getattr(function, "names", None) or ():
             if name not in objects:
                 raise LuxloopError(

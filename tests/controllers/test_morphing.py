@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from controllers.morphing import Morph, Morphing, bend, level, over, roll
+from controllers.morphing import Morph, Morphing, bend, level, roll
 from controllers.mrpc import MrpcParams
 from controllers.primitives import rectangle
 from controllers.ssc import Ssc
@@ -87,7 +87,7 @@ def test_primitives_lie_over_the_morphed_beam() -> None:
     moved = Morphing.prepare(LAMP, BEAM).utilisation(bend(math.radians(2.0)))
     wall = [torch.tensor(v) for v in ((10.0, 0.5, 0.3), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0), (-1.0, 0.0, 0.0))]
     half = rectangle(*wall[:3], 0.5, "u_rel", normal=wall[3])
-    u = over(Ssc.prepare(LAMP), moved).utilisation(half, pose_from_degrees((0.0, 0.0, 0.0))).u
+    u = Ssc.prepare(LAMP).over(moved).utilisation(half, pose_from_degrees((0.0, 0.0, 0.0))).u
     inside = (slice(9, 12), slice(18, 22))
     torch.testing.assert_close(u.view(20, 40)[inside], moved.view(20, 40)[inside] / 2, rtol=1e-4, atol=1e-5)
     assert torch.equal(u.view(20, 40)[:, :10], moved.view(20, 40)[:, :10])

@@ -127,7 +127,7 @@ def test_given_beams_come_from_pictures_and_tables(tmp_path: Path) -> None:
         ("a.csv", b"0,1\n0,1\n", "holds 2 x 2 utilisations, but the module has 2 x 4 pixels"),
         ("a.csv", b"0,1,2,3\n0,0,0,0\n", "lie between 0 and 1, not 0 and 3"),
         ("a.npy", b"", "holds no utilisations"),
-        ("a.txt", b"", ".npy, .csv or .png"),
+        ("a.txt", b"", ".npy, .npz, .csv, .png"),
         ("gone.png", None, "gone.png: cannot be read"),
     ],
 )
