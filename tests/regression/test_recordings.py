@@ -13,16 +13,15 @@ import pyarrow.parquet as pq
 import pytest
 
 from loop import data
-from loop.comparison import Difference, compare, tolerances
-from loop.recorder import COLUMNS, SCHEMA, row, table_of, write_table
+from loop.comparison import compare, tolerances
+from loop.recorder import COLUMNS, SCHEMA, row, table_of
 from loop.scenario import LightingScenario, Scenario, load, load_any
 from loop.shipped import shipped
 from loop.simulation import Simulation
+from tests.regression.recorded import FOLDER, ROOT, file_of, replace, told
 from world.roads import OpenCrgRoad
 
-ROOT = Path(__file__).parents[2]
-FOLDER = ROOT / "scenarios" / "recordings"
-SYMBOLS = [name for name in shipped() if not isinstance(load_any(name), LightingScenario)]  # lighting functions have no loop that drifts
+SYMBOLS = [name for name in shipped() if not isinstance(load_any(name), LightingScenario)]
 COMPARED = [name for name in COLUMNS if not name.endswith("_ms")]
 
 
@@ -51,24 +50,15 @@ def read(file: Path) -> pa.Table:
     return pa.Table.from_arrays(columns, schema=SCHEMA)
 
 
-def told(differences: tuple[Difference, ...]) -> str:
-    return "\n".join(
-        f"  {d.column}: from step {d.first_step} on ({d.recorded} is now {d.replayed}), at most {d.largest:.3g} at step {d.largest_step}"
-        for d in differences
-    )
-
-
 @pytest.mark.parametrize("name", SYMBOLS)
 def test_scenario_runs_as_recorded(name: str, re_record: bool, capsys: pytest.CaptureFixture[str]) -> None:
-    scenario, file = load(name), FOLDER / f"{name}.parquet"
+    scenario, file = load(name), file_of(name)
     skip_without_data(scenario)
     if re_record:
         now = trajectory(scenario)
-        news = told(compare(read(file), now, {})) or "  as before, bit by bit" if file.is_file() else "  for the first time"
-        FOLDER.mkdir(exist_ok=True)
-        write_table(file, now.select(COMPARED))
+        news = told(compare(read(file), now, {})) if file.is_file() else None
         with capsys.disabled():
-            print(f"\n{name} recorded:\n{news}")
+            print(replace(name, now.select(COMPARED), news))
         return
     assert file.is_file(), f"never recorded: pytest tests/regression --re-record -k {name}"
     differences = compare(read(file), trajectory(scenario), tolerances(scenario.features))
@@ -78,10 +68,10 @@ def test_scenario_runs_as_recorded(name: str, re_record: bool, capsys: pytest.Ca
 @pytest.mark.slow
 @pytest.mark.parametrize("setting", [{"OMP_NUM_THREADS": "1"}, {"OMP_NUM_THREADS": "2"}, {"ATEN_CPU_CAPABILITY": "default"}], ids=str)
 def test_recordings_hold_on_other_machines(setting: dict[str, str]) -> None:
-    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-k", "test_scenario_runs_as_recorded", str(Path(__file__).parent)]
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-k", "runs_as_recorded", str(Path(__file__).parent)]
     result = subprocess.run(command, env={**os.environ, **setting}, cwd=ROOT, capture_output=True, text=True)
     assert result.returncode == 0, result.stdout
 
 
 def test_every_recording_has_its_scenario() -> None:
-    assert {file.stem for file in FOLDER.glob("*")} <= set(SYMBOLS)
+    assert {file.stem for file in FOLDER.glob("*")} <= set(shipped())
