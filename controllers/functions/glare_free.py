@@ -13,6 +13,7 @@ from controllers.primitives import Primitives, rectangles
 from world.frames import inverse, transform
 from world.params import Params
 
+FADING = 1e6  # weight of a mask that fades: beats all but masks that do not, which an infinite one would be averaged with
 CLEARANCE = 0.8  # share of the gap between a box and a lamp beside it that a margin may take
 
 
@@ -34,7 +35,10 @@ class GlareFreeParams(SelectionParams):
     soft_zones: tuple[SoftZoneParams, ...] = Field((), max_length=LAYERS - 1, description="dimmed boxes around the mask, inner ones first")
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
-        """A cuboid of six outward primitives for each object, forced and of infinite weight, and one for each soft zone."""
+        """A cuboid of six outward primitives for each object, forced and of infinite weight, and one for each soft zone.
+
+        What fades gives light again, so it yields to all that is still dark: it is of finite weight and less priority.
+        """
         return tuple(part for each in self.selected(now) for part in self._around(each, now))
 
     def _around(self, each: TrackedObject, now: Situation) -> tuple[Primitives, ...]:
@@ -45,8 +49,10 @@ class GlareFreeParams(SelectionParams):
         distance = float((T[:3, 3] - lamps.to(T)).norm(dim=-1).amin())
         margin = self.margin_m + distance * math.tan(math.radians(self.margin_deg))
         mask = cuboid(T, *enlarged(each, margin, lamps))
-        quantity: Literal["u_abs", "u_rel"] = "u_abs" if share == 1 else "u_rel"
-        parts = [rectangles(*mask, 1 - share, quantity, weight=math.inf, forced=True, priority=MASK * LAYERS + LAYERS - 1)]
+        dark = share == 1
+        quantity: Literal["u_abs", "u_rel"] = "u_abs" if dark else "u_rel"
+        weight, priority = math.inf if dark else FADING, (MASK + dark) * LAYERS + LAYERS - 1
+        parts = [rectangles(*mask, 1 - share, quantity, weight=weight, forced=True, priority=priority)]
         for layer, zone in enumerate(self.soft_zones, 1):
             box = cuboid(T, *enlarged(each, margin + zone.margin_m, lamps))
             parts.append(rectangles(*box, 1 - share * (1 - zone.u_rel), "u_rel", forced=True, priority=MASK * LAYERS + LAYERS - 1 - layer))

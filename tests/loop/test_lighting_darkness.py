@@ -102,6 +102,24 @@ def test_a_power_limit_keeps_masks_dark() -> None:
     assert result.dark_lx_max == 0.0
 
 
+def test_a_mask_that_fades_lights_no_other_masked_body() -> None:
+    """A van vanishes before one car and a second one beside another, and their masks fade out over the next 0.6 s."""
+
+    def box(name: str, x: float, y: float, **track: float) -> dict[str, Any]:
+        return {"kind": "box", "name": name, "category": "car", "size_m": SIZES["car"], "track": [{"position_m": (x, y, 0.0)}], **track}
+
+    boxes = [box("car", 50.0, 0.0), box("before", 20.0, 0.0, vanishes_s=0.1), box("beside", 48.0, 3.0, vanishes_s=0.1)]
+    fading = scenario("hd84").model_dump(mode="json") | {"rate_hz": 4, "objects": boxes}
+    fading["lighting"]["functions"] = [{"kind": "glare_free"}]
+    found = validate_any(fading, "fading")
+    assert isinstance(found, LightingScenario)
+    simulation = LightingSimulation.prepare(found)
+    for step in (1, 2):
+        result = simulation.step(step)
+        assert result.dark_lx_max == 0.0 and result.objects["car"].masked
+        assert all(light["car"] == 0.0 for light in most_light(simulation, result, {"car"}).values()), step
+
+
 @pytest.mark.parametrize("name", [name for name in shipped() if name.startswith("gfhb")])
 def test_shipped_glare_free_scenarios_are_dark_where_they_must_be(name: str) -> None:
     loaded = load_any(name, camera=CameraParams(width_px=480, height_px=200, hfov_deg=34, pitch_deg=1.5).model_dump(mode="json"))

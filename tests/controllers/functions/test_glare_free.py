@@ -110,7 +110,17 @@ def test_fades_are_dark_at_once_and_bright_again_slowly() -> None:
     falling = [value(5 + t) for t in (0.1, 0.3, 0.5, 0.7, 0.9)]
     assert falling == sorted(falling) and falling[2] == pytest.approx(0.5) and value(6.0) == 1.0
     slow = GlareFreeParams(fade_in_s=1.0).primitives(now(each, time_s=1.5))[0]
-    assert float(slow.value[0]) == pytest.approx(0.5) and slow.weight.isinf().all()
+    assert float(slow.value[0]) == pytest.approx(0.5) and slow.weight.isfinite().all()
+
+
+@pytest.mark.parametrize(
+    "fading", [car(20, 0, until_s=0.0), car(48, 3, until_s=0.0), car(20, 0, since_s=0.0)], ids=["before", "beside", "new"]
+)
+def test_what_fades_yields_to_what_is_dark(fading: TrackedObject) -> None:
+    """It gives light again: in front of a dark object or in one pixel with it, the dark one must win. Zero, not little."""
+    dark = car(50, 0)
+    masked, free = light_on(now(fading, dark, time_s=0.2), COARSE, GlareFreeParams(fade_in_s=0.6), surface(dark))
+    assert free.max() > 100 and masked.max() == 0
 
 
 def test_soft_zones_are_nested_and_the_mask_lies_on_top() -> None:
@@ -129,14 +139,14 @@ def test_only_the_classes_and_distances_meant_are_masked() -> None:
     assert not GlareFreeParams(names=("other",)).primitives(now(car(20, 0)))
 
 
-FINE = idealised(60, 200)
+FINE, COARSE = idealised(60, 200), lamp("hd84").finest.headlight
 
 
-def light_on(each: TrackedObject, light: Headlight, params: GlareFreeParams, points: Tensor) -> tuple[Tensor, Tensor]:
+def light_on(situation: Situation, light: Headlight, params: GlareFreeParams, points: Tensor) -> tuple[Tensor, Tensor]:
     """Intensity in cd towards points `[3, N]` of each lamp, with and without the function, on a full beam."""
     full = torch.ones(light.n_pixels)
     ssc = Ssc.prepare(light, default=full)
-    scene = concatenate(*params.primitives(now(each))).to(torch.float32)
+    scene = concatenate(*params.primitives(situation)).to(torch.float32)
     masked, free = [], []
     for position in LAMPS.tolist():
         T = pose_from_degrees(tuple(position))
@@ -146,13 +156,13 @@ def light_on(each: TrackedObject, light: Headlight, params: GlareFreeParams, poi
     return torch.stack(masked), torch.stack(free)
 
 
-@pytest.mark.parametrize("light", [FINE, lamp("hd84").finest.headlight], ids=["fine", "coarse"])
+@pytest.mark.parametrize("light", [FINE, COARSE], ids=["fine", "coarse"])
 @pytest.mark.parametrize(("x", "y"), [(25.0, 2.5), (60.0, -2.0), (12.0, 0.4)])
 @pytest.mark.parametrize("margin", [0.0, 0.2])
 def test_no_light_gets_to_the_box(light: Headlight, x: float, y: float, margin: float) -> None:
     """Zero, not little: edges and corners included, though texels beside the box are lit and are interpolated with."""
     each = car(x, y, yaw_deg=170.0)
-    masked, free = light_on(each, light, GlareFreeParams(margin_m=margin, margin_deg=margin), surface(each))
+    masked, free = light_on(now(each), light, GlareFreeParams(margin_m=margin, margin_deg=margin), surface(each))
     assert free.max() > 100
     assert masked.max() == 0
 
@@ -160,5 +170,5 @@ def test_no_light_gets_to_the_box(light: Headlight, x: float, y: float, margin: 
 def test_light_far_beside_the_box_stays() -> None:
     each = car(40.0, 0.0)
     beside = torch.tensor([[40.0, 40.0], [4.0, -4.0], [0.5, 0.5]], dtype=torch.float64)
-    masked, free = light_on(each, FINE, GlareFreeParams(), beside)
+    masked, free = light_on(now(each), FINE, GlareFreeParams(), beside)
     torch.testing.assert_close(masked, free)
