@@ -6,7 +6,7 @@ import sys
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
 
@@ -87,19 +87,22 @@ def list_() -> None:
 
 
 @app.command
-def new(file: Path, /) -> None:
-    """Write a commented scenario file with all common keys, ready to run.
+def new(file: Path, /, *, like: str | None = None) -> None:
+    """Write a scenario file, ready to run: a commented one of a symbol with all common keys, or a copy of a shipped one of either kind.
 
     Parameters
     ----------
     file
         File to write, such as my.toml; one that exists is left alone.
+    like
+        Shipped scenario to copy (see `luxloop list`), such as gfhb for lighting functions.
     """
-    from loop.template import template
+    from loop.template import copied, template
 
+    text = template(file.stem) if like is None else copied(file.stem, like)
     try:
         with file.open("x", encoding="utf-8") as stream:
-            stream.write(template(file.stem))
+            stream.write(text)
     except FileExistsError as error:
         raise LuxloopError(f"{file}: exists already; name another file, or remove it first") from error
     except OSError as error:
@@ -125,13 +128,22 @@ def check(name: str, /, *, set: Annotated[list[str] | None, Parameter(consume_mu
 
 
 @app.command
-def schema() -> None:
-    """Print the JSON Schema of scenario files, for editors."""
+def schema(*, kind: Literal["symbol", "lighting"] | None = None) -> None:
+    """Print the JSON Schema of scenario files, for editors.
+
+    Parameters
+    ----------
+    kind
+        Scenarios that have a table of this name; by default both kinds.
+    """
     import json
 
-    from loop.scenario import Scenario
+    from pydantic import TypeAdapter
 
-    print(json.dumps(Scenario.model_json_schema(), indent=2))
+    from loop.scenario import AnyScenario, LightingScenario, Scenario
+
+    models: dict[str | None, Any] = {"symbol": Scenario, "lighting": LightingScenario, None: AnyScenario}
+    print(json.dumps(TypeAdapter(models[kind]).json_schema(), indent=2))
 
 
 @app.command

@@ -204,7 +204,7 @@ class LightingScenario(WorldScenario):
 AnyScenario = Scenario | LightingScenario
 EXAMPLES: Final[dict[type[AnyScenario], str]] = {
     Scenario: "`luxloop new FILE` writes a complete example; lighting functions come in [lighting] instead of [symbol]",
-    LightingScenario: "`luxloop list` names examples",
+    LightingScenario: "`luxloop new FILE --like gfhb` writes an example",
 }
 
 

@@ -18,7 +18,7 @@ import torch
 
 from loop import cli, data, tables
 from loop.doctor import Check
-from loop.scenario import Scenario, load
+from loop.scenario import Scenario, load, load_any
 from loop.simulation import Simulation
 from world.errors import LuxloopError
 from world.opencrg import Crg, write_crg
@@ -187,9 +187,21 @@ def test_check(lux: Lux) -> None:
 
 
 def test_schema_is_json(lux: Lux) -> None:
-    code, out, _ = lux("schema")
-    assert code == 0
-    assert json.loads(out)["properties"]["steps"]["minimum"] == 1
+    both, symbol, lighting = (json.loads(lux("schema", *kind)[1]) for kind in ([], ["--kind", "symbol"], ["--kind", "lighting"]))
+    assert symbol["properties"]["steps"]["minimum"] == lighting["properties"]["steps"]["minimum"] == 1
+    assert "symbol" in symbol["required"] and "lighting" in lighting["required"]
+    assert {each["$ref"] for each in both["anyOf"]} == {"#/$defs/Scenario", "#/$defs/LightingScenario"}
+
+
+@pytest.mark.parametrize("like", ["gfhb", "curb", "raw_utilisations"])
+def test_new_scenario_like_a_shipped_one_differs_in_its_name_alone(lux: Lux, like: str) -> None:
+    assert lux("new", "my.toml", "--like", like)[0] == 0
+    assert load_any("my.toml").model_copy(update={"name": like}) == load_any(like)
+
+
+def test_new_scenario_like_none_is_refused_and_nothing_written(lux: Lux, tmp_path: Path) -> None:
+    code, _, error = lux("new", "my.toml", "--like", "gfbh")
+    assert code == cli.WRONG and "'gfhb'" in error and not (tmp_path / "my.toml").exists()
 
 
 def test_list_names_missing_data_and_how_to_get_it(lux: Lux, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
