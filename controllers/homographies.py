@@ -7,6 +7,7 @@ in the texel's row and column, so no rays are stored.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -21,29 +22,52 @@ from world.texels import TexelGrid
 class Homographies:
     """Primitives as a headlight sees them: `[..., P, 3]`, to be multiplied with rays [1, y, z], and `[..., P]`.
 
-    n, u, v: d.n and twice u d.n and v d.n, turned so that `qn`, q.n, is positive. normal: as given. mask: a zero setpoint of infinite
-    weight. aside_u, wider_u, aside_v, wider_v: how far a mask's edges move for it to reach one texel further: |u - aside| <= n + wider.
-    toward: cosine, times a length, at which the lamp sees the primitive's middle. near, far: 1/x of the nearest and the
-    farthest corner. low, high: `[..., P, 2]`, projected outline in rows and columns, infinite where it reaches behind the lamp.
-    sight: as n, u and v, for where a primitive's observer sees a hit in the flying symbol; None where there are no observers.
+    n, uv `[..., P, 2, 3]`: d.n and twice u d.n and v d.n, turned so that `qn`, q.n, is positive. middle: q; normal: as given. mask: a zero
+    setpoint of infinite weight. corners: `[..., P, 4, 3]` m. sight: as n and uv, for where a primitive's observer sees a hit in the
+    flying symbol; None where there are no observers. What only masks and rivals need is made when it is asked for.
     """
 
+    grid: TexelGrid
     n: Tensor
-    u: Tensor
-    v: Tensor
-    normal: Tensor
+    uv: Tensor
     qn: Tensor
+    middle: Tensor
+    normal: Tensor
     mask: Tensor
-    aside_u: Tensor
-    wider_u: Tensor
-    aside_v: Tensor
-    wider_v: Tensor
-    toward: Tensor
-    near: Tensor
-    far: Tensor
-    low: Tensor
-    high: Tensor
-    sight: tuple[Tensor, Tensor, Tensor] | None
+    corners: Tensor
+    sight: tuple[Tensor, Tensor] | None
+
+    @cached_property
+    def toward(self) -> Tensor:
+        """Cosine, times a length, at which the lamp sees the primitives' middles."""
+        return -(self.normal * self.middle).sum(-1).detach()
+
+    @cached_property
+    def margin(self) -> tuple[Tensor, Tensor]:
+        """aside, wider `[..., P, 2]`: how far a mask's edges move for it to reach one texel further: |uv - aside| <= n + wider."""
+        n, mask = self.n[..., None, :], self.mask[..., None]
+        less, more = self._change(n - self.uv), self._change(n + self.uv)
+        return mask * (less - more) / 2, mask * (less + more) / 2
+
+    def _change(self, a: Tensor) -> Tensor:
+        """By how much a product with a ray changes over one texel."""
+        grid, a = self.grid, a.detach()
+        return a[..., 1].abs() * ((grid.left - grid.right) / grid.cols) + a[..., 2].abs() * ((grid.top - grid.bottom) / grid.rows)
+
+    @cached_property
+    def range(self) -> tuple[Tensor, Tensor]:
+        """1/x of the farthest and of the nearest corner."""
+        x = self.corners[..., 0].clamp(min=NEAREST_M)
+        return 1 / x.amax(-1), 1 / x.amin(-1)
+
+    @cached_property
+    def outline(self) -> tuple[Tensor, Tensor]:
+        """Least and greatest row and column of the projected corners, `[..., P, 2]`, infinite where one lies behind the lamp."""
+        x, y, z = self.corners.unbind(-1)
+        behind = (x < NEAREST_M).any(-1)[..., None]
+        x = x.clamp(min=NEAREST_M)
+        at = torch.stack(self.grid.texel_of(y / x, z / x), -1)
+        return at.amin(-2).masked_fill(behind, -torch.inf), at.amax(-2).masked_fill(behind, torch.inf)
 
 
 def homographies(primitives: Primitives, grid: TexelGrid, T_world_headlight: Tensor) -> Homographies:
@@ -54,37 +78,12 @@ def homographies(primitives: Primitives, grid: TexelGrid, T_world_headlight: Ten
     n = torch.linalg.cross(d1, d2)
     qn = (q * n).sum(-1)
     sign = torch.where(qn < 0, -1.0, 1.0).to(qn)[..., None]
-    n, u, v = n * sign, 2 * torch.linalg.cross(d2, q) * sign, 2 * torch.linalg.cross(q, d1) * sign
-
+    n, uv = n * sign, torch.stack([2 * torch.linalg.cross(d2, q) * sign, 2 * torch.linalg.cross(q, d1) * sign], -2)
+    qn = qn.abs()
     eyes = None
     if (who := primitives.observer) is not None:
-        eyes = sight((who.eye - position) @ R, (who.origin - position) @ R, who.d1 @ R, who.d2 @ R, n, qn.abs())
+        across, *edges = sight((who.eye - position) @ R, (who.origin - position) @ R, who.d1 @ R, who.d2 @ R, n, qn)
+        eyes = (across, torch.stack(edges, -2))
     mask = (primitives.value == 0) & primitives.weight.isinf()
-
-    def change(a: Tensor) -> Tensor:
-        """By how much a product with a ray changes over one texel."""
-        a = a.detach()
-        return a[..., 1].abs() * ((grid.left - grid.right) / grid.cols) + a[..., 2].abs() * ((grid.top - grid.bottom) / grid.rows)
-
-    x, y, z = torch.stack([origin, origin + d1, origin + d2, origin + d1 + d2], -2).detach().unbind(-1)
-    behind = (x < NEAREST_M).any(-1)[..., None]
-    x = x.clamp(min=NEAREST_M)
-    at = torch.stack(grid.texel_of(y / x, z / x), -1)
-    return Homographies(
-        n,
-        u,
-        v,
-        normal,
-        qn.abs(),
-        mask,
-        mask * (change(n - u) - change(n + u)) / 2,
-        mask * (change(n - u) + change(n + u)) / 2,
-        mask * (change(n - v) - change(n + v)) / 2,
-        mask * (change(n - v) + change(n + v)) / 2,
-        -(normal * q).sum(-1).detach(),
-        1 / x.amin(-1),
-        1 / x.amax(-1),
-        at.amin(-2).masked_fill(behind, -torch.inf),
-        at.amax(-2).masked_fill(behind, torch.inf),
-        eyes,
-    )
+    corners = torch.stack([origin, origin + d1, origin + d2, origin + d1 + d2], -2).detach()
+    return Homographies(grid, n, uv, qn, q, normal, mask, corners, eyes)

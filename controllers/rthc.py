@@ -6,21 +6,22 @@ cost ten times as much as sums, so masks are images of zeros and ones, and paint
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import groupby
 
 import torch
-from kornia.geometry.transform import remap
 from torch import Tensor
+from torch.nn.functional import grid_sample
 
 from controllers.homographies import Homographies, homographies
-from controllers.primitives import E_V, U_ABS, U_REL, Primitives
+from controllers.primitives import E_V, HEAVIEST, U_ABS, U_REL, Primitives
 from controllers.secondary import SecondaryRays
 from controllers.windows import NOWHERE, SLACK, Window, union, whole
 from world.texels import TexelGrid
 
 COPLANAR = 1e-4  # of the distance: what lies closer together counts as one plane, whatever the dtype rounds
 PARALLEL = 1e-6  # of the cosine: a given normal that is that of the edges
-OUTLINE, SIGHT = ("n", "u", "v"), ("sight n", "sight u", "sight v")  # products by which symbols are read: on the primitive, by an observer
+GRAZING = 1e-12  # least d.n by which a symbol is read, m^2: no ray that hits has less, and what others read stays finite
 STEEP = 1e30  # takes whatever is not rounded to zero beyond one
 
 
@@ -179,8 +180,8 @@ class Casting:
         """The primitives in the order in which they are painted."""
         weight, windows = self.primitives.weight[..., None, None], self.windows
         infinite = weight.isinf()
-        finite, forced = torch.where(infinite, 0.0, weight), infinite.to(weight)
-        rays = _Rays.of(self.seen, *self.grid.tangents(weight.dtype, weight.device))
+        finite, forced = torch.where(infinite, 0.0, weight.clamp(max=HEAVIEST)), infinite.to(weight)
+        rays = _Rays(self.seen, *self.grid.tangents(weight.dtype, weight.device), any(mask is not False for mask in self.is_mask))
         nearest: Tensor | None = None  # 1/x of the nearest hits of a class
         for painted in paint_classes(self.primitives):
             rivals = {p: any(windows[p].meets(windows[k]) for k in painted if k != p) for p in painted}
@@ -234,33 +235,55 @@ def expanded(new: Tensor | float, hit: Tensor) -> Tensor:
 
 
 @dataclass(frozen=True)
+class _Product:
+    """Products of rays [1, y, z] with vectors of primitives, each the sum of a term of the ray's row and one of its column."""
+
+    rows: tuple[Tensor, ...]
+    cols: tuple[Tensor, ...]
+
+    def on(self, p: int, w: Window) -> Tensor:
+        """Those with the p-th primitive's on a window: `[..., rows, cols]`, of pairs `[..., 2, rows, cols]`."""
+        rows = self.rows[p].narrow(-1, w.row_start, w.row_stop - w.row_start)
+        return rows.unsqueeze(-1) + self.cols[p].narrow(-1, w.col_start, w.col_stop - w.col_start).unsqueeze(-2)
+
+
+@dataclass(frozen=True)
 class _Rays:
-    """Products of all rays [1, y, z] with the vectors of primitives, by name: for each the terms of a row `[..., rows]` and of a column.
+    """All rays of a grid by their tangents y `[cols]` and z `[rows]`. masking: whether a primitive may be a mask."""
 
-    y: `[cols]`, z: `[rows]`, tangents.
-    """
-
+    seen: Homographies
     y: Tensor
     z: Tensor
-    terms: dict[str, list[tuple[Tensor, Tensor]]]
+    masking: bool
 
-    @classmethod
-    def of(cls, seen: Homographies, y: Tensor, z: Tensor) -> "_Rays":
-        vectors = {"n": seen.n, "u": seen.u, "v": seen.v, "facing": -seen.normal, "closeness": seen.n / seen.qn[..., None]}
-        vectors |= {} if seen.sight is None else dict(zip(SIGHT, seen.sight, strict=True))
-        aside = {"u": seen.aside_u, "v": seen.aside_v}  # of masks, which no image is read for
-        terms = {}
-        for name, a in vectors.items():
-            constant = a[..., 0] - aside[name] if name in aside else a[..., 0]
-            rows, cols = constant[..., None] + a[..., 2:] * z, a[..., 1:2] * y
-            terms[name] = list(zip(rows.unbind(-2), cols.unbind(-2), strict=True))
-        return cls(y, z, terms)
+    @cached_property
+    def n(self) -> _Product:
+        return self._times(self.seen.n)
 
-    def times(self, name: str, p: int, w: Window) -> Tensor:
-        """Products with the p-th primitive's vector on a window: `[..., rows, cols]`."""
-        rows, cols = self.terms[name][p]
-        rows, cols = rows.narrow(-1, w.row_start, w.row_stop - w.row_start), cols.narrow(-1, w.col_start, w.col_stop - w.col_start)
-        return rows.unsqueeze(-1) + cols.unsqueeze(-2)
+    @cached_property
+    def uv(self) -> _Product:
+        """Of masks, which no image is read for, moved aside."""
+        return self._times(self.seen.uv, self.seen.margin[0] if self.masking else None)
+
+    @cached_property
+    def sight(self) -> tuple[_Product, _Product] | None:
+        """As n and uv, for observers."""
+        return None if self.seen.sight is None else (self._times(self.seen.sight[0]), self._times(self.seen.sight[1]))
+
+    @cached_property
+    def facing(self) -> _Product:
+        return self._times(-self.seen.normal)
+
+    @cached_property
+    def closeness(self) -> _Product:
+        """1/x of the hit."""
+        return self._times(self.seen.n / self.seen.qn[..., None])
+
+    def _times(self, a: Tensor, aside: Tensor | None = None) -> _Product:
+        constant = a[..., 0] if aside is None else a[..., 0] - aside
+        rows, cols = constant[..., None] + a[..., 2:] * self.z, a[..., 1:2] * self.y
+        of_primitives = self.seen.n.ndim - 2
+        return _Product(rows.unbind(of_primitives), cols.unbind(of_primitives))
 
 
 def _from_the_front(seen: Homographies) -> list[bool | None]:
@@ -278,29 +301,31 @@ def _step(a: Tensor) -> Tensor:
     return torch.rsub(a, 1, alpha=-STEEP).clamp_(0, 1)
 
 
-def _inside(rays: _Rays, names: tuple[str, str, str], p: int, window: Window) -> Tensor:
-    """One where a ray passes a rectangle, by products of these names."""
-    n, u, v = (rays.times(name, p, window).detach() for name in names)
-    return _step(n - torch.maximum(u.abs_(), v.abs_()))
+def _inside(n: Tensor, uv: Tensor, wider: Tensor | None = None) -> Tensor:
+    """One where a ray passes a rectangle, by n `[..., rows, cols]` and uv `[..., 2, rows, cols]`, which are used up; wider: `[..., 2]`."""
+    uv = uv.detach().abs_()
+    uv = uv if wider is None else uv.sub_(wider[..., None, None])
+    return _step(n.detach().sub_(torch.maximum(*uv.unbind(-3))))
 
 
 def _hit(rays: _Rays, seen: Homographies, p: int, mask: bool | None, front: bool | None, window: Window) -> Tensor:
     """One where a ray hits the p-th primitive, `[..., rows, cols]`; mask, front: whether it is one and is seen so, where the host knows."""
+    n, uv = rays.n.on(p, window), rays.uv.on(p, window)
     if mask is False:
-        hit = _inside(rays, OUTLINE, p, window)
-        return hit if front else hit * _step(rays.times("facing", p, window).detach())
-    n, u, v = (rays.times(name, p, window).detach() for name in OUTLINE)
-    hit = _step(n - torch.maximum(u.abs_().sub_(seen.wider_u[..., p, None, None]), v.abs_().sub_(seen.wider_v[..., p, None, None])))
+        hit = _inside(n, uv)
+        return hit if front else hit * _step(rays.facing.on(p, window).detach())
+    hit = _inside(n, uv, seen.margin[1][..., p, :])
     if mask:
         return hit  # the window ends where it may reach
     wide = seen.mask[..., p, None, None]
-    hit *= _step(torch.where(wide, seen.toward[..., p, None, None], rays.times("facing", p, window).detach()))
-    return hit * torch.where(wide, _near_outline(window, seen.low[..., p, :], seen.high[..., p, :]), 1.0)
+    hit *= _step(torch.where(wide, seen.toward[..., p, None, None], rays.facing.on(p, window).detach()))
+    low, high = seen.outline
+    return hit * torch.where(wide, _near_outline(window, low[..., p, :], high[..., p, :]), 1.0)
 
 
 def _won(hit: Tensor, rays: _Rays, seen: Homographies, p: int, mask: bool | None, window: Window, nearest: Tensor) -> Tensor:
     """The part of a hit that no nearer one of its class is before; nearest, 1/x of those so far, learns of it."""
-    closeness = rays.times("closeness", p, window).detach()
+    closeness = rays.closeness.on(p, window).detach()
     if mask is not False:  # beyond its outline it is no nearer or farther than its corners
         closeness = _between_corners(closeness, seen, p)
     hit = hit * _step(torch.sub(closeness, nearest, alpha=1 / (1 + COPLANAR)))
@@ -309,12 +334,13 @@ def _won(hit: Tensor, rays: _Rays, seen: Homographies, p: int, mask: bool | None
 
 
 def _between_corners(closeness: Tensor, seen: Homographies, p: int) -> Tensor:
-    return closeness.maximum(seen.far.detach()[..., p, None, None]).minimum(seen.near.detach()[..., p, None, None])
+    far, near = seen.range
+    return closeness.maximum(far[..., p, None, None]).minimum(near[..., p, None, None])
 
 
 def _points(rays: _Rays, seen: Homographies, p: int, window: Window, T_world_headlight: Tensor) -> Tensor:
     """Where rays hit the p-th primitive, `[..., 3, rows, cols]` m in the world; those that miss it end as near as its corners lie."""
-    x = 1 / _between_corners(rays.times("closeness", p, window), seen, p)
+    x = 1 / _between_corners(rays.closeness.on(p, window), seen, p)
     rows, cols = window.slices
     y, z = torch.broadcast_tensors(rays.y[cols], rays.z[rows, None])
     T = T_world_headlight.to(x)
@@ -340,29 +366,26 @@ def _setpoint(p: int, hit: Tensor, rays: _Rays, primitives: Primitives, seen: Ho
     value = value * symbol if homogeneous else value
     if homogeneous and not illuminance:
         return value
-    one = hit.new_ones(())
-    n = one.lerp(rays.times("n", p, window), hit)
     if not homogeneous:
-        shown, across, names = hit, n, OUTLINE
-        if watched:
-            shown, names = hit * _inside(rays, SIGHT, p, window), SIGHT
-            across, value = one.lerp(rays.times(SIGHT[0], p, window), shown), value * shown
-        u, v = (rays.times(name, p, window) * shown / across for name in names[1:])
-        value = value * _symbol_value(symbol, u, v, bool(primitives.nearest[p]))
+        n, uv = rays.n, rays.uv
+        if watched and rays.sight is not None:
+            n, uv = rays.sight
+            value = value * _inside(n.on(p, window), uv.on(p, window))
+        at = uv.on(p, window) / n.on(p, window).clamp(min=GRAZING).unsqueeze(-3)
+        value = value * _symbol_value(symbol, at, bool(primitives.nearest[p]))
     if not illuminance:
         return value
-    facing = one.lerp(rays.times("facing", p, window), hit)
+    across, facing = (hit.new_ones(()).lerp(product.on(p, window), hit) for product in (rays.n, rays.facing))
     rows, cols = window.slices
     d2 = (1 + rays.z[rows, None] ** 2) + rays.y[cols] ** 2
-    return value * seen.qn[..., p, None, None] ** 2 * (d2 * d2.sqrt()) / (n * n * facing)
+    return value * seen.qn[..., p, None, None] ** 2 * (d2 * d2.sqrt()) / (across * across * facing)
 
 
-def _symbol_value(symbol: Tensor, u: Tensor, v: Tensor, nearest: bool) -> Tensor:
-    """Symbol image `[h, w]` at coordinates -1..1 `[..., rows, cols]`, bilinear or nearest, texel centres at (2 k + 1) / n - 1."""
-    shape = u.shape
-    if not u.numel():
-        return u  # out of sight
-    u, v = u.reshape(-1, *shape[-2:]), v.reshape(-1, *shape[-2:])
-    images = symbol.expand(len(u), 1, *symbol.shape)
-    mode = "nearest" if nearest else "bilinear"
-    return remap(images, u, v, mode, padding_mode="border", align_corners=False, normalized_coordinates=True).reshape(shape)
+def _symbol_value(symbol: Tensor, uv: Tensor, nearest: bool) -> Tensor:
+    """Symbol image `[h, w]` at coordinates -1..1 `[..., 2, rows, cols]`, bilinear or nearest, texel centres at (2 k + 1) / n - 1."""
+    if not uv.numel():
+        return uv[..., 0, :, :]  # out of sight
+    at = uv.reshape(-1, *uv.shape[-3:]).movedim(1, -1)
+    images = symbol.expand(len(at), 1, *symbol.shape)
+    sampled = grid_sample(images, at, "nearest" if nearest else "bilinear", padding_mode="border", align_corners=False)
+    return sampled.reshape(*uv.shape[:-3], *uv.shape[-2:])
