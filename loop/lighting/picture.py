@@ -13,6 +13,7 @@ from controllers.functions.situation import TrackedObject
 from loop.lighting.lamps import ShiningModule
 from loop.lighting.simulation import LightingResult, LightingSimulation
 from loop.video import Picture, tone_map
+from perception.camera import expose, frame_generator, luminance_of
 from world.frames import pose_from_degrees, transform
 from world.sources import Source, wall_illuminance
 from world.view import View
@@ -30,9 +31,15 @@ def white_of(luminance: Tensor) -> Tensor:
     return torch.from_numpy(np.quantile(luminance.cpu().numpy(), BRIGHT, keepdims=True)).squeeze().clamp(min=1e-6) * 1.5
 
 
+def measured(result: LightingResult, simulation: LightingSimulation) -> Tensor:
+    """Luminance `[height, width]` in cd/m^2 that the camera measures, with that step's noise."""
+    camera, seed = simulation.scenario.camera, simulation.scenario.seed
+    return luminance_of(expose(result.luminance, camera, frame_generator(seed, result.step, 0, simulation.device)), camera)
+
+
 def frame_picture(result: LightingResult, simulation: LightingSimulation, white: Tensor) -> Picture:
     """A step as a picture `[H, W, 3]` in the camera's size: boxes in green, orange where a mask keeps them dark."""
-    picture = tone_map(result.luminance, white)
+    picture = tone_map(measured(result, simulation), white)
     height, width = picture.shape[:2]
     for each in result.now.objects:
         if each.since_s <= result.time_s < each.until_s:

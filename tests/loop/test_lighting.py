@@ -9,10 +9,12 @@ import pytest
 import torch
 
 from loop import cli
+from loop.lighting.picture import measured
 from loop.lighting.record import schema
 from loop.lighting.simulation import LightingSimulation, driving
 from loop.run import run
 from loop.scenario import DrivingParams, LightingScenario, validate_any
+from perception.camera import noise_std
 from world.errors import LuxloopError
 
 BOX = {
@@ -22,6 +24,7 @@ BOX = {
     "size_m": [4.5, 1.8, 1.9],
     "track": [{"time_s": 0, "position_m": [40, 3, 0], "yaw_deg": 180}, {"time_s": 1, "position_m": [30, 3, 0], "yaw_deg": 180}],
 }
+CAMERA = {"width_px": 160, "height_px": 90}
 GLARE_FREE = {"kind": "glare_free"}
 
 
@@ -31,7 +34,7 @@ def scenario(**changes: Any) -> LightingScenario:
         "steps": 3,
         "rate_hz": 5,
         "headlight": {"model": "hd84"},
-        "camera": {"width_px": 160, "height_px": 90},
+        "camera": CAMERA,
         "surface": {"grain": 0.0},
         "objects": [BOX],
         "lighting": {"base": {"beam": "high"}, "functions": [GLARE_FREE]},
@@ -53,6 +56,22 @@ def test_a_run_is_recorded_filmed_and_reported(tmp_path: Path) -> None:
     assert table["dark_lx_max"].to_pylist() == [0.0] * 3 and table["object.van.pixels"][0].as_py() > 20
     assert table["lamp.left.flux_lm"][0].as_py() > 50 and table["lamp.left.power_factor"].to_pylist() == [1.0] * 3
     assert json.loads((out / "manifest.json").read_text())["status"] == "complete"
+
+
+def test_pictures_have_the_cameras_noise_and_measured_light_has_none() -> None:
+    noisy, other, still = (
+        LightingSimulation.prepare(scenario(**each)) for each in ({}, {"seed": 1}, {"camera": {**CAMERA, "noise": False}})
+    )
+    result, camera = noisy.step(1), noisy.scenario.camera
+    assert torch.equal(result.luminance, other.step(1).luminance) and torch.equal(result.illuminance, other.step(1).illuminance)
+    image, exact = measured(result, noisy), result.luminance
+    assert torch.equal(image, measured(result, noisy)) and not torch.equal(image, measured(result, other))
+    lit = (exact > 0.03) & (exact < 0.8)  # ten standard deviations of the read noise from black, and as far from saturation
+    z = ((image - exact) / noise_std(exact, camera))[lit]
+    assert len(z) > 1000 and float(z.mean()) == pytest.approx(0, abs=5 / len(z) ** 0.5)  # five standard errors, as the next
+    assert float(z.std()) == pytest.approx(1, abs=5 / (2 * len(z)) ** 0.5)
+    level = 1.34 / (2**camera.bits - 1)  # cd/m^2
+    torch.testing.assert_close(measured(result, still)[lit], exact[lit], rtol=0, atol=0.51 * level)
 
 
 def test_the_recording_replays_and_a_changed_one_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
