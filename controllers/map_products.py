@@ -9,13 +9,13 @@ from torch import Tensor
 from controllers.map_sums import Band, Sums
 from controllers.mrpc_params import MrpcParams
 from controllers.pixel_major import PixelMajor
-from controllers.primitives import E_V, I_V, U_ABS, U_REL
+from controllers.primitives import E_V, HEAVIEST, I_V, U_ABS, U_REL
 from controllers.rthc import Casting, Setpoints, expanded
 from controllers.windows import Window
 from world.spmv import Csr, multiply
 
 RULING = 1e36  # stands for an infinite weight where the setpoint is zero: no sum of finite ones comes near it
-LARGEST_FINITE = 1e12  # what finite weights are cut to there
+RULED = 2 * HEAVIEST  # a sum from which on one is infinite; no sum of finite ones is rounded up to it
 
 
 Image = Tensor | float  # one value for all rays where it is a number
@@ -49,7 +49,7 @@ def _pieces(asked: Setpoints | Casting) -> Iterator[_Piece]:
         forced: Image = stroke.forced
         if weights and not stroke.finite.requires_grad:  # numbers save passes over the window
             weight = weights[stroke.primitive]
-            finite, forced = (0.0, 1.0) if weight == torch.inf else (weight, 0.0)
+            finite, forced = (0.0, 1.0) if weight == torch.inf else (min(weight, HEAVIEST), 0.0)
         value = 0.0 if asked.is_mask[stroke.primitive] else stroke.value
         in_cd, relative = float(stroke.quantity < U_ABS), float(stroke.quantity == U_REL)
         yield _Piece(stroke.window, stroke.hit, value, finite, forced, 0.0, in_cd, relative)
@@ -108,8 +108,7 @@ def _mapped(piece: _Piece, pixels: PixelMajor, ruling: bool, wanted: Collection[
     else:
         made |= {"light": _times(absolute, piece.finite), "of_default": _times(of_default, piece.finite), "weight": piece.finite}
         if ruling and piece.forced is not None:
-            cut = piece.finite.clamp(max=LARGEST_FINITE) if isinstance(piece.finite, Tensor) else min(piece.finite, LARGEST_FINITE)
-            made["weight"] = cut + RULING * piece.forced
+            made["weight"] = piece.finite + RULING * piece.forced
     if "forced" in wanted and piece.forced is not None:
         made |= {
             "forced": piece.forced,
@@ -171,4 +170,4 @@ def _summed(images: dict[str, Tensor], ruling: bool, pixels: PixelMajor, default
             lit = lit + (default > 0) * summed("missed", pixels.ones)
         if "lit_of_default" in images:
             lit = lit + (default > 0) * summed("lit_of_default", pixels.ones)
-    return Sums(light, weight, forced_light, forced_weight, lit, LARGEST_FINITE if ruling else None)
+    return Sums(light, weight, forced_light, forced_weight, lit, RULED if ruling else None)

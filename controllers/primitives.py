@@ -16,6 +16,7 @@ from world.frames import rotation
 Quantity = Literal["I_v", "E_v", "u_abs", "u_rel"]
 QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)  # a quantity's code is its place in here
 I_V, E_V, U_ABS, U_REL = range(4)
+HEAVIEST = 1e12  # what greater weights count unless they are infinite, so that sums of them stay finite
 
 _VECTORS = ("origin", "d1", "d2", "normal")
 
@@ -37,7 +38,8 @@ class Primitives:
 
     origin: `[..., P, 3]` m, the corner where symbol coordinates are (0, 0). d1, d2: `[..., P, 3]` m, the edges along symbol u and v.
     normal: `[..., P, 3]`, unit, towards the side that takes light. value: `[..., P]`, setpoint at symbol value 1 in cd, lx or as a share.
-    weight: `[..., P]`, 0 to infinity: 0 hides what lies behind but does not count, infinity beats every finite one.
+    weight: `[..., P]`, 0 to infinity: 0 hides what lies behind but does not count, infinity beats every finite one,
+    of which those above HEAVIEST count as that.
     quantity: `[P]` int64, places in QUANTITIES. forced: `[P]` bool, hit whatever lies before it. priority: `[P]` int64, decides between
     forced hits and between coplanar ones. symbols: images `[h, w]` in 0..1, row 0 at v = 0; symbol_of: `[P]` int64, whose image.
     nearest: `[P]` bool, images are read at the nearest texel, else bilinearly. group: `[P]` int64, what moves as one body.

@@ -73,6 +73,15 @@ def test_a_window_of_a_mask_holds_its_fringe() -> None:
     assert torch.equal(Ssc.prepare(LAMP, default=FULL).utilisation(stacked, T).u[0], single)
 
 
+@pytest.mark.parametrize("weight", [1e12, 1e15, 1e30, 1e38])
+def test_heavy_light_beside_a_mask_is_neither_brighter_nor_dark(weight: float) -> None:
+    """All that is heavier than the default by far gives the same: its setpoint, in pixels that the mask leaves."""
+    dark, ssc = mask(0.3, -0.2, 0.4, 0.3), Ssc.prepare(LAMP)
+    expected, heavy = (ssc.utilisation(concatenate(board(0.0, 0.0, 8.0, 4.0, value=0.5, weight=each), dark), T).u for each in (1e9, weight))
+    assert ((expected > 0.4) & (expected < 0.5 + 1e-6)).any() and (expected == 0).any()
+    torch.testing.assert_close(heavy, expected, rtol=0, atol=1e-5)  # float32
+
+
 def test_one_ray_of_infinite_weight_darkens_a_pixel_fully() -> None:
     tiny = mask(0.02, -0.11, 0.01, 0.01)
     u = Ssc.prepare(LAMP, default=FULL).utilisation(tiny, T).u

@@ -68,7 +68,7 @@ def random_primitive(generator: np.random.Generator) -> Primitives:
         quantity,
         normal=normal,
         symbol=torch.from_numpy(generator.random((3, 4))) if generator.random() < 0.5 else None,
-        weight=float(generator.choice([0.0, 0.4, 1.0, 1.0, 3.0, math.inf])),
+        weight=float(generator.choice([0.0, 0.4, 1.0, 1.0, 3.0, 1e15, math.inf])),
         forced=bool(generator.random() < 0.3),
         priority=int(generator.integers(3)),
         nearest=bool(generator.random() < 0.3),
