@@ -35,7 +35,11 @@ def first_hits(triangles: Triangles, origin: Tensor, directions: Tensor) -> Tens
         face = torch.from_numpy(
             placed.body.mesh.ray.intersects_first(local_origin.expand(len(rays), 3).numpy(), local[:, rays].T.numpy())
         ).long()
-        rays, face = rays[face >= 0], face[face >= 0] + first
+        hit = face >= 0
+        if not placed.body.two_sided:  # from within a closed body, one sees out
+            a, b, c = placed.body.corners[face].unbind(1)
+            hit &= (torch.linalg.cross(b - a, c - a).T * local[:, rays]).sum(0) < 0
+        rays, face = rays[hit], face[hit] + first
         hit_depth = depths(triangles, face, origin, directions[:, rays])
         closer = hit_depth < depth[rays]
         nearest[rays[closer]] = face[closer]

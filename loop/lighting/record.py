@@ -27,6 +27,13 @@ STEP = {
     "light_ms": (pa.float64(), "ms", "from primitives to utilisations"),
     "look_ms": (pa.float64(), "ms", "rendering, which is no part of the car"),
 }
+OBSERVED = {
+    "symbol_iou_min": (
+        pa.float64(),
+        "1",
+        "least IoU of a symbol with what its observer shall see, from their eye; empty while there is none",
+    ),
+}
 LAMP = {
     "flux_lm": (pa.float64(), "lm", "luminous flux"),
     "power_share": (pa.float64(), "1", "power, as a share of all pixels on"),
@@ -45,7 +52,8 @@ def schema(simulation: LightingSimulation) -> pa.Schema:
     """Columns of a simulation's recording: `lamp.left.flux_lm`, `object.NAME.lx_max` and so on."""
     sides = dict.fromkeys(module.side for module in simulation.modules)
     tracked = [item.name for item in simulation.scenario.objects if item.category is not None]
-    columns = STEP | {f"lamp.{side}.{key}": of for side in sides for key, of in LAMP.items()}
+    observed = any(getattr(function, "observer", None) for function in simulation.scenario.lighting.functions)
+    columns = STEP | (OBSERVED if observed else {}) | {f"lamp.{side}.{key}": of for side in sides for key, of in LAMP.items()}
     columns |= {f"object.{name}.{key}": of for name in tracked for key, of in OBJECT.items()}
     return pa.schema(pa.field(name, kind, metadata={"unit": unit, "description": text}) for name, (kind, unit, text) in columns.items())
 
@@ -62,6 +70,7 @@ def row(result: LightingResult) -> dict[str, Any]:
         **{f"{key}_deg": math.degrees(getattr(base, key)) for key in ("bend", "level", "roll")},
         "primitives": 0 if primitives is None else len(primitives),
         "dark_lx_max": result.dark_lx_max,
+        "symbol_iou_min": result.symbol_iou_min,
         **{f"{part}_ms": ms for part, ms in result.timings.items()},
     }
     for side, power in result.powers.items():

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Polygon
 
 from loop.headlight_views import BIRDSEYE_X_M, BIRDSEYE_Y_M, birdseye
+from loop.lighting.observed import ObservedSymbol
 from loop.lighting.picture import WALL_DEG, box_lines, measured, wall_light, white_of
 from loop.lighting.simulation import LightingResult, LightingSimulation
 from loop.lighting.view import Looker
@@ -25,6 +26,7 @@ INCHES, DPI = (13.0, 8.6), 120
 TRACKED, MASKED = "#4fd17a", "#ffaa28"
 COLOURS = (*FOUR, "#56b4e9", "#d55e00", "#000000", "#999999")
 WALL_COLUMNS = 480
+OBSERVED = 4  # observers' pictures that fit side by side
 FAINTEST_LX = 0.01  # where the scale of illuminance on objects begins
 
 
@@ -36,12 +38,19 @@ def write_report(file: Path, simulation: LightingSimulation, moments: Sequence[L
         FigureCanvasAgg(figure)
         figure.suptitle(_title(simulation, last, table), x=0.012, ha="left", fontsize=12, weight="bold")
         left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(7.6, 5.4))[0]
-        top, bottom = left.subfigures(2, 1, squeeze=False, height_ratios=(5.2, 3.4))[:, 0]
+        observed = [(result, symbol) for result in moments for symbol in result.symbols][-OBSERVED:]
+        heights = (5.2, 3.4, 1.6) if observed else (5.2, 3.4)
+        top, bottom, *below = left.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
         top.suptitle("What the camera sees; boxes are tracked objects, orange where a mask keeps them dark", x=0.02, ha="left", fontsize=9)
         white = float(max(white_of(result.luminance) for result in moments))
-        for axes, result in zip(top.subplots(2, 2).flat, moments, strict=False):
+        cameras = top.subplots(2, 2).flatten()
+        for axes, result in zip(cameras, moments, strict=False):
             _camera(axes, simulation, result, white)
+        for axes in cameras[len(moments) :]:
+            axes.set_axis_off()
         _from_above(bottom.subplots(), simulation, last)
+        for figure_below in below:
+            _observed(figure_below, observed)
         courses, walls = right.subfigures(2, 1, squeeze=False, height_ratios=(5.2, 3.4))[:, 0]
         _courses(courses, simulation, table)
         _walls(walls, simulation, last)
@@ -69,6 +78,15 @@ def _camera(axes: Axes, simulation: LightingSimulation, result: LightingResult, 
     axes.set(xlim=(0, image.shape[1]), ylim=(image.shape[0], 0), xticks=[], yticks=[])
     axes.set_title(f"Camera at {result.time_s:.2f} s, {result.plan.base.name} beam", weight="normal")
     axes.grid(False)
+
+
+def _observed(figure: SubFigure, observed: Sequence[tuple[LightingResult, ObservedSymbol]]) -> None:
+    figure.suptitle("What observers see of their symbols: luminance, as a share of that of a white picture", x=0.02, ha="left", fontsize=9)
+    for axes, (result, symbol) in zip(figure.subplots(1, len(observed), squeeze=False)[0], observed, strict=True):
+        axes.imshow(symbol.share.nan_to_num().cpu().numpy(), cmap=NIGHT, vmin=0, vmax=1, interpolation="antialiased")
+        axes.set(xticks=[], yticks=[])
+        axes.set_title(f"{result.time_s:.2f} s, IoU {symbol.iou:.3f}", weight="normal")
+        axes.grid(False)
 
 
 def _from_above(axes: Axes, simulation: LightingSimulation, last: LightingResult) -> None:

@@ -15,6 +15,7 @@ from controllers.rthc import masks
 from controllers.secondary import Light, SecondaryRays, scene_caster
 from loop.build import build_scene, symbol_path
 from loop.lighting.lamps import LampPower, ShiningModule, driven, shining_modules
+from loop.lighting.observed import ObservedSymbol, in_white, observed_symbols
 from loop.lighting.view import Looker
 from loop.scenario import DrivingParams, LightingScenario
 from perception.camera import camera_view
@@ -40,7 +41,7 @@ class LightingResult:
 
     lights: utilisations `[n_p]`, one a module. powers: by the lamps' sides. illuminance: `[height, width]` lx from the lamps alone, and
     luminance: in cd/m^2 with all other light, as the camera sees them. objects: by name, those that are there and tracked.
-    timings: ms by part.
+    symbols: those that are meant for an observer, from their eyes. timings: ms by part.
     """
 
     step: int
@@ -52,6 +53,7 @@ class LightingResult:
     illuminance: Tensor
     luminance: Tensor
     objects: Mapping[str, OnObject]
+    symbols: tuple[ObservedSymbol, ...]
     timings: Mapping[str, float]
 
     @property
@@ -59,6 +61,11 @@ class LightingResult:
         """The most light on any object that must be dark; None where nothing of any is in sight."""
         found = [each.lx_max for each in self.objects.values() if each.masked and each.pixels]
         return max(found, default=None)
+
+    @property
+    def symbol_iou_min(self) -> float | None:
+        """The least overlap of a symbol with what its observer shall see; None where there is no such symbol."""
+        return min((each.iou for each in self.symbols), default=None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,14 +118,20 @@ class LightingSimulation:
         now = self.situation(time_s)
         plan = self.planner.plan(now)
         planned = time.perf_counter()
-        lights, powers = driven(self.modules, plan, self._secondary(time_s), self.scenario.lighting.power_limit)
+        lights, powers = self._driven(plan, time_s)
         lit = time.perf_counter()
         seen = self.camera.at(time_s)
         illuminance, luminance = seen.light(lights)
         objects = self._on_objects(illuminance, seen.surfaces.object_id, now)
+        white = in_white(plan)
+        symbols = () if white is None else observed_symbols(plan, lights, self._driven(white, time_s)[0], self.camera, time_s)
         stop = time.perf_counter()
         timings = {"plan": 1e3 * (planned - start), "light": 1e3 * (lit - planned), "look": 1e3 * (stop - lit)}
-        return LightingResult(step, time_s, now, plan, lights, powers, illuminance, luminance + seen.base, objects, timings)
+        return LightingResult(step, time_s, now, plan, lights, powers, illuminance, luminance + seen.base, objects, symbols, timings)
+
+    def lights_at(self, time_s: float) -> tuple[Tensor, ...]:
+        """Utilisations `[n_p]`, one a module, at any time."""
+        return self._driven(self.planner.plan(self.situation(time_s)), time_s)[0]
 
     def run(self) -> Iterator[LightingResult]:
         """All steps of the scenario."""
@@ -130,11 +143,12 @@ class LightingSimulation:
         functions = (function for function in self.scenario.lighting.functions if function.kind == "glare_free")
         return any(any(masks(part)) for function in functions for part in function.primitives(alone))
 
-    def _secondary(self, time_s: float) -> tuple[SecondaryRays, ...]:
+    def _driven(self, plan: Plan, time_s: float) -> tuple[tuple[Tensor, ...], Mapping[str, LampPower]]:
         params = self.scenario.lighting
         street_lamps = self.scene.street_lamps if params.street_lamps else ()
         occluded = scene_caster(self.scene.at(time_s)) if params.shadow_rays else None
-        return tuple(SecondaryRays(self.lights, own, street_lamps, occluded) for own in range(len(self.modules)))
+        secondary = [SecondaryRays(self.lights, own, street_lamps, occluded) for own in range(len(self.modules))]
+        return driven(self.modules, plan, secondary, params.power_limit)
 
     def _on_objects(self, illuminance: Tensor, object_id: Tensor, now: Situation) -> Mapping[str, OnObject]:
         found = {}

@@ -25,6 +25,7 @@ def summarise(table: pa.Table, scenario: str) -> dict[str, Any]:
         "functions": "lighting",
         "steps": table.num_rows,
         "dark_lx_max": over("dark_lx_max", "max"),
+        "symbol_iou_min": over("symbol_iou_min", "min") if "symbol_iou_min" in table.column_names else None,
         "lamps": {
             side: {
                 "flux_lm_mean": over(f"lamp.{side}.flux_lm", "mean"),
@@ -53,6 +54,8 @@ def shown(values: dict[str, Any], files: str) -> Table:
         rows[f"light on {name}"] = f"{_number(light['lx_mean'], '.3g')} lx (mean), {_number(light['lx_max'], '.3g')} lx at most"
     if values["dark_lx_max"] is not None:
         rows["on what must be dark"] = f"{values['dark_lx_max']:.3g} lx at most"
+    if values["symbol_iou_min"] is not None:
+        rows["symbols, to their observers"] = f"IoU {values['symbol_iou_min']:.3f} at least"
     rows["time a step"] = f"{_number(values['control_ms_median'], '.1f')} ms (median) for planning and all lamps"
     rows["files"] = files
     for label, value in rows.items():

@@ -67,6 +67,13 @@ def test_an_observer_does_not_see_behind_a_box() -> None:
     assert seen_by(batch, eye, occluded).tolist() == [[True, False, True, True], [True, True, False, True]]
 
 
+def test_an_observer_sees_out_of_their_own_body() -> None:
+    occluded = scene_caster(Scene((Body("road", trimesh.creation.box((1, 1, 1))), box(8, 0, 0.85, (1.8, 0.5, 1.7)))).at(0.0))
+    eye = torch.tensor([8.0, 0.0, 1.6], dtype=torch.float64)
+    assert seen_by(torch.tensor([[15.0], [0.6], [0.0]], dtype=torch.float64), eye, occluded).all()
+    assert not seen_by(torch.tensor([[15.0], [0.0], [0.0]], dtype=torch.float64), eye - torch.tensor([8.0, 0, 0.5]), occluded).any()
+
+
 def test_street_light_is_taken_off_and_never_below_zero() -> None:
     lamp = StreetLamp(position_m=(15.0, 0.0, 5.0), intensity_cd=500.0)
     points = road_points()
