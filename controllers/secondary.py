@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from controllers.primitives import U_ABS, Primitives
+from controllers.primitives import U_ABS, Primitives, meant
 from world.frames import inverse, transform
 from world.headlight import Headlight
 from world.raycast import first_hits
@@ -145,7 +145,7 @@ class SecondaryRays:
                 street = street_light(points, normals, self.street_lamps, self.occluded, hit)
                 value = less_street_light(value, street, points, normals, self.lights[self.own][1].T_world_headlight[:3, 3])
             others = bool(primitives.shared[p])
-            drawing = [k for k, (name, _) in enumerate(self.lights) if k == self.own or (others and may_draw(names, name))]
+            drawing = [k for k, (name, _) in enumerate(self.lights) if k == self.own or (others and meant(names, name))]
             value = value * shares([self.lights[k][1] for k in drawing], points, self.occluded, hit)[drawing.index(self.own)]
         if self.occluded is not None and primitives.observer is not None and self._watched(primitives, p):
             value = value * seen_by(points, primitives.observer.eye[..., p, :], self.occluded, hit)
@@ -153,8 +153,3 @@ class SecondaryRays:
 
     def _watched(self, primitives: Primitives, p: int) -> bool:
         return self.occluded is not None and primitives.observer is not None and bool(primitives.observer.active[p])
-
-
-def may_draw(names: Sequence[str], module: str) -> bool:
-    """Whether a primitive for these modules, or for all where there are none, is meant for "left hires", say."""
-    return not names or any(f" {name} " in f" {module} " for name in names)

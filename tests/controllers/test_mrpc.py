@@ -22,17 +22,21 @@ ROWS, COLS, PIXELS = 6, 8, 12
 DARK_PIXEL, DARK_TEXEL = 5, 17
 
 
+def lamp_of(light: np.ndarray, texels: tuple[int, int], pixels: tuple[int, int]) -> Headlight:
+    """A lamp of a dense matrix `[texels, pixels]`; rows and columns of both."""
+    (rows, cols), (pixel_rows, pixel_cols), matrix = texels, pixels, Csr.from_scipy(sp.csr_array(light), torch.float64)
+    field = {"left": 0.2, "right": -0.2, "bottom": -0.1, "top": 0.1}
+    return Headlight(name="lamp", matrix=matrix, rows=rows, cols=cols, pixel_rows=pixel_rows, pixel_cols=pixel_cols, **field)
+
+
 def random_lamp(seed: int) -> tuple[Headlight, np.ndarray]:
     """A lamp with overlapping pixels and its dense matrix `[48, 12]`: one pixel has no texel, one texel no pixel, some entries are zero."""
     generator = np.random.default_rng(seed)
     A = generator.uniform(1, 1000, (ROWS * COLS, PIXELS)) * (generator.random((ROWS * COLS, PIXELS)) < 0.25)
     A[:, DARK_PIXEL] = A[DARK_TEXEL] = 0
-    csr = Csr.from_scipy(sp.csr_array(A), torch.float64)
-    stored_zeros = replace(csr, values=csr.values.clone())
-    stored_zeros.values[::9] = 0
-    return Headlight(
-        name="random", matrix=stored_zeros, rows=ROWS, cols=COLS, left=0.2, right=-0.2, bottom=-0.1, top=0.1, pixel_rows=3, pixel_cols=4
-    ), stored_zeros.to_scipy().toarray()
+    lamp = lamp_of(A, (ROWS, COLS), (3, 4))
+    lamp.matrix.values[::9] = 0
+    return lamp, lamp.matrix.to_scipy().toarray()
 
 
 def random_setpoints(seed: int, A: np.ndarray, quantity: Quantity, window: Window | None = None) -> Setpoints:
@@ -102,18 +106,7 @@ def test_a_window_equals_the_whole(window: Window, a_m: float) -> None:
     for j in range(PIXELS):  # pixels in rows, as in real lamps, so that the band leaves some out
         rows = np.arange(COLS) + COLS * (2 * (j // 4))
         A[rows[2 * (j % 4) :][:3], j] = A[rows[2 * (j % 4) :][:3] + COLS, j] = 10 + j
-    lamp = Headlight(
-        name="rows",
-        matrix=Csr.from_scipy(sp.csr_array(A), torch.float64),
-        rows=ROWS,
-        cols=COLS,
-        left=0.2,
-        right=-0.2,
-        bottom=-0.1,
-        top=0.1,
-        pixel_rows=3,
-        pixel_cols=4,
-    )
+    lamp = lamp_of(A, (ROWS, COLS), (3, 4))
     part = random_setpoints(3, A, "I_v", window)
     value, hit = torch.zeros(ROWS, COLS, dtype=torch.float64), torch.zeros(ROWS, COLS, dtype=torch.float64)
     cut = slice(window.row_start, window.row_stop), slice(window.col_start, window.col_stop)
@@ -142,18 +135,7 @@ def test_an_empty_window_leaves_the_default() -> None:
 def test_rows_without_pixels_leave_the_default() -> None:
     A = np.zeros((ROWS * COLS, PIXELS))
     A[:COLS, 0] = 7
-    lamp = Headlight(
-        name="one",
-        matrix=Csr.from_scipy(sp.csr_array(A), torch.float64),
-        rows=ROWS,
-        cols=COLS,
-        left=0.2,
-        right=-0.2,
-        bottom=-0.1,
-        top=0.1,
-        pixel_rows=3,
-        pixel_cols=4,
-    )
+    lamp = lamp_of(A, (ROWS, COLS), (3, 4))
     default = base_pattern(0)
     below = Setpoints(torch.ones(2, 8, dtype=torch.float64), torch.ones(2, 8, dtype=torch.float64), Window(3, 5, 0, 8), (U_ABS,))
     u, band = reduced(below, lamp, MrpcParams(), default)
@@ -217,18 +199,7 @@ def test_a_setpoint_beyond_the_lamp_gives_full_light_and_none_gives_none() -> No
 def test_a_bound_holds_for_every_ray_and_not_for_the_mean() -> None:
     """Half of a pixel asked for twice its light, the other half for none: half, not full."""
     A = np.ones((2, 1))
-    lamp = Headlight(
-        name="two texels",
-        matrix=Csr.from_scipy(sp.csr_array(A), torch.float64),
-        rows=1,
-        cols=2,
-        left=0.1,
-        right=-0.1,
-        bottom=-0.1,
-        top=0.1,
-        pixel_rows=1,
-        pixel_cols=1,
-    )
+    lamp = lamp_of(A, (1, 2), (1, 1))
     for code in range(len(QUANTITIES)):
         setpoints = Setpoints(torch.tensor([[2.0, 0.0]], dtype=torch.float64), torch.ones(1, 2, dtype=torch.float64), whole(lamp), (code,))
         u, _ = reduced(setpoints, lamp, MrpcParams(), torch.ones(1, dtype=torch.float64))
@@ -257,18 +228,7 @@ def test_negative_exponents_are_refused() -> None:
 
 def one_pixel(light: list[float]) -> Headlight:
     """A pixel alone on a row of texels."""
-    return Headlight(
-        name="one",
-        matrix=Csr.from_scipy(sp.csr_array(np.array(light)[:, None]), torch.float64),
-        rows=1,
-        cols=len(light),
-        left=0.1,
-        right=-0.1,
-        bottom=-0.1,
-        top=0.1,
-        pixel_rows=1,
-        pixel_cols=1,
-    )
+    return lamp_of(np.array(light)[:, None], (1, len(light)), (1, 1))
 
 
 def asked(*setpoints: float) -> Setpoints:
@@ -298,10 +258,7 @@ def test_a_pixel_with_too_few_lit_setpoints_is_off(a_ac: float, lit: bool) -> No
 def test_smaller_pixels_are_asked_for_more() -> None:
     A = np.ones((8, 2))
     A[:6, 1] = 0  # the second pixel reaches two texels of the eight
-    lamp = Headlight(
-        name="coarse and fine", matrix=Csr.from_scipy(sp.csr_array(A), torch.float64), rows=1, cols=8,
-        left=0.1, right=-0.1, bottom=-0.1, top=0.1, pixel_rows=1, pixel_cols=2,
-    )  # fmt: skip
+    lamp = lamp_of(A, (1, 8), (1, 2))
     wanted = asked(0, 0, 0, 0, 0, 0, 0.9, 0.9)
     dark = torch.zeros(2, dtype=torch.float64)
     alike, finer = (reduced(wanted, lamp, MrpcParams(granularity=g), dark)[0] for g in (0.0, 1.0))
