@@ -17,22 +17,38 @@ from world.body import Body
 from world.errors import LuxloopError
 from world.frames import pose_from_degrees
 from world.lamp import Lamp, Module
+from world.roadbase import Road
 from world.roadmesh import road_mesh
+from world.roadtiles import RoadTiles
 from world.scanroad import OpenCrgRoad
 from world.scene import Scene
+from world.vehicle import STANDING, Motion, drive
 
 TurnedPart = TypeVar("TurnedPart", Lamp, Module)
 
 
-def build_scene(scenario: WorldScenario) -> Scene:
-    """Road and objects. Raises LuxloopError where a file is missing or broken."""
-    road = scenario.road
-    if isinstance(road, OpenCrgRoad):
-        road = road.model_copy(update={"file": data.locate(road.file)})
-    mesh = road_mesh(road)
-    ground = Body("road", mesh, scenario.surface.albedo, scenario.surface.texture(), smooth=True)
+def build_motion(scenario: Scenario) -> Motion:
+    """The drive, over half a period more than all steps. Raises LuxloopError where a file is missing or broken."""
+    if scenario.vehicle is None:
+        return STANDING
+    return drive(scenario.vehicle, _road(scenario), (scenario.steps + 1) / scenario.rate_hz)
+
+
+def build_scene(scenario: WorldScenario, motion: Motion = STANDING) -> Scene:
+    """Road, along the vehicle's course, and objects. Raises LuxloopError where a file is missing or broken."""
+    road, surface = _road(scenario), scenario.surface
+    ground: Body | RoadTiles
+    if motion is STANDING:
+        ground = Body("road", road_mesh(road), surface.albedo, surface.texture(), smooth=True)
+    else:
+        ground = RoadTiles(road, motion.range_y_m, surface.albedo, surface.texture())
     objects = tuple(item.build() for item in scenario.objects)
     return Scene((ground, *objects), scenario.light.ambient_lx, scenario.light.street_lamps)
+
+
+def _road(scenario: WorldScenario) -> Road:
+    road = scenario.road
+    return road.model_copy(update={"file": data.locate(road.file)}) if isinstance(road, OpenCrgRoad) else road
 
 
 def build_projector(scenario: Scenario, device: torch.device) -> Projector:

@@ -1,8 +1,9 @@
 """What is controlled: utilisations in, frames out. The simulated world is the first plant."""
 
 from collections import OrderedDict
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -12,14 +13,19 @@ from torch import Tensor
 from controllers.ssc import Utilisation
 from controllers.symbol.projector import DrawingModule
 from perception.camera import CameraParams, average_rows, camera_view, expose, frame_generator
+from perception.egomotion import EXACT, Ego, SensorParams, measured
 from world.ambient import ambient_luminance
 from world.face_source import FaceSource
-from world.gbuffer import gbuffer
-from world.illumination import Transport, added_light, reach, transport
+from world.gbuffer import GBuffer
+from world.illumination import DirectTransport, LightTransport, added_light, reach, transport
 from world.scene import Scene
-from world.shadow import shadow_map
+from world.surfaces import surface_source
+from world.triangles import Triangles
+from world.vehicle import STANDING, Motion
+from world.view import View
 
 SHADOW_MAP = (1024, 664)  # width, height in px: about 6 cm of road at 17 m
+QUICK_SHADOW_MAP = (512, 332)
 KEPT_VIEWS = 4  # on and off frame, before and after a change
 
 Frames = tuple[Tensor, Tensor]
@@ -37,16 +43,27 @@ class Plant(Protocol):
         ...
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LitView:
-    """A scene as the camera sees it at one time: light transport a module, and luminance `[height, width]` in cd/m^2.
+    """A scene as the camera sees it at one time.
 
-    base: without the lamps. off: with their base beams, as an off frame shows it.
+    base: luminance `[height, width]` in cd/m^2 without the lamps. beams: their base beams, None where they have none.
+    transported: makes the transports, which are needed only where a lamp shines.
     """
 
-    transports: tuple[Transport, ...]
     base: Tensor
-    off: Tensor
+    beams: Sequence[Utilisation] | None
+    transported: Callable[[], tuple[LightTransport, ...]]
+
+    @cached_property
+    def transports(self) -> tuple[LightTransport, ...]:
+        """Light transport, one a module."""
+        return self.transported()
+
+    @cached_property
+    def off(self) -> Tensor:
+        """Luminance `[height, width]` in cd/m^2 with the base beams, as an off frame shows it."""
+        return self.base if self.beams is None else added_light(self.transports, self.beams, self.base)
 
     def luminance(self, lights: Sequence[Utilisation]) -> Tensor:
         """Luminance `[..., height, width]` in cd/m^2 of the symbol alone: on minus off, negative where it is darker than the base beams."""
@@ -65,10 +82,17 @@ class SimulatedPlant:
         rate_hz: float,
         seed: int,
         device: torch.device,
+        motion: Motion = STANDING,
+        sensors: SensorParams = EXACT,
     ) -> None:
         self.scene, self.modules, self.camera, self.source = scene, tuple(modules), camera, source
         self.period_s, self.seed, self.device = 1 / rate_hz, seed, device
+        self.motion, self.sensors = motion, sensors
+        self.moving = motion is not STANDING or scene.moves
+        self.surfaces = surface_source(source, self.moving)
         self.view = camera_view(camera)
+        beams = [Utilisation(module.pixel_controller.default) for module in self.modules]
+        self.beams = beams if any(bool(beam.u.any()) for beam in beams) else None
         self._lit: OrderedDict[Any, LitView] = OrderedDict()
 
     def start(self) -> tuple[Frames | None, ...]:
@@ -89,9 +113,17 @@ class SimulatedPlant:
         """Times in s of a step's on and off frame."""
         return step * self.period_s, (step + 0.5) * self.period_s
 
+    def ego(self, step: int) -> Ego:
+        """What the vehicle's sensors have said of its motion by a step."""
+        return measured(self.motion, self.sensors, step, self.period_s, self.seed, self.view.T_world_view.float().to(self.device))
+
+    def view_from_ground(self, t_s: float) -> View:
+        """The camera's view at a time, in the ground frame in place of the world."""
+        return replace(self.view, T_world_view=self.motion.at(t_s).T_ground_body @ self.view.T_world_view)
+
     def lit(self, t_s: float) -> LitView:
-        """The camera's view of the scene at a time; rendered only when geometry has moved."""
-        key = self.scene.key_at(t_s)
+        """The camera's view of the scene at a time; rendered only when geometry or the vehicle has moved."""
+        key = (self.scene.key_at(t_s), tuple(self.motion.at(t_s).T_world_body.flatten().tolist()))
         if key not in self._lit:
             self._lit[key] = self._render(t_s)
             if len(self._lit) > KEPT_VIEWS:
@@ -100,17 +132,27 @@ class SimulatedPlant:
         return self._lit[key]
 
     def _render(self, t_s: float) -> LitView:
-        triangles, samples = self.scene.at(t_s), self.camera.oversampling
+        vehicle, samples = self.motion.at(t_s), self.camera.oversampling
+        triangles = self.scene.at(t_s, vehicle.T_world_ground)
         view = camera_view(self.camera, samples)
-        surfaces = gbuffer(triangles, view, self.source.face_ids(triangles, view)).to(self.device)
-        transports = []
+        view = replace(view, T_world_view=vehicle.T_world_body @ view.T_world_view)
+        surfaces = self.surfaces.gbuffer(triangles, view).to(self.device)
+        base = average_rows(ambient_luminance(surfaces, self.scene.ambient_lx, self.scene.street_lamps), samples)
+        return LitView(base, self.beams, lambda: self._transports(triangles, surfaces, vehicle.T_world_body))
+
+    def _transports(self, triangles: Triangles, surfaces: GBuffer, T_world_body: Tensor) -> tuple[LightTransport, ...]:
+        """A module's matrix is worth its making where the view stays for many steps."""
+        samples, width = self.camera.oversampling, self.camera.width_px
+        folded: list[LightTransport] = []
         for module in self.modules:
             headlight = module.pixel_controller.headlight
-            shadow = shadow_map(triangles, headlight.view(module.T_world_headlight, *SHADOW_MAP), self.source).to(self.device)
-            transports.append(transport(reach(surfaces, headlight, module.T_world_headlight, shadow), headlight, view.width, samples))
-        base = average_rows(ambient_luminance(surfaces, self.scene.ambient_lx, self.scene.street_lamps), samples)
-        beams = [Utilisation(module.pixel_controller.default) for module in self.modules]
-        return LitView(tuple(transports), base, added_light(transports, beams, base))
+            T_world_headlight = T_world_body.to(module.T_world_headlight) @ module.T_world_headlight
+            lamp_view = headlight.view(T_world_headlight, *(QUICK_SHADOW_MAP if self.moving else SHADOW_MAP))
+            shadow = self.surfaces.shadow_map(triangles, lamp_view).to(self.device)
+            reached = reach(surfaces, headlight, T_world_headlight, shadow)
+            fold = DirectTransport.of if self.moving else transport
+            folded.append(fold(reached, headlight, width, samples))
+        return tuple(folded)
 
     def _expose(self, luminance: Tensor, step: int, frame: int) -> Tensor:
         return expose(luminance, self.camera, frame_generator(self.seed, step, frame, self.device))

@@ -21,6 +21,7 @@ from controllers.symbol.projector import SymbolParams
 from loop.shipped import find
 from loop.validation import did_you_mean, read_toml, sentence
 from perception.camera import CameraParams
+from perception.egomotion import SensorParams
 from perception.extraction import ExtractionParams
 from world.errors import LuxloopError
 from world.materials import RoadSurfaceParams
@@ -28,6 +29,7 @@ from world.objects import ObjectParams
 from world.params import Params
 from world.roads import Flat, RoadParams
 from world.scene import StreetLamp
+from world.vehicle import VehicleParams
 
 SCHEMA_VERSION: Final = 1
 PIXEL_CONTROLLERS = ("ssc", "jpo")
@@ -129,6 +131,8 @@ class Scenario(WorldScenario):
     symbol: SymbolParams = Field(description="what is projected, and where it shall lie")
     start: StartParams = Field(StartParams(), description="where the control starts")
     features: FeatureParams = Field(FeatureParams(), description="what of the symbol the controller looks at")
+    vehicle: VehicleParams | None = Field(None, description="how the vehicle drives; left out: it stands")
+    sensors: SensorParams = Field(SensorParams(), description="odometry and inertial sensors of the vehicle")
     extraction: ExtractionParams = Field(ExtractionParams(), description="how the symbol is found in the image")
     controller: Annotated[ControllerParams, Field(description="the controller of the symbol")] = ThesisPidParams()
 

@@ -15,12 +15,13 @@ from controllers.symbol.flat_model import flat_model
 from controllers.symbol.observer import Observer, Seen
 from controllers.symbol.projector import Projector
 from controllers.symbol.protocol import SymbolController
-from loop.build import build_projector, build_scene
+from loop.build import build_motion, build_projector, build_scene
 from loop.plant import Frames, Plant, SimulatedPlant
 from loop.scenario import Scenario
 from perception.birdseye import BirdsEye, birds_eye, region_around
 from perception.judge import CELL_M, Target, Verdict, judge, target
 from world.face_source import face_source
+from world.view import View
 
 Lights = tuple[Utilisation, ...]
 
@@ -71,13 +72,22 @@ class Simulation:
         """Build scene, lamps, internal model and judge. Raises LuxloopError where a file is missing or broken."""
         device = torch.device(device)
         symbol = scenario.symbol
-        scene = build_scene(scenario)
+        motion = build_motion(scenario)
+        scene = build_scene(scenario, motion)
         projector = build_projector(scenario, device)
         model = flat_model(projector, scenario.camera, scenario.surface, scenario.light.ambient_lx, scenario.extraction, scenario.features)
         world = SimulatedPlant(
-            scene, projector.modules, scenario.camera, face_source(scenario.renderer), scenario.rate_hz, scenario.seed, device
+            scene,
+            projector.modules,
+            scenario.camera,
+            face_source(scenario.renderer),
+            scenario.rate_hz,
+            scenario.seed,
+            device,
+            motion,
+            scenario.sensors,
         )
-        plane = birds_eye(region_around(symbol.x_m, symbol.y_m, symbol.length_m, symbol.width_m, CELL_M), world.view).to(device)
+        plane = _plane(scenario, world.view, device)
         return cls(
             scenario=scenario,
             device=device,
@@ -102,7 +112,7 @@ class Simulation:
         timings: dict[str, float] = {}
         time_s, off_time_s = self.world.exposures(state.step)
         with _timed(timings, "render"):
-            self.world.lit(time_s), self.world.lit(off_time_s)
+            _ = self.world.lit(time_s).transports, self.world.lit(off_time_s).off
         with _timed(timings, "light"):
             pose = self.controller.pose(state.controller)
             lights = self.projector.light(pose)
@@ -122,7 +132,12 @@ class Simulation:
 
     def judge(self, lights: Lights, time_s: float) -> Verdict:
         """How the light lies on the road at a time, without noise."""
-        return judge(self.world.lit(time_s).luminance(lights), self.plane, self.goal)
+        return judge(self.world.lit(time_s).luminance(lights), self.plane_at(time_s), self.goal)
+
+    def plane_at(self, time_s: float) -> BirdsEye:
+        """The plane z = 0 under the vehicle as the camera sees it at a time; `plane` is that of the standing vehicle."""
+        view = self.world.view_from_ground(time_s)
+        return self.plane if view.T_world_view.equal(self.world.view.T_world_view) else _plane(self.scenario, view, self.device)
 
     def run(self) -> Iterator[StepResult]:
         """All steps of the scenario."""
@@ -130,6 +145,11 @@ class Simulation:
         for _ in range(self.scenario.steps):
             state, result = self.step(state)
             yield result
+
+
+def _plane(scenario: Scenario, view: View, device: torch.device) -> BirdsEye:
+    symbol = scenario.symbol
+    return birds_eye(region_around(symbol.x_m, symbol.y_m, symbol.length_m, symbol.width_m, CELL_M), view).to(device)
 
 
 @contextmanager

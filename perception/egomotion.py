@@ -1,6 +1,7 @@
 """What the vehicle's own sensors say of its motion: odometry and inertial sensors, with noise, bias and delay."""
 
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 import torch
@@ -27,6 +28,9 @@ class SensorParams(Params):
     angle_noise_deg: float = Field(0.0, ge=0, le=5, description="standard deviation of measured roll and pitch")
     rate_noise_deg_s: float = Field(0.0, ge=0, le=10, description="standard deviation of measured roll and pitch rates")
     delay_steps: int = Field(0, ge=0, le=10, description="control steps by which all of this is known late")
+
+
+EXACT: Final = SensorParams()
 
 
 @dataclass(frozen=True)

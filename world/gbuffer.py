@@ -7,7 +7,7 @@ from torch import Tensor
 
 from world.brdf import LAMBERTIAN, Material
 from world.frames import inverse, transform, unit
-from world.triangles import Triangles, intersect
+from world.triangles import Placed, Triangles, intersect
 from world.view import View
 
 
@@ -59,20 +59,22 @@ def gbuffer(triangles: Triangles, view: View, face_ids: Tensor) -> GBuffer:
         position[:, pixels] = points.float()
         normals = _normals(placed.corner_normals[hits.faces], hits.barycentric.float())
         normal[:, pixels] = torch.where(hits.front, normals, -normals) if placed.body.two_sided else normals
-        texture = placed.body.texture
-        if texture is None:
-            albedo[pixels] = placed.body.albedo
-            material[pixels] = numbers.setdefault(placed.body.material, len(numbers))
-        else:
-            x, y, _ = transform(inverse(placed.T_world_body), points)
-            albedo[pixels] = texture.at(x, y)
-            if texture.materials != (LAMBERTIAN,):
-                known = torch.tensor([numbers.setdefault(each, len(numbers)) for each in texture.materials])
-                material[pixels] = known[texture.material_at(x, y)]
+        albedo[pixels], material[pixels] = reflection(placed, points, numbers)
         object_id[pixels] = placed.object_id
     shape = (view.height, view.width)
     finish = Finish(tuple(numbers), material.view(shape), origin) if len(numbers) > 1 else None
     return GBuffer(position.view(3, *shape), normal.view(3, *shape), albedo.view(shape), object_id.view(shape), finish)
+
+
+def reflection(placed: Placed, points: Tensor, numbers: dict[Material, int]) -> tuple[Tensor, Tensor]:
+    """Albedo `[M]` float32 and number of the material `[M]` int64 at points `[3, M]` of a body, world; new materials are numbered on."""
+    body, texture = placed.body, placed.body.texture
+    if texture is None:
+        number = numbers.setdefault(body.material, len(numbers))
+        return torch.tensor(body.albedo).expand(points.shape[1]), torch.tensor(number).expand(points.shape[1])
+    x, y, _ = transform(inverse(placed.T_world_body).to(points), points)
+    known = torch.tensor([numbers.setdefault(each, len(numbers)) for each in texture.materials])
+    return texture.at(x, y), known[texture.material_at(x, y)] if len(known) > 1 else known.expand(len(x))
 
 
 def _normals(corner_normals: Tensor, barycentric: Tensor) -> Tensor:

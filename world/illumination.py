@@ -118,7 +118,7 @@ def transport(surface: LitSurface, headlight: Headlight, width: int, oversamplin
     width: of the image in px. oversampling: image rows of the G-buffer that a camera pixel takes the mean of.
     """
     values = (surface.weight * (surface.factor * surface.luminance_factor / (math.pi * oversampling))).T.cpu().numpy()
-    pixel = (surface.index // (width * oversampling) * width + surface.index % width).cpu().numpy()
+    pixel = _camera_pixel(surface.index, width, oversampling).cpu().numpy()
     index, row = np.unique(pixel, return_inverse=True)
     entries = (values.ravel(), (np.repeat(row, 4), surface.texel.T.cpu().numpy().ravel()))
     sampling = sp.csr_matrix(entries, shape=(len(index), headlight.rows * headlight.cols))
@@ -126,6 +126,43 @@ def transport(surface: LitSurface, headlight: Headlight, width: int, oversamplin
     matrix = Csr.from_scipy(sampling @ headlight.matrix.to_scipy(), headlight.matrix.values.dtype).to(device)
     first, last = segment_bounds(matrix.indices, row_of_entries(matrix), headlight.n_pixels)
     return Transport(matrix, torch.from_numpy(index).to(device), first, last)
+
+
+@dataclass(frozen=True)
+class DirectTransport:
+    """The same without a matrix: the light texture is made and sampled each time, which pays where every view is lit a few times only.
+
+    surface: M samples. index: `[M]` int64, flat image index of the camera pixel that takes the mean of `oversampling` samples.
+    """
+
+    surface: LitSurface
+    headlight: Headlight
+    index: Tensor
+    oversampling: int
+
+    @classmethod
+    def of(cls, surface: LitSurface, headlight: Headlight, width: int, oversampling: int = 1) -> "DirectTransport":
+        """Parameters as of `transport`."""
+        return cls(surface, headlight, _camera_pixel(surface.index, width, oversampling), oversampling)
+
+    def luminance(self, utilisation: Tensor, band: slice | None = None) -> tuple[Tensor, Tensor]:
+        """Luminance `[..., M]` in cd/m^2 that each sample adds to the camera pixel at flat image index `[M]`, the same for several samples.
+
+        utilisation: `[..., n_p]`. band: nothing is lit if it is empty; else it changes nothing.
+        """
+        if band is not None and band.stop <= band.start:
+            return utilisation.new_zeros(*utilisation.shape[:-1], 0), self.index[:0]
+        return luminance(self.surface, self.headlight.light_texture(utilisation)) / self.oversampling, self.index
+
+
+def _camera_pixel(index: Tensor, width: int, oversampling: int) -> Tensor:
+    return index // (width * oversampling) * width + index % width
+
+
+class LightTransport(Protocol):
+    """From one module's utilisation `[..., n_p]` to luminances `[..., m]` in cd/m^2 and the flat image indices `[m]` that they add to."""
+
+    def luminance(self, utilisation: Tensor, band: slice | None = None) -> tuple[Tensor, Tensor]: ...
 
 
 class Light(Protocol):
@@ -138,7 +175,7 @@ class Light(Protocol):
     def band(self) -> slice | None: ...
 
 
-def added_light(transports: Sequence[Transport], lights: Sequence[Light], base: Tensor) -> Tensor:
+def added_light(transports: Sequence[LightTransport], lights: Sequence[Light], base: Tensor) -> Tensor:
     """Luminance `[..., height, width]` in cd/m^2 of a camera's pixels: that of one light a transport on top of a base `[height, width]`."""
     image = base.expand(*lights[0].u.shape[:-1], *base.shape).flatten(-2).clone()
     for transport_, light in zip(transports, lights, strict=True):

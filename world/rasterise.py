@@ -28,7 +28,7 @@ class Rasteriser:
 
     def __init__(self) -> None:
         """Raises NoOpenGL."""
-        self._context = _context()
+        self._context = context()
         self._meshes: WeakKeyDictionary[Body, list[Any]] = WeakKeyDictionary()
         self.name = f"OpenGL ({_renderer_name()})"
 
@@ -81,7 +81,7 @@ def _ordered_scene() -> Any:
 
 
 @cache
-def _context() -> Any:
+def context() -> Any:
     """The one OffscreenRenderer of the process: pyrender's meshes belong to the context that they were first drawn in."""
     os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
     os.environ.setdefault("PYGLET_HEADLESS", "true")  # pyrender imports its viewer, which would ask for an X server
@@ -89,17 +89,17 @@ def _context() -> Any:
         import pyrender
         from pyrender.shader_program import ShaderProgramCache
 
-        context = pyrender.OffscreenRenderer(1, 1)
+        renderer = pyrender.OffscreenRenderer(1, 1)
     except Exception as error:  # missing libraries and drivers show as ImportError, AttributeError, AssertionError, EGLError ...
         reason = str(error) or type(error).__name__
         remedy = "install libegl1 and libgl1-mesa-dri, or take the face source 'raycast'"
         raise NoOpenGL(f"no offscreen OpenGL here ({reason}); {remedy}") from error
-    context._renderer._program_cache = ShaderProgramCache(shader_dir=str(Path(__file__).parent / "shaders"))
-    return context
+    renderer._renderer._program_cache = ShaderProgramCache(shader_dir=str(Path(__file__).parent / "shaders"))
+    return renderer
 
 
 def _renderer_name() -> str:
     from OpenGL.GL import GL_RENDERER, glGetString
 
-    _context()._platform.make_current()
+    context()._platform.make_current()
     return glGetString(GL_RENDERER).decode()

@@ -2,6 +2,7 @@
 
 import numpy as np
 import trimesh
+from numpy.typing import NDArray
 
 from world.roadbase import Floats, Road
 
@@ -20,10 +21,14 @@ def road_mesh(road: Road) -> trimesh.Trimesh:
     y = axis(SCENE_Y_M, grid.y_m, grid.spacing_m[1], grid.y_lines_m)
     X, Y = np.meshgrid(x, y, indexing="ij")
     vertices = np.stack([X, Y, road.z(X, Y)], axis=-1).reshape(-1, 3)
-    corner = (np.arange(len(x) - 1)[:, None] * len(y) + np.arange(len(y) - 1)).ravel()
-    ahead, left = corner + len(y), corner + 1
-    faces = np.stack([corner, ahead, ahead + 1, corner, ahead + 1, left], axis=-1).reshape(-1, 3)
-    return trimesh.Trimesh(vertices, faces, process=False)
+    return trimesh.Trimesh(vertices, grid_faces(len(x), len(y)), process=False)
+
+
+def grid_faces(n_x: int, n_y: int) -> NDArray[np.int64]:
+    """Corners `[F, 3]` of the triangles between `n_x` rows of `n_y` vertices, counter-clockwise seen from above."""
+    corner = (np.arange(n_x - 1)[:, None] * n_y + np.arange(n_y - 1)).ravel()
+    ahead, left = corner + n_y, corner + 1
+    return np.stack([corner, ahead, ahead + 1, corner, ahead + 1, left], axis=-1).reshape(-1, 3)
 
 
 def axis(scene: tuple[float, float], fine: tuple[float, float], spacing: float, lines: tuple[float, ...]) -> Floats:

@@ -2,10 +2,13 @@
 
 from dataclasses import dataclass, field
 
+import torch
 from pydantic import Field
+from torch import Tensor
 
 from world.body import Body, PoseTrack
 from world.params import Params
+from world.roadtiles import RoadTiles
 from world.triangles import Placed, Triangles
 
 __all__ = ["Body", "PoseTrack", "Scene", "StreetLamp"]
@@ -25,10 +28,15 @@ class StreetLamp(Params):
 class Scene:
     """bodies: the road first; their order gives the object ids. ambient_lx: illuminance of a surface facing up, from an overcast sky."""
 
-    bodies: tuple[Body, ...]
+    bodies: tuple[Body | RoadTiles, ...]
     ambient_lx: float = 0.0
     street_lamps: tuple[StreetLamp, ...] = ()
     _last_placed: dict[int, Placed] = field(default_factory=dict, init=False, repr=False)
+
+    @property
+    def moves(self) -> bool:
+        """Whether a body has more than one pose."""
+        return any(len(body.track.times_s) > 1 for body in self.bodies)
 
     def key_at(self, t_s: float) -> Key:
         """Which bodies are there at a time, and where: cheap, and equal as long as nothing moves."""
@@ -36,13 +44,20 @@ class Scene:
             (i, tuple(body.track.pose_at(t_s).flatten().tolist())) for i, body in enumerate(self.bodies) if body.track.visible_at(t_s)
         )
 
-    def at(self, t_s: float) -> Triangles:
-        """The scene's triangles at a time. Bodies that stood still since the last call are reused with all that was derived from them."""
-        return Triangles(tuple(self._place(i, t_s) for i, _ in self.key_at(t_s)))
+    def at(self, t_s: float, T_world_ground: Tensor | None = None) -> Triangles:
+        """The scene's triangles at a time. Bodies that stood still since the last call are reused with all that was derived from them.
 
-    def _place(self, i: int, t_s: float) -> Placed:
-        T = self.bodies[i].track.pose_at(t_s)
+        T_world_ground: `[4, 4]`, where the vehicle is that looks at it; default: at the world's origin.
+        """
+        here = torch.eye(4, dtype=torch.float64) if T_world_ground is None else T_world_ground
+        return Triangles(tuple(placed for i, _ in self.key_at(t_s) for placed in self._place(i, t_s, here)))
+
+    def _place(self, i: int, t_s: float, T_world_ground: Tensor) -> tuple[Placed, ...]:
+        body = self.bodies[i]
+        if isinstance(body, RoadTiles):
+            return body.near(i, T_world_ground)
+        T = body.track.pose_at(t_s)
         last = self._last_placed.get(i)
         if last is None or not last.T_world_body.equal(T):
-            self._last_placed[i] = Placed(i, self.bodies[i], T)
-        return self._last_placed[i]
+            self._last_placed[i] = Placed(i, body, T)
+        return (self._last_placed[i],)

@@ -23,12 +23,14 @@ class ShadowMap:
         return ShadowMap(self.view, self.depth.to(device))
 
 
-def shadow_map(triangles: Triangles, view: View, source: FaceSource) -> ShadowMap:
-    """The shadow map of a lamp that looks through `view`, whose width and height are the map's resolution.
+def padded(view: View) -> View:
+    """A lamp's view, a texel wider to all sides, so that what the lamp lights out to its very border lies among four texels."""
+    return replace(view, width=view.width + 2, height=view.height + 2, cx=view.cx + 1, cy=view.cy + 1)
 
-    The map is a texel wider to all sides, so that what the lamp lights out to its very border lies among four texels.
-    """
-    view = replace(view, width=view.width + 2, height=view.height + 2, cx=view.cx + 1, cy=view.cy + 1)
+
+def shadow_map(triangles: Triangles, view: View, source: FaceSource) -> ShadowMap:
+    """The shadow map of a lamp that looks through `view`, whose width and height are the map's resolution."""
+    view = padded(view)
     face_ids = source.face_ids(triangles, view)
     depth = depths(triangles, face_ids.flatten(), view.origin, view.rays().flatten(1))
     return ShadowMap(view, depth.float().view(view.height, view.width))

@@ -107,9 +107,9 @@ class Motion:
     pivot_x_m: float = 0.0
 
     @property
-    def end_x_m(self) -> float:
-        """How far ahead the vehicle gets in the world."""
-        return float(self.states[:, 0].max())
+    def range_y_m(self) -> tuple[float, float]:
+        """The course's least and greatest y in the world."""
+        return float(self.states[:, 1].min()), float(self.states[:, 1].max())
 
     def at(self, t_s: float) -> VehicleState:
         """The vehicle at a time in s, linear between the integrated times and constant outside."""
@@ -123,7 +123,7 @@ STANDING: Final = Motion(np.zeros(1), np.zeros((1, len(COLUMNS))))
 
 
 def body_pose(attitude: Tensor, pivot_x_m: float) -> Tensor:
-    """`T_ground_body` `[..., 4, 4]` of an attitude `[..., 3]`: lifted by the heave in m, rolled and pitched (nose down) by rad at the pivot."""
+    """`T_ground_body` `[..., 4, 4]` of an attitude `[..., 3]`: heave in m, roll and pitch (nose down) in rad, about the pivot."""
     heave, roll, pitch = attitude.unbind(-1)
     zero = torch.zeros_like(heave)
     R = rotation(roll, pitch, zero)
@@ -134,7 +134,7 @@ def body_pose(attitude: Tensor, pivot_x_m: float) -> Tensor:
 def drive(params: VehicleParams, road: Road, duration_s: float) -> Motion:
     """Integrate the vehicle's motion over a road from the world's origin on, for `duration_s`.
 
-    The rear axle of a kinematic bicycle follows its arc in each interval; the body's modes answer to the wheels' heights and to acceleration
+    The rear axle of a kinematic bicycle follows its arc in each interval; the modes of the body answer to wheels and acceleration
     as linear systems do whose inputs change linearly in each interval.
     """
     dt = 1 / params.simulation_hz

@@ -1,0 +1,182 @@
+"""Positions and normals straight from OpenGL, for views of a world that moves: no exact intersections, but several times as fast."""
+
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from weakref import WeakKeyDictionary, finalize
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from world.body import Body
+from world.frames import inverse
+from world.rasterise import FAR_M, NEAR_M, context
+from world.triangles import Triangles
+from world.view import View
+
+
+@dataclass(frozen=True)
+class Fragments:
+    """What OpenGL says of each pixel's centre, in the view's frame; all zero where there is nothing.
+
+    position: `[3, height, width]` m. normal: `[3, height, width]`, not of length 1. part: `[height, width]` int64, which of the placed
+    bodies, -1 = none.
+    """
+
+    position: Tensor
+    normal: Tensor
+    part: Tensor
+
+
+class DeferredRenderer:
+    """Draws placed bodies into float buffers. Corners are snapped to 1/256 px or so, and positions are off by that much along a surface.
+
+    All instances share the process's one context; use them from one thread.
+    """
+
+    def __init__(self) -> None:
+        """Raises NoOpenGL."""
+        context()
+        self._arrays: WeakKeyDictionary[Body, tuple[int, int]] = WeakKeyDictionary()
+
+    def fragments(self, triangles: Triangles, view: View) -> Fragments:
+        """Draw the triangles as `view` sees them."""
+        from OpenGL import GL
+
+        self._draw(triangles, view)
+        position, normal = (_read(buffer, view, GL.GL_RGBA, 4).permute(2, 0, 1).contiguous() for buffer in (0, 1))
+        return Fragments(position[:3], normal[:3], position[3].long())
+
+    def depth(self, triangles: Triangles, view: View) -> Tensor:
+        """Depth `[height, width]` float32 in m along the optical axis, infinite where there is nothing."""
+        from OpenGL import GL
+
+        self._draw(triangles, view)
+        depth = _read(0, view, GL.GL_BLUE, 1)[:, :, 0]
+        return torch.where(depth > 0, depth, torch.inf)
+
+    def _draw(self, triangles: Triangles, view: View) -> None:
+        from OpenGL import GL
+
+        context()._platform.make_current()
+        program = _program()
+        _bind_framebuffer(view.width, view.height)
+        GL.glViewport(0, 0, view.width, view.height)
+        for state in (GL.GL_BLEND, GL.GL_MULTISAMPLE, GL.GL_SCISSOR_TEST):
+            GL.glDisable(state)
+        GL.glEnable(GL.GL_DEPTH_TEST)
+        GL.glDepthMask(GL.GL_TRUE)
+        GL.glDepthFunc(GL.GL_LESS)
+        GL.glFrontFace(GL.GL_CW)  # the image is upside down to OpenGL
+        GL.glCullFace(GL.GL_BACK)
+        for buffer, clear in enumerate(((0.0, 0.0, 0.0, -1.0), (0.0, 0.0, 0.0, 0.0))):
+            GL.glClearBufferfv(GL.GL_COLOR, buffer, np.array(clear, np.float32))
+        GL.glClearBufferfv(GL.GL_DEPTH, 0, np.ones(1, np.float32))
+        GL.glUseProgram(program)
+        at = {name: GL.glGetUniformLocation(program, name) for name in ("T_view_body", "projection", "part", "two_sided")}
+        GL.glUniformMatrix4fv(at["projection"], 1, GL.GL_TRUE, _projection(view))
+        T_view_world = inverse(view.T_world_view)
+        for number, placed in enumerate(triangles.placed):
+            array, count = self._array_of(placed.body)
+            GL.glUniformMatrix4fv(at["T_view_body"], 1, GL.GL_TRUE, (T_view_world @ placed.T_world_body).float().numpy())
+            GL.glUniform1f(at["part"], float(number))
+            GL.glUniform1i(at["two_sided"], placed.body.two_sided)
+            (GL.glDisable if placed.body.two_sided else GL.glEnable)(GL.GL_CULL_FACE)
+            GL.glBindVertexArray(array)
+            GL.glDrawElements(GL.GL_TRIANGLES, count, GL.GL_UNSIGNED_INT, None)
+        GL.glBindVertexArray(0)
+        GL.glUseProgram(0)
+        GL.glFrontFace(GL.GL_CCW)  # which pyrender takes for granted
+
+    def _array_of(self, body: Body) -> tuple[int, int]:
+        """A body's vertex array and its number of corners, uploaded at the first time and deleted with the body."""
+        if body not in self._arrays:
+            if body.smooth:
+                corners, faces = np.concatenate([body.mesh.vertices, body.mesh.vertex_normals], axis=1), np.asarray(body.mesh.faces)
+            else:
+                corners = torch.cat([body.corners, body.corner_normals], -1).flatten(0, 1).numpy()
+                faces = np.arange(len(corners))
+            array, buffers = _upload(corners, faces)
+            finalize(body, _delete, array, buffers)
+            self._arrays[body] = (array, faces.size)
+        return self._arrays[body]
+
+
+def _upload(corners: np.ndarray, faces: np.ndarray) -> tuple[int, list[int]]:
+    from OpenGL import GL
+
+    array, buffers = int(GL.glGenVertexArrays(1)), [int(each) for each in GL.glGenBuffers(2)]
+    GL.glBindVertexArray(array)
+    for target, buffer, values in (
+        (GL.GL_ARRAY_BUFFER, buffers[0], np.ascontiguousarray(corners, np.float32)),
+        (GL.GL_ELEMENT_ARRAY_BUFFER, buffers[1], np.ascontiguousarray(faces, np.uint32)),
+    ):
+        GL.glBindBuffer(target, buffer)
+        GL.glBufferData(target, values.nbytes, values, GL.GL_STATIC_DRAW)
+    for location in (0, 1):
+        GL.glEnableVertexAttribArray(location)
+        GL.glVertexAttribPointer(location, 3, GL.GL_FLOAT, GL.GL_FALSE, 24, GL.ctypes.c_void_p(12 * location))
+    GL.glBindVertexArray(0)
+    return array, buffers
+
+
+def _delete(array: int, buffers: list[int]) -> None:
+    from OpenGL import GL
+
+    context()._platform.make_current()
+    GL.glDeleteVertexArrays(1, [array])
+    GL.glDeleteBuffers(len(buffers), buffers)
+
+
+def _projection(view: View) -> np.ndarray:
+    """From the view's frame (x right, y down, z forward) to clip space, row 0 of the image first in memory."""
+    P = np.zeros((4, 4), np.float32)
+    P[0, [0, 2]] = 2 * view.fx / view.width, 2 * view.cx / view.width - 1
+    P[1, [1, 2]] = 2 * view.fy / view.height, 2 * view.cy / view.height - 1
+    P[2, [2, 3]] = (FAR_M + NEAR_M) / (FAR_M - NEAR_M), -2 * FAR_M * NEAR_M / (FAR_M - NEAR_M)
+    P[3, 2] = 1
+    return P
+
+
+def _read(buffer: int, view: View, channels: int, count: int) -> Tensor:
+    """`[height, width, count]` float32."""
+    from OpenGL import GL
+
+    pixels = np.empty((view.height, view.width, count), np.float32)
+    GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, _framebuffer()[0])
+    GL.glReadBuffer(GL.GL_COLOR_ATTACHMENT0 + buffer)
+    GL.glReadPixels(0, 0, view.width, view.height, channels, GL.GL_FLOAT, pixels)
+    GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, 0)
+    return torch.from_numpy(pixels)
+
+
+@cache
+def _program() -> int:
+    from OpenGL import GL
+    from OpenGL.GL import shaders
+
+    folder = files("world") / "shaders"
+    kinds = ((GL.GL_VERTEX_SHADER, "surfaces.vert"), (GL.GL_FRAGMENT_SHADER, "surfaces.frag"))
+    return int(shaders.compileProgram(*(shaders.compileShader((folder / name).read_text(), kind) for kind, name in kinds)))
+
+
+@cache
+def _framebuffer() -> tuple[int, tuple[int, ...]]:
+    """The framebuffer and its renderbuffers: positions and parts, normals, depth."""
+    from OpenGL import GL
+
+    return int(GL.glGenFramebuffers(1)), tuple(int(each) for each in GL.glGenRenderbuffers(3))
+
+
+def _bind_framebuffer(width: int, height: int) -> None:
+    from OpenGL import GL
+
+    framebuffer, renderbuffers = _framebuffer()
+    GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, framebuffer)
+    places = (GL.GL_COLOR_ATTACHMENT0, GL.GL_COLOR_ATTACHMENT0 + 1, GL.GL_DEPTH_ATTACHMENT)
+    for renderbuffer, place, kind in zip(renderbuffers, places, (GL.GL_RGBA32F, GL.GL_RGBA32F, GL.GL_DEPTH_COMPONENT24), strict=True):
+        GL.glBindRenderbuffer(GL.GL_RENDERBUFFER, renderbuffer)
+        GL.glRenderbufferStorage(GL.GL_RENDERBUFFER, kind, width, height)
+        GL.glFramebufferRenderbuffer(GL.GL_FRAMEBUFFER, place, GL.GL_RENDERBUFFER, renderbuffer)
+    GL.glDrawBuffers(2, [GL.GL_COLOR_ATTACHMENT0, GL.GL_COLOR_ATTACHMENT0 + 1])
