@@ -205,7 +205,7 @@ def map_reduce(I_m: Array, rays: list[Ray], params: MrpcParams, u_def: Array, co
             if math.isinf(rays[i].weight):
                 infinite.append(term)
                 continue
-            weight = rays[i].weight * sampled[i]
+            weight = min(rays[i].weight, 1e12) * sampled[i]
             tested = I_m[i, j] if params.exclusion == "capability" else I_s
             limit = params.a_x * peak
             if params.a_x:
