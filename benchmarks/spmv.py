@@ -6,21 +6,18 @@ graphs, in clock time with synchronisation. `--page` writes docs/spmv.md and its
 """
 
 import argparse
-import datetime
 import json
-import os
-import platform
 import sys
 import time
 from collections.abc import Callable
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 import spmv_page
 import torch
+from bench import judged, machine, on_one_thread, show_goals
 from rich.table import Table
 from spmv_lamps import FIXED_SIDE, SIZES, THESIS_ADAPTIVE_US, THESIS_FIXED_US, Lamp, adaptive_side, of_the_thesis, with_long_rows
 from spmv_timing import Copy, Step, interleaved, statistics
@@ -29,7 +26,7 @@ from spmv_updates import FIGURE_PIXELS, FIGURE_TEXELS, measure_figure, measure_u
 from loop import tables
 from world import presets
 from world.spmv import FORMATS, CapturedProduct, Csr, SparseFormat, build
-from world.spmv.auto import best_of, candidates, processor
+from world.spmv.auto import best_of, candidates
 from world.spmv.memory import zeros
 from world.spmv.protocol import lit_rows
 
@@ -175,16 +172,7 @@ def goals(results: dict[str, Any]) -> list[dict[str, Any]]:
         ("dirty band of 5 %, times a full update", updates["band"]["median"] / updates["full"]["median"], GOAL_BAND, False),
         ("µs synchronised on a GPU, largest lamp of table A.1", gpu and gpu["us"][gpu["best"]]["median"], GOAL_GPU_US, False),
     ]
-    return [
-        {
-            "goal": name,
-            "value": value,
-            "limit": limit,
-            "at_least": least,
-            "passed": value and ((value >= limit) if least else (value <= limit)),
-        }
-        for name, value, limit, least in found
-    ]
+    return judged(found)
 
 
 def run(quick: bool, note: Callable[[str], None]) -> dict[str, Any]:
@@ -223,7 +211,7 @@ def run(quick: bool, note: Callable[[str], None]) -> dict[str, Any]:
         **{name: light.matrix for name, light in shipped.items()},
     }
     results: dict[str, Any] = {
-        "machine": machine(),
+        "machine": machine("torch", "numpy", "scipy"),
         "fixed": fixed,
         "flatness": flatness,
         "adaptive": adaptive,
@@ -235,17 +223,6 @@ def run(quick: bool, note: Callable[[str], None]) -> dict[str, Any]:
         "memory": count_memory(counted),
     }
     return {**results, "goals": goals(results)}
-
-
-def machine() -> dict[str, str]:
-    """Where and with what this ran."""
-    return {
-        "date": datetime.date.today().isoformat(),
-        "processor": processor(),
-        "gpu": torch.cuda.get_device_name() if torch.cuda.is_available() else "none",
-        "python": platform.python_version(),
-        **{name: version(name) for name in ("torch", "numpy", "scipy")},
-    }
 
 
 def shown(title: str, lamps: list[dict[str, Any]]) -> Table:
@@ -279,9 +256,7 @@ def main() -> None:
     for title in ("fixed", "adaptive", "long", "shipped"):
         console.print(shown(title, results[title]))
     console.print({name: round(times["median"], 3) for name, times in results["updates"]["ms"].items()})
-    for each in results["goals"]:
-        verdict = "not measured" if each["value"] is None else f"{each['value']:.2f}: {'pass' if each['passed'] else 'FAIL'}"
-        console.print(f"{each['goal']}, {'at least' if each['at_least'] else 'at most'} {each['limit']:g}: {verdict}", markup=False)
+    show_goals(console, results["goals"])
     if arguments.json:
         arguments.json.write_text(json.dumps(results, indent=1) + "\n")
     if arguments.page:
@@ -289,6 +264,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    if os.environ.get("OMP_NUM_THREADS") != "1":  # read when OpenMP is loaded
-        os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, "OMP_NUM_THREADS": "1"})
+    on_one_thread("OMP_NUM_THREADS")
     main()

@@ -6,17 +6,14 @@ captured graphs, in clock time with synchronisation.
 """
 
 import argparse
-import datetime
 import json
-import os
-import platform
 import sys
 import time
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import torch
+from bench import judged, machine, on_one_thread, show_goals
 from rich.table import Table
 from spmv_timing import Step, interleaved, statistics
 from ssc_scenes import T_WORLD_LAMP, Plain, covered, lamp, many, symbol
@@ -25,7 +22,6 @@ from controllers.primitives import Primitives
 from controllers.ssc import Ssc
 from loop import tables
 from world.headlight import Headlight
-from world.spmv.auto import processor
 
 ROUNDS = 11
 GPU_ROUNDS = 500
@@ -125,10 +121,7 @@ def found(large: dict[str, Any], sizes: dict[str, Any]) -> list[dict[str, Any]]:
         ray[last] / ray[first],
         large["gpu"] and large["gpu"]["ms"]["symbol"]["median"],
     )
-    return [
-        {"goal": goal, "value": value, "limit": limit, "at_least": least, "passed": value and (value >= limit if least else value <= limit)}
-        for (goal, (limit, least)), value in zip(GOALS.items(), values, strict=True)
-    ]
+    return judged((goal, value, *limit) for (goal, limit), value in zip(GOALS.items(), values, strict=True))
 
 
 def tables_of(sizes: dict[str, Any]) -> Table:
@@ -145,17 +138,6 @@ def tables_of(sizes: dict[str, Any]) -> Table:
     return table
 
 
-def machine() -> dict[str, str]:
-    """Where and with what this ran."""
-    return {
-        "date": datetime.date.today().isoformat(),
-        "processor": processor(),
-        "gpu": torch.cuda.get_device_name() if torch.cuda.is_available() else "none",
-        "python": platform.python_version(),
-        "torch": version("torch"),
-    }
-
-
 def main() -> None:
     """Measure, show, write."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -165,7 +147,7 @@ def main() -> None:
     torch.set_num_threads(1)
     console, rounds = tables.console(), 3 if arguments.quick else ROUNDS
     sizes = {"1k": SMALL, "30k": SIZES["30k"]} if arguments.quick else SIZES
-    where = machine()
+    where = machine("torch")
     console.print(", ".join(f"{key} {value}" for key, value in where.items()), markup=False)
     large = measure_large(QUICK if arguments.quick else LARGE, rounds)
     measured = measure_sizes(sizes, rounds)
@@ -173,14 +155,11 @@ def main() -> None:
     console.print(f"{large['pixels']:,} pixels, {large['rays']:,} rays, {large['entries']:,} entries; covered: {large['covered']}")
     console.print({name: round(times["median"], 3) for name, times in large["ms"].items()})
     console.print(tables_of(measured))
-    for each in goals:
-        verdict = "not measured" if each["value"] is None else f"{each['value']:.2f}: {'pass' if each['passed'] else 'FAIL'}"
-        console.print(f"{each['goal']}, {'at least' if each['at_least'] else 'at most'} {each['limit']:g}: {verdict}", markup=False)
+    show_goals(console, goals)
     if arguments.json:
         arguments.json.write_text(json.dumps({"machine": where, "large": large, "sizes": measured, "goals": goals}, indent=1) + "\n")
 
 
 if __name__ == "__main__":
-    if os.environ.get("OMP_NUM_THREADS") != "1":  # read when OpenMP is loaded
-        os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, "OMP_NUM_THREADS": "1"})
+    on_one_thread("OMP_NUM_THREADS")
     main()

@@ -6,23 +6,20 @@ must see the same errors.
 """
 
 import argparse
-import datetime
 import json
-import os
-import platform
 import sys
 import time
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 import torch
 from baseline_numpy import Baseline, Lap, Picture
+from bench import machine, on_one_thread
 from rich.table import Table
 
 from loop import tables
@@ -133,19 +130,6 @@ def _picture(simulation: Simulation) -> Picture | None:
         return None
 
 
-def machine() -> dict[str, str]:
-    """Where and with what this ran."""
-    info = Path("/proc/cpuinfo")
-    lines = info.read_text().splitlines() if info.exists() else []
-    models = [line.split(":")[1].strip() for line in lines if line.startswith("model name")]
-    return {
-        "date": datetime.date.today().isoformat(),
-        "processor": models[0] if models else platform.processor(),
-        "python": platform.python_version(),
-        **{name: version(name) for name in PACKAGES},
-    }
-
-
 def table(result: dict[str, Any]) -> Table:
     """One size's results."""
     shown = Table("ms a step", "NumPy, SciPy, pyrender", "luxloop", "ratio", title=f"{result['width']} x {result['height']} px", box=None)
@@ -170,7 +154,7 @@ def main() -> None:
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     console, results = tables.console(), []
-    where = machine()
+    where = machine(*PACKAGES)
     console.print(", ".join(f"{key} {value}" for key, value in where.items()), markup=False)
     for size in QUICK_SIZES if arguments.quick else SIZES:
         apart = difference(*size, arguments.overrides)
@@ -185,8 +169,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    # OpenMP and Mesa read these when they are loaded.
-    threads = {"OMP_NUM_THREADS": "1", "LP_NUM_THREADS": "1"}
-    if any(os.environ.get(name) != value for name, value in threads.items()):
-        os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, **threads})
+    on_one_thread("OMP_NUM_THREADS", "LP_NUM_THREADS")  # the latter is Mesa's
     main()
