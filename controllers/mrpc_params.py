@@ -11,8 +11,10 @@ from world.params import Params
 class MrpcParams(Params):
     """Mapping, exclusion and reduction (T 7.4, 7.5.2, 8.5)."""
 
-    a_m: float = Field(1.0, ge=0, description="mapping: 0 shares a setpoint equally among its pixels, 1 by what they can give")
-    a_r: float = Field(1.0, ge=0, description="reduction: 0 averages utilisations, 1 conserves light, 2 is the least-squares solution")
+    a_m: float = Field(1.0, ge=0, le=8, description="mapping: 0 shares a setpoint equally among its pixels, 1 by what they can give")
+    a_r: float = Field(
+        1.0, ge=0, le=8, description="reduction: 0 averages utilisations, 1 conserves light, 2 is the least-squares solution"
+    )
     a_x: float = Field(0.0, ge=0, le=1, description="exclusion: texels below this share of a pixel's maximum do not count, 0 for none")
     exclusion: Literal["capability", "printed"] = Field(
         "capability", description="what a_x looks at: what a pixel can give at a texel, or the setpoint as (7.4.3) prints it"

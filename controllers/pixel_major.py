@@ -11,6 +11,7 @@ from controllers.sampling import pixel_spread, rectangular, sample_weights
 from world.headlight import Headlight
 from world.spmv import Csr, row_of_entries, segment_bounds
 
+LEAST = 1e-16  # of a pixel's greatest I_m^a_r: less is lost in every sum, but a mask rules wherever there is any light
 Reduce = Callable[[Tensor, str], Tensor]  # values `[nnz]` of entries, and sum, amin or amax
 
 
@@ -61,7 +62,7 @@ def pixel_major(headlight: Headlight, params: MrpcParams) -> PixelMajor:
         return values.new_zeros(entries.n_cols).scatter_reduce(0, texel, values, reduction, include_self=False)
 
     peak, total = of_pixels(I_m, "amax"), of_texels(I_m, "sum")
-    raised = I_m**params.a_r
+    raised = ((I_m / peak[pixel]) ** params.a_r).clamp(min=LEAST)
     full = entries.with_values(raised / of_pixels(raised, "sum")[pixel])
     chosen = raised * sample_weights(entries, headlight, params.sampling)
     if params.exclusion == "capability" and params.a_x and params.shape == "arbitrary":
@@ -103,9 +104,10 @@ def _mapping(params: MrpcParams, entries: Csr, pixel: Tensor, of_pixels: Reduce,
         strongest = of_texels(I_m, "amax")
         return torch.where(strongest > 0, 1 / strongest, 0.0), None
     fine = (of_pixels(I_m, "sum") / of_pixels(I_m, "amax"))[pixel] ** -params.granularity  # a pixel's size in texels
-    sum_of_potentials = of_texels(I_m**params.a_m * fine, "sum")
+    relative = I_m / of_texels(I_m, "amax")[entries.indices.long()]
+    sum_of_potentials = of_texels(I_m * relative ** (params.a_m - 1) * fine, "sum")
     share = torch.where(sum_of_potentials > 0, 1 / sum_of_potentials, 0.0)
-    return share, None if params.a_m == 1 and params.granularity == 0 else I_m ** (params.a_m - 1) * fine
+    return share, None if params.a_m == 1 and params.granularity == 0 else relative ** (params.a_m - 1) * fine
 
 
 def _only(entries: Csr, values: Tensor) -> Csr:

@@ -14,7 +14,7 @@ from controllers.rthc import trace
 from controllers.ssc import Ssc
 from controllers.windows import bounding_ellipsoid
 from world.frames import pose_from_degrees
-from world.presets import idealised
+from world.presets import idealised, lamp
 
 LAMP = idealised(20, 40)
 T = pose_from_degrees((0.0, 0.0, 0.0))
@@ -80,6 +80,15 @@ def test_heavy_light_beside_a_mask_is_neither_brighter_nor_dark(weight: float) -
     expected, heavy = (ssc.utilisation(concatenate(board(0.0, 0.0, 8.0, 4.0, value=0.5, weight=each), dark), T).u for each in (1e9, weight))
     assert ((expected > 0.4) & (expected < 0.5 + 1e-6)).any() and (expected == 0).any()
     torch.testing.assert_close(heavy, expected, rtol=0, atol=1e-5)  # float32
+
+
+@pytest.mark.parametrize("a_r", [0.0, 2.0, 8.0])
+def test_a_mask_is_dark_whatever_light_is_raised_to(a_r: float) -> None:
+    """Its texels are pixels' faintest too, of 1e-4 of their peaks and less."""
+    light = lamp("hd84").finest.headlight
+    dark = mask(0.0, -0.3, 0.6, 0.4)
+    u = Ssc.prepare(light, MrpcParams(a_r=a_r), torch.ones(light.n_pixels)).utilisation(dark, T).u
+    assert not light.light_texture(u)[trace(dark, light, T).hit].any()
 
 
 def test_one_ray_of_infinite_weight_darkens_a_pixel_fully() -> None:

@@ -221,9 +221,24 @@ def test_gradient_against_differences(quantity: Quantity, a_m: float) -> None:
     assert torch.autograd.gradcheck(u, (value,))
 
 
-def test_negative_exponents_are_refused() -> None:
-    with pytest.raises(ValidationError, match="a_m"):
-        MrpcParams(a_m=-1)
+@pytest.mark.parametrize("exponent", [{"a_m": -1}, {"a_m": 9}, {"a_r": 9}])
+def test_exponents_out_of_bounds_are_refused(exponent: dict[str, float]) -> None:
+    with pytest.raises(ValidationError, match="a_"):
+        MrpcParams(**exponent)
+
+
+@pytest.mark.parametrize("quantity", ["I_v", "u_abs"])
+@pytest.mark.parametrize(("a_m", "a_r"), [(8.0, 1.0), (1.0, 8.0), (8.0, 8.0)])
+def test_great_exponents_stay_within_single_precision(a_m: float, a_r: float, quantity: Quantity) -> None:
+    """A candela to the power of eight does not: 1e5^8."""
+    lamp, A = random_lamp(2)
+    bright = replace(lamp, matrix=replace(lamp.matrix, values=100 * lamp.matrix.values))
+    setpoints, default, params = random_setpoints(2, 100 * A, quantity), base_pattern(2), MrpcParams(a_m=a_m, a_r=a_r)
+    expected, _ = reference.map_reduce(100 * A, rays(setpoints), params, default.numpy(), COLS)
+    single = replace(bright, matrix=bright.matrix.to(torch.float32))
+    u, _ = reduced(replace(setpoints, value=setpoints.value.float(), cover=setpoints.cover.float()), single, params, default.float())
+    # float32: eighth powers of numbers that are right to 6e-8.
+    np.testing.assert_allclose(u, expected, rtol=0, atol=1e-5)
 
 
 def one_pixel(light: list[float]) -> Headlight:
