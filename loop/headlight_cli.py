@@ -1,6 +1,7 @@
 """The commands `luxloop headlight ...`: facts and pictures of lamps and photometric files, lamp files built, exported and checked."""
 
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -10,6 +11,8 @@ from cyclopts import App
 from loop import tables
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from world.lamp import Lamp
 
 headlight_app = App(name="headlight", help="Lamps and photometric files: facts, pictures, lamp files, and the regulations' test points.")
@@ -62,6 +65,7 @@ def show(
     side: Literal["both", "left", "right"] | None = None,
     traffic: Literal["right", "left"] | None = None,
     scenario: str | None = None,
+    time_s: float | None = None,
     visibility_m: float | None = None,
     out: Path | None = None,
 ) -> None:
@@ -72,7 +76,7 @@ def show(
     lamp
         Preset, lamp file (.npz), description (.toml) or photometric file (.ies, .ldt), which without --view is drawn as it was measured.
     beam
-        Name of the beam, full or off; by default low, or full where the lamp has no low beam.
+        Name of the beam, full or off; by default what a lighting scenario does, else low, or full where the lamp has no low beam.
     view
         overview (the default), wall, birdseye, driver, volume, pixels or texture.
     style
@@ -82,7 +86,10 @@ def show(
     traffic
         Side of the road that the traffic drives on, right by default; for the left, default beams are fitted to it.
     scenario
-        Scenario whose road, objects and light are shown; by default a flat road by night.
+        Scenario whose road, objects and light are shown, and with lighting functions what they make of the lamp; by default a flat road
+        by night.
+    time_s
+        Moment of the scenario, its start by default.
     visibility_m
         Visibility in the fog of the view volume, 100 m by default.
     out
@@ -96,7 +103,15 @@ def show(
         style_of(view or "overview", style)
     if out is not None:
         check_format(out)
-    chosen = {"beam": beam, "style": style, "side": side, "traffic": traffic, "scenario": scenario, "visibility-m": visibility_m}
+    chosen = {
+        "beam": beam,
+        "style": style,
+        "side": side,
+        "traffic": traffic,
+        "scenario": scenario,
+        "time-s": time_s,
+        "visibility-m": visibility_m,
+    }
     if Path(lamp).suffix.lower() in PHOTOMETRIC and view is None:
         from loop.photometry_picture import show_distribution
         from world.photometry import read
@@ -108,22 +123,34 @@ def show(
     else:
         from loop.headlight_pictures import show as show_lamps
         from loop.lamp_description import for_traffic, load_lamp
-        from loop.scenario import load
+        from loop.lighting.shown import lights_by_side
+        from loop.scenario import LightingScenario, load_any
 
+        if time_s is not None and (scenario is None or not 0 <= time_s < math.inf):
+            raise LuxloopError("--time-s: is a moment of a --scenario, in s from its start; give both, and a number from 0 on")
         sides: tuple[Literal["left", "right"], ...] = ("left", "right") if side is None or side == "both" else (side,)
         lamps: dict[str, Lamp] = {each: for_traffic(load_lamp(lamp, each), traffic or "right") for each in sides}
         target = out or Path("-".join([stem, *([beam] if beam else []), *([style] if style else []), view or "overview"]) + ".png")
-        shown = beam or lamps[sides[0]].default_beam
+        world, shown = None if scenario is None else load_any(scenario), beam or lamps[sides[0]].default_beam
+        pattern: str | Mapping[str, Sequence[Tensor]] = shown
+        if isinstance(world, LightingScenario) and beam is None:
+            if traffic is not None:
+                raise LuxloopError("--traffic: default beams for one side of the road are no part of a lighting scenario; name a --beam")
+            pattern, shown = lights_by_side(world, lamp, time_s or 0.0), f"{world.name} at {time_s or 0.0:g} s"
+            lamps = {each: lamps[each] for each in lamps if each in pattern} or lamps
+            world = None if view in ("pixels", "texture") else world
         written = show_lamps(
             lamps,
             target,
-            beam=shown,
+            beam=pattern,
             view=view or "overview",
             style=style,
-            scenario=None if scenario is None else load(scenario),
+            scenario=world,
+            time_s=time_s or 0.0,
+            title=shown,
             visibility_m=visibility_m,
         )
-        print(f"{written} written: {lamps[sides[0]].name}, beam {shown}")
+        print(f"{written} written: {next(iter(lamps.values())).name}, beam {shown}")
 
 
 @headlight_app.command

@@ -16,7 +16,7 @@ from loop.headlight_panels import WALL_M, draw_birdseye, draw_eye, draw_pixels, 
 from loop.headlight_styles import check_format, style_of
 from loop.headlight_views import SIDES, LitCar, Road, beside, birdseye, driver
 from loop.report import STYLE
-from loop.scenario import HeadlightParams, Scenario
+from loop.scenario import HeadlightParams, WorldScenario
 from world.errors import LuxloopError
 from world.files import whole
 from world.lamp import Lamp
@@ -42,15 +42,17 @@ def show(
     beam: str | Mapping[str, Sequence[Tensor]] | None = None,
     view: str = "overview",
     style: str | None = None,
-    scenario: Scenario | None = None,
+    scenario: WorldScenario | None = None,
+    time_s: float = 0.0,
+    title: str = "own pattern",
     visibility_m: float | None = None,
 ) -> Path:
     """Draw one picture of lamps at work; returns its file.
 
     lamps: by side, "left" and "right" or one of them. beam: a name that the lamps know, by default low, or full where they have none; or
-    utilisations `[n_p]` in 0..1, one a module, by side. view and style: see VIEWS. scenario: its road, objects and light, where the lamps
-    are mounted and how they are turned; by default a flat road. visibility_m: meteorological optical range of the fog in the view
-    "volume", by default 100.
+    utilisations `[n_p]` in 0..1, one a module, by side, which title names. view and style: see VIEWS. scenario: its road, objects and light
+    at time_s, where the lamps are mounted and how they are turned; by default a flat road. visibility_m: meteorological optical range of
+    the fog in the view "volume", by default 100.
     Raises LuxloopError for what there is not or has no meaning, and where the file cannot be written.
     """
     style = style_of(view, style)
@@ -62,11 +64,11 @@ def show(
     visibility_m = VISIBILITY_M if visibility_m is None else visibility_m
     if not 0 < visibility_m < math.inf:
         raise LuxloopError(f"visibility of {visibility_m:g} m: give a number greater than 0")
-    name, patterns = _patterns(lamps, beam)
+    name, patterns = _patterns(lamps, beam, title)
     mount = scenario.headlight if scenario else HeadlightParams()
     car = LitCar({side: turned(lamp, side, mount) for side, lamp in lamps.items()}, patterns, mount.height_m, mount.distance_m)
     with rc_context(STYLE):
-        write(_draw(car, name, view, style, scenario, visibility_m), out)
+        write(_draw(car, name, view, style, Road(scenario, time_s), visibility_m), out)
     return out
 
 
@@ -77,7 +79,9 @@ def write(figure: Figure, out: Path) -> None:
         figure.savefig(part, format=out.suffix[1:].lower())
 
 
-def _patterns(lamps: Mapping[str, Lamp], beam: str | Mapping[str, Sequence[Tensor]] | None) -> tuple[str, Mapping[str, Sequence[Tensor]]]:
+def _patterns(
+    lamps: Mapping[str, Lamp], beam: str | Mapping[str, Sequence[Tensor]] | None, title: str
+) -> tuple[str, Mapping[str, Sequence[Tensor]]]:
     """A pattern's name, and its utilisations by side, float32."""
     if not lamps or not set(lamps) <= set(SIDES):
         raise LuxloopError(
@@ -86,7 +90,7 @@ def _patterns(lamps: Mapping[str, Lamp], beam: str | Mapping[str, Sequence[Tenso
     if beam is not None and not isinstance(beam, str):
         if missing := [side for side in lamps if side not in beam]:
             raise LuxloopError(f"beam: there are no utilisations for the {missing[0]} lamp; give them for each side that has a lamp")
-        return "own pattern", {side: _pattern(side, lamp, beam[side]) for side, lamp in lamps.items()}
+        return title, {side: _pattern(side, lamp, beam[side]) for side, lamp in lamps.items()}
     name = beam or ("low" if all(lamp.default_beam == "low" for lamp in lamps.values()) else "full")
     return name, {side: lamp.beam(name) for side, lamp in lamps.items()}
 
@@ -103,21 +107,19 @@ def _pattern(side: str, lamp: Lamp, utilisations: Sequence[Tensor]) -> tuple[Ten
     return tuple(u.to(module.headlight.matrix.values) for module, u in zip(lamp.modules, utilisations, strict=True))
 
 
-def _draw(car: LitCar, beam: str, view: str, style: str, scenario: Scenario | None, visibility_m: float) -> Figure:
+def _draw(car: LitCar, beam: str, view: str, style: str, road: Road, visibility_m: float) -> Figure:
     match view:
         case "overview":
             figure = _page(car, beam, "", (14.0, 8.1))
-            draw_overview(figure, car, beam, Road(scenario))
+            draw_overview(figure, car, beam, road)
         case "wall":
             figure = _page(car, beam, WALL[style], (11.5, 5.0))
             draw_wall(figure.subplots(), car, style)
         case "birdseye":
             figure = _page(car, beam, ROAD[style], (11.5, 5.0))
-            road = Road(scenario)
             draw_birdseye(figure.subplots(), road.look(car, birdseye()), style, road.lane_width_m)
         case "driver":
             figure = _page(car, beam, DRIVER[style], _eye_inches(style))
-            road = Road(scenario)
             seen = road.look(car, driver())
             axes = figure.subplots()
             draw_eye(axes, seen, style)
@@ -125,7 +127,7 @@ def _draw(car: LitCar, beam: str, view: str, style: str, scenario: Scenario | No
                 charts.distance_marks(axes, seen, road.lane_width_m)
         case "volume":
             figure = _page(car, beam, f"in fog, visibility {visibility_m:g} m", _eye_inches(style))
-            seen = Road(scenario).look(car, beside(), Medium.fog(visibility_m))
+            seen = road.look(car, beside(), Medium.fog(visibility_m))
             axes = figure.subplots()
             draw_eye(axes, seen, style)
             charts.car_outline(axes, seen)

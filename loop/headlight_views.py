@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from loop.build import build_scene
-from loop.scenario import Scenario, validate
+from loop.scenario import WorldScenario, validate
 from world.ambient import ambient_luminance
 from world.face_source import FaceSource, face_source
 from world.frames import R_ISO_OPENCV, pose, pose_from_degrees
 from world.gbuffer import GBuffer, gbuffer
 from world.headlight import LUMINANCE
 from world.lamp import Lamp, direction
+from world.scene import Scene
 from world.shadow import ShadowMap, shadow_map
 from world.sources import Source, sources, surface_light
 from world.triangles import Triangles
@@ -92,12 +93,11 @@ class Seen:
 
 
 class Road:
-    """A scenario's road and objects at its start, ready to be looked at."""
+    """A scenario's road and objects at one time, ready to be looked at."""
 
-    def __init__(self, scenario: Scenario | None = None) -> None:
-        """Without a scenario: flat asphalt with a lane's markings. Raises LuxloopError where the scenario names what is not there."""
-        self.scenario = scenario or _plain_road()
-        self._scene = build_scene(self.scenario)
+    def __init__(self, scenario: WorldScenario | None = None, time_s: float = 0.0) -> None:
+        """Without a scenario: flat asphalt with a lane's markings."""
+        self.scenario, self.time_s = scenario or _plain_road(), time_s
         self._shadows: WeakKeyDictionary[Source, ShadowMap] = WeakKeyDictionary()
 
     @property
@@ -105,15 +105,22 @@ class Road:
         return self.scenario.surface.lane_width_m
 
     @cached_property
+    def _scene(self) -> Scene:
+        return build_scene(self.scenario)
+
+    @cached_property
     def _triangles(self) -> Triangles:
-        return self._scene.at(0.0)
+        return self._scene.at(self.time_s)
 
     @cached_property
     def _face_source(self) -> FaceSource:
         return face_source(self.scenario.renderer)
 
     def look(self, car: LitCar, view: View, air: Medium | None = None) -> Seen:
-        """The road in the light of the car, dimmed and veiled by the air if there is any but clear."""
+        """The road in the light of the car, dimmed and veiled by the air if there is any but clear.
+
+        Raises LuxloopError where the scenario names what is not there.
+        """
         surfaces = gbuffer(self._triangles, view, self._face_source.face_ids(self._triangles, view))
         shadows = None if self._throws_none else [self._shadow(source) for source in car.sources]
         extinction = air.extinction_per_m if air else 0.0
@@ -170,7 +177,7 @@ def _through_air(
     return veiled.view(luminance.shape)
 
 
-def _plain_road() -> Scenario:
+def _plain_road() -> WorldScenario:
     tables = {"surface": {"markings": True}, "light": {"ambient_lx": NIGHT_LX}}
     return validate({"name": "flat road", "symbol": {"image": "snowflake"}, **tables}, "flat road")
 

@@ -115,7 +115,7 @@ def _raw(scenario: LightingScenario, name: str, headlight: Headlight) -> RawUtil
         try:
             return read_sequence(file, headlight.pixel_rows, headlight.pixel_cols, raw.rate_hz, raw.repeat)
         except LuxloopError as error:
-            raise LuxloopError(f"{key}, for module {name!r}: {error}") from error
+            raise LuxloopError(f"{key}, for module {name!r} (its modules say which are meant): {error}") from error
     return None
 
 

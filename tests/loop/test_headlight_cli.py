@@ -7,10 +7,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import torch
 
 from loop import cli
-from loop.scenario import load
+from loop.lighting.shown import lights_by_side
+from loop.lighting.simulation import LightingSimulation
+from loop.scenario import LightingScenario, load, load_any
+from world.lamp import Lamp, Module
+from world.lampfile import save
 from world.photometry import read
+from world.presets import idealised
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "lamp.toml"
 Lux = Callable[[str], tuple[int, str, str]]
@@ -94,6 +100,10 @@ def test_a_photometric_file_is_drawn_as_it_was_measured(lux: Lux) -> None:
         ("show hd84 --view driver --visibility-m 50", ["'driver'", "no fog", "'volume'"]),
         ("show hd84 --view volume --visibility-m nan", ["visibility of nan m"]),
         ("show hd84 --view pixels --scenario flat", ["'pixels'", "leave the scenario out"]),
+        ("show hd84 --time-s 1", ["--time-s", "--scenario"]),
+        ("show hd84 --scenario gfhb --time-s -1", ["--time-s", "from 0 on"]),
+        ("show hd84 --scenario gfhb --traffic left", ["--traffic", "--beam"]),
+        ("show hd84 --scenario raw_utilisations", ["lighting.raw[0].file", "'left matrix'", "64 x 256", "3 x 28"]),
         ("show hd84 --view wall --out wall.bmp", ["wall.bmp", ".png"]),
         ("check hd84 --rule r149-passing-x", ["'r149-passing-x'", "r149-passing-"]),
         ("check hd84 --beam full", ["'full'", "--rule"]),
@@ -110,6 +120,32 @@ def test_what_cannot_be_done_is_one_sentence(lux: Lux, line: str, words: list[st
     assert err.startswith("error: ") and err.count("\n") == 1 and "Traceback" not in err
     assert all(word in err for word in words), err
     assert not list(Path().iterdir())
+
+
+def test_a_lighting_scenario_shows_what_it_makes_of_the_lamp(lux: Lux) -> None:
+    code, out, _ = lux("show hd84 --scenario gfhb --time-s 1.5 --view pixels --out driven.png")
+    assert code == 0 and "beam gfhb at 1.5 s" in out
+    assert lux("show hd84 --beam high --view pixels --out high.png")[0] == 0
+    driven, high = cv2.imread("driven.png"), cv2.imread("high.png")
+    assert driven.shape == high.shape and (driven != high).mean() > 0.02
+
+
+def test_the_lights_of_a_scenario_are_those_of_its_run() -> None:
+    scenario = load_any("gfhb", ["headlight.model=hd84", "headlight.intensity_cd=1000"])
+    assert isinstance(scenario, LightingScenario)
+    shown = lights_by_side(scenario, "hd84", 0.3)
+    for side, u in zip(("left", "right"), LightingSimulation.prepare(scenario).step(3).lights, strict=True):
+        # gfhb asks for shares, which no intensity changes, but each factor rounds float32 anew.
+        torch.testing.assert_close(shown[side][0], u, rtol=1e-6, atol=1e-7)
+
+
+def test_modules_that_a_scenario_leaves_out_are_dark_and_so_is_its_other_lamp(tmp_path: Path) -> None:
+    save(tmp_path / "two.npz", Lamp("two", (Module("wide", idealised(4, 8)), Module("narrow", idealised(2, 4)))))
+    given = ["lighting.base.beam=full", "lighting.functions=[]", 'headlight.lamps=["right"]', 'headlight.modules=["narrow"]']
+    scenario = load_any("gfhb", given)
+    assert isinstance(scenario, LightingScenario)
+    shown = lights_by_side(scenario, str(tmp_path / "two.npz"), 0.0)
+    assert list(shown) == ["right"] and [u.tolist() for u in shown["right"]] == [[0.0] * 32, [1.0] * 8]
 
 
 def test_darkness_is_judged_too(lux: Lux) -> None:

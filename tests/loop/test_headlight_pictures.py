@@ -241,7 +241,7 @@ def test_coloured_light_counts_as_the_eye_weighs_it() -> None:
 def quick(monkeypatch: pytest.MonkeyPatch, road: Road) -> None:
     """Small views of a road that is there already."""
     monkeypatch.setattr(headlight_pictures, "DPI", 50)
-    monkeypatch.setattr(headlight_pictures, "Road", lambda scenario: road)
+    monkeypatch.setattr(headlight_pictures, "Road", lambda scenario, time_s: road)
     monkeypatch.setattr(headlight_pictures, "beside", lambda: beside(160))
     for module in (headlight_pictures, headlight_overview):
         monkeypatch.setattr(module, "driver", lambda width_px=320: driver(320))
