@@ -84,7 +84,7 @@ def _observed(figure: SubFigure, observed: Sequence[tuple[LightingResult, Observ
     figure.suptitle("What observers see of their symbols: luminance, as a share of that of a white picture", x=0.02, ha="left", fontsize=9)
     for axes, (result, symbol) in zip(figure.subplots(1, len(observed), squeeze=False)[0], observed, strict=True):
         axes.imshow(symbol.share.nan_to_num().cpu().numpy(), cmap=NIGHT, vmin=0, vmax=1, interpolation="antialiased")
-        axes.set(xticks=[], yticks=[])
+        axes.set(xticks=[], yticks=[], anchor="N")
         axes.set_title(f"{result.time_s:.2f} s, IoU {symbol.iou:.3f}", weight="normal")
         axes.grid(False)
 
