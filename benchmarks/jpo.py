@@ -26,9 +26,10 @@ from controllers.jpo_mae import least_error  # noqa: E402
 from controllers.jpo_part import Wanted, wanted  # noqa: E402
 from controllers.jpo_squares import least_squares  # noqa: E402
 from controllers.mrpc import MrpcParams, PixelMajor, pixel_major, reduce_setpoints  # noqa: E402
-from controllers.primitives import I_V, Primitives, load_symbol, rectangle  # noqa: E402
+from controllers.primitives import I_V, Primitives, rectangle  # noqa: E402
 from controllers.rthc import Setpoints  # noqa: E402
 from controllers.ssc import Ssc  # noqa: E402
+from controllers.symbols import load_still  # noqa: E402
 from controllers.windows import whole  # noqa: E402
 from loop.build import symbol_path  # noqa: E402
 from loop.rectangles import RECTANGLES  # noqa: E402
@@ -134,7 +135,7 @@ def on_a_wall(y_m: float, symbol: Tensor) -> Primitives:
 def moving(steps: int) -> str:
     """A snowflake that moves over a wall: errors of the last half of the steps over those at convergence."""
     light = lamp("ssl-hd-lores").modules[0].headlight
-    symbol = load_symbol(symbol_path("snowflake"))
+    symbol = load_still(symbol_path("snowflake"))
     reference = Jpo.prepare(light)
     half = slice(steps // 2, None)
     lines = ["| cm a step | iterations a step | each step from SSC | from the last step |", "| ---: | ---: | ---: | ---: |"]
@@ -159,7 +160,7 @@ def moving(steps: int) -> str:
 def picture(file: Path) -> str:
     """The snowflake of SSC and of joint optimisation, light above and pixels below (T fig. 8.1); returns their errors in words."""
     light = lamp("ssl-hd-lores").modules[0].headlight
-    place = on_a_wall(0.0, load_symbol(symbol_path("snowflake")))
+    place = on_a_wall(0.0, load_still(symbol_path("snowflake")))
     jpo = Jpo.prepare(light)
     goal = jpo.goal(place, T_LAMP).target.unflatten(-1, (light.rows, light.cols))
     drawn = {START: Ssc.prepare(light).utilisation(place, T_LAMP).u}

@@ -2,11 +2,8 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
 from typing import Literal, get_args
 
-import cv2
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -244,22 +241,6 @@ def road_symbol(pose: Tensor, z_m: float, width_m: float, length_m: float, symbo
     forward, left, up = R.unbind(-1)
     d1, d2 = -width_m * left, -length_m * forward
     return rectangle(centre - (d1 + d2) / 2, d1, d2, value, quantity, normal=up, symbol=symbol)
-
-
-def load_symbol(path: Path) -> Tensor:
-    """Grey image `[h, w]` float32 in 0..1 from a picture; transparent parts are dark. Raises LuxloopError for what is no picture."""
-    if not path.is_file():
-        raise LuxloopError(f"symbol image {path} does not exist: give the path of a PNG or the name of a shipped symbol")
-    image = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED) if path.stat().st_size else None
-    if image is None or image.dtype.kind != "u":
-        raise LuxloopError(f"symbol image {path} cannot be read as a picture of 8 or 16 bits: save it as an 8-bit PNG")
-    grey = image.astype(np.float32) / (2 ** (8 * image.itemsize) - 1)
-    if grey.ndim == 3:
-        alpha = grey[..., 3] if grey.shape[2] == 4 else 1.0
-        grey = cv2.cvtColor(grey[..., :3], cv2.COLOR_BGR2GRAY) * alpha
-    if not grey.any():
-        raise LuxloopError(f"symbol image {path} is all black: draw the symbol in white, since white is light")
-    return torch.from_numpy(np.ascontiguousarray(grey))
 
 
 def meant(names: Sequence[str], module: str) -> bool:

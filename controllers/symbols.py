@@ -86,6 +86,13 @@ def load(path: Path, rate_hz: float | None = None, repeat: bool = True) -> Symbo
     return _lit(Still(_drawn(path) if suffix in DRAWINGS else picture(path)), path)
 
 
+def load_still(path: Path) -> Tensor:
+    """Image `[h, w]` in 0..1 of a picture or an SVG. Raises LuxloopError for what moves, and as `load` does."""
+    if path.is_dir() or path.suffix.lower() in VIDEOS:
+        raise LuxloopError(f"symbol {path} moves, but a symbol under control stands still: give a picture or an SVG")
+    return load(path).at(0.0)
+
+
 def picture(path: Path) -> Tensor:
     """Grey image `[h, w]` float32 in 0..1 of a picture of 8 or 16 bits."""
     return torch.from_numpy(_grey(np.fromfile(path, np.uint8), path))

@@ -6,8 +6,8 @@ from typing import TypeVar
 
 import torch
 
-from controllers.primitives import load_symbol
 from controllers.symbol.projector import DrawingModule, Projector
+from controllers.symbols import load_still
 from loop import data
 from loop.lamp_description import load_lamp
 from loop.pixel_control import pixel_controller
@@ -54,7 +54,7 @@ def _road(scenario: WorldScenario) -> Road:
 def build_projector(scenario: Scenario, device: torch.device) -> Projector:
     """The lamp modules that draw the symbol, and the symbol's image. Raises LuxloopError where the lamp has no such module or movement."""
     modules = tuple(_drawing_modules(scenario, device))
-    return Projector(modules, load_symbol(symbol_path(scenario.symbol.image)).to(device), scenario.symbol)
+    return Projector(modules, load_still(symbol_path(scenario.symbol.image)).to(device), scenario.symbol)
 
 
 def _drawing_modules(scenario: Scenario, device: torch.device) -> Iterator[DrawingModule]:

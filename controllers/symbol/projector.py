@@ -18,7 +18,7 @@ from world.view import View
 class SymbolParams(Params):
     """The symbol, how large and bright it shall be, and where on the assumed road."""
 
-    image: str = Field(description="name of a shipped symbol, or path of a picture: white is light, top is the far end")
+    image: str = Field(description="name of a shipped symbol, or path of a picture or SVG: white is light, top is the far end")
     width_m: float = Field(2.0, gt=0, le=20, description="extent across the road")
     length_m: float = Field(4.0, gt=0, le=50, description="extent along the road")
     x_m: float = Field(17.0, gt=1, le=100, description="target position of the centre ahead of the lamps")

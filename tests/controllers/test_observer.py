@@ -9,9 +9,8 @@ import torch
 from controllers.functions.situation import Situation
 from controllers.functions.symbol import SymbolFunctionParams
 from controllers.observer import drawing_rectangle, sight
-from controllers.primitives import load_symbol
 from controllers.ssc import Ssc
-from controllers.symbols import Still
+from controllers.symbols import Still, load_still
 from perception.metrics import iou
 from tests.reference.ssc import seen_at
 from world.frames import inverse, pose_from_degrees, transform
@@ -86,7 +85,7 @@ def ssc() -> Ssc:
 def test_the_observer_sees_what_he_shall_see(who: str, ssc: Ssc) -> None:
     """IoU of what is lit more than half as bright as the lamp can, with the wanted image, in a camera that looks through the picture."""
     eye_m, centre_m, width_m, height_m = OBSERVERS[who]
-    image, light, T = load_symbol(SYMBOLS / "chevrons.png"), ssc.headlight, pose_from_degrees((0.0, 0.6, 0.75))
+    image, light, T = load_still(SYMBOLS / "chevrons.png"), ssc.headlight, pose_from_degrees((0.0, 0.6, 0.75))
     observer = {"eye_m": eye_m, "centre_m": centre_m, "width_m": width_m, "height_m": height_m}
     now = Situation(0.0, torch.eye(4, dtype=torch.float64), T[None, :3, 3], symbols={"a": Still(image)})
     (p,) = SymbolFunctionParams(image="a", observer=observer).primitives(now)

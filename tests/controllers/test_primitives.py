@@ -2,17 +2,14 @@
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from torch import Tensor
 
-from controllers.primitives import QUANTITIES, Observer, Primitives, concatenate, load_symbol, rectangle, road_symbol
+from controllers.primitives import QUANTITIES, Observer, Primitives, concatenate, rectangle, road_symbol
 from world.errors import LuxloopError
 
 SYMBOL = torch.ones(2, 3)
@@ -64,49 +61,6 @@ def test_batches_keep_dtype_and_device(device: torch.device) -> None:
     assert [symbol.shape for symbol in p.symbols] == [(2, 3)]
     assert (p.value == 0.5).all()
     assert {(t.dtype, t.device.type) for t in (p.origin, p.d1, p.normal, *p.symbols, p.value, p.weight)} == {(torch.float32, device.type)}
-
-
-def write(folder: Path, image: np.ndarray, name: str = "symbol.png") -> Path:
-    path = folder / name
-    cv2.imencode(path.suffix, image)[1].tofile(path)
-    return path
-
-
-def test_pictures_become_grey_in_0_to_1(tmp_path: Path) -> None:
-    def loaded(image: np.ndarray) -> Tensor:
-        symbol = load_symbol(write(tmp_path, image))
-        assert (symbol.dtype, symbol.shape) == (torch.float32, (2, 2))
-        return symbol
-
-    grey = np.array([[0, 51], [102, 255]], np.uint8)
-    expected = torch.tensor([[0.0, 0.2], [0.4, 1.0]])
-    torch.testing.assert_close(loaded(grey), expected)
-    torch.testing.assert_close(loaded(grey.astype(np.uint16) * 257), expected)
-    torch.testing.assert_close(loaded(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)), expected)
-    half_transparent = np.dstack([np.full((2, 2, 3), 255, np.uint8), grey])
-    torch.testing.assert_close(loaded(half_transparent), expected)
-
-
-def test_a_dim_picture_stays_dim(tmp_path: Path) -> None:
-    assert load_symbol(write(tmp_path, np.full((2, 2), 51, np.uint8))).max().item() == pytest.approx(0.2)
-
-
-def test_what_is_no_symbol_is_refused_by_a_sentence(tmp_path: Path) -> None:
-    def refused(path: Path, reason: str) -> None:
-        with pytest.raises(LuxloopError, match=reason) as caught:
-            load_symbol(path)
-        assert str(path) in str(caught.value)
-        assert "\n" not in str(caught.value)
-
-    text, empty = tmp_path / "text.png", tmp_path / "empty.png"
-    text.write_text("no picture")
-    empty.touch()
-    refused(tmp_path / "absent.png", "does not exist")
-    refused(tmp_path, "does not exist")
-    refused(text, "cannot be read")
-    refused(empty, "cannot be read")
-    refused(write(tmp_path, np.ones((2, 2), np.float32), "float.tiff"), "cannot be read as a picture of 8 or 16 bits")
-    refused(write(tmp_path, np.zeros((2, 2), np.uint8)), "all black")
 
 
 def board(x: float, **changes) -> Primitives:

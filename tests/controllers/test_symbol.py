@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from controllers.primitives import load_symbol
 from controllers.ssc import Ssc
 from controllers.symbol import CONTROLLERS, build_controller
 from controllers.symbol.flat_model import FeatureParams, FlatModel, flat_model
@@ -18,6 +17,7 @@ from controllers.symbol.observer import Observer, Seen
 from controllers.symbol.open_loop import OpenLoop, OpenLoopParams
 from controllers.symbol.projector import DrawingModule, Projector, SymbolParams
 from controllers.symbol.thesis_pid import ThesisPid, ThesisPidParams
+from controllers.symbols import load_still
 from perception.appearance import Appearance
 from perception.camera import CameraParams, average_rows, camera_view, expose, frame_generator
 from perception.extraction import Crop, ExtractionParams, Loss
@@ -48,7 +48,7 @@ def lamps() -> tuple[DrawingModule, DrawingModule]:
 
 @cache
 def projector(symbol: str = "snowflake", n_lamps: int = 1) -> Projector:
-    image = load_symbol(Path(__file__).parents[2] / "scenarios" / "symbols" / f"{symbol}.png")
+    image = load_still(Path(__file__).parents[2] / "scenarios" / "symbols" / f"{symbol}.png")
     return Projector(lamps()[:n_lamps], image, SymbolParams(image=symbol))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from controllers.symbols import DRAWN_PX, Frames, OverTime, Still, load
+from controllers.symbols import DRAWN_PX, Frames, OverTime, Still, load, load_still
 from world.errors import LuxloopError
 
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 40 20"><rect x="10" width="20" height="10" fill="{}"/></svg>'
@@ -22,6 +22,34 @@ def write_video(path: Path, frames: list[np.ndarray], rate: int = 10) -> None:
         for frame in frames:
             container.mux(stream.encode(av.VideoFrame.from_ndarray(np.repeat(frame[..., None], 3, -1), "rgb24")))
         container.mux(stream.encode())
+
+
+def write(folder: Path, image: np.ndarray, name: str = "symbol.png") -> Path:
+    path = folder / name
+    cv2.imencode(path.suffix, image)[1].tofile(path)
+    return path
+
+
+def test_pictures_become_grey_in_0_to_1(tmp_path: Path) -> None:
+    def loaded(image: np.ndarray) -> torch.Tensor:
+        symbol = load_still(write(tmp_path, image))
+        assert (symbol.dtype, symbol.shape) == (torch.float32, (2, 2))
+        return symbol
+
+    grey = np.array([[0, 51], [102, 255]], np.uint8)
+    expected = torch.tensor([[0.0, 0.2], [0.4, 1.0]])
+    torch.testing.assert_close(loaded(grey), expected)
+    torch.testing.assert_close(loaded(grey.astype(np.uint16) * 257), expected)
+    torch.testing.assert_close(loaded(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)), expected)
+    half_transparent = np.dstack([np.full((2, 2, 3), 255, np.uint8), grey])
+    torch.testing.assert_close(loaded(half_transparent), expected)
+    assert loaded(np.full((2, 2), 51, np.uint8)).max().item() == pytest.approx(0.2)  # a dim picture stays dim
+
+
+def test_what_moves_is_no_symbol_under_control(tmp_path: Path) -> None:
+    for path in (tmp_path, tmp_path / "a.mp4"):
+        with pytest.raises(LuxloopError, match="moves, but a symbol under control stands still: give a picture or an SVG"):
+            load_still(path)
 
 
 def test_a_picture_stands_still(tmp_path: Path) -> None:
@@ -84,6 +112,9 @@ def test_bad_files_are_named_in_one_sentence(tmp_path: Path, name: str, content:
 
 
 def test_missing_files_and_bad_folders(tmp_path: Path) -> None:
+    with pytest.raises(LuxloopError, match="cannot be read as a picture of 8 or 16 bits"):
+        load(write(tmp_path, np.ones((2, 2), np.float32), "float.tiff"))
+    (tmp_path / "float.tiff").unlink()
     with pytest.raises(LuxloopError, match="does not exist"):
         load(tmp_path / "a.png")
     with pytest.raises(LuxloopError, match="holds no pictures"):
