@@ -22,7 +22,8 @@ from world.texels import TexelGrid
 class Homographies:
     """Primitives as a headlight sees them: `[..., P, 3]`, to be multiplied with rays [1, y, z], and `[..., P]`.
 
-    n, uv `[..., P, 2, 3]`: d.n and twice u d.n and v d.n, turned so that `qn`, q.n, is positive. middle: q; normal: as given. mask: a zero
+    n, uv `[..., P, 2, 3]`: d.n and twice u d.n and v d.n, turned so that `qn`, q.n, is positive; where that is
+    zero they are such that nothing hits. middle: q; normal: as given. mask: a zero
     setpoint of infinite weight. corners: `[..., P, 4, 3]` m. sight: as n and uv, for where a primitive's observer sees a hit in the
     flying symbol; None where there are no observers. What only masks and rivals need is made when it is asked for.
     """
@@ -79,7 +80,9 @@ def homographies(primitives: Primitives, grid: TexelGrid, T_world_headlight: Ten
     qn = (q * n).sum(-1)
     sign = torch.where(qn < 0, -1.0, 1.0).to(qn)[..., None]
     n, uv = n * sign, torch.stack([2 * torch.linalg.cross(d2, q) * sign, 2 * torch.linalg.cross(q, d1) * sign], -2)
-    qn = qn.abs()
+    edge_on = (qn == 0)[..., None]  # or without an area: what no ray hits
+    n, uv = torch.where(edge_on, n.new_tensor([-1.0, 0.0, 0.0]), n), uv.masked_fill(edge_on[..., None], 0.0)
+    qn = torch.where(edge_on[..., 0], 1.0, qn.abs())
     eyes = None
     if (who := primitives.observer) is not None:
         across, *edges = sight((who.eye - position) @ R, (who.origin - position) @ R, who.d1 @ R, who.d2 @ R, n, qn)
