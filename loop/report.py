@@ -288,7 +288,7 @@ def _birds_eye_views(figure: SubFigure, simulation: Simulation, open_lights: Lig
     for axes, lights, title in zip(
         figure.subplots(1, 2, sharey=True), (open_lights, last.lights), ("open loop", "at the end"), strict=True
     ):
-        plane = rectify(simulation.plane, lit.luminance(lights)).cpu().numpy()
+        plane = rectify(simulation.plane_at(last.time_s), lit.luminance(lights)).cpu().numpy()
         axes.imshow(
             _night(plane, 1.5 * float(goal.median)),
             cmap=NIGHT,

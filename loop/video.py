@@ -37,7 +37,7 @@ def frame_picture(result: StepResult, simulation: Simulation) -> Picture:
         picture = np.zeros((camera.height_px, camera.width_px, 3), np.uint8)
     else:
         picture = tone_map(luminance_of(result.frames[0], camera), white)
-    _outline_target(picture, simulation)
+    _outline_target(picture, simulation, result.time_s - camera.latency_steps / simulation.scenario.rate_hz)
     _outline_symbol(picture, result)
     margin = max(camera.height_px // 60, 1)
     _paste(picture, _from_above(result, simulation, white, round(ABOVE * camera.height_px)), margin, left=True)
@@ -107,7 +107,8 @@ def _from_above(result: StepResult, simulation: Simulation, white: Tensor, heigh
     light = simulation.world.lit(result.time_s).luminance(result.lights)
     rows = (axes.v + symbol.x_m).abs() <= CLOSE * symbol.length_m
     cols = (axes.u + symbol.y_m).abs() <= CLOSE * symbol.width_m
-    picture = _scaled(tone_map(rectify(simulation.plane, light)[rows.to(light.device)][:, cols.to(light.device)], white), height)
+    plane = rectify(simulation.plane_at(result.time_s), light)
+    picture = _scaled(tone_map(plane[rows.to(light.device)][:, cols.to(light.device)], white), height)
     px_per_m = height / (float(axes.v[1] - axes.v[0]) * int(rows.sum()))
     centre = (-symbol.y_m - float(axes.u[cols][0]), -symbol.x_m - float(axes.v[rows][0]))
     half = (symbol.width_m / 2, symbol.length_m / 2)
@@ -116,8 +117,8 @@ def _from_above(result: StepResult, simulation: Simulation, white: Tensor, heigh
     return picture
 
 
-def _outline_target(picture: Picture, simulation: Simulation) -> None:
-    symbol, view = simulation.scenario.symbol, simulation.world.view
+def _outline_target(picture: Picture, simulation: Simulation, time_s: float) -> None:
+    symbol, view = simulation.scenario.symbol, simulation.world.view_from_ground(time_s)
     x, y = symbol.length_m / 2, symbol.width_m / 2
     corners = torch.tensor([[-x, -x, x, x], [-y, y, y, -y], [0, 0, 0, 0]], dtype=torch.float64)
     corners += torch.tensor([[symbol.x_m], [symbol.y_m], [0.0]], dtype=torch.float64)

@@ -20,7 +20,7 @@ from world.view import View
 class Fragments:
     """What OpenGL says of each pixel's centre, in the view's frame; all zero where there is nothing.
 
-    position: `[3, height, width]` m. normal: `[3, height, width]`, not of length 1. part: `[height, width]` int64, which of the placed
+    position: `[3, height, width]` m. normal: `[3, height, width]`, not of length 1. part: `[height, width]` int32, which of the placed
     bodies, -1 = none.
     """
 
@@ -46,7 +46,7 @@ class DeferredRenderer:
 
         self._draw(triangles, view)
         position, normal = (_read(buffer, view, GL.GL_RGBA, 4).permute(2, 0, 1).contiguous() for buffer in (0, 1))
-        return Fragments(position[:3], normal[:3], position[3].long())
+        return Fragments(position[:3], normal[:3], position[3].int())
 
     def depth(self, triangles: Triangles, view: View) -> Tensor:
         """Depth `[height, width]` float32 in m along the optical axis, infinite where there is nothing."""

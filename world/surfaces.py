@@ -55,13 +55,15 @@ class QuickSurfaces:
         position = transform(T_world_view, seen.position.flatten(1)) * hit
         normal = unit(T_world_view[:3, :3] @ seen.normal.flatten(1))
         of_part = torch.tensor([-1, *(placed.object_id for placed in triangles.placed)], dtype=torch.int32)
-        object_id = of_part[part + 1]
-        albedo, material = torch.zeros_like(hit), torch.zeros_like(part)
+        object_id = of_part.index_select(0, part + 1)
+        albedo, material = torch.zeros_like(hit), torch.zeros(part.shape, dtype=torch.int64)
         numbers: dict[Material, int] = {LAMBERTIAN: 0}
         for placed in _one_an_object(triangles):
             pixels = torch.nonzero(object_id == placed.object_id)[:, 0]
             if len(pixels):
-                albedo[pixels], material[pixels] = reflection(placed, position[:, pixels], numbers)
+                albedo[pixels], made_of = reflection(placed, position[:, pixels], numbers)
+                if len(numbers) > 1:  # else it is the first, and its number 0
+                    material[pixels] = made_of
         finish = Finish(tuple(numbers), material.view(shape), view.origin) if len(numbers) > 1 else None
         return GBuffer(position.view(3, *shape), normal.view(3, *shape), albedo.view(shape), object_id.view(shape), finish)
 
