@@ -4,10 +4,7 @@ Where all pixels of a texel are asked for the same utilisation, the sums of (7.4
 the texture; else they are taken entry by entry. Finite and infinite weights are two cases, so that 0 inf and inf / inf never arise.
 """
 
-from dataclasses import replace
-
 import torch
-from kornia.filters import gaussian_blur2d
 from torch import Tensor
 
 from controllers.map_entries import by_entries
@@ -16,6 +13,7 @@ from controllers.map_sums import Band, Sums
 from controllers.mrpc_params import MrpcParams
 from controllers.pixel_major import PixelMajor, pixel_major
 from controllers.primitives import E_V, I_V, U_REL
+from controllers.raising import corrected, sharpened
 from controllers.rthc import Casting, Setpoints
 
 __all__ = ["MrpcParams", "PixelMajor", "pixel_major", "reduce_setpoints"]
@@ -36,21 +34,35 @@ def reduce_setpoints(
     band = place.pixels
     if band.stop == band.start:
         return default.expand(*batch, -1), band
-    same_for_all_pixels = _same_for_all_pixels(asked, pixels, params, dark)
-    if isinstance(asked, Casting) and (params.sharpening or not same_for_all_pixels):
+    if not (params.sharpening or params.corrections):
+        return _mapped_and_reduced(asked, pixels, params, default, dark, place, batch), band
+    wanted = asked = asked if isinstance(asked, Setpoints) else asked.setpoints()
+    if params.sharpening:
+        asked = sharpened(wanted, pixels, params.sharpening, dark)
+    u = _mapped_and_reduced(asked, pixels, params, default, dark, place, batch)
+    for _ in range(params.corrections):
+        asked = corrected(asked, wanted, u, pixels, default)
+        u = _mapped_and_reduced(asked, pixels, params, default, dark, place, batch)
+    return u, band
+
+
+def _mapped_and_reduced(
+    asked: Setpoints | Casting, pixels: PixelMajor, params: MrpcParams, default: Tensor, dark: bool, place: Band, batch: tuple[int, ...]
+) -> Tensor:
+    """Utilisation `[..., n_p]` of one pass."""
+    band, same_for_all_pixels = place.pixels, _same_for_all_pixels(asked, pixels, params, dark)
+    if isinstance(asked, Casting) and not same_for_all_pixels:
         asked = asked.setpoints()
-    if isinstance(asked, Setpoints) and params.sharpening:
-        asked = replace(asked, value=asked.value * _sharpened(asked, pixels, params, dark))
     if isinstance(asked, Setpoints) and not same_for_all_pixels:
         sums = by_entries(asked, pixels, params, default, place)
     else:
         sums = by_products(asked, pixels, params, default, dark, place, batch)
     changed = _reduced(sums, pixels, params, default[band], dark, band)
     if changed.shape[-1] == len(default):
-        return changed, band
+        return changed
     u = default.expand(*batch, -1).clone()
     u[..., band] = changed
-    return u, band
+    return u
 
 
 def _same_for_all_pixels(asked: Setpoints | Casting, pixels: PixelMajor, params: MrpcParams, dark: bool) -> bool:
@@ -59,7 +71,7 @@ def _same_for_all_pixels(asked: Setpoints | Casting, pixels: PixelMajor, params:
         return False
     if U_REL in asked.quantities and not dark:
         value = asked.value if isinstance(asked, Setpoints) else asked.primitives.value
-        if value.device.type != "cpu" or bool(value.max() > 1) or params.sharpening:
+        if value.device.type != "cpu" or bool(value.max() > 1) or params.sharpening or params.corrections:
             return False  # to know whether a share is more than one, a device would have to be waited for
     return pixels.potential is None or not {I_V, E_V} & set(asked.quantities)
 
@@ -81,24 +93,3 @@ def _reduced(sums: Sums, pixels: PixelMajor, params: MrpcParams, default: Tensor
         forced = sums.forced_weight > 0
         u = torch.where(forced, sums.forced_light / torch.where(forced, sums.forced_weight, 1.0), u)
     return u.clamp(0, 1)
-
-
-def _sharpened(setpoints: Setpoints, pixels: PixelMajor, params: MrpcParams, dark: bool) -> Tensor:
-    """By how much setpoints are raised for the darkness beside them, blurred as a pixel's light is (T 7.5.2): `[..., rows, cols]`.
-
-    Darkness is what a setpoint misses to the greatest in view, in cd. Where no primitive is hit it is dark if the base pattern is.
-    """
-    grid, w = pixels.grid, setpoints.window
-    total = pixels.total.view(grid.rows, grid.cols)[w.slices]
-    in_cd = setpoints.portion(setpoints.in_cd, I_V, E_V)
-    level = setpoints.value * (in_cd + total * (1 - in_cd))
-    bright = (level / level.amax((-2, -1), keepdim=True).clamp(min=1e-30)).clamp(0, 1)
-    lit = bright if dark else torch.lerp(torch.ones_like(bright), bright, setpoints.cover)
-    sigma = (max(pixels.spread[0], 0.3), max(pixels.spread[1], 0.3))
-    kernel = (2 * round(3 * sigma[0]) + 1, 2 * round(3 * sigma[1]) + 1)
-    margins = (kernel[1] // 2, kernel[1] // 2, kernel[0] // 2, kernel[0] // 2)
-    lit = torch.nn.functional.pad(lit, margins, value=0.0 if dark else 1.0)
-    flat = lit.reshape(-1, 1, *lit.shape[-2:])
-    blurred = gaussian_blur2d(flat, kernel, sigma, border_type="constant").reshape(lit.shape)
-    rows, cols = bright.shape[-2:]
-    return 1 + params.sharpening * (1 - blurred[..., margins[2] : margins[2] + rows, margins[0] : margins[0] + cols])

@@ -34,6 +34,7 @@ class MrpcParams(Params):
     sampling: Sampling = Field("all", description="which of its texels a pixel asks: all, one of them, or a pattern of supersampling")
     granularity: float = Field(0.0, ge=0, le=4, description="mapping: the power by which smaller pixels are asked for more")
     sharpening: float = Field(0.0, ge=0, le=4, description="by how much setpoints beside dark ones are raised to make up for blur")
+    corrections: int = Field(0, ge=0, le=10, description="how often setpoints are raised by what the light of all pixels lacks of them")
 
     @model_validator(mode="after")
     def _bounds_are_in_order(self) -> Self:

@@ -16,6 +16,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.optimize import differential_evolution, minimize
 from torch import Tensor
 
+from controllers.raising import FAINT
 from controllers.sampling import pixel_spread
 from world.errors import LuxloopError
 from world.headlight import Headlight
@@ -93,6 +94,7 @@ class Trial:
     a_ac: float = 0.0
     granularity: float = 0.0
     sharpening: float = 0.0
+    corrections: int = 0
 
 
 class TextureControl:
@@ -112,26 +114,35 @@ class TextureControl:
         self._log_size = np.repeat(np.log(np.add.reduceat(self._I, self._first) / peak), self._each)  # a pixel's size in texels
         self._row, self._col = np.divmod(self._texel, light.cols)
         wanted = part.wanted.numpy().astype(np.float32)
-        self._lit = np.flatnonzero(wanted.ravel()[self._texel] > 0)
-        self._wanted = wanted.ravel()[self._texel[self._lit]]
+        self._wanted = wanted.ravel()
+        self._lit = np.flatnonzero(self._wanted[self._texel] > 0)
         sigma = [max(each, 0.3) for each in pixel_spread(entries, light)]
-        darkness = 1 - gaussian_filter(wanted / wanted.max(), sigma, mode="constant", truncate=3)
-        self._beside_dark = darkness.ravel()[self._texel[self._lit]]
-        self._share_lit = np.add.reduceat(wanted.ravel()[self._texel] > 0, self._first, dtype=np.float32) / self._each
+        self._darkness = (1 - gaussian_filter(wanted / wanted.max(), sigma, mode="constant", truncate=3)).ravel()
+        self._matrix = light.matrix.to_scipy()
+        self._share_lit = np.add.reduceat(self._wanted[self._texel] > 0, self._first, dtype=np.float32) / self._each
 
     def utilisation(self, trial: Trial) -> Tensor:
         """Utilisation `[n]` of the part's pixels, float32."""
         counts = np.exp(np.float32(trial.a_r) * self._log) * self._counted(trial)
-        lit = self._lit
-        mapped = self._wanted * (1 + np.float32(trial.sharpening) * self._beside_dark)
+        counts /= np.repeat(np.add.reduceat(counts, self._first), self._each)
+        lit, off = self._lit, self._share_lit < trial.a_ac
+        share = 1 / self._I[lit]
         if trial.a_m is not None:
             raised = np.exp(np.float32(trial.a_m) * self._log[lit] - np.float32(trial.granularity) * self._log_size[lit])
             total = np.bincount(self._texel[lit], raised, self.part.headlight.n_texels)
-            mapped = (raised / total[self._texel[lit]] * mapped).astype(np.float32)
-        numerator = np.zeros_like(self._I)
-        numerator[lit] = counts[lit] * np.minimum(mapped / self._I[lit], 1)
-        u = np.add.reduceat(numerator, self._first) / np.add.reduceat(counts, self._first)
-        return torch.from_numpy(np.where(self._share_lit < trial.a_ac, 0, u.clip(0, 1)).astype(np.float32))
+            share *= (raised / total[self._texel[lit]]).astype(np.float32)
+
+        def reduced(setpoints: Floats) -> Floats:
+            terms = np.zeros_like(self._I)
+            terms[lit] = counts[lit] * np.minimum(share * setpoints[self._texel[lit]], 1)
+            return np.where(off, np.float32(0), np.add.reduceat(terms, self._first).clip(0, 1))
+
+        setpoints = self._wanted * (1 + np.float32(trial.sharpening) * self._darkness)
+        u = reduced(setpoints)
+        for _ in range(trial.corrections):
+            setpoints = np.maximum(setpoints + self._wanted - self._matrix @ u, FAINT * self._wanted)
+            u = reduced(setpoints)
+        return torch.from_numpy(u)
 
     def _counted(self, trial: Trial) -> NDArray[np.bool_]:
         kept = self._relative >= np.float32(trial.a_x)

@@ -14,6 +14,7 @@ from loop.rectangles import QUICK, RECTANGLES, Rectangle
 
 LAMPS = ("hd84", "ssl-hd-lores")
 JOBS, SETPOINTS, TABLES, SENSITIVITY = "jobs.jsonl", "setpoints.parquet", "tables.parquet", "sensitivity.parquet"
+CONTROLS = ("mrpc", "options", "corrected", "ours", "median", "default")  # whose errors a setpoint has beside the joint optimum's
 Row = dict[str, Any]
 
 # Rows of T tables 8.2 and 8.3: name, a_m (None: no mapping), shape, what is tuned.
@@ -79,9 +80,12 @@ def evaluate(
 
 def summary(rows: Sequence[Row]) -> dict[str, float]:
     """Means and medians over the setpoints of one lamp: MAE, ratios to the joint optimum, and tuned parameters."""
-    values = {name: np.array([row[f"{name}_mae"] for row in rows]) for name in ("jpo", "mrpc", "options", "median", "default")}
-    values |= {f"{name}_ratio": values[name] / values["jpo"] for name in ("mrpc", "options", "median", "default")}
-    values |= {name: np.array([row[name] for row in rows]) for name in [*THESIS, *(f"options_{each}" for each in OPTIONS)]}
+    values = {name: np.array([row[f"{name}_mae"] for row in rows]) for name in ("jpo", *CONTROLS)}
+    values |= {f"{name}_ratio": values[name] / values["jpo"] for name in CONTROLS}
+    values |= {
+        name: np.array([row[name] for row in rows])
+        for name in [*THESIS, *(f"{kind}_{each}" for kind in ("options", "corrected") for each in OPTIONS)]
+    }
     means = {f"{name}_mean": float(each.mean()) for name, each in values.items()}
     medians = {f"{name}_median": float(np.median(each)) for name, each in values.items()}
     return {"setpoints": len(rows), "gap": max(row["jpo_gap"] for row in rows), **means, **medians}

@@ -31,10 +31,14 @@ MEASURES = {
     "mrpc": "MAE, MRPC tuned for each setpoint",
     "mrpc_ratio": "ratio MRPC / joint, tuned for each setpoint",
     "options_ratio": "ratio, a_ac and sharpening tuned as well",
+    "corrected_ratio": "ratio, three corrections on top",
+    "ours_ratio": "ratio with one set of ours, corrections and all",
     "median_ratio": "ratio with the thesis' median parameters",
     "default_ratio": "ratio with the default parameters",
     "options_sharpening": "best sharpening",
+    "corrected_sharpening": "best sharpening with corrections",
     "options_a_ac": "best a_ac",
+    "corrected_a_ac": "best a_ac with corrections",
     "a_m": "best a_m",
     "a_x": "best a_x",
     "a_r": "best a_r",
@@ -78,11 +82,13 @@ def write_report(evaluation: Evaluation, out: Path) -> None:
 
 def overview(evaluation: Evaluation) -> Table:
     """Means of all lamps for the terminal."""
-    shown = tables.plain("lamp", "setpoints", "MAE joint", "MAE MRPC", "MRPC / joint", "thesis", "with options")
+    shown = tables.plain("lamp", "setpoints", "MAE joint", "MAE MRPC", "MRPC / joint", "thesis", "with options", "corrected")
     for name in evaluation.lamps:
         values = summary(evaluation.of(name).setpoints)
-        joint, mrpc, ratio, options = (f"{values[f'{key}_mean']:.3f}" for key in ("jpo", "mrpc", "mrpc_ratio", "options_ratio"))
-        shown.add_row(f"[bold]{name}[/]", f"{values['setpoints']:g}", joint, mrpc, ratio, f"{THESIS[name]['mrpc_ratio'][0]:g}", options)
+        joint, mrpc, ratio, *others = (
+            f"{values[f'{key}_mean']:.3f}" for key in ("jpo", "mrpc", "mrpc_ratio", "options_ratio", "corrected_ratio")
+        )
+        shown.add_row(f"[bold]{name}[/]", f"{values['setpoints']:g}", joint, mrpc, ratio, f"{THESIS[name]['mrpc_ratio'][0]:g}", *others)
     return shown
 
 

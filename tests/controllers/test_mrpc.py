@@ -11,6 +11,7 @@ from torch import Tensor
 
 from controllers.mrpc import MrpcParams, pixel_major, reduce_setpoints
 from controllers.primitives import I_V, QUANTITIES, U_ABS, Quantity
+from controllers.raising import FAINT
 from controllers.rthc import Setpoints
 from controllers.windows import Window, whole
 from tests.reference import ssc as reference
@@ -303,3 +304,57 @@ def test_sharpening_raises_edges_and_nothing_else() -> None:
 def test_bounds_in_the_wrong_order_are_refused() -> None:
     with pytest.raises(ValidationError, match="below lower_cd"):
         MrpcParams(lower_cd=500, upper_cd=100)
+
+
+@pytest.mark.parametrize("quantity", ["I_v", "E_v", "u_abs", "u_rel"])
+@pytest.mark.parametrize("values", [{}, {"a_m": 0.5, "a_ac": 0.3}, {"a_d": 1.2, "a_x": 0.4}], ids=str)
+def test_corrections_add_what_the_light_lacks(values: dict[str, float], quantity: Quantity) -> None:
+    lamp, A = random_lamp(8)
+    default, plain = base_pattern(8), MrpcParams(**values)
+    setpoints = random_setpoints(8, A, quantity)
+    wanted = rays(setpoints)
+    total = A.sum(1)
+    unit = {"I_v": np.ones(len(A)), "E_v": np.ones(len(A)), "u_abs": total, "u_rel": A @ default.numpy()}[quantity]
+    if plain.a_d is not None:
+        unit = unit * np.minimum(total / (total[total > 0].mean() * plain.a_d), 1)
+    asked = wanted
+    for corrections in range(4):
+        expected, _ = reference.map_reduce(A, asked, plain, default.numpy(), COLS)
+        u, _ = reduced(setpoints, lamp, plain.model_copy(update={"corrections": corrections}), default)
+        # float64 sums over at most 48 texels, each correction of which divides by unit once.
+        np.testing.assert_allclose(u, expected, rtol=0, atol=1e-10)
+        given = np.divide(A @ expected, unit, out=np.zeros(len(A)), where=unit > 0)
+        raised = [max(now.value + ray.value - got, FAINT * ray.value) for now, ray, got in zip(asked, wanted, given, strict=True)]
+        asked = [replace(ray, value=value) for ray, value in zip(wanted, raised, strict=True)]
+
+
+def test_corrections_leave_masks_dark() -> None:
+    lamp = idealised(12, 40)
+    value = torch.zeros(lamp.rows, lamp.cols)
+    value[10:, 20:60] = 10_000
+    mask = torch.zeros_like(value)
+    mask[12:14, 30:34] = 1
+    setpoints = Setpoints(value * (1 - mask), torch.ones_like(value), whole(lamp), (I_V,), 1 - mask, mask, masking=True)
+    plain, corrected = (
+        reduce_setpoints(setpoints, pixel_major(lamp, p), p, torch.zeros(lamp.n_pixels), dark=True)[0]
+        for p in (MrpcParams(), MrpcParams(corrections=2))
+    )
+    assert (lamp.light_texture(corrected)[mask > 0] == 0).all()
+    assert torch.equal(corrected > 0, plain > 0)
+    assert (corrected > plain).any()
+
+
+@pytest.mark.parametrize("quantity", ["I_v", "u_rel"])
+def test_a_batch_of_corrections_is_a_loop_of_singles(quantity: Quantity, device: torch.device) -> None:
+    lamp, A = random_lamp(9)
+    params, default = MrpcParams(corrections=2, a_ac=0.2), base_pattern(9).to(device)
+    window = Window(1, 5, 2, 7)
+    singles = [random_setpoints(seed, A, quantity, window) for seed in range(3)]
+    singles = [replace(each, value=each.value.to(device), cover=each.cover.to(device)) for each in singles]
+    stacked = Setpoints(
+        torch.stack([each.value for each in singles]), torch.stack([each.cover for each in singles]), window, singles[0].quantities
+    )
+    u, _ = reduced(stacked, lamp.to(device), params, default)
+    for k, single in enumerate(singles):
+        # float64; a setpoint of one may be divided by hundreds of cd.
+        torch.testing.assert_close(u[k], reduced(single, lamp.to(device), params, default)[0], rtol=0, atol=1e-12)

@@ -1,6 +1,7 @@
 """Tuning of MapReduce control: the part of a lamp that matters, the equations entry by entry, and what the search finds."""
 
 import itertools
+from typing import Any
 
 import numpy as np
 import pytest
@@ -111,10 +112,11 @@ def test_a_part_gives_the_light_of_the_whole(light: Headlight, wanted: torch.Ten
         {"a_m": 1.6, "a_r": 2.3, "a_x": 0.37},
         {"a_m": 1.3, "granularity": 0.8, "a_ac": 0.4},
         {"sharpening": 1.3, "a_r": 0.5},
+        {"corrections": 2, "a_x": 0.3, "a_ac": 0.4, "sharpening": 0.7},
     ],
     ids=str,
 )
-def test_the_lamps_own_control_does_the_same(values: dict[str, float], light: Headlight) -> None:
+def test_the_lamps_own_control_does_the_same(values: dict[str, Any], light: Headlight) -> None:
     """A primitive of constant luminous intensity across the lamp's axis lights the texels whose centres it covers."""
     left, bottom, width, height = 0.22, -0.11, 0.35, 0.2
     origin = torch.tensor([10.0, 10 * left, 10 * (bottom + height)])
