@@ -29,7 +29,7 @@ class JpoParams(Params):
     """Real-time joint pixel optimisation."""
 
     objective: Literal["mae", "least_squares"] = Field("mae", description="what is least: the sum of absolute or of squared deviations")
-    iterations: int = Field(100, ge=1, le=100_000, description="budget of a step; what they bring is in docs/jpo.md")
+    iterations: int = Field(40, ge=1, le=100_000, description="budget of a step; what they bring is in docs/jpo.md")
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,8 @@
 """The least mean absolute error that all pixels together can reach (T 8.3, 8.4), with a proof of how much is missing to it.
 
-`min sum_i w_i |(A u)_i - s_i|, 0 <= u <= 1` by over-relaxed primal-dual steps (Chambolle and Pock 2011; Condat 2013), whose widths are the
-sums of columns and rows (Pock and Chambolle 2011). The dual value is a lower bound of the error.
+`min sum_i w_i |(A u)_i - s_i|, 0 <= u <= 1` by primal-dual steps (Chambolle and Pock 2011) on subsets of the texels in turn (Chambolle,
+Ehrhardt, Richtárik and Schönlieb 2018), whose widths are the sums of columns and rows (Pock and Chambolle 2011). All pixels move after
+each subset, so that a product with the whole matrix and its transpose is worth as many steps. The dual value is a lower bound of the error.
 """
 
 from dataclasses import dataclass
@@ -9,11 +10,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from controllers.jpo_part import Wanted, anywhere, reached_rows, submatrix, without_fixed
+from controllers.jpo_part import Wanted, anywhere, reached_rows, split_columns, submatrix, without_fixed
 from world.spmv import Csr, multiply
 
-OVER = 1.9  # relaxation: below 2 steps converge, and nearly twice as fast as at 1
-PRIMAL_WEIGHT = 0.3  # of the mean utilisation, as measured in docs/jpo.md: how far pixels move a step, against the dual
+SUBSETS = 8  # of the texels, each of which is spread over all: more would hardly serve, by benchmarks/jpo.py
+PRIMAL_WEIGHT = 0.2  # of the mean utilisation, as measured in docs/jpo.md: how far pixels move a step, against the dual
 NEAR = 0.1  # of the mean setpoint: texels this close to theirs are undecided between too dark and too bright
 CHECKED_EVERY = 20  # steps between looks at the gap, each of which waits for the device
 
@@ -41,37 +42,45 @@ def least_error(matrix: Csr, goal: Wanted, iterations: int = 20_000, gap: float 
     u = goal.start[..., left.cols] * left.upper
     best, light = u, multiply(left.A, u)
     least, bound = left.error(light, u), left.constant
-    y = left.pull(light)
+    full = torch.where(goal.free, 0.0, goal.start)
+    if not len(left.cols):
+        return LeastError(full, least, least, 0, 0)
     tau, sigma = left.steps()
+    answers, widths, s, w = (list(each.split(left.size, -1)) for each in (left.pull(light), sigma, left.s, left.w))
     done = 0
-    while done < iterations and len(left.cols):
+    while done < iterations:
+        slope = ahead = left.c + multiply(left.At, torch.cat(answers, -1))  # anew, since it gathers roundings
         steps = iterations if gap is None else min(CHECKED_EVERY, iterations - done)
-        for _ in range(steps):
-            following = (u - tau * (left.c + multiply(left.At, y))).clamp(min=0).minimum(left.upper)
-            answer = (y + sigma * (multiply(left.A, 2 * following - u) - left.s)).clamp(-left.w, left.w)
-            u, y = u + OVER * (following - u), y + OVER * (answer - y)
+        for k in [*range(len(answers))] * steps:
+            u = (u - tau * ahead).clamp(min=0).minimum(left.upper)
+            answer = (answers[k] + widths[k] * (multiply(left.rows[k], u) - s[k])).clamp(-w[k], w[k])
+            change = multiply(left.columns[k], answer - answers[k])
+            answers[k], slope = answer, slope + change
+            ahead = slope + len(answers) * change
         done += steps
-        error = left.error(multiply(left.A, following), following)
-        best = torch.where((error < least)[..., None], following, best)
-        least, bound = torch.minimum(error, least), torch.maximum(bound, left.bound(answer))
+        error = left.error(multiply(left.A, u), u)
+        best = torch.where((error < least)[..., None], u, best)
+        least, bound = torch.minimum(error, least), torch.maximum(bound, left.bound(torch.cat(answers, -1)))
         if gap is not None and bool((least - bound <= gap * least).all()):
             break
-    full = torch.where(goal.free, 0.0, goal.start)
     full[..., left.cols] += best
-    return LeastError(full, least, bound if len(left.cols) else least, done, len(left.A.values))
+    return LeastError(full, least, bound, done, len(left.A.values))
 
 
 @dataclass(frozen=True)
 class _Undecided:
     """`min c'u + sum_i w_i |(A u)_i - s_i| + constant, 0 <= u <= upper`, on some rows, and the columns `cols`, of a headlight matrix.
 
-    A, At: both ways. s, w: `[..., m]`. c, gain, upper: `[..., n]`; gain is `A'w`. A batch entry that has no use for a row or a column has
-    w or upper zero there.
+    A, At: both ways. rows, columns: the same in pieces of `size` rows of A, each of which is spread over all of the texture. s, w:
+    `[..., m]`. c, gain, upper: `[..., n]`; gain is `A'w`. A batch entry that has no use for a row or a column has w or upper zero there.
     """
 
     cols: Tensor
     A: Csr
     At: Csr
+    size: int
+    rows: list[Csr]
+    columns: list[Csr]
     s: Tensor
     w: Tensor
     c: Tensor
@@ -96,9 +105,10 @@ class _Undecided:
     def steps(self) -> tuple[Tensor, Tensor]:
         """Widths of primal and dual steps, which converge for any PRIMAL_WEIGHT and have the units of u and w."""
         reach = multiply(self.A, torch.ones_like(self.c[(0,) * (self.c.ndim - 1)]))
-        width = torch.where(self.upper > 0, 1 / self.gain, 0.0)
-        ssc = width * multiply(self.At, self.w * (self.s / reach).clamp(max=1))
+        ssc = torch.where(self.upper > 0, 1 / self.gain, 0.0) * multiply(self.At, self.w * (self.s / reach).clamp(max=1))
         pace = PRIMAL_WEIGHT * ssc.sum(-1, keepdim=True) / self.upper.sum(-1, keepdim=True).clamp(min=1)
+        of_subset = torch.stack([multiply(At, w) for At, w in zip(self.columns, self.w.split(self.size, -1), strict=True)]).amax(0)
+        width = torch.where(self.upper > 0, 1 / (len(self.columns) * of_subset), 0.0)
         return pace * width, torch.where(self.w > 0, self.w / (pace * reach), 0.0)
 
 
@@ -115,11 +125,16 @@ def _undecided(matrix: Csr, goal: Wanted) -> _Undecided:
     useful = goal.free & (gain > cost)
     cols = anywhere(useful).nonzero()[:, 0]
     rows = (anywhere(short) & reached_rows(transposed, cols)).nonzero()[:, 0]
+    rows = torch.cat([rows[k::SUBSETS] for k in range(SUBSETS)])
+    A, At, size = submatrix(matrix, rows, cols), submatrix(transposed, cols, rows), max(-(-len(rows) // SUBSETS), 1)
     s, w = target[..., rows], torch.where(short, goal.weight, 0.0)[..., rows]
     return _Undecided(
         cols,
-        submatrix(matrix, rows, cols),
-        submatrix(transposed, cols, rows),
+        A,
+        At,
+        size,
+        [A.band(start, min(start + size, len(rows))) for start in range(0, len(rows), size)],
+        split_columns(At, size),
         s,
         w,
         cost[..., cols],

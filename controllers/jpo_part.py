@@ -12,7 +12,7 @@ from torch import Tensor
 
 from world.errors import LuxloopError
 from world.headlight import Headlight
-from world.spmv import Csr, multiply
+from world.spmv import Csr, multiply, row_of_entries
 
 HARD = 1_000.0  # what an infinite weight on light counts, since light cannot be forced on a lamp; darkness can
 
@@ -67,7 +67,7 @@ def reaching(transposed: Csr, texels: Tensor) -> Tensor:
 
 
 def submatrix(matrix: Csr, rows: Tensor, cols: Tensor) -> Csr:
-    """`A[rows][:, cols]` for ascending rows and columns, at the cost of the entries in these rows."""
+    """`A[rows][:, cols]`, at the cost of the entries in these rows; where columns do not ascend, the order within rows is another."""
     number = torch.full((matrix.n_cols,), -1, dtype=torch.int32, device=cols.device)
     number[cols] = torch.arange(len(cols), dtype=torch.int32, device=cols.device)
     row, entry = _entries(matrix, rows)
@@ -75,6 +75,20 @@ def submatrix(matrix: Csr, rows: Tensor, cols: Tensor) -> Csr:
     kept = col >= 0
     stop = torch.bincount(row[kept], minlength=len(rows)).cumsum(0)
     return Csr(torch.nn.functional.pad(stop, (1, 0)).int(), col[kept], matrix.values[entry[kept]], len(cols))
+
+
+def split_columns(matrix: Csr, size: int) -> list[Csr]:
+    """A matrix as blocks of `size` columns each; the last may have fewer."""
+    n, count = matrix.n_rows, -(-matrix.n_cols // size)
+    block = matrix.indices // size
+    order = block.argsort(stable=True)
+    lengths = torch.bincount(block * n + row_of_entries(matrix), minlength=count * n).view(count, n)
+    entries = order.split(lengths.sum(1).tolist())
+    ends = torch.nn.functional.pad(lengths.cumsum(1), (1, 0)).int()
+    return [
+        Csr(ends[k], matrix.indices[own] - k * size, matrix.values[own], min(size, matrix.n_cols - k * size))
+        for k, own in enumerate(entries)
+    ]
 
 
 def anywhere(mask: Tensor) -> Tensor:
