@@ -32,7 +32,7 @@ def scene_caster(triangles: Triangles, skip: Collection[int] = (0,)) -> Caster:
     def occluded(points: Tensor, target: Tensor) -> Tensor:
         origin, directions = target.double().cpu(), points.double().cpu() - target.double().cpu()[:, None]
         face = first_hits(casting, origin, directions)
-        length = directions.norm(dim=0)
+        length = directions.square().sum(0).sqrt()
         return (depths(casting, face, origin, directions) * length < length - BIAS_M).to(points.device)
 
     return occluded

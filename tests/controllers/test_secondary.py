@@ -100,12 +100,18 @@ def carpet(width_m: float = 1.6, near_m: float = 12.0, far_m: float = 18.0, **mo
     return rectangle(origin, d1, d2, WANTED_LX, "E_v", normal=UP, **more)
 
 
-def illuminance(points: torch.Tensor, primitives, occluded: Caster | None = None, street: tuple = ()) -> torch.Tensor:  # type: ignore[no-untyped-def, type-arg]
+def illuminance(  # type: ignore[no-untyped-def]
+    points: torch.Tensor,
+    primitives,
+    occluded: Caster | None = None,
+    street: tuple = (),  # type: ignore[type-arg]
+    poses: list[torch.Tensor] = POSES,
+) -> torch.Tensor:
     """lx on the road at points, of each lamp that sees them: `[2, N]`."""
     ssc = Ssc.prepare(FINE)
-    lights = tuple((name, Light.of(FINE, T)) for name, T in zip(("left hires", "right hires"), POSES, strict=True))
+    lights = tuple((name, Light.of(FINE, T)) for name, T in zip(("left hires", "right hires"), poses, strict=True))
     total = []
-    for own, T in enumerate(POSES):
+    for own, T in enumerate(poses):
         u = ssc.utilisation(primitives, T, SecondaryRays(lights, own, street, occluded)).u
         intensity = FINE.intensity(FINE.light_texture(u), transform(inverse(T), points).float())
         away = T[:3, 3:] - points
@@ -124,6 +130,15 @@ def test_two_lamps_give_together_what_is_wanted() -> None:
     light = illuminance(inner(), carpet())
     assert light.amin() > 0.3 * WANTED_LX
     torch.testing.assert_close(light.sum(0), torch.full((300,), WANTED_LX).double(), rtol=0.03, atol=0)
+
+
+def test_two_cars_draw_together() -> None:
+    """A lamp of a car that comes the other way is a light like any other; it gives more where it is nearer."""
+    points = inner()
+    light = illuminance(points, carpet(), poses=[POSES[0], pose_from_degrees((31.0, 0.6, 0.75), yaw_deg=180)])
+    torch.testing.assert_close(light.sum(0), torch.full((300,), WANTED_LX).double(), rtol=0.03, atol=0)
+    near, far = points[0] < 15, points[0] > 16
+    assert (light[0] > light[1])[near].all() and (light[0] < light[1])[far].all()
 
 
 def test_only_modules_that_may_draw_take_a_share() -> None:
