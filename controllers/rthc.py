@@ -162,8 +162,8 @@ class Casting:
 
     @property
     def quantities(self) -> tuple[int, ...]:
-        """Codes that may occur."""
-        return tuple(sorted(set(self.primitives.quantity.tolist())))
+        """Codes that may occur, at least one."""
+        return tuple(sorted(set(self.primitives.quantity.tolist()))) or (U_ABS,)
 
     @property
     def masking(self) -> bool:

@@ -63,11 +63,16 @@ def test_a_mask_is_dark_and_its_surroundings_are_not(hd84: Headlight) -> None:
     assert (hd84.light_texture(u).flatten()[dark] == 0).all()
 
 
-def test_nothing_in_sight_leaves_the_default(hd84: Headlight) -> None:
+@pytest.mark.parametrize("there_is", [True, False], ids=["aside", "nothing"])
+def test_nothing_in_sight_leaves_the_default(hd84: Headlight, there_is: bool) -> None:
     default = torch.rand(84, generator=torch.Generator().manual_seed(2))
-    for objective in ("mae", "least_squares"):
-        jpo = Jpo.prepare(hd84, JpoParams(objective=objective), default)
-        torch.testing.assert_close(jpo.utilisation(on_a_wall(y_m=60.0), T_LAMP).u, default, rtol=0, atol=0)
+    scene = on_a_wall(y_m=60.0).select(torch.tensor([there_is]))
+    vectors = {name: getattr(scene, name) for name in ("origin", "d1", "d2", "normal", "value", "weight")}
+    batch = replace(scene, **{name: vector.expand(2, *vector.shape) for name, vector in vectors.items()})
+    controllers = [Jpo.prepare(hd84, JpoParams(objective=objective), default) for objective in ("mae", "least_squares")]
+    for controller in (Ssc.prepare(hd84, default=default), *controllers):
+        assert torch.equal(controller.utilisation(scene, T_LAMP).u, default)
+        assert torch.equal(controller.utilisation(batch, T_LAMP).u, default.expand(2, -1))
 
 
 @pytest.mark.parametrize("objective", ["mae", "least_squares"])

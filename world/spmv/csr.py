@@ -99,7 +99,7 @@ class _Multiply(torch.autograd.Function):
 def _product(matrix: Csr, x: Tensor) -> Tensor:
     if x.ndim == 1:
         return torch.mv(matrix.torch_csr, x)
-    flat = x.reshape(-1, matrix.n_cols)
+    flat = x.reshape(x.shape[:-1].numel(), matrix.n_cols)
     return (matrix.torch_csr @ flat.T).T.reshape(*x.shape[:-1], matrix.n_rows)
 
 
