@@ -72,8 +72,8 @@ def test_nothing_in_sight_leaves_the_default(hd84: Headlight, there_is: bool) ->
     controllers = [Jpo.prepare(hd84, JpoParams(objective=objective), default) for objective in ("mae", "least_squares")]
     for controller in (Ssc.prepare(hd84, default=default), *controllers):
         assert torch.equal(controller.utilisation(scene, T_LAMP).u, default)
-        # A batch takes the mean of the default over all of a pixel's rays, in float32.
-        torch.testing.assert_close(controller.utilisation(batch, T_LAMP).u, default.expand(2, -1), rtol=0, atol=1e-6)
+        # A batch takes the mean of the default over thousands of rays of a pixel, in float32.
+        torch.testing.assert_close(controller.utilisation(batch, T_LAMP).u, default.expand(2, -1), rtol=0, atol=1e-5)
 
 
 @pytest.mark.parametrize("objective", ["mae", "least_squares"])
