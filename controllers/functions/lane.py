@@ -11,6 +11,7 @@ from controllers.functions.path import Drawing
 from controllers.functions.situation import Drawn, Situation
 from controllers.primitives import Primitives
 
+QUARTER_TURN = math.pi / 2  # rad, as far as a cubic curve follows a circle
 STRAIGHT_1_M = 1e-5  # a curve that turns less leaves its tangent by 2 cm in 60 m
 
 
@@ -22,7 +23,7 @@ class LaneParams(Drawn):
     lane_width_m: float = Field(2.6, gt=0, description="width of the carpet, or between the middles of the lines")
     line_width_m: float = Field(0.2, gt=0, description="width of a line")
     near_m: float = Field(6.0, gt=0, description="where it begins, ahead of the car")
-    far_m: float = Field(40.0, gt=0, description="where it ends")
+    far_m: float = Field(40.0, gt=0, description="where it ends; in a tight bend after a quarter turn")
     y_m: float = Field(0.0, description="middle of the lane at the car, to the left")
     texel_m: float = Field(0.1, gt=0, le=1, description="resolution of the drawing in a bend")
 
@@ -34,7 +35,8 @@ class LaneParams(Drawn):
         offsets, width = ((0.0,), self.lane_width_m) if carpet else ((self.lane_width_m / 2, -self.lane_width_m / 2), self.line_width_m)
         if abs(now.curvature_1_m) < STRAIGHT_1_M:
             return tuple(straight(self, now, self.near_m, self.far_m, self.y_m + offset, width) for offset in offsets)
-        drawing = Drawing(arc(now.curvature_1_m, self.near_m, self.far_m, self.y_m), offsets[0] + width / 2, self.texel_m)
+        far_m = min(self.far_m, self.near_m + QUARTER_TURN / abs(now.curvature_1_m))
+        drawing = Drawing(arc(now.curvature_1_m, self.near_m, far_m, self.y_m), offsets[0] + width / 2, self.texel_m)
         image = torch.stack([drawing.band(width / 2, offset) for offset in offsets]).amax(0)
         return (self.draw(drawing.place(now.T_world_vehicle), image),)
 
@@ -64,7 +66,7 @@ def straight(params: Drawn, now: Situation, near_m: float, far_m: float, y_m: fl
 def arc(curvature_1_m: float, near_m: float, far_m: float, y_m: float = 0.0) -> torch.Tensor:
     """Control points `[4, 2]` m of the cubic curve closest to the circle through the car, between two lengths along it.
 
-    Its distance from the circle is below 1e-4 of the radius for a quarter turn.
+    Its distance from the circle is below 3e-4 of the radius up to a quarter turn.
     """
     angle = curvature_1_m * (far_m - near_m)
     reach = 4 / 3 * math.tan(angle / 4) / curvature_1_m

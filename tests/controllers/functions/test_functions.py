@@ -166,12 +166,13 @@ def test_chevrons_are_bent_along_the_path_and_run() -> None:
     assert moved[(drawing.along > 4.4) & (drawing.along < 4.6) & (drawing.distance > 0.4) & (drawing.distance < 0.6)].min() > 0.7
 
 
-@pytest.mark.parametrize("curvature", [0.02, -0.03])
+@pytest.mark.parametrize("curvature", [0.02, -0.03, 0.125])
 def test_a_bent_lane_follows_the_circle(curvature: float) -> None:
-    control = arc(curvature, 6.0, 40.0)
+    """In a bend of 8 m it ends after a quarter turn, which it would else leave by a metre."""
+    control = arc(curvature, 6.0, min(40.0, 6.0 + math.pi / 2 / abs(curvature)))
     points = point(control, torch.linspace(0, 1, 50, dtype=torch.float64))
     centre = torch.tensor([0.0, 1 / curvature], dtype=torch.float64)
-    torch.testing.assert_close((points - centre).norm(dim=-1), torch.full((50,), 1 / abs(curvature)).double(), rtol=1e-4, atol=0)
+    torch.testing.assert_close((points - centre).norm(dim=-1), torch.full((50,), 1 / abs(curvature)).double(), rtol=3e-4, atol=0)
     (bent,) = LaneParams(style="lines", texel_m=0.05).primitives(now(curvature_1_m=curvature))
     p, image = bent, bent.symbols[0]
     rows, cols = image.shape
@@ -179,7 +180,7 @@ def test_a_bent_lane_follows_the_circle(curvature: float) -> None:
     lit = p.origin[0] + (c / cols)[:, None] * p.d1[0] + (r / rows)[:, None] * p.d2[0]
     offset = (lit[:, :2] - centre).norm(dim=-1) - 1 / abs(curvature)
     assert offset.abs().min() > 1.15 and offset.abs().max() < 1.45  # borders at +-1.3 m, 20 cm wide, and texels of 5 cm
-    assert (offset > 0).double().mean() == pytest.approx(0.5, abs=0.05)
+    assert (offset > 0).double().mean() == pytest.approx(0.5 + 0.65 * abs(curvature), abs=0.02)  # the outer one is longer
 
 
 def test_lines_of_a_lane_are_its_width_apart() -> None:
