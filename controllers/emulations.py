@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from controllers.mrpc_params import MrpcParams
+from world.errors import LuxloopError
 from world.headlight import Headlight
 from world.spmv import row_of_entries
 
@@ -28,6 +29,7 @@ def angle_intensity_bend(beam: Tensor, headlight: Headlight, yaw: float) -> Tens
     """A beam `[..., n_p]` bent to the left by rad: each row's utilisation as a function of its pixels' horizontal angles, moved (T 3.4).
 
     Between centroids it is interpolated; beyond the outermost there is no light. Pixels that give no light are left out.
+    Raises LuxloopError for a lamp of one column.
     """
     angle = _centroid_angles(headlight).to(beam)
     bent = torch.zeros_like(beam)
@@ -45,7 +47,10 @@ def angle_intensity_bend(beam: Tensor, headlight: Headlight, yaw: float) -> Tens
 
 
 def matrix_shift_bend(beam: Tensor, headlight: Headlight, yaw: float) -> Tensor:
-    """A beam `[..., n_p]` bent to the left by rad: its utilisations as an image, moved by whole and part columns (T 3.4)."""
+    """A beam `[..., n_p]` bent to the left by rad: its utilisations as an image, moved by whole and part columns (T 3.4).
+
+    Raises LuxloopError for a lamp of one column.
+    """
     angle = _centroid_angles(headlight).view(headlight.pixel_rows, headlight.pixel_cols)
     pitch = -(angle[:, 1:] - angle[:, :-1]).nanmean()
     shift = float(yaw / pitch)  # columns to the left
@@ -62,7 +67,12 @@ def matrix_shift_bend(beam: Tensor, headlight: Headlight, yaw: float) -> Tensor:
 
 
 def _centroid_angles(headlight: Headlight) -> Tensor:
-    """Horizontal angle of every pixel's centroid `[n_p]` in rad, to the left positive; NaN where a pixel gives no light."""
+    """Horizontal angle of every pixel's centroid `[n_p]` in rad, to the left positive; NaN where a pixel gives no light.
+
+    Raises LuxloopError for a lamp of one column.
+    """
+    if headlight.pixel_cols < 2:
+        raise LuxloopError(f"{headlight.name!r} has one column of pixels and bends no beam: take a lamp of two columns or more")
     entries = headlight.matrix.transposed
     pixel, light = row_of_entries(entries), entries.values.double()
     y, _ = headlight.tangents(torch.float64, light.device)

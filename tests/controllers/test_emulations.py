@@ -114,6 +114,12 @@ def test_digital_bends_move_a_column_by_their_angle(bent) -> None:
     assert not bent(beam.flatten(), LAMP, 1.0).any(), "nothing comes in from beyond the field"
 
 
+@pytest.mark.parametrize("bent", [angle_intensity_bend, matrix_shift_bend])
+def test_one_column_of_pixels_bends_nothing(bent) -> None:
+    with pytest.raises(LuxloopError, match="one column"):
+        bent(torch.ones(4), idealised(4, 1), 0.0)
+
+
 def test_digital_bends_batch() -> None:
     beams = torch.rand(3, 160, generator=torch.Generator().manual_seed(1))
     for bent in (angle_intensity_bend, matrix_shift_bend):
