@@ -38,7 +38,8 @@ class Ego:
     """The vehicle's motion as measured at `time_s`, `age_s` before the step's on frame is exposed.
 
     attitude: `[3]`, heave in m, roll and pitch (nose down) in rad of the body over the ground. rates: `[3]`, the same a second.
-    speed_m_s, yaw_rate_rad_s: `[]`, means of the last control period. period_s: that period. pivot_x_m: where the body turns.
+    speed_m_s, yaw_rate_rad_s: `[]`, of the rear axle, means of the last control period. period_s: that period.
+    pivot_x_m, rear_x_m: where on the ground the body rolls and pitches, and where the rear axle is.
     """
 
     time_s: float
@@ -49,6 +50,7 @@ class Ego:
     speed_m_s: Tensor
     yaw_rate_rad_s: Tensor
     pivot_x_m: float
+    rear_x_m: float
 
     @property
     def T_ground_body(self) -> Tensor:
@@ -65,7 +67,9 @@ class Ego:
         turn, length = self.yaw_rate_rad_s * duration_s, self.speed_m_s * duration_s
         chord = length * torch.sinc(turn / (2 * torch.pi))
         zero = torch.zeros_like(turn)
-        return pose(torch.stack([chord * (turn / 2).cos(), chord * (turn / 2).sin(), zero]), rotation(zero, zero, turn))
+        x = chord * (turn / 2).cos() + self.rear_x_m * (1 - turn.cos())
+        y = chord * (turn / 2).sin() - self.rear_x_m * turn.sin()
+        return pose(torch.stack([x, y, zero]), rotation(zero, zero, turn))
 
     def after(self, duration_s: float) -> "Ego":
         """The attitude predicted `duration_s` s ahead, linearly; `ego.after(ego.age_s)` is that of the step's on frame."""
@@ -87,4 +91,6 @@ def measured(motion: Motion, params: SensorParams, step: int, period_s: float, s
     attitude = [now.heave_m, now.roll_rad + np.deg2rad(params.roll_bias_deg), now.pitch_rad + np.deg2rad(params.pitch_bias_deg)]
     rates = [now.heave_rate_m_s, now.roll_rate_rad_s, now.pitch_rate_rad_s]
     values = like.new_tensor(np.array([speed, yaw_rate, *attitude, *rates]) + noise)
-    return Ego(at * period_s, (step - at) * period_s, period_s, values[2:5], values[5:8], values[0], values[1], motion.pivot_x_m)
+    return Ego(
+        at * period_s, (step - at) * period_s, period_s, values[2:5], values[5:8], values[0], values[1], motion.pivot_x_m, motion.rear_x_m
+    )

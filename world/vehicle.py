@@ -100,11 +100,16 @@ class VehicleState:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A drive, integrated. times_s: `[N]`, ascending. states: `[N, 13]`, the COLUMNS. pivot_x_m: of heave, pitch and roll, in the body."""
+    """A drive, integrated.
+
+    times_s: `[N]`, ascending. states: `[N, 13]`, the COLUMNS. pivot_x_m: where on the ground heave, pitch and roll act, between the wheels.
+    rear_x_m: the rear axle, which goes where the vehicle heads.
+    """
 
     times_s: Floats
     states: Floats
     pivot_x_m: float = 0.0
+    rear_x_m: float = 0.0
 
     @property
     def range_y_m(self) -> tuple[float, float]:
@@ -165,7 +170,7 @@ def drive(params: VehicleParams, road: Road, duration_s: float) -> Motion:
     pitch = pitch + math.radians(params.oscillation.pitch_deg) * np.sin(2 * np.pi * params.oscillation.rate_hz * t)
     rates = (np.gradient(mode, dt) for mode in (heave, roll, pitch))
     columns = (x, y, yaw, speed, yaw_rate, acceleration, lateral, heave, roll, pitch, *rates)
-    return Motion(t, np.stack(columns, axis=1), -(params.overhang_m + params.wheelbase_m / 2))
+    return Motion(t, np.stack(columns, axis=1), -(params.overhang_m + params.wheelbase_m / 2), -rear_m)
 
 
 def _wheel_heights(params: VehicleParams, road: Road, x: Floats, y: Floats, yaw: Floats) -> tuple[Floats, ...]:

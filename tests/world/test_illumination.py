@@ -15,7 +15,7 @@ from world.flatroad import flat_road
 from world.frames import R_ISO_OPENCV, inverse, pose, pose_from_degrees, transform
 from world.gbuffer import GBuffer
 from world.headlight import Headlight
-from world.illumination import added_light, illuminance, luminance, reach, transport
+from world.illumination import DirectTransport, added_light, illuminance, luminance, reach, transport
 from world.presets import idealised
 from world.raycast import RayCaster
 from world.scene import Scene
@@ -292,3 +292,18 @@ def test_the_assumed_road_is_empty_above_the_horizon() -> None:
     # Where the float32 position is far away it is a millionth of that off.
     centres = torch.nonzero(below).flip(-1).T + 0.5
     torch.testing.assert_close(uv, centres.double(), rtol=0, atol=1e-3)
+
+
+@pytest.mark.parametrize("oversampling", [1, 3])
+def test_the_direct_way_gives_what_the_matrix_gives(device, oversampling):
+    view = camera(oversampling=oversampling)
+    surface = reach(flat_road(view, 0.2).to(device), LAMP, T_LEFT.to(device))
+    headlight = LAMP.to(device)
+    u = torch.rand(3, headlight.n_pixels, generator=torch.Generator().manual_seed(1)).to(device)
+    base = torch.zeros(90, 160, device=device)
+    folded = added_light([transport(surface, headlight, view.width, oversampling)], [Light(u)], base)
+    direct = added_light([DirectTransport.of(surface, headlight, view.width, oversampling)], [Light(u)], base)
+    assert folded.max() > 0
+    assert torch.allclose(direct, folded, rtol=1e-5, atol=1e-6 * float(folded.max()))  # sums of float32 in another order
+    dark = DirectTransport.of(surface, headlight, view.width, oversampling).luminance(torch.zeros_like(u), slice(0, 0))
+    assert dark[0].shape == (3, 0) and len(dark[1]) == 0

@@ -1,0 +1,88 @@
+"""Tiles of a road lie on it, meet without gaps, and are there where the vehicle looks."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+
+from tests.world.grids import camera
+from world.deferred import DeferredRenderer
+from world.frames import pose_from_degrees
+from world.rasterise import NoOpenGL
+from world.roads import Curb, Iso8608, Road
+from world.roadtiles import LENGTH_M, NEAR_M, SIGHT_M, RoadTiles
+from world.surfaces import QuickSurfaces
+from world.triangles import Triangles
+
+ROAD = Iso8608(roughness_class="C")
+
+
+def tiles(road: Road = ROAD) -> RoadTiles:
+    return RoadTiles(road, (0.0, 0.0), 0.2, None)
+
+
+def vertices(placed) -> np.ndarray:
+    return np.asarray(placed.body.mesh.vertices)
+
+
+def test_tiles_lie_on_the_road_and_meet():
+    near = tiles().near(0, pose_from_degrees((50.0, 0.0, 0.0)))
+    for tile in near:
+        x, y, z = vertices(tile).T
+        assert np.array_equal(z, ROAD.z(x, y))
+    for before, after in pairwise(near):
+        border = vertices(before)[:, 0].max()
+        ends = [corners[corners[:, 0] == border] for corners in (vertices(before), vertices(after))]
+        assert len(ends[0]) > 50 and np.array_equal(*ends)  # the same vertices, near and far
+
+
+def test_tiles_are_there_where_the_vehicle_looks_and_finer_where_it_is_near():
+    near = tiles().near(0, pose_from_degrees((50.0, 0.0, 0.0)))
+    starts = [vertices(tile)[:, 0].min() for tile in near]
+    assert min(starts) > 50 - LENGTH_M and max(starts) > 50 + SIGHT_M - LENGTH_M
+    fine = [tile.n_faces for tile, start in zip(near, starts, strict=True) if start < 50 + NEAR_M]
+    assert min(fine) > 4 * max(tile.n_faces for tile, start in zip(near, starts, strict=True) if start > 50 + NEAR_M)
+    back = tiles().near(0, pose_from_degrees((50.0, 0.0, 0.0), yaw_deg=180))
+    assert max(vertices(tile)[:, 0].max() for tile in back) < 50 + LENGTH_M
+
+
+def test_a_tile_is_made_once():
+    road = tiles()
+    first, later = (road.near(0, pose_from_degrees((x, 0.0, 0.0))) for x in (0.1, 0.5))
+    assert all(a is b for a, b in zip(first, later, strict=True))
+
+
+def test_normals_look_beyond_the_tile():
+    tile = tiles().near(0, pose_from_degrees((20.0, 0.0, 0.0)))[0]
+    x, y, _ = vertices(tile).T
+    inner = np.abs(y) < 3
+    h = 0.1
+    slope = (ROAD.z(x + h, y) - ROAD.z(x - h, y)) / (2 * h)
+    normals = np.asarray(tile.body.mesh.vertex_normals)
+    # central differences over the mesh's own spacing, at the borders as inside
+    assert np.abs(-normals[:, 0] / normals[:, 2] - slope)[inner].max() < 1e-6
+    assert np.ptp(slope) > 0.05
+
+
+def test_lines_that_a_road_asks_for_are_in_its_tiles():
+    curb = Curb()
+    tile = tiles(curb).near(0, pose_from_degrees((20.0, 0.0, 0.0)))[0]
+    assert set(curb.grid().y_lines_m) <= set(vertices(tile)[:, 1].tolist())
+
+
+def test_the_road_has_no_holes():
+    try:
+        renderer = QuickSurfaces(DeferredRenderer())
+    except NoOpenGL as error:
+        pytest.skip(str(error))
+    view = camera()
+    placed = tiles().near(0, pose_from_degrees((0.0, 0.0, 0.0)))
+    seen = renderer.gbuffer(Triangles(placed), view)
+    rays = view.rays()
+    depth = -view.origin[2] / rays[2]
+    ground = view.origin[:, None, None] + depth * rays
+    # well within the sight, so that the last bumps hide nothing behind them
+    expected = (rays[2] < 0) & (ground[0] < SIGHT_M - 40) & (ground[1].abs() < 20)
+    assert expected.sum() > 1000 and bool((seen.object_id[expected] == 0).all())
+    assert torch.isfinite(seen.position).all()

@@ -1,0 +1,115 @@
+"""What OpenGL interpolates against exact intersections, and a view that moves against a world that does."""
+
+from dataclasses import replace
+from functools import cache
+
+import pytest
+import torch
+
+from tests.world.grids import bumpy, camera, lamp
+from world.body import Body, PoseTrack
+from world.deferred import DeferredRenderer
+from world.face_source import face_source
+from world.frames import inverse, pose_from_degrees, transform
+from world.materials import RoadSurfaceParams
+from world.objects import BoxParams
+from world.rasterise import NoOpenGL, Rasteriser
+from world.raycast import RayCaster
+from world.scene import Scene
+from world.shadow import visible
+from world.surfaces import ExactSurfaces, QuickSurfaces, SurfaceSource, surface_source
+
+SURFACE = RoadSurfaceParams(markings=True, beads=True)
+
+
+@pytest.fixture(params=["exact", "quick"])
+def surfaces(request: pytest.FixtureRequest) -> SurfaceSource:
+    return ExactSurfaces(RayCaster()) if request.param == "exact" else quick()
+
+
+def quick() -> QuickSurfaces:
+    try:
+        return QuickSurfaces(DeferredRenderer())
+    except NoOpenGL as error:
+        pytest.skip(str(error))
+
+
+@cache
+def bodies() -> tuple[Body, ...]:
+    """A bumpy road with paint, a box and a two-sided sheet."""
+    box = BoxParams(name="box", size_m=(1, 1, 1), albedo=0.05, track=[{"position_m": (14, 0.3, 0), "yaw_deg": 30}]).build()
+    road = Body("road", bumpy(), 0.2, SURFACE.texture(), smooth=True)
+    sheet = replace(box, name="sheet", two_sided=True, track=PoseTrack.static(pose_from_degrees((20.0, -2.0, 0.5), yaw_deg=70)))
+    return road, box, sheet
+
+
+def scene(T_moved: torch.Tensor | None = None) -> Scene:
+    """The bodies, all of them moved."""
+    T = torch.eye(4, dtype=torch.float64) if T_moved is None else T_moved
+    return Scene(tuple(replace(body, track=PoseTrack.static(T @ body.track.pose_at(0.0))) for body in bodies()))
+
+
+def test_the_quick_way_sees_what_the_exact_one_sees():
+    triangles, view = scene().at(0.0), camera()
+    exact, fast = ExactSurfaces(RayCaster()).gbuffer(triangles, view), quick().gbuffer(triangles, view)
+    same = exact.object_id == fast.object_id
+    # outlines, at which a ray passes a corner that is snapped to 1/256 px
+    assert same.float().mean() > 0.999 and set(fast.object_id.unique().tolist()) == {-1, 0, 1, 2}
+    seen = same & (exact.object_id >= 0)
+    distance = (exact.position - view.origin[:, None, None]).norm(dim=0)
+    apart = ((exact.position - fast.position).norm(dim=0) / distance)[seen]
+    # float32 along a grazing ray; where bumps hide each other a ray may also meet the next one
+    assert apart.quantile(0.99) < 1e-5 and (apart < 1e-3).float().mean() > 0.998
+    on_same = seen & ((exact.position - fast.position).norm(dim=0) < 1e-3 * distance)
+    assert (exact.normal - fast.normal).norm(dim=0)[on_same].quantile(0.99) < 1e-3
+    assert (exact.albedo - fast.albedo).abs()[on_same].mean() < 1e-3
+    assert exact.finish is not None and fast.finish is not None and exact.finish.materials == fast.finish.materials
+    assert (exact.finish.material == fast.finish.material)[on_same].float().mean() > 0.999
+    nothing = fast.object_id < 0
+    assert not fast.position[:, nothing].any() and not fast.normal[:, nothing].any() and not fast.albedo[nothing].any()
+
+
+def test_the_quick_way_throws_the_same_shadows():
+    triangles, view, light = scene().at(0.0), camera(), lamp(512, 256)
+    source = ExactSurfaces(RayCaster())
+    surfaces = source.gbuffer(triangles, view)
+    points = surfaces.position[:, surfaces.object_id == 0]
+    exact, fast = (visible(way.shadow_map(triangles, light), points) for way in (source, quick()))
+    assert 0.01 < (~exact).float().mean() < 0.9  # there are shadows
+    assert (exact == fast).float().mean() > 0.998  # outlines, as above
+
+
+def test_a_view_that_moves_sees_what_a_standing_one_sees_of_a_world_that_moves_the_other_way(surfaces):
+    T = pose_from_degrees((3.0, -0.4, 0.05), 1.0, 0.7, 4.0)
+    view = camera()
+    moved = surfaces.gbuffer(scene().at(0.0), replace(view, T_world_view=T @ view.T_world_view))
+    standing = surfaces.gbuffer(scene(inverse(T)).at(0.0), view)
+    same = moved.object_id == standing.object_id
+    assert same.float().mean() > 0.999  # rays that pass an edge within rounding
+    seen = (same & (moved.object_id >= 0)).flatten()
+    back = transform(inverse(T).float(), moved.position.flatten(1))[:, seen]
+    away = (back - standing.position.flatten(1)[:, seen]).norm(dim=0)
+    assert away.quantile(0.999) < 1e-3  # of 60 m, seen at a grazing angle in float32
+    turned = inverse(T).float()[:3, :3] @ moved.normal.flatten(1)[:, seen]
+    assert (turned - standing.normal.flatten(1)[:, seen]).norm(dim=0).quantile(0.999) < 1e-3
+    assert (moved.albedo - standing.albedo).flatten()[seen].abs().quantile(0.99) < 1e-3
+
+
+def test_drawing_in_turn_with_pyrender_changes_neither():
+    try:
+        source = face_source("opengl")
+    except NoOpenGL as error:
+        pytest.skip(str(error))
+    triangles, view = scene().at(0.0), camera()
+    ids, seen = source.face_ids(triangles, view), quick().gbuffer(triangles, view)
+    assert torch.equal(source.face_ids(triangles, view), ids)
+    assert torch.equal(quick().gbuffer(triangles, camera()).position, seen.position)
+
+
+def test_worlds_that_move_are_drawn_the_quick_way_where_there_is_opengl():
+    assert isinstance(surface_source(RayCaster(), True), ExactSurfaces)
+    try:
+        source = Rasteriser()
+    except NoOpenGL as error:
+        pytest.skip(str(error))
+    assert isinstance(surface_source(source, True), QuickSurfaces) and isinstance(surface_source(source, False), ExactSurfaces)

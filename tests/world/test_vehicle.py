@@ -1,0 +1,144 @@
+"""The vehicle against closed forms: straight and circular courses, and the answers of damped oscillators."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import ArrayLike
+from pydantic import ValidationError
+
+from world.frames import transform
+from world.roadbase import Floats, MeshGrid
+from world.roads import Flat
+from world.vehicle import COLUMNS, STANDING, CourseParams, Motion, OscillationParams, SuspensionParams, VehicleParams, drive
+
+LAMP = torch.tensor([[0.0], [0.0], [0.75]], dtype=torch.float64)
+
+
+@dataclass(frozen=True)
+class Wavy:
+    """A plane with a wave along it."""
+
+    slope: float = 0.0
+    crossfall: float = 0.0
+    amplitude_m: float = 0.0
+    length_m: float = 1.0
+
+    def z(self, x: ArrayLike, y: ArrayLike) -> Floats:
+        x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
+        return self.slope * x + self.crossfall * y + self.amplitude_m * np.sin(2 * np.pi * x / self.length_m)
+
+    def grid(self) -> MeshGrid:
+        return MeshGrid()
+
+
+def driven(*course: tuple[float, float, float], road=None, duration_s: float = 10.0, **keys) -> Motion:
+    entries = tuple(CourseParams(time_s=t, speed_m_s=v, curvature_1_m=k) for t, v, k in course)
+    return drive(VehicleParams(course=entries, **keys), road or Flat(), duration_s)
+
+
+def test_who_stands_stays_at_the_origin_to_the_bit():
+    for t in (-1.0, 0.0, 1000.0):
+        state = STANDING.at(t)
+        assert torch.equal(state.T_world_body, torch.eye(4, dtype=torch.float64)) and state.speed_m_s == 0
+
+
+def test_a_straight_course_on_a_flat_road():
+    motion = driven((0, 20, 0))
+    for t in (0.0, 0.5, 7.123):
+        state = motion.at(t)
+        expected = torch.eye(4, dtype=torch.float64)
+        expected[0, 3] = 20 * t
+        assert torch.allclose(state.T_world_ground, expected, atol=1e-9)  # sums of rounding errors
+        assert torch.equal(state.T_ground_body, torch.eye(4, dtype=torch.float64))
+
+
+def test_the_rear_axle_goes_round_a_circle_to_the_left():
+    motion = driven((0, 10, 1 / 50))
+    rear = torch.tensor([[motion.rear_x_m], [0.0], [0.0]], dtype=torch.float64)
+    for t in (1.0, 5.0):
+        state, angle = motion.at(t), 10 * t / 50
+        x, y, z = transform(state.T_world_ground, rear)[:, 0].tolist()
+        # exact up to the linear interpolation between arcs of 2 cm: 0.02^2 / 8 / 50
+        assert (x, y, z) == pytest.approx((motion.rear_x_m + 50 * math.sin(angle), 50 * (1 - math.cos(angle)), 0), abs=2e-6)
+        assert (state.yaw_rate_rad_s, state.lateral_m_s2) == pytest.approx((0.2, 2.0))
+        heading = state.T_world_ground[:2, 0]
+        assert heading.tolist() == pytest.approx([math.cos(angle), math.sin(angle)], abs=1e-6)
+
+
+def test_braking_takes_the_way_that_it_should():
+    motion = driven((0, 20, 0), (1, 20, 0), (5, 0, 0))
+    assert motion.at(9.0).T_world_ground[0, 3] == pytest.approx(20 + 40, abs=1e-6)
+    assert motion.at(3.0).acceleration_m_s2 == pytest.approx(-5)
+
+
+def test_a_brake_dives_as_a_damped_oscillator_does():
+    rate, damping, dive = 1.4, 0.3, 0.2
+    spring = SuspensionParams(pitch_hz=rate, damping=damping, dive_deg_per_m_s2=dive)
+    motion = driven((0, 30, 0), (1, 30, 0), (7, 0, 0), suspension=spring, simulation_hz=2000)
+    omega, final = 2 * math.pi * rate, math.radians(5 * dive)
+    ringing = omega * math.sqrt(1 - damping**2)
+    for t in np.linspace(0.05, 5.5, 40):
+        decayed = math.exp(-damping * omega * t)
+        expected = final * (1 - decayed * (math.cos(ringing * t) + damping * omega / ringing * math.sin(ringing * t)))
+        # the step of the acceleration is spread over two intervals of 0.5 ms, in which pitch moves by omega * 1 ms = 1 % at most
+        assert motion.at(1 + t).pitch_rad == pytest.approx(expected, abs=0.01 * final)
+
+
+def test_the_nose_goes_down_when_braking_and_up_when_accelerating():
+    for final_m_s, sign in ((10.0, 1), (50.0, -1)):
+        state = driven((0, 30, 0), (10, final_m_s, 0)).at(9.0)
+        assert sign * state.pitch_rad == pytest.approx(math.radians(2 * 0.2), rel=1e-3)  # e^(-0.35 * 8.8 * 9) is left of the ringing
+        lamp = transform(state.T_ground_body, LAMP)
+        ahead = transform(state.T_ground_body, LAMP + torch.tensor([[10.0], [0.0], [0.0]]))
+        assert sign * (0.75 - float(lamp[2])) > 0 and sign * float(lamp[2] - ahead[2]) > 0
+
+
+def test_the_body_leans_out_of_a_bend():
+    state = driven((0, 20, 0.01)).at(9.0)  # to the left, 4 m/s^2
+    assert state.roll_rad == pytest.approx(math.radians(4 * 0.4), rel=1e-3)
+    left = transform(state.T_ground_body, torch.tensor([[0.0], [1.0], [0.0]], dtype=torch.float64))
+    assert left[2] > 0
+
+
+def test_on_a_plane_the_body_lies_parallel_to_it():
+    motion = driven((0, 10, 0), road=Wavy(slope=0.03, crossfall=0.02))
+    state = motion.at(8.0)
+    # the plane runs away from the body at a steady rate, which leaves a damped oscillator behind by nothing
+    assert state.pitch_rad == pytest.approx(-0.03, abs=1e-9) and state.roll_rad == pytest.approx(0.02, abs=1e-9)
+    assert state.heave_m == pytest.approx(0.03 * (80 + motion.pivot_x_m), abs=1e-6)
+
+
+@pytest.mark.parametrize("length_m", [40.0, 15.0, 8.0], ids=["below", "near", "above resonance"])
+def test_a_wavy_road_lifts_the_body_by_the_transmissibility(length_m):
+    damping, rate = 0.35, 1.2
+    motion = driven((0, 15, 0), road=Wavy(amplitude_m=0.02, length_m=length_m), duration_s=30)
+    heave = motion.states[(motion.times_s > 20) & (motion.times_s < 29), COLUMNS.index("heave_m")]
+    r = 15 / length_m / rate
+    transmissibility = abs(complex(1, 2 * damping * r) / complex(1 - r**2, 2 * damping * r))
+    mean_of_axles = abs(math.cos(math.pi * 2.8 / length_m))
+    # rms over 9 s holds whole waves but for one: 1 % of the squares for the longest
+    assert np.sqrt(2 * heave.var()) == pytest.approx(0.02 * transmissibility * mean_of_axles, rel=0.01)
+
+
+def test_rates_are_the_slopes_of_the_attitude():
+    motion = driven((0, 15, 0), road=Wavy(amplitude_m=0.02, length_m=9.0, crossfall=0.01))
+    h = 1e-3
+    for t in (1.0, 2.2, 5.7):
+        before, now, after = motion.at(t - h), motion.at(t), motion.at(t + h)
+        for value, rate in (("heave_m", "heave_rate_m_s"), ("pitch_rad", "pitch_rate_rad_s"), ("roll_rad", "roll_rate_rad_s")):
+            slope = (getattr(after, value) - getattr(before, value)) / (2 * h)
+            assert getattr(now, rate) == pytest.approx(slope, abs=1e-3)  # of 0.2; both are differences over 2 ms, one shifted by up to 1 ms
+
+
+def test_an_oscillation_is_added():
+    motion = driven((0, 0, 0), oscillation=OscillationParams(pitch_deg=0.2, rate_hz=1.25))
+    assert motion.at(0.2).pitch_rad == pytest.approx(math.radians(0.2), rel=1e-4)
+    assert motion.at(0.6).pitch_rad == pytest.approx(-math.radians(0.2), rel=1e-4)
+
+
+def test_times_must_ascend():
+    with pytest.raises(ValidationError, match=r"course: time_s must ascend"):
+        driven((1, 20, 0), (1, 10, 0))
