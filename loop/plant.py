@@ -123,7 +123,8 @@ class SimulatedPlant:
 
     def lit(self, t_s: float) -> LitView:
         """The camera's view of the scene at a time; rendered only when geometry or the vehicle has moved."""
-        key = (self.scene.key_at(t_s), tuple(self.motion.at(t_s).T_world_body.flatten().tolist()))
+        where = () if self.motion is STANDING else tuple(self.motion.at(t_s).T_world_body.flatten().tolist())
+        key = (self.scene.key_at(t_s), where)
         if key not in self._lit:
             self._lit[key] = self._render(t_s)
             if len(self._lit) > KEPT_VIEWS:
