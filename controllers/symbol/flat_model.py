@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import torch
@@ -79,7 +80,11 @@ class FlatModel:
 
     def luminance(self, lights: Sequence[Utilisation]) -> Tensor:
         """Luminance `[..., height, width]` in cd/m^2 that the lamps add to their base beams on the flat road."""
-        return added_light(self.transports, lights, -self.beams)
+        return added_light(self.transports, lights, self._without_beams)
+
+    @cached_property
+    def _without_beams(self) -> Tensor:
+        return -self.beams
 
     def symbol(self, lights: Sequence[Utilisation], crop: Crop) -> Tensor:
         """Symbol image `[..., h, w]` that extraction would find without noise."""
