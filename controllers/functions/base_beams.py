@@ -11,6 +11,7 @@ from controllers.morphing import Morph, turn
 from world.params import Params
 
 BeamName = Literal["low", "high", "town", "motorway", "adverse", "full", "off"]
+AUTOMATIC: tuple[BeamName, ...] = ("low", "town", "motorway", "adverse")  # what `chosen` chooses from
 
 TOWN_BELOW_M_S = 50 / 3.6  # our choice, close to where UN R149 has its class V (town) and class E (motorway)
 MOTORWAY_ABOVE_M_S = 110 / 3.6
@@ -40,6 +41,11 @@ class BaseBeamParams(Params):
     follow_course: bool = Field(False, description="bends into curves by the car's course, in addition")
     look_ahead_s: float = Field(2.0, gt=0, le=5, description="how far ahead the bent beam points, as time at the car's speed")
     largest_bend_deg: float = Field(10.0, gt=0, le=20, description="bends no further than this")
+
+    @property
+    def names(self) -> tuple[BeamName, ...]:
+        """The beams that it may come to."""
+        return AUTOMATIC if self.beam == "auto" else (self.beam,)
 
     def at(self, now: Situation) -> BaseBeam:
         bend = math.radians(self.bend_deg)

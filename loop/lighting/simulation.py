@@ -82,7 +82,7 @@ class LightingSimulation:
 
     @classmethod
     def prepare(cls, scenario: LightingScenario, device: torch.device | str = "cpu") -> "LightingSimulation":
-        """Build scene and lamps, load symbols, plan the first step. Raises LuxloopError where something is missing or broken."""
+        """Build scene and lamps, load symbols, plan a step. Raises LuxloopError where something is missing, beams included, or broken."""
         device = torch.device(device)
         planner = Planner.prepare(scenario.lighting, _find_image)
         scene = build_scene(scenario)
@@ -91,9 +91,10 @@ class LightingSimulation:
         camera = Looker(scene, camera_view(scenario.camera), modules, face_source(scenario.renderer), device)
         lights = tuple((module.name, Light.of(module.headlight, module.T_world_module)) for module in modules)
         simulation = cls(scenario, device, planner, scene, modules, lights, camera)
-        first = planner.plan(simulation.situation(0.0))
+        planner.plan(simulation.situation(0.0))
         for module in modules:
-            module.base(first)
+            for name in scenario.lighting.base.names if module.raw is None else ():
+                module.lamp.beam(name)
         return simulation
 
     def situation(self, time_s: float) -> Situation:

@@ -1,6 +1,7 @@
 """Lighting scenarios run, are recorded as they went, and replay."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,9 @@ from loop.lighting.simulation import LightingSimulation, driving
 from loop.run import run
 from loop.scenario import DrivingParams, LightingScenario, validate_any
 from perception.camera import noise_std
+from world import lampfile
 from world.errors import LuxloopError
+from world.presets import lamp
 
 BOX = {
     "kind": "box",
@@ -162,6 +165,15 @@ def test_what_is_not_there_is_named_in_a_sentence(changes: dict[str, Any], named
     with pytest.raises(LuxloopError) as caught:
         LightingSimulation.prepare(scenario(**changes))
     assert all(part in str(caught.value) for part in named), caught.value
+
+
+@pytest.mark.parametrize(("beam", "lacking"), [("auto", "motorway"), ("high", "high")])
+def test_every_beam_that_may_come_is_asked_for_beforehand(tmp_path: Path, beam: str, lacking: str) -> None:
+    """Not on the motorway, after minutes of town."""
+    hd84 = lamp("hd84")
+    lampfile.save(tmp_path / "own.npz", replace(hd84, beams={name: hd84.beam("full") for name in ("low", "town", "adverse")}))
+    with pytest.raises(LuxloopError, match=f"no beam '{lacking}'; it has low, town"):
+        LightingSimulation.prepare(scenario(headlight={"model": str(tmp_path / "own.npz")}, lighting={"base": {"beam": beam}}))
 
 
 def test_columns_are_described() -> None:
