@@ -115,13 +115,15 @@ def rectangles(
     """A group of rectangles `[..., P, 3]` that share everything but place, setpoint and weight (each a number or `[..., P]`).
 
     normal: default d1 x d2; of any length. symbol: `[h, w]` in 0..1, homogeneous where there is none. Raises LuxloopError for a quantity
-    that there is not and for a symbol that is no image.
+    that there is not, for a symbol that is no image, and for a weight below zero or NaN where the host knows it.
     """
     if quantity not in QUANTITIES:
         raise LuxloopError(f"there is no quantity {quantity!r} of a primitive; the quantities are {', '.join(QUANTITIES)}")
     symbol = torch.ones(1, 1) if symbol is None else symbol
     if symbol.ndim != 2 or not symbol.numel():
         raise LuxloopError(f"a primitive's symbol is an image [rows, columns], not of shape {list(symbol.shape)}")
+    if (not isinstance(weight, Tensor) or weight.device.type == "cpu") and not bool((torch.as_tensor(weight) >= 0).all()):
+        raise LuxloopError("a primitive's weight is below zero or not a number; give 0 to infinity")
     origin, d1, d2 = torch.broadcast_tensors(origin, d1, d2)
     normal = torch.linalg.cross(d1, d2) if normal is None else normal.to(origin).expand_as(origin)
     P = origin.shape[-2]

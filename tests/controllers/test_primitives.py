@@ -118,5 +118,8 @@ def test_what_is_no_primitive_is_refused_by_a_sentence() -> None:
         board(10, quantity="lux")
     with pytest.raises(LuxloopError, match=r"shape \[3, 4, 5\]"):
         board(10, symbol=torch.ones(3, 4, 5))
+    for weight in (-1.0, math.nan, torch.tensor(-0.1)):
+        with pytest.raises(LuxloopError, match="weight is below zero or not a number"):
+            board(10, weight=weight)
     with pytest.raises(LuxloopError, match="at least one"):
         concatenate()
