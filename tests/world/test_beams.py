@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from world.beams import PATTERNS, Pattern, default_beams, fit, pattern
+from world.beams import PATTERNS, Pattern, fit, pattern
 from world.errors import LuxloopError
 from world.lamp import Lamp, direction
 from world.presets import lamp
@@ -22,7 +22,7 @@ def ssl_hd() -> Lamp:
 
 @pytest.fixture(scope="module")
 def beams(ssl_hd: Lamp) -> dict[str, tuple[Tensor, ...]]:
-    return default_beams(ssl_hd)
+    return dict(ssl_hd.beams)
 
 
 def at(values: Pattern, h: float, v: float) -> float:

@@ -1,8 +1,5 @@
 """Lamps by name: what is published of them holds, left and right are mirror images, colours keep the luminance."""
 
-import sys
-from types import ModuleType
-
 import numpy as np
 import pytest
 import torch
@@ -10,6 +7,7 @@ from torch import Tensor
 
 from benchmarks.calibration import PUBLISHED, drawn
 from loop.rectangles import RECTANGLES
+from world.beams import PATTERNS
 from world.errors import LuxloopError
 from world.lamp import Lamp, direction
 from world.presets import NAMES, lamp
@@ -133,17 +131,18 @@ def test_an_unknown_lamp_or_side_is_named_with_what_there_is() -> None:
         lamp("idealised-332x1024", chromatic_shift=0.01)
 
 
-def test_beams_are_fitted_once_and_only_when_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_beam_is_fitted_once_and_only_when_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     fitted = []
-    fake = ModuleType("world.beams")
-    fake.default_beams = lambda lamp, traffic: fitted.append(lamp) or {"low": lamp.beam("off")}  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "world.beams", fake)
+    monkeypatch.setattr("world.presets.beams.fit", lambda lamp, pattern, traffic: fitted.append(pattern) or lamp.beam("off"))
     lamp.cache_clear()
     one = lamp("hd84")
     one.beam("full")
+    assert list(one.beams) == list(PATTERNS) and len(one.beams) == len(PATTERNS) and one.default_beam == "low"
+    with pytest.raises(LuxloopError, match="no beam 'lwo'; it has low, high"):
+        one.beam("lwo")
     assert not fitted
-    assert (one.beam("low")[0] == 0).all() and list(one.beams) == ["low"] and len(one.beams) == 1
-    assert len(fitted) == 1
+    assert (one.beam("low")[0] == 0).all() and one.beam("low") is one.beam("low")
+    assert fitted == [PATTERNS["low"]]
     lamp.cache_clear()
 
 

@@ -7,7 +7,7 @@ import scipy.sparse as sp
 import torch
 from torch import Tensor
 
-from world.beams.patterns import PATTERNS, Pattern
+from world.beams.patterns import Pattern
 from world.fit import solve
 from world.headlight import Headlight
 from world.lamp import Lamp, Module, direction
@@ -25,12 +25,6 @@ WEIGHT_OF_LIMITS = 3.0  # against the pattern, and as much more in each round th
 ROUNDS = 4
 HANDOVER = 0.2  # of a module's rows and columns on either side, over which it gives way to others
 LEAST_PIXELS = 8
-
-
-def default_beams(lamp: Lamp, traffic: Traffic = "right") -> dict[str, tuple[Tensor, ...]]:
-    """All beams of PATTERNS for a lamp: utilisations `[n_p]`, one a module."""
-    sampled = Sampled(lamp)
-    return {name: sampled.fit(pattern, traffic) for name, pattern in PATTERNS.items()}
 
 
 def fit(lamp: Lamp, pattern: Pattern, traffic: Traffic = "right") -> tuple[Tensor, ...]:

@@ -1,39 +1,37 @@
-"""Beams of a preset, fitted to its pixels when they are first asked for."""
+"""Beams of a preset, each fitted to its pixels when it is first asked for."""
 
 from collections.abc import Iterator, Mapping
 from typing import Literal
 
 from torch import Tensor
 
+from world.beams import PATTERNS, fit
 from world.lamp import Lamp
 
 Traffic = Literal["right", "left"]
 
 
 class FittedBeams(Mapping[str, tuple[Tensor, ...]]):
-    """The default beams of a lamp by name: fitting takes seconds, so a lamp that only draws symbols must not pay for it."""
+    """The default beams of a lamp by name: fitting takes seconds, so nobody must pay for a beam that is not shown."""
 
     def __init__(self, lamp: Lamp, traffic: Traffic = "right") -> None:
         self._lamp, self._traffic = lamp, traffic
-        self._beams: dict[str, tuple[Tensor, ...]] | None = None
+        self._fitted: dict[str, tuple[Tensor, ...]] = {}
 
     def for_traffic(self, traffic: Traffic) -> "FittedBeams":
         """The same lamp's default beams where traffic drives on this side."""
         return self if traffic == self._traffic else FittedBeams(self._lamp, traffic)
 
-    @property
-    def _fitted(self) -> dict[str, tuple[Tensor, ...]]:
-        if self._beams is None:
-            from world.beams import default_beams
-
-            self._beams = default_beams(self._lamp, self._traffic)
-        return self._beams
-
     def __getitem__(self, name: str) -> tuple[Tensor, ...]:
+        if name not in self._fitted:
+            self._fitted[name] = fit(self._lamp, PATTERNS[name], self._traffic)
         return self._fitted[name]
 
+    def __contains__(self, name: object) -> bool:
+        return name in PATTERNS
+
     def __iter__(self) -> Iterator[str]:
-        return iter(self._fitted)
+        return iter(PATTERNS)
 
     def __len__(self) -> int:
-        return len(self._fitted)
+        return len(PATTERNS)
