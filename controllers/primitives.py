@@ -39,7 +39,7 @@ class Primitives:
     of which those above HEAVIEST count as that.
     quantity: `[P]` int64, places in QUANTITIES. forced: `[P]` bool, hit whatever lies before it. priority: `[P]` int64, decides between
     forced hits and between coplanar ones. symbols: images `[h, w]` in 0..1, row 0 at v = 0; symbol_of: `[P]` int64, whose image.
-    nearest: `[P]` bool, images are read at the nearest texel, else bilinearly. group: `[P]` int64, what moves as one body.
+    nearest: `[P]` bool, images are read at the nearest texel, else bilinearly.
     modules: names of modules or lamps that may draw each, all where there are none. shared: `[P]` bool, all that draw give one setpoint
     in cd or lx together, instead of each the whole.
     """
@@ -56,7 +56,6 @@ class Primitives:
     symbols: tuple[Tensor, ...]
     symbol_of: Tensor
     nearest: Tensor
-    group: Tensor
     modules: tuple[tuple[str, ...], ...]
     shared: Tensor
     observer: Observer | None = None
@@ -74,7 +73,7 @@ class Primitives:
         at = mask.nonzero()[:, 0]
         picked = {name: getattr(self, name)[..., at.to(self.origin.device), :] for name in _VECTORS}
         picked |= {name: getattr(self, name)[..., at.to(self.origin.device)] for name in ("value", "weight")}
-        picked |= {name: getattr(self, name)[at] for name in ("quantity", "forced", "priority", "symbol_of", "nearest", "group", "shared")}
+        picked |= {name: getattr(self, name)[at] for name in ("quantity", "forced", "priority", "symbol_of", "nearest", "shared")}
         observer = self.observer
         if observer is not None:
             vectors = {f.name: getattr(observer, f.name)[..., at.to(self.origin.device), :] for f in fields(observer) if f.name != "active"}
@@ -112,7 +111,7 @@ def rectangles(
     modules: Sequence[str] = (),
     shared: bool = True,
 ) -> Primitives:
-    """A group of rectangles `[..., P, 3]` that share everything but place, setpoint and weight (each a number or `[..., P]`).
+    """Rectangles `[..., P, 3]` that share everything but place, setpoint and weight (each a number or `[..., P]`).
 
     normal: default d1 x d2; of any length. symbol: `[h, w]` in 0..1, homogeneous where there is none. Raises LuxloopError for a quantity
     that there is not, for a symbol that is no image, and for a weight below zero or NaN where the host knows it.
@@ -144,7 +143,6 @@ def rectangles(
         (symbol.to(origin),),
         torch.zeros(P, dtype=torch.int64),
         torch.full((P,), nearest),
-        torch.zeros(P, dtype=torch.int64),
         (tuple(modules),) * P,
         torch.full((P,), shared),
     )
@@ -185,7 +183,7 @@ def rectangle(
 
 
 def concatenate(*parts: Primitives) -> Primitives:
-    """All primitives in one list, batch dimensions broadcast; groups stay apart, an image that several use is kept once.
+    """All primitives in one list, batch dimensions broadcast; an image that several use is kept once.
 
     Raises LuxloopError where there is nothing to put together.
     """
@@ -198,7 +196,7 @@ def concatenate(*parts: Primitives) -> Primitives:
         return torch.cat([t.expand(*batch, *t.shape[t.ndim - width :]) for t in tensors], -width)
 
     symbols: list[Tensor] = []
-    symbol_of, group, groups = [], [], 0
+    symbol_of = []
     for part in parts:
         place = []
         for symbol in part.symbols:
@@ -206,15 +204,12 @@ def concatenate(*parts: Primitives) -> Primitives:
             symbols += [] if known else [symbol]
             place.append(known[0] if known else len(symbols) - 1)
         symbol_of.append(torch.tensor(place)[part.symbol_of])
-        group.append(part.group + groups)
-        groups += int(part.group.max()) + 1 if len(part) else 0
     return Primitives(
         **{name: joined(name, 2) for name in _VECTORS},
         **{name: joined(name, 1) for name in ("value", "weight")},
         **{name: torch.cat([getattr(part, name) for part in parts]) for name in ("quantity", "forced", "priority", "nearest", "shared")},
         symbols=tuple(symbols),
         symbol_of=torch.cat(symbol_of),
-        group=torch.cat(group),
         modules=tuple(names for part in parts for names in part.modules),
         observer=_observers(parts, batch),
     )

@@ -32,8 +32,7 @@ class Setpoints:
     value: in cd (I_v, E_v) or as a share (u_abs, u_rel), 0 without a hit. cover: 1 where a primitive is hit; elsewhere the default counts
     with weight 1. quantities: codes that may occur. finite: weights where they are finite, else 0; None where all are 1. forced: 1 where
     the weight is infinite, None if it is so nowhere; masking: whether the setpoint is zero there, as far as the host knows. in_cd,
-    relative: 1 where the value is an intensity or a share of the default, None if all rays are alike. winner: the primitive that is hit,
-    where something is, None if there is only one.
+    relative: 1 where the value is an intensity or a share of the default, None if all rays are alike.
     """
 
     value: Tensor
@@ -45,7 +44,6 @@ class Setpoints:
     masking: bool = False
     in_cd: Tensor | None = None
     relative: Tensor | None = None
-    winner: Tensor | None = None
 
     def portion(self, image: Tensor | None, *codes: int) -> Tensor | float:
         """One where a ray has one of these quantities: `in_cd` or `relative`, or a number where all rays are alike."""
@@ -205,14 +203,14 @@ class Casting:
 
     def setpoints(self) -> Setpoints:
         """All strokes on one canvas."""
-        codes, many = self.quantities, len(self.primitives) > 1
+        codes = self.quantities
 
         def image(needed: bool, filled: float = 0.0) -> Tensor | None:
             return self.blank(filled) if needed else None
 
         value, cover = self.blank(), self.blank()
         finite, forced = image(not self.unit, 1.0), image(not self.finite)
-        in_cd, relative, winner = image(min(codes) < U_ABS <= max(codes)), image(U_REL in codes and len(codes) > 1), image(many)
+        in_cd, relative = image(min(codes) < U_ABS <= max(codes)), image(U_REL in codes and len(codes) > 1)
         for stroke in self.strokes():
             cut = (..., *stroke.window.within(self.window))
             for canvas, new in (
@@ -222,11 +220,10 @@ class Casting:
                 (forced, stroke.forced),
                 (in_cd, float(stroke.quantity < U_ABS)),
                 (relative, float(stroke.quantity == U_REL)),
-                (winner, float(stroke.primitive)),
             ):
                 if canvas is not None:
                     canvas[cut].lerp_(expanded(new, stroke.hit), stroke.hit)
-        return Setpoints(value, cover, self.window, codes, finite, forced, self.masking, in_cd, relative, winner)
+        return Setpoints(value, cover, self.window, codes, finite, forced, self.masking, in_cd, relative)
 
 
 def expanded(new: Tensor | float, hit: Tensor) -> Tensor:

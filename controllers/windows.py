@@ -1,11 +1,13 @@
-"""Which part of a light texture primitives can touch: projected rectangles, and the ellipsoid around a group of them (T 7.3.3)."""
+"""Which part of a light texture primitives can touch: the rectangles around their projected outlines.
+
+They are tighter than the ellipsoids around groups of T 7.3.3, and all rays of a primitive are culled at once instead of each by itself.
+"""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
 
-import torch
 from torch import Tensor
 
 from controllers.primitives import Primitives
@@ -106,30 +108,3 @@ def _before_the_lamp(outline: list[Point]) -> list[Point]:
             t = (NEAREST_M - p[0]) / (q[0] - p[0])
             kept.append((NEAREST_M, p[1] + t * (q[1] - p[1]), p[2] + t * (q[2] - p[2])))
     return kept
-
-
-@dataclass(frozen=True)
-class Ellipsoid:
-    """The bounding volume of a group (T 7.3.3): centre `[..., 3]` m and unit_ball `[..., 3, 3]`, which takes it to the unit ball."""
-
-    centre: Tensor
-    unit_ball: Tensor
-
-    def hit(self, origin: Tensor, directions: Tensor) -> Tensor:
-        """Whether rays from one origin `[3]` into directions `[N, 3]` meet it: `[..., N]` bool.
-
-        (7.3.4) scaled by the reciprocal semi-axes: |p + l d| = 1 has a solution with l >= 0.
-        """
-        p = (self.unit_ball @ (origin - self.centre)[..., None]).transpose(-1, -2)
-        d = directions @ self.unit_ball.transpose(-1, -2)
-        a, b, c = (d * d).sum(-1), (p * d).sum(-1), (p * p).sum(-1) - 1
-        return (b * b >= a * c) & ((b <= 0) | (c <= 0))
-
-
-def bounding_ellipsoid(centre: Tensor, half_edges: Tensor) -> Ellipsoid:
-    """The ellipsoid of least volume through the corners of a box.
-
-    centre: `[..., 3]` m. half_edges: `[..., 3, 3]`, rows from the centre to three faces. In the box's own coordinates the corners are
-    (+-1, +-1, +-1), whose least ellipsoid is the ball of radius sqrt(3).
-    """
-    return Ellipsoid(centre, torch.linalg.inv(half_edges.transpose(-1, -2)) / math.sqrt(3))

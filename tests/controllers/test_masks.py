@@ -2,7 +2,6 @@
 
 import math
 
-import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
@@ -12,7 +11,6 @@ from controllers.mrpc import MrpcParams
 from controllers.primitives import Primitives, concatenate, rectangle
 from controllers.rthc import trace
 from controllers.ssc import Ssc
-from controllers.windows import bounding_ellipsoid
 from world.frames import pose_from_degrees
 from world.presets import idealised, lamp
 
@@ -137,27 +135,3 @@ def test_bright_setpoints_of_infinite_weight_beat_exclusion_and_activation() -> 
     bright = board(0.3, -0.2, 0.4, 0.3, value=0.5, weight=math.inf)
     u = Ssc.prepare(LAMP, MrpcParams(a_x=1.0, a_ac=1.0), default=FULL).utilisation(bright, T).u
     assert sorted(u.unique().tolist()) == pytest.approx([0.5, 1.0])
-
-
-@given(st.lists(st.floats(-3, 3), min_size=9, max_size=9), st.floats(0.2, 5), st.floats(0.2, 5))
-def test_an_ellipsoid_goes_through_the_corners_of_its_box(edges: list[float], width: float, height: float) -> None:
-    E = torch.tensor(edges, dtype=torch.float64).view(3, 3) + torch.diag(torch.tensor([8.0, 8 * width, 8 * height], dtype=torch.float64))
-    centre = torch.tensor([20.0, 1.0, -2.0], dtype=torch.float64)
-    ball = bounding_ellipsoid(centre, E)
-    signs = torch.cartesian_prod(*[torch.tensor([-1.0, 1.0], dtype=torch.float64)] * 3)
-    np.testing.assert_allclose(((centre + signs @ E - ball.centre) @ ball.unit_ball.T).norm(dim=1), 1, rtol=1e-9)
-
-
-def test_rays_that_miss_the_ellipsoid_miss_the_box() -> None:
-    half = torch.diag(torch.tensor([2.0, 0.8, 0.7], dtype=torch.float64))
-    ball = bounding_ellipsoid(torch.tensor([15.0, 0.5, -0.3], dtype=torch.float64), half)
-    y, z = torch.meshgrid(
-        torch.linspace(-0.2, 0.2, 81, dtype=torch.float64), torch.linspace(-0.2, 0.2, 81, dtype=torch.float64), indexing="ij"
-    )
-    rays = torch.stack([torch.ones_like(y), y, z], -1).reshape(-1, 3)
-    hit = ball.hit(torch.zeros(3, dtype=torch.float64), rays)
-    low, high = ((rays * 0 + ball.centre + sign * half.diag()) / rays for sign in (-1, 1))
-    box = torch.minimum(low, high).amax(1) <= torch.maximum(low, high).amin(1)
-    assert (hit | ~box).all()
-    assert 0 < box.sum() < hit.sum() < len(rays)
-    assert not ball.hit(torch.zeros(3, dtype=torch.float64), -rays).any(), "it lies ahead"

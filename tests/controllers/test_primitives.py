@@ -75,7 +75,6 @@ def test_lists_are_put_together_and_taken_apart() -> None:
     assert both.origin.shape == (5, 3, 3)
     assert both.value.shape == both.weight.shape == (5, 3)
     assert [QUANTITIES[k] for k in both.quantity] == ["I_v", "I_v", "E_v"]
-    assert both.group.tolist() == [0, 1, 2]
     assert both.modules == ((), ("left",), ())
     last = both.select(torch.tensor([False, True, True]))
     assert len(last) == 2
