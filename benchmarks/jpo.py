@@ -44,10 +44,17 @@ TEMPLATE = Path(__file__).with_name("jpo_page.md")
 DOCS = Path(__file__).parents[1] / "docs"
 LAMPS = ("hd84", "ssl-hd-lores")
 EVERY = 41  # of the 1,215 rectangles: 30
-# The best of those that were tried; sharpening is for pixels that are small beside what they draw.
-GOOD = {"hd84": MrpcParams(a_x=0.9, a_r=2.0), "ssl-hd-lores": MrpcParams(a_x=0.9, a_r=2.0, sharpening=1.0)}
+# The best of those that were tried for all rectangles alike; sharpening is for pixels that are small beside what they draw.
+GOOD = {
+    "hd84": {"SSC, a_x = 0.9, a_r = 2": MrpcParams(a_x=0.9, a_r=2.0), "SSC, corrected": MrpcParams(a_x=0.7, a_ac=0.4, corrections=1)},
+    "ssl-hd-lores": {
+        "SSC, sharpened": MrpcParams(a_x=0.9, a_r=2.0, sharpening=1.0),
+        "SSC, corrected": MrpcParams(a_x=0.95, a_ac=0.6, sharpening=2.0, corrections=3),
+    },
+}
+THIN = MrpcParams(a_x=0.95, a_ac=0.4, corrections=3)  # for the arms of a snowflake, which more a_ac would leave out
 START = "SSC, a_m = a_r = 1"
-BUDGETS = (10, 20, 40, 100)
+BUDGETS = (10, 20, 34, 40, 100)
 PACES_M = (0.01, 0.05)  # of the moving symbol, a step
 T_LAMP = pose_from_degrees((0.0, 0.0, 0.75))
 
@@ -72,18 +79,20 @@ def by_ssc(light: Headlight, tables: PixelMajor, params: MrpcParams, texture: Te
     return reduce_setpoints(setpoints, tables, params, torch.zeros(light.n_pixels), dark=True)[0]
 
 
-def methods(light: Headlight, params: MrpcParams) -> dict[str, Callable[[Wanted, Tensor], Tensor]]:
+def methods(light: Headlight, good: dict[str, MrpcParams]) -> dict[str, Callable[[Wanted, Tensor], Tensor]]:
     """Ways to a wanted texture, by name; the joint ones begin at the SSC that is given to them."""
-    good, matrix = pixel_major(light, params), light.matrix
+    matrix = light.matrix
+
+    def single(params: MrpcParams) -> Callable[[Wanted, Tensor], Tensor]:
+        tables = pixel_major(light, params)
+        return lambda _, texture: by_ssc(light, tables, params, texture)
 
     def joint(iterations: int, gap: float | None) -> Callable[[Wanted, Tensor], Tensor]:
         return lambda goal, _: least_error(matrix, goal, iterations=iterations, gap=gap).u
 
-    ways: dict[str, Callable[[Wanted, Tensor], Tensor]] = {
-        START: lambda goal, _: goal.start,
-        f"SSC, a_x = 0.9, a_r = 2{', sharpened' * bool(params.sharpening)}": lambda _, texture: by_ssc(light, good, params, texture),
-        "joint, least squares, converged": lambda goal, _: least_squares(matrix, goal),
-    }
+    ways: dict[str, Callable[[Wanted, Tensor], Tensor]] = {START: lambda goal, _: goal.start}
+    ways |= {name: single(params) for name, params in good.items()}
+    ways["joint, least squares, converged"] = lambda goal, _: least_squares(matrix, goal)
     ways |= {f"joint, MAE, {budget} iterations": joint(budget, None) for budget in BUDGETS}
     return ways | {"joint, MAE, converged": joint(20_000, 0.005)}
 
@@ -143,7 +152,7 @@ def moving(steps: int) -> str:
         places = [on_a_wall(pace_m * (step - steps / 2), symbol) for step in range(steps)]
         goals = [reference.goal(place, T_LAMP) for place in places]
         best = np.array([float(least_error(light.matrix, goal).error) for goal in goals[half]])
-        for budget in (5, *BUDGETS[:3]):
+        for budget in (5, 10, 20, 40):
             jpo = replace(reference, params=JpoParams(iterations=budget))
             state = jpo.start()
             warm: list[float] = []
@@ -164,9 +173,10 @@ def picture(file: Path) -> str:
     jpo = Jpo.prepare(light)
     goal = jpo.goal(place, T_LAMP).target.unflatten(-1, (light.rows, light.cols))
     drawn = {START: Ssc.prepare(light).utilisation(place, T_LAMP).u}
-    drawn["SSC, sharpened"] = Ssc.prepare(light, GOOD["ssl-hd-lores"]).utilisation(place, T_LAMP).u
+    for name, params in (("SSC, sharpened", GOOD["ssl-hd-lores"]["SSC, sharpened"]), ("SSC, corrected", THIN)):
+        drawn[name] = Ssc.prepare(light, params).utilisation(place, T_LAMP).u
     drawn["real-time JPO"] = jpo.utilisation(place, T_LAMP).u
-    figure, axes = plt.subplots(2, 4, figsize=(11, 6), layout="constrained")
+    figure, axes = plt.subplots(2, 5, figsize=(13.5, 6), layout="constrained")
     lit = goal.nonzero()
     (top, left), (bottom, right) = lit.amin(0).tolist(), lit.amax(0).tolist()
     cut = slice(top - 12, bottom + 13), slice(left - 12, right + 13)

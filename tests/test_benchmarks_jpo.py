@@ -17,10 +17,10 @@ def test_the_page_is_written_and_errors_fall_with_the_budget(tmp_path: Path) -> 
     assert done.returncode == 0, done.stderr
     page = (tmp_path / "jpo.md").read_text("utf-8")
     assert (tmp_path / "images" / "jpo-snowflake.png").stat().st_size > 10_000
-    found = re.findall(r"^\| joint, MAE, (?:10|20|40|100) iterations \| [\d.]+ \| ([\d.]+)", page, re.M)
-    small, lores = [float(each) for each in found[:4]], [float(each) for each in found[4:]]
+    found = re.findall(r"^\| joint, MAE, (?:10|20|34|40|100) iterations \| [\d.]+ \| ([\d.]+)", page, re.M)
+    small, lores = [float(each) for each in found[:5]], [float(each) for each in found[5:]]
     for ratios in (small, lores):
-        assert len(ratios) == 4
+        assert len(ratios) == 5
         # Steps of this kind do not fall monotonically: near the optimum by less than a thousandth.
         assert all(later <= earlier + 1e-3 for earlier, later in pairwise(ratios))
-    assert lores[-1] <= 1.02, "the goal of real-time joint optimisation"
+    assert lores[3] <= 1.02, "the goal of real-time joint optimisation, with 40 iterations"
