@@ -14,7 +14,7 @@ from world.errors import LuxloopError
 from world.headlight import Headlight
 from world.spmv import Csr, multiply, row_of_entries
 
-HARD = 1_000.0  # what an infinite weight on light counts, since light cannot be forced on a lamp; darkness can
+HARD = 1_000.0  # what greater weights on light count, infinite ones too, since light cannot be forced on a lamp; darkness can
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,9 @@ def wanted(
 ) -> Wanted:
     """What a light texture `[..., rows, cols]` in cd asks of a lamp.
 
-    weight: `[..., rows, cols]`, 0 to infinity, 1 by default. start: `[..., n_p]`, by default what SSC with a_m = a_r = 1 gives. free:
-    `[..., n_p]` bool, by default all. A pixel that reaches a texel of infinite weight that shall be dark is off, and not free.
+    weight: `[..., rows, cols]`, 0 to infinity, 1 by default; from HARD on it counts as that. start: `[..., n_p]`, by default what SSC
+    with a_m = a_r = 1 gives. free: `[..., n_p]` bool, by default all. A pixel that reaches a texel of infinite weight that
+    shall be dark is off, and not free.
     Raises LuxloopError where a texture is not of the headlight's size or a start not of its number of pixels.
     """
     size = (headlight.rows, headlight.cols)
@@ -52,7 +53,7 @@ def wanted(
     target = texture.flatten(-2)
     weight = torch.ones_like(target) if weight is None else weight.flatten(-2).to(target).expand_as(target)
     masked = reaching(transposed, weight.isinf() & (target <= 0))
-    weight = weight.masked_fill(weight.isinf(), HARD)
+    weight = weight.clamp(max=HARD)
     if start is None:
         reach = multiply(headlight.matrix, target.new_ones(headlight.n_pixels))
         share = torch.where(reach > 0, (target / reach).clamp(0, 1), 0.0)

@@ -63,6 +63,17 @@ def test_a_mask_is_dark_and_its_surroundings_are_not(hd84: Headlight) -> None:
     assert (hd84.light_texture(u).flatten()[dark] == 0).all()
 
 
+@pytest.mark.parametrize("objective", ["mae", "least_squares"])
+def test_heavy_light_beside_a_mask_counts_a_thousandfold(hd84: Headlight, objective: str) -> None:
+    jpo, mask = Jpo.prepare(hd84, JpoParams(objective=objective)), on_a_wall(y_m=-2.5, value=0.0, weight=float("inf"))
+    scenes = [concatenate(on_a_wall(weight=weight), mask) for weight in (1e3, 1e30, float("inf"))]
+    goals = [jpo.goal(scene, T_LAMP) for scene in scenes]
+    assert all(torch.equal(goal.weight, goals[0].weight) and torch.equal(goal.free, goals[0].free) for goal in goals)
+    for scene in scenes:
+        u = jpo.utilisation(scene, T_LAMP).u
+        assert u.isfinite().all() and u.max() > 0.1
+
+
 @pytest.mark.parametrize("there_is", [True, False], ids=["aside", "nothing"])
 def test_nothing_in_sight_leaves_the_default(hd84: Headlight, there_is: bool) -> None:
     default = torch.rand(84, generator=torch.Generator().manual_seed(2))
