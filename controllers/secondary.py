@@ -54,7 +54,8 @@ class Light:
     def possible(self, points: Tensor) -> Tensor:
         """`I_sum / d^2` `[..., N]` in lx, on a surface that faces the lamp; zero outside of its light texture."""
         x, y, z = transform(inverse(self.T_world_headlight).to(points), points).unbind(-2)
-        row, col = self.grid.texel_of(y / x, z / x)
+        ahead = torch.where(x > 0, x, 1.0)
+        row, col = self.grid.texel_of(y / ahead, z / ahead)
         texel, weight = bilinear(self.grid, row, col)
         intensity = (self.full.to(points).flatten()[texel] * (weight * (x > 0)).to(points)).sum(0)
         return intensity / (x * x + y * y + z * z)

@@ -50,6 +50,14 @@ def test_light_falls_with_the_square_of_the_distance() -> None:
     assert near / far == pytest.approx(4, rel=1e-4)  # 0.29 deg below the axis both times
 
 
+def test_beside_and_behind_a_lamp_there_is_none_of_its_light() -> None:
+    """Where x is zero too: the other lamp takes all there."""
+    beside = LEFT.T_world_headlight[:3, 3].float()[:, None] + torch.tensor([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-5.0, 0.0, 0.0]]).T
+    assert (LEFT.possible(beside) == 0).all()
+    ahead = replace(RIGHT, T_world_headlight=pose_from_degrees((-20.0, 0.0, 0.75)))
+    assert shares([LEFT, ahead], beside)[:, 0].tolist() == [0.0, 1.0]
+
+
 def test_a_blocked_lamp_is_compensated_by_the_other() -> None:
     occluded = scene_caster(Scene((Body("road", trimesh.creation.box((1, 1, 1))), box(1.0, 0.6, 0.75))).at(0.0))
     points = road_points()
