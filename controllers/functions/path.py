@@ -2,12 +2,12 @@
 
 import math
 from functools import lru_cache
-from typing import Literal
+from typing import Literal, Self
 
 import cv2
 import numpy as np
 import torch
-from pydantic import Field
+from pydantic import Field, model_validator
 from torch import Tensor
 
 from controllers.functions.bezier import closest, derivative, length_at, point
@@ -16,6 +16,7 @@ from controllers.functions.situation import Drawn, Situation
 from controllers.primitives import Primitives
 
 Point = tuple[float, float]
+MOST_TEXELS = 1e7  # of a drawing: 250 m x 100 m at 5 cm
 
 
 class PathParams(Drawn):
@@ -31,6 +32,14 @@ class PathParams(Drawn):
     image_pitch_m: float = Field(4.0, gt=0, description="from one symbol to the next")
     speed_m_s: float = Field(0.0, description="how fast the symbols run along the curve")
     texel_m: float = Field(0.05, gt=0, le=1, description="resolution of the drawing")
+
+    @model_validator(mode="after")
+    def _drawing_is_small(self) -> Self:
+        ahead, left = zip(*self.control_m, strict=True)
+        texels = math.prod((max(at) - min(at) + self.width_m) / self.texel_m for at in (ahead, left))
+        if texels > MOST_TEXELS:
+            raise ValueError(f"control_m: the curve's drawing would have {texels:.1e} texels, not {MOST_TEXELS:.0e}; raise texel_m")
+        return self
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
         if not self.active(now.time_s):

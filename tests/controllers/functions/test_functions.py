@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 import trimesh
+from pydantic import ValidationError
 from torch import Tensor
 
 from controllers.functions.base_beams import BaseBeamParams, bend_of_course
@@ -164,6 +165,11 @@ def test_chevrons_are_bent_along_the_path_and_run() -> None:
     torch.testing.assert_close(drawing.bent(image, 2.0, 4.0, 4.0, shift_m=4.0), bent, atol=1e-6, rtol=0)
     moved = drawing.bent(image, 2.0, 4.0, 4.0, shift_m=1.0)
     assert moved[(drawing.along > 4.4) & (drawing.along < 4.6) & (drawing.distance > 0.4) & (drawing.distance < 0.6)].min() > 0.7
+
+
+def test_a_path_to_the_horizon_is_refused_before_it_takes_all_memory() -> None:
+    with pytest.raises(ValidationError, match=r"control_m: .*raise texel_m"):
+        PathParams(control_m=((10, 0), (1e6, 1e4)))
 
 
 @pytest.mark.parametrize("curvature", [0.02, -0.03, 0.125])
