@@ -26,7 +26,8 @@ class MrpcParams(Params):
         None, gt=0, description="greatest intensity that a pixel is asked for at a texel that a primitive covers"
     )
     mapping: Literal["potentiated", "direct", "maximal"] = Field(
-        "potentiated", description="potentiated shares by a_m; direct asks each pixel for everything; maximal asks the strongest for it"
+        "potentiated",
+        description="potentiated shares by a_m and granularity; without them, direct asks each pixel for everything, maximal the strongest",
     )
     shape: Literal["arbitrary", "rectangle"] = Field(
         "arbitrary", description="pixels as they are, or simplified to the rectangles around their texels above a_x (0.5 if a_x is 0)"
