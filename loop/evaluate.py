@@ -75,6 +75,8 @@ def evaluate(
         results[file] = run(function, jobs, out / JOBS, version=version, processes=processes, title=file.removesuffix(".parquet"))
         if results[file].rows:
             results[file].write(out / file)
+        else:
+            (out / file).unlink(missing_ok=True)  # it is none of this evaluation's
     return _evaluation(results)
 
 

@@ -110,6 +110,18 @@ def test_an_evaluation_goes_on_where_it_was(found: Evaluation, folder: Path, tmp
     assert (tmp_path / SETPOINTS).exists()
 
 
+def test_a_part_that_fails_leaves_no_older_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def failing(**parameters: object) -> dict[str, object]:
+        raise ValueError("no")
+
+    tables = ("setpoints", "tables", "sensitivity")
+    for table, function in zip(tables, ("setpoint", "table_row", "sensitivity_row"), strict=True):
+        (tmp_path / f"{table}.parquet").write_text("older")
+        monkeypatch.setattr(evaluate_jobs, function, failing)
+    assert evaluate(tmp_path, ["hd84"], processes=1, setpoints=RECTANGLES, grid=1).failures
+    assert not list(tmp_path.glob("*.parquet"))
+
+
 def test_figures_and_report(found: Evaluation, tmp_path: Path) -> None:
     evaluate_report.write_report(found, tmp_path)
     text = (tmp_path / "report.md").read_text()
