@@ -6,14 +6,15 @@ each subset, so that a product with the whole matrix and its transpose is worth 
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import torch
 from torch import Tensor
 
-from controllers.jpo_part import Wanted, anywhere, reached_rows, split_columns, submatrix, without_fixed
+from controllers.jpo_part import Wanted, anywhere, every_nth_column, reached_rows, submatrix, without_fixed
 from world.spmv import Csr, multiply
 
-SUBSETS = 8  # of the texels, each of which is spread over all: more would hardly serve, by benchmarks/jpo.py
+SUBSETS = 8  # of the texels, each of which is spread over all: more hardly serve, and small lamps pay for the calls of each
 PRIMAL_WEIGHT = 0.2  # of the mean utilisation, as measured in docs/jpo.md: how far pixels move a step, against the dual
 NEAR = 0.1  # of the mean setpoint: texels this close to theirs are undecided between too dark and too bright
 CHECKED_EVERY = 20  # steps between looks at the gap, each of which waits for the device
@@ -46,10 +47,10 @@ def least_error(matrix: Csr, goal: Wanted, iterations: int = 20_000, gap: float 
     if not len(left.cols):
         return LeastError(full, least, least, 0, 0)
     tau, sigma = left.steps()
-    answers, widths, s, w = (list(each.split(left.size, -1)) for each in (left.pull(light), sigma, left.s, left.w))
+    answers, widths, s, w = (list(each.split(left.sizes, -1)) for each in (left.pull(light), sigma, left.s, left.w))
     done = 0
     while done < iterations:
-        slope = ahead = left.c + multiply(left.At, torch.cat(answers, -1))  # anew, since it gathers roundings
+        slope = ahead = left.slope(torch.cat(answers, -1))  # anew, since it gathers roundings
         steps = iterations if gap is None else min(CHECKED_EVERY, iterations - done)
         for k in [*range(len(answers))] * steps:
             u = (u - tau * ahead).clamp(min=0).minimum(left.upper)
@@ -71,14 +72,13 @@ def least_error(matrix: Csr, goal: Wanted, iterations: int = 20_000, gap: float 
 class _Undecided:
     """`min c'u + sum_i w_i |(A u)_i - s_i| + constant, 0 <= u <= upper`, on some rows, and the columns `cols`, of a headlight matrix.
 
-    A, At: both ways. rows, columns: the same in pieces of `size` rows of A, each of which is spread over all of the texture. s, w:
-    `[..., m]`. c, gain, upper: `[..., n]`; gain is `A'w`. A batch entry that has no use for a row or a column has w or upper zero there.
+    rows: A in pieces of `sizes` rows, each of which is spread over all of the texture; columns: their transposes. s, w: `[..., m]`. c,
+    gain, upper: `[..., n]`; gain is `A'w`. A batch entry that has no use for a row or a column has w or upper zero there.
     """
 
     cols: Tensor
     A: Csr
-    At: Csr
-    size: int
+    sizes: list[int]
     rows: list[Csr]
     columns: list[Csr]
     s: Tensor
@@ -93,8 +93,15 @@ class _Undecided:
 
     def bound(self, y: Tensor) -> Tensor:
         """The dual value: for any y in -w..w, no u has a smaller error."""
-        slope = (self.c + multiply(self.At, y)).clamp(max=0)
-        return self.constant - (self.s * y).sum(-1) + (slope * self.upper).sum(-1)
+        return self.constant - (self.s * y).sum(-1) + (self.slope(y).clamp(max=0) * self.upper).sum(-1)
+
+    def slope(self, y: Tensor) -> Tensor:
+        """By how much the error grows with u, as far as the dual knows: `c + A'y`."""
+        return self.c + torch.stack(self.pulls(y)).sum(0)
+
+    def pulls(self, y: Tensor) -> list[Tensor]:
+        """`A'y` of each piece."""
+        return [multiply(columns, each) for columns, each in zip(self.columns, y.split(self.sizes, -1), strict=True)]
 
     def pull(self, light: Tensor) -> Tensor:
         """A first dual: texels that are clearly too bright or too dark pull with all their weight."""
@@ -105,9 +112,9 @@ class _Undecided:
     def steps(self) -> tuple[Tensor, Tensor]:
         """Widths of primal and dual steps, which converge for any PRIMAL_WEIGHT and have the units of u and w."""
         reach = multiply(self.A, torch.ones_like(self.c[(0,) * (self.c.ndim - 1)]))
-        ssc = torch.where(self.upper > 0, 1 / self.gain, 0.0) * multiply(self.At, self.w * (self.s / reach).clamp(max=1))
+        ssc = torch.where(self.upper > 0, 1 / self.gain, 0.0) * torch.stack(self.pulls(self.w * (self.s / reach).clamp(max=1))).sum(0)
         pace = PRIMAL_WEIGHT * ssc.sum(-1, keepdim=True) / self.upper.sum(-1, keepdim=True).clamp(min=1)
-        of_subset = torch.stack([multiply(At, w) for At, w in zip(self.columns, self.w.split(self.size, -1), strict=True)]).amax(0)
+        of_subset = torch.stack(self.pulls(self.w)).amax(0)
         width = torch.where(self.upper > 0, 1 / (len(self.columns) * of_subset), 0.0)
         return pace * width, torch.where(self.w > 0, self.w / (pace * reach), 0.0)
 
@@ -125,16 +132,17 @@ def _undecided(matrix: Csr, goal: Wanted) -> _Undecided:
     useful = goal.free & (gain > cost)
     cols = anywhere(useful).nonzero()[:, 0]
     rows = (anywhere(short) & reached_rows(transposed, cols)).nonzero()[:, 0]
+    columns = every_nth_column(submatrix(transposed, cols, rows), SUBSETS)
+    sizes = [piece.n_cols for piece in columns]
     rows = torch.cat([rows[k::SUBSETS] for k in range(SUBSETS)])
-    A, At, size = submatrix(matrix, rows, cols), submatrix(transposed, cols, rows), max(-(-len(rows) // SUBSETS), 1)
+    A, stops = submatrix(matrix, rows, cols), [sum(sizes[:k]) for k in range(len(sizes) + 1)]
     s, w = target[..., rows], torch.where(short, goal.weight, 0.0)[..., rows]
     return _Undecided(
         cols,
         A,
-        At,
-        size,
-        [A.band(start, min(start + size, len(rows))) for start in range(0, len(rows), size)],
-        split_columns(At, size),
+        sizes,
+        [A.band(start, stop) for start, stop in pairwise(stops)],
+        columns,
         s,
         w,
         cost[..., cols],

@@ -68,7 +68,7 @@ def reaching(transposed: Csr, texels: Tensor) -> Tensor:
 
 
 def submatrix(matrix: Csr, rows: Tensor, cols: Tensor) -> Csr:
-    """`A[rows][:, cols]`, at the cost of the entries in these rows; where columns do not ascend, the order within rows is another."""
+    """`A[rows][:, cols]` for ascending columns, at the cost of the entries in these rows."""
     number = torch.full((matrix.n_cols,), -1, dtype=torch.int32, device=cols.device)
     number[cols] = torch.arange(len(cols), dtype=torch.int32, device=cols.device)
     row, entry = _entries(matrix, rows)
@@ -78,18 +78,15 @@ def submatrix(matrix: Csr, rows: Tensor, cols: Tensor) -> Csr:
     return Csr(torch.nn.functional.pad(stop, (1, 0)).int(), col[kept], matrix.values[entry[kept]], len(cols))
 
 
-def split_columns(matrix: Csr, size: int) -> list[Csr]:
-    """A matrix as blocks of `size` columns each; the last may have fewer."""
-    n, count = matrix.n_rows, -(-matrix.n_cols // size)
-    block = matrix.indices // size
-    order = block.argsort(stable=True)
-    lengths = torch.bincount(block * n + row_of_entries(matrix), minlength=count * n).view(count, n)
-    entries = order.split(lengths.sum(1).tolist())
+def every_nth_column(matrix: Csr, n: int) -> list[Csr]:
+    """`A[:, k::n]` for each k that there is."""
+    rows, count = matrix.n_rows, min(n, matrix.n_cols)
+    first = matrix.indices % n
+    order = first.argsort(stable=True)
+    lengths = torch.bincount(first * rows + row_of_entries(matrix), minlength=n * rows).view(n, rows)[:count]
     ends = torch.nn.functional.pad(lengths.cumsum(1), (1, 0)).int()
-    return [
-        Csr(ends[k], matrix.indices[own] - k * size, matrix.values[own], min(size, matrix.n_cols - k * size))
-        for k, own in enumerate(entries)
-    ]
+    entries = order.split(lengths.sum(1).tolist())
+    return [Csr(ends[k], matrix.indices[own] // n, matrix.values[own], len(range(k, matrix.n_cols, n))) for k, own in enumerate(entries)]
 
 
 def anywhere(mask: Tensor) -> Tensor:
