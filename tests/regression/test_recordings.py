@@ -22,6 +22,8 @@ from tests.regression.recorded import FOLDER, ROOT, file_of, replace, told
 from world.roads import OpenCrgRoad
 
 SYMBOLS = [name for name in shipped() if not isinstance(load_any(name), LightingScenario)]
+# Thin extraction on the rough course amplifies the rounding of another processor a hundredfold in ten steps, from about step 25 visibly.
+SHORTENED = {"rough_course": ["steps=15"]}
 COMPARED = [name for name in COLUMNS if not name.endswith("_ms")]
 
 
@@ -52,7 +54,7 @@ def read(file: Path) -> pa.Table:
 
 @pytest.mark.parametrize("name", SYMBOLS)
 def test_scenario_runs_as_recorded(name: str, re_record: bool, capsys: pytest.CaptureFixture[str]) -> None:
-    scenario, file = load(name), file_of(name)
+    scenario, file = load(name, SHORTENED.get(name, [])), file_of(name)
     skip_without_data(scenario)
     if re_record:
         now = trajectory(scenario)
