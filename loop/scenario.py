@@ -15,7 +15,7 @@ from pydantic import Field, ValidationError, ValidationInfo, field_validator, mo
 from controllers.jpo import JpoParams
 from controllers.mrpc import MrpcParams
 from controllers.planner import LightingParams
-from controllers.symbol import ControllerParams, ThesisPidParams
+from controllers.symbol import ControllerParams, LuxloopParams
 from controllers.symbol.flat_model import FeatureParams
 from controllers.symbol.projector import SymbolParams
 from loop.shipped import find
@@ -134,7 +134,7 @@ class Scenario(WorldScenario):
     vehicle: VehicleParams | None = Field(None, description="how the vehicle drives; left out: it stands")
     sensors: SensorParams = Field(SensorParams(), description="odometry and inertial sensors of the vehicle")
     extraction: ExtractionParams = Field(ExtractionParams(), description="how the symbol is found in the image")
-    controller: Annotated[ControllerParams, Field(description="the controller of the symbol")] = ThesisPidParams()
+    controller: Annotated[ControllerParams, Field(description="the controller of the symbol")] = LuxloopParams()
 
     @model_validator(mode="after")
     def _exposures_fit(self) -> Self:

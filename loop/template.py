@@ -7,7 +7,7 @@ from typing import Any, Literal, cast, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from controllers.symbol import CONTROLLERS, ThesisPidParams
+from controllers.symbol import CONTROLLERS, LuxloopParams
 from loop.scenario import Scenario
 from loop.shipped import shipped, shipped_files
 from loop.validation import did_you_mean
@@ -19,9 +19,9 @@ CHOSEN: dict[str, dict[str, Any]] = {
     "symbol": {"image": "snowflake", "width_m": 2.0, "length_m": 4.0, "x_m": 17.0, "y_m": 0.0},
     "start": {"x_m": 20.0, "y_m": 1.5, "roll_deg": 5.0, "pitch_deg": -2.0},
     "road": {"kind": "mixed"},
-    "controller": {"name": "thesis_pid"},
+    "controller": {"name": "luxloop"},
 }
-VARIANTS: dict[str, type[BaseModel]] = {"road": Mixed, "controller": ThesisPidParams}
+VARIANTS: dict[str, type[BaseModel]] = {"road": Mixed, "controller": LuxloopParams}
 HEAD = """\
 # A scenario of luxloop. Check it with `luxloop check FILE`, run it with `luxloop run FILE`.
 # Lines that begin with # show defaults: remove the # to change one. SI units, degrees where a name ends in _deg.

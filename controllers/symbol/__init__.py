@@ -3,16 +3,24 @@
 from typing import Annotated
 
 from pydantic import Field
-from torch import Tensor
 
+from controllers.symbol.luxloop import Luxloop, LuxloopParams
+from controllers.symbol.observer import Observer
 from controllers.symbol.open_loop import OpenLoop, OpenLoopParams
 from controllers.symbol.protocol import SymbolController
 from controllers.symbol.thesis_pid import ThesisPid, ThesisPidParams
 
-ControllerParams = Annotated[OpenLoopParams | ThesisPidParams, Field(discriminator="name")]
-CONTROLLERS: dict[str, type[OpenLoopParams] | type[ThesisPidParams]] = {"open": OpenLoopParams, "thesis_pid": ThesisPidParams}
+AnyParams = OpenLoopParams | ThesisPidParams | LuxloopParams
+ControllerParams = Annotated[AnyParams, Field(discriminator="name")]
+CONTROLLERS: dict[str, type[AnyParams]] = {"luxloop": LuxloopParams, "open": OpenLoopParams, "thesis_pid": ThesisPidParams}
 
 
-def build_controller(params: OpenLoopParams | ThesisPidParams, target: Tensor) -> SymbolController:
-    """The controller that a scenario names, for a flat-road target pose `[4]` (x, y in m, roll, pitch in rad)."""
-    return OpenLoop(target) if isinstance(params, OpenLoopParams) else ThesisPid(params, target)
+def build_controller(params: AnyParams, observer: Observer) -> SymbolController:
+    """The controller that a scenario names, for an observer with all that a controller may know: lamps, camera, flat road and target."""
+    match params:
+        case OpenLoopParams():
+            return OpenLoop(observer.projector.target)
+        case ThesisPidParams():
+            return ThesisPid(params, observer.projector.target)
+        case LuxloopParams():
+            return Luxloop(params, observer)

@@ -68,6 +68,7 @@ class FlatModel:
     """Light transport a module on the flat road, base beams and threshold `[height, width]` in cd/m^2 there, and the eye that looks at it.
 
     target: `[4]` features at the target. gains: `[4]`, change of the paired feature per m or rad of x, y, roll, pitch there.
+    albedo: of the road.
     """
 
     transports: tuple[Transport, ...]
@@ -77,6 +78,7 @@ class FlatModel:
     eye: Eye
     target: Tensor
     gains: Tensor
+    albedo: float
 
     def luminance(self, lights: Sequence[Utilisation]) -> Tensor:
         """Luminance `[..., height, width]` in cd/m^2 that the lamps add to their base beams on the flat road."""
@@ -113,7 +115,9 @@ def flat_model(
     symbol = projector.params
     region = region_around(symbol.x_m, symbol.y_m, symbol.length_m, symbol.width_m)
     plane = birds_eye(region, view).to(limit.device) if what.view == "birdseye" else None
-    model = FlatModel(tuple(transports), beams, limit, params, Eye(view, plane, what.shape), torch.zeros(4), torch.ones(4))
+    model = FlatModel(
+        tuple(transports), beams, limit, params, Eye(view, plane, what.shape), torch.zeros(4), torch.ones(4), surface.seen_albedo
+    )
 
     def seen(pose: Tensor) -> Tensor:
         crop = projector.footprint(pose, view, params.footprint_margin_m)

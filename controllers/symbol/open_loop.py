@@ -5,7 +5,8 @@ from typing import Literal
 
 from torch import Tensor
 
-from controllers.symbol.observer import Seen
+from controllers.symbol.drawing import Drawing
+from controllers.symbol.protocol import Look
 from world.params import Params
 
 
@@ -25,10 +26,10 @@ class OpenLoop:
         """The target, in the shape of the pose `[..., 4]`."""
         return self.target.expand_as(pose)
 
-    def pose(self, state: Tensor) -> Tensor:
-        """The target `[..., 4]`."""
-        return state
+    def drawing(self, state: Tensor) -> Drawing:
+        """The symbol as it is at the target `[..., 4]`."""
+        return Drawing(state)
 
-    def step(self, state: Tensor, seen: Seen) -> Tensor:
+    def step(self, state: Tensor, look: Look) -> Tensor:
         """Nothing changes."""
         return state

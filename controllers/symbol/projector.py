@@ -1,15 +1,17 @@
 """The projector draws one symbol with one or several lamp modules: a pose in, utilisations out."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import torch
+from kornia.geometry.transform import remap
 from pydantic import Field, model_validator
 from torch import Tensor
 
 from controllers.primitives import Primitives, Quantity, road_symbol
 from controllers.ssc import PixelController, Utilisation
+from controllers.symbol.drawing import Drawing
 from perception.extraction import Crop
 from world.params import Params
 from world.view import View
@@ -57,16 +59,40 @@ class Projector:
         """The pose on the assumed flat road, `[4]` = x, y in m, roll, pitch in rad."""
         return self.symbol.new_tensor([self.params.x_m, self.params.y_m, 0.0, 0.0])
 
-    def primitive(self, pose: Tensor, z_m: float = 0.0) -> Primitives:
+    def primitive(self, pose: Tensor) -> Primitives:
         """The symbol's primitive for a pose `[..., 4]` (x, y in m, roll, pitch in rad)."""
+        return self._rectangle(pose, self.params.length_m, self.params.width_m, self.symbol)
+
+    def _rectangle(self, pose: Tensor, length_m: float, width_m: float, image: Tensor) -> Primitives:
         p = self.params
         value = p.value if p.quantity == "u_rel" else p.value / len(self.modules)
-        return road_symbol(pose, z_m, p.width_m, p.length_m, self.symbol, value, p.quantity)
+        return road_symbol(pose, 0.0, width_m, length_m, image, value, p.quantity)
 
     def light(self, pose: Tensor) -> tuple[Utilisation, ...]:
-        """Utilisations `[..., n_p]`, one a module, that draw the symbol at a pose `[..., 4]`."""
-        primitive = self.primitive(pose)
+        """Utilisations `[..., n_p]`, one a module, that draw the symbol as it is at a pose `[..., 4]`."""
+        return self._cast(self.primitive(pose))
+
+    def draw(self, drawing: Drawing) -> tuple[Utilisation, ...]:
+        """Utilisations `[..., n_p]`, one a module, of a drawing; a warped one costs a turn for each of a batch."""
+        if drawing.warp is None:
+            return self.light(drawing.pose) if drawing.z is None else self._cast(_lifted(self.primitive(drawing.pose), drawing.z))
+        batch = drawing.pose.shape[:-1]
+        singles = [self._cast(self._warped(each)) for each in drawing.singles()]
+        return tuple(
+            Utilisation(torch.stack([light.u for light in lights]).unflatten(0, batch)) if batch else lights[0]
+            for lights in zip(*singles, strict=True)
+        )
+
+    def _cast(self, primitive: Primitives) -> tuple[Utilisation, ...]:
         return tuple(module.pixel_controller.utilisation(primitive, module.T_world_headlight) for module in self.modules)
+
+    def _warped(self, drawing: Drawing) -> Primitives:
+        """The primitive of one warped drawing."""
+        assert drawing.warp is not None
+        u, v = drawing.warp.source[:, None]
+        image = remap(self.symbol[None, None], u, v, padding_mode="zeros", align_corners=False, normalized_coordinates=True)[0, 0]
+        primitive = self._rectangle(drawing.pose, *drawing.warp.size_m, image * drawing.warp.dimming)
+        return primitive if drawing.z is None else _lifted(primitive, drawing.z)
 
     def footprint(self, pose: Tensor, view: View, margin_m: float) -> Crop:
         """Where in a camera's image the light for a pose `[..., 4]` can appear if the road is at most margin_m above or below z = 0.
@@ -88,3 +114,9 @@ class Projector:
         u0, v0 = (min(max(math.floor(end), 0), n) for end, n in zip(low.tolist(), size, strict=True))
         u1, v1 = (min(max(math.ceil(end), 0), n) for end, n in zip(high.tolist(), size, strict=True))
         return Crop(v0, v1, u0, u1)
+
+
+def _lifted(primitive: Primitives, z: Tensor) -> Primitives:
+    """A primitive `[..., 1]` at a height z `[...]` m."""
+    up = torch.stack([torch.zeros_like(z), torch.zeros_like(z), z], -1)[..., None, :]
+    return replace(primitive, origin=primitive.origin + up)

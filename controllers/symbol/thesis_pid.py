@@ -13,7 +13,8 @@ from pydantic import Field
 from torch import Tensor
 
 from controllers.pid import PidParams, PidState, pid_gains, pid_reset, pid_step
-from controllers.symbol.observer import Seen
+from controllers.symbol.drawing import Drawing
+from controllers.symbol.protocol import Look
 from perception.extraction import Loss
 from world.params import Params
 
@@ -87,15 +88,16 @@ class ThesisPid:
         """State that shows the pose `[..., 4]` first."""
         return ThesisPidState(pid_reset(self.gains, pose), torch.zeros(pose.shape[:-1], dtype=torch.int64, device=pose.device))
 
-    def pose(self, state: ThesisPidState) -> Tensor:
-        """The outputs of the four loops, `[..., 4]`."""
-        return state.pid.output
+    def drawing(self, state: ThesisPidState) -> Drawing:
+        """The symbol as it is at the outputs of the four loops, `[..., 4]`."""
+        return Drawing(state.pid.output)
 
-    def step(self, state: ThesisPidState, seen: Seen) -> ThesisPidState:
+    def step(self, state: ThesisPidState, look: Look) -> ThesisPidState:
         """Move the primitive against the errors; hold it while the symbol is lost; show the flat-road primitive after repeated loss.
 
         A missing frame says nothing about the symbol: the pose is held and the loss is not counted.
         """
+        seen = look.seen
         usable = (seen.code == Loss.SEEN) & seen.pose_error.isfinite().all(-1)
         lost = ~usable & (seen.code != Loss.NO_FRAME)
         losses = torch.where(usable, 0, state.losses + lost)

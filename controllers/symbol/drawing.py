@@ -1,0 +1,64 @@
+"""What a controller wants to be drawn: a pose of the symbol's rectangle, and how the symbol is warped on it."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from controllers.symbol.relief import Relief
+
+CELLS = (512, 256)  # of a warped symbol, along and across
+BEYOND = (0.4, 0.15)  # of the symbol's length and width, by which a warped symbol's rectangle is larger on every side
+HIGHEST_M = 0.2  # of a road that light is drawn for
+
+
+@dataclass(frozen=True)
+class Warp:
+    """The symbol laid anew over a rectangle of `size_m` (length, width) about the same centre.
+
+    source: `[..., 2, h, w]`, where on the symbol the light of each cell comes from: u to the right and v down, -1 to 1 over the symbol.
+    dimming: `[..., h, w]`, 0..1.
+    """
+
+    source: Tensor
+    dimming: Tensor
+    size_m: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """One symbol to be shown.
+
+    pose: `[..., 4]` = x, y in m, roll, pitch in rad. z: `[...]` m, height of the centre above the assumed road, None for none.
+    warp: None for the symbol as it is.
+    """
+
+    pose: Tensor
+    z: Tensor | None = None
+    warp: Warp | None = None
+
+    def singles(self) -> Iterator["Drawing"]:
+        """The drawings of a batch, one by one."""
+        n = self.pose.dim() - 1
+        poses = self.pose.flatten(0, n - 1) if n else self.pose[None]
+        for k, pose in enumerate(poses):
+            z, warp = self.z, self.warp
+            z = z if z is None else z.flatten()[k]
+            if warp is not None and n:
+                warp = Warp(warp.source.flatten(0, n - 1)[k], warp.dimming.flatten(0, n - 1)[k], warp.size_m)
+            yield Drawing(pose, z, warp)
+
+
+def warp_onto(relief: Relief, lamp: Tensor, centre: tuple[float, float], length_m: float, width_m: float) -> Warp:
+    """Inverse ray tracing: the eye shall see a symbol about a centre (x, y) of the plane on the relief as it would on the plane.
+
+    lamp: `[3]` m. The light of a cell takes what of the symbol lies where the eye sees that light. What is brighter than the plane would be
+    is dimmed.
+    """
+    size = (length_m * (1 + 2 * BEYOND[0]), width_m * (1 + 2 * BEYOND[1]))
+    across, along = (0.5 - (torch.arange(n, device=relief.heights.device) + 0.5) / n for n in CELLS[::-1])
+    x, y = (centre[0] + size[0] * along)[:, None].expand(CELLS), (centre[1] + size[1] * across).expand(CELLS)
+    x_seen, y_seen = relief.seen_from(lamp, x, y, HIGHEST_M)
+    source = torch.stack([2 * (centre[1] - y_seen) / width_m, 2 * (centre[0] - x_seen) / length_m])
+    return Warp(source, 1 / relief.at(relief.brightness, x_seen, y_seen).clamp(min=1), size)

@@ -1,0 +1,52 @@
+"""The road as the camera sees it: heights over the assumed plane z = 0, by where lines of sight meet that plane."""
+
+from dataclasses import dataclass
+
+import torch
+from kornia.geometry.transform import remap
+from torch import Tensor
+
+from perception.birdseye import Region
+
+LAYERS = 33  # heights between which the way of light is interpolated
+
+
+@dataclass(frozen=True)
+class Relief:
+    """What an eye at `[3]` m sees behind the cells of a region of the plane; row 0 is far, column 0 is left.
+
+    heights: `[rows, cols]` m. brightness: `[rows, cols]`, luminance as a multiple of what the plane would show of the same light. A cell
+    is where a line of sight meets the plane, not the surface, so nothing is hidden from the eye. Beyond the region its border goes on.
+    """
+
+    region: Region
+    eye: Tensor
+    heights: Tensor
+    brightness: Tensor
+
+    def at(self, values: Tensor, x: Tensor, y: Tensor) -> Tensor:
+        """Values of the cells `[rows, cols]` behind points `[h, w]` of the plane, bilinear."""
+        r = self.region
+        u = 2 * (r.y_left_m - y) / (r.y_left_m - r.y_right_m) - 1
+        v = 2 * (r.x_far_m - x) / (r.x_far_m - r.x_near_m) - 1
+        return remap(values[None, None], u[None], v[None], padding_mode="border", align_corners=False, normalized_coordinates=True)[0, 0]
+
+    def seen_from(self, lamp: Tensor, x: Tensor, y: Tensor, highest_m: float) -> tuple[Tensor, Tensor]:
+        """Where on the plane the eye sees the light that a lamp at `[3]` m sends towards points `[h, w]` of the plane: x and y, `[h, w]`.
+
+        The way of the light is followed from highest_m above the plane to as far below, to the first point under the surface.
+        """
+        lamp, eye = lamp.to(x), self.eye.to(x)
+        h = torch.linspace(highest_m, -highest_m, LAYERS, dtype=x.dtype, device=x.device)[:, None, None]
+        ways = []
+        for axis, point in enumerate((x, y)):
+            lit = point + (lamp[axis] - point) * (h / lamp[2])
+            ways.append(lit + (lit - eye[axis]) * (h / (eye[2] - h)))
+        above = self.at(self.heights, *(way.flatten(0, 1) for way in ways)).view_as(ways[0]) - h
+        above[-1].clamp_(min=0)  # what comes so far down ends there
+        under = (above >= 0).to(torch.uint8).argmax(0, keepdim=True)
+        over = (under - 1).clamp(min=0)
+        d_over, d_under = above.gather(0, over), above.gather(0, under)
+        share = torch.where(under > 0, d_under / (d_under - d_over).clamp(min=1e-9), 0.0)
+        x_seen, y_seen = (torch.lerp(way.gather(0, under), way.gather(0, over), share)[0] for way in ways)
+        return x_seen, y_seen
