@@ -39,13 +39,15 @@ class Part:
     """What of a headlight can give a wanted light texture: no other pixel is ever lit by MRPC, nor by a joint optimisation of the MAE.
 
     headlight: those pixels, one row of them, on the rows and columns of the texture that they reach. wanted: `[rows, cols]` cd of these.
-    pixels: `[n]` int64, their numbers in the whole headlight. window: slices of rows and columns of its texture.
+    pixels: `[n]` int64, their numbers in the whole headlight. window: slices of rows and columns of its texture. spread: of the light of
+    all of its pixels in rows and columns, which sharpening takes.
     """
 
     headlight: Headlight
     wanted: Tensor
     pixels: Tensor
     window: tuple[slice, slice]
+    spread: tuple[float, float]
 
 
 def part(headlight: Headlight, wanted: Tensor) -> Part:
@@ -75,7 +77,8 @@ def part(headlight: Headlight, wanted: Tensor) -> Part:
         chroma=None,
         stored=None,
     )
-    return Part(cropped, wanted.cpu()[window], torch.from_numpy(pixels.astype(np.int64)), window)
+    spread = pixel_spread(headlight.matrix.transposed, headlight)
+    return Part(cropped, wanted.cpu()[window], torch.from_numpy(pixels.astype(np.int64)), window, spread)
 
 
 @dataclass(frozen=True)
@@ -116,7 +119,7 @@ class TextureControl:
         wanted = part.wanted.numpy().astype(np.float32)
         self._wanted = wanted.ravel()
         self._lit = np.flatnonzero(self._wanted[self._texel] > 0)
-        sigma = [max(each, 0.3) for each in pixel_spread(entries, light)]
+        sigma = [max(each, 0.3) for each in part.spread]
         self._darkness = (1 - gaussian_filter(wanted / wanted.max(), sigma, mode="constant", truncate=3)).ravel()
         self._matrix = light.matrix.to_scipy()
         self._share_lit = np.add.reduceat(self._wanted[self._texel] > 0, self._first, dtype=np.float32) / self._each

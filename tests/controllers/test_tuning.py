@@ -110,22 +110,22 @@ def test_a_part_gives_the_light_of_the_whole(light: Headlight, wanted: torch.Ten
         {},
         {"a_m": 0.4, "a_r": 0.0},
         {"a_m": 1.6, "a_r": 2.3, "a_x": 0.37},
-        {"a_m": 1.3, "granularity": 0.8, "a_ac": 0.4},
+        {"a_m": 1.3, "granularity": 0.8, "a_ac": 0.06},
         {"sharpening": 1.3, "a_r": 0.5},
-        {"corrections": 2, "a_x": 0.3, "a_ac": 0.4, "sharpening": 0.7},
+        {"corrections": 2, "a_x": 0.3, "a_ac": 0.06, "sharpening": 0.7},
     ],
     ids=str,
 )
 def test_the_lamps_own_control_does_the_same(values: dict[str, Any], light: Headlight) -> None:
     """A primitive of constant luminous intensity across the lamp's axis lights the texels whose centres it covers."""
-    left, bottom, width, height = 0.22, -0.11, 0.35, 0.2
+    left, bottom, width, height = 0.22, -0.06, 0.12, 0.06
     origin = torch.tensor([10.0, 10 * left, 10 * (bottom + height)])
     d1, d2, towards = (torch.tensor(v) for v in ([0.0, -10 * width, 0.0], [0.0, 0.0, -10 * height], [-1.0, 0.0, 0.0]))
     primitive = rectangle(origin, d1, d2, 2.5, "I_v", normal=towards)
     y, z = light.tangents(torch.float32, torch.device("cpu"))
     inside = ((y < left) & (y > left - width)) & ((z > bottom) & (z < bottom + height))[:, None]
     some = part(light, 2.5 * inside.float())
-    assert some.headlight.n_pixels == PIXELS  # so that both sharpen by the same blur
+    assert some.headlight.n_pixels < PIXELS
     found = whole(light, some, TextureControl(some).utilisation(Trial(**values)))
     driven = Ssc.prepare(light, MrpcParams(**values)).utilisation(primitive, torch.eye(4)).u
     assert found.any()
