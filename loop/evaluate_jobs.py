@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from controllers import jpo_mae, jpo_part, raising, tuning
+from controllers import jpo_mae, jpo_part, raising, sampling, tuning
 from controllers.jpo_mae import least_error
 from controllers.jpo_part import wanted
 from controllers.tuning import OPTIONS, THESIS, Part, TextureControl, Trial, part, tune
@@ -18,9 +18,11 @@ from loop.jobs import digest_of
 from loop.rectangles import Rectangle
 from perception import metrics
 from perception.metrics import dssim, mae, mare, rmse
-from world import parametric
+from world import fit, parametric, presets, texels
+from world import headlight as headlights
 from world.headlight import Headlight
-from world.presets import hd84, lamp, ssl_hd
+from world.presets import hd84, lamp, modules, ssl_hd
+from world.spmv import csr
 
 # One set for all setpoints, beside the default: medians of the thesis' optima (T B.4).
 THESIS_MEDIAN = {"hd84": Trial(0.99, 0.87, 0.001), "ssl-hd-lores": Trial(1.025, 0.98, 0.001)}
@@ -43,7 +45,8 @@ def version() -> str:
     """Changes with everything that decides a result."""
     import loop.evaluate_jobs as here
 
-    return digest_of(here, jpo_mae, jpo_part, tuning, raising, rectangles, metrics, parametric, hd84, ssl_hd)
+    control = (jpo_mae, jpo_part, tuning, raising, sampling, fit, csr)
+    return digest_of(here, rectangles, metrics, *control, headlights, texels, parametric, presets, modules, hd84, ssl_hd)
 
 
 def setpoint(name: str, h: float, v: float, width: float, height: float, turn: float) -> dict[str, Any]:
