@@ -1,29 +1,26 @@
 """The job runner of evaluations, campaigns and tables: many independent jobs over all cores, each kept on disk as soon as it is done.
 
 A run that was killed or interrupted goes on where it was, failures are collected, and a job whose parameters or code have changed is
-done again. To run jobs elsewhere than in this machine's processes, `_finished` is what to exchange.
+done again. Where jobs run is up to an executor.
 """
 
 import contextlib
 import hashlib
 import json
-import multiprocessing
 import os
-import signal
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from loop.executors import Executor, WorkersLostError, local
 from loop.progress import progress
 from world.errors import LuxloopError
 
 Values = Mapping[str, Any]  # what JSON can hold, by name
-_ONE_THREAD = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}  # the cores are shared out among jobs
 _START = b'{"id": '  # of every line
 
 
@@ -53,16 +50,23 @@ class Results:
 
 
 def run(
-    function: Callable[..., Values], jobs: Sequence[Job], file: Path, *, version: str, processes: int | None = None, title: str = "jobs"
+    function: Callable[..., Values],
+    jobs: Sequence[Job],
+    file: Path,
+    *,
+    version: str,
+    processes: int | None = None,
+    executor: Executor | None = None,
+    title: str = "jobs",
 ) -> Results:
     """Do those jobs that the file has no result of, and give the results of all.
 
     function: of a module's top level, so that another process can import it; called with the parameters of a job, gives what JSON can
     hold. file: JSON lines, one a result; it only grows, and results of other functions, parameters and versions stay in it. version: what
     decides a result besides its parameters, such as `digest_of(...)`. processes: each with one thread, by default one a core; 1 stays in
-    this process. Failed jobs are tried again by the next run.
+    this process. executor: runs jobs elsewhere than in processes of this machine. Failed jobs are tried again by the next run.
 
-    Raises: KeyboardInterrupt that says what is kept; LuxloopError where a worker is killed, or the file is of another kind or cannot be
+    Raises: KeyboardInterrupt that says what is kept; LuxloopError where workers are lost, or the file is of another kind or cannot be
     written.
     """
     pairs = [(_identity(function, job.parameters, version), job) for job in jobs]
@@ -71,18 +75,19 @@ def run(
     total, failures = len(dict(pairs)), dict[str, str]()
     try:
         with progress(title, total, total - len(left)) as advance:
-            for identity, (result, error) in _finished(function, left, processes or os.cpu_count() or 1):
+            tasks = [(identity, job.parameters) for identity, job in left.items()]
+            for identity, result, error in (executor or local(processes))(partial(_call, function), tasks):
                 if error:
                     failures[identity] = error
                 else:
                     _append(file, f'{{"id": "{identity}", "key": {json.dumps(left[identity].key)}, "result": {result}}}')
                     done[identity] = json.loads(result)
                 advance()
-    except (KeyboardInterrupt, BrokenProcessPool) as error:
+    except (KeyboardInterrupt, WorkersLostError) as error:
         kept = f"{len(done.keys() & dict(pairs))} of {total} {title} are kept in {file}, the same command goes on from there"
         if isinstance(error, KeyboardInterrupt):
             raise KeyboardInterrupt(kept) from error
-        raise LuxloopError(f"a worker process was killed, as happens for want of memory: {kept}; take fewer processes") from error
+        raise LuxloopError(f"{error}: {kept}") from error
     return Results(
         [{"key": job.key, **job.parameters, **done[identity]} for identity, job in pairs if identity in done],
         {job.key: failures[identity] for identity, job in pairs if identity in failures},
@@ -99,37 +104,16 @@ def _identity(function: Callable[..., Values], parameters: Values, version: str)
     return hashlib.sha256(json.dumps(decisive, sort_keys=True).encode()).hexdigest()[:32]
 
 
-def _finished(function: Callable[..., Values], jobs: Mapping[str, Job], processes: int) -> Iterator[tuple[str, tuple[str, str]]]:
-    """Identities of jobs with what `_call` gives, as they finish."""
-    if processes == 1 or len(jobs) < 2:
-        yield from ((identity, _call(function, job.parameters)) for identity, job in jobs.items())
-        return
-    others = set(multiprocessing.active_children())
-    with _environment(_ONE_THREAD):  # read when libraries are loaded, so a worker has to be born with it
-        pool = ProcessPoolExecutor(min(processes, len(jobs)), multiprocessing.get_context("spawn"), signal.signal, _IGNORE_CTRL_C)
-        try:
-            futures = {pool.submit(_call, function, job.parameters): identity for identity, job in jobs.items()}
-            yield from ((futures[future], future.result()) for future in as_completed(futures))
-        except BaseException:  # also where nobody wants to hear more
-            pool.shutdown(wait=False, cancel_futures=True)
-            for worker in set(multiprocessing.active_children()) - others:
-                worker.terminate()
-            raise
-        pool.shutdown()
-
-
-_IGNORE_CTRL_C = (signal.SIGINT, signal.SIG_IGN)  # the terminal sends it to workers, too; this process ends them
-
-
-def _call(function: Callable[..., Values], parameters: Values) -> tuple[str, str]:
-    """The result as JSON, or why there is none."""
+def _call(function: Callable[..., Values], task: tuple[str, Values]) -> tuple[str, str, str]:
+    """The job's identity, and the result as JSON or why there is none."""
+    identity, parameters = task
     try:
-        return json.dumps(dict(function(**parameters))), ""
+        return identity, json.dumps(dict(function(**parameters))), ""
     except Exception as error:
         if isinstance(error, LuxloopError):
-            return "", str(error)
+            return identity, "", str(error)
         where = traceback.extract_tb(error.__traceback__)[-1]
-        return "", f"{type(error).__name__}: {error} ({Path(where.filename).name}, line {where.lineno})"
+        return identity, "", f"{type(error).__name__}: {error} ({Path(where.filename).name}, line {where.lineno})"
 
 
 def _read(file: Path) -> dict[str, dict[str, Any]]:
@@ -164,17 +148,3 @@ def _writing(file: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise LuxloopError(f"{file}: cannot be written ({error.strerror}); give another folder") from error
-
-
-@contextlib.contextmanager
-def _environment(values: Mapping[str, str]) -> Iterator[None]:
-    before = {name: os.environ.get(name) for name in values}
-    os.environ.update(values)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name)
-            else:
-                os.environ[name] = value

@@ -103,7 +103,7 @@ def test_an_evaluation_goes_on_where_it_was(found: Evaluation, folder: Path, tmp
     (tmp_path / JOBS).write_text("\n".join([*lines[1:], lines[0][:40]]))
     started = []
     original = jobs._call
-    monkeypatch.setattr(jobs, "_call", lambda function, parameters: (started.append(parameters), original(function, parameters))[1])
+    monkeypatch.setattr(jobs, "_call", lambda function, task: (started.append(task), original(function, task))[1])
     again = evaluate(tmp_path, ["hd84"], processes=1, setpoints=RECTANGLES, grid=2)
     assert len(started) == 1
     assert again == found

@@ -1,0 +1,20 @@
+"""The version of the code that decides a run, for results that have to follow it."""
+
+import hashlib
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+
+DECISIVE = {"world": "**/*", "perception": "**/*.py", "controllers": "**/*.py", "loop": "*.py", "loop.lighting": "*.py"}
+SHOWING = ("cli", "campaign", "commands", "doctor", "evaluate", "executors", "headlight", "jobs", "progress", "replay", "report", "tables")
+
+
+@cache
+def digest_of_code() -> str:
+    """SHA-256, hexadecimal, of the sources of world, perception, controllers and loop, but for those modules of loop that only show."""
+    digest = hashlib.sha256()
+    for package, pattern in DECISIVE.items():
+        for path in sorted(Path(str(files(package))).glob(pattern)):
+            if path.is_file() and path.suffix != ".pyc" and not path.name.startswith(SHOWING):
+                digest.update(path.name.encode() + path.read_bytes())
+    return digest.hexdigest()

@@ -1,0 +1,86 @@
+"""Where jobs run: in processes of this machine, or on the workers of a Dask scheduler. What an executor gives, it gives as jobs finish."""
+
+import os
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures.process import BrokenProcessPool
+from typing import Protocol, TypeVar
+
+from joblib import Parallel, delayed, parallel_config
+
+from loop.code import digest_of_code
+from world.errors import LuxloopError
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+CONNECTING_S = 10
+
+
+class WorkersLostError(LuxloopError):
+    """Those who do the jobs are gone; what was given before counts."""
+
+
+class Executor(Protocol):
+    """Calls a function with each task, and gives the results in the order in which they come. Raises WorkersLostError."""
+
+    def __call__(self, function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator[Result]: ...
+
+
+def local(processes: int | None = None) -> Executor:
+    """Processes of this machine, each with one thread, by default one a core; a single one is this process itself."""
+
+    def execute(function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator[Result]:
+        workers = min(processes or os.cpu_count() or 1, len(tasks))
+        if workers <= 1:
+            yield from map(function, tasks)
+            return
+        # The terminal sends Ctrl-C to workers, too; this process ends them.
+        with parallel_config("loky", inner_max_num_threads=1, initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN)):
+            parallel = Parallel(workers, return_as="generator_unordered", batch_size=1)
+        try:
+            yield from parallel(delayed(function)(task) for task in tasks)
+        except BrokenProcessPool as error:
+            raise WorkersLostError("a worker process was killed, as happens for want of memory; take fewer processes") from error
+
+    return execute
+
+
+def dask(scheduler: str) -> Executor:
+    """Workers of a scheduler, such as tcp://host:8786; a task whose worker is lost goes to another.
+
+    Raises LuxloopError where Dask is not installed, nobody answers, or a worker has another luxloop.
+    """
+    try:
+        import distributed
+    except ImportError as error:
+        raise LuxloopError("--scheduler: needs Dask, which is not installed; get it with pip install 'luxloop[dask]'") from error
+    where = f"--scheduler {scheduler}"
+
+    def connected() -> distributed.Client:
+        try:
+            client = distributed.Client(scheduler, timeout=CONNECTING_S, set_as_default=False)
+        except (OSError, ValueError) as error:
+            raise LuxloopError(f"{where}: nobody answers; start `dask scheduler`, and give the address that it prints") from error
+        try:
+            client.wait_for_workers(1, timeout=CONNECTING_S)
+            digests = client.run(digest_of_code)
+        except TimeoutError as error:
+            raise LuxloopError(f"{where}: has no workers; start `dask worker {scheduler} --nthreads 1`") from error
+        except ImportError as error:
+            raise LuxloopError(f"{where}: a worker has no luxloop ({error}); install this one there") from error
+        if others := [worker for worker, digest in digests.items() if digest != digest_of_code()]:
+            raise LuxloopError(f"{where}: {', '.join(others)} has another luxloop; install this one there")
+        return client
+
+    def execute(function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator[Result]:
+        with connected() as client:
+            try:
+                for future in distributed.as_completed(client.map(function, tasks, pure=False)):
+                    yield future.result()
+                    future.release()
+            except distributed.KilledWorker as error:
+                raise WorkersLostError(f"{where}: a job has killed several workers, as happens for want of memory") from error
+            except (OSError, distributed.client.FutureCancelledError, distributed.client.FuturesCancelledError) as error:
+                raise WorkersLostError(f"{where}: was lost") from error
+
+    return execute
