@@ -1,5 +1,6 @@
 """Scenario files: a typed, frozen model for each of the two kinds; TOML, `--set key=value` and every other front end edit it alone."""
 
+import copy
 import hashlib
 import json
 import re
@@ -18,6 +19,7 @@ from controllers.planner import LightingParams
 from controllers.symbol import ControllerParams, LuxloopParams
 from controllers.symbol.flat_model import FeatureParams
 from controllers.symbol.projector import SymbolParams
+from loop.disturbances import DisturbanceParams
 from loop.shipped import find
 from loop.validation import did_you_mean, read_toml, sentence
 from perception.camera import CameraParams
@@ -29,10 +31,12 @@ from world.objects import ObjectParams
 from world.params import Params
 from world.roads import Flat, RoadParams
 from world.scene import StreetLamp
+from world.spots import SpotParams
 from world.vehicle import VehicleParams
 
 SCHEMA_VERSION: Final = 1
 PIXEL_CONTROLLERS = ("ssc", "jpo")
+Override = str | Mapping[str, Any]
 TAGS = ("kind", "name")  # keys that tell the variants of a table apart
 
 
@@ -95,6 +99,7 @@ class WorldScenario(Params):
     seed: int = Field(0, ge=0, lt=2**63, description="seed of all noise")
     road: RoadParams = Field(Flat(), description="the road's shape")
     surface: RoadSurfaceParams = Field(RoadSurfaceParams(), description="the road's albedo")
+    spots: tuple[SpotParams, ...] = Field((), description="spots on the road that the controller is not told of")
     objects: tuple[ObjectParams, ...] = Field((), description="objects on the road")
     light: LightParams = Field(LightParams(), description="ambient light and street lamps")
     headlight: HeadlightParams = Field(HeadlightParams(), description="the lamps")
@@ -135,6 +140,15 @@ class Scenario(WorldScenario):
     sensors: SensorParams = Field(SensorParams(), description="odometry and inertial sensors of the vehicle")
     extraction: ExtractionParams = Field(ExtractionParams(), description="how the symbol is found in the image")
     controller: Annotated[ControllerParams, Field(description="the controller of the symbol")] = LuxloopParams()
+
+    disturbances: DisturbanceParams = Field(DisturbanceParams(), description="what the controller is not told of")
+
+    @model_validator(mode="after")
+    def _aimed_lamps_draw(self) -> Self:
+        for k, aim in enumerate(self.disturbances.aim):
+            if aim.lamp is not None and aim.lamp not in self.headlight.lamps:
+                raise ValueError(f"disturbances.aim[{k}].lamp: the {aim.lamp} lamp draws nothing here; name it in headlight.lamps as well")
+        return self
 
     @model_validator(mode="after")
     def _exposures_fit(self) -> Self:
@@ -212,7 +226,7 @@ EXAMPLES: Final[dict[type[AnyScenario], str]] = {
 }
 
 
-def load(name: str, overrides: Sequence[str] = (), **values: Any) -> Scenario:
+def load(name: str, overrides: Sequence[Override] = (), **values: Any) -> Scenario:
     """Read the scenario of a symbol, as `load_any` does. Raises LuxloopError for a lighting scenario as well."""
     return _of_a_symbol(load_any(name, overrides, **values), name)
 
@@ -222,23 +236,23 @@ def validate(data: Mapping[str, Any], source: str) -> Scenario:
     return _of_a_symbol(validate_any(data, source), source)
 
 
-def load_any(name: str, overrides: Sequence[str] = (), **values: Any) -> AnyScenario:
-    """Read a scenario by shipped name or path; values are top-level keys, overrides on top of them `key.sub=value` in TOML syntax.
+def load_any(name: str, overrides: Sequence[Override] = (), **values: Any) -> AnyScenario:
+    """Read a scenario by shipped name or path; values are top-level keys, overrides on top of them.
 
+    An override is `key.sub=value` in TOML syntax, the path of a TOML file of such keys, or nested tables.
     Raises LuxloopError that names the file, the key and the remedy.
     """
     path = find(name)
     data = read_toml(path)
-    _resolve_paths(data, path.parent)
+    resolve_paths(data, path.parent)
     data.update(values)
     changes: dict[str, Any] = {}
     for override in overrides:
-        _merge(changes, _parse_override(override))
-    _resolve_paths(changes, Path.cwd())
+        _merge(changes, _tables(override))
     _merge(data, changes)
     given = [
         *(f"{key}={value['name'] if isinstance(value, dict) and 'name' in value else value}" for key, value in values.items()),
-        *overrides,
+        *(override for override in overrides if isinstance(override, str)),
     ]
     return validate_any(data, f"{path} with {' '.join(given)}" if given else str(path))
 
@@ -288,10 +302,21 @@ def _key_of_date(data: Any) -> str:
     return ""
 
 
-def _parse_override(text: str) -> dict[str, Any]:
+def _tables(override: Override) -> dict[str, Any]:
+    """The nested tables of an override, its paths absolute. Raises LuxloopError where it is none."""
+    folder, data = Path.cwd(), override
+    if isinstance(data, str):
+        file = Path(data)
+        folder, data = (file.parent, read_toml(file)) if "=" not in data and file.suffix == ".toml" else (folder, _parsed(data))
+    data = copy.deepcopy(dict(data))
+    resolve_paths(data, folder)
+    return data
+
+
+def _parsed(text: str) -> dict[str, Any]:
     key, equals, value = text.partition("=")
     if not equals or not key.strip():
-        raise LuxloopError(f"--set {text}: not of the form key=value; write for example --set camera.bits=8")
+        raise LuxloopError(f"--set {text}: not of the form key=value; write for example --set camera.bits=8, or name a .toml file of keys")
     try:
         return tomllib.loads(f"{key.strip()} = {value.strip()}")
     except tomllib.TOMLDecodeError:
@@ -311,7 +336,7 @@ def _merge(into: dict[str, Any], changes: Mapping[str, Any]) -> None:
             into[key] = value
 
 
-def _resolve_paths(data: dict[str, Any], folder: Path) -> None:
+def resolve_paths(data: dict[str, Any], folder: Path) -> None:
     """Make paths absolute against the file's folder; names of shipped symbols, of presets and of known data stay names."""
     objects, lighting = data.get("objects"), data.get("lighting")
     functions, raw = (lighting.get(key) if isinstance(lighting, dict) else None for key in ("functions", "raw"))
