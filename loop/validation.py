@@ -98,7 +98,7 @@ def _shown(value: Any) -> str:
 
 
 def _discriminator(detail: Any) -> str:
-    return str(detail["ctx"]["discriminator"]).strip("'")
+    return str(detail["ctx"]["discriminator"]).strip("'()")
 
 
 def _quoted(names: str) -> list[str]:

@@ -60,6 +60,11 @@ class Observer:
         pose_error = error[..., PAIRED] / self.model.gains
         return Seen(gate(seen.area, expected, self.params), error, pose_error, seen.area / expected, seen, symbol, crop)
 
+    def rendered(self, pose: Tensor, lights: Sequence[Utilisation]) -> Tensor:
+        """Features `[..., 4]` that a flat road would show of the light of a pose `[..., 4]`, without noise."""
+        crop = self.projector.footprint(pose, self.model.eye.view, self.params.footprint_margin_m)
+        return self.model.eye.features(self.model.eye.look(self.model.symbol(lights, crop), crop))
+
     def _lost(self, pose: Tensor, crop: Crop, reason: Loss) -> Seen:
         nan = torch.full_like(pose, torch.nan)
         batch = pose.shape[:-1]

@@ -82,12 +82,10 @@ class Sight:
         step: int,
         samples: int,
     ) -> "Sight":
-        """cell_m: of the nodes, along and across. step: camera columns, samples: lines of sight a camera row that a pixel takes together."""
+        """cell_m: of the nodes, along and across. step, samples: as above."""
         device = projector.symbol.device
         view = camera_view(camera, samples)
-        x, y = (
-            torch.tensor(ends, dtype=torch.float64) for ends in ([region.x_near_m, region.x_far_m], [region.y_left_m, region.y_right_m])
-        )
+        x, y = torch.tensor([[region.x_near_m, region.x_far_m], [region.y_left_m, region.y_right_m]], dtype=torch.float64)
         corners = torch.stack([x.repeat_interleave(2), y.repeat(2), torch.zeros(4, dtype=torch.float64)])
         uv, _ = camera_view(camera).project(corners)
         (u0, v0), (u1, v1) = (end.tolist() for end in uv.aminmax(dim=1))
@@ -117,8 +115,8 @@ class Sight:
         node = torch.stack([first, first + 1, first + cols, first + cols + 1])
         weight = torch.stack([(1 - a) * (1 - b), (1 - a) * b, a * (1 - b), a * b]).float()
         inside = (inside_x & inside_y).float()
-        tensors = [tensor.to(device) for tensor in (node, weight, inside)]
-        return cls(region, crop, eye.float().to(device), step, samples, tuple(lamps), rows, cols, *tensors, camera, params)
+        node, weight, seen = node.to(device), weight.to(device), inside.to(device)
+        return cls(region, crop, eye.float().to(device), step, samples, tuple(lamps), rows, cols, node, weight, seen, camera, params)
 
     @property
     def shape(self) -> tuple[int, int]:

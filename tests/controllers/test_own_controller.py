@@ -1,0 +1,65 @@
+"""Controllers of the user's own: named in the scenario, checked with a sentence each."""
+
+from pathlib import Path
+
+import pytest
+
+from controllers.symbol.drawing import Drawing
+from loop.run import prepare
+from loop.scenario import load
+from world.errors import LuxloopError
+
+HALFWAY = """
+from controllers.symbol.drawing import Drawing
+
+class Halfway:
+    def __init__(self, observer, share=0.5):
+        self.share = share
+    def start(self, pose):
+        return pose
+    def drawing(self, state):
+        return Drawing(state)
+    def step(self, state, look):
+        return state - self.share * look.seen.pose_error.nan_to_num()
+
+class Speechless:
+    def __init__(self, observer):
+        pass
+"""
+SMALL = ["camera.width_px=320", "camera.height_px=180", "camera.oversampling=2"]
+
+
+@pytest.fixture
+def mine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "halfway_controllers.py").write_text(HALFWAY)
+    monkeypatch.syspath_prepend(tmp_path)
+
+
+@pytest.mark.usefixtures("mine")
+def test_a_controller_of_ones_own_is_named_in_the_scenario() -> None:
+    scenario = load("flat", [*SMALL, "controller={name='halfway_controllers:Halfway', options={share=0.25}}"])
+    simulation = prepare(scenario, "cpu")
+    state, first = simulation.step(simulation.start())
+    _, second = simulation.step(state)
+    assert simulation.controller.share == 0.25
+    assert (second.pose - first.pose + 0.25 * first.seen.pose_error).abs().max() < 1e-6
+    assert isinstance(simulation.controller.drawing(first.pose), Drawing)
+    again = type(scenario).model_validate_json(scenario.model_dump_json())
+    assert again == scenario, "recordings hold it"
+
+
+@pytest.mark.usefixtures("mine")
+@pytest.mark.parametrize(
+    ("controller", "words"),
+    [
+        ("{name='no_such_module_at_all:Halfway'}", ["no_such_module_at_all", "PYTHONPATH"]),
+        ("{name='halfway_controllers:Quarterway'}", ["halfway_controllers", "no Quarterway"]),
+        ("{name='halfway_controllers:Halfway', options={gain=1}}", ["controller.options", "gain"]),
+        ("{name='halfway_controllers:Speechless'}", ["no method start", "drawing"]),
+        ("{name='halfway_controllers:'}", ["controller", "pattern"]),
+    ],
+)
+def test_what_is_wrong_with_it_is_said_in_a_sentence(controller: str, words: list[str]) -> None:
+    with pytest.raises(LuxloopError) as error:
+        prepare(load("flat", [*SMALL, f"controller={controller}"]), "cpu")
+    assert all(word in str(error.value) for word in words), str(error.value)
