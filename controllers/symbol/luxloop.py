@@ -36,9 +36,10 @@ class LuxloopParams(Params):
 
 @dataclass(frozen=True)
 class LuxloopState:
-    """heights: what is known of the road. drawing: what is shown now."""
+    """heights: what is known of the road. brightness: `[n]` at its nodes, multiple of the assumed road's luminance. drawing: what is shown now."""
 
     heights: Heights
+    brightness: Tensor
     drawing: Drawing
 
 
@@ -63,7 +64,7 @@ class Luxloop:
 
     def start(self, pose: Tensor) -> LuxloopState:
         """State that shows the pose `[4]` first."""
-        return LuxloopState(self.registration.unknown(), Drawing(pose))
+        return self._ignorant(Drawing(pose))
 
     def drawing(self, state: LuxloopState) -> Drawing:
         """The symbol for the road as it is known."""
@@ -82,21 +83,33 @@ class Luxloop:
             module.pixel_controller.headlight.light_texture(light.u - module.pixel_controller.default)
             for module, light in zip(self.projector.modules, look.shown.lights, strict=True)
         )
-        heights, residual, residual_flat = self._registered(state.heights, look.frames, seen, limit, textures)
+        heights, residual, residual_flat = self._registered(state, look.frames, seen, limit, textures)
         if residual > residual_flat - self.params.evidence:
-            return LuxloopState(self.registration.unknown(), flat)
-        return LuxloopState(heights, Drawing(self.projector.target, warp=self._warp(heights.mean, contrast, seen, textures)))
+            return self._ignorant(flat)
+        brightness = self._brightness(heights.mean, state.brightness, contrast, seen, textures)
+        return LuxloopState(heights, brightness, Drawing(self.projector.target, warp=self._warp(heights.mean, brightness)))
+
+    def _ignorant(self, drawing: Drawing) -> LuxloopState:
+        heights = self.registration.unknown()
+        return LuxloopState(heights, torch.ones_like(heights.mean), drawing)
 
     def _registered(
-        self, known: Heights, frames: tuple[Tensor, Tensor], seen: Tensor, limit: Tensor, textures: tuple[Tensor, ...]
+        self, state: LuxloopState, frames: tuple[Tensor, Tensor], seen: Tensor, limit: Tensor, textures: tuple[Tensor, ...]
     ) -> tuple[Heights, float, float]:
         """Heights with what is known of them, their residual on this look, and that of the flat road."""
-        register = self.registration
+        register, known = self.registration, state.heights
+        limit = limit / self.fine.on_pixels(state.brightness)  # of the light that the assumed road would show
         found = [register.refine(known.mean, known, seen, textures, limit)]
         residual = register.residual(found[0].mean[None], seen, textures, limit)
         if float(residual[0]) > self.params.sweep_above:
-            contrast, coarse_limit = self.coarse.observe(frames)
-            swept = sweep(self.coarse, self.coarse.symbol(contrast, coarse_limit), textures, coarse_limit, self.tried)
+            contrast, threshold = self.coarse.observe(frames)
+            swept = sweep(
+                self.coarse,
+                self.coarse.symbol(contrast, threshold),
+                textures,
+                threshold / self.coarse.on_pixels(state.brightness),
+                self.tried,
+            )
             found.append(register.refine(swept, known, seen, textures, limit))
         nodes = torch.stack([*(each.mean for each in found), torch.zeros_like(known.mean)])
         residuals = register.residual(nodes, seen, textures, limit)
@@ -104,13 +117,17 @@ class Luxloop:
         information = self.params.memory * (known.information + found[best].information)
         return Heights(found[best].mean, information), float(residuals[best]), float(residuals[-1])
 
-    def _warp(self, nodes: Tensor, contrast: Tensor, seen: Tensor, textures: tuple[Tensor, ...]) -> Warp:
-        fine, symbol = self.fine, self.projector.params
+    def _brightness(self, nodes: Tensor, before: Tensor, contrast: Tensor, seen: Tensor, textures: tuple[Tensor, ...]) -> Tensor:
+        fine = self.fine
         expected = fine.luminance(textures, fine.on_pixels(nodes)[None])[0]
         lit = (seen > 0.5) & (expected > 0)
         there, usual = fine.on_nodes(torch.stack([contrast, expected]) * lit)
         guess = SEEN_BY * usual.mean()
+        return (there + guess * before) / (usual + guess)
+
+    def _warp(self, nodes: Tensor, brightness: Tensor) -> Warp:
+        fine, symbol = self.fine, self.projector.params
         grid = (fine.rows, fine.cols)
-        relief = Relief(self.region, fine.eye, nodes.view(grid), ((there + guess) / (usual + guess)).view(grid))
+        relief = Relief(self.region, fine.eye, nodes.view(grid), brightness.view(grid))
         lamp = torch.stack([each.origin for each in fine.lamps]).mean(0)
         return warp_onto(relief, lamp, (symbol.x_m, symbol.y_m), symbol.length_m, symbol.width_m)
