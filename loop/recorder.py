@@ -113,6 +113,14 @@ def table_of(rows: list[dict[str, Any]], schema: pa.Schema = SCHEMA) -> pa.Table
     return pa.Table.from_arrays(columns, schema=schema)
 
 
+def summary_of(simulation: Simulation, table: pa.Table) -> dict[str, Any]:
+    """The summary of a run's steps, the open loop simulated beside the last."""
+    time_s = table["time_s"][-1].as_py() if table.num_rows else 0.0
+    light = simulation.projector.light(simulation.projector.target)
+    iou_open = simulation.judge(light, time_s).iou.item()
+    return summarise(table, simulation.scenario.name, simulation.scenario.controller.name, iou_open)
+
+
 def write_table(file: Path, table: pa.Table) -> None:
     """Write Parquet, whole or not at all."""
     part = file.with_name(f".{file.name}.part")
@@ -200,11 +208,7 @@ class Recorder(TableRecorder[StepResult]):
 
     def summary(self) -> dict[str, Any]:
         """The summary of the steps so far, the open loop simulated beside them."""
-        simulation, table = self.simulation, self.table()
-        time_s = table["time_s"][-1].as_py() if table.num_rows else 0.0
-        light = simulation.projector.light(simulation.projector.target)
-        iou_open = simulation.judge(light, time_s).iou.item()
-        return summarise(table, simulation.scenario.name, simulation.scenario.controller.name, iou_open)
+        return summary_of(self.simulation, self.table())
 
 
 def _clear(directory: Path) -> None:

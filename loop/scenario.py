@@ -239,8 +239,8 @@ def validate(data: Mapping[str, Any], source: str) -> Scenario:
 def load_any(name: str, overrides: Sequence[Override] = (), **values: Any) -> AnyScenario:
     """Read a scenario by shipped name or path; values are top-level keys, overrides on top of them.
 
-    An override is `key.sub=value` in TOML syntax, the path of a TOML file of such keys, or nested tables.
-    Raises LuxloopError that names the file, the key and the remedy.
+    An override is `key.sub=value` in TOML syntax, the path of a TOML file of such keys, or nested tables; it changes single keys of tables
+    that have defaults, too. Raises LuxloopError that names the file, the key and the remedy.
     """
     path = find(name)
     data = read_toml(path)
@@ -249,7 +249,9 @@ def load_any(name: str, overrides: Sequence[Override] = (), **values: Any) -> An
     changes: dict[str, Any] = {}
     for override in overrides:
         _merge(changes, _tables(override))
-    _merge(data, changes)
+    if changes:
+        data = _with_defaults(data)
+        _merge(data, changes)
     given = [
         *(f"{key}={value['name'] if isinstance(value, dict) and 'name' in value else value}" for key, value in values.items()),
         *(override for override in overrides if isinstance(override, str)),
@@ -283,6 +285,14 @@ def validate_any(data: Mapping[str, Any], source: str) -> AnyScenario:
         return kind.model_validate_json(json.dumps(data), strict=True)
     except ValidationError as error:
         raise LuxloopError(f"{source}: {sentence(error, kind, EXAMPLES[kind])}") from error
+
+
+def _with_defaults(data: dict[str, Any]) -> dict[str, Any]:
+    """The same scenario with all defaults in place; data that is none, which overrides may mend, stays as it is."""
+    try:
+        return validate_any(data, "").model_dump(mode="json")
+    except LuxloopError:
+        return data
 
 
 def _of_a_symbol(scenario: AnyScenario, source: str) -> Scenario:

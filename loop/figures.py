@@ -1,0 +1,65 @@
+"""A run in one row of plain figures, without files: what campaigns tabulate and tuning minimises."""
+
+from collections import OrderedDict
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from controllers.symbol import build_controller
+from loop.lighting.record import row as lighting_row
+from loop.lighting.record import schema as lighting_schema
+from loop.lighting.simulation import LightingSimulation
+from loop.lighting.summary import summarise as summarise_lighting
+from loop.recorder import row, summary_of, table_of
+from loop.run import prepare, torch_device
+from loop.scenario import AnyScenario, LightingScenario, Scenario
+from loop.simulation import Simulation
+from loop.summary import column
+
+KEPT = 8  # simulations made ready: runs that differ by their controller alone share one
+_prepared: OrderedDict[Any, Simulation] = OrderedDict()
+
+
+def figures(scenario: AnyScenario, device: str = "auto") -> dict[str, float | str | None]:
+    """Run a scenario and give its summary, flat: `centroid_error_x_percent`, `lamps.left.flux_lm_mean`; None where a value does not exist.
+
+    A symbol's run has iou_mean (over all steps), residual_percent (how far off the centroid ends, of the symbol's size) and
+    utilisation_mean (of all pixels, over all steps) as well. Times are left out, so that the same scenario gives the same figures.
+    Raises LuxloopError where the scenario cannot run.
+    """
+    if isinstance(scenario, LightingScenario):
+        lighting = LightingSimulation.prepare(scenario, torch_device(device))
+        table = table_of([lighting_row(result) for result in lighting.run()], lighting_schema(lighting))
+        return _flat(summarise_lighting(table, scenario.name))
+    simulation = _simulation(scenario, device)
+    rows, utilisations = [], []
+    for result in simulation.run():
+        rows.append(row(result))
+        utilisations.append(float(np.mean([light.u.mean().item() for light in result.lights])))
+    table = table_of(rows)
+    values = summary_of(simulation, table)
+    x, y = values.pop("centroid_error_percent")
+    values |= {"centroid_error_x_percent": x, "centroid_error_y_percent": y}
+    values["residual_percent"] = None if x is None or y is None else float(np.hypot(x, y))
+    values["iou_mean"] = float(np.nan_to_num(column(table, "iou")).mean())
+    values["utilisation_mean"] = float(np.mean(utilisations))
+    return _flat(values)
+
+
+def _simulation(scenario: Scenario, device: str) -> Simulation:
+    """A simulation of the scenario; all but the controller is taken from one that is ready where there is one."""
+    key = (scenario.model_dump_json(exclude={"controller"}), device)
+    if key not in _prepared:
+        _prepared[key] = prepare(scenario, device)
+        if len(_prepared) > KEPT:
+            _prepared.popitem(last=False)
+    ready = _prepared[key]
+    return replace(ready, scenario=scenario, controller=build_controller(scenario.controller, ready.observer))
+
+
+def _flat(values: dict[str, Any]) -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in values.items():
+        flat |= {f"{key}.{inner}": each for inner, each in _flat(value).items()} if isinstance(value, dict) else {key: value}
+    return {key: value for key, value in flat.items() if "_ms_" not in key}
