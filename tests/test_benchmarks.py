@@ -36,3 +36,17 @@ def test_a_baseline_that_does_other_work_is_refused(tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment, capture_output=True, text=True, timeout=300)
     assert done.returncode == 1
     assert "not the same work" in done.stderr
+
+
+def test_the_driving_benchmark_renders_both_ways(tmp_path: Path) -> None:
+    file = tmp_path / "driving.json"
+    command = [sys.executable, "benchmarks/driving.py", "--quick", "--json", str(file)]
+    done = subprocess.run(command, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=300)
+    if "there is no OpenGL here" in done.stderr:
+        pytest.skip("no OpenGL")
+    assert done.returncode == 0, done.stderr
+    (result,) = json.loads(file.read_text())["results"]
+    ms = result["ms"]
+    assert all(value > 0 for value in (*ms.values(), *result["parts ms"].values()))
+    assert result["step to real time, ratio"] == pytest.approx(ms["step"] / (1e3 / 30))
+    assert result["exact to quick, ratio"] == pytest.approx(ms["exact"] / ms["quick"])

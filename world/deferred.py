@@ -1,4 +1,4 @@
-"""Positions and normals straight from OpenGL, for views of a world that moves: no exact intersections, but several times as fast."""
+"""Depths and normals straight from OpenGL, for views of a world that moves: no exact intersections, but several times as fast."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -18,19 +18,19 @@ from world.view import View
 
 @dataclass(frozen=True)
 class Fragments:
-    """What OpenGL says of each pixel's centre, in the view's frame; all zero where there is nothing.
+    """What OpenGL says of each pixel's centre; all zero where there is nothing.
 
-    position: `[3, height, width]` m. normal: `[3, height, width]`, not of length 1. part: `[height, width]` int32, which of the placed
-    bodies, -1 = none.
+    depth: `[height, width]` m along the optical axis. normal: `[3, height, width]`, unit, in the view's frame.
+    part: `[height, width]` int32, which of the placed bodies, -1 = none.
     """
 
-    position: Tensor
+    depth: Tensor
     normal: Tensor
     part: Tensor
 
 
 class DeferredRenderer:
-    """Draws placed bodies into float buffers. Corners are snapped to 1/256 px or so, and positions are off by that much along a surface.
+    """Draws placed bodies into a buffer of floats, and reads it back. Corners are snapped to 1/256 px or so.
 
     All instances share the process's one context; use them from one thread.
     """
@@ -45,15 +45,17 @@ class DeferredRenderer:
         from OpenGL import GL
 
         self._draw(triangles, view)
-        position, normal = (_read(buffer, view, GL.GL_RGBA, 4).permute(2, 0, 1).contiguous() for buffer in (0, 1))
-        return Fragments(position[:3], normal[:3], position[3].int())
+        depth, number, x, y = _read(view, GL.GL_RGBA, 4).permute(2, 0, 1).contiguous()
+        hit = number.abs()
+        z = (hit.clamp(max=1) - x * x - y * y).clamp(min=0).sqrt() * -number.sign()
+        return Fragments(depth, torch.stack([x, y, z]), hit.int() - 1)
 
     def depth(self, triangles: Triangles, view: View) -> Tensor:
         """Depth `[height, width]` float32 in m along the optical axis, infinite where there is nothing."""
         from OpenGL import GL
 
         self._draw(triangles, view)
-        depth = _read(0, view, GL.GL_BLUE, 1)[:, :, 0]
+        depth = _read(view, GL.GL_RED, 1)[:, :, 0]
         return torch.where(depth > 0, depth, torch.inf)
 
     def _draw(self, triangles: Triangles, view: View) -> None:
@@ -70,17 +72,16 @@ class DeferredRenderer:
         GL.glDepthFunc(GL.GL_LESS)
         GL.glFrontFace(GL.GL_CW)  # the image is upside down to OpenGL
         GL.glCullFace(GL.GL_BACK)
-        for buffer, clear in enumerate(((0.0, 0.0, 0.0, -1.0), (0.0, 0.0, 0.0, 0.0))):
-            GL.glClearBufferfv(GL.GL_COLOR, buffer, np.array(clear, np.float32))
+        GL.glClearBufferfv(GL.GL_COLOR, 0, np.zeros(4, np.float32))
         GL.glClearBufferfv(GL.GL_DEPTH, 0, np.ones(1, np.float32))
         GL.glUseProgram(program)
-        at = {name: GL.glGetUniformLocation(program, name) for name in ("T_view_body", "projection", "part", "two_sided")}
+        at = {name: GL.glGetUniformLocation(program, name) for name in ("T_view_body", "projection", "number", "two_sided")}
         GL.glUniformMatrix4fv(at["projection"], 1, GL.GL_TRUE, _projection(view))
         T_view_world = inverse(view.T_world_view)
-        for number, placed in enumerate(triangles.placed):
+        for number, placed in enumerate(triangles.placed, 1):
             array, count = self._array_of(placed.body)
             GL.glUniformMatrix4fv(at["T_view_body"], 1, GL.GL_TRUE, (T_view_world @ placed.T_world_body).float().numpy())
-            GL.glUniform1f(at["part"], float(number))
+            GL.glUniform1f(at["number"], float(number))
             GL.glUniform1i(at["two_sided"], placed.body.two_sided)
             (GL.glDisable if placed.body.two_sided else GL.glEnable)(GL.GL_CULL_FACE)
             GL.glBindVertexArray(array)
@@ -139,13 +140,12 @@ def _projection(view: View) -> np.ndarray:
     return P
 
 
-def _read(buffer: int, view: View, channels: int, count: int) -> Tensor:
+def _read(view: View, channels: int, count: int) -> Tensor:
     """`[height, width, count]` float32."""
     from OpenGL import GL
 
     pixels = np.empty((view.height, view.width, count), np.float32)
     GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, _framebuffer()[0])
-    GL.glReadBuffer(GL.GL_COLOR_ATTACHMENT0 + buffer)
     GL.glReadPixels(0, 0, view.width, view.height, channels, GL.GL_FLOAT, pixels)
     GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, 0)
     return torch.from_numpy(pixels)
@@ -163,10 +163,10 @@ def _program() -> int:
 
 @cache
 def _framebuffer() -> tuple[int, tuple[int, ...]]:
-    """The framebuffer and its renderbuffers: positions and parts, normals, depth."""
+    """The framebuffer and its renderbuffers: surfaces, and OpenGL's own depth."""
     from OpenGL import GL
 
-    return int(GL.glGenFramebuffers(1)), tuple(int(each) for each in GL.glGenRenderbuffers(3))
+    return int(GL.glGenFramebuffers(1)), tuple(int(each) for each in GL.glGenRenderbuffers(2))
 
 
 def _bind_framebuffer(width: int, height: int) -> None:
@@ -174,9 +174,8 @@ def _bind_framebuffer(width: int, height: int) -> None:
 
     framebuffer, renderbuffers = _framebuffer()
     GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, framebuffer)
-    places = (GL.GL_COLOR_ATTACHMENT0, GL.GL_COLOR_ATTACHMENT0 + 1, GL.GL_DEPTH_ATTACHMENT)
-    for renderbuffer, place, kind in zip(renderbuffers, places, (GL.GL_RGBA32F, GL.GL_RGBA32F, GL.GL_DEPTH_COMPONENT24), strict=True):
+    places = ((GL.GL_COLOR_ATTACHMENT0, GL.GL_RGBA32F), (GL.GL_DEPTH_ATTACHMENT, GL.GL_DEPTH_COMPONENT24))
+    for renderbuffer, (place, kind) in zip(renderbuffers, places, strict=True):
         GL.glBindRenderbuffer(GL.GL_RENDERBUFFER, renderbuffer)
         GL.glRenderbufferStorage(GL.GL_RENDERBUFFER, kind, width, height)
         GL.glFramebufferRenderbuffer(GL.GL_FRAMEBUFFER, place, GL.GL_RENDERBUFFER, renderbuffer)
-    GL.glDrawBuffers(2, [GL.GL_COLOR_ATTACHMENT0, GL.GL_COLOR_ATTACHMENT0 + 1])

@@ -8,7 +8,6 @@ import torch
 from world.brdf import LAMBERTIAN, Material
 from world.deferred import DeferredRenderer
 from world.face_source import FaceSource
-from world.frames import transform, unit
 from world.gbuffer import Finish, GBuffer, gbuffer, reflection
 from world.rasterise import Rasteriser
 from world.shadow import ShadowMap, padded, shadow_map
@@ -43,7 +42,7 @@ class ExactSurfaces:
 
 @dataclass(frozen=True)
 class QuickSurfaces:
-    """Positions and normals as OpenGL interpolates them, in float32. Parts of one object must share its pose and texture."""
+    """Depths and normals as OpenGL interpolates them, in float32. Parts of one object must share its pose and texture."""
 
     renderer: DeferredRenderer
 
@@ -51,12 +50,12 @@ class QuickSurfaces:
         seen = self.renderer.fragments(triangles, view)
         part, shape = seen.part.flatten(), seen.part.shape
         T_world_view = view.T_world_view.float()
-        hit = (part >= 0).float()
-        position = transform(T_world_view, seen.position.flatten(1)) * hit
-        normal = unit(T_world_view[:3, :3] @ seen.normal.flatten(1))
+        position = view.rays().float().flatten(1) * seen.depth.flatten()
+        position += T_world_view[:3, 3:] * (part >= 0)
+        normal = T_world_view[:3, :3] @ seen.normal.flatten(1)
         of_part = torch.tensor([-1, *(placed.object_id for placed in triangles.placed)], dtype=torch.int32)
         object_id = of_part.index_select(0, part + 1)
-        albedo, material = torch.zeros_like(hit), torch.zeros(part.shape, dtype=torch.int64)
+        albedo, material = torch.zeros(part.shape), torch.zeros(part.shape, dtype=torch.int64)
         numbers: dict[Material, int] = {LAMBERTIAN: 0}
         for placed in _one_an_object(triangles):
             pixels = torch.nonzero(object_id == placed.object_id)[:, 0]

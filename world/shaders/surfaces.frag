@@ -1,13 +1,13 @@
 #version 330 core
-// Position and normal in the view's frame; the number of the body goes beside the position.
-uniform float part;
+// Depth along the optical axis, number of the body from 1 on, and the normal's x and y in the view's frame; where its z is positive, the
+// number is negative.
+uniform float number;
 uniform bool two_sided;
 in vec3 seen_position;
 in vec3 seen_normal;
-layout(location = 0) out vec4 position_part;
-layout(location = 1) out vec4 normal;
+out vec4 surface;
 
 void main() {
-    position_part = vec4(seen_position, part);
-    normal = vec4(two_sided && !gl_FrontFacing ? -seen_normal : seen_normal, 0.0);
+    vec3 normal = normalize(two_sided && !gl_FrontFacing ? -seen_normal : seen_normal);
+    surface = vec4(seen_position.z, normal.z > 0.0 ? -number : number, normal.xy);
 }

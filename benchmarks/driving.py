@@ -1,0 +1,157 @@
+"""How long a control step takes while the world moves, as a multiple of real time: `python benchmarks/driving.py`.
+
+Every step renders two views, for the on and the off frame. Beside the way in which worlds in motion are rendered stands the exact one of
+worlds that stand still, which intersects every ray, makes a finer shadow map and folds the light into a matrix. Both see the same steps in
+turn, with one thread, in process time: so it tells what one core does, however busy the machine is.
+"""
+
+import argparse
+import json
+import os
+import sys
+import time
+from collections import OrderedDict
+from copy import copy
+from dataclasses import replace
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import torch
+from rich.table import Table
+from step import machine
+
+from loop import tables
+from loop.plant import SimulatedPlant
+from loop.scenario import load
+from loop.simulation import Simulation, SimulationState
+from world.surfaces import ExactSurfaces, QuickSurfaces
+
+BOX = '{ kind = "box", name = "box", size_m = [1, 1, 1], track = [{ position_m = [20, 2, 0] }, { time_s = 2, position_m = [20, -2, 0] }] }'
+CASES: tuple[tuple[str, tuple[str, ...]], ...] = (
+    ("driving", ("camera.oversampling=1",)),
+    ("driving", ("camera.oversampling=2",)),
+    ("driving", ("camera.oversampling=4",)),
+    ("flat", (f"objects=[{BOX}]",)),
+)
+QUICK_CASES = (("driving", ("camera.width_px=320", "camera.height_px=180")),)
+GOAL = "goal: at most 4 times real time on two cores at 640 x 480 with one lamp"
+
+
+class Clock:
+    """Process time in ms since it was made or last read."""
+
+    def __init__(self) -> None:
+        self.last = time.process_time()
+
+    def lap(self) -> float:
+        before, self.last = self.last, time.process_time()
+        return 1e3 * (self.last - before)
+
+
+def exactly(plant: SimulatedPlant) -> SimulatedPlant:
+    """The same plant, rendering as for a world that stands."""
+    exact = copy(plant)
+    exact.surfaces, exact.moving, exact._lit = ExactSurfaces(plant.source), False, OrderedDict()
+    return exact
+
+
+def rendered(plant: SimulatedPlant, step: int) -> float:
+    """ms to render a step's on and off view."""
+    clock = Clock()
+    on_s, off_s = plant.exposures(step)
+    _ = plant.lit(on_s).transports, plant.lit(off_s).off
+    return clock.lap()
+
+
+def parts(simulation: Simulation, step: int) -> dict[str, float]:
+    """ms of what the two views consist of."""
+    plant, found = simulation.world, {}
+    assert isinstance(plant.surfaces, QuickSurfaces), "there is no OpenGL here, so that nothing is rendered the quick way"
+    vehicle = plant.motion.at(step * plant.period_s)
+    view = replace(plant.view, T_world_view=vehicle.T_world_body @ plant.view.T_world_view)
+    samples = plant.camera.oversampling
+    view = replace(view, height=view.height * samples, fy=view.fy * samples, cy=view.cy * samples)
+    clock = Clock()
+    triangles = plant.scene.at(step * plant.period_s, vehicle.T_world_ground)
+    found["tiles"] = clock.lap()
+    plant.surfaces.renderer.fragments(triangles, view)
+    found["OpenGL, one view"] = clock.lap()
+    surfaces = plant.surfaces.gbuffer(triangles, view)
+    found["G-buffer of it"] = clock.lap() - found["OpenGL, one view"]
+    plant._transports(triangles, surfaces, vehicle.T_world_body)
+    found["shadow map and reach"] = clock.lap()
+    return found
+
+
+def measure(name: str, overrides: tuple[str, ...], steps: int) -> dict[str, Any]:
+    """Medians in ms over the steps after the first; a step is all that control and plant do, without the judge."""
+    simulation = Simulation.prepare(load(name, overrides))
+    state: SimulationState = simulation.start()
+    exact = exactly(simulation.world)
+    laps: dict[str, list[float]] = {"step": [], "quick": [], "exact": []}
+    shares: list[dict[str, float]] = []
+    for step in range(steps + 1):
+        clock = Clock()
+        laps["quick"].append(rendered(simulation.world, step))
+        following, result = simulation.step(state)
+        whole = clock.lap()
+        simulation.judge(result.lights, result.time_s)
+        laps["step"].append(whole - clock.lap())
+        laps["exact"].append(rendered(exact, step))
+        shares.append(parts(simulation, step))
+        state = following
+    camera = simulation.scenario.camera
+    ms = {key: median(lap[1:]) for key, lap in laps.items()}
+    return {
+        "scenario": name,
+        "size": [camera.width_px, camera.height_px, camera.oversampling],
+        "steps": steps,
+        "ms": ms,
+        "parts ms": {key: median(each[key] for each in shares[1:]) for key in shares[0]},
+        "step to real time, ratio": ms["step"] / (1e3 * simulation.world.period_s),
+        "exact to quick, ratio": ms["exact"] / ms["quick"],
+    }
+
+
+def table(results: list[dict[str, Any]]) -> Table:
+    """A row a case."""
+    columns = ("views, exact", "views", "ratio", "step", "x real time")
+    shown = Table("scenario", "px x samples", *columns, title="ms a control step on one core", box=None)
+    for column in shown.columns[2:]:
+        column.justify = "right"
+    for each in results:
+        width, height, samples = each["size"]
+        ms = each["ms"]
+        cells = (ms["exact"], ms["quick"], each["exact to quick, ratio"], ms["step"], each["step to real time, ratio"])
+        shown.add_row(each["scenario"], f"{width} x {height} x {samples}", *(f"{cell:.1f}" for cell in cells))
+    return shown
+
+
+def main() -> None:
+    """Measure, show."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", type=Path, help="also write the results here")
+    parser.add_argument("--steps", type=int, default=10, help="steps to take the median of (10)")
+    parser.add_argument("--quick", action="store_true", help="two steps at 320 x 180, to see that it works")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    console, where = tables.console(), machine()
+    console.print(", ".join(f"{key} {value}" for key, value in where.items()), markup=False)
+    cases = QUICK_CASES if arguments.quick else CASES
+    results = [measure(name, overrides, 2 if arguments.quick else arguments.steps) for name, overrides in cases]
+    console.print(table(results))
+    for each in results:
+        shares = ", ".join(f"{key} {value:.1f}" for key, value in each["parts ms"].items())
+        console.print(f"{each['scenario']} x {each['size'][2]}: {shares} ms", markup=False)
+    console.print(GOAL)
+    if arguments.json:
+        arguments.json.write_text(json.dumps({"machine": where, "results": results}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    # OpenMP and Mesa read these when they are loaded.
+    threads = {"OMP_NUM_THREADS": "1", "LP_NUM_THREADS": "1"}
+    if any(os.environ.get(name) != value for name, value in threads.items()):
+        os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, **threads})
+    main()
