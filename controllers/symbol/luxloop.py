@@ -36,7 +36,7 @@ class LuxloopParams(Params):
 
 @dataclass(frozen=True)
 class LuxloopState:
-    """heights: what is known of the road. brightness: `[n]` at its nodes, multiple of the assumed road's luminance. drawing: what is shown now."""
+    """heights: what is known of the road. brightness: `[n]` at its nodes, multiple of the assumed road's. drawing: what is shown now."""
 
     heights: Heights
     brightness: Tensor
