@@ -22,6 +22,7 @@ from world.roadmesh import road_mesh
 from world.roadtiles import RoadTiles
 from world.scanroad import OpenCrgRoad
 from world.scene import Scene
+from world.spots import SpottedTexture
 from world.vehicle import STANDING, Motion, drive
 
 TurnedPart = TypeVar("TurnedPart", Lamp, Module)
@@ -37,11 +38,12 @@ def build_motion(scenario: Scenario) -> Motion:
 def build_scene(scenario: WorldScenario, motion: Motion = STANDING) -> Scene:
     """Road, along the vehicle's course, and objects. Raises LuxloopError where a file is missing or broken."""
     road, surface = _road(scenario), scenario.surface
+    texture = SpottedTexture(surface, scenario.spots) if scenario.spots else surface.texture()
     ground: Body | RoadTiles
     if motion is STANDING:
-        ground = Body("road", road_mesh(road), surface.albedo, surface.texture(), smooth=True)
+        ground = Body("road", road_mesh(road), surface.albedo, texture, smooth=True)
     else:
-        ground = RoadTiles(road, motion.range_y_m, surface.albedo, surface.texture())
+        ground = RoadTiles(road, motion.range_y_m, surface.albedo, texture)
     objects = tuple(item.build() for item in scenario.objects)
     return Scene((ground, *objects), scenario.light.ambient_lx, scenario.light.street_lamps)
 

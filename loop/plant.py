@@ -11,9 +11,11 @@ import torch
 from torch import Tensor
 
 from controllers.ssc import Utilisation
-from controllers.symbol.projector import DrawingModule
+from loop.disturbances import UNDISTURBED, DisturbanceParams
+from loop.truth import LampModule
 from perception.camera import CameraParams, average_rows, camera_view, expose, frame_generator
 from perception.egomotion import EXACT, Ego, SensorParams, measured
+from perception.glare import glare
 from world.ambient import ambient_luminance
 from world.face_source import FaceSource
 from world.gbuffer import GBuffer
@@ -76,7 +78,7 @@ class SimulatedPlant:
     def __init__(
         self,
         scene: Scene,
-        modules: Sequence[DrawingModule],
+        modules: Sequence[LampModule],
         camera: CameraParams,
         source: FaceSource,
         rate_hz: float,
@@ -84,14 +86,15 @@ class SimulatedPlant:
         device: torch.device,
         motion: Motion = STANDING,
         sensors: SensorParams = EXACT,
+        disturbances: DisturbanceParams = UNDISTURBED,
     ) -> None:
         self.scene, self.modules, self.camera, self.source = scene, tuple(modules), camera, source
         self.period_s, self.seed, self.device = 1 / rate_hz, seed, device
-        self.motion, self.sensors = motion, sensors
+        self.motion, self.sensors, self.disturbances = motion, sensors, disturbances
         self.moving = motion is not STANDING or scene.moves
         self.surfaces = surface_source(source, self.moving)
         self.view = camera_view(camera)
-        beams = [Utilisation(module.pixel_controller.default) for module in self.modules]
+        beams = [module.beam for module in self.modules]
         self.beams = beams if any(bool(beam.u.any()) for beam in beams) else None
         self._lit: OrderedDict[Any, LitView] = OrderedDict()
 
@@ -105,7 +108,8 @@ class SimulatedPlant:
         """Expose an on frame at the step's time and an off frame half a period later; what moves has moved in between."""
         on_view, off_view = (self.lit(t_s) for t_s in self.exposures(step))
         lit = added_light(on_view.transports, lights, on_view.base)
-        on, off = self._expose(lit, step, 0), self._expose(off_view.off.expand(lit.shape), step, 1)
+        on = self.exposed(lit, on_view.base, step, 0)
+        off = self.exposed(off_view.off.expand(lit.shape), off_view.base, step, 1)
         queue = (*state, None if self._dropped(step) else (on, off))
         return queue[1:], queue[0]
 
@@ -146,7 +150,7 @@ class SimulatedPlant:
         samples, width = self.camera.oversampling, self.camera.width_px
         folded: list[LightTransport] = []
         for module in self.modules:
-            headlight = module.pixel_controller.headlight
+            headlight = module.headlight
             T_world_headlight = T_world_body.to(module.T_world_headlight) @ module.T_world_headlight
             lamp_view = headlight.view(T_world_headlight, *(QUICK_SHADOW_MAP if self.moving else SHADOW_MAP))
             shadow = self.surfaces.shadow_map(triangles, lamp_view).to(self.device)
@@ -155,9 +159,24 @@ class SimulatedPlant:
             folded.append(fold(reached, headlight, width, samples))
         return tuple(folded)
 
-    def _expose(self, luminance: Tensor, step: int, frame: int) -> Tensor:
-        return expose(luminance, self.camera, frame_generator(self.seed, step, frame, self.device))
+    def exposed(self, luminance: Tensor, base: Tensor, step: int, frame: int) -> Tensor:
+        """Digital numbers of a step's on frame (0) or off frame (1) of luminance `[..., height, width]` in cd/m^2, with what disturbs it.
+
+        base: `[height, width]` cd/m^2, the part of the luminance that is there without the lamps.
+        """
+        ambient, noisy = self.disturbances.ambient_factor(step, frame), self.disturbances.noise_factor(step)
+        if ambient != 1:
+            luminance = luminance + (ambient - 1) * base
+        t_s = self.exposures(step)[frame]
+        for lamp in self.disturbances.oncoming_in(step, frame):
+            view = replace(self.view, T_world_view=self.motion.at(t_s).T_world_body @ self.view.T_world_view)
+            luminance = luminance + glare(view, lamp.position_at(t_s), lamp, self.device)
+        generator = frame_generator(self.seed, step, frame, self.device)
+        if noisy == 1:
+            return expose(luminance, self.camera, generator)
+        noise = torch.empty(luminance.shape, dtype=luminance.dtype, device=self.device).normal_(std=noisy, generator=generator)
+        return expose(luminance, self.camera, noise)
 
     def _dropped(self, step: int) -> bool:
-        p = self.camera.drop_probability
+        p = self.disturbances.loss_probability(step, self.camera.drop_probability)
         return p > 0 and bool(np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(step, 2))).random() < p)

@@ -21,7 +21,7 @@ from loop.simulation import Simulation, StepResult
 from loop.summary import column
 from perception.appearance import appearance, image_axes
 from perception.birdseye import rectify
-from perception.camera import expose, frame_generator, luminance_of
+from perception.camera import luminance_of
 from perception.extraction import Crop, Loss
 from perception.judge import THRESHOLD
 from world.errors import LuxloopError
@@ -192,8 +192,8 @@ def _error_units(simulation: Simulation) -> tuple[str, ...]:
 def _camera_image(simulation: Simulation, lights: Lights, result: StepResult) -> Image:
     """Luminance `[height, width]` in cd/m^2 that the camera measures under these lights at a step's time, with that step's noise."""
     lit, camera = simulation.world.lit(result.time_s), simulation.scenario.camera
-    generator = frame_generator(simulation.scenario.seed, result.step, 0, simulation.device)
-    return luminance_of(expose(lit.off + lit.luminance(lights), camera, generator), camera).cpu().numpy()
+    frame = simulation.world.exposed(lit.off + lit.luminance(lights), lit.base, result.step, 0)
+    return luminance_of(frame, camera).cpu().numpy()
 
 
 def _target_luminance(simulation: Simulation) -> torch.Tensor:

@@ -14,11 +14,13 @@ from controllers.symbol import build_controller
 from controllers.symbol.flat_model import flat_model
 from controllers.symbol.observer import Observer, Seen
 from controllers.symbol.projector import Projector
-from controllers.symbol.protocol import SymbolController
+from controllers.symbol.protocol import Look, Shown, SymbolController
 from loop.build import build_motion, build_projector, build_scene
 from loop.plant import Frames, Plant, SimulatedPlant
 from loop.scenario import Scenario
+from loop.truth import true_camera, true_modules
 from perception.birdseye import BirdsEye, birds_eye, region_around
+from perception.camera import camera_view
 from perception.judge import CELL_M, Target, Verdict, judge, target
 from world.face_source import face_source
 from world.view import View
@@ -28,12 +30,12 @@ Lights = tuple[Utilisation, ...]
 
 @dataclass(frozen=True)
 class SimulationState:
-    """step: the step that comes next. controller, plant: their states. shown: pose `[4]` and lights of the frames that are under way."""
+    """step: the step that comes next. controller, plant: their states. shown: in the frames that are under way."""
 
     step: int
     controller: Any
     plant: Any
-    shown: tuple[tuple[Tensor, Lights], ...] = ()
+    shown: tuple[Shown, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -78,26 +80,29 @@ class Simulation:
         model = flat_model(projector, scenario.camera, scenario.surface, scenario.light.ambient_lx, scenario.extraction, scenario.features)
         world = SimulatedPlant(
             scene,
-            projector.modules,
-            scenario.camera,
+            true_modules(scenario, projector),
+            true_camera(scenario),
             face_source(scenario.renderer),
             scenario.rate_hz,
             scenario.seed,
             device,
             motion,
             scenario.sensors,
+            scenario.disturbances,
         )
-        plane = _plane(scenario, world.view, device)
+        wanted = model.luminance(projector.light(projector.target))
+        assumed_plane = _plane(scenario, camera_view(scenario.camera), device)
+        observer = Observer(projector, model, scenario.camera, scenario.extraction)
         return cls(
             scenario=scenario,
             device=device,
             projector=projector,
-            observer=Observer(projector, model, scenario.camera, scenario.extraction),
-            controller=build_controller(scenario.controller, projector.target),
+            observer=observer,
+            controller=build_controller(scenario.controller, observer),
             plant=world,
             world=world,
-            plane=plane,
-            goal=target(model.luminance(projector.light(projector.target)), plane, symbol.length_m, symbol.width_m),
+            plane=_plane(scenario, world.view, device),
+            goal=target(wanted, assumed_plane, symbol.length_m, symbol.width_m),
         )
 
     def start(self) -> SimulationState:
@@ -114,21 +119,22 @@ class Simulation:
         with _timed(timings, "render"):
             _ = self.world.lit(time_s).transports, self.world.lit(off_time_s).off
         with _timed(timings, "light"):
-            pose = self.controller.pose(state.controller)
-            lights = self.projector.light(pose)
+            drawing = self.controller.drawing(state.controller)
+            lights = self.projector.draw(drawing)
         with _timed(timings, "camera"):
             plant, frames = self.plant.show(state.plant, lights, state.step)
         with _timed(timings, "perceive"):
-            shown = (*state.shown, (pose, lights))
+            ego = self.world.ego(state.step)
+            shown = (*state.shown, Shown(drawing, lights, ego))
             late = self.scenario.camera.latency_steps
-            seen = self.observer.look(frames, *shown[0])
+            seen = self.observer.look(frames, shown[0].drawing.pose, shown[0].lights)
         with _timed(timings, "control"):
-            controller = self.controller.step(state.controller, seen)
+            controller = self.controller.step(state.controller, Look(seen, frames, shown[0], ego))
         timings["step"] = sum(timings.values())
         with _timed(timings, "judge"):
             verdict = self.judge(lights, time_s)
         following = replace(state, step=state.step + 1, controller=controller, plant=plant, shown=shown[-late:] if late else ())
-        return following, StepResult(state.step, time_s, pose, lights, frames, seen, verdict, timings)
+        return following, StepResult(state.step, time_s, drawing.pose, lights, frames, seen, verdict, timings)
 
     def judge(self, lights: Lights, time_s: float) -> Verdict:
         """How the light lies on the road at a time, without noise."""

@@ -11,7 +11,30 @@ from torch import Tensor
 
 from world.brdf import LAMBERTIAN, Material
 from world.frames import pose
-from world.materials import Texture
+from world.materials import MaterialName, Texture
+from world.spots import SpottedTexture
+
+
+@dataclass(frozen=True)
+class Part:
+    """What a part of a body looks like. name: such as "head" or "windscreen". albedo: 0..1, as it is seen."""
+
+    name: str
+    albedo: float
+    material: MaterialName
+
+
+@dataclass(frozen=True, eq=False)
+class Spotlight:
+    """A lamp of a body, whose light falls off with the angle as a Gaussian curve does, and throws no shadows.
+
+    position, axis: `[3]`, m and unit, in the body frame. width_deg: standard deviations across and up.
+    """
+
+    position: Tensor
+    axis: Tensor
+    intensity_cd: float
+    width_deg: tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +54,15 @@ class PoseTrack:
         """Always there, at one pose `[4, 4]` (default: the world's own)."""
         T = torch.eye(4, dtype=torch.float64) if T_world_body is None else T_world_body.double()
         return cls((0.0,), T[None])
+
+    @cached_property
+    def _travelled_m(self) -> np.ndarray:
+        steps = np.diff(self.T_world_body[:, :3, 3].numpy(), axis=0)
+        return np.cumsum([0.0, *np.linalg.norm(steps, axis=1)])
+
+    def travelled_m(self, t_s: float) -> float:
+        """Length in m of the way until a time in s."""
+        return float(np.interp(t_s, self.times_s, self._travelled_m))
 
     def visible_at(self, t_s: float) -> bool:
         return self.appears_s <= t_s < self.vanishes_s
@@ -55,16 +87,20 @@ class Body:
     mesh: in the body frame, m. albedo: 0..1. texture: albedo and material over the body's x and y instead of the constants.
     smooth: vertex normals interpolated over a face (roads, people) instead of one normal a face (boxes).
     two_sided: seen from the back as well (sheets, open meshes); else faces are there only where their corners run counter-clockwise.
+    parts: with albedos and materials of their own, in place of the body's. part_of_face: `[F]` int64, which of them a face belongs to.
     """
 
     name: str
     mesh: trimesh.Trimesh
     albedo: float = 0.2
-    texture: Texture | None = None
+    texture: Texture | SpottedTexture | None = None
     material: Material = LAMBERTIAN
     smooth: bool = False
     two_sided: bool = False
     track: PoseTrack = field(default_factory=PoseTrack.static)
+    parts: tuple[Part, ...] = ()
+    part_of_face: Tensor | None = None
+    spotlights: tuple[Spotlight, ...] = ()
 
     @cached_property
     def corners(self) -> Tensor:

@@ -42,6 +42,11 @@ class Headlight(TexelGrid):
         """The same light, `factor` times as bright."""
         return self if factor == 1 else replace(self, matrix=self.matrix.with_values(self.matrix.values * factor), stored=None)
 
+    def dimmed(self, left: Tensor) -> "Headlight":
+        """The same light with a share `[n_p]` of each pixel's left."""
+        of_entry = left.to(self.matrix.values).index_select(0, self.matrix.indices)
+        return replace(self, matrix=self.matrix.with_values(self.matrix.values * of_entry), stored=None)
+
     def light_texture(self, utilisation: Tensor) -> Tensor:
         """Luminous intensity `[..., rows, cols]` in cd of a utilisation `[..., n_p]` in 0..1: `i = A u` (T 2.4)."""
         if self.stored is None or utilisation.requires_grad:

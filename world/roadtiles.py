@@ -13,6 +13,7 @@ from world.body import Body, PoseTrack
 from world.materials import Texture
 from world.roadbase import Road
 from world.roadmesh import axis, grid_faces
+from world.spots import SpottedTexture
 from world.triangles import Placed
 
 LENGTH_M: Final = 6.0  # of a tile
@@ -31,7 +32,7 @@ class RoadTiles:
     road: Road
     course_y_m: tuple[float, float]
     albedo: float
-    texture: Texture | None
+    texture: Texture | SpottedTexture | None
     name: str = "road"
     track: PoseTrack = field(default_factory=PoseTrack.static)
     _tile: Any = field(init=False, repr=False)

@@ -1,0 +1,130 @@
+"""What disturbs a run and is not told to the controller: errors of what it assumes, and what befalls frames at some steps."""
+
+import math
+from collections.abc import Iterable
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from perception.glare import OncomingParams
+from world.params import Params
+
+FRAMES = ("on", "off")
+
+
+class Spell(Params):
+    """The steps over which something holds."""
+
+    from_step: int = Field(0, ge=0, description="first step")
+    until_step: int | None = Field(None, gt=0, description="step at which it is over; left out: never")
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if self.until_step is not None and self.until_step <= self.from_step:
+            raise ValueError(f"until_step ({self.until_step}) must be later than from_step ({self.from_step})")
+        return self
+
+    def holds(self, step: int) -> bool:
+        return self.from_step <= step and (self.until_step is None or step < self.until_step)
+
+
+class FrameSpell(Spell):
+    """The steps and the frames of each in which something holds."""
+
+    frames: Literal["both", "on", "off"] = Field("both", description="frames of a step that it is in")
+
+    def holds_in(self, step: int, frame: int) -> bool:
+        """Whether it holds in a step's on frame (0) or off frame (1)."""
+        return self.holds(step) and self.frames in ("both", FRAMES[frame])
+
+
+class AmbientParams(FrameSpell):
+    """Another light beside the headlamps'."""
+
+    factor: float = Field(ge=0, le=1000, description="ambient light and street lamps, as a multiple of [light]'s")
+
+
+class OncomingSpellParams(OncomingParams, FrameSpell):
+    """One oncoming headlamp: a source that faces the camera. It is seen, but lights nothing, and nothing hides it."""
+
+
+class NoiseParams(Spell):
+    """A camera that is noisier than [camera] says."""
+
+    factor: float = Field(ge=0, le=100, description="standard deviation of shot and read noise, as a multiple of [camera]'s")
+
+
+class DropsParams(Spell):
+    """Frames that are lost, beside camera.drop_probability."""
+
+    probability: float = Field(1.0, ge=0, le=1, description="probability that a step's frames are lost")
+
+
+class PoseErrorParams(Params):
+    """How something is mounted otherwise than its own table says."""
+
+    x_m: float = Field(0.0, ge=-0.5, le=0.5, description="further ahead")
+    y_m: float = Field(0.0, ge=-0.5, le=0.5, description="further to the left")
+    z_m: float = Field(0.0, ge=-0.5, le=0.5, description="higher")
+    roll_deg: float = Field(0.0, ge=-10, le=10, description="further right side down")
+    pitch_deg: float = Field(0.0, ge=-10, le=10, description="further nose down")
+    yaw_deg: float = Field(0.0, ge=-10, le=10, description="further to the left")
+
+
+class CalibrationParams(PoseErrorParams):
+    """What is true of the camera beyond what [camera] says and the controller believes."""
+
+    focal_percent: float = Field(0.0, gt=-50, le=50, description="longer focal length")
+
+
+class AimParams(PoseErrorParams):
+    """What is true of the lamps' mounting beyond what [headlight] says; modules turn about their own origins."""
+
+    lamp: Literal["left", "right"] | None = Field(None, description="lamp that is meant; left out: all that draw")
+
+
+class WearParams(Params):
+    """Pixels of the modules that draw which are dead or have aged; each module has its own."""
+
+    dead: float = Field(0.0, ge=0, le=1, description="share of pixels that are dead")
+    aged: float = Field(0.0, ge=0, le=1, description="share of pixels that have aged")
+    aged_factor: float = Field(0.5, ge=0, le=1, description="light that an aged pixel has left")
+    dead_pixels: tuple[int, ...] = Field((), description="numbers of pixels that are dead in each module, row by row from the upper left")
+    seed: int = Field(0, ge=0, description="seed of which pixels these are")
+
+    @model_validator(mode="after")
+    def _at_most_all(self) -> Self:
+        if self.dead + self.aged > 1:
+            raise ValueError(f"dead ({self.dead:g}) and aged ({self.aged:g}) are shares of all pixels; give at most 1 together")
+        return self
+
+
+class DisturbanceParams(Params):
+    """All that the controller is not told of."""
+
+    oncoming: tuple[OncomingSpellParams, ...] = Field((), description="headlamps that face the camera")
+    ambient: tuple[AmbientParams, ...] = Field((), description="changes of the light beside the headlamps'; several multiply")
+    noise: tuple[NoiseParams, ...] = Field((), description="more noise; several multiply")
+    drops: tuple[DropsParams, ...] = Field((), description="lost frames")
+    calibration: CalibrationParams = Field(CalibrationParams(), description="error of the camera's calibration")
+    aim: tuple[AimParams, ...] = Field((), description="errors of the lamps' aim; several add up")
+    wear: WearParams = Field(WearParams(), description="dead and aged pixels of the lamps")
+
+    def ambient_factor(self, step: int, frame: int) -> float:
+        """Light beside the headlamps' in a step's on frame (0) or off frame (1), as a multiple of the scenario's."""
+        return math.prod(each.factor for each in self.ambient if each.holds_in(step, frame))
+
+    def noise_factor(self, step: int) -> float:
+        """Noise in a step's frames, as a multiple of the camera's."""
+        return math.prod(each.factor for each in self.noise if each.holds(step))
+
+    def oncoming_in(self, step: int, frame: int) -> Iterable[OncomingParams]:
+        """Headlamps that face the camera in a step's on frame (0) or off frame (1)."""
+        return (each for each in self.oncoming if each.holds_in(step, frame))
+
+    def loss_probability(self, step: int, always: float) -> float:
+        """Probability that a step's frames are lost where `always` is that of the camera."""
+        return 1 - (1 - always) * math.prod(1 - each.probability for each in self.drops if each.holds(step))
+
+
+UNDISTURBED = DisturbanceParams()
