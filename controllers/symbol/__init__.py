@@ -5,6 +5,7 @@ from typing import Annotated, Any
 from pydantic import Discriminator, Tag
 
 from controllers.symbol.feedback import Feedback, GaussNewtonParams, ModelReferenceParams
+from controllers.symbol.feedforward import Feedforward, FeedforwardParams
 from controllers.symbol.luxloop import Luxloop, LuxloopParams
 from controllers.symbol.observer import Observer
 from controllers.symbol.open_loop import OpenLoop, OpenLoopParams
@@ -19,19 +20,22 @@ def name(controller: Any) -> Any:
     return OWN if isinstance(given, str) and ":" in given else given
 
 
-AnyParams = LuxloopParams | OpenLoopParams | ThesisPidParams | GaussNewtonParams | ModelReferenceParams | OwnParams
+NamedParams = LuxloopParams | OpenLoopParams | FeedforwardParams | ThesisPidParams | GaussNewtonParams | ModelReferenceParams
+AnyParams = NamedParams | OwnParams
 ControllerParams = Annotated[
     Annotated[LuxloopParams, Tag("luxloop")]
     | Annotated[OpenLoopParams, Tag("open")]
+    | Annotated[FeedforwardParams, Tag("feedforward")]
     | Annotated[ThesisPidParams, Tag("thesis_pid")]
     | Annotated[GaussNewtonParams, Tag("gauss_newton")]
     | Annotated[ModelReferenceParams, Tag("model_reference")]
     | Annotated[OwnParams, Tag(OWN)],
     Discriminator(name),
 ]
-CONTROLLERS: dict[str, type[LuxloopParams | OpenLoopParams | ThesisPidParams | GaussNewtonParams | ModelReferenceParams]] = {
+CONTROLLERS: dict[str, type[NamedParams]] = {
     "luxloop": LuxloopParams,
     "open": OpenLoopParams,
+    "feedforward": FeedforwardParams,
     "thesis_pid": ThesisPidParams,
     "gauss_newton": GaussNewtonParams,
     "model_reference": ModelReferenceParams,
@@ -46,6 +50,8 @@ def build_controller(params: AnyParams, observer: Observer) -> SymbolController:
     match params:
         case OpenLoopParams():
             return OpenLoop(observer.projector.target)
+        case FeedforwardParams():
+            return Feedforward(params, observer)
         case ThesisPidParams():
             return ThesisPid(params, observer.projector.target)
         case LuxloopParams():

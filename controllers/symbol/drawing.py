@@ -25,6 +25,10 @@ class Warp:
     dimming: Tensor
     size_m: tuple[float, float]
 
+    def to(self, device: torch.device) -> "Warp":
+        """The same on another device."""
+        return Warp(self.source.to(device), self.dimming.to(device), self.size_m)
+
 
 @dataclass(frozen=True)
 class Drawing:

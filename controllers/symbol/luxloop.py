@@ -9,6 +9,7 @@ from torch import Tensor
 
 from controllers.symbol.drawing import Drawing, Warp, warp_onto
 from controllers.symbol.observer import Observer
+from controllers.symbol.projector import SymbolParams
 from controllers.symbol.protocol import Look
 from controllers.symbol.registration import Heights, Registration
 from controllers.symbol.relief import Relief
@@ -48,10 +49,7 @@ class Luxloop:
 
     def __init__(self, params: LuxloopParams, observer: Observer) -> None:
         self.params, self.projector = params, observer.projector
-        symbol = self.projector.params
-        near, far, side = params.beyond_m
-        half, left = symbol.length_m / 2, symbol.width_m / 2 + side
-        self.region = Region(max(symbol.x_m - half - near, 1.0), symbol.x_m + half + far, symbol.y_m + left, symbol.y_m - left)
+        self.region = region_of(self.projector.params, *params.beyond_m)
 
         def sight(step: int, samples: int) -> Sight:
             return Sight.prepare(
@@ -131,3 +129,9 @@ class Luxloop:
         relief = Relief(self.region, fine.eye, nodes.view(grid), brightness.view(grid))
         lamp = torch.stack([each.origin for each in fine.lamps]).mean(0)
         return warp_onto(relief, lamp, (symbol.x_m, symbol.y_m), symbol.length_m, symbol.width_m)
+
+
+def region_of(symbol: SymbolParams, near_m: float, far_m: float, side_m: float) -> Region:
+    """The plane around a symbol at its target."""
+    half, left = symbol.length_m / 2, symbol.width_m / 2 + side_m
+    return Region(max(symbol.x_m - half - near_m, 1.0), symbol.x_m + half + far_m, symbol.y_m + left, symbol.y_m - left)

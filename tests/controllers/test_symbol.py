@@ -243,7 +243,7 @@ START = torch.tensor([15.0, 0.8, math.radians(5), math.radians(-2)])
 
 
 def test_controllers_go_by_name() -> None:
-    assert set(CONTROLLERS) == {"luxloop", "open", "thesis_pid", "gauss_newton", "model_reference"}
+    assert set(CONTROLLERS) == {"luxloop", "open", "feedforward", "thesis_pid", "gauss_newton", "model_reference"}
     for name, params in CONTROLLERS.items():
         assert params().name == name
     assert isinstance(build_controller(OpenLoopParams(), observer()), OpenLoop)

@@ -1,0 +1,68 @@
+"""Feed-forward: inverse ray tracing onto a road that is given, right or wrong."""
+
+from typing import Literal
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from controllers.symbol.drawing import Drawing, warp_onto
+from controllers.symbol.luxloop import region_of
+from controllers.symbol.observer import Observer
+from controllers.symbol.protocol import Look
+from controllers.symbol.relief import Relief
+from perception.birdseye import Region
+from perception.camera import camera_view
+from world.params import Params
+from world.roads import Flat, RoadParams
+
+CELL_M = 0.1
+HIGHEST_M, LAYERS = 0.3, 121  # heights between which a given road may be, and how many are looked at
+
+
+class FeedforwardParams(Params):
+    """The road as it is believed to be; what the camera sees is not used."""
+
+    name: Literal["feedforward"] = "feedforward"
+    road: RoadParams = Field(Flat(), description="the road's shape, with the keys of [road]")
+    offset_m: float = Field(0.0, ge=-0.2, le=0.2, description="added to its heights, to see what a wrong road does")
+
+
+class Feedforward:
+    """Draws for the given road for ever; the state is the drawing."""
+
+    def __init__(self, params: FeedforwardParams, observer: Observer) -> None:
+        projector, symbol = observer.projector, observer.projector.params
+        relief = relief_of(params, region_of(symbol, 1.2, 1.5, 0.6), camera_view(observer.camera).origin)
+        lamp = torch.stack([module.T_world_headlight[:3, 3].cpu() for module in projector.modules]).mean(0)
+        warp = warp_onto(relief, lamp, (symbol.x_m, symbol.y_m), symbol.length_m, symbol.width_m).to(projector.symbol.device)
+        self.target, self.drawn = projector.target, Drawing(projector.target, warp=warp)
+
+    def start(self, pose: Tensor) -> Drawing:
+        """The symbol for the given road, whatever the pose `[4]`."""
+        return self.drawn
+
+    def drawing(self, state: Drawing) -> Drawing:
+        """The same for ever."""
+        return state
+
+    def step(self, state: Drawing, look: Look) -> Drawing:
+        """Nothing changes."""
+        return state
+
+
+def relief_of(params: FeedforwardParams, region: Region, eye: Tensor) -> Relief:
+    """A given road as an eye at `[3]` m sees it: lines of sight are followed down to the first height below the road's."""
+    rows, cols = (round((far - near) / CELL_M) for far, near in ((region.x_far_m, region.x_near_m), (region.y_left_m, region.y_right_m)))
+    x = region.x_far_m - (torch.arange(rows, dtype=torch.float64)[:, None] + 0.5) * CELL_M
+    y = region.y_left_m - (torch.arange(cols, dtype=torch.float64) + 0.5) * CELL_M
+    h = torch.linspace(HIGHEST_M, -HIGHEST_M, LAYERS, dtype=torch.float64)[:, None, None]
+    places = [(point + (eye[axis] - point) * (h / eye[2])).expand(LAYERS, rows, cols) for axis, point in enumerate((x, y))]
+    road = torch.from_numpy(params.road.z(*(place.numpy() for place in places))) + params.offset_m
+    above = road - h
+    first = (above >= 0).to(torch.uint8).argmax(0, keepdim=True).clamp(min=1)
+    under, over = above.gather(0, first), above.gather(0, first - 1)
+    share = (under / (under - over).clamp(min=1e-9)).clamp(0, 1)
+    step = 2 * HIGHEST_M / (LAYERS - 1)
+    heights = (h.expand_as(above).gather(0, first) + share * step)[0]
+    return Relief(region, eye.float(), heights.float(), torch.ones(rows, cols))
