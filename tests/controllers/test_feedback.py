@@ -1,0 +1,63 @@
+"""Gauss-Newton, model reference and feed-forward in a small closed loop."""
+
+import pytest
+import torch
+
+from controllers.symbol.feedforward import FeedforwardParams, relief_of
+from loop.run import prepare
+from loop.scenario import load
+from perception.birdseye import Region
+from world.roads import Curb, Flat
+
+SMALL = ["camera.width_px=640", "camera.height_px=360", "camera.oversampling=2"]
+LIFTED = '{kind="curb", y_m=-8.0, ramp_m=0.03, height_m=0.03}'  # a plane 3 cm too high, from well before the symbol on
+GIVEN = f"{{name='feedforward', road={LIFTED}}}"
+
+
+def run(controller: str, steps: int, *more: str) -> tuple[torch.Tensor, list[float]]:
+    """The judge's centroid errors `[steps, 2]` in % and IoU on a plane 3 cm too high."""
+    simulation = prepare(load("flat", [*SMALL, f"road={LIFTED}", f"controller={controller}", *more]), "cpu")
+    state, centroids, ious = simulation.start(), [], []
+    for _ in range(steps):
+        state, result = simulation.step(state)
+        centroids.append(result.verdict.centroid_percent)
+        ious.append(float(result.verdict.iou))
+    return torch.stack(centroids), ious
+
+
+@pytest.mark.parametrize("dof", ["x", "z"])
+@pytest.mark.parametrize("features", ["{}", "{view='birdseye', shape='moments'}"])
+def test_gauss_newton_pulls_the_symbol_onto_its_place(dof: str, features: str) -> None:
+    centroids, _ = run(f"{{name='gauss_newton', dof='{dof}'}}", 12, f"features={features}")
+    # it starts 50 % off; a tenth of a camera row, 20 cm here, is half a percent of the symbol's length
+    assert centroids[-1].abs().max() < 1.0
+
+
+@pytest.mark.parametrize("latency", [0, 3])
+def test_latency_does_not_matter_to_the_model_reference(latency: int) -> None:
+    centroids, _ = run("{name='model_reference', gain=1.0}", 8 + latency, f"camera.latency_steps={latency}")
+    assert centroids[-1].abs().max() < 1.0
+    assert centroids[6 + latency :].abs().max() < 2.0, "settled, and no limit cycle"
+
+
+def test_a_height_keeps_the_width_that_a_place_loses() -> None:
+    """On a road that is higher by a fifteenth of the lamp's height a flat rectangle's light is narrower than on its own height."""
+    by_place, by_height = (run(f"{{name='model_reference', dof='{dof}'}}", 8)[1][-1] for dof in ("x", "z"))
+    assert by_height > by_place
+
+
+def test_feedforward_is_as_good_as_its_road() -> None:
+    right, wrong, opened = (run(controller, 1)[1][0] for controller in (GIVEN, GIVEN[:-1] + ", offset_m=0.03}", "{name='open'}"))
+    assert right > 0.93  # edges of half a camera row: a row is 20 cm of road here
+    assert right > wrong + 0.3
+    assert right > opened + 0.3
+
+
+def test_a_given_road_is_followed_along_lines_of_sight() -> None:
+    region, eye = Region(13.0, 21.0, 2.0, -2.0), torch.tensor([-1.6, 0.0, 1.35], dtype=torch.float64)
+    flat = relief_of(FeedforwardParams(road=Flat(), offset_m=0.02), region, eye)
+    torch.testing.assert_close(flat.heights, torch.full_like(flat.heights, 0.02), rtol=0, atol=1e-6)
+    curb = relief_of(FeedforwardParams(road=Curb(y_m=0.5, height_m=0.1)), region, eye)
+    # what is seen at the step's foot lies at y = 0.5 on the road, what is seen at its top appears at y = 0.5 * 1.35 / 1.25 = 0.54
+    assert (curb.heights[:, : int((2.0 - 0.6) / 0.1)] > 0.099).all()
+    assert (curb.heights[:, int((2.0 - 0.4) / 0.1) :].abs() < 1e-6).all()
