@@ -271,5 +271,35 @@ def evaluate(
     return OK if run_evaluation(out, lamp, quick, jobs) else DIFFERS
 
 
+@app.command
+def campaign(
+    file: Path,
+    /,
+    *,
+    out: Path | None = None,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    device: Literal["auto", "cpu", "cuda"] = "auto",
+) -> int:
+    """Run a grid of scenarios, controllers, variants and seeds into one table with a report; exit code 1 if runs failed.
+
+    Parameters
+    ----------
+    file
+        TOML file of the campaign (see docs/campaigns.md).
+    out
+        Folder for table and report, by default runs/FILE; a campaign that was stopped goes on from what is there.
+    jobs
+        Processes, each with one thread; by default one a core.
+    scheduler
+        Address of a Dask scheduler whose workers do the runs, such as tcp://localhost:8786.
+    device
+        Where to compute; auto takes CUDA where there is any.
+    """
+    from loop.campaign_report import do_campaign
+
+    return OK if do_campaign(file, out, jobs, scheduler, device) else DIFFERS
+
+
 if __name__ == "__main__":
     sys.exit(main())

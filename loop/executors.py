@@ -7,6 +7,7 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import Protocol, TypeVar
 
 from joblib import Parallel, delayed, parallel_config
+from joblib.externals.loky import process_executor
 
 from loop.code import digest_of_code
 from world.errors import LuxloopError
@@ -34,8 +35,7 @@ def local(processes: int | None = None) -> Executor:
         if workers <= 1:
             yield from map(function, tasks)
             return
-        # The terminal sends Ctrl-C to workers, too; this process ends them.
-        with parallel_config("loky", inner_max_num_threads=1, initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN)):
+        with parallel_config("loky", inner_max_num_threads=1, initializer=_begin):
             parallel = Parallel(workers, return_as="generator_unordered", batch_size=1)
         try:
             yield from parallel(delayed(function)(task) for task in tasks)
@@ -43,6 +43,12 @@ def local(processes: int | None = None) -> Executor:
             raise WorkersLostError("a worker process was killed, as happens for want of memory; take fewer processes") from error
 
     return execute
+
+
+def _begin() -> None:
+    """In a worker, before its first task."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the terminal sends Ctrl-C to workers, too; this process ends them
+    process_executor._USE_PSUTIL = False  # else one that keeps 300 MB between tasks is taken for a leak and ended, as simulations do
 
 
 def dask(scheduler: str) -> Executor:
@@ -75,7 +81,7 @@ def dask(scheduler: str) -> Executor:
     def execute(function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator[Result]:
         with connected() as client:
             try:
-                for future in distributed.as_completed(client.map(function, tasks, pure=False)):
+                for future in distributed.as_completed(client.map(function, tasks, pure=False), loop=client.loop):
                     yield future.result()
                     future.release()
             except distributed.KilledWorker as error:

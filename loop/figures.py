@@ -1,5 +1,6 @@
 """A run in one row of plain figures, without files: what campaigns tabulate and tuning minimises."""
 
+import copy
 from collections import OrderedDict
 from dataclasses import replace
 from typing import Any
@@ -17,7 +18,7 @@ from loop.scenario import AnyScenario, LightingScenario, Scenario
 from loop.simulation import Simulation
 from loop.summary import column
 
-KEPT = 8  # simulations made ready: runs that differ by their controller alone share one
+KEPT = 4  # simulations made ready, half a gigabyte each: runs that differ by controller or seed alone share one
 _prepared: OrderedDict[Any, Simulation] = OrderedDict()
 
 
@@ -48,14 +49,17 @@ def figures(scenario: AnyScenario, device: str = "auto") -> dict[str, float | st
 
 
 def _simulation(scenario: Scenario, device: str) -> Simulation:
-    """A simulation of the scenario; all but the controller is taken from one that is ready where there is one."""
-    key = (scenario.model_dump_json(exclude={"controller"}), device)
+    """A simulation of the scenario; all but controller and noise is taken from one that is ready where there is one."""
+    key = (scenario.model_dump_json(exclude={"controller", "seed"}), device)
     if key not in _prepared:
         _prepared[key] = prepare(scenario, device)
         if len(_prepared) > KEPT:
             _prepared.popitem(last=False)
     ready = _prepared[key]
-    return replace(ready, scenario=scenario, controller=build_controller(scenario.controller, ready.observer))
+    world = copy.copy(ready.world)
+    world.seed = scenario.seed
+    controller = build_controller(scenario.controller, ready.observer)
+    return replace(ready, scenario=scenario, controller=controller, plant=world, world=world)
 
 
 def _flat(values: dict[str, Any]) -> dict[str, Any]:
