@@ -9,10 +9,10 @@ from torch import Tensor
 from loop.lighting.lamps import ShiningModule
 from world.ambient import ambient_luminance
 from world.face_source import FaceSource
-from world.gbuffer import GBuffer, gbuffer
+from world.gbuffer import GBuffer
 from world.illumination import LitSurface, illuminance, luminance, reach
 from world.scene import Key, Scene
-from world.shadow import shadow_map
+from world.surfaces import SurfaceSource, surface_source
 from world.triangles import Triangles
 from world.view import View
 
@@ -27,7 +27,7 @@ class LitScene:
     surfaces: GBuffer
     base: Tensor
     modules: tuple[ShiningModule, ...]
-    source: FaceSource
+    source: SurfaceSource
     _reached: dict[int, LitSurface] = field(default_factory=dict, init=False, repr=False)
 
     def light(self, lights: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
@@ -45,7 +45,7 @@ class LitScene:
         if number not in self._reached:
             module = self.modules[number]
             seen_by_lamp = module.headlight.view(module.T_world_module, *SHADOW_MAP)
-            shadow = shadow_map(self.triangles, seen_by_lamp, self.source).to(self.base.device)
+            shadow = self.source.shadow_map(self.triangles, seen_by_lamp).to(self.base.device)
             self._reached[number] = reach(self.surfaces, module.headlight, module.T_world_module, shadow)
         return self._reached[number]
 
@@ -55,6 +55,7 @@ class Looker:
 
     def __init__(self, scene: Scene, view: View, modules: tuple[ShiningModule, ...], source: FaceSource, device: torch.device) -> None:
         self.scene, self.view, self.modules, self.source, self.device = scene, view, modules, source, device
+        self.surfaces = surface_source(source, scene.moves)
         self._last: tuple[Key, LitScene] | None = None
 
     def at(self, time_s: float) -> LitScene:
@@ -62,7 +63,7 @@ class Looker:
         key = self.scene.key_at(time_s)
         if self._last is None or self._last[0] != key:
             triangles = self.scene.at(time_s)
-            surfaces = gbuffer(triangles, self.view, self.source.face_ids(triangles, self.view)).to(self.device)
+            surfaces = self.surfaces.gbuffer(triangles, self.view).to(self.device)
             base = ambient_luminance(surfaces, self.scene.ambient_lx, self.scene.street_lamps)
-            self._last = (key, LitScene(triangles, surfaces, base, self.modules, self.source))
+            self._last = (key, LitScene(triangles, surfaces, base, self.modules, self.surfaces))
         return self._last[1]
