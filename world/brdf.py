@@ -14,7 +14,8 @@ from world.frames import unit
 NODES = 128  # of the tables over the angle, even in the root of its cosine, since grazing angles change fastest
 MARGIN = 1e-3  # by which the tables overstate what is reflected, more than quadrature and interpolation are off
 
-RANGES = {"roughness": (0.02, 1), "retro_width_deg": (0.01, 90), "trapped": (0, 0.99)}  # of a material's numbers; the others are shares
+# of a material's numbers; the others are shares
+RANGES = {"roughness": (0.02, 1), "retro_width_deg": (0.01, 90), "trapped": (0, 0.99), "luminance_cd_m2": (0, 1e7)}
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,7 @@ class Material:
     roughness: alpha of its GGX microfacets, 0.02..1. retro: share 0..1 of the light that gets through and is sent back to where it came
     from. retro_width_deg: angle from there at which that lobe has fallen to a quarter, 0.01..90. trapped: share 0..0.99 of the light
     scattered below the interface that is thrown back down by it, where the albedo is that without the interface (a film of water).
+    luminance_cd_m2: what it shines with by itself, the same into all directions, up to 1e7.
     Raises LuxloopError beyond these ranges.
     """
 
@@ -34,6 +36,7 @@ class Material:
     retro: float = 0.0
     retro_width_deg: float = 1.0
     trapped: float = 0.0
+    luminance_cd_m2: float = 0.0
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from world.brdf import LAMBERTIAN, Material
 from world.frames import inverse, transform, unit
+from world.materials import MATERIALS
 from world.triangles import Placed, Triangles, intersect
 from world.view import View
 
@@ -32,7 +33,8 @@ class GBuffer:
 
     position: `[3, height, width]` m, world. normal: `[3, height, width]`, unit, world, on the side that is seen of two-sided bodies.
     albedo: `[height, width]`. object_id: `[height, width]` int32, index of the body in the scene, -1 = none.
-    finish: None where all surfaces are Lambertian.
+    finish: None where all surfaces are Lambertian. part: `[height, width]` int32, which of its body's parts, 0 of a body without;
+    None where none has any.
     """
 
     position: Tensor
@@ -40,10 +42,12 @@ class GBuffer:
     albedo: Tensor
     object_id: Tensor
     finish: Finish | None = None
+    part: Tensor | None = None
 
     def to(self, device: torch.device) -> "GBuffer":
         finish = None if self.finish is None else self.finish.to(device)
-        return GBuffer(self.position.to(device), self.normal.to(device), self.albedo.to(device), self.object_id.to(device), finish)
+        part = None if self.part is None else self.part.to(device)
+        return GBuffer(self.position.to(device), self.normal.to(device), self.albedo.to(device), self.object_id.to(device), finish, part)
 
 
 def gbuffer(triangles: Triangles, view: View, face_ids: Tensor) -> GBuffer:
@@ -51,6 +55,7 @@ def gbuffer(triangles: Triangles, view: View, face_ids: Tensor) -> GBuffer:
     n = view.height * view.width
     position, normal, albedo = torch.zeros(3, n), torch.zeros(3, n), torch.zeros(n)
     object_id, material = torch.full((n,), -1, dtype=torch.int32), torch.zeros(n, dtype=torch.int64)
+    part = torch.zeros(n, dtype=torch.int32) if any(placed.body.parts for placed in triangles.placed) else None
     numbers = {LAMBERTIAN: 0}  # of the materials in sight
     origin, directions = view.origin, view.rays().flatten(1)
     for hits in intersect(triangles, face_ids.flatten(), origin, directions):
@@ -59,16 +64,25 @@ def gbuffer(triangles: Triangles, view: View, face_ids: Tensor) -> GBuffer:
         position[:, pixels] = points.float()
         normals = _normals(placed.corner_normals[hits.faces], hits.barycentric.float())
         normal[:, pixels] = torch.where(hits.front, normals, -normals) if placed.body.two_sided else normals
-        albedo[pixels], material[pixels] = reflection(placed, points, numbers)
+        if part is not None and placed.body.part_of_face is not None:
+            part[pixels] = placed.body.part_of_face[hits.faces].int()
+        albedo[pixels], material[pixels] = reflection(placed, points, numbers, None if part is None else part[pixels])
         object_id[pixels] = placed.object_id
     shape = (view.height, view.width)
     finish = Finish(tuple(numbers), material.view(shape), origin) if len(numbers) > 1 else None
-    return GBuffer(position.view(3, *shape), normal.view(3, *shape), albedo.view(shape), object_id.view(shape), finish)
+    seen_part = None if part is None else part.view(shape)
+    return GBuffer(position.view(3, *shape), normal.view(3, *shape), albedo.view(shape), object_id.view(shape), finish, seen_part)
 
 
-def reflection(placed: Placed, points: Tensor, numbers: dict[Material, int]) -> tuple[Tensor, Tensor]:
-    """Albedo `[M]` float32 and number of the material `[M]` int64 at points `[3, M]` of a body, world; new materials are numbered on."""
+def reflection(placed: Placed, points: Tensor, numbers: dict[Material, int], part: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    """Albedo `[M]` float32 and number of the material `[M]` int64 at points `[3, M]` of a body, world, on its parts `[M]`.
+
+    New materials are numbered on.
+    """
     body, texture = placed.body, placed.body.texture
+    if body.parts and part is not None:
+        known = torch.tensor([numbers.setdefault(MATERIALS[each.material], len(numbers)) for each in body.parts])
+        return torch.tensor([each.albedo for each in body.parts])[part.long()], known[part.long()]
     if texture is None:
         number = numbers.setdefault(body.material, len(numbers))
         return torch.tensor(body.albedo).expand(points.shape[1]), torch.tensor(number).expand(points.shape[1])

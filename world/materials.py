@@ -11,7 +11,25 @@ from torch import Tensor
 from world.brdf import LAMBERTIAN, Material
 from world.params import Params
 
-MaterialName = Literal["asphalt", "wet_asphalt", "lane_paint", "retroreflective_sign"]
+MaterialName = Literal[
+    "asphalt",
+    "wet_asphalt",
+    "lane_paint",
+    "retroreflective_sign",
+    "reflective_band",
+    "skin",
+    "hair",
+    "cloth",
+    "fur",
+    "leaves",
+    "bark",
+    "rubber",
+    "car_paint",
+    "glass",
+    "metal",
+    "headlamp",
+    "tail_lamp",
+]
 
 # A film of water of refractive index 1.33 throws back 1 - (1 - 0.066) / 1.33^2 of the diffuse light below it.
 WET = Material(interface=1.0, f0=0.02, roughness=0.12, trapped=0.47)
@@ -22,6 +40,14 @@ MATERIALS: dict[MaterialName, Material] = {
     "lane_paint": Material(retro=0.004, retro_width_deg=3.0),
     # R_A 72, 65 and 5 cd/(lx m^2) at 0.2, 0.33 and 2 deg, as sheets of class RA1 of EN 12899-1 have at least 70, 50 and 5
     "retroreflective_sign": Material(retro=0.105, retro_width_deg=1.2),
+    # R_A 331 cd/(lx m^2) at 0.2 deg, as bands of EN ISO 20471 have at least 330
+    "reflective_band": Material(retro=0.48, retro_width_deg=1.2),
+    **{name: LAMBERTIAN for name in ("skin", "hair", "cloth", "fur", "leaves", "bark", "rubber")},
+    "car_paint": Material(interface=1.0, f0=0.04, roughness=0.1),
+    "glass": Material(interface=1.0, f0=0.08, roughness=0.03),
+    "metal": Material(interface=1.0, f0=0.5, roughness=0.35),
+    "headlamp": Material(luminance_cd_m2=3e4),
+    "tail_lamp": Material(luminance_cd_m2=600.0),
 }
 
 

@@ -1,70 +1,37 @@
-"""Objects that a scenario file may put into the scene: boxes and meshes from files."""
+"""Objects that a scenario file may put into the scene: boxes, meshes from files, and what is made from a seed."""
 
-from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
 import trimesh
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from world.body import Body, PoseTrack
+from world.body import Body
 from world.brdf import LAMBERTIAN
 from world.errors import LuxloopError
-from world.frames import pose_from_degrees
 from world.materials import MATERIALS, MaterialName
-from world.params import Params
-
-Category = Literal["car", "truck", "motorcycle", "cyclist", "pedestrian", "animal", "sign", "other"]
-
-
-class KeyframeParams(Params):
-    """Where an object is at one time."""
-
-    time_s: float = Field(0.0, description="Time since the scenario's start")
-    position_m: tuple[float, float, float] = Field(description="Object's origin in the world (x forward, y left, z up)")
-    roll_deg: float = Field(0.0, ge=-180, le=180, description="About the x axis, positive: right side down")
-    pitch_deg: float = Field(0.0, ge=-90, le=90, description="About the y axis, positive: nose down")
-    yaw_deg: float = Field(0.0, ge=-180, le=180, description="About the z axis, positive: to the left")
+from world.tracked import TrackedParams
+from world.traffic.animal import AnimalParams
+from world.traffic.car import CarParams
+from world.traffic.road_users import CyclistParams, PedestrianParams
+from world.traffic.roadside import ClutterParams, TrafficSignParams
 
 
-class TrackedParams(Params):
-    """What all objects have: a name, a surface, and a pose over time."""
+class SolidParams(TrackedParams):
+    """An object of one surface."""
 
-    name: str = Field(min_length=1, description="Name, for reports")
-    category: Category | None = Field(None, description="What a tracker reports it as to lighting functions; left out: nothing is told")
     albedo: float = Field(0.2, ge=0, le=1, description="Share of light reflected, diffusely; of what gets wet when it is dry")
     material: MaterialName | None = Field(None, description="What it reflects besides, by name; left out: nothing, it is matt")
-    track: tuple[KeyframeParams, ...] = Field(min_length=1, description="Poses in ascending time; one keyframe: the object stands still")
-    appears_s: float | None = Field(None, description="Time of appearing; left out: there from the start")
-    vanishes_s: float | None = Field(None, description="Time of vanishing; left out: there to the end")
-
-    @model_validator(mode="after")
-    def _in_order(self) -> Self:
-        times = [keyframe.time_s for keyframe in self.track]
-        if any(later <= earlier for earlier, later in pairwise(times)):
-            raise ValueError(f"track: time_s must ascend from keyframe to keyframe, here {times}")
-        if self.appears_s is not None and self.vanishes_s is not None and self.vanishes_s <= self.appears_s:
-            raise ValueError(f"vanishes_s ({self.vanishes_s}) must be later than appears_s ({self.appears_s})")
-        return self
 
     def surface(self) -> dict[str, Any]:
         """A body's albedo, as it is seen, and material."""
         material = MATERIALS[self.material] if self.material else LAMBERTIAN
         return {"albedo": float(material.darkened(torch.tensor(self.albedo, dtype=torch.float64))), "material": material}
 
-    def pose_track(self) -> PoseTrack:
-        poses = [pose_from_degrees(k.position_m, k.roll_deg, k.pitch_deg, k.yaw_deg) for k in self.track]
-        return PoseTrack(
-            tuple(k.time_s for k in self.track),
-            torch.stack(poses),
-            -float("inf") if self.appears_s is None else self.appears_s,
-            float("inf") if self.vanishes_s is None else self.vanishes_s,
-        )
 
-
-class BoxParams(TrackedParams):
+class BoxParams(SolidParams):
     """A box; its origin is the centre of its bottom face."""
 
     kind: Literal["box"] = "box"
@@ -78,7 +45,7 @@ class BoxParams(TrackedParams):
         return Body(self.name, box, **self.surface(), track=self.pose_track())
 
 
-class MeshParams(TrackedParams):
+class MeshParams(SolidParams):
     """A mesh from a file; its origin and axes are the file's (x forward, y left, z up)."""
 
     kind: Literal["mesh"] = "mesh"
@@ -92,7 +59,10 @@ class MeshParams(TrackedParams):
         return Body(self.name, mesh, **self.surface(), smooth=self.smooth, two_sided=not mesh.is_watertight, track=self.pose_track())
 
 
-ObjectParams = Annotated[BoxParams | MeshParams, Field(discriminator="kind")]
+ObjectParams = Annotated[
+    BoxParams | MeshParams | PedestrianParams | CyclistParams | CarParams | AnimalParams | TrafficSignParams | ClutterParams,
+    Field(discriminator="kind"),
+]
 
 
 def _read_mesh(file: Path, scale: float) -> trimesh.Trimesh:

@@ -1,19 +1,21 @@
 """The scene: bodies that come, move and go, and the light that is there without the headlights."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import torch
 from pydantic import Field
 from torch import Tensor
 
-from world.body import Body, PoseTrack
+from world.body import Body, PoseTrack, Spotlight
+from world.figure import Figure
+from world.frames import transform
 from world.params import Params
 from world.roadtiles import RoadTiles
 from world.triangles import Placed, Triangles
 
 __all__ = ["Body", "PoseTrack", "Scene", "StreetLamp"]
 
-# (object id, the 16 numbers of T_world_body) of every body that is there
+# (object id, the 16 numbers of T_world_body and the share of its cycle that a figure is at) of every body that is there
 Key = tuple[tuple[int, tuple[float, ...]], ...]
 
 
@@ -28,10 +30,15 @@ class StreetLamp(Params):
 class Scene:
     """bodies: the road first; their order gives the object ids. ambient_lx: illuminance of a surface facing up, from an overcast sky."""
 
-    bodies: tuple[Body | RoadTiles, ...]
+    bodies: tuple[Body | RoadTiles | Figure, ...]
     ambient_lx: float = 0.0
     street_lamps: tuple[StreetLamp, ...] = ()
     _last_placed: dict[int, Placed] = field(default_factory=dict, init=False, repr=False)
+
+    @property
+    def objects(self) -> tuple[Body | Figure, ...]:
+        """All but the road."""
+        return tuple(body for body in self.bodies[1:] if not isinstance(body, RoadTiles))
 
     @property
     def moves(self) -> bool:
@@ -41,7 +48,9 @@ class Scene:
     def key_at(self, t_s: float) -> Key:
         """Which bodies are there at a time, and where: cheap, and equal as long as nothing moves."""
         return tuple(
-            (i, tuple(body.track.pose_at(t_s).flatten().tolist())) for i, body in enumerate(self.bodies) if body.track.visible_at(t_s)
+            (i, (*body.track.pose_at(t_s).flatten().tolist(), body.phase_at(t_s) if isinstance(body, Figure) else 0.0))
+            for i, body in enumerate(self.bodies)
+            if body.track.visible_at(t_s)
         )
 
     def at(self, t_s: float, T_world_ground: Tensor | None = None) -> Triangles:
@@ -56,8 +65,18 @@ class Scene:
         body = self.bodies[i]
         if isinstance(body, RoadTiles):
             return body.near(i, T_world_ground)
-        T = body.track.pose_at(t_s)
+        T, shape = body.track.pose_at(t_s), body.at(t_s) if isinstance(body, Figure) else body
         last = self._last_placed.get(i)
-        if last is None or not last.T_world_body.equal(T):
-            self._last_placed[i] = Placed(i, body, T)
+        if last is None or last.body is not shape or not last.T_world_body.equal(T):
+            self._last_placed[i] = Placed(i, shape, T)
         return (self._last_placed[i],)
+
+    def spotlights_at(self, t_s: float) -> tuple[Spotlight, ...]:
+        """The lamps of all bodies that are there at a time, in the world."""
+        return tuple(
+            replace(lamp, position=transform(T, lamp.position[:, None])[:, 0], axis=T[:3, :3] @ lamp.axis)
+            for body in self.bodies
+            if isinstance(body, Body) and body.track.visible_at(t_s)
+            for T in [body.track.pose_at(t_s)]
+            for lamp in body.spotlights
+        )

@@ -12,9 +12,10 @@ from controllers.functions.geometry import Place
 from controllers.primitives import Primitives, rectangle
 from controllers.symbols import SymbolSource
 from world.body import Body
+from world.figure import Figure
 from world.frames import inverse, transform
-from world.objects import Category
 from world.params import Params
+from world.tracked import Category
 
 LAYERS = 16  # a function's primitives may lie above each other in so many layers
 MASK = 1000  # priority of masks: above every function's own, which are at most 100
@@ -36,7 +37,7 @@ class TrackedObject:
     until_s: float = math.inf
 
     @classmethod
-    def of(cls, body: Body, category: Category, time_s: float) -> "TrackedObject":
+    def of(cls, body: Body | Figure, category: Category, time_s: float) -> "TrackedObject":
         """What a perfect tracker says of a body: the smallest box along its axes."""
         low, high = body.corners.flatten(0, 1).aminmax(dim=0)
         length, width, height = (high - low).tolist()

@@ -99,7 +99,7 @@ class LightingSimulation:
 
     def situation(self, time_s: float) -> Situation:
         """What the car knows at a time, from a tracker that makes no mistakes."""
-        categories = ((body, item.category) for body, item in zip(self.scene.bodies[1:], self.scenario.objects, strict=True))
+        categories = ((body, item.category) for body, item in zip(self.scene.objects, self.scenario.objects, strict=True))
         drive = driving(self.scenario.driving, time_s)
         return Situation(
             time_s,
@@ -153,7 +153,7 @@ class LightingSimulation:
 
     def _on_objects(self, illuminance: Tensor, object_id: Tensor, now: Situation) -> Mapping[str, OnObject]:
         found = {}
-        for number, (body, item) in enumerate(zip(self.scene.bodies[1:], self.scenario.objects, strict=True), 1):
+        for number, (body, item) in enumerate(zip(self.scene.objects, self.scenario.objects, strict=True), 1):
             if item.category is None:
                 continue
             lx = illuminance[object_id == number]

@@ -64,6 +64,6 @@ class Looker:
         if self._last is None or self._last[0] != key:
             triangles = self.scene.at(time_s)
             surfaces = self.surfaces.gbuffer(triangles, self.view).to(self.device)
-            base = ambient_luminance(surfaces, self.scene.ambient_lx, self.scene.street_lamps)
+            base = ambient_luminance(surfaces, self.scene.ambient_lx, self.scene.street_lamps, self.scene.spotlights_at(time_s))
             self._last = (key, LitScene(triangles, surfaces, base, self.modules, self.surfaces))
         return self._last[1]

@@ -1,0 +1,110 @@
+"""Closed surfaces that figures are put together from: tubes, limbs, ellipsoids, plates; each a piece that belongs to a named part."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """vertices: `[V, 3]` m. faces: `[F, 3]` of vertices, counter-clockwise from outside. part: name of what it belongs to."""
+
+    part: str
+    vertices: Floats
+    faces: NDArray[np.int64]
+
+
+def xyz(x: float, y: float, z: float) -> Floats:
+    """A point or a way `[3]`."""
+    return np.array([x, y, z], float)
+
+
+def tube(part: str, centres: ArrayLike, radii: ArrayLike, across: ArrayLike, sides: int = 10, power: float = 2.0) -> Piece:
+    """Rings around centres `[n, 3]`, closed by flat ends.
+
+    radii: `[n, 2]` m, along `across` `[3]` and square to it. power: of the rings' superellipses, 2 = ellipses, more is more like a box.
+    """
+    centres, radii = np.asarray(centres, float), np.asarray(radii, float)
+    n = len(centres)
+    along = np.gradient(centres, axis=0)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    side = np.asarray(across, float) - along * (along @ np.asarray(across, float))[:, None]
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    angle = np.arange(sides) * 2 * np.pi / sides
+    cos, sin = (np.sign(v) * np.abs(v) ** (2 / power) for v in (np.cos(angle), np.sin(angle)))
+    rings = centres[:, None] + (radii[:, :1] * cos)[..., None] * side[:, None]
+    rings = rings + (radii[:, 1:] * sin)[..., None] * np.cross(along, side)[:, None]
+    return Piece(part, np.concatenate([rings.reshape(-1, 3), centres[[0, -1]]]), _tube_faces(n, sides))
+
+
+def _tube_faces(n: int, sides: int) -> NDArray[np.int64]:
+    j = np.arange(sides)
+    k = (j + 1) % sides
+    first = (np.arange(n - 1) * sides)[:, None]
+    a, b, c, d = (np.broadcast_to(each, (n - 1, sides)).ravel() for each in (first + j, first + k, first + sides + k, first + sides + j))
+    last = (n - 1) * sides
+    ends = [np.stack([np.full(sides, n * sides), k, j], 1), np.stack([np.full(sides, n * sides + 1), last + j, last + k], 1)]
+    return np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1), *ends])
+
+
+def limb(part: str, start: ArrayLike, stop: ArrayLike, r_start: float, r_stop: float, sides: int = 8) -> Piece:
+    """A tapering limb with rounded ends about two joints `[3]`."""
+    start, stop = np.asarray(start, float), np.asarray(stop, float)
+    way = stop - start
+    length = float(np.linalg.norm(way))
+    along = way / length
+    at = np.array([-r_start, -0.7 * r_start, 0.0, length, length + 0.7 * r_stop, length + r_stop])
+    r = np.array([0.02 * r_start, 0.7 * r_start, r_start, r_stop, 0.7 * r_stop, 0.02 * r_stop])
+    return tube(part, start + at[:, None] * along, np.stack([r, r], 1), _square_to(along), sides)
+
+
+def ellipsoid(part: str, centre: ArrayLike, radii: ArrayLike, up: ArrayLike = (0, 0, 1), sides: int = 12, rings: int = 8) -> Piece:
+    """radii: `[3]` m, along x and y (where `up` is z) and along `up`."""
+    up, (a, b, c) = np.asarray(up, float), np.asarray(radii, float)
+    angle = np.linspace(0.02, np.pi - 0.02, rings)
+    centres = np.asarray(centre, float) - c * np.cos(angle)[:, None] * up
+    return tube(part, centres, np.sin(angle)[:, None] * np.array([b, a]), (0, 1, 0), sides)
+
+
+def block(part: str, centre: ArrayLike, size: ArrayLike) -> Piece:
+    """A box along the axes, with corners of its own for each face, so that smooth normals leave its edges sharp."""
+    mesh = trimesh.creation.box(np.asarray(size, float))
+    return Piece(part, mesh.triangles.reshape(-1, 3) + np.asarray(centre, float), np.arange(len(mesh.faces) * 3).reshape(-1, 3))
+
+
+def plate(part: str, corners: ArrayLike) -> Piece:
+    """A flat convex polygon `[n, 3]`, seen from where its corners run counter-clockwise."""
+    corners = np.asarray(corners, float)
+    i = np.arange(1, len(corners) - 1)
+    return Piece(part, corners, np.stack([np.zeros_like(i), i, i + 1], 1))
+
+
+def polygon(centre: ArrayLike, normal_x: float, radius: float, corners: int, turn: float = 0.0) -> Floats:
+    """Corners `[n, 3]` of a regular polygon in a plane of constant x, counter-clockwise seen from where `normal_x` (1 or -1) points."""
+    angle = turn + np.arange(corners) * 2 * np.pi / corners * normal_x
+    return np.asarray(centre, float) + radius * np.stack([np.zeros(corners), np.cos(angle), np.sin(angle)], 1)
+
+
+def blob(part: str, centre: ArrayLike, radii: ArrayLike, rng: np.random.Generator, roughness: float = 0.15) -> Piece:
+    """A ball of 320 faces whose corners are moved in and out at random, as crowns of trees are."""
+    ball = trimesh.creation.icosphere(subdivisions=2)
+    away = ball.vertices * (1 + roughness * rng.standard_normal((len(ball.vertices), 1)).clip(-2, 2))
+    return Piece(part, away * np.asarray(radii, float) + np.asarray(centre, float), np.asarray(ball.faces, dtype=np.int64))
+
+
+def joined(pieces: list[Piece]) -> tuple[trimesh.Trimesh, tuple[str, ...], NDArray[np.int64]]:
+    """One mesh, the names of its parts in the order in which they come, and which of them each face belongs to `[F]`."""
+    names = tuple(dict.fromkeys(piece.part for piece in pieces))
+    firsts = np.cumsum([0, *(len(piece.vertices) for piece in pieces)])
+    faces = np.concatenate([piece.faces + first for piece, first in zip(pieces, firsts[:-1], strict=True)])
+    of_face = np.concatenate([np.full(len(piece.faces), names.index(piece.part)) for piece in pieces])
+    return trimesh.Trimesh(np.concatenate([piece.vertices for piece in pieces]), faces, process=False), names, of_face
+
+
+def _square_to(along: Floats) -> Floats:
+    """A direction that is not along `along` `[3]`: to the left if that can be."""
+    return np.array([0.0, 1.0, 0.0]) if abs(along[1]) < 0.9 else np.array([1.0, 0.0, 0.0])

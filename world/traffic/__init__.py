@@ -1,0 +1,1 @@
+"""Road users and what stands beside roads, as meshes made from a seed."""

@@ -1,0 +1,52 @@
+"""What all objects made from a seed have: parts by name, each of a material, whose reflectance can be set."""
+
+import difflib
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import torch
+from pydantic import Field
+
+from world.body import Body, Part, PoseTrack, Spotlight
+from world.errors import LuxloopError
+from world.materials import MaterialName
+from world.params import Params
+from world.shapes import Piece, joined
+from world.tracked import TrackedParams
+
+Looks = Mapping[str, tuple[MaterialName, float]]  # material and albedo of parts, by their names
+
+# Parts through which road users see: light on them dazzles.
+EYES = frozenset({"head", "hair", "helmet", "windscreen"})
+
+
+class SurfaceParams(Params):
+    """What a part looks like; what is left out stays as the seed has it."""
+
+    albedo: float | None = Field(None, ge=0, le=1, description="Share of light reflected, diffusely")
+    material: MaterialName | None = Field(None, description="Material by name")
+
+
+class MadeParams(TrackedParams):
+    """An object made from a seed."""
+
+    seed: int = Field(0, ge=0, lt=2**63, description="Seed of proportions, clothes, colours")
+    parts: dict[str, SurfaceParams] = Field({}, description="Albedo and material of parts by name, in place of what the seed gives")
+
+    def random(self) -> np.random.Generator:
+        return np.random.default_rng(self.seed)
+
+    def made(self, pieces: Sequence[Piece], looks: Looks, track: PoseTrack, spotlights: tuple[Spotlight, ...] = ()) -> Body:
+        """The body of pieces. Raises LuxloopError where `parts` names one that it has not."""
+        mesh, names, of_face = joined(list(pieces))
+        for name in self.parts:
+            if name not in names:
+                nearest = difflib.get_close_matches(name, names, 1)
+                hint = f"did you mean {nearest[0]!r}?" if nearest else f"it has {', '.join(names)}"
+                raise LuxloopError(f"object {self.name!r}: parts: there is no part {name!r}; {hint}")
+        parts = tuple(self._part(name, *looks[name]) for name in names)
+        return Body(self.name, mesh, smooth=True, track=track, parts=parts, part_of_face=torch.from_numpy(of_face), spotlights=spotlights)
+
+    def _part(self, name: str, material: MaterialName, albedo: float) -> Part:
+        given = self.parts.get(name, SurfaceParams())
+        return Part(name, albedo if given.albedo is None else given.albedo, given.material or material)

@@ -1,0 +1,168 @@
+"""People: a skeleton of joints, dressed with limbs. Lengths are shares of the height, after Drillis & Contini's body segments (1966)."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from world.materials import MaterialName
+from world.shapes import Floats, Piece, ellipsoid, limb, tube, xyz
+
+UPPER_ARM, FOREARM, THIGH, SHANK, FOOT = 0.186, 0.20, 0.245, 0.246, 0.11
+TRUNK = 0.29  # from the hips to the line of the shoulders
+SOLE = 0.039  # of the ankle over the ground
+Clothing = Literal["dark", "mixed", "light", "vest"]
+SIDES = (1.0, -1.0)  # left, right
+
+
+@dataclass(frozen=True)
+class Person:
+    """How someone is built and dressed.
+
+    girth: width as a multiple of the usual. coat: how far it hangs below the hips, as a share of the height. banded: as on a vest.
+    """
+
+    height_m: float
+    girth: float
+    coat: float
+    hat: bool
+    bag: bool
+    looks: dict[str, tuple[MaterialName, float]]
+    banded: bool
+
+
+@dataclass(frozen=True)
+class Joints:
+    """Joints `[3]` in m; those of limbs `[2, 3]`, the left one first. up: unit vector `[3]` from the hips to the shoulders."""
+
+    hips: Floats
+    up: Floats
+    head: Floats
+    hip: Floats
+    knee: Floats
+    ankle: Floats
+    toe: Floats
+    shoulder: Floats
+    elbow: Floats
+    hand: Floats
+
+
+def someone(rng: np.random.Generator, height_m: float | None, clothing: Clothing | None) -> Person:
+    """Someone at random, of a height and clothing if these are given."""
+    clothing = clothing or rng.choice(["dark", "mixed", "light"], p=[0.45, 0.4, 0.15])
+    low, high = {"dark": (0.03, 0.1), "mixed": (0.06, 0.45), "light": (0.35, 0.75), "vest": (0.03, 0.3)}[clothing]
+    jacket, trousers = rng.uniform(low, high, 2)
+    skin = float(rng.uniform(0.2, 0.6))
+    looks: dict[str, tuple[MaterialName, float]] = {
+        "head": ("skin", skin),
+        "hands": ("skin", skin),
+        "hair": ("hair", float(rng.uniform(0.03, 0.3))),
+        "helmet": ("cloth", float(rng.uniform(0.05, 0.8))),
+        "jacket": ("cloth", 0.6 if clothing == "vest" else float(jacket)),
+        "trousers": ("cloth", float(trousers)),
+        "shoes": ("cloth", float(rng.uniform(0.03, 0.4))),
+        "bag": ("cloth", float(rng.uniform(0.03, 0.4))),
+        "bands": ("reflective_band", 0.4),
+    }
+    height = float(np.clip(rng.normal(1.71, 0.09), 1.5, 1.95)) if height_m is None else height_m
+    coat = float(rng.uniform(0.06, 0.2)) if rng.random() < 0.35 else 0.0
+    girth, hat, bag = float(rng.uniform(0.88, 1.25)), bool(rng.random() < 0.2), bool(rng.random() < 0.3)
+    return Person(height, girth, coat, hat, bag, looks, clothing == "vest")
+
+
+def dressed(who: Person, j: Joints, helmet: bool = False) -> list[Piece]:
+    """The pieces of someone whose joints are there; facing x, left is y."""
+    h, w = who.height_m, who.girth
+    left = np.array([0.0, 1.0, 0.0])
+    front = np.cross(left, j.up)
+    at = np.array([-0.055, -0.02, 0.06, 0.13, 0.2, 0.26, 0.29, 0.325])[:, None] * h
+    across = np.array([0.06, 0.092, 0.085, 0.08, 0.098, 0.107, 0.085, 0.03]) * h * w**0.7
+    radii = np.stack([across, np.array([0.05, 0.066, 0.06, 0.058, 0.068, 0.062, 0.05, 0.032]) * h * w], 1)
+    trunk = j.hips + at * j.up
+    pieces = [tube("trousers", trunk[:3], radii[:3], left, 12), tube("jacket", trunk[1:], radii[1:] * 1.04, left, 12)]
+    if who.banded:
+        for share in (0.1, 0.2):
+            width = radii[3 if share < 0.15 else 4] * 1.09
+            pieces.append(tube("bands", j.hips + np.array([[share - 0.015], [share + 0.015]]) * h * j.up, [width, width], left, 12))
+    if who.coat:
+        below = np.array([[0.02], [-0.5 * who.coat], [-who.coat]]) * h
+        pieces.append(tube("jacket", j.hips + below * np.array([0, 0, 1.0]), radii[1] * [[1.02, 1.05], [1.12, 1.25], [1.2, 1.4]], left, 12))
+    if who.bag:
+        pieces.append(ellipsoid("bag", j.hips + 0.2 * h * j.up - 0.085 * h * front, h * np.array([0.05, 0.08, 0.11])))
+    pieces += [
+        limb("head", j.hips + 0.3 * h * j.up, j.head, 0.03 * h, 0.03 * h),
+        ellipsoid("head", j.head, h * np.array([0.055, 0.044, 0.066])),
+    ]
+    if helmet:
+        pieces.append(ellipsoid("helmet", j.head + h * np.array([-0.006, 0, 0.028]), h * np.array([0.075, 0.054, 0.048])))
+    else:
+        pieces.append(
+            ellipsoid("hair", j.head + h * np.array([-0.012, 0, 0.022]), h * np.array([0.053, 0.049, 0.065 if who.hat else 0.053]))
+        )
+    for i in range(2):
+        pieces += [
+            limb("jacket", j.shoulder[i], j.elbow[i], 0.034 * h * w**0.5, 0.028 * h),
+            limb("jacket", j.elbow[i], j.hand[i] + 0.25 * (j.elbow[i] - j.hand[i]), 0.028 * h, 0.021 * h),
+            ellipsoid("hands", j.hand[i], h * np.array([0.022, 0.017, 0.035]), sides=6, rings=5),
+            limb("trousers", j.hip[i], j.knee[i], 0.052 * h * w**0.5, 0.036 * h),
+            limb("trousers", j.knee[i], j.ankle[i], 0.037 * h, 0.024 * h),
+            limb("shoes", j.ankle[i] + (0, 0, -0.014 * h), j.toe[i], 0.026 * h, 0.022 * h),
+        ]
+    return pieces
+
+
+def upright(who: Person, thigh: Floats, knee: Floats, arm: Floats, elbow: Floats, spread: float = 0.0) -> Joints:
+    """Someone on their feet, the lower of which touches z = 0.
+
+    thigh, arm: `[2]` rad, forward of hanging down. knee, elbow: `[2]` rad, by which they are bent. spread: of legs and arms, rad.
+    """
+    h, up = who.height_m, np.array([0.0, 0.0, 1.0])
+    out = np.array([[0, side, 0] for side in SIDES])
+    hip = out * 0.052 * h
+    knees = hip + THIGH * h * _swung(thigh, out * spread)
+    ankle = knees + SHANK * h * _swung(thigh - knee, out * spread)
+    tilt = 0.6 * (thigh - knee)
+    toe = ankle + h * (FOOT * np.stack([np.cos(tilt), 0 * tilt, np.sin(tilt)], 1) + out * 0.02 - xyz(0, 0, 0.017))
+    lowest = min(float(ankle[:, 2].min() - SOLE * h), float(toe[:, 2].min() - 0.022 * h))
+    shoulder = (TRUNK - 0.022) * h * up + out * 0.1 * h * who.girth**0.7
+    elbows = shoulder + UPPER_ARM * h * _swung(arm, out * (0.12 + spread))
+    hand = elbows + FOREARM * h * _swung(arm + elbow, out * 0.02)
+    lift = -lowest * up
+    head = (TRUNK + 0.125) * h * up + xyz(0.012 * h, 0, 0)
+    return Joints(lift, up, head + lift, hip + lift, knees + lift, ankle + lift, toe + lift, shoulder + lift, elbows + lift, hand + lift)
+
+
+def walking(who: Person, phase: float) -> Joints:
+    """In mid-walk; phase: share 0..1 of a stride, the left leg passing the right one at 0."""
+    angle = 2 * np.pi * phase + np.array([0.0, np.pi])
+    thigh = 0.07 + 0.44 * np.sin(angle)
+    knee = 0.1 + 0.85 * np.cos(angle + 0.4).clip(0) ** 2
+    return upright(who, thigh, knee, -0.45 * np.sin(angle), 0.3 - 0.15 * np.sin(angle))
+
+
+def standing(who: Person, rng: np.random.Generator) -> Joints:
+    """On both feet; some hold a phone before them."""
+    arm, elbow = rng.uniform(-0.1, 0.15, 2), rng.uniform(0.1, 0.4, 2)
+    if rng.random() < 0.3:
+        arm[0], elbow[0] = 0.35, 1.9
+    bend = float(rng.uniform(0, 0.12))
+    return upright(who, np.array([bend, 0.0]), np.array([2 * bend, 0.0]), arm, elbow, float(rng.uniform(0.02, 0.09)))
+
+
+def bent(start: Floats, stop: Floats, first: float, second: float, towards: Floats) -> Floats:
+    """The joint `[3]` between two bones of lengths `first` and `second` from `start` to `stop`, bent towards a direction `[3]`.
+
+    Stretched out where they do not reach.
+    """
+    way = stop - start
+    d = float(np.linalg.norm(way))
+    along = way / d
+    x = min((d * d + first**2 - second**2) / (2 * d), first)
+    square = towards - along * (along @ towards)
+    return start + x * along + np.sqrt(max(first**2 - x * x, 0.0)) * square / np.linalg.norm(square)
+
+
+def _swung(forward: Floats, out: Floats) -> Floats:
+    """Unit vectors `[2, 3]` that hang down, swung forward by `[2]` rad, and aside."""
+    hanging = np.stack([np.sin(forward), 0 * forward, -np.cos(forward)], 1) + out
+    return hanging / np.linalg.norm(hanging, axis=1, keepdims=True)
