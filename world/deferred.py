@@ -99,7 +99,7 @@ class DeferredRenderer:
                 corners = torch.cat([body.corners, body.corner_normals], -1).flatten(0, 1).numpy()
                 faces = np.arange(len(corners))
             array, buffers = _upload(corners, faces)
-            finalize(body, _delete, array, buffers)
+            finalize(body, _delete, array, buffers).atexit = False  # when the context may be gone
             self._arrays[body] = (array, faces.size)
         return self._arrays[body]
 
