@@ -1,0 +1,84 @@
+"""Paint, patches and puddles on the road."""
+
+import pytest
+import torch
+
+from tests.world.grids import camera, flat
+from world.body import Body
+from world.gbuffer import GBuffer, gbuffer
+from world.materials import MATERIALS, WET, RoadSurfaceParams
+from world.raycast import RayCaster
+from world.scene import Scene
+from world.spots import SpotParams, SpottedTexture
+
+DRY = RoadSurfaceParams(seed=3)
+
+
+def spotted(*spots: SpotParams, surface: RoadSurfaceParams = DRY) -> SpottedTexture:
+    return SpottedTexture(surface, spots)
+
+
+def cells(x_m: tuple[float, float], y_m: tuple[float, float], step_m: float = 0.01) -> tuple[torch.Tensor, torch.Tensor]:
+    """Centres of cells of a rectangle of the road."""
+    x, y = (torch.arange(low + step_m / 2, high, step_m, dtype=torch.float64) for low, high in (x_m, y_m))
+    return x[:, None].expand(-1, len(y)), y.expand(len(x), -1)
+
+
+@pytest.mark.parametrize(("shape", "area_m2"), [("rectangle", 6.0), ("ellipse", 6.0 * torch.pi / 4)])
+def test_a_turned_spot_covers_its_area(shape: str, area_m2: float) -> None:
+    spot = SpotParams(shape=shape, x_m=17, y_m=1, length_m=4.0, width_m=1.5, yaw_deg=30)
+    x, y = cells((13, 21), (-3, 5))
+    there = spot.covers(x, y)
+    # cells of 1 cm along an outline of at most 11 m: half of them may err, evenly to both sides
+    assert float(there.sum()) * 1e-4 == pytest.approx(area_m2, rel=2e-3)
+    assert float(x[there].mean()) == pytest.approx(17, abs=5e-3) and float(y[there].mean()) == pytest.approx(1, abs=5e-3)
+    ahead_on_the_left = torch.tensor([17 + 1.9 * 0.866]), torch.tensor([1 + 1.9 * 0.5])
+    assert spot.covers(*ahead_on_the_left).all()
+
+
+def test_a_patch_scales_the_albedo_and_is_there_once() -> None:
+    texture, around = spotted(SpotParams(x_m=17, albedo_factor=0.4)), DRY.texture()
+    x, y = cells((16.6, 17.4), (-0.3, 0.3))
+    torch.testing.assert_close(texture.at(x, y), 0.4 * around.at(x, y))
+    assert torch.equal(texture.at(x + 36, y), around.at(x + 36, y))  # where the asphalt's tile repeats
+    assert (texture.material_at(x, y) == 0).all()
+
+
+def test_a_puddle_is_what_a_wet_road_is() -> None:
+    texture, wet = spotted(SpotParams(x_m=17, material="wet_asphalt")), RoadSurfaceParams(seed=3, wet=1.0).texture()
+    x, y = cells((16.8, 17.2), (-0.2, 0.2))
+    # darkening before or after the interpolation between texels of 2 cm
+    torch.testing.assert_close(texture.at(x, y), wet.at(x, y), rtol=0.02, atol=0)
+    assert {texture.materials[k] for k in texture.material_at(x, y).unique()} == {WET}
+    assert {texture.materials[k] for k in texture.material_at(x + 3, y).unique()} == {texture.materials[0]}
+
+
+def test_on_a_wet_road_a_patch_is_wet_and_paint_shows_its_own() -> None:
+    surface = RoadSurfaceParams(wet=0.6, grain=0.0)
+    patch, paint = SpotParams(x_m=10, albedo_factor=2.0), SpotParams(x_m=20, albedo_factor=9.0, material="lane_paint")
+    texture = spotted(patch, paint, surface=surface)
+    at = texture.at(torch.tensor([10.0, 20.0]), torch.zeros(2))
+    assert float(at[0]) == pytest.approx(float(surface.ground.darkened(torch.tensor(0.4))))
+    assert float(at[1]) == 1.0  # 9 x 0.2 is more than all light
+    assert texture.materials[texture.material_at(torch.tensor([20.0]), torch.zeros(1))] == MATERIALS["lane_paint"]
+
+
+def test_the_last_spot_lies_on_top() -> None:
+    texture = spotted(SpotParams(x_m=17, albedo_factor=0.5, length_m=4), SpotParams(x_m=17, albedo_factor=2.0, material="lane_paint"))
+    x, y = torch.tensor([17.0, 18.5]), torch.zeros(2)
+    torch.testing.assert_close(texture.at(x, y), torch.tensor([2.0, 0.5]) * DRY.texture().at(x, y))
+    assert texture.material_at(x, y).tolist() == [2, 0]
+
+
+def test_a_camera_sees_spots() -> None:
+    def see(texture: object) -> GBuffer:
+        triangles = Scene((Body("road", flat(), DRY.albedo, texture, smooth=True),)).at(0.0)  # type: ignore[arg-type]
+        return gbuffer(triangles, camera(), RayCaster().face_ids(triangles, camera()))
+
+    spot = SpotParams(x_m=17, length_m=4.0, width_m=2.0, albedo_factor=0.5, material="wet_asphalt")
+    with_it, without = see(spotted(spot)), see(DRY.texture())
+    there = spot.covers(*with_it.position[:2])
+    assert 100 < int(there.sum()) < 2000
+    assert torch.equal(with_it.albedo[~there], without.albedo[~there]) and (with_it.albedo[there] < 0.6 * without.albedo[there]).all()
+    assert with_it.finish is not None and without.finish is None
+    assert torch.equal(with_it.finish.material != 0, there)
