@@ -13,7 +13,7 @@ from controllers.functions.situation import TrackedObject
 from loop.lighting.lamps import ShiningModule
 from loop.lighting.simulation import LightingResult, LightingSimulation
 from loop.video import Picture, tone_map
-from perception.camera import expose, frame_generator, luminance_of
+from perception.camera import CameraParams, expose, frame_generator, luminance_of
 from world.frames import pose_from_degrees, transform
 from world.sources import Source, wall_illuminance
 from world.view import View
@@ -26,9 +26,10 @@ BRIGHT = 0.995  # quantile of the first picture's luminance that is shown as whi
 EDGES = [(a, b) for a, b in combinations(range(8), 2) if bin(a ^ b).count("1") == 1]  # corners whose bits are x, y, z
 
 
-def white_of(luminance: Tensor) -> Tensor:
-    """Luminance in cd/m^2 that a run's pictures show as white, from its first one."""
-    return torch.from_numpy(np.quantile(luminance.cpu().numpy(), BRIGHT, keepdims=True)).squeeze().clamp(min=1e-6) * 1.5
+def white_of(luminance: Tensor, camera: CameraParams) -> Tensor:
+    """Luminance in cd/m^2 that a run's pictures show as white, from its first one: no more than the camera can measure."""
+    bright = torch.from_numpy(np.quantile(luminance.cpu().numpy(), BRIGHT, keepdims=True)).squeeze().clamp(min=1e-6) * 1.5
+    return bright.clamp(max=luminance_of(expose(bright.new_tensor(math.inf), camera), camera))
 
 
 def measured(result: LightingResult, simulation: LightingSimulation) -> Tensor:

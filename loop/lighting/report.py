@@ -42,7 +42,7 @@ def write_report(file: Path, simulation: LightingSimulation, moments: Sequence[L
         heights = (5.2, 3.4, 1.6) if observed else (5.2, 3.4)
         top, bottom, *below = left.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
         top.suptitle("What the camera sees; boxes are tracked objects, orange where a mask keeps them dark", x=0.02, ha="left", fontsize=9)
-        white = float(max(white_of(result.luminance) for result in moments))
+        white = float(max(white_of(result.luminance, simulation.scenario.camera) for result in moments))
         cameras = top.subplots(2, 2).flatten()
         for axes, result in zip(cameras, moments, strict=False):
             _camera(axes, simulation, result, white)
@@ -119,7 +119,7 @@ def _courses(figure: SubFigure, simulation: LightingSimulation, table: pa.Table)
         flux.plot(time_s, column(table, f"lamp.{side}.flux_lm"), marker=mark, color=colour, label=label)
     flux.set(title="Luminous flux of the lamps", ylabel="lm", ylim=(0, None))
     flux.legend(loc="lower right")
-    objects = [item.name for item in simulation.scenario.objects if item.category is not None]
+    objects = [item.name for item in simulation.scenario.all_objects if item.category is not None]
     for number, name in enumerate(objects):
         colour = COLOURS[number % len(COLOURS)]
         light.plot(time_s, column(table, f"object.{name}.lx_mean"), marker=mark, color=colour, label=name)

@@ -39,7 +39,7 @@ def run_lighting(
                 recorder.add(result)
                 moments = {step: each for step, each in moments.items() if step in kept} | {result.step: result}
                 if film is not None:
-                    film.add(frame_picture(result, simulation, white_of(moments[0].luminance)))
+                    film.add(frame_picture(result, simulation, white_of(moments[0].luminance, scenario.camera)))
                 on_step(result)
     finally:
         summary = recorder.summary()

@@ -10,12 +10,12 @@ import pytest
 import torch
 
 from loop import cli
-from loop.lighting.picture import measured
+from loop.lighting.picture import measured, white_of
 from loop.lighting.record import schema
 from loop.lighting.simulation import LightingSimulation, driving
 from loop.run import run
 from loop.scenario import DrivingParams, LightingScenario, validate_any
-from perception.camera import noise_std
+from perception.camera import CameraParams, noise_std
 from world import lampfile
 from world.errors import LuxloopError
 from world.presets import lamp
@@ -75,6 +75,14 @@ def test_pictures_have_the_cameras_noise_and_measured_light_has_none() -> None:
     assert float(z.std()) == pytest.approx(1, abs=5 / (2 * len(z)) ** 0.5)
     level = 1.34 / (2**camera.bits - 1)  # cd/m^2
     torch.testing.assert_close(measured(result, still)[lit], exact[lit], rtol=0, atol=0.51 * level)
+
+
+def test_pictures_of_light_beyond_the_camera_are_white_and_not_black() -> None:
+    camera = CameraParams(**CAMERA)
+    saturation = 1000 / (0.015 * 50_000)  # cd/m^2, of the camera's defaults
+    bright, dim = torch.full((9, 16), 25.0), torch.full((9, 16), 0.2)
+    assert float(white_of(bright, camera)) == pytest.approx(saturation)
+    assert float(white_of(dim, camera)) == pytest.approx(0.3)  # half as much again as the scene
 
 
 def test_the_recording_replays_and_a_changed_one_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
