@@ -98,9 +98,15 @@ def _on_grid(path: Path, given: Array, rows: int, columns: int) -> Array:
         raise LuxloopError(
             f"{path}: holds {_size(given)} utilisations, but the module has {rows} x {columns} pixels; bring them to this size"
         )
-    if not ((given >= 0) & (given <= 1)).all():
-        raise LuxloopError(f"{path}: utilisations lie between 0 and 1, not {given.min():g} and {given.max():g}; divide by the largest")
-    return given.reshape(-1, rows * columns)
+    frames: Array = given.reshape(-1, rows * columns)
+    if (bad := ~((frames >= 0) & (frames < np.inf))).any():
+        frame, pixel = np.argwhere(bad)[0]
+        place = f"row {pixel // columns}, column {pixel % columns}" + (f" of frame {frame}" if len(frames) > 1 else "")
+        more = f" (and {bad.sum() - 1} more)" if bad.sum() > 1 else ""
+        raise LuxloopError(f"{path}: the utilisation at {place}, from 0, is {frames[frame, pixel]:g}{more}, not from 0 to 1; set it to 0")
+    if frames.max() > 1:
+        raise LuxloopError(f"{path}: utilisations lie between 0 and 1, not {frames.min():g} and {frames.max():g}; divide by the largest")
+    return frames
 
 
 def _video(path: Path) -> tuple[float, Iterable[Array]]:
