@@ -27,7 +27,7 @@ class LuxloopParams(Params):
     """Heights from registration; the open loop where they explain nothing."""
 
     name: Literal["luxloop"] = "luxloop"
-    cell_m: tuple[float, float] = Field((0.3, 0.15), description="distance of heights on the assumed road, along and across")
+    cell_m: tuple[float, float] = Field((0.2, 0.15), description="distance of heights on the assumed road, along and across")
     beyond_m: tuple[float, float, float] = Field((1.2, 1.5, 0.6), description="how far heights go beyond the symbol: near, far, sides")
     highest_m: float = Field(0.14, gt=0, le=0.3, description="largest height, up or down, that is looked for")
     memory: float = Field(0.6, ge=0, lt=1, description="share of what is known that a step keeps; the rest may have changed")

@@ -88,7 +88,8 @@ class Registration:
                 for a, b, sign in ((i, i, 1), (j, j, 1), (i, j, -1), (j, i, -1)):
                     matrix.view(-1).index_add_(0, a * n + b, sign * stiffness)
                 matrix.diagonal().add_(1 / HEIGHT_M**2)
-                nodes = nodes + torch.linalg.solve(matrix, force).clamp(-LARGEST_STEP_M, LARGEST_STEP_M)
+                moved = torch.cholesky_solve(force[:, None], torch.linalg.cholesky(matrix))[:, 0]
+                nodes = nodes + moved.clamp(-LARGEST_STEP_M, LARGEST_STEP_M)
         return Heights(nodes, information)
 
     def _predicted(self, nodes: Tensor, textures: tuple[Tensor, ...], limit: Tensor, blur: tuple[float, float, float]) -> Tensor:
