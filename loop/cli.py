@@ -87,7 +87,7 @@ def list_() -> None:
 
 
 @app.command
-def new(file: Path, /, *, like: str | None = None) -> None:
+def new(file: Path, /, *, like: str | None = None, traffic: int | None = None) -> None:
     """Write a scenario file, ready to run: a commented one of a symbol with all common keys, or a copy of a shipped one of either kind.
 
     Parameters
@@ -96,10 +96,16 @@ def new(file: Path, /, *, like: str | None = None) -> None:
         File to write, such as my.toml; one that exists is left alone.
     like
         Shipped scenario to copy (see `luxloop list`), such as gfhb for lighting functions.
+    traffic
+        Seed of a night with traffic, its road and light, to write in place of it.
     """
-    from loop.template import copied, template
+    from loop.template import copied, night, template
 
-    text = template(file.stem) if like is None else copied(file.stem, like)
+    if like is not None and traffic is not None:
+        raise LuxloopError("--like copies a scenario and --traffic draws one; give one of the two")
+    if traffic is not None and traffic < 0:
+        raise LuxloopError(f"--traffic {traffic}: a seed is a whole number from 0 on")
+    text = night(file.stem, traffic) if traffic is not None else template(file.stem) if like is None else copied(file.stem, like)
     try:
         with file.open("x", encoding="utf-8") as stream:
             stream.write(text)
@@ -299,6 +305,51 @@ def campaign(
     from loop.campaign_report import do_campaign
 
     return OK if do_campaign(file, out, jobs, scheduler, device) else DIFFERS
+
+
+@app.command
+def tune(
+    names: list[str],
+    /,
+    *,
+    key: Annotated[list[str] | None, Parameter(consume_multiple=True, negative=())] = None,
+    objective: str = "settling+residual",
+    trials: int = 50,
+    seeds: int = 1,
+    seed: int = 0,
+    set: Annotated[list[str] | None, Parameter(consume_multiple=True, negative=())] = None,
+    out: Path | None = None,
+    jobs: int | None = None,
+    device: Literal["auto", "cpu", "cuda"] = "auto",
+) -> None:
+    """Look for better values of a scenario's keys, such as a controller's gains; what is best becomes a file for --set.
+
+    Parameters
+    ----------
+    names
+        Scenario files, or names of shipped scenarios; a trial runs all of them.
+    key
+        Keys to tune and their ranges, as key=low:high or key=low:high:log, such as controller.position.kp=0.1:2.
+    objective
+        What to make small: settling, overshoot, residual, iou and energy, weighted as in settling+0.5*overshoot.
+    trials
+        Trials that the study shall have in the end.
+    seeds
+        Runs of each scenario a trial, which differ in their noise.
+    seed
+        Seed of the search.
+    set
+        Keys to change in all scenarios, as key=value in TOML syntax, or a TOML file of them.
+    out
+        Folder for the study, the best values and the report, by default runs/tune-NAME; a study that was stopped goes on from there.
+    jobs
+        Processes for the runs of a trial, each with one thread; by default one a core. They do not change what is found.
+    device
+        Where to compute; auto takes CUDA where there is any.
+    """
+    from loop.tune_report import do_tune
+
+    do_tune(names, key or [], objective, trials, seeds, seed, set or [], out, jobs, device)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,10 @@ from importlib.resources import files
 from pathlib import Path
 
 DECISIVE = {"world": "**/*", "perception": "**/*.py", "controllers": "**/*.py", "loop": "*.py", "loop.lighting": "*.py"}
-SHOWING = ("cli", "campaign", "commands", "doctor", "evaluate", "executors", "headlight", "jobs", "progress", "replay", "report", "tables")
+SHOWING = (  # beginnings of the names of those modules of loop that decide no figure
+    *("campaign", "cli", "commands", "comparison", "doctor", "evaluate", "executors", "headlight", "jobs", "objective", "progress"),
+    *("ranges", "rectangles", "replay", "report", "tables", "template", "tune", "video"),
+)
 
 
 @cache

@@ -1,0 +1,60 @@
+"""What tuning minimises: a weighted sum of named terms over a run's figures. What has failed is dear, never free."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from loop.validation import did_you_mean
+from world.errors import LuxloopError
+
+FAILED = 2.0  # a term without a value: as dear as if the symbol settled only after twice the run
+
+Figures = Mapping[str, Any]
+# name: (figure, what is made of it, what it is)
+TERMS = {
+    "settling": ("settle_step", lambda value, row: value / row["steps"], "settle step, as a share of all steps"),
+    "overshoot": ("overshoot_percent", lambda value, row: value / 100, "overshoot, as a share of the initial error"),
+    "residual": ("residual_percent", lambda value, row: value / 10, "centroid error at the end, in tenths of the symbol's size"),
+    "iou": ("iou_mean", lambda value, row: 1 - value, "1 - IoU, mean of all steps"),
+    "energy": ("utilisation_mean", lambda value, row: value, "utilisation of all pixels, mean of all steps"),
+}
+
+
+@dataclass(frozen=True)
+class Objective:
+    """weights: of terms, by name."""
+
+    weights: dict[str, float]
+
+    def __str__(self) -> str:
+        return "+".join(name if weight == 1 else f"{weight:g}*{name}" for name, weight in self.weights.items())
+
+    def cost(self, row: Figures) -> float:
+        """Cost of a run's figures; those of a run that failed are empty."""
+        return sum(weight * _term(name, row) for name, weight in self.weights.items())
+
+
+def parse(text: str) -> Objective:
+    """An objective such as settling+0.5*overshoot. Raises LuxloopError that names what is wrong."""
+    weights: dict[str, float] = {}
+    for part in text.split("+"):
+        match = re.fullmatch(r"\s*(?:(\d+\.?\d*|\.\d+)\s*\*)?\s*(\w+)\s*", part)
+        if not match:
+            raise LuxloopError(f"--objective {text}: {part.strip()!r} is no term; write for example settling+0.5*overshoot")
+        weight, name = match.groups()
+        if name not in TERMS:
+            raise LuxloopError(f"--objective {text}: there is no term {name!r}; {did_you_mean(name, TERMS)}")
+        weights[name] = weights.get(name, 0.0) + float(weight or 1)
+    if not any(weights.values()):
+        raise LuxloopError(f"--objective {text}: weighs nothing, so all trials would be alike; give a term a weight above 0")
+    return Objective(weights)
+
+
+def _term(name: str, row: Figures) -> float:
+    figure, of, _ = TERMS[name]
+    value = row.get(figure)
+    if value is None:
+        # Whoever starts at the target has no overshoot to speak of, but a symbol that is never seen has none either.
+        return 0.0 if name == "overshoot" and row.get("residual_percent") is not None else FAILED
+    return float(of(value, row))

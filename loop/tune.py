@@ -1,0 +1,157 @@
+"""What `luxloop tune` does: look for better values of a scenario's keys with Optuna, resumable, alike with any number of processes."""
+
+import hashlib
+import json
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import optuna
+from optuna.distributions import BaseDistribution, FloatDistribution, IntDistribution
+from optuna.storages import JournalStorage
+from optuna.storages.journal import JournalFileBackend
+from optuna.trial import TrialState
+
+from loop.campaign import figures_of
+from loop.code import digest_of_code
+from loop.executors import Executor
+from loop.objective import Objective
+from loop.progress import progress
+from loop.ranges import Range, Values, changed, value_of
+from loop.scenario import Scenario
+from world.errors import LuxloopError
+
+STUDY = "study.log"
+FINISHED = (TrialState.COMPLETE, TrialState.PRUNED)
+STARTUP = 8  # trials at random before the sampler learns, and before any is pruned
+Runs = list[tuple[dict[str, Any], str]]
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is tuned. seeds: so many runs of each scenario a trial, with its own seed and those after it. seed: of the search."""
+
+    scenarios: tuple[Scenario, ...]
+    ranges: tuple[Range, ...]
+    objective: Objective
+    seeds: int = 1
+    seed: int = 0
+    device: str = "cpu"
+
+    @property
+    def digest(self) -> str:
+        """Changes with everything that decides a trial."""
+        what = [
+            [each.digest for each in self.scenarios],
+            [vars(each) for each in self.ranges],
+            self.objective.weights,
+            self.seeds,
+            self.seed,
+        ]
+        return hashlib.sha256(json.dumps([*what, self.device, digest_of_code()]).encode()).hexdigest()
+
+    @property
+    def given(self) -> dict[str, float | int | None]:
+        """The values that the first scenario has."""
+        return {each.key: value_of(self.scenarios[0], each.key) for each in self.ranges}
+
+    def runs(self, values: Values) -> Runs:
+        """All runs of a trial, one seed after the other."""
+        varied = [changed(scenario, values) for scenario in self.scenarios]
+        seeded = [each.model_copy(update={"seed": each.seed + k}) for k in range(self.seeds) for each in varied]
+        return [(each.model_dump(mode="json"), self.device) for each in seeded]
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """A study: cost of the scenarios as given, best values and their cost, and all trials."""
+
+    task: Task
+    given_cost: float
+    study: optuna.Study
+
+    @property
+    def best(self) -> tuple[dict[str, float | int], float]:
+        """Values and cost of the best trial; no values where the given ones are best."""
+        values, cost = self.study.best_params, self.study.best_value
+        return (values, cost) if cost < self.given_cost else ({}, self.given_cost)
+
+
+def tune(task: Task, out: Path, trials: int, execute: Executor) -> Tuned:
+    """Go on with the study in a folder until it has so many trials. What is there is kept whatever happens.
+
+    Raises LuxloopError where the folder holds another study or cannot be written; KeyboardInterrupt that says what is kept.
+    """
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    warnings.filterwarnings("ignore", category=optuna.exceptions.ExperimentalWarning)
+    study = _opened(task, out)
+    for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):  # cut off by a kill
+        study.tell(trial.number, state=TrialState.FAIL)
+    if "given_cost" not in study.user_attrs:
+        study.set_user_attr("given_cost", float(np.mean(_costs(task, task.runs({}), execute))))
+    space = {each.key: _distribution(each) for each in task.ranges}
+    done = len(study.get_trials(deepcopy=False, states=FINISHED))
+    try:
+        with progress("trials", trials, min(done, trials)) as advance:
+            for number in range(done, trials):
+                # Seeded by the trial: a study that was interrupted goes on as it would have.
+                study.sampler = optuna.samplers.TPESampler(seed=task.seed + number, n_startup_trials=STARTUP)
+                _try(study, study.ask(space), task, execute)
+                advance()
+    except KeyboardInterrupt as error:
+        kept = len(study.get_trials(deepcopy=False, states=FINISHED))
+        raise KeyboardInterrupt(f"{kept} of {trials} trials are kept in {out / STUDY}, the same command goes on from there") from error
+    return Tuned(task, study.user_attrs["given_cost"], study)
+
+
+def _try(study: optuna.Study, trial: optuna.Trial, task: Task, execute: Executor) -> None:
+    """All runs of a trial; after half of them it may be given up. The same runs are done however many go on at once."""
+    runs = task.runs(trial.params)
+    half = -(-len(runs) // 2)
+    costs = _costs(task, runs[:half], execute)
+    if len(runs) > half:
+        trial.report(float(np.mean(costs)), 0)
+        if trial.should_prune():
+            study.tell(trial, state=TrialState.PRUNED)
+            return
+        costs += _costs(task, runs[half:], execute)
+    study.tell(trial, float(np.mean(costs)))
+
+
+def _costs(task: Task, runs: Runs, execute: Executor) -> list[float]:
+    """Costs in the order of the runs, though they end in any, so that sums are rounded alike."""
+    found = dict(execute(_figures, list(enumerate(runs))))
+    return [task.objective.cost(found[number]) for number in range(len(runs))]
+
+
+def _figures(task: tuple[int, tuple[dict[str, Any], str]]) -> tuple[int, dict[str, Any]]:
+    """Number and figures of a run, which are empty where it fails: a controller that loses itself is no reason to stop."""
+    number, (scenario, device) = task
+    try:
+        return number, figures_of(scenario, {}, device)
+    except (LuxloopError, ArithmeticError, ValueError):
+        return number, {}
+
+
+def _distribution(each: Range) -> BaseDistribution:
+    if each.whole:
+        return IntDistribution(int(each.low), int(each.high), each.log)
+    return FloatDistribution(each.low, each.high, each.log)
+
+
+def _opened(task: Task, out: Path) -> optuna.Study:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        storage = JournalStorage(JournalFileBackend(str(out / STUDY)))
+        pruner = optuna.pruners.MedianPruner(n_startup_trials=STARTUP)
+        study = optuna.create_study(storage=storage, study_name="tune", pruner=pruner, load_if_exists=True)
+    except OSError as error:
+        raise LuxloopError(f"{out}: cannot be written ({error.strerror}); give another folder with --out") from error
+    except (ValueError, KeyError) as error:
+        raise LuxloopError(f"{out / STUDY}: holds something else than a study ({error}); give another folder with --out") from error
+    if study.user_attrs.setdefault("task", task.digest) != task.digest:
+        raise LuxloopError(f"{out}: holds a study of other settings or of another luxloop; give another folder with --out, or remove it")
+    study.set_user_attr("task", task.digest)
+    return study

@@ -1,0 +1,144 @@
+"""Tuning: what is asked for is checked first, a seeded study is the same however it is run, and what is best can be run."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from loop import cli, objective, ranges
+from loop import tune as module
+from loop.executors import local
+from loop.scenario import Scenario, load
+from loop.tune import STUDY, Task, Tuned, tune
+from loop.tune_report import BEST, PICTURE, REPORT, write
+from world.errors import LuxloopError
+
+SMALL = ["steps=3", "headlight.model=hd84", "camera={ width_px=160, height_px=90, oversampling=1 }", "symbol={ width_m=4.0, length_m=8.0 }"]
+KEYS = ["controller.position.kp=0.1:2:log", "controller.losses_to_reset=1:4"]
+
+
+@pytest.fixture(scope="module")
+def scenario() -> Scenario:
+    return load("flat", [*SMALL, "controller.name=thesis_pid"])
+
+
+def task(scenario: Scenario, seeds: int = 2) -> Task:
+    return Task((scenario,), tuple(ranges.parse(key, [scenario]) for key in KEYS), objective.parse("iou+0.1*energy"), seeds)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("controller.position.kq=0.1:2", "flat has no 'kq' in controller.position; did you mean 'kp'"),
+        ("controler.position.kp=0.1:2", "did you mean 'controller'"),
+        ("controller.position.kp.a=0.1:2", "controller.position.kp is no table"),
+        ("controller.position=0.1:2", "is no number.*such as controller.position.kp"),
+        ("controller.name=0.1:2", "is no number"),
+        ("camera.noise=0:1", "is no number"),
+        ("controller.position.kp=2:0.1", "wrong way round.*write controller.position.kp=0.1:2"),
+        ("controller.position.kp=2:2", "two different ends"),
+        ("controller.position.kp=2", "not of the form"),
+        ("controller.position.kp", "not of the form"),
+        ("controller.position.kp=0:2:log", "no logarithm"),
+        ("controller.position.kp=1:2:ln", "'ln' is no scale"),
+        ("controller.losses_to_reset=1:2.5", "only whole numbers"),
+        ("controller.losses_to_reset=0:2", "controller.losses_to_reset: 0 should be greater than or equal to 1"),
+        ("controller.x_rate_m=-1:2", "greater than 0"),
+    ],
+)
+def test_wrong_ranges_are_one_sentence(text: str, said: str, scenario: Scenario) -> None:
+    with pytest.raises(LuxloopError, match=f"{re.escape(text.partition('=')[0]) if '--key' in said else ''}.*{said}"):
+        ranges.parse(text, [scenario])
+
+
+def test_an_optional_key_that_is_left_out_can_be_tuned(scenario: Scenario) -> None:
+    assert ranges.parse("headlight.intensity_cd=1000:9000", [scenario]).high == 9000
+    assert ranges.value_of(scenario, "headlight.intensity_cd") is None
+
+
+@pytest.mark.parametrize(
+    ("text", "said"), [("setling", "did you mean 'settling'"), ("2 iou", "no term"), ("0*iou", "weighs nothing"), ("", "no term")]
+)
+def test_wrong_objectives_are_one_sentence(text: str, said: str) -> None:
+    with pytest.raises(LuxloopError, match=said):
+        objective.parse(text)
+
+
+def test_objectives_weigh_terms_and_failures_are_dear() -> None:
+    row = {"steps": 40, "settle_step": 10, "overshoot_percent": 20.0, "residual_percent": 5.0, "iou_mean": 0.75, "utilisation_mean": 0.1}
+    assert objective.parse("settling+0.5*overshoot + 2*residual+iou+energy").cost(row) == pytest.approx(0.25 + 0.1 + 1.0 + 0.25 + 0.1)
+    assert str(objective.parse("settling+0.5*overshoot")) == "settling+0.5*overshoot"
+    never = {**row, "settle_step": None}
+    for name in objective.TERMS:
+        assert objective.parse(name).cost({}) == objective.FAILED
+    assert objective.parse("settling").cost(never) > objective.parse("settling").cost({**row, "settle_step": 40})
+    assert objective.parse("overshoot").cost({**row, "overshoot_percent": None}) == 0.0
+
+
+def trials(tuned: Tuned) -> list[tuple[dict[str, float], float | None, str]]:
+    return [(trial.params, trial.value, trial.state.name) for trial in tuned.study.trials if trial.state in module.FINISHED]
+
+
+@pytest.fixture(scope="module")
+def tuned(scenario: Scenario, tmp_path_factory: pytest.TempPathFactory) -> Tuned:
+    return tune(task(scenario), tmp_path_factory.mktemp("tuned"), 9, local(1))
+
+
+def test_what_is_best_is_better_and_can_be_run(tuned: Tuned, scenario: Scenario, tmp_path: Path) -> None:
+    values, cost = tuned.best
+    assert cost < tuned.given_cost
+    assert cost == min(value for _, value, state in trials(tuned) if value is not None and state == "COMPLETE")
+    assert all(
+        0.1 <= each["controller.position.kp"] <= 2 and each["controller.losses_to_reset"] in (1, 2, 3, 4) for each, _, _ in trials(tuned)
+    )
+    write(tuned, tmp_path)
+    run = load("flat", [*SMALL, "controller.name=thesis_pid", str(tmp_path / BEST)])
+    assert run == ranges.changed(scenario, values)
+    text = (tmp_path / REPORT).read_text()
+    assert f"| cost |  | {tuned.given_cost:.4g} | {cost:.4g} |" in text and "9 trials" in text
+    assert (tmp_path / PICTURE).stat().st_size > 5_000
+
+
+@pytest.mark.slow
+def test_a_seeded_study_is_the_same_with_more_processes_and_after_a_stop(
+    tuned: Tuned, scenario: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    original, asked = module._try, 0
+
+    def stopping(*arguments: object) -> None:
+        nonlocal asked
+        asked += 1
+        if asked == 3:
+            raise KeyboardInterrupt
+        original(*arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(module, "_try", stopping)
+    with pytest.raises(KeyboardInterrupt, match="2 of 9 trials are kept"):
+        tune(task(scenario), tmp_path, 9, local(1))
+    assert trials(tune(task(scenario), tmp_path, 9, local(2))) == trials(tuned)
+
+
+def test_other_settings_need_another_folder(tuned: Tuned, scenario: Scenario, tmp_path: Path) -> None:
+    tune(task(scenario, seeds=1), tmp_path, 1, local(1))
+    with pytest.raises(LuxloopError, match="study of other settings"):
+        tune(task(scenario, seeds=2), tmp_path, 1, local(1))
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / STUDY).write_text("notes of mine\n")
+    with pytest.raises(LuxloopError, match="something else than a study"):
+        tune(task(scenario), tmp_path / "a", 1, local(1))
+    (tmp_path / "file").write_text("")
+    with pytest.raises(LuxloopError, match="cannot be written"):
+        tune(task(scenario), tmp_path / "file", 1, local(1))
+
+
+def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.chdir(tmp_path)
+    given = ["--objective", "iou", "--trials", "2", "--jobs", "1", "--set", *SMALL, "controller.name=thesis_pid"]
+    assert cli.main(["tune", "flat", "--key", *KEYS, *given]) == cli.OK
+    assert "runs/tune-flat" in capsys.readouterr().out
+    for wrong, said in (
+        (["tune", "flat"], "what is to be tuned"),
+        (["tune", "flat", "--key", KEYS[0], "--trials", "0"], "--trials: 0 is too few"),
+    ):
+        assert cli.main(wrong) == cli.WRONG
+        assert said in capsys.readouterr().err
