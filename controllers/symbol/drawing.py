@@ -5,10 +5,12 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
+from torch.nn.functional import interpolate
 
 from controllers.symbol.relief import Relief
 
 CELLS = (512, 256)  # of a warped symbol, along and across
+FOLLOWED = 4  # along and across, one of so many cells' light is followed; between them places are interpolated
 BEYOND = (0.4, 0.15)  # of the symbol's length and width, by which a warped symbol's rectangle is larger on every side
 HIGHEST_M = 0.2  # of a road that light is drawn for
 
@@ -61,8 +63,11 @@ def warp_onto(relief: Relief, lamp: Tensor, centre: tuple[float, float], length_
     is dimmed.
     """
     size = (length_m * (1 + 2 * BEYOND[0]), width_m * (1 + 2 * BEYOND[1]))
-    across, along = (0.5 - (torch.arange(n, device=relief.heights.device) + 0.5) / n for n in CELLS[::-1])
-    x, y = (centre[0] + size[0] * along)[:, None].expand(CELLS), (centre[1] + size[1] * across).expand(CELLS)
+    rows, cols = (n // FOLLOWED for n in CELLS)
+    along, across = (0.5 - (torch.arange(n, device=relief.heights.device) + 0.5) / n for n in (rows, cols))
+    x, y = (centre[0] + size[0] * along)[:, None].expand(rows, cols), (centre[1] + size[1] * across).expand(rows, cols)
     x_seen, y_seen = relief.seen_from(lamp, x, y, HIGHEST_M)
-    source = torch.stack([2 * (centre[1] - y_seen) / width_m, 2 * (centre[0] - x_seen) / length_m])
-    return Warp(source, 1 / relief.at(relief.brightness, x_seen, y_seen).clamp(min=1), size)
+    dimming = 1 / relief.at(relief.brightness, x_seen, y_seen).clamp(min=1)
+    source = [2 * (centre[1] - y_seen) / width_m, 2 * (centre[0] - x_seen) / length_m]
+    fine = interpolate(torch.stack([*source, dimming])[None], scale_factor=FOLLOWED, mode="bilinear")[0]
+    return Warp(fine[:2], fine[2], size)
