@@ -11,7 +11,7 @@ from torch import Tensor
 
 from controllers.ssc import Utilisation
 from controllers.symbol import build_controller
-from controllers.symbol.flat_model import flat_model
+from controllers.symbol.flat_model import FlatModel, flat_model
 from controllers.symbol.observer import Observer, Seen
 from controllers.symbol.projector import Projector
 from controllers.symbol.protocol import Look, Shown, SymbolController
@@ -20,7 +20,7 @@ from loop.plant import Frames, Plant, SimulatedPlant
 from loop.scenario import Scenario
 from loop.truth import true_camera, true_modules
 from perception.birdseye import BirdsEye, birds_eye, region_around
-from perception.camera import camera_view
+from perception.camera import CameraParams
 from perception.judge import CELL_M, Target, Verdict, judge, target
 from world.face_source import face_source
 from world.view import View
@@ -77,11 +77,17 @@ class Simulation:
         motion = build_motion(scenario)
         scene = build_scene(scenario, motion)
         projector = build_projector(scenario, device)
-        model = flat_model(projector, scenario.camera, scenario.surface, scenario.light.ambient_lx, scenario.extraction, scenario.features)
+        camera = true_camera(scenario)
+
+        def model_of(camera: CameraParams) -> FlatModel:
+            return flat_model(projector, camera, scenario.surface, scenario.light.ambient_lx, scenario.extraction, scenario.features)
+
+        model = model_of(scenario.camera)
+        judged = model if camera == scenario.camera else model_of(camera)  # the judge knows where the camera is
         world = SimulatedPlant(
             scene,
             true_modules(scenario, projector),
-            true_camera(scenario),
+            camera,
             face_source(scenario.renderer),
             scenario.rate_hz,
             scenario.seed,
@@ -90,8 +96,7 @@ class Simulation:
             scenario.sensors,
             scenario.disturbances,
         )
-        wanted = model.luminance(projector.light(projector.target))
-        assumed_plane = _plane(scenario, camera_view(scenario.camera), device)
+        plane = _plane(scenario, world.view, device)
         observer = Observer(projector, model, scenario.camera, scenario.extraction)
         return cls(
             scenario=scenario,
@@ -101,8 +106,8 @@ class Simulation:
             controller=build_controller(scenario.controller, observer),
             plant=world,
             world=world,
-            plane=_plane(scenario, world.view, device),
-            goal=target(wanted, assumed_plane, symbol.length_m, symbol.width_m),
+            plane=plane,
+            goal=target(judged.luminance(projector.light(projector.target)), plane, symbol.length_m, symbol.width_m),
         )
 
     def start(self) -> SimulationState:

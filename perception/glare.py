@@ -11,7 +11,7 @@ from world.view import View
 
 # Disability glare (Stiles & Holladay, CIE 31-1976): 10 cd/m^2 of veil at 1 deg from a source of 1 lx at the eye
 EYE_DEG2 = 10.0
-BLOOM_DEG = 0.5  # within it the veil is even: the formula would grow without bound
+BLOOM_DEG = 0.1  # within it the veil is even: the formula would grow without bound
 
 
 class OncomingParams(Params):
@@ -38,7 +38,7 @@ def glare(view: View, position: Tensor, lamp: OncomingParams, device: torch.devi
     """Luminance `[height, width]` in cd/m^2, float32, that a lamp at a position `[3]` m in the world adds to a view's image.
 
     Its image is a Gaussian as wide as the lamp and a pixel together and holds the illuminance E = I / r^2; the veil is
-    `veil * 10 E / theta^2`, theta at least half a degree. Nothing where the lamp is behind the camera.
+    `veil * 10 E / theta^2`, theta at least a tenth of a degree. Nothing where the lamp is behind the camera.
     """
     at = view.T_world_view[:3, :3].T @ (position - view.origin)
     distance = float(at.norm())

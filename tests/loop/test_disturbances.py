@@ -111,11 +111,9 @@ def test_a_camera_that_looks_elsewhere_moves_the_image_and_not_the_light(plain: 
     off_by = {"yaw_deg": 0.4, "focal_percent": 2.0}
     simulation = prepared({"calibration": off_by})
     right, wrong = first(plain), first(simulation)
-    # what the controller expects and what the judge wants stay
+    # the controller expects what it did; the light lies as well as before, and the judge, who knows the true camera, sees that
     assert torch.equal(simulation.observer.model.target, plain.observer.model.target)
-    assert torch.equal(simulation.goal.luminance, plain.goal.luminance)
-    # the same light, but sampled by other pixels, which are 0.4 m long there
-    assert wrong.verdict.centroid_percent.abs().max() < 1 and float(wrong.verdict.iou) > 0.85
+    assert wrong.verdict.centroid_percent.abs().max() < 0.2 and float(wrong.verdict.iou) > 0.97
     u, v = right.seen.appearance.centroids[0].tolist()
     u_wrong, v_wrong = wrong.seen.appearance.centroids[0].tolist()
     fx = plain.world.view.fx
