@@ -38,7 +38,8 @@ class Primitives:
     weight: `[..., P]`, 0 to infinity: 0 hides what lies behind but does not count, infinity beats every finite one,
     of which those above HEAVIEST count as that.
     quantity: `[P]` int64, places in QUANTITIES. forced: `[P]` bool, hit whatever lies before it. priority: `[P]` int64, decides between
-    forced hits and between coplanar ones. symbols: images `[h, w]` in 0..1, row 0 at v = 0; symbol_of: `[P]` int64, whose image.
+    forced hits and between coplanar ones. symbols: images `[h, w]` in 0..1, row 0 at v = 0, or `[2, h, w]` with their opacity,
+    where rays pass if it is below 1/2, except through masks; symbol_of: `[P]` int64, whose image.
     nearest: `[P]` bool, images are read at the nearest texel, else bilinearly.
     modules: names of modules or lamps that may draw each, all where there are none. shared: `[P]` bool, all that draw give one setpoint
     in cd or lx together, instead of each the whole.
@@ -62,6 +63,14 @@ class Primitives:
 
     def __len__(self) -> int:
         return self.origin.shape[-2]
+
+    def image_of(self, p: int) -> Tensor:
+        """The p-th one's image, `[h, w]` or `[2, h, w]`."""
+        return self.symbols[int(self.symbol_of[p])]
+
+    def observed(self, p: int) -> bool:
+        """Whether the p-th one is for an observer."""
+        return self.observer is not None and bool(self.observer.active[p])
 
     def corners(self) -> Tensor:
         """The four corners, `[..., P, 4, 3]` m."""
@@ -113,14 +122,15 @@ def rectangles(
 ) -> Primitives:
     """Rectangles `[..., P, 3]` that share everything but place, setpoint and weight (each a number or `[..., P]`).
 
-    normal: default d1 x d2; of any length. symbol: `[h, w]` in 0..1, homogeneous where there is none. Raises LuxloopError for a quantity
-    that there is not, for a symbol that is no image, and for a weight below zero or NaN where the host knows it.
+    normal: default d1 x d2; of any length. symbol: `[h, w]` in 0..1 or `[2, h, w]` with its opacity, homogeneous where there is none.
+    Raises LuxloopError for a quantity that there is not, for a symbol that is no image, and for a weight below zero or NaN where the host
+    knows it.
     """
     if quantity not in QUANTITIES:
         raise LuxloopError(f"there is no quantity {quantity!r} of a primitive; the quantities are {', '.join(QUANTITIES)}")
     symbol = torch.ones(1, 1) if symbol is None else symbol
-    if symbol.ndim != 2 or not symbol.numel():
-        raise LuxloopError(f"a primitive's symbol is an image [rows, columns], not of shape {list(symbol.shape)}")
+    if symbol.shape[:-2] not in ((), (2,)) or symbol.ndim < 2 or not symbol.numel():
+        raise LuxloopError(f"a primitive's symbol is an image [rows, columns], or two with its opacity, not of shape {list(symbol.shape)}")
     if (not isinstance(weight, Tensor) or weight.device.type == "cpu") and not bool((torch.as_tensor(weight) >= 0).all()):
         raise LuxloopError("a primitive's weight is below zero or not a number; give 0 to infinity")
     origin, d1, d2 = torch.broadcast_tensors(origin, d1, d2)

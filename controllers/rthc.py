@@ -22,6 +22,7 @@ from world.texels import TexelGrid
 COPLANAR = 1e-4  # of the distance: what lies closer together counts as one plane, whatever the dtype rounds
 PARALLEL = 1e-6  # of the cosine: a given normal that is that of the edges
 GRAZING = 1e-12  # least d.n by which a symbol is read, m^2: no ray that hits has less, and what others read stays finite
+OPAQUE = 0.5  # least opacity of an image that stops a ray
 STEEP = 1e30  # takes whatever is not rounded to zero beyond one
 
 
@@ -193,6 +194,8 @@ class Casting:
                 if windows[p].empty:
                     continue
                 hit = _hit(rays, self.seen, p, self.is_mask[p], self.front[p], windows[p])
+                if not self.is_mask[p] and self.primitives.image_of(p).ndim == 3:
+                    hit = hit * _opaque(p, rays, self.primitives, self.seen, windows[p])
                 if rivals[p] and nearest is not None:
                     hit = _won(hit, rays, self.seen, p, self.is_mask[p], windows[p], nearest[(..., *windows[p].within(self.window))])
                 value = _setpoint(p, hit, rays, self.primitives, self.seen, windows[p])
@@ -356,26 +359,37 @@ def _near_outline(window: Window, low: Tensor, high: Tensor) -> Tensor:
 
 def _setpoint(p: int, hit: Tensor, rays: _Rays, primitives: Primitives, seen: Homographies, window: Window) -> Tensor:
     """Setpoint of the p-th primitive for the rays that hit it, elsewhere undefined but finite; broadcastable to `[..., rows, cols]`."""
-    symbol, value = primitives.symbols[int(primitives.symbol_of[p])], primitives.value[..., p, None, None]
-    observer = primitives.observer
-    watched = observer is not None and bool(observer.active[p])
+    image, value = primitives.image_of(p), primitives.value[..., p, None, None]
+    symbol = image if image.ndim == 2 else image[0]
+    watched = primitives.observed(p)
     homogeneous, illuminance = symbol.numel() == 1 and not watched, int(primitives.quantity[p]) == E_V
     value = value * symbol if homogeneous else value
     if homogeneous and not illuminance:
         return value
     if not homogeneous:
-        n, uv = rays.n, rays.uv
         if watched and rays.sight is not None:
             n, uv = rays.sight
             value = value * _inside(n.on(p, window), uv.on(p, window))
-        at = uv.on(p, window) / n.on(p, window).clamp(min=GRAZING).unsqueeze(-3)
-        value = value * _symbol_value(symbol, at, bool(primitives.nearest[p]))
+        value = value * _read(symbol, p, rays, primitives, window)
     if not illuminance:
         return value
     across, facing = (hit.new_ones(()).lerp(product.on(p, window), hit) for product in (rays.n, rays.facing))
     rows, cols = window.slices
     d2 = (1 + rays.z[rows, None] ** 2) + rays.y[cols] ** 2
     return value * seen.qn[..., p, None, None] ** 2 * (d2 * d2.sqrt()) / (across * across * facing)
+
+
+def _opaque(p: int, rays: _Rays, primitives: Primitives, seen: Homographies, window: Window) -> Tensor:
+    """One where the p-th primitive's image is opaque, or the primitive a mask, which is so as a whole; `[..., rows, cols]`."""
+    opacity = _read(primitives.image_of(p)[1], p, rays, primitives, window).detach()
+    return torch.maximum(_step(opacity - OPAQUE), seen.mask[..., p, None, None].to(opacity))
+
+
+def _read(image: Tensor, p: int, rays: _Rays, primitives: Primitives, window: Window) -> Tensor:
+    """What rays `[..., rows, cols]` find of an image `[h, w]` on the p-th primitive, or in its observer's sight."""
+    n, uv = rays.sight if primitives.observed(p) and rays.sight is not None else (rays.n, rays.uv)
+    at = uv.on(p, window) / n.on(p, window).clamp(min=GRAZING).unsqueeze(-3)
+    return _symbol_value(image, at, bool(primitives.nearest[p]))
 
 
 def _symbol_value(symbol: Tensor, uv: Tensor, nearest: bool) -> Tensor:

@@ -37,8 +37,8 @@ class LaneParams(Drawn):
             return tuple(straight(self, now, self.near_m, self.far_m, self.y_m + offset, width) for offset in offsets)
         far_m = min(self.far_m, self.near_m + QUARTER_TURN / abs(now.curvature_1_m))
         drawing = Drawing(arc(now.curvature_1_m, self.near_m, far_m, self.y_m), offsets[0] + width / 2, self.texel_m)
-        image = torch.stack([drawing.band(width / 2, offset) for offset in offsets]).amax(0)
-        return (self.draw(drawing.place(now.T_world_vehicle), image),)
+        lines = torch.stack([drawing.band(width / 2, offset) for offset in offsets]).amax(0)
+        return (self.draw(drawing.place(now.T_world_vehicle), opacity=lines),)
 
 
 class WidthParams(Drawn):

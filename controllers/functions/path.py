@@ -45,12 +45,12 @@ class PathParams(Drawn):
         if not self.active(now.time_s):
             return ()
         drawing = drawn(self.control_m, self.width_m / 2, self.texel_m)
+        place = drawing.place(now.T_world_vehicle)
         if self.image is None:
-            image = drawing.band(self.width_m / 2)
-        else:
-            shift = self.speed_m_s * now.time_s
-            image = drawing.bent(now.symbols[self.image].at(now.time_s), self.width_m, self.image_length_m, self.image_pitch_m, shift)
-        return (self.draw(drawing.place(now.T_world_vehicle), image),)
+            return (self.draw(place, opacity=drawing.band(self.width_m / 2)),)
+        shift = self.speed_m_s * now.time_s
+        image = drawing.bent(now.symbols[self.image].at(now.time_s), self.width_m, self.image_length_m, self.image_pitch_m, shift)
+        return (self.draw(place, image, opacity=drawing.band(self.width_m / 2, 0.0)),)
 
 
 @lru_cache(maxsize=16)
@@ -102,12 +102,12 @@ class Drawing:
         corner = self.low + self.low.new_tensor([length, width])
         return on_road(T_world_vehicle, corner, corner.new_tensor([0.0, -width]), corner.new_tensor([-length, 0.0]))
 
-    def band(self, half_width_m: float, offset_m: float = 0.0) -> Tensor:
-        """A band `[h, w]` in 0..1 along the curve, its middle offset_m to the left; its edges are soft over a texel.
+    def band(self, half_width_m: float, offset_m: float | None = None) -> Tensor:
+        """A band `[h, w]` in 0..1 on the curve that ends round, or with its middle offset_m to the left that ends straight.
 
-        On the curve itself the band ends round, beside it straight.
+        Its edges are soft over a texel.
         """
-        if offset_m == 0:
+        if offset_m is None:
             return self._soft(half_width_m - self.nearest)
         return self._soft(torch.minimum(half_width_m - (self.distance - offset_m).abs(), self.texel_m / 2 - self.beyond))
 

@@ -123,15 +123,17 @@ class Drawn(Params):
     def active(self, time_s: float) -> bool:
         return (self.start_s is None or time_s >= self.start_s) and (self.stop_s is None or time_s < self.stop_s)
 
-    def draw(self, place: Place, image: Tensor | None = None, layer: int = 0) -> Primitives:
+    def draw(self, place: Place, image: Tensor | None = None, layer: int = 0, opacity: Tensor | None = None) -> Primitives:
         """One primitive; image: `[h, w]` in 0..1, white where there is none; layer: of several of a function, the higher lies on top.
 
-        Black is dark, but for u_rel it leaves the base beam as it is: a curve's drawing is much larger than the curve.
+        Black is dark, but for u_rel it leaves the base beam as it is. opacity: `[h, w]` in 0..1, opaque where there is none.
         """
         value = self.value
         if self.quantity == "u_rel" and image is not None:
             value = max(self.value, 1.0)
             image = (image * self.value + (1 - image)) / value
+        if opacity is not None:
+            image = torch.stack([torch.ones_like(opacity) if image is None else image, opacity])
         return rectangle(
             place.origin,
             place.d1,

@@ -103,6 +103,22 @@ def test_symbols_are_bilinear_with_texel_centres_at_halves() -> None:
     assert seen.value[-1, 0].item() == pytest.approx(image[0, -1, 0].item())
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_rays_pass_where_an_image_is_transparent(seed: int) -> None:
+    scene = random_scene(seed, "u_abs")
+    opacity = torch.from_numpy(np.random.default_rng(seed).random((4, 5, 7)))
+    scene = replace(scene, symbols=tuple(torch.stack([image, alpha]) for image, alpha in zip(scene.symbols, opacity, strict=True)))
+    value, hit = plain(scene, T_LEFT)
+    seen = trace(scene, LAMP, T_LEFT)
+    assert 0 < hit.sum() < plain(random_scene(seed, "u_abs"), T_LEFT)[1].sum()
+    np.testing.assert_array_equal(seen.hit, hit)
+    np.testing.assert_allclose(seen.value, value, atol=1e-9)  # float64
+    mask = replace(scene, value=torch.zeros_like(scene.value), weight=torch.full_like(scene.weight, torch.inf))
+    whole_mask = replace(mask, symbols=tuple(image[0] for image in mask.symbols))
+    for windows in (None, [whole(LAMP)] * 4):
+        assert torch.equal(trace(mask, LAMP, T_LEFT, windows).hit, trace(whole_mask, LAMP, T_LEFT, windows).hit)
+
+
 def test_the_reference_interpolates_as_the_conventions_say() -> None:
     image = np.array([[1.0, 0.0], [0.0, 0.0]])
     assert reference.symbol_value(image, 0.25, 0.25) == 1

@@ -93,6 +93,10 @@ def _cast(primitives: Primitives, headlight: Headlight, T_world_headlight: Array
             point, at = position + length * ray, (float(u), float(v))
             if (eye := _eye(primitives, p)) is not None:
                 at = seen_at(point, *eye)
+            if symbol.ndim == 3:
+                symbol, opacity = symbol
+                if at is not None and symbol_value(opacity, *at, bool(primitives.nearest[p])) < 0.5:
+                    continue
             value *= 0.0 if at is None else symbol_value(symbol, *at, bool(primitives.nearest[p]))
             if quantity == "E_v":
                 value *= length**2 / cosine

@@ -18,10 +18,12 @@ from controllers.functions.sign import SignParams
 from controllers.functions.situation import Situation, TrackedObject, fade
 from controllers.functions.symbol import SymbolFunctionParams
 from controllers.primitives import Primitives
+from controllers.ssc import Ssc
 from controllers.symbols import OverTime, Still
 from world.body import Body, PoseTrack
 from world.errors import LuxloopError
 from world.frames import pose_from_degrees, transform
+from world.presets import idealised
 
 HERE = torch.eye(4, dtype=torch.float64)
 LAMPS = torch.tensor([[0.0, 0.6, 0.75], [0.0, -0.6, 0.75]], dtype=torch.float64)
@@ -144,12 +146,27 @@ def test_a_path_is_as_large_as_its_band() -> None:
 
 def test_a_path_lies_on_the_road_where_its_points_say() -> None:
     (p,) = PathParams(control_m=((10, 2), (20, 2)), width_m=1.0, texel_m=0.05).primitives(now())
-    image, rows = p.symbols[0], p.symbols[0].shape[0]
+    image = p.symbols[0].prod(0)  # light where it is opaque
+    rows = len(image)
     centre = (p.origin + (p.d1 + p.d2) / 2)[0]
     assert centre[:2].tolist() == pytest.approx([15, 2], abs=0.05)
     lit = image.sum(1).nonzero()[:, 0]
     ahead = p.origin[0, 0] - (lit + 0.5) / rows * p.d2[0].norm()
     assert ahead.min() == pytest.approx(9.5, abs=0.06) and ahead.max() == pytest.approx(20.5, abs=0.06)
+
+
+@pytest.mark.parametrize("image", [None, "a"])
+def test_a_path_leaves_the_base_beam_beside_it(image: str | None) -> None:
+    """An even beam of 0.6: in the bend's rectangle it is taken away in the band only."""
+    light = idealised(40, 120)
+    ssc = Ssc.prepare(light, default=torch.full((light.n_pixels,), 0.6))
+    dark = PathParams(control_m=((12, -1), (16, -1), (18, 2), (26, 2)), width_m=0.5, image=image, value=0.0)
+    (band,) = dark.primitives(now())
+    (around,) = SymbolFunctionParams(image="a", value=0.0, x_m=19, y_m=0.5, width_m=3.5, length_m=14.5).primitives(now())
+    taken, all_taken = (
+        float((0.6 - ssc.utilisation(each.to(torch.float32), pose_from_degrees((0.0, 0.6, 0.75))).u).sum()) for each in (band, around)
+    )
+    assert 0 < taken < 0.4 * all_taken  # of 3.5 m
 
 
 def test_chevrons_are_bent_along_the_path_and_run() -> None:
@@ -180,7 +197,7 @@ def test_a_bent_lane_follows_the_circle(curvature: float) -> None:
     centre = torch.tensor([0.0, 1 / curvature], dtype=torch.float64)
     torch.testing.assert_close((points - centre).norm(dim=-1), torch.full((50,), 1 / abs(curvature)).double(), rtol=3e-4, atol=0)
     (bent,) = LaneParams(style="lines", texel_m=0.05).primitives(now(curvature_1_m=curvature))
-    p, image = bent, bent.symbols[0]
+    p, image = bent, bent.symbols[0].prod(0)
     rows, cols = image.shape
     r, c = (image > 0.5).nonzero().double().T + 0.5
     lit = p.origin[0] + (c / cols)[:, None] * p.d1[0] + (r / rows)[:, None] * p.d2[0]
