@@ -44,7 +44,7 @@ def build_scene(scenario: WorldScenario, motion: Motion = STANDING) -> Scene:
         ground = Body("road", road_mesh(road), surface.albedo, texture, smooth=True)
     else:
         ground = RoadTiles(road, motion.range_y_m, surface.albedo, texture)
-    objects = tuple(item.build() for item in scenario.objects)
+    objects = tuple(item.build() for item in scenario.all_objects)
     return Scene((ground, *objects), scenario.light.ambient_lx, scenario.light.street_lamps)
 
 

@@ -125,7 +125,8 @@ class Road:
         shadows = None if self._throws_none else [self._shadow(source) for source in car.sources]
         extinction = air.extinction_per_m if air else 0.0
         illuminance, luminance = surface_light(surfaces, car.sources, shadows, extinction)
-        luminance = luminance + ambient_luminance(surfaces, self._scene.ambient_lx, self._scene.street_lamps)
+        others = self._scene.spotlights_at(0.0)
+        luminance = luminance + ambient_luminance(surfaces, self._scene.ambient_lx, self._scene.street_lamps, others)
         if air:
             luminance = _through_air(luminance, surfaces, view, car.sources, air, shadows, self._scene.ambient_lx)
         total = np.where(surfaces.object_id.numpy() < 0, np.nan, grey(picture(illuminance)))
@@ -133,7 +134,7 @@ class Road:
 
     @property
     def _throws_none(self) -> bool:
-        return self.scenario.road.kind == "flat" and not self.scenario.objects
+        return self.scenario.road.kind == "flat" and not self.scenario.all_objects
 
     def _shadow(self, source: Source) -> ShadowMap:
         if source not in self._shadows:

@@ -142,7 +142,8 @@ class SimulatedPlant:
         view = camera_view(self.camera, samples)
         view = replace(view, T_world_view=vehicle.T_world_body @ view.T_world_view)
         surfaces = self.surfaces.gbuffer(triangles, view).to(self.device)
-        base = average_rows(ambient_luminance(surfaces, self.scene.ambient_lx, self.scene.street_lamps), samples)
+        spotlights = self.scene.spotlights_at(t_s)
+        base = average_rows(ambient_luminance(surfaces, self.scene.ambient_lx, self.scene.street_lamps, spotlights), samples)
         return LitView(base, self.beams, lambda: self._transports(triangles, surfaces, vehicle.T_world_body))
 
     def _transports(self, triangles: Triangles, surfaces: GBuffer, T_world_body: Tensor) -> tuple[LightTransport, ...]:

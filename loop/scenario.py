@@ -32,6 +32,7 @@ from world.params import Params
 from world.roads import Flat, RoadParams
 from world.scene import StreetLamp
 from world.spots import SpotParams
+from world.traffic.generator import TrafficParams
 from world.vehicle import VehicleParams
 
 SCHEMA_VERSION: Final = 1
@@ -101,6 +102,7 @@ class WorldScenario(Params):
     surface: RoadSurfaceParams = Field(RoadSurfaceParams(), description="the road's albedo")
     spots: tuple[SpotParams, ...] = Field((), description="spots on the road that the controller is not told of")
     objects: tuple[ObjectParams, ...] = Field((), description="objects on the road")
+    traffic: TrafficParams | None = Field(None, description="objects besides, made from a seed; left out: none")
     light: LightParams = Field(LightParams(), description="ambient light and street lamps")
     headlight: HeadlightParams = Field(HeadlightParams(), description="the lamps")
     camera: CameraParams = Field(CameraParams(), description="the camera")
@@ -122,6 +124,11 @@ class WorldScenario(Params):
         if self.pixel_controller != "jpo" and self.jpo != JpoParams():
             raise ValueError(f'jpo: is for pixel_controller = "jpo", which is {self.pixel_controller!r} here; set that, or leave it out')
         return self
+
+    @property
+    def all_objects(self) -> tuple[ObjectParams, ...]:
+        """The objects that are given one by one, and those of the traffic."""
+        return self.objects + (self.traffic.objects() if self.traffic else ())
 
     @property
     def digest(self) -> str:
@@ -213,7 +220,7 @@ class LightingScenario(WorldScenario):
         times = [each.time_s for each in self.driving]
         if any(later <= earlier for earlier, later in pairwise(times)):
             raise ValueError(f"driving: time_s must ascend from entry to entry, here {times}")
-        names = [each.name for each in self.objects]
+        names = [each.name for each in self.all_objects]
         if doubled := [name for name in names if names.count(name) > 1]:
             raise ValueError(f"objects: the name {doubled[0]!r} is there twice, but recordings tell objects by name; rename one")
         return self

@@ -13,8 +13,9 @@ from loop.shipped import shipped, shipped_files
 from loop.validation import did_you_mean
 from world.errors import LuxloopError
 from world.roads import Mixed, RoadParams
+from world.traffic.generator import varied
 
-LEFT_OUT = ("schema_version", "objects")  # said in HEAD and TAIL
+LEFT_OUT = ("schema_version", "objects", "traffic")  # said in HEAD and TAIL
 CHOSEN: dict[str, dict[str, Any]] = {
     "symbol": {"image": "snowflake", "width_m": 2.0, "length_m": 4.0, "x_m": 17.0, "y_m": 0.0},
     "start": {"x_m": 20.0, "y_m": 1.5, "roll_deg": 5.0, "pitch_deg": -2.0},
@@ -29,8 +30,15 @@ HEAD = """\
 
 schema_version = 1
 """
+NIGHT_HEAD = """\
+# A night on the road, drawn from a seed. Check it with `luxloop check FILE`, run it with `luxloop run FILE`.
+# Another traffic.seed: others elsewhere. Objects of your own come as [[objects]] besides.
+
+schema_version = 1
+"""
 TAIL = """
-# Objects: boxes (kind "box") and meshes from files (kind "mesh"), as many as wanted. They may move, appear and vanish.
+# Objects, as many as wanted: kind "box", "mesh" (from a file), "pedestrian", "cyclist", "car", "animal", "traffic_sign", "clutter".
+# They may move, appear and vanish; a table [traffic] puts some there at random.
 # [[objects]]
 # kind = "box"
 # name = "black box"
@@ -64,6 +72,20 @@ def copied(name: str, like: str) -> str:
     return re.sub(r"^name = .*$", lambda _: f"name = {_toml(name)}", known[like].read_text("utf-8"), count=1, flags=re.MULTILINE)
 
 
+def night(name: str, seed: int) -> str:
+    """The text of a scenario of lighting functions with traffic, road and light drawn from a seed."""
+    tables = {
+        **varied(seed),
+        "camera": {"width_px": 960, "height_px": 400, "hfov_deg": 30.0, "pitch_deg": 1.5},
+        "headlight": {"model": "ssl-hd-lores"},
+        "lighting": {"base": {"beam": "low"}, "functions": [{"kind": "glare_free"}]},
+    }
+    lines = [f"name = {_toml(name)}", "steps = 40", "rate_hz = 20"]
+    for key, table in tables.items():
+        lines += ["", f"[{key}]", *(f"{inner} = {_toml(value)}" for inner, value in table.items())]
+    return NIGHT_HEAD + "\n".join(lines) + "\n"
+
+
 def _table(key: str, field: FieldInfo) -> str:
     chosen = CHOSEN.get(key, {})
     model = VARIANTS.get(key) or cast(type[BaseModel], field.annotation)
@@ -93,6 +115,8 @@ def _toml(value: Any) -> str:
     """A value as TOML writes it, on one line."""
     if isinstance(value, BaseModel):
         return "{" + ", ".join(f"{key} = {_toml(inner)}" for key, inner in value) + "}"
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key} = {_toml(inner)}" for key, inner in value.items()) + "}"
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(_toml, value))}]"
     return json.dumps(value, ensure_ascii=False)

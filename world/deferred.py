@@ -15,18 +15,21 @@ from world.rasterise import FAR_M, NEAR_M, context
 from world.triangles import Triangles
 from world.view import View
 
+MOST_PARTS = 64  # of a body: its number and that of a part share a float of 24 bits
+
 
 @dataclass(frozen=True)
 class Fragments:
     """What OpenGL says of each pixel's centre; all zero where there is nothing.
 
     depth: `[height, width]` m along the optical axis. normal: `[3, height, width]`, unit, in the view's frame.
-    part: `[height, width]` int32, which of the placed bodies, -1 = none.
+    part: `[height, width]` int32, which of the placed bodies, -1 = none. part_of_body: `[height, width]` int32, which of its own parts.
     """
 
     depth: Tensor
     normal: Tensor
     part: Tensor
+    part_of_body: Tensor
 
 
 class DeferredRenderer:
@@ -48,7 +51,8 @@ class DeferredRenderer:
         depth, number, x, y = _read(view, GL.GL_RGBA, 4).permute(2, 0, 1).contiguous()
         hit = number.abs()
         z = (hit.clamp(max=1) - x * x - y * y).clamp(min=0).sqrt() * -number.sign()
-        return Fragments(depth, torch.stack([x, y, z]), hit.int() - 1)
+        code = hit.int()
+        return Fragments(depth, torch.stack([x, y, z]), code // MOST_PARTS - 1, code % MOST_PARTS)
 
     def depth(self, triangles: Triangles, view: View) -> Tensor:
         """Depth `[height, width]` float32 in m along the optical axis, infinite where there is nothing."""
@@ -81,7 +85,7 @@ class DeferredRenderer:
         for number, placed in enumerate(triangles.placed, 1):
             array, count = self._array_of(placed.body)
             GL.glUniformMatrix4fv(at["T_view_body"], 1, GL.GL_TRUE, (T_view_world @ placed.T_world_body).float().numpy())
-            GL.glUniform1f(at["number"], float(number))
+            GL.glUniform1f(at["number"], float(MOST_PARTS * number))
             GL.glUniform1i(at["two_sided"], placed.body.two_sided)
             (GL.glDisable if placed.body.two_sided else GL.glEnable)(GL.GL_CULL_FACE)
             GL.glBindVertexArray(array)
@@ -93,10 +97,12 @@ class DeferredRenderer:
     def _array_of(self, body: Body) -> tuple[int, int]:
         """A body's vertex array and its number of corners, uploaded at the first time and deleted with the body."""
         if body not in self._arrays:
-            if body.smooth:
-                corners, faces = np.concatenate([body.mesh.vertices, body.mesh.vertex_normals], axis=1), np.asarray(body.mesh.faces)
+            if body.smooth and body.part_of_face is None:
+                faces, n = np.asarray(body.mesh.faces), len(body.mesh.vertices)
+                corners = np.concatenate([body.mesh.vertices, body.mesh.vertex_normals, np.zeros((n, 1))], axis=1)
             else:
-                corners = torch.cat([body.corners, body.corner_normals], -1).flatten(0, 1).numpy()
+                part = torch.zeros(len(body.corners)) if body.part_of_face is None else body.part_of_face
+                corners = torch.cat([body.corners, body.corner_normals, part[:, None, None].expand(-1, 3, 1)], -1).flatten(0, 1).numpy()
                 faces = np.arange(len(corners))
             array, buffers = _upload(corners, faces)
             finalize(body, _delete, array, buffers).atexit = False  # when the context may be gone
@@ -115,9 +121,9 @@ def _upload(corners: np.ndarray, faces: np.ndarray) -> tuple[int, list[int]]:
     ):
         GL.glBindBuffer(target, buffer)
         GL.glBufferData(target, values.nbytes, values, GL.GL_STATIC_DRAW)
-    for location in (0, 1):
+    for location, size in enumerate((3, 3, 1)):
         GL.glEnableVertexAttribArray(location)
-        GL.glVertexAttribPointer(location, 3, GL.GL_FLOAT, GL.GL_FALSE, 24, GL.ctypes.c_void_p(12 * location))
+        GL.glVertexAttribPointer(location, size, GL.GL_FLOAT, GL.GL_FALSE, 28, GL.ctypes.c_void_p(12 * location))
     GL.glBindVertexArray(0)
     return array, buffers
 

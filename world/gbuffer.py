@@ -74,7 +74,7 @@ def gbuffer(triangles: Triangles, view: View, face_ids: Tensor) -> GBuffer:
     return GBuffer(position.view(3, *shape), normal.view(3, *shape), albedo.view(shape), object_id.view(shape), finish, seen_part)
 
 
-def reflection(placed: Placed, points: Tensor, numbers: dict[Material, int], part: Tensor | None = None) -> tuple[Tensor, Tensor]:
+def reflection(placed: Placed, points: Tensor, numbers: dict[Material, int], part: Tensor | None) -> tuple[Tensor, Tensor]:
     """Albedo `[M]` float32 and number of the material `[M]` int64 at points `[3, M]` of a body, world, on its parts `[M]`.
 
     New materials are numbered on.

@@ -56,15 +56,18 @@ class QuickSurfaces:
         of_part = torch.tensor([-1, *(placed.object_id for placed in triangles.placed)], dtype=torch.int32)
         object_id = of_part.index_select(0, part + 1)
         albedo, material = torch.zeros(part.shape), torch.zeros(part.shape, dtype=torch.int64)
+        part_of_body = seen.part_of_body.flatten() if any(placed.body.parts for placed in triangles.placed) else None
         numbers: dict[Material, int] = {LAMBERTIAN: 0}
         for placed in _one_an_object(triangles):
             pixels = torch.nonzero(object_id == placed.object_id)[:, 0]
             if len(pixels):
-                albedo[pixels], made_of = reflection(placed, position[:, pixels], numbers)
+                on_part = None if part_of_body is None else part_of_body[pixels]
+                albedo[pixels], made_of = reflection(placed, position[:, pixels], numbers, on_part)
                 if len(numbers) > 1:  # else it is the first, and its number 0
                     material[pixels] = made_of
         finish = Finish(tuple(numbers), material.view(shape), view.origin) if len(numbers) > 1 else None
-        return GBuffer(position.view(3, *shape), normal.view(3, *shape), albedo.view(shape), object_id.view(shape), finish)
+        parts = None if part_of_body is None else part_of_body.view(shape)
+        return GBuffer(position.view(3, *shape), normal.view(3, *shape), albedo.view(shape), object_id.view(shape), finish, parts)
 
     def shadow_map(self, triangles: Triangles, view: View) -> ShadowMap:
         view = padded(view)

@@ -51,7 +51,7 @@ OBJECT = {
 def schema(simulation: LightingSimulation) -> pa.Schema:
     """Columns of a simulation's recording: `lamp.left.flux_lm`, `object.NAME.lx_max` and so on."""
     sides = dict.fromkeys(module.side for module in simulation.modules)
-    tracked = [item.name for item in simulation.scenario.objects if item.category is not None]
+    tracked = [item.name for item in simulation.scenario.all_objects if item.category is not None]
     observed = any(getattr(function, "observer", None) for function in simulation.scenario.lighting.functions)
     columns = STEP | (OBSERVED if observed else {}) | {f"lamp.{side}.{key}": of for side in sides for key, of in LAMP.items()}
     columns |= {f"object.{name}.{key}": of for name in tracked for key, of in OBJECT.items()}

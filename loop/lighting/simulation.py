@@ -99,7 +99,7 @@ class LightingSimulation:
 
     def situation(self, time_s: float) -> Situation:
         """What the car knows at a time, from a tracker that makes no mistakes."""
-        categories = ((body, item.category) for body, item in zip(self.scene.objects, self.scenario.objects, strict=True))
+        categories = ((body, item.category) for body, item in zip(self.scene.objects, self.scenario.all_objects, strict=True))
         drive = driving(self.scenario.driving, time_s)
         return Situation(
             time_s,
@@ -153,7 +153,7 @@ class LightingSimulation:
 
     def _on_objects(self, illuminance: Tensor, object_id: Tensor, now: Situation) -> Mapping[str, OnObject]:
         found = {}
-        for number, (body, item) in enumerate(zip(self.scene.objects, self.scenario.objects, strict=True), 1):
+        for number, (body, item) in enumerate(zip(self.scene.objects, self.scenario.all_objects, strict=True), 1):
             if item.category is None:
                 continue
             lx = illuminance[object_id == number]
@@ -183,7 +183,7 @@ def _find_image(image: str) -> Path:
 def _check_names(scenario: LightingScenario, modules: tuple[ShiningModule, ...]) -> None:
     """Raises LuxloopError where raw utilisations or a function are meant for a lamp, module or object that is not there."""
     known = dict.fromkeys(word for module in modules for word in (*module.name.split(" ", 1), module.name))
-    objects = [item.name for item in scenario.objects if item.category is not None]
+    objects = [item.name for item in scenario.all_objects if item.category is not None]
     for key, each in (("raw", scenario.lighting.raw), ("functions", scenario.lighting.functions)):
         for number, item in enumerate(each):
             for name in getattr(item, "modules", ()):

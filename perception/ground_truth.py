@@ -1,0 +1,110 @@
+"""What is to be seen of a scene's objects in a view: boxes, classes, what hides them, parts and materials, from its G-buffer."""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from world.gbuffer import GBuffer
+from world.raycast import first_hits
+from world.tracked import Category
+from world.triangles import Placed, Triangles
+from world.view import View
+
+Box = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Truth:
+    """One object in one view.
+
+    box: left, top, right, bottom in px of what is seen of it. whole: the same of all of it, whether hidden or outside the image.
+    pixels: that it is seen at. visible: share of the pixels that it would be seen at were nothing before it. inside: share of `whole` that
+    lies in the image. materials: number of pixels by name of a material, of bodies with parts.
+    """
+
+    name: str
+    object_id: int
+    category: Category | None
+    box: Box
+    whole: Box
+    pixels: int
+    visible: float
+    inside: float
+    materials: Mapping[str, int]
+
+
+def ground_truth(surfaces: GBuffer, triangles: Triangles, view: View, categories: Sequence[Category | None]) -> tuple[Truth, ...]:
+    """Every object that is seen at a pixel at least, in the order of their ids.
+
+    surfaces: of `triangles` in `view`. categories: those of the objects 1, 2, ...; the road is object 0.
+    Boxes are in px of the view; where its rows are oversampled, so are they.
+    """
+    found = []
+    parts = dict((placed.object_id, placed) for placed in triangles.placed if placed.object_id > 0)
+    for object_id, placed in sorted(parts.items()):
+        seen = surfaces.object_id == object_id
+        pixels = int(seen.sum())
+        if not pixels:
+            continue
+        whole = _whole(placed, view)
+        alone = _pixels_alone(placed, view, whole)
+        width, height = whole[2] - whole[0], whole[3] - whole[1]
+        shown = _clipped(whole, view)
+        inside = (shown[2] - shown[0]) * (shown[3] - shown[1]) / (width * height)
+        # a rasteriser and a ray may take an outline's pixel differently
+        visible = min(pixels / max(alone, 1), 1.0)
+        materials = _materials(surfaces, seen, placed)
+        found.append(Truth(placed.body.name, object_id, categories[object_id - 1], _seen(seen), whole, pixels, visible, inside, materials))
+    return tuple(found)
+
+
+def part_mask(surfaces: GBuffer, triangles: Triangles, names: Collection[str]) -> Tensor:
+    """Where parts of these names are seen, such as heads and windscreens, `[height, width]` bool."""
+    mask = torch.zeros_like(surfaces.object_id, dtype=torch.bool)
+    if surfaces.part is None:
+        return mask
+    for placed in triangles.placed:
+        numbers = [k for k, part in enumerate(placed.body.parts) if part.name in names]
+        if numbers:
+            mask |= (surfaces.object_id == placed.object_id) & torch.isin(surfaces.part, torch.tensor(numbers).to(surfaces.part))
+    return mask
+
+
+def _seen(mask: Tensor) -> Box:
+    rows, columns = (torch.nonzero(mask.any(dim))[:, 0] for dim in (1, 0))
+    return float(columns[0]), float(rows[0]), float(columns[-1] + 1), float(rows[-1] + 1)
+
+
+def _whole(placed: Placed, view: View) -> Box:
+    """Of the corners before the view's plane; what crosses it reaches out of the image without end, and is cut there."""
+    image, depth = view.project(placed.corners.flatten(0, 1).T)
+    u, v = image[:, depth > 0.1]
+    return float(u.min()), float(v.min()), float(u.max()), float(v.max())
+
+
+def _clipped(box: Box, view: View) -> Box:
+    (u0, u1), (v0, v1) = (
+        (min(max(a, 0.0), n), min(max(b, 0.0), n)) for a, b, n in ((box[0], box[2], view.width), (box[1], box[3], view.height))
+    )
+    return u0, v0, u1, v1
+
+
+def _pixels_alone(placed: Placed, view: View, whole: Box) -> int:
+    """Number of the image's pixels that would see the object if it were alone."""
+    u0, v0, u1, v1 = _clipped(whole, view)
+    columns, rows = slice(int(u0), int(u1) + 1), slice(int(v0), int(v1) + 1)
+    rays = view.rays()[:, rows, columns].flatten(1)
+    return int((first_hits(Triangles((placed,)), view.origin, rays) >= 0).sum())
+
+
+def _materials(surfaces: GBuffer, seen: Tensor, placed: Placed) -> dict[str, int]:
+    if surfaces.part is None or not placed.body.parts:
+        return {}
+    counts = torch.bincount(surfaces.part[seen].long(), minlength=len(placed.body.parts)).tolist()
+    found: dict[str, int] = {}
+    for part, count in zip(placed.body.parts, counts, strict=True):
+        if count:
+            found[part.material] = found.get(part.material, 0) + count
+    return found

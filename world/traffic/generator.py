@@ -1,0 +1,172 @@
+"""Traffic at random: who and what is on a road and beside it, and roads, surfaces and light that vary, all from a seed."""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from world.objects import ObjectParams
+from world.params import Params
+from world.tracked import PathParams
+from world.traffic.animal import AnimalParams
+from world.traffic.car import CarParams
+from world.traffic.road_users import CyclistParams, PedestrianParams
+from world.traffic.roadside import ClutterParams, TrafficSignParams
+
+LANE_M = 3.5  # the own lane's middle is y = 0, the oncoming one lies to its left
+SIGHT = 0.26  # of what is placed, |y| / x at most: within 15 deg
+TRIES = 200
+AWAY_S = 30.0  # for which objects move
+Place = tuple[float, float, float]  # x and y in m, yaw in deg
+
+
+class TrafficParams(Params):
+    """Road users and what stands beside the road, made from a seed, besides the objects that are given one by one."""
+
+    seed: int = Field(0, ge=0, lt=2**63, description="seed of who is where")
+    pedestrians: int = Field(2, ge=0, le=30, description="on pavements, crossing or waiting")
+    cyclists: int = Field(1, ge=0, le=20, description="ahead or oncoming")
+    cars: int = Field(1, ge=0, le=10, description="ahead or oncoming, with their lamps on")
+    parked: int = Field(1, ge=0, le=20, description="cars parked beside the road; they have no category")
+    animals: int = Field(0, ge=0, le=10, description="deer")
+    signs: int = Field(1, ge=0, le=20, description="traffic signs")
+    clutter: int = Field(4, ge=0, le=50, description="trees, bushes, posts, bins, delineators; they have no category")
+    near_m: float = Field(8.0, ge=3, le=100, description="least distance ahead at the start")
+    far_m: float = Field(60.0, ge=10, le=200, description="greatest distance ahead at the start")
+    moving: bool = Field(True, description="whether road users move")
+
+    def objects(self) -> tuple[ObjectParams, ...]:
+        """All of them, those that move first; fewer than asked for where the road is full."""
+        rng = np.random.default_rng(self.seed)
+        taken: list[tuple[float, float, float]] = []
+        found: list[ObjectParams] = []
+        for count, name, radius_m, make in (
+            (self.cars, "car", 3.2, _car),
+            (self.animals, "deer", 1.0, _deer),
+            (self.cyclists, "cyclist", 1.1, _cyclist),
+            (self.pedestrians, "pedestrian", 0.5, _pedestrian),
+            (self.parked, "parked car", 2.6, _parked),
+            (self.signs, "sign", 0.5, _sign),
+            (self.clutter, "clutter", 0.9, _clutter),
+        ):
+            for k in range(count):
+                seed = int(rng.integers(2**31))
+                keys, speed, place = next(self._free(rng, taken, radius_m, make), ({}, 0.0, None))
+                if place is not None:
+                    taken.append((place[0], place[1], radius_m))
+                    found.append(_made(name, f"{name} {k + 1}", seed, place, speed if self.moving else 0.0, keys))
+        return tuple(found)
+
+    def _free(
+        self, rng: np.random.Generator, taken: list[tuple[float, float, float]], radius_m: float, make: "Maker"
+    ) -> Iterator[tuple[dict[str, Any], float, Place]]:
+        """Places in sight that nothing stands on yet."""
+        for _ in range(TRIES):
+            # even in the logarithm: as many near as far
+            x = float(np.exp(rng.uniform(np.log(self.near_m), np.log(max(self.far_m, self.near_m + 1)))))
+            keys, speed, y, yaw = make(rng)
+            clear = all(np.hypot(x - other_x, y - other_y) > radius_m + other for other_x, other_y, other in taken)
+            if clear and abs(y) <= SIGHT * x:
+                yield keys, speed, (x, y, yaw)
+
+
+Made = tuple[dict[str, Any], float, float, float]  # keys, speed in m/s, y in m, yaw in deg
+Maker = Callable[[np.random.Generator], Made]
+KINDS: dict[str, Any] = {
+    "car": CarParams,
+    "deer": AnimalParams,
+    "cyclist": CyclistParams,
+    "pedestrian": PedestrianParams,
+    "parked car": CarParams,
+    "sign": TrafficSignParams,
+    "clutter": ClutterParams,
+}
+
+
+def _made(kind: str, name: str, seed: int, place: Place, speed_m_s: float, keys: dict[str, Any]) -> ObjectParams:
+    x, y, yaw = (round(value, 3) for value in place)
+    if speed_m_s == 0:
+        return KINDS[kind](name=name, seed=seed, track=({"position_m": (x, y, 0.0), "yaw_deg": yaw},), **keys)
+    way, ahead = AWAY_S * speed_m_s, np.radians(yaw)
+    end = (round(x + way * float(np.cos(ahead)), 3), round(y + way * float(np.sin(ahead)), 3), 0.0)
+    path = PathParams(points_m=((x, y, 0.0), end), speed_m_s=round(speed_m_s, 3))
+    return KINDS[kind](name=name, seed=seed, path=path, **keys)
+
+
+def _side(rng: np.random.Generator) -> bool:
+    return bool(rng.random() < 0.5)
+
+
+def _car(rng: np.random.Generator) -> Made:
+    if rng.random() < 0.6:
+        return {}, float(rng.uniform(8, 20)), LANE_M + float(rng.normal(0, 0.2)), 180.0
+    return {}, float(rng.uniform(3, 12)), float(rng.normal(0, 0.2)), 0.0
+
+
+def _parked(rng: np.random.Generator) -> Made:
+    left = _side(rng)
+    y = LANE_M * 1.5 + 1.1 if left else -LANE_M / 2 - 1.1
+    return {"lit": False, "category": None}, 0.0, y + float(rng.normal(0, 0.1)), 180.0 if left else 0.0
+
+
+def _deer(rng: np.random.Generator) -> Made:
+    y, walks = float(rng.uniform(-6, 8)), _side(rng)
+    return {}, float(rng.uniform(0.6, 1.5)) if walks else 0.0, y, float(rng.uniform(-180, 180))
+
+
+def _cyclist(rng: np.random.Generator) -> Made:
+    if rng.random() < 0.55:
+        return {}, float(rng.uniform(3, 7)), float(rng.uniform(-1.6, -0.6)), 0.0
+    return {}, float(rng.uniform(3, 7)), LANE_M * 1.5 - float(rng.uniform(0.3, 1.2)), 180.0
+
+
+def _pedestrian(rng: np.random.Generator) -> Made:
+    walks, crosses = float(rng.uniform(0.9, 1.8)), rng.random() < 0.35
+    keys: dict[str, Any] = {"clothing": "vest"} if rng.random() < 0.08 else {}
+    if rng.random() < 0.15:
+        keys["height_m"] = round(float(rng.uniform(1.1, 1.5)), 2)
+    if crosses:
+        left = _side(rng)
+        return keys, walks, float(rng.uniform(-4, 5)), (-90.0 if left else 90.0) + float(rng.normal(0, 10))
+    left, stands = _side(rng), rng.random() < 0.3
+    y = LANE_M * 1.5 + float(rng.uniform(0.4, 3)) if left else -LANE_M / 2 - float(rng.uniform(0.4, 3))
+    return keys, 0.0 if stands else walks, y, float(rng.uniform(-180, 180)) if stands else 180.0 * float(_side(rng))
+
+
+def _sign(rng: np.random.Generator) -> Made:
+    left = rng.random() < 0.3
+    y = LANE_M * 1.5 + float(rng.uniform(0.5, 1.5)) if left else -LANE_M / 2 - float(rng.uniform(0.5, 1.5))
+    return {"height_m": round(float(rng.uniform(1.6, 2.4)), 2)}, 0.0, y, 180.0 - float(rng.uniform(0, 12))
+
+
+def _clutter(rng: np.random.Generator) -> Made:
+    shape = ("tree", "bush", "post", "bin", "delineator")[int(rng.choice(5, p=[0.3, 0.25, 0.2, 0.1, 0.15]))]
+    away = float(rng.uniform(1.2, 8))
+    return {"shape": shape}, 0.0, LANE_M * 1.5 + away if _side(rng) else -LANE_M / 2 - away, float(rng.uniform(-180, 180))
+
+
+def varied(seed: int) -> dict[str, Any]:
+    """Tables `road`, `surface`, `light` and `traffic` of a scenario, from a seed: about level roads, light of the night."""
+    rng = np.random.default_rng([seed, 1])
+    roads: list[dict[str, Any]] = [
+        {"kind": "flat"},
+        {"kind": "bumps", "seed": int(rng.integers(1000)), "highest_m": 0.03, "lowest_m": -0.02},
+        {"kind": "iso8608", "seed": int(rng.integers(1000)), "roughness_class": "AB"[int(rng.integers(2))]},
+    ]
+    surface = {
+        "albedo": round(float(rng.uniform(0.07, 0.3)), 3),
+        "grain": round(float(rng.uniform(0.05, 0.2)), 3),
+        "patches": int(rng.integers(6)),
+        "markings": bool(rng.random() < 0.6),
+        "seed": int(rng.integers(1000)),
+    }
+    light: dict[str, Any] = {"ambient_lx": round(float(10 ** rng.uniform(-2.5, -0.5)), 4)}
+    if rng.random() < 0.3:
+        light["street_lamps"] = [
+            {"position_m": [x + float(rng.uniform(0, 10)), 7.5, 7.0], "intensity_cd": round(float(rng.uniform(50, 800)), 1)}
+            for x in (15.0, 45.0)
+        ]
+    counts = {"pedestrians": (0, 5), "cyclists": (0, 3), "cars": (0, 3), "parked": (0, 3), "animals": (0, 2), "signs": (0, 3)}
+    traffic = {"seed": seed, **{key: int(rng.integers(*of)) for key, of in counts.items()}, "clutter": int(rng.integers(2, 9))}
+    return {"road": roads[int(rng.integers(3))], "surface": surface, "light": light, "traffic": traffic}
