@@ -182,7 +182,7 @@ def test_new_scenario_is_valid_and_shows_the_defaults(lux: Lux, tmp_path: Path) 
 def test_check(lux: Lux) -> None:
     code, out, error = lux("check", "small.toml")
     assert (code, error) == (0, "")
-    assert out == "small.toml: ok (3 steps, road flat, controller thesis_pid)\n"
+    assert out == "small.toml: ok (3 steps, road flat, controller luxloop)\n"
     assert "(5 steps, " in lux("check", "small.toml", "--set", "steps=5")[1]
 
 

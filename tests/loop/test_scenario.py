@@ -63,7 +63,10 @@ BROKEN = {
         GOOD + '[controller]\nname = "thesis_pid"\nx_range_m = [40, 8]',
         ["controller.x_range_m", "40 must be less than 8"],
     ),
-    "start outside of the limits": (GOOD + "[start]\nx_m = 50", ["start.x_m", "controller.x_range_m", "[8, 40]"]),
+    "start outside of the limits": (
+        GOOD + '[controller]\nname = "thesis_pid"\n[start]\nx_m = 50',
+        ["start.x_m", "controller.x_range_m", "[8, 40]"],
+    ),
     "not TOML": ("name = snowflake", ["not valid TOML", "line 1", "quotes"]),
     "one key twice": (GOOD + "[symbol]\n", ["not valid TOML", "symbol"]),
 }
