@@ -22,6 +22,7 @@ from baseline_numpy import Baseline, Lap, Picture
 from bench import machine, on_one_thread
 from rich.table import Table
 
+from controllers.symbol.protocol import Look, Shown
 from loop import tables
 from loop.scenario import load
 from loop.simulation import Simulation, SimulationState
@@ -56,17 +57,17 @@ def luxloop_step(simulation: Simulation, state: SimulationState, lap: Lap) -> tu
     plant = simulation.world
     lit = plant.lit(state.step * plant.period_s)
     lap("render")
-    pose = simulation.controller.pose(state.controller)
-    lights = simulation.projector.light(pose)
+    drawing = simulation.controller.drawing(state.controller)
+    lights = simulation.projector.draw(drawing)
     lap("light")
     lit_on = added_light(lit.transports, lights, lit.base)
     lap("luminance")
     noise = (frame_generator(plant.seed, state.step, frame) for frame in (0, 1))
     frames = (expose(lit_on, plant.camera, next(noise)), expose(lit.off, plant.camera, next(noise)))
     lap("camera")
-    seen = simulation.observer.look(frames, pose, lights)
+    seen = simulation.observer.look(frames, drawing.pose, lights)
     lap("perceive")
-    controller = simulation.controller.step(state.controller, seen)
+    controller = simulation.controller.step(state.controller, Look(seen, frames, Shown(drawing, lights)))
     lap("control")
     return replace(state, step=state.step + 1, controller=controller), seen.errors
 

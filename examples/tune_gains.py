@@ -34,7 +34,7 @@ def varied(params: ThesisPidParams, rng: np.random.Generator) -> ThesisPidParams
 
 def cost(simulation: Simulation, params: ThesisPidParams) -> float:
     """Mean of 1 - IoU over a run with this controller."""
-    controller = build_controller(params, simulation.projector.target)
+    controller = build_controller(params, simulation.observer)
     return float(np.mean([1 - float(result.verdict.iou) for result in replace(simulation, controller=controller).run()]))
 
 
