@@ -192,6 +192,8 @@ def allowed(field: dict[str, Any]) -> str:
             return f"list of {len(field['prefixItems'])} numbers"
         if field["items"].get("type") == "number":
             return "list of numbers"
+        if field["items"].get("type") == "integer":
+            return "list of whole numbers"
         if field["items"].get("type") == "string" and "enum" not in field["items"]:
             return "list of texts"
         return f"list: {allowed(field['items'])}" if "enum" in field["items"] else "list of tables"
