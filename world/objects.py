@@ -1,12 +1,12 @@
 """Objects that a scenario file may put into the scene: boxes, meshes from files, and what is made from a seed."""
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import torch
 import trimesh
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from world.body import Body
 from world.brdf import LAMBERTIAN
@@ -17,6 +17,9 @@ from world.traffic.animal import AnimalParams
 from world.traffic.car import CarParams
 from world.traffic.road_users import CyclistParams, PedestrianParams
 from world.traffic.roadside import ClutterParams, TrafficSignParams
+
+Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
+AXES = np.eye(3)
 
 
 class SolidParams(TrackedParams):
@@ -46,16 +49,28 @@ class BoxParams(SolidParams):
 
 
 class MeshParams(SolidParams):
-    """A mesh from a file; its origin and axes are the file's (x forward, y left, z up)."""
+    """A mesh from a file, whose origin it keeps."""
 
     kind: Literal["mesh"] = "mesh"
     file: Path = Field(description="Mesh file: .obj, .ply, .stl, .glb or what else trimesh reads")
     scale: float = Field(1.0, gt=0, description="Metres a unit of the file")
+    forward: Axis = Field("x", description="The file's axis that points ahead")
+    up: Axis = Field("z", description="The file's axis that points up; y in .glb and in most .obj files")
     smooth: bool = Field(False, description="Interpolate normals over the faces, for rounded bodies")
+
+    @model_validator(mode="after")
+    def _square(self) -> Self:
+        if self.forward[-1] == self.up[-1]:
+            raise ValueError(f"forward ({self.forward}) and up ({self.up}) lie along one axis of the file; name two")
+        return self
 
     def build(self) -> Body:
         """Read the file. Raises LuxloopError where it is missing, unreadable or has no triangles."""
         mesh = _read_mesh(self.file, self.scale)
+        ahead, up = (AXES["xyz".index(axis[-1])] * (-1 if axis[0] == "-" else 1) for axis in (self.forward, self.up))
+        turn = np.eye(4)
+        turn[:3, :3] = [ahead, np.cross(up, ahead), up]
+        mesh.apply_transform(turn)
         return Body(self.name, mesh, **self.surface(), smooth=self.smooth, two_sided=not mesh.is_watertight, track=self.pose_track())
 
 

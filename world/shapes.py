@@ -51,7 +51,7 @@ def _tube_faces(n: int, sides: int) -> NDArray[np.int64]:
     return np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1), *ends])
 
 
-def limb(part: str, start: ArrayLike, stop: ArrayLike, r_start: float, r_stop: float, sides: int = 8) -> Piece:
+def limb(part: str, start: ArrayLike, stop: ArrayLike, r_start: float, r_stop: float, sides: int = 7) -> Piece:
     """A tapering limb with rounded ends about two joints `[3]`."""
     start, stop = np.asarray(start, float), np.asarray(stop, float)
     way = stop - start

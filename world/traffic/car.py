@@ -110,7 +110,8 @@ def _wheels(size: Floats) -> list[Piece]:
         for side in (-1.0, 1.0):
             centre, out = np.array([x, side * (width / 2 - 0.1), WHEEL_M]), np.array([0.0, side, 0.0])
             for part, radius, outside in (("trim", 1.16 * WHEEL_M, 0.103), ("tyres", WHEEL_M, 0.113), ("rims", 0.62 * WHEEL_M, 0.118)):
-                ends = centre + np.array([[-0.1], [outside]]) * out
+                middle = centre + xyz(0, 0, max(radius - WHEEL_M, 0))
+                ends = middle + np.array([[-0.1], [outside]]) * out
                 pieces.append(tube(part, ends, [[radius, radius]] * 2, (1, 0, 0), 16))
     return pieces
 

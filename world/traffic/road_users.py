@@ -129,9 +129,9 @@ def bicycle(who: Person, phase: float) -> list[Piece]:
     seat, aside = saddle + xyz(0.03, 0, -0.15), xyz(0, 0.08, 0)
     tubes = [(crank, saddle + xyz(0, 0, -0.04)), (crank, low_stem), (seat, stem), (crank, rear), (seat, rear), (front, stem)]
     tubes += [(stem, grips[0]), (stem, grips[1]), (crank + aside, pedals[0]), (crank - aside, pedals[1])]
-    pieces = [limb("frame", a, b, 0.018, 0.018, sides=6) for a, b in tubes]
+    pieces = [limb("frame", a, b, 0.018, 0.018, sides=5) for a, b in tubes]
     for centre in (rear, front):
-        ring = trimesh.creation.torus(WHEEL_M - 0.02, 0.02, major_sections=20, minor_sections=6)
+        ring = trimesh.creation.torus(WHEEL_M - 0.02, 0.02, major_sections=16, minor_sections=5)
         ring.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, (1, 0, 0)))
         pieces.append(Piece("tyres", np.asarray(ring.vertices) + centre, np.asarray(ring.faces, dtype=np.int64)))
     pieces += [ellipsoid("tyres", saddle, (0.13, 0.07, 0.03), sides=8, rings=5)]
