@@ -18,6 +18,7 @@ from controllers.functions.situation import LightingFunction, Situation
 from controllers.functions.symbol import SymbolFunctionParams
 from controllers.primitives import Primitives, concatenate
 from controllers.symbols import SymbolSource, load
+from world.errors import located
 from world.params import Params
 
 FunctionParams = Annotated[
@@ -64,15 +65,25 @@ class Planner:
 
     @classmethod
     def prepare(cls, params: LightingParams, find: Callable[[str], Path] = Path, dtype: torch.dtype = torch.float32) -> "Planner":
-        """Load every symbol once. find: turns the name of a shipped symbol or a path into a path. Raises LuxloopError for a bad one."""
-        images = {image: None for function in params.functions if (image := getattr(function, "image", None))}
-        return cls(params, {image: load(find(image)) for image in images}, dtype)
+        """Load every symbol once. find: turns the name of a shipped symbol or a path into a path.
+
+        Raises LuxloopError that names the key of a bad one.
+        """
+        symbols: dict[str, SymbolSource] = {}
+        for number, function in enumerate(params.functions):
+            if (image := getattr(function, "image", None)) and image not in symbols:
+                with located(f"lighting.functions[{number}].image"):
+                    symbols[image] = load(find(image))
+        return cls(params, symbols, dtype)
 
     def plan(self, now: Situation) -> Plan:
         """Compose all functions. Masks of road users beat everything else; else the higher priority wins where two lie in one place."""
         now = replace(now, symbols=dict(self.symbols))
         functions: tuple[LightingFunction, ...] = self.params.functions
-        parts = [part for function in functions for part in function.primitives(now)]
+        parts: list[Primitives] = []
+        for number, function in enumerate(functions):
+            with located(f"lighting.functions[{number}]"):
+                parts += function.primitives(now)
         base = self.params.base.at(now)
         if not parts:
             return Plan(now.time_s, base, None)

@@ -14,7 +14,7 @@ from loop.pixel_control import pixel_controller
 from loop.scenario import HeadlightParams, Scenario, WorldScenario
 from loop.shipped import named
 from world.body import Body
-from world.errors import LuxloopError
+from world.errors import LuxloopError, located
 from world.frames import pose_from_degrees
 from world.lamp import Lamp, Module
 from world.roadbase import Road
@@ -99,4 +99,5 @@ def _check_movements(params: HeadlightParams, modules: Sequence[Module]) -> None
 
 def symbol_path(image: str) -> Path:
     """File of a symbol given by shipped name or path. Raises LuxloopError with the nearest name."""
-    return named(image, "symbols", "symbol.image")
+    with located("symbol.image"):
+        return named(image, "symbols")

@@ -131,7 +131,7 @@ def input_files(scenario: AnyScenario) -> Iterator[tuple[str, Path]]:
             if image is not None and (path := symbol_path(image)).is_file():
                 yield f"lighting.functions[{i}].image", path
         for i, raw in enumerate(scenario.lighting.raw):
-            for file in sequence_files(named(raw.file, "utilisations", f"lighting.raw[{i}].file")):
+            for file in sequence_files(named(raw.file, "utilisations")):
                 yield f"lighting.raw[{i}].file {file.name}", file
     if isinstance(scenario.road, OpenCrgRoad):
         yield "road.file", Path(data.locate(scenario.road.file))

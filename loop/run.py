@@ -17,7 +17,7 @@ from loop.scenario import AnyScenario, LightingScenario, Scenario
 from loop.simulation import Simulation, StepResult
 from loop.video import VideoWriter, frame_picture
 from perception.camera import camera_view, saturation_luminance
-from world.errors import LuxloopError
+from world.errors import LuxloopError, located
 
 VIDEO_FPS = 10  # slower than the loop, so that the eye can follow its steps
 LEAST_PX = 4  # of the target in either direction; quadrants need two pixels each
@@ -61,8 +61,13 @@ def run(
 
 def prepare(scenario: Scenario, device: str = "auto") -> Simulation:
     """A simulation that renders and whose camera can see the symbol at its target. Raises LuxloopError where that cannot be."""
+    with located(scenario.source):
+        return _prepare(scenario, device)
+
+
+def _prepare(scenario: Scenario, device: str) -> Simulation:
     symbol = scenario.symbol
-    where = f"{scenario.name}: the target at symbol.x_m = {symbol.x_m:g}, symbol.y_m = {symbol.y_m:g}"
+    where = f"the target at symbol.x_m = {symbol.x_m:g}, symbol.y_m = {symbol.y_m:g}"
     if not _in_the_image(scenario):
         raise LuxloopError(f"{where} is out of the camera's sight; move it, or turn the camera")
     simulation = Simulation.prepare(scenario, torch_device(device))
@@ -81,7 +86,7 @@ def prepare(scenario: Scenario, device: str = "auto") -> Simulation:
     brightest = float(simulation.world.lit(0.0).off.median() + simulation.goal.median)
     if brightest > saturation_luminance(scenario.camera):
         raise LuxloopError(
-            f"{scenario.name}: the symbol on the road has {brightest:.3g} cd/m^2, but the camera saturates at "
+            f"the symbol on the road has {brightest:.3g} cd/m^2, but the camera saturates at "
             f"{saturation_luminance(scenario.camera):.3g} cd/m^2; shorten camera.exposure_s, or raise camera.saturation_e"
         )
     return simulation

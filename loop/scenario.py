@@ -7,6 +7,7 @@ import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from datetime import date, time
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
@@ -129,6 +130,11 @@ class WorldScenario(Params):
     def all_objects(self) -> tuple[ObjectParams, ...]:
         """The objects that are given one by one, and those of the traffic."""
         return self.objects + (self.traffic.objects() if self.traffic else ())
+
+    @cached_property
+    def source(self) -> str:
+        """Where it was read, for messages; its name where it was made in Python."""
+        return self.name
 
     @property
     def digest(self) -> str:
@@ -289,9 +295,11 @@ def validate_any(data: Mapping[str, Any], source: str) -> AnyScenario:
     kind: type[AnyScenario] = LightingScenario if "lighting" in data else Scenario
     try:
         # By way of JSON, where strict still takes a list for a tuple and a text for a path.
-        return kind.model_validate_json(json.dumps(data), strict=True)
+        scenario: AnyScenario = kind.model_validate_json(json.dumps(data), strict=True)
     except ValidationError as error:
         raise LuxloopError(f"{source}: {sentence(error, kind, EXAMPLES[kind])}") from error
+    vars(scenario)["source"] = source
+    return scenario
 
 
 def _with_defaults(data: dict[str, Any]) -> dict[str, Any]:

@@ -17,8 +17,8 @@ def shipped_files(kind: str) -> dict[str, Path]:
     return {path.stem: path for path in sorted(Path(str(files("scenarios") / kind)).iterdir())}
 
 
-def named(name: str, kind: str, key: str) -> Path:
-    """File of a kind given by shipped name or path; key: that names it. Raises LuxloopError with the nearest name."""
+def named(name: str, kind: str) -> Path:
+    """File of a kind given by shipped name or path. Raises LuxloopError with the nearest name."""
     known = shipped_files(kind)
     if name in known:
         return known[name]
@@ -26,7 +26,7 @@ def named(name: str, kind: str, key: str) -> Path:
         return Path(name)
     nearest = difflib.get_close_matches(name, known, 1)
     hint = f"did you mean {nearest[0]!r}?" if nearest else f"shipped are {', '.join(known)}; a file or folder is given by its path"
-    raise LuxloopError(f"{key}: there are no {kind} {name!r}; {hint}")
+    raise LuxloopError(f"there are no {kind} {name!r}; {hint}")
 
 
 def find(name: str) -> Path:

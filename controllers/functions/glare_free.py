@@ -1,10 +1,11 @@
 """Glare-free high beam: the boxes of other road users stay dark (T 3.5.1, 7.2.2)."""
 
 import math
-from typing import Literal
+from itertools import pairwise
+from typing import Literal, Self
 
 import torch
-from pydantic import Field
+from pydantic import Field, model_validator
 from torch import Tensor
 
 from controllers.functions.geometry import cuboid
@@ -33,6 +34,13 @@ class GlareFreeParams(SelectionParams):
     fade_in_s: float = Field(0.0, ge=0, description="time to go dark for a new object; 0 goes dark at once, which is safe")
     fade_out_s: float = Field(0.6, ge=0, description="time to become bright again behind an object that is gone")
     soft_zones: tuple[SoftZoneParams, ...] = Field((), max_length=LAYERS - 1, description="dimmed boxes around the mask, inner ones first")
+
+    @model_validator(mode="after")
+    def _inner_zones_first(self) -> Self:
+        margins = [zone.margin_m for zone in self.soft_zones]
+        if any(outer <= inner for inner, outer in pairwise(margins)):
+            raise ValueError(f"soft_zones: margin_m must ascend, or inner zones hide outer ones, here {margins}; put the smallest first")
+        return self
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
         """A cuboid of six outward primitives for each object, forced and of infinite weight, and one for each soft zone.

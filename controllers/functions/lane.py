@@ -1,10 +1,10 @@
 """Optical lane and width assistant: where the lane goes, and whether the car fits through (T 3.5.2)."""
 
 import math
-from typing import Literal
+from typing import Literal, Self
 
 import torch
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from controllers.functions.geometry import strip
 from controllers.functions.path import Drawing
@@ -15,7 +15,20 @@ QUARTER_TURN = math.pi / 2  # rad, as far as a cubic curve follows a circle
 STRAIGHT_1_M = 1e-5  # a curve that turns less leaves its tangent by 2 cm in 60 m
 
 
-class LaneParams(Drawn):
+class Stretch(Drawn):
+    """What is drawn on the road from one distance to another."""
+
+    near_m: float
+    far_m: float
+
+    @model_validator(mode="after")
+    def _far_is_beyond_near(self) -> Self:
+        if self.far_m <= self.near_m:
+            raise ValueError(f"far_m: {self.far_m:g} m is not beyond near_m = {self.near_m:g} m, so nothing is drawn; raise it")
+        return self
+
+
+class LaneParams(Stretch):
     """A carpet of light on the lane, or a line along each of its borders, bent as the car's course."""
 
     kind: Literal["lane"] = "lane"
@@ -29,7 +42,7 @@ class LaneParams(Drawn):
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
         """Rectangles on a straight course; in a bend a drawing along a cubic curve."""
-        if not self.active(now.time_s) or self.far_m <= self.near_m:
+        if not self.active(now.time_s):
             return ()
         carpet = self.style == "carpet"
         offsets, width = ((0.0,), self.lane_width_m) if carpet else ((self.lane_width_m / 2, -self.lane_width_m / 2), self.line_width_m)
@@ -41,7 +54,7 @@ class LaneParams(Drawn):
         return (self.draw(drawing.place(now.T_world_vehicle), opacity=lines),)
 
 
-class WidthParams(Drawn):
+class WidthParams(Stretch):
     """Two lines as far apart as the car is wide, for narrow passages."""
 
     kind: Literal["width"] = "width"
@@ -51,7 +64,7 @@ class WidthParams(Drawn):
     far_m: float = Field(25.0, gt=0, description="where they end")
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
-        if not self.active(now.time_s) or self.far_m <= self.near_m:
+        if not self.active(now.time_s):
             return ()
         y = (self.vehicle_width_m - self.line_width_m) / 2
         return tuple(straight(self, now, self.near_m, self.far_m, side * y, self.line_width_m) for side in (1, -1))

@@ -34,8 +34,10 @@ class PathParams(Drawn):
     texel_m: float = Field(0.05, gt=0, le=1, description="resolution of the drawing")
 
     @model_validator(mode="after")
-    def _drawing_is_small(self) -> Self:
+    def _has_a_length_and_a_small_drawing(self) -> Self:
         ahead, left = zip(*self.control_m, strict=True)
+        if max(ahead) == min(ahead) and max(left) == min(left):
+            raise ValueError("control_m: all points are one, so the path has no length; move its last one on")
         texels = math.prod((max(at) - min(at) + self.width_m) / self.texel_m for at in (ahead, left))
         if texels > MOST_TEXELS:
             raise ValueError(f"control_m: the curve's drawing would have {texels:.1e} texels, not {MOST_TEXELS:.0e}; raise texel_m")

@@ -2,10 +2,10 @@
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import Literal, Protocol, Self
 
 import torch
-from pydantic import Field
+from pydantic import Field, model_validator
 from torch import Tensor
 
 from controllers.functions.geometry import Place
@@ -88,6 +88,15 @@ class SelectionParams(Params):
     nearer_than_m: float = Field(200.0, gt=0, description="only objects nearer than this")
     farther_than_m: float = Field(0.0, ge=0, description="only objects at least this far away")
 
+    @model_validator(mode="after")
+    def _some_distance_is_meant(self) -> Self:
+        if self.farther_than_m >= self.nearer_than_m:
+            raise ValueError(
+                f"farther_than_m: no object is at least {self.farther_than_m:g} m away and nearer than {self.nearer_than_m:g} m; "
+                "lower it, or raise nearer_than_m"
+            )
+        return self
+
     def selected(self, now: Situation) -> tuple[TrackedObject, ...]:
         """The objects meant that lie ahead; those that the tracker has lost are among them."""
         return tuple(
@@ -119,6 +128,12 @@ class Drawn(Params):
     share: bool = Field(True, description="what draws it gives its cd or lx together; false: each gives the whole")
     start_s: float | None = Field(None, description="drawn from this time on; left out: from the beginning")
     stop_s: float | None = Field(None, description="drawn until this time; left out: to the end")
+
+    @model_validator(mode="after")
+    def _stops_after_its_start(self) -> Self:
+        if self.start_s is not None and self.stop_s is not None and self.stop_s <= self.start_s:
+            raise ValueError(f"stop_s: {self.stop_s:g} s is not after start_s = {self.start_s:g} s, so nothing is drawn; raise it")
+        return self
 
     def active(self, time_s: float) -> bool:
         return (self.start_s is None or time_s >= self.start_s) and (self.stop_s is None or time_s < self.stop_s)

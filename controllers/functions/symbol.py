@@ -1,10 +1,10 @@
 """Symbols on the road: still, animated, only under a condition, or undistorted for an observer (T 3.5.2, 7.2.2)."""
 
 from dataclasses import replace
-from typing import Literal
+from typing import Literal, Self
 
 import torch
-from pydantic import Field
+from pydantic import Field, model_validator
 from torch import Tensor
 
 from controllers.animations import Animated, AnimationParams
@@ -15,6 +15,8 @@ from controllers.primitives import Observer, Primitives
 from world.errors import LuxloopError
 from world.frames import transform
 from world.params import Params
+
+DRIVER_M = (-1.6, 0.35, 1.3)  # the driver's eye, seen from the car
 
 
 class ConditionParams(SelectionParams):
@@ -31,17 +33,25 @@ class ConditionParams(SelectionParams):
 class ObserverParams(Params):
     """For whom the symbol shall look like a picture that hangs upright in the air, turned to them."""
 
-    eye_m: tuple[float, float, float] | None = Field(None, description="the eye, seen from the car (x ahead, y left, z up)")
+    eye_m: tuple[float, float, float] = Field(DRIVER_M, description="the eye, seen from the car (x ahead, y left, z up): the driver's")
     name: str | None = Field(None, description="instead: the tracked object that looks")
     eye_height_m: float = Field(1.5, gt=0, description="height of the tracked object's eye above its foot")
     centre_m: tuple[float, float, float] = Field((12.0, 0.0, 0.5), description="middle of the picture, seen from the car")
     width_m: float = Field(2.0, gt=0, description="width of the picture")
     height_m: float = Field(0.6, gt=0, description="height of the picture")
 
+    @model_validator(mode="after")
+    def _one_observer(self) -> Self:
+        if self.name is not None and self.eye_m != DRIVER_M:
+            raise ValueError(
+                f"eye_m: the observer is the object {self.name!r}, whose eye is eye_height_m above its foot; give one of the two"
+            )
+        return self
+
     def eye(self, now: Situation) -> Tensor | None:
         """`[3]` m in the world, None where the object that looks is not there."""
         if self.name is None:
-            return _world(now, self.eye_m or (-1.5, 0.35, 1.3))
+            return _world(now, self.eye_m)
         for each in now.objects:
             if each.name == self.name and each.since_s <= now.time_s < each.until_s:
                 return each.T_world_object[:3, 3] + self.eye_height_m * each.T_world_object[:3, 2]
@@ -61,7 +71,7 @@ class SymbolFunctionParams(Drawn):
 
     kind: Literal["symbol"] = "symbol"
     image: str = Field(description="name of a shipped symbol, or path of a picture, SVG, video or folder of pictures")
-    x_m: float = Field(17.0, description="centre ahead of the car")
+    x_m: float = Field(17.0, gt=0, description="centre ahead of the car")
     y_m: float = Field(0.0, description="centre to the left")
     yaw_deg: float = Field(0.0, ge=-180, le=180, description="turn to the left")
     width_m: float = Field(2.0, gt=0, description="extent across")
@@ -92,8 +102,7 @@ class SymbolFunctionParams(Drawn):
         place = drawing_rectangle(*picture, eye, T[:3, 3], T[:3, 2])
         if not all(bool(v.isfinite().all()) for v in place):
             raise LuxloopError(
-                f"symbol {self.image!r}: observer.centre_m and height_m put the picture above the observer's eye, "
-                "behind which lies no road; lower the picture"
+                "observer.centre_m and height_m put the picture above the observer's eye, behind which lies no road; lower the picture"
             )
         origin, d1, d2 = picture
         observer = Observer(eye[None], origin[None], d1[None], d2[None], active=torch.tensor([True]))

@@ -19,7 +19,7 @@ from loop.pixel_control import pixel_controller
 from loop.scenario import LightingScenario
 from loop.shipped import named
 from loop.utilisations import RawUtilisation, read_sequence
-from world.errors import LuxloopError
+from world.errors import LuxloopError, located
 from world.frames import pose_from_degrees
 from world.headlight import Headlight
 from world.lamp import Lamp
@@ -90,6 +90,11 @@ def _modules_of(side: str, scenario: LightingScenario, device: torch.device) -> 
     params = scenario.headlight
     lamp = load_lamp(params.model, "left" if side == "left" else "right")
     names = [module.name for module in lamp.modules]
+    if strange := [name for name in params.modules or () if name not in names]:
+        raise LuxloopError(
+            f"headlight.modules: lamp {params.model!r} has no module {strange[0]!r}, it has {', '.join(names)}; name these here, and in "
+            "the modules of lighting.functions and lighting.raw"
+        )
     chosen = [lamp.module(name) for name in params.modules or names]
     peak_cd = max(module.headlight.peak_cd for module in chosen)
     if not peak_cd > 0:
@@ -108,14 +113,11 @@ def _raw(scenario: LightingScenario, name: str, headlight: Headlight) -> RawUtil
     mine = [(i, raw) for i, raw in enumerate(scenario.lighting.raw) if meant(raw.modules, name)]
     if len(mine) > 1:
         both = " and ".join(f"lighting.raw[{i}]" for i, _ in mine[:2])
-        raise LuxloopError(f"{scenario.name}: {both} are both meant for module {name!r}; name the modules of each in its modules")
+        raise LuxloopError(f"{both} are both meant for module {name!r}; name the modules of each in its modules")
     for i, raw in mine:
-        key = f"{scenario.name}: lighting.raw[{i}].file"
-        file = named(raw.file, "utilisations", key)
-        try:
+        with located(f"lighting.raw[{i}].file, for module {name!r} (its modules say which are meant)"):
+            file = named(raw.file, "utilisations")
             return read_sequence(file, headlight.pixel_rows, headlight.pixel_cols, raw.rate_hz, raw.repeat)
-        except LuxloopError as error:
-            raise LuxloopError(f"{key}, for module {name!r} (its modules say which are meant): {error}") from error
     return None
 
 

@@ -4,22 +4,22 @@ import math
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import torch
 from torch import Tensor
 
-from controllers.functions.situation import Situation, TrackedObject
+from controllers.functions.situation import LightingFunction, Situation, TrackedObject
 from controllers.planner import Plan, Planner
 from controllers.rthc import masks
 from controllers.secondary import Light, SecondaryRays, scene_caster
-from loop.build import build_scene, symbol_path
+from loop.build import build_scene
 from loop.lighting.lamps import LampPower, ShiningModule, driven, shining_modules
 from loop.lighting.observed import ObservedSymbol, in_white, observed_symbols
 from loop.lighting.view import Looker
 from loop.scenario import DrivingParams, LightingScenario
+from loop.shipped import named
 from perception.camera import camera_view
-from world.errors import LuxloopError
+from world.errors import LuxloopError, located
 from world.face_source import face_source
 from world.scene import Scene
 
@@ -83,8 +83,12 @@ class LightingSimulation:
     @classmethod
     def prepare(cls, scenario: LightingScenario, device: torch.device | str = "cpu") -> "LightingSimulation":
         """Build scene and lamps, load symbols, plan a step. Raises LuxloopError where something is missing, beams included, or broken."""
-        device = torch.device(device)
-        planner = Planner.prepare(scenario.lighting, _find_image)
+        with located(scenario.source):
+            return cls._prepare(scenario, torch.device(device))
+
+    @classmethod
+    def _prepare(cls, scenario: LightingScenario, device: torch.device) -> "LightingSimulation":
+        planner = Planner.prepare(scenario.lighting, lambda image: named(image, "symbols"))
         scene = build_scene(scenario)
         modules = shining_modules(scenario, device)
         _check_names(scenario, modules)
@@ -173,13 +177,6 @@ def driving(course: tuple[DrivingParams, ...], time_s: float) -> DrivingParams:
     return last.model_copy(update=between)
 
 
-def _find_image(image: str) -> Path:
-    try:
-        return symbol_path(image)
-    except LuxloopError as error:
-        raise LuxloopError(str(error).replace("symbol.image", "lighting.functions: image", 1)) from error
-
-
 def _check_names(scenario: LightingScenario, modules: tuple[ShiningModule, ...]) -> None:
     """Raises LuxloopError where raw utilisations or a function are meant for a lamp, module or object that is not there."""
     known = dict.fromkeys(word for module in modules for word in (*module.name.split(" ", 1), module.name))
@@ -188,13 +185,21 @@ def _check_names(scenario: LightingScenario, modules: tuple[ShiningModule, ...])
         for number, item in enumerate(each):
             for name in getattr(item, "modules", ()):
                 if name not in known:
-                    where = f"{scenario.name}: lighting.{key}[{number}].modules"
+                    where = f"lighting.{key}[{number}].modules"
                     raise LuxloopError(f"{where}: there is no lamp or module {name!r}; there are {', '.join(known)}")
     for number, function in enumerate(scenario.lighting.functions):
-        where = f"{scenario.name}: lighting.functions[{number}]"
-        for name in getattr(function, "names", None) or ():
+        for key, name in _objects_named(function):
             if name not in objects:
                 raise LuxloopError(
-                    f"{where}.names: there is no object {name!r} with a category; there are {', '.join(objects) or 'none'}, "
-                    "an object is tracked if it has a category"
+                    f"lighting.functions[{number}].{key}: there is no object {name!r} with a category; there are "
+                    f"{', '.join(objects) or 'none'}, an object is tracked if it has a category"
                 )
+
+
+def _objects_named(function: LightingFunction) -> Iterator[tuple[str, str]]:
+    """The objects that a function names, each after its key."""
+    for table in ("", "when.", "unless."):
+        selection = getattr(function, table[:-1], None) if table else function
+        yield from ((f"{table}names", name) for name in getattr(selection, "names", None) or ())
+    if (observer := getattr(function, "observer", None)) is not None and observer.name is not None:
+        yield "observer.name", observer.name

@@ -29,6 +29,7 @@ BOX = {
 }
 CAMERA = {"width_px": 160, "height_px": 90}
 GLARE_FREE = {"kind": "glare_free"}
+SYMBOL = {"kind": "symbol", "image": "snowflake"}
 
 
 def scenario(**changes: Any) -> LightingScenario:
@@ -163,7 +164,13 @@ def test_driving_changes_evenly_and_holds_what_is_true() -> None:
 WRONG = {
     "module": ({"lighting": {"functions": [{"kind": "lane", "modules": ["hires"]}]}}, ["lighting.functions[0].modules", "'hires'", "left"]),
     "object": ({"lighting": {"functions": [GLARE_FREE | {"names": ["bus"]}]}}, ["lighting.functions[0].names", "'bus'", "van"]),
-    "image": ({"lighting": {"functions": [{"kind": "symbol", "image": "snowflak"}]}}, ["lighting.functions", "'snowflake'"]),
+    "image": ({"lighting": {"functions": [GLARE_FREE, SYMBOL | {"image": "snowflak"}]}}, ["lighting.functions[1].image", "'snowflake'"]),
+    "image file": ({"lighting": {"functions": [SYMBOL | {"image": "/no.png"}]}}, ["lighting.functions[0].image", "/no.png"]),
+    "observer": ({"lighting": {"functions": [SYMBOL | {"observer": {"name": "x"}}]}}, ["functions[0].observer.name", "'x'", "van"]),
+    "when": ({"lighting": {"functions": [SYMBOL | {"when": {"names": ["x"]}}]}}, ["functions[0].when.names", "'x'", "van"]),
+    "unless": ({"lighting": {"functions": [SYMBOL | {"unless": {"names": ["x"]}}]}}, ["functions[0].unless.names", "'x'", "van"]),
+    "picture": ({"lighting": {"functions": [SYMBOL | {"observer": {"centre_m": [10, 0, 2]}}]}}, ["functions[0]: ", "lower the picture"]),
+    "lamp": ({"headlight": {"model": "hd84", "modules": ["lores"]}}, ["headlight.modules", "'hd84'", "'lores'", "matrix", "functions"]),
     "beam of the lamp's modules": ({"headlight": {"model": "hd84", "modules": ["hires"]}}, ["'hires'", "matrix"]),
 }
 

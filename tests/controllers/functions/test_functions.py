@@ -11,6 +11,7 @@ from torch import Tensor
 
 from controllers.functions.base_beams import BaseBeamParams, bend_of_course
 from controllers.functions.bezier import length_at, point
+from controllers.functions.glare_free import GlareFreeParams
 from controllers.functions.lane import LaneParams, WidthParams, arc
 from controllers.functions.marker import MarkerParams
 from controllers.functions.path import Drawing, PathParams
@@ -23,6 +24,7 @@ from controllers.symbols import OverTime, Still
 from world.body import Body, PoseTrack
 from world.errors import LuxloopError
 from world.frames import pose_from_degrees, transform
+from world.params import Params
 from world.presets import idealised
 
 HERE = torch.eye(4, dtype=torch.float64)
@@ -246,3 +248,29 @@ def test_a_perfect_tracker_reports_the_box_of_a_body() -> None:
     each = TrackedObject.of(Body("van", mesh, track=track), "car", 1.0)
     assert each.size_m == pytest.approx((4, 2, 1)) and each.until_s == 5.0
     torch.testing.assert_close(each.T_world_object[:3, 3], torch.tensor([11.0, 0.0, 0.3]).double())
+
+
+@pytest.mark.parametrize(
+    ("kind", "given", "words"),
+    [
+        (LaneParams, {"near_m": 20, "far_m": 20}, "far_m: 20 m is not beyond near_m = 20 m"),
+        (WidthParams, {"near_m": 9, "far_m": 3}, "far_m: 3 m is not beyond near_m"),
+        (LaneParams, {"start_s": 2, "stop_s": 2}, "stop_s: 2 s is not after start_s"),
+        (GlareFreeParams, {"nearer_than_m": 20, "farther_than_m": 20}, "farther_than_m: no object"),
+        (
+            GlareFreeParams,
+            {"soft_zones": [{"margin_m": 0.9, "u_rel": 0.5}, {"margin_m": 0.4, "u_rel": 0.3}]},
+            "soft_zones: margin_m must ascend",
+        ),
+        (PathParams, {"control_m": [(9, 1), (9, 1), (9, 1)]}, "control_m: all points are one"),
+        (SymbolFunctionParams, {"image": "a", "x_m": -3}, "x_m"),
+        (
+            SymbolFunctionParams,
+            {"image": "a", "observer": {"name": "anna", "eye_m": (0, 0, 1)}},
+            "eye_m: the observer is the object 'anna'",
+        ),
+    ],
+)
+def test_what_could_draw_nothing_is_refused(kind: type[Params], given: dict[str, object], words: str) -> None:
+    with pytest.raises(ValidationError, match=words):
+        kind(**given)
