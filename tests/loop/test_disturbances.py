@@ -17,6 +17,8 @@ from loop.truth import true_camera, true_modules, worn
 from perception.camera import luminance_of, saturation_luminance
 from tests.loop.conftest import SMALL
 from world.errors import LuxloopError
+from world.roads import Flat
+from world.vehicle import VehicleParams, drive
 
 AT_TARGET: dict[str, Any] = {**SMALL, "controller": {"name": "open"}, "start": {}, "steps": 1}
 QUIET = {"camera": {**SMALL["camera"], "noise": False}}
@@ -72,6 +74,22 @@ def test_a_headlamp_in_one_frame_only_saturates_and_veils_that_frame(plain: Simu
         # one level of code; the plane's tangent in place of the angle is 0.5 % at 6 deg
         expected = 0.1 * 10 * 3000 / float((position - plain.world.view.origin).square().sum()) / theta**2
         assert float(veil) == pytest.approx(expected, rel=0.03, abs=saturation_luminance(plain.world.camera) / 4095)
+
+
+def test_a_car_drives_towards_a_headlamp_that_stands(plain: Simulation) -> None:
+    lamp = {"position_m": (60.0, 2.0, 0.65), "diameter_m": 0.5, "veil": 0.0, "intensity_cd": 5.0}
+    scene, modules, camera, source = plain.world.scene, plain.world.modules, plain.world.camera, plain.world.source
+    motion = drive(VehicleParams.model_validate({"course": [{"speed_m_s": 20.0}]}), Flat(), 1.0)
+    disturbances = DisturbanceParams.model_validate({"oncoming": [lamp]})
+    world = SimulatedPlant(scene, modules, camera, source, 30.0, 0, plain.device, motion, disturbances=disturbances)
+    dark = torch.zeros(camera.height_px, camera.width_px, device=plain.device)
+    for step, frame, distance in ((0, 0, 60.0), (15, 0, 50.0), (15, 1, 50.0 - 20 / 60)):
+        image = world.exposed(dark, dark, step, frame)
+        u, v = torch.arange(camera.width_px) + 0.5, torch.arange(camera.height_px) + 0.5
+        middle = [float((image.sum(dim).cpu() * at).sum() / image.sum()) for dim, at in ((0, u), (1, v))]
+        uv, _ = world.view.project(torch.tensor([[distance], [2.0], [0.65]], dtype=torch.float64))
+        # digital numbers below half a level are none, which cuts the Gaussian off evenly
+        assert middle == pytest.approx(uv[:, 0].tolist(), abs=0.05)
 
 
 def test_noise_is_as_many_times_as_wide(plain: Simulation) -> None:
