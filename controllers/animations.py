@@ -21,9 +21,12 @@ class BlinkingParams(Params):
     rate_hz: float = Field(1.5, gt=0, le=20, description="how often a second (UN R6 asks indicators for 1 to 2)")
     duty: float = Field(0.5, gt=0, lt=1, description="share of the time that it is on")
 
-    def share(self, time_s: float, along: Tensor) -> Tensor:
+    def shows(self, time_s: float) -> bool:
         # A time that is meant to be a switching time may round to just before it.
-        return torch.full_like(along, float((time_s * self.rate_hz + 1e-6) % 1 < self.duty))
+        return (time_s * self.rate_hz + 1e-6) % 1 < self.duty
+
+    def share(self, time_s: float, along: Tensor) -> Tensor:
+        return torch.full_like(along, float(self.shows(time_s)))
 
 
 class RunningLightParams(Params):
@@ -65,6 +68,10 @@ class Animated:
 
     source: SymbolSource
     animation: BlinkingParams | RunningLightParams | WipeParams
+
+    def shows(self, time_s: float) -> bool:
+        """Whether there is anything: while it blinks and is off, what lies below is seen."""
+        return not isinstance(self.animation, BlinkingParams) or self.animation.shows(time_s)
 
     def at(self, time_s: float) -> Tensor:
         """`[h, w]` in 0..1; a homogeneous symbol is cut into enough rows and columns for what runs along it."""

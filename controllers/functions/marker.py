@@ -13,6 +13,7 @@ from controllers.symbols import Still
 from world.frames import inverse, transform
 
 SHORTEST_M = 0.5  # a shorter line leads nowhere
+WHITE = Still(torch.ones(1, 1))
 
 
 class MarkerParams(Drawn, SelectionParams):
@@ -30,7 +31,7 @@ class MarkerParams(Drawn, SelectionParams):
     animation: AnimationParams | None = Field(None, description="how it changes with time; left out: it stands still")
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
-        if not self.active(now.time_s):
+        if not self.active(now.time_s) or (self.animation and not Animated(WHITE, self.animation).shows(now.time_s)):
             return ()
         present = (each for each in self.selected(now) if each.since_s <= now.time_s < each.until_s)
         return tuple(part for each in present for part in (self._line(each, now) if self.target == "road" else self._body(each, now)))
@@ -54,5 +55,4 @@ class MarkerParams(Drawn, SelectionParams):
         return (self._draw(facing(each.T_world_object, low, high, now.lamps.mean(0)), now),)
 
     def _draw(self, place: Place, now: Situation) -> Primitives:
-        white = Still(torch.ones(1, 1))
-        return self.draw(place, (Animated(white, self.animation) if self.animation else white).at(now.time_s), layer=1)
+        return self.draw(place, (Animated(WHITE, self.animation) if self.animation else WHITE).at(now.time_s), layer=1)

@@ -85,7 +85,12 @@ class SymbolFunctionParams(Drawn):
         if not self.active(now.time_s) or (self.when and not self.when.holds(now)) or (self.unless and self.unless.holds(now)):
             return ()
         source = now.symbols[self.image]
-        image = (Animated(source, self.animation) if self.animation else source).at(now.time_s - (self.start_s or 0.0))
+        time_s = now.time_s - (self.start_s or 0.0)
+        if self.animation:
+            source = Animated(source, self.animation)
+            if not source.shows(time_s):
+                return ()
+        image = source.at(time_s)
         if self.observer is None:
             return (self.draw(self._place(now), image),)
         eye = self.observer.eye(now)

@@ -16,7 +16,7 @@ from controllers.functions.lane import LaneParams, WidthParams, arc
 from controllers.functions.marker import MarkerParams
 from controllers.functions.path import Drawing, PathParams
 from controllers.functions.sign import SignParams
-from controllers.functions.situation import Situation, TrackedObject, fade
+from controllers.functions.situation import Drawn, Situation, TrackedObject, fade
 from controllers.functions.symbol import SymbolFunctionParams
 from controllers.primitives import Primitives
 from controllers.ssc import Ssc
@@ -73,8 +73,16 @@ def test_a_body_is_lit_up_to_a_share_of_its_height() -> None:
     low, high = extent(light)
     assert (low[2], high[2]) == (pytest.approx(0.0, abs=1e-9), pytest.approx(0.9))
     assert light.normal[0] @ (LAMPS.mean(0) - PERSON.T_world_object[:3, 3]) > 0
-    (blinking,) = MarkerParams(target="body", animation={"kind": "blinking", "rate_hz": 1.0}).primitives(now(PERSON, time_s=2.6))
-    assert not blinking.symbols[0].any()
+
+
+@pytest.mark.parametrize(
+    ("kind", "given"), [(MarkerParams, {"target": "body"}), (MarkerParams, {"surround_m": 0.5}), (SymbolFunctionParams, {"image": "a"})]
+)
+def test_while_what_blinks_is_off_it_does_not_darken_the_beam(kind: type[Drawn], given: dict[str, object]) -> None:
+    blinking = kind(animation={"kind": "blinking", "rate_hz": 1.0}, **given)
+    still = kind(**given)
+    assert len(blinking.primitives(now(PERSON, time_s=2.4))) == len(still.primitives(now(PERSON, time_s=2.6))) > 0
+    assert not blinking.primitives(now(PERSON, time_s=2.6))
 
 
 @pytest.mark.parametrize("yaw_deg", [0.0, 180.0, 160.0])
