@@ -15,7 +15,7 @@ from world.errors import LuxloopError
 from world.roads import Mixed, RoadParams
 from world.traffic.generator import varied
 
-LEFT_OUT = ("schema_version", "objects", "traffic")  # said in HEAD and TAIL
+LEFT_OUT = ("schema_version", "objects")  # said in HEAD and TAIL
 CHOSEN: dict[str, dict[str, Any]] = {
     "symbol": {"image": "snowflake", "width_m": 2.0, "length_m": 4.0, "x_m": 17.0, "y_m": 0.0},
     "start": {"x_m": 20.0, "y_m": 1.5, "roll_deg": 5.0, "pitch_deg": -2.0},

@@ -28,7 +28,7 @@ class KeyframeParams(Params):
     yaw_deg: float = Field(0.0, ge=-180, le=180, description="About the z axis, positive: to the left")
 
 
-class PathParams(Params):
+class WayParams(Params):
     """A way at a constant speed, on which the object looks ahead."""
 
     points_m: tuple[tuple[float, float, float], ...] = Field(
@@ -63,7 +63,7 @@ class TrackedParams(Params):
     name: str = Field(min_length=1, description="Name, for reports")
     category: Category | None = Field(None, description="What a tracker reports it as to lighting functions; left out: nothing is told")
     track: tuple[KeyframeParams, ...] = Field((), description="Poses in ascending time; one keyframe: the object stands still")
-    path: PathParams | None = Field(None, description="A way at a constant speed, in place of a track")
+    path: WayParams | None = Field(None, description="A way at a constant speed, in place of a track")
     appears_s: float | None = Field(None, description="Time of appearing; left out: there from the start")
     vanishes_s: float | None = Field(None, description="Time of vanishing; left out: there to the end")
 

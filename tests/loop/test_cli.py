@@ -204,6 +204,19 @@ def test_new_scenario_like_none_is_refused_and_nothing_written(lux: Lux, tmp_pat
     assert code == cli.WRONG and "'gfhb'" in error and not (tmp_path / "my.toml").exists()
 
 
+def test_new_night_is_valid_and_its_traffic_comes_from_the_seed(lux: Lux) -> None:
+    assert lux("new", "a.toml", "--traffic", "7")[0] == lux("new", "b.toml", "--traffic", "8")[0] == 0
+    a, b = load_any("a.toml"), load_any("b.toml")
+    assert len(a.all_objects) > 5 and a.all_objects != b.all_objects and a.surface != b.surface
+    assert lux("check", "a.toml")[0] == 0
+
+
+@pytest.mark.parametrize(("more", "words"), [(["--traffic", "-1"], "from 0 on"), (["--traffic", "1", "--like", "gfhb"], "one of the two")])
+def test_new_night_that_cannot_be_is_refused(lux: Lux, tmp_path: Path, more: list[str], words: str) -> None:
+    code, _, error = lux("new", "my.toml", *more)
+    assert code == cli.WRONG and words in error and not (tmp_path / "my.toml").exists()
+
+
 def test_list_names_missing_data_and_how_to_get_it(lux: Lux, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     paved = tmp_path / "paved.toml"
     paved.write_text('name = "paved"\ndescription = "On stones."\nroad = {file = "belgian_block"}\ncontroller = {name = "open"}\n')

@@ -21,7 +21,7 @@ from world.raycast import RayCaster
 from world.scene import Scene
 from world.shapes import Piece, blob, block, ellipsoid, limb, tube
 from world.surfaces import QuickSurfaces
-from world.tracked import PathParams
+from world.tracked import WayParams
 from world.traffic.car import LOW_BEAM_CD, CarParams
 from world.traffic.generator import SIGHT, TrafficParams, varied
 from world.traffic.people import SHANK, THIGH, someone, walking
@@ -124,7 +124,7 @@ def test_a_figure_walks_with_its_way_and_is_made_anew_only_when_it_changes():
 
 
 def test_a_path_keeps_its_speed_and_looks_ahead():
-    path = PathParams(points_m=((0, 0, 0), (10, 0, 0), (10, 10, 0)), speed_m_s=2.0, start_s=3.0)
+    path = WayParams(points_m=((0, 0, 0), (10, 0, 0), (10, 10, 0)), speed_m_s=2.0, start_s=3.0)
     track = PedestrianParams(name="eva", path=path).pose_track()
     times, places = np.array(track.times_s), track.T_world_body[:, :3, 3].numpy()
     assert np.linalg.norm(np.diff(places, axis=0), axis=1) / np.diff(times) == pytest.approx(2.0)

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from world.objects import ObjectParams
 from world.params import Params
-from world.tracked import PathParams
+from world.tracked import WayParams
 from world.traffic.animal import AnimalParams
 from world.traffic.car import CarParams
 from world.traffic.road_users import CyclistParams, PedestrianParams
@@ -90,7 +90,7 @@ def _made(kind: str, name: str, seed: int, place: Place, speed_m_s: float, keys:
         return KINDS[kind](name=name, seed=seed, track=({"position_m": (x, y, 0.0), "yaw_deg": yaw},), **keys)
     way, ahead = AWAY_S * speed_m_s, np.radians(yaw)
     end = (round(x + way * float(np.cos(ahead)), 3), round(y + way * float(np.sin(ahead)), 3), 0.0)
-    path = PathParams(points_m=((x, y, 0.0), end), speed_m_s=round(speed_m_s, 3))
+    path = WayParams(points_m=((x, y, 0.0), end), speed_m_s=round(speed_m_s, 3))
     return KINDS[kind](name=name, seed=seed, path=path, **keys)
 
 

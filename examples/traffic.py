@@ -1,0 +1,71 @@
+"""The pictures and times of docs/traffic.md: `python examples/traffic.py pictures`."""
+
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median
+from typing import TypeVar
+
+import cv2
+
+from loop.build import build_scene
+from loop.lighting.simulation import LightingSimulation
+from loop.scenario import load_any, validate_any
+from perception.camera import CameraParams, camera_view
+from perception.ground_truth import ground_truth
+from world.face_source import face_source
+from world.scene import Scene
+from world.surfaces import ExactSurfaces, surface_source
+from world.traffic.generator import varied
+
+T = TypeVar("T")
+SCENES = 8
+
+
+def pictures(folder: Path) -> None:
+    """`night_traffic` after 1.5 s, by night and in 2000 lx; the sky is light grey by day."""
+    for name, ambient_lx, white_cd_m2, sky in (("night", 0.05, 6.0, 0.0), ("day", 2000.0, 350.0, 0.8)):
+        simulation = LightingSimulation.prepare(load_any("night_traffic", [f"light.ambient_lx={ambient_lx}"]))
+        result = simulation.step(30)
+        image = (result.luminance / white_cd_m2).clamp(0, 1).sqrt()
+        image[simulation.camera.at(result.time_s).surfaces.object_id < 0] = sky
+        cv2.imwrite(str(folder / f"traffic-{name}.jpg"), (255 * image).cpu().numpy(), [cv2.IMWRITE_JPEG_QUALITY, 80])
+
+
+def times() -> None:
+    """Medians over scenes, each drawn a second time, on one road."""
+    view = camera_view(CameraParams(width_px=640, height_px=360))
+    ways = {
+        "exact": ExactSurfaces(face_source()),
+        "quick": surface_source(face_source(), moving=True),
+        "rays": ExactSurfaces(face_source("raycast")),
+    }
+    found: dict[str, list[float]] = {}
+    road = None
+
+    def timed(name: str, work: Callable[[], T]) -> T:
+        start = time.perf_counter()
+        result = work()
+        found.setdefault(name, []).append(1e3 * (time.perf_counter() - start))
+        return result
+
+    for seed in range(SCENES):
+        scenario = validate_any({"name": "night", "lighting": {}, **varied(seed)}, f"seed {seed}")
+        items = scenario.all_objects
+        objects = timed("make the objects", lambda items=items: [item.build() for item in items])
+        road = road or build_scene(scenario).bodies[0]
+        triangles = Scene((road, *objects)).at(0.0)
+        for name, way in ways.items():
+            way.gbuffer(triangles, view)
+            surfaces = timed(f"G-buffer, {name}", lambda way=way, triangles=triangles: way.gbuffer(triangles, view))
+        timed("ground truth", lambda s=surfaces, t=triangles, n=items: ground_truth(s, t, view, [each.category for each in n]))
+    for name, values in found.items():
+        print(f"{name}: {median(values):.0f} ms")
+
+
+if __name__ == "__main__":
+    target = Path(sys.argv[1]) if len(sys.argv) > 1 else Path("pictures")
+    target.mkdir(parents=True, exist_ok=True)
+    pictures(target)
+    times()
