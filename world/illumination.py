@@ -111,6 +111,12 @@ class Transport:
         stop = max(int(self.last[band].max()) + 1, start)
         return multiply(self.matrix.band(start, stop), utilisation), self.index[start:stop]
 
+    def within(self, start: int, stop: int) -> "Transport":
+        """The part to the camera pixels of flat image index start to stop, which count from start."""
+        low, high = torch.searchsorted(self.index, self.index.new_tensor([start, stop])).tolist()
+        first, last = (self.first - low).clamp(min=0), (self.last - low).clamp(max=high - low - 1)
+        return Transport(self.matrix.band(low, high), self.index[low:high] - start, first, last)
+
 
 def transport(surface: LitSurface, headlight: Headlight, width: int, oversampling: int = 1) -> Transport:
     """Fold sampling, geometry, reflection and the headlight matrix into one sparse matrix (M x n_p).
@@ -177,7 +183,7 @@ class Light(Protocol):
 
 def added_light(transports: Sequence[LightTransport], lights: Sequence[Light], base: Tensor) -> Tensor:
     """Luminance `[..., height, width]` in cd/m^2 of a camera's pixels: that of one light a transport on top of a base `[height, width]`."""
-    image = base.expand(*lights[0].u.shape[:-1], *base.shape).flatten(-2).clone()
+    image = base.to(lights[0].u).expand(*lights[0].u.shape[:-1], *base.shape).flatten(-2).clone()
     for transport_, light in zip(transports, lights, strict=True):
         luminance, index = transport_.luminance(light.u, light.band)
         image.index_add_(-1, index, luminance)

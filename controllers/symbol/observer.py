@@ -48,14 +48,18 @@ class Observer:
         """
         crop = self.projector.footprint(pose, self.model.eye.view, self.params.footprint_margin_m)
         if frames is None:
-            return self._lost(pose, Crop(0, 0, 0, 0), Loss.NO_FRAME)
+            return self.lost(pose, Loss.NO_FRAME)
         if crop.v_stop - crop.v_start < 2 or crop.u_stop - crop.u_start < 2:
-            return self._lost(pose, Crop(0, 0, 0, 0), Loss.NOTHING)
+            return self.lost(pose, Loss.NOTHING)
         on, off = (frame[..., *crop.slices] for frame in frames)
+        return self.compare(on, off, self.model.symbol(lights, crop), crop)
+
+    def compare(self, on: Tensor, off: Tensor, expected_symbol: Tensor, crop: Crop) -> Seen:
+        """Look at frames `[..., h, w]` (digital numbers) cut at crop, beside the symbol image that the flat road would show there."""
         contrast, limit = difference(on, off, self.camera), threshold(off, self.camera, self.params)
         symbol = symbol_image(contrast, limit, self.params)
         seen = self.model.eye.look(symbol, crop)
-        expected = self.model.eye.area(self.model.symbol(lights, crop), crop)
+        expected = self.model.eye.area(expected_symbol, crop)
         error = errors(self.model.eye.features(seen), self.model.target)
         pose_error = error[..., PAIRED] / self.model.gains
         return Seen(gate(seen.area, expected, self.params), error, pose_error, seen.area / expected, seen, symbol, crop)
@@ -65,9 +69,10 @@ class Observer:
         crop = self.projector.footprint(pose, self.model.eye.view, self.params.footprint_margin_m)
         return self.model.eye.features(self.model.eye.look(self.model.symbol(lights, crop), crop))
 
-    def _lost(self, pose: Tensor, crop: Crop, reason: Loss) -> Seen:
+    def lost(self, pose: Tensor, reason: Loss) -> Seen:
+        """What is seen of poses `[..., 4]` where there is nothing to look at."""
         nan = torch.full_like(pose, torch.nan)
         batch = pose.shape[:-1]
         nothing = Appearance(nan[..., 0], pose.new_full((*batch, 5, 2), torch.nan), nan[..., 0], nan[..., 0])
         code = torch.full(batch, reason, dtype=torch.int64, device=pose.device)
-        return Seen(code, nan, nan, torch.zeros_like(nan[..., 0]), nothing, pose.new_zeros(*batch, 0, 0), crop)
+        return Seen(code, nan, nan, torch.zeros_like(nan[..., 0]), nothing, pose.new_zeros(*batch, 0, 0), Crop(0, 0, 0, 0))

@@ -1,0 +1,95 @@
+"""Batched rollouts: each is the single run, and errors are differentiable in gains."""
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from controllers.ssc import Ssc
+from controllers.symbol.projector import Projector
+from controllers.symbol.thesis_pid import ThesisPid
+from loop.batch import GAINS, check, rollouts, with_values
+from loop.build import build_projector
+from loop.ranges import changed, value_of
+from loop.scenario import Scenario, load
+from loop.simulation import Simulation
+from world.errors import LuxloopError
+
+SMALL = [
+    *("controller.name=thesis_pid", "headlight.model=ssl-hd-lores", "symbol={ width_m=3.0, length_m=8.0 }", "start.x_m=15.0"),
+    *("camera={ width_px=240, height_px=135, oversampling=1 }", "renderer=raycast", "road.kind=flat"),
+]
+KEYS = ("controller.position.kp", "controller.rotation.ki", "controller.roll_rate_deg")
+
+
+def scenario(*more: str, steps: int = 5) -> Scenario:
+    return load("snowflake", [*SMALL, f"steps={steps}", *more])
+
+
+@pytest.fixture(scope="module", params=["", "camera.latency_steps=1"])
+def simulation(request: pytest.FixtureRequest) -> Simulation:
+    return Simulation.prepare(scenario(*filter(None, [request.param])))
+
+
+def test_each_rollout_is_the_run_with_its_gains(simulation: Simulation) -> None:
+    given = {key: float(value_of(simulation.scenario, key) or 0.0) for key in KEYS}
+    single = list(simulation.run())
+    poses = torch.stack([result.pose for result in single])
+    alone = rollouts(simulation, {key: torch.tensor([value]) for key, value in given.items()})
+    torch.testing.assert_close(alone.poses[0], poses, rtol=0, atol=0)
+    # Beside others it is looked for in the footprint of all, where a little more noise may be seen.
+    both = rollouts(simulation, {key: torch.tensor([0.5 * value, value]) for key, value in given.items()})
+    torch.testing.assert_close(both.poses[1], poses, rtol=0, atol=2e-3)
+    assert (both.poses[0] - poses).abs().max() > 0.1
+    assert both.poses.shape == both.errors.shape == (2, 5, 4)
+    late = simulation.scenario.camera.latency_steps
+    assert both.seen[:, late:].all() and not both.seen[:, :late].any() and not both.errors[:, :late].any()
+
+
+def test_every_gain_arrives_where_parameters_would_put_it(simulation: Simulation) -> None:
+    for key in GAINS:
+        expected = ThesisPid(changed(simulation.scenario, {key: 0.37}).controller, simulation.projector.target).gains
+        made = with_values(simulation.controller, {key: torch.tensor([0.1, 0.37])}).gains
+        for name in ("kp", "ki", "kd", "rate_limit", "tracking_time"):
+            torch.testing.assert_close(getattr(made, name).expand(2, 4)[1], getattr(expected, name))
+
+
+def in_float64(scenario: Scenario, device: torch.device) -> Projector:
+    projector = build_projector(scenario, device)
+
+    def precise(module: Any) -> Any:
+        lamp = module.pixel_controller.headlight
+        controller = Ssc.prepare(replace(lamp, matrix=lamp.matrix.to(torch.float64)), module.pixel_controller.params)
+        return replace(module, pixel_controller=controller)
+
+    return replace(projector, modules=tuple(map(precise, projector.modules)), symbol=projector.symbol.double())
+
+
+def test_errors_are_differentiable_in_gains(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("loop.simulation.build_projector", in_float64)
+    loop = Simulation.prepare(scenario("extraction.edges=soft", steps=4))
+    keys = ("controller.position.kp", "controller.position.kd", "controller.rotation.kp")
+
+    def errors(*gains: Tensor) -> Tensor:
+        found = rollouts(loop, dict(zip(keys, gains, strict=True)), quantise=False)
+        assert found.seen.all()
+        return found.errors[:, 1:]
+
+    gains = [torch.tensor([value], dtype=torch.float64, requires_grad=True) for value in (0.4, 0.2, 0.3)]
+    # The rectangle's outline is a step, which no derivative knows of: a thousandth of what the gains do.
+    assert torch.autograd.gradcheck(errors, gains, eps=1e-5, rtol=1e-2, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("changes", "keys", "said"),
+    [
+        (["controller.name=open"], [], "for controller.name = thesis_pid, not open"),
+        ([], ["controller.position.kq"], "has no gradient; did you mean 'controller.position.kp'"),
+        (["camera.drop_probability=0.5"], [], "no frame is lost"),
+    ],
+)
+def test_what_cannot_be_rolled_out_is_said_so(changes: list[str], keys: list[str], said: str, simulation: Simulation) -> None:
+    with pytest.raises(LuxloopError, match=said):
+        check(replace(simulation, scenario=scenario(*changes)), keys)
