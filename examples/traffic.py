@@ -30,7 +30,7 @@ def pictures(folder: Path) -> None:
         result = simulation.step(30)
         image = (result.luminance / white_cd_m2).clamp(0, 1).sqrt()
         image[simulation.camera.at(result.time_s).surfaces.object_id < 0] = sky
-        cv2.imwrite(str(folder / f"traffic-{name}.jpg"), (255 * image).cpu().numpy(), [cv2.IMWRITE_JPEG_QUALITY, 80])
+        cv2.imwrite(str(folder / f"traffic-{name}.jpg"), (255 * image).byte().cpu().numpy(), [cv2.IMWRITE_JPEG_QUALITY, 80])
 
 
 def times() -> None:

@@ -108,6 +108,11 @@ class Body:
         return torch.from_numpy(np.array(self.mesh.vertices, dtype=np.float64)[np.asarray(self.mesh.faces)])
 
     @cached_property
+    def bounds(self) -> Tensor:
+        """Lowest and highest coordinates in the body frame, `[2, 3]` float64 m."""
+        return torch.stack(self.corners.flatten(0, 1).aminmax(dim=0))
+
+    @cached_property
     def corner_normals(self) -> Tensor:
         """Unit normals at the corners in the body frame, `[F, 3 corners, 3]` float64; vertex normals are weighted by angle."""
         if self.smooth:

@@ -36,9 +36,10 @@ class Figure:
         return self._of(self.phase_at(t_s))
 
     @cached_property
-    def corners(self) -> Tensor:
-        """Corners of the faces of all shapes, `[F, 3 corners, 3]` float64 m."""
-        return torch.cat([self._of(k / SHAPES).corners for k in range(SHAPES)])
+    def bounds(self) -> Tensor:
+        """Lowest and highest coordinates of all shapes in the body frame, `[2, 3]` float64 m."""
+        low, high = torch.stack([self._of(k / SHAPES).bounds for k in range(SHAPES)], 1)
+        return torch.stack([low.amin(0), high.amax(0)])
 
     def _of(self, phase: float) -> Body:
         if phase not in self._made:

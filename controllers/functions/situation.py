@@ -39,7 +39,7 @@ class TrackedObject:
     @classmethod
     def of(cls, body: Body | Figure, category: Category, time_s: float) -> "TrackedObject":
         """What a perfect tracker says of a body: the smallest box along its axes."""
-        low, high = body.corners.flatten(0, 1).aminmax(dim=0)
+        low, high = body.bounds
         length, width, height = (high - low).tolist()
         foot = torch.eye(4, dtype=torch.float64)
         foot[:3, 3] = torch.stack([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
@@ -76,6 +76,14 @@ class Situation:
         T_vehicle_object = inverse(self.T_world_vehicle.double()) @ each.T_world_object.double()
         corners = transform(T_vehicle_object, torch.stack([x, y, zero]))
         return float(corners[:2].norm(dim=0).amin().copysign(corners[0].amax()))
+
+
+def check_share(quantity: str, value: float) -> None:
+    """Raises ValueError for more than all that a pixel can give."""
+    if quantity == "u_abs" and value > 1:
+        raise ValueError(
+            f'value: u_abs is a share of what a pixel can give, at most 1, not {value:g}; lower it, or give quantity = "u_rel", say'
+        )
 
 
 class SelectionParams(Params):
@@ -133,6 +141,11 @@ class Drawn(Params):
     def _stops_after_its_start(self) -> Self:
         if self.start_s is not None and self.stop_s is not None and self.stop_s <= self.start_s:
             raise ValueError(f"stop_s: {self.stop_s:g} s is not after start_s = {self.start_s:g} s, so nothing is drawn; raise it")
+        return self
+
+    @model_validator(mode="after")
+    def _share_of_a_pixel(self) -> Self:
+        check_share(self.quantity, self.value)
         return self
 
     def active(self, time_s: float) -> bool:

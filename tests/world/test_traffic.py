@@ -118,6 +118,9 @@ def test_a_figure_walks_with_its_way_and_is_made_anew_only_when_it_changes():
     assert figure.at(0.0) is figure.at(1.0) and scene.key_at(0.0) == scene.key_at(0.5)
     assert figure.at(1.0) is figure.at(1.0 + stride_s) and figure.at(1.0) is not figure.at(1.0 + stride_s / 2)
     assert len({id(figure.at(1 + stride_s * k / 64)) for k in range(64)}) == SHAPES
+    low, high = figure.bounds
+    corners = torch.cat([figure.at(1 + stride_s * k / SHAPES).corners.flatten(0, 1) for k in range(SHAPES)])
+    assert low.equal(corners.amin(0)) and high.equal(corners.amax(0))
     walked = scene.at(1.0 + stride_s / 2).placed[0]
     assert walked.body is figure.at(1.0 + stride_s / 2)
     assert float(walked.corners[..., 0].mean()) == pytest.approx(10 + stride_s / 2, abs=0.1)
