@@ -39,6 +39,7 @@ from world.vehicle import VehicleParams
 SCHEMA_VERSION: Final = 1
 PIXEL_CONTROLLERS = ("ssc", "jpo")
 Override = str | Mapping[str, Any]
+INDEX = re.compile(r"\[(\d+)\]")  # of a list's item in --set lighting.functions[0].margin_m=0.5
 TAGS = ("kind", "name")  # keys that tell the variants of a table apart
 
 
@@ -235,7 +236,7 @@ class LightingScenario(WorldScenario):
 AnyScenario = Scenario | LightingScenario
 EXAMPLES: Final[dict[type[AnyScenario], str]] = {
     Scenario: "`luxloop new FILE` writes a complete example; lighting functions come in [lighting] instead of [symbol]",
-    LightingScenario: "`luxloop new FILE --like gfhb` writes an example",
+    LightingScenario: "`luxloop list` shows examples of all functions, `luxloop new FILE --like path_projection` copies one, say",
 }
 
 
@@ -252,8 +253,8 @@ def validate(data: Mapping[str, Any], source: str) -> Scenario:
 def load_any(name: str, overrides: Sequence[Override] = (), **values: Any) -> AnyScenario:
     """Read a scenario by shipped name or path; values are top-level keys, overrides on top of them.
 
-    An override is `key.sub=value` in TOML syntax, the path of a TOML file of such keys, or nested tables; it changes single keys of tables
-    that have defaults, too. Raises LuxloopError that names the file, the key and the remedy.
+    An override is `key.sub=value` or `list[0].sub=value` in TOML syntax, the path of a TOML file of such keys, or nested tables; it changes
+    single keys of tables that have defaults, too. Raises LuxloopError that names the file, the key and the remedy.
     """
     path = find(name)
     data = read_toml(path)
@@ -292,6 +293,8 @@ def validate_any(data: Mapping[str, Any], source: str) -> AnyScenario:
         )
     if "symbol" in data and "lighting" in data:
         raise LuxloopError(f"{source}: has both a [symbol] and [lighting]; a scenario is of one kind, take one of the two out")
+    if "controller" in data and "lighting" in data:
+        raise LuxloopError(f"{source}: controller: a scenario with [lighting] has no controller; leave it out")
     kind: type[AnyScenario] = LightingScenario if "lighting" in data else Scenario
     try:
         # By way of JSON, where strict still takes a list for a tuple and a text for a path.
@@ -342,20 +345,32 @@ def _parsed(text: str) -> dict[str, Any]:
     key, equals, value = text.partition("=")
     if not equals or not key.strip():
         raise LuxloopError(f"--set {text}: not of the form key=value; write for example --set camera.bits=8, or name a .toml file of keys")
+    key = INDEX.sub(r'."[\1]"', key.strip())
     try:
-        return tomllib.loads(f"{key.strip()} = {value.strip()}")
+        return tomllib.loads(f"{key} = {value.strip()}")
     except tomllib.TOMLDecodeError:
         try:
-            return tomllib.loads(f"{key.strip()} = {json.dumps(value.strip())}")
+            return tomllib.loads(f"{key} = {json.dumps(value.strip())}")
         except tomllib.TOMLDecodeError as error:
             raise LuxloopError(f"--set {text}: not understood ({error}); write for example --set camera.bits=8") from error
 
 
 def _merge(into: dict[str, Any], changes: Mapping[str, Any]) -> None:
-    """Lay changes over nested tables; a table that becomes another variant, by its `kind` or `name`, starts anew."""
+    """Lay changes over nested tables; a table that becomes another variant, by its `kind` or `name`, starts anew.
+
+    Changes of list items stand under the keys "[0]", "[1]" and so on. Raises LuxloopError where there is no such item.
+    """
     for key, value in changes.items():
         old = into.get(key)
-        if isinstance(old, dict) and isinstance(value, dict) and all(old.get(tag, new) == new for tag in TAGS if (new := value.get(tag))):
+        if isinstance(old, list) and isinstance(value, dict) and value and all(INDEX.fullmatch(place) for place in value):
+            items = {f"[{k}]": item for k, item in enumerate(old)}
+            if strange := [place for place in value if place not in items]:
+                raise LuxloopError(
+                    f"--set {key}{strange[0]}: there are {len(items)} {key}, numbered from 0; change another, or set all of {key}"
+                )
+            _merge(items, value)
+            into[key] = list(items.values())
+        elif isinstance(old, dict) and isinstance(value, dict) and all(old.get(tag, new) == new for tag in TAGS if (new := value.get(tag))):
             _merge(old, value)
         else:
             into[key] = value
@@ -367,6 +382,7 @@ def resolve_paths(data: dict[str, Any], folder: Path) -> None:
     functions, raw = (lighting.get(key) if isinstance(lighting, dict) else None for key in ("functions", "raw"))
     tables = [(data.get("symbol"), "image"), (data.get("road"), "file"), (data.get("headlight"), "model")]
     for items, key in ((objects, "file"), (functions, "image"), (raw, "file")):
+        items = list(items.values()) if isinstance(items, dict) else items
         tables += [(item, key) for item in items] if isinstance(items, list) else []
     for table, key in tables:
         if isinstance(table, dict) and isinstance(table.get(key), str) and any(mark in table[key] for mark in "/\\."):

@@ -189,7 +189,9 @@ LIT = 'name = "lit"\n[lighting]\nbase = { beam = "low" }\n'
 BROKEN_LIGHTING = {
     "both kinds": (LIT + '[symbol]\nimage = "snowflake"', ["[symbol] and [lighting]", "take one"]),
     "neither kind": ('name = "x"', ["symbol", "missing", "[lighting]"]),
-    "a loop's key": (LIT + '[controller]\nname = "open"', ["controller", "unknown key"]),
+    "a loop's key": (LIT + '[controller]\nname = "open"', ["controller: a scenario with [lighting] has no controller"]),
+    "no path": (LIT + '[[lighting.functions]]\nkind = "path"', ["lighting.functions[0].control_m: is missing", "path_projection"]),
+    "more than all": (LIT + '[[lighting.functions]]\nkind = "width"\nvalue = 2', ["functions[0]: value: u_abs", "at most 1", "u_rel"]),
     "unknown function": (LIT + '[[lighting.functions]]\nkind = "glarefree"', ["lighting.functions[0].kind", "'glare_free'"]),
     "typo in a function": (LIT + '[[lighting.functions]]\nkind = "marker"\nwidth = 1', ["lighting.functions[0].width", "'width_m'"]),
     "unknown category": (LIT + BOX + 'category = "pedestrain"', ["objects[0].category", "'pedestrian'"]),
@@ -218,3 +220,21 @@ def test_the_kinds_are_told_apart_by_their_tables(file: Path) -> None:
     assert scenario.lighting.functions[0].image == str(file.parent / "mine.svg")  # type: ignore[union-attr]
     assert "is a lighting scenario" in failure(file)
     assert validate_any(json.loads(json.dumps(scenario.model_dump(mode="json"))), "manifest.json") == scenario
+
+
+def test_one_key_of_one_item_of_a_list_can_be_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    before = load_any("marker_light")
+    sets = ["lighting.functions[1].value=0.25", "lighting.functions[0].animation.rate_hz=3", "objects[0].track[1].position_m=[30, 0, 0]"]
+    now = load_any("marker_light", sets)
+    assert isinstance(before, LightingScenario) and isinstance(now, LightingScenario)
+    line, body = now.lighting.functions
+    assert body == before.lighting.functions[1].model_copy(update={"value": 0.25})
+    assert line.animation.rate_hz == 3 and line.width_m == 0.35
+    assert [key.position_m[1] for key in now.objects[0].track] == [-4.5, 0]
+    shown = load_any("animated_symbol", ["lighting.functions[0].image=./own.png"])
+    assert shown.lighting.functions[0].image == str((tmp_path / "own.png").resolve())
+    with pytest.raises(LuxloopError, match=r"--set functions\[2\]: there are 2 functions, numbered from 0"):
+        load_any("marker_light", ["lighting.functions[2].value=1"])
+    with pytest.raises(LuxloopError, match=r"lighting.functions\[1\].valeu: unknown key; did you mean 'value'"):
+        load_any("marker_light", ["lighting.functions[1].valeu=1"])
