@@ -114,9 +114,9 @@ def _pixels_there(simulation: Simulation) -> str:
 def check(scenario: AnyScenario, device: str = "auto") -> str:
     """Build everything that a scenario names, and say in a line what it is. Raises LuxloopError where it cannot run."""
     if isinstance(scenario, LightingScenario):
-        LightingSimulation.prepare(scenario, torch_device(device))
+        simulation = LightingSimulation.prepare(scenario, torch_device(device))
         kinds = ", ".join(function.kind for function in scenario.lighting.functions) or "none"
-        return f"{scenario.steps} steps, road {scenario.road.kind}, base beam {scenario.lighting.base.beam}, functions {kinds}"
+        return f"{scenario.steps} steps, road {scenario.road.kind}, {simulation.base(scenario.lighting.base.beam)}, functions {kinds}"
     prepare(scenario, device)
     return f"{scenario.steps} steps, road {scenario.road.kind}, controller {scenario.controller.name}"
 

@@ -1,12 +1,12 @@
 """Sign dimming: less light on traffic signs, whose reflection dazzles the driver (T 3.5.1, 7.2.2)."""
 
-from typing import Literal
+from typing import Literal, Self
 
 import torch
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from controllers.functions.geometry import cuboid
-from controllers.functions.situation import LAYERS, Category, SelectionParams, Situation, TrackedObject
+from controllers.functions.situation import LAYERS, Category, SelectionParams, Situation, TrackedObject, check_share
 from controllers.primitives import Primitives, rectangle
 
 
@@ -20,6 +20,11 @@ class SignParams(SelectionParams):
     weight: float = Field(1.0, ge=0, description="how much it counts where a pixel lights more than the sign")
     priority: int = Field(50, ge=0, le=100, description="of two functions in one place, the higher is drawn")
     margin_m: float = Field(0.1, ge=0, description="how much larger than the sign the primitive is, to each side")
+
+    @model_validator(mode="after")
+    def _share_of_a_pixel(self) -> Self:
+        check_share(self.quantity, self.value)
+        return self
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
         """One primitive in each sign's face, forced, turned to the car."""

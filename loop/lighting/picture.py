@@ -62,7 +62,7 @@ def captions(result: LightingResult, simulation: LightingSimulation) -> list[str
     """What to know of a step, line by line."""
     base = result.plan.base
     lamps = ", ".join(f"{side} {power.flux_lm:.0f} lm" for side, power in result.powers.items())
-    lines = [simulation.scenario.name, f"step {result.step}, {result.time_s:.2f} s", f"base beam {base.name}", lamps]
+    lines = [simulation.scenario.name, f"step {result.step}, {result.time_s:.2f} s", simulation.base(base.name), lamps]
     if base.bend or base.level or base.roll:
         lines[2] += f", bend {math.degrees(base.bend):+.1f}, level {math.degrees(base.level):+.1f} deg"
     if result.dark_lx_max is not None:

@@ -76,7 +76,7 @@ def _camera(axes: Axes, simulation: LightingSimulation, result: LightingResult, 
             for (u0, v0), (u1, v1) in box_lines(each, simulation.camera.view):
                 axes.plot([u0, u1], [v0, v1], color=colour, linewidth=0.7)
     axes.set(xlim=(0, image.shape[1]), ylim=(image.shape[0], 0), xticks=[], yticks=[])
-    axes.set_title(f"Camera at {result.time_s:.2f} s, {result.plan.base.name} beam", weight="normal")
+    axes.set_title(f"Camera at {result.time_s:.2f} s, {simulation.base(result.plan.base.name)}", weight="normal")
     axes.grid(False)
 
 
@@ -115,7 +115,7 @@ def _courses(figure: SubFigure, simulation: LightingSimulation, table: pa.Table)
     limited = simulation.scenario.lighting.power_limit is not None
     for side, colour in zip(dict.fromkeys(module.side for module in simulation.modules), FOUR, strict=False):
         factor = column(table, f"lamp.{side}.power_factor").min()
-        label = f"{side}, dimmed to {100 * factor:.0f} % at least" if limited else side
+        label = f"{side}, dimmed to {100 * factor:.0f} % in the worst step" if limited else side
         flux.plot(time_s, column(table, f"lamp.{side}.flux_lm"), marker=mark, color=colour, label=label)
     flux.set(title="Luminous flux of the lamps", ylabel="lm", ylim=(0, None))
     flux.legend(loc="lower right")

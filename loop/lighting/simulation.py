@@ -138,6 +138,11 @@ class LightingSimulation:
         """Utilisations `[n_p]`, one a module, at any time."""
         return self._driven(self.planner.plan(self.situation(time_s)), time_s)[0]
 
+    def base(self, beam: str) -> str:
+        """What shines below all functions, in words, where the base beam is one of this name."""
+        raw = [module.raw is not None for module in self.modules]
+        return "raw utilisations" if all(raw) else f"{beam} beam and raw utilisations" if any(raw) else f"{beam} beam"
+
     def run(self) -> Iterator[LightingResult]:
         """All steps of the scenario."""
         return (self.step(step) for step in range(self.scenario.steps))

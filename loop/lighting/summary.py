@@ -46,7 +46,7 @@ def shown(values: dict[str, Any], files: str) -> Table:
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     rows = {"steps": str(values["steps"])}
     for side, lamp in values["lamps"].items():
-        dimmed = f", dimmed to {100 * lamp['power_factor_min']:.0f} % at least" if (lamp["power_factor_min"] or 1.0) < 1 else ""
+        dimmed = f", dimmed to {100 * lamp['power_factor_min']:.0f} % in the worst step" if (lamp["power_factor_min"] or 1.0) < 1 else ""
         rows[f"{side} lamp"] = (
             f"{_number(lamp['flux_lm_mean'], '.0f')} lm (mean), {_number(lamp['power_share_max'], '.1%')} of its power at most{dimmed}"
         )

@@ -72,12 +72,13 @@ def test_results_come_in_the_order_of_jobs_with_their_parameters(tmp_path: Path)
     assert results.failures == {}
 
 
-def test_what_is_done_is_not_done_again(tmp_path: Path) -> None:
+def test_what_is_done_is_not_done_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log, file = tmp_path / "log", tmp_path / "r.jsonl"
     for xs in ((1, 2), (1, 2, 3), (3, 3, 2)):
         results = run(square, numbers(*xs, log=str(log)), file, version="1", processes=1)
         assert [row["square"] for row in results.rows] == [x * x for x in xs]
     assert log.read_text().split() == ["1", "2", "3"]
+    assert "2 of 3 done" in capsys.readouterr().err  # a line a stage where nobody watches a bar
 
 
 def test_other_versions_and_parameters_are_done_anew_and_old_results_stay(tmp_path: Path) -> None:

@@ -96,6 +96,15 @@ def test_modules_that_are_not_meant_keep_their_base_beam(written: dict[str, Path
     assert (left == 1).all() and right.view(ROWS, COLUMNS)[0, 0] == pytest.approx(sequence[0, 0, 0])
 
 
+def test_it_is_said_what_shines_below_the_functions(written: dict[str, Path]) -> None:
+    def words(*raw: dict[str, Any]) -> str:
+        return LightingSimulation.prepare(scenario(raw, lighting={"base": {"beam": "low"}})).base("low")
+
+    file = str(written["array"])
+    assert (words(), words({"file": file})) == ("low beam", "raw utilisations")
+    assert words({"file": file, "modules": ["left"]}) == "low beam and raw utilisations"
+
+
 def test_functions_draw_over_them_and_limits_hold(written: dict[str, Path]) -> None:
     raw = [{"file": str(written["folder"])}]
     bare, masked, limited = (
