@@ -86,12 +86,17 @@ class LightingRecorder(TableRecorder[LightingResult]):
     def __init__(self, directory: Path, simulation: LightingSimulation) -> None:
         """Raises LuxloopError as any recorder does, and if an input file cannot be read."""
         self.simulation = simulation
+        self.idle = set(range(len(simulation.scenario.lighting.functions)))
         manifest = Manifest.of(simulation.scenario, simulation.camera.source.name, simulation.device)
         super().__init__(directory, manifest, schema(simulation))
 
     def row(self, result: LightingResult) -> dict[str, Any]:
+        if self.idle:
+            self.idle &= self.simulation.idle(result.now)
         return row(result)
 
     def summary(self) -> dict[str, Any]:
         """The summary of the steps so far."""
-        return summarise(self.table(), self.simulation.scenario.name)
+        functions = self.simulation.scenario.lighting.functions
+        idle = [f"lighting.functions[{number}] ({functions[number].kind})" for number in sorted(self.idle)]
+        return summarise(self.table(), self.simulation.scenario.name) | {"idle_functions": idle}

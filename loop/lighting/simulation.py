@@ -10,8 +10,10 @@ from torch import Tensor
 
 from controllers.functions.situation import LightingFunction, Situation, TrackedObject
 from controllers.planner import Plan, Planner
+from controllers.primitives import Primitives
 from controllers.rthc import masks
 from controllers.secondary import Light, SecondaryRays, scene_caster
+from controllers.windows import projected_windows
 from loop.build import build_scene
 from loop.lighting.lamps import LampPower, ShiningModule, driven, shining_modules
 from loop.lighting.observed import ObservedSymbol, in_white, observed_symbols
@@ -152,6 +154,19 @@ class LightingSimulation:
         alone = replace(now, objects=tuple(each for each in now.objects if each.name == name))
         functions = (function for function in self.scenario.lighting.functions if function.kind == "glare_free")
         return any(any(masks(part)) for function in functions for part in function.primitives(alone))
+
+    def idle(self, now: Situation) -> set[int]:
+        """Functions, by their place in the scenario, of which no ray of any lamp that draws them can hit anything at that moment."""
+        now = replace(now, symbols=dict(self.planner.symbols))
+        functions: tuple[LightingFunction, ...] = self.scenario.lighting.functions
+        return {number for number, each in enumerate(functions) if not any(map(self._in_reach, each.primitives(now)))}
+
+    def _in_reach(self, primitives: Primitives) -> bool:
+        for module in self.modules:
+            mine = primitives.for_module(module.name)
+            if any(not window.empty for window in projected_windows(mine, module.headlight, module.T_world_module.cpu())):
+                return True
+        return False
 
     def _driven(self, plan: Plan, time_s: float) -> tuple[tuple[Tensor, ...], Mapping[str, LampPower]]:
         params = self.scenario.lighting

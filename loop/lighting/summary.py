@@ -56,6 +56,8 @@ def shown(values: dict[str, Any], files: str) -> Table:
         rows["on what must be dark"] = f"{values['dark_lx_max']:.3g} lx at most"
     if values["symbol_iou_min"] is not None:
         rows["symbols, to their observers"] = f"IoU {values['symbol_iou_min']:.3f} at least"
+    if values["idle_functions"]:
+        rows["without effect"] = f"{', '.join(values['idle_functions'])}: nothing to draw, or nothing that a lamp reaches, in all steps"
     rows["time a step"] = f"{_number(values['control_ms_median'], '.1f')} ms (median) for planning and all lamps"
     rows["files"] = files
     for label, value in rows.items():

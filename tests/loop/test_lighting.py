@@ -78,6 +78,13 @@ def test_pictures_have_the_cameras_noise_and_measured_light_has_none() -> None:
     torch.testing.assert_close(measured(result, still)[lit], exact[lit], rtol=0, atol=0.51 * level)
 
 
+def test_functions_without_effect_are_told(tmp_path: Path) -> None:
+    far = {"kind": "symbol", "image": "snowflake", "y_m": 60.0}  # beside all light
+    late = {"kind": "glare_free", "categories": ["truck"]}
+    told = run(scenario(steps=1, lighting={"functions": [GLARE_FREE, far, late]}), tmp_path / "lit", video=False)
+    assert told["idle_functions"] == ["lighting.functions[1] (symbol)", "lighting.functions[2] (glare_free)"]
+
+
 def test_pictures_of_light_beyond_the_camera_are_white_and_not_black() -> None:
     camera = CameraParams(**CAMERA)
     saturation = 1000 / (0.015 * 50_000)  # cd/m^2, of the camera's defaults
@@ -117,7 +124,7 @@ def test_the_command_line_knows_both_kinds(capsys: pytest.CaptureFixture[str]) -
     listed = capsys.readouterr().out
     assert "glare_free" in listed and "thesis_pid" in listed
     assert cli.main(["check", "gfhb", "--set", "headlight.model=hd84", "renderer=raycast"]) == cli.OK
-    assert "base beam high, functions glare_free" in capsys.readouterr().out
+    assert "high beam, functions glare_free" in capsys.readouterr().out
 
 
 def test_light_on_an_object_is_that_of_the_law_of_distances() -> None:
