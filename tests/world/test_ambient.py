@@ -1,11 +1,15 @@
 """Ambient light against closed forms."""
 
 import math
+from dataclasses import replace
 
 import torch
 
 from world.ambient import ambient_luminance
-from world.gbuffer import GBuffer
+from world.body import Spotlight
+from world.brdf import LAMBERTIAN, Material
+from world.frames import pose_from_degrees
+from world.gbuffer import Finish, GBuffer
 from world.scene import StreetLamp
 
 
@@ -29,3 +33,18 @@ def test_street_lamps_add_up_by_the_inverse_square_law(device: torch.device) -> 
     # (3, 0, 0) is 5 m from the first lamp: cos 4/5 on the road, 3/5 on the wall; 2 m below the second, which grazes the wall.
     expected = torch.tensor([[0.5 * (1000 * 0.8 / 25 + 100 / 4), 0.2 * 1000 * 0.6 / 25, 0.0, 0.0]], device=device) / math.pi
     torch.testing.assert_close(luminance, expected)
+
+
+def test_spotlights_fall_off_with_the_angle_and_shining_surfaces_add_their_own(device: torch.device) -> None:
+    """The axis points down at (3, 0, 0), 5 m away, but for 10 deg aside: exp(-1/2) at a width of 10 deg."""
+    down = pose_from_degrees((0.0, 0.0, 4.0), pitch_deg=math.degrees(math.atan2(4, 3)))
+    for yaw_deg, share in ((0.0, 1.0), (10.0, math.exp(-0.5))):
+        axis = (down @ pose_from_degrees((0.0, 0.0, 0.0), yaw_deg=yaw_deg))[:3, 0]
+        spot = Spotlight(down[:3, 3], axis, 1000.0, (10.0, 10.0))
+        luminance = ambient_luminance(surfaces(device), 0.0, (), (spot,))
+        expected = torch.tensor([[0.5 * 1000 * 0.8 / 25, 0.2 * 1000 * 0.6 / 25, 0.0, 0.0]], device=device) * share / math.pi
+        # aside of a tilted axis the two angles are not quite those of one turn: 0.02 % of the light
+        torch.testing.assert_close(luminance, expected, rtol=1e-5 if share == 1 else 1e-3, atol=1e-6)
+    finish = Finish((LAMBERTIAN, Material(luminance_cd_m2=600.0)), torch.tensor([[0, 1, 0, 0]], device=device), torch.zeros(3))
+    luminance = ambient_luminance(replace(surfaces(device), finish=finish), 0.0)
+    assert luminance.tolist() == [[0.0, 600.0, 0.0, 0.0]]
