@@ -321,6 +321,7 @@ def tune(
     out: Path | None = None,
     jobs: int | None = None,
     device: Literal["auto", "cpu", "cuda"] = "auto",
+    gradient: bool = False,
 ) -> None:
     """Look for better values of a scenario's keys, such as a controller's gains; what is best becomes a file for --set.
 
@@ -346,10 +347,12 @@ def tune(
         Processes for the runs of a trial, each with one thread; by default one a core. They do not change what is found.
     device
         Where to compute; auto takes CUDA where there is any.
+    gradient
+        Descend through so many differentiable runs in place of trials; for gains and rate limits of thesis_pid where nothing moves.
     """
     from loop.tune_report import do_tune
 
-    do_tune(names, key or [], objective, trials, seeds, seed, set or [], out, jobs, device)
+    do_tune(names, key or [], objective, trials, seeds, seed, set or [], out, jobs, device, gradient)
 
 
 if __name__ == "__main__":

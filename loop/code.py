@@ -7,7 +7,20 @@ from pathlib import Path
 
 DECISIVE = {"world": "**/*", "perception": "**/*.py", "controllers": "**/*.py", "loop": "*.py", "loop.lighting": "*.py"}
 SHOWING = (  # beginnings of the names of those modules of loop that decide no figure
-    *("campaign", "cli", "commands", "comparison", "doctor", "evaluate", "executors", "headlight", "jobs", "objective", "progress"),
+    *(
+        "campaign",
+        "cli",
+        "commands",
+        "comparison",
+        "doctor",
+        "evaluate",
+        "executors",
+        "gradient",
+        "headlight",
+        "jobs",
+        "objective",
+        "progress",
+    ),
     *("ranges", "rectangles", "replay", "report", "tables", "template", "tune", "video"),
 )
 

@@ -55,11 +55,16 @@ def _simulation(scenario: Scenario, device: str) -> Simulation:
         _prepared[key] = prepare(scenario, device)
         if len(_prepared) > KEPT:
             _prepared.popitem(last=False)
-    ready = _prepared[key]
-    world = copy.copy(ready.world)
-    world.seed = scenario.seed
-    controller = build_controller(scenario.controller, ready.observer)
-    return replace(ready, scenario=scenario, controller=controller, plant=world, world=world)
+    ready = with_seed(_prepared[key], scenario.seed)
+    return replace(ready, scenario=scenario, controller=build_controller(scenario.controller, ready.observer))
+
+
+def with_seed(simulation: Simulation, seed: int) -> Simulation:
+    """The same with other noise."""
+    world = copy.copy(simulation.world)
+    world.seed = seed
+    scenario = simulation.scenario.model_copy(update={"seed": seed})
+    return replace(simulation, scenario=scenario, plant=world, world=world)
 
 
 def _flat(values: dict[str, Any]) -> dict[str, Any]:

@@ -84,14 +84,7 @@ def tune(task: Task, out: Path, trials: int, execute: Executor) -> Tuned:
 
     Raises LuxloopError where the folder holds another study or cannot be written; KeyboardInterrupt that says what is kept.
     """
-    optuna.logging.set_verbosity(optuna.logging.ERROR)
-    warnings.filterwarnings("ignore", category=optuna.exceptions.ExperimentalWarning)
-    study = _opened(task, out)
-    for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):  # cut off by a kill
-        study.tell(trial.number, state=TrialState.FAIL)
-    if "given_cost" not in study.user_attrs:
-        study.set_user_attr("given_cost", float(np.mean(_costs(task, task.runs({}), execute))))
-    space = {each.key: _distribution(each) for each in task.ranges}
+    study, space = opened(task, out, execute)
     done = len(study.get_trials(deepcopy=False, states=FINISHED))
     try:
         with progress("trials", trials, min(done, trials)) as advance:
@@ -141,7 +134,24 @@ def _distribution(each: Range) -> BaseDistribution:
     return FloatDistribution(each.low, each.high, each.log)
 
 
-def _opened(task: Task, out: Path) -> optuna.Study:
+def opened(task: Task, out: Path, execute: Executor) -> tuple[optuna.Study, dict[str, BaseDistribution]]:
+    """The study in a folder, which knows what the given values cost, and its space. Raises what `tune` raises."""
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    warnings.filterwarnings("ignore", category=optuna.exceptions.ExperimentalWarning)
+    study = _stored(task, out)
+    for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):  # cut off by a kill
+        study.tell(trial.number, state=TrialState.FAIL)
+    if "given_cost" not in study.user_attrs:
+        study.set_user_attr("given_cost", mean_cost(task, {}, execute))
+    return study, {each.key: _distribution(each) for each in task.ranges}
+
+
+def mean_cost(task: Task, values: Values, execute: Executor) -> float:
+    """Mean cost of all runs with some values."""
+    return float(np.mean(_costs(task, task.runs(values), execute)))
+
+
+def _stored(task: Task, out: Path) -> optuna.Study:
     try:
         out.mkdir(parents=True, exist_ok=True)
         storage = JournalStorage(JournalFileBackend(str(out / STUDY)))

@@ -11,6 +11,7 @@ from optuna.trial import TrialState
 
 from loop import objective, ranges, tables
 from loop.executors import local
+from loop.gradient import tune_by_gradient
 from loop.run import torch_device
 from loop.scenario import load
 from loop.tune import FINISHED, Task, Tuned, tune
@@ -31,6 +32,7 @@ def do_tune(
     out: Path | None,
     processes: int | None,
     device: str,
+    gradient: bool,
 ) -> None:
     """Tune, write what is best and a report, and say it. Raises LuxloopError before anything runs where something makes no sense."""
     if not keys:
@@ -42,7 +44,7 @@ def do_tune(
     found = tuple(ranges.parse(key, scenarios) for key in keys)
     task = Task(scenarios, found, objective.parse(goal), seeds, seed, str(torch_device(device)))
     folder = out or Path("runs") / f"tune-{scenarios[0].name}"
-    tuned = tune(task, folder, trials, local(processes))
+    tuned = (tune_by_gradient if gradient else tune)(task, folder, trials, local(processes))
     write(tuned, folder)
     values, cost = tuned.best
     table = tables.plain("key", "given", "best")

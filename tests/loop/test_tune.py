@@ -4,9 +4,11 @@ import re
 from pathlib import Path
 
 import pytest
+import torch
 
-from loop import cli, objective, ranges
+from loop import cli, gradient, objective, ranges
 from loop import tune as module
+from loop.batch import rollouts
 from loop.executors import local
 from loop.scenario import Scenario, load
 from loop.tune import STUDY, Task, Tuned, tune
@@ -142,3 +144,31 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
     ):
         assert cli.main(wrong) == cli.WRONG
         assert said in capsys.readouterr().err
+
+
+SEEN = [
+    *("steps=4", "controller.name=thesis_pid", "headlight.model=ssl-hd-lores", "symbol={ width_m=3.0, length_m=8.0 }", "start.x_m=15.0"),
+    *("camera={ width_px=240, height_px=135, oversampling=1 }", "renderer=raycast", "road.kind=flat"),
+]
+
+
+def test_descent_lowers_squared_errors_and_becomes_a_trial(tmp_path: Path) -> None:
+    scenario = load("snowflake", SEEN)
+    found = tuple(ranges.parse(key, [scenario]) for key in ("controller.position.kp=0.05:1.5:log", "controller.rotation.kp=0.05:1"))
+    small = Task((ranges.changed(scenario, {"controller.position.kp": 0.1}),), found, objective.parse("iou"))
+
+    def squared(values: dict[str, float | int]) -> float:
+        (soft,) = gradient._simulations(small)
+        rollout = rollouts(soft, {key: torch.tensor([value]) for key, value in values.items()}, quantise=False)
+        return float(gradient.squared_errors(rollout, scenario))
+
+    tuned = gradient.tune_by_gradient(small, tmp_path, 4, local(1))
+    ((values, cost, _),) = trials(tuned)
+    assert squared(values) < squared({"controller.position.kp": 0.1, "controller.rotation.kp": 0.5})
+    assert values["controller.position.kp"] > 0.1
+    assert cost is not None and cost < tuned.given_cost
+
+
+def test_whole_numbers_have_no_gradient(scenario: Scenario) -> None:
+    with pytest.raises(LuxloopError, match="losses_to_reset: takes whole numbers"):
+        gradient.descend(task(scenario), 1)
