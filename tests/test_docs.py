@@ -38,6 +38,7 @@ EXEMPT = {
 CHEAP = {
     r"luxloop run\b": "--steps 3 --no-video --set camera.width_px=320 camera.height_px=180",
     r"python examples/tune_gains.py\b": "--trials 1 --steps 3",
+    r"luxloop tune\b": "--trials 1 --jobs 1 --set steps=3 camera.width_px=320 camera.height_px=180",
 }
 CHEAP_PYTHON = {"steps=40": "steps=3"}
 
