@@ -9,8 +9,10 @@ import torch
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Polygon
+from numpy.typing import NDArray
 
 from loop.headlight_views import BIRDSEYE_X_M, BIRDSEYE_Y_M, birdseye
 from loop.lighting.observed import ObservedSymbol
@@ -27,6 +29,8 @@ TRACKED, MASKED = "#4fd17a", "#ffaa28"
 COLOURS = (*FOUR, "#56b4e9", "#d55e00", "#000000", "#999999")
 WALL_COLUMNS = 480
 OBSERVED = 4  # observers' pictures that fit side by side
+FAINTEST_ROAD_LX, BRIGHTEST_ROAD_LX, ROAD_LEVELS_LX = 0.1, 30.0, (1.0, 3.0)  # of the picture from above, and its lines
+AROUND_M = 2.0  # that it shows around the light
 FAINTEST_LX = 0.01  # where the scale of illuminance on objects begins
 
 
@@ -43,11 +47,11 @@ def write_report(file: Path, simulation: LightingSimulation, moments: Sequence[L
         top, bottom, *below = left.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
         top.suptitle("What the camera sees; boxes are tracked objects, orange where a mask keeps them dark", x=0.02, ha="left", fontsize=9)
         white = float(max(white_of(result.luminance, simulation.scenario.camera) for result in moments))
-        cameras = top.subplots(2, 2).flatten()
-        for axes, result in zip(cameras, moments, strict=False):
-            _camera(axes, simulation, result, white)
-        for axes in cameras[len(moments) :]:
-            axes.set_axis_off()
+        *before, end = moments
+        rows = top.add_gridspec(2, len(before), height_ratios=(1, 2)) if before else top.add_gridspec(2, 1, height_ratios=(1e-3, 1))
+        for number, result in enumerate(before):
+            _camera(top.add_subplot(rows[0, number]), simulation, result, white)
+        _camera(top.add_subplot(rows[1, :]), simulation, end, white)
         _from_above(bottom.subplots(), simulation, last)
         for figure_below in below:
             _observed(figure_below, observed)
@@ -75,7 +79,7 @@ def _camera(axes: Axes, simulation: LightingSimulation, result: LightingResult, 
             colour = MASKED if result.objects[each.name].masked else TRACKED
             for (u0, v0), (u1, v1) in box_lines(each, simulation.camera.view):
                 axes.plot([u0, u1], [v0, v1], color=colour, linewidth=0.7)
-    axes.set(xlim=(0, image.shape[1]), ylim=(image.shape[0], 0), xticks=[], yticks=[])
+    axes.set(xlim=(-0.5, image.shape[1] - 0.5), ylim=(image.shape[0] - 0.5, -0.5), xticks=[], yticks=[])
     axes.set_title(f"Camera at {result.time_s:.2f} s, {simulation.base(result.plan.base.name)}", weight="normal")
     axes.grid(False)
 
@@ -94,9 +98,13 @@ def _from_above(axes: Axes, simulation: LightingSimulation, last: LightingResult
     looker = Looker(simulation.scene, view, simulation.modules, simulation.camera.source, simulation.device)
     light = looker.at(last.time_s).light(last.lights)[0].cpu().numpy()
     extent = (*BIRDSEYE_X_M, *BIRDSEYE_Y_M)
-    shown = axes.imshow(
-        np.log10(light.clip(0.1)), cmap="inferno", vmin=-1, vmax=2, extent=extent, aspect="auto", interpolation="antialiased"
-    )
+    most = float(light.max().clip(1, BRIGHTEST_ROAD_LX))
+    scale = LogNorm(FAINTEST_ROAD_LX, most)
+    shown = axes.imshow(light.clip(FAINTEST_ROAD_LX), cmap="inferno", norm=scale, extent=extent, aspect="auto", interpolation="antialiased")
+    levels = [level for level in ROAD_LEVELS_LX if light.min() < level < light.max()]
+    if levels:
+        lines = axes.contour(light, levels=levels, colors="white", linewidths=0.6, extent=extent, origin="upper")
+        axes.clabel(lines, fmt=lambda level: f"{level:g} lx", fontsize=7)
     for each in last.now.objects:
         if each.since_s <= last.time_s < each.until_s:
             x, y = each.size_m[0] / 2, each.size_m[1] / 2
@@ -104,33 +112,54 @@ def _from_above(axes: Axes, simulation: LightingSimulation, last: LightingResult
             colour = MASKED if last.objects[each.name].masked else TRACKED
             axes.add_patch(Polygon(transform(each.T_world_object.double(), foot)[:2].T.numpy(), fill=False, color=colour, linewidth=1.2))
     axes.set(xlabel="ahead in m", ylabel="to the left in m", title="Illuminance from above, at the end")
+    (left, right), (low, high) = lit_part(light)
+    axes.set(xlim=(left, right), ylim=(low, high))
     axes.grid(False)
-    bar = axes.figure.colorbar(shown, ax=axes, pad=0.01, ticks=[-1, 0, 1, 2])
-    bar.ax.set_yticklabels(["0.1 lx", "1 lx", "10 lx", "100 lx"])
+    ticks = [tick for tick in (0.1, 0.3, 1, 3, 10, 30) if tick <= most]
+    bar = axes.figure.colorbar(shown, ax=axes, pad=0.01, ticks=ticks, extend="max" if light.max() > most else "neither")
+    bar.ax.set_yticklabels([f"{tick:g} lx" for tick in ticks])
+    bar.ax.minorticks_off()
+
+
+def lit_part(light: NDArray[np.floating]) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Ranges of x and y in m that hold all light from above `[H, W]` that can be seen in its picture; the whole where there is none."""
+    columns, rows = (np.flatnonzero((light > FAINTEST_ROAD_LX).any(axis)) for axis in (0, 1))
+    if not len(columns):
+        return BIRDSEYE_X_M, BIRDSEYE_Y_M
+    x, y = np.linspace(*BIRDSEYE_X_M, light.shape[1]), np.linspace(*BIRDSEYE_Y_M[::-1], light.shape[0])
+    return (x[columns[0]] - AROUND_M, x[columns[-1]] + AROUND_M), (y[rows[-1]] - AROUND_M, y[rows[0]] + AROUND_M)
 
 
 def _courses(figure: SubFigure, simulation: LightingSimulation, table: pa.Table) -> None:
-    flux, light = figure.subplots(2, 1, sharex=True)
+    objects = [item.name for item in simulation.scenario.all_objects if item.category is not None]
+    flux, *below = figure.subplots(2 if objects else 1, 1, sharex=True, squeeze=False)[:, 0]
     time_s, mark = column(table, "time_s"), "." if table.num_rows < 3 else ""
     limited = simulation.scenario.lighting.power_limit is not None
     for side, colour in zip(dict.fromkeys(module.side for module in simulation.modules), FOUR, strict=False):
         factor = column(table, f"lamp.{side}.power_factor").min()
         label = f"{side}, dimmed to {100 * factor:.0f} % in the worst step" if limited else side
         flux.plot(time_s, column(table, f"lamp.{side}.flux_lm"), marker=mark, color=colour, label=label)
-    flux.set(title="Luminous flux of the lamps", ylabel="lm", ylim=(0, None))
+    flux.set(title="Luminous flux of the lamps", ylabel="lm", ylim=(0, 1.08 * flux.dataLim.ymax or 1))
     flux.legend(loc="lower right")
-    objects = [item.name for item in simulation.scenario.all_objects if item.category is not None]
-    for number, name in enumerate(objects):
+    for light in below:
+        _on_objects(light, table, objects)
+    (below or [flux])[-1].set_xlabel("s")
+
+
+def _on_objects(light: Axes, table: pa.Table, objects: Sequence[str]) -> None:
+    time_s, mark = column(table, "time_s"), "." if table.num_rows < 3 else ""
+    dark = [name for name in objects if np.nan_to_num(column(table, f"object.{name}.lx_max")).max() == 0]
+    for number, name in enumerate(name for name in objects if name not in dark):
         colour = COLOURS[number % len(COLOURS)]
         light.plot(time_s, column(table, f"object.{name}.lx_mean"), marker=mark, color=colour, label=name)
         light.plot(time_s, column(table, f"object.{name}.lx_max"), color=colour, linestyle=":", linewidth=0.9)
-    light.set(title="The lamps' light on objects, mean and most (dotted)", ylabel="lx", xlabel="s")
+    light.set(title="The lamps' light on objects, mean and most (dotted)", ylabel="lx")
     light.set_yscale("symlog", linthresh=FAINTEST_LX)
     light.set_ylim(bottom=-FAINTEST_LX / 10)
-    if objects:
+    if len(dark) < len(objects):
         light.legend(loc="best", ncols=2)
-    else:
-        light.text(0.5, 0.5, "no tracked objects", transform=light.transAxes, ha="center", color="0.5")
+    if dark:
+        light.text(0.01, 0.02, f"0 lx throughout: {', '.join(dark)}", transform=light.transAxes, fontsize=8, color="0.4")
 
 
 def _walls(figure: SubFigure, simulation: LightingSimulation, last: LightingResult) -> None:
@@ -141,7 +170,7 @@ def _walls(figure: SubFigure, simulation: LightingSimulation, last: LightingResu
         wall = wall_light([simulation.modules[n] for n in mine], [last.lights[n] for n in mine], WALL_COLUMNS)
         extent = (-side_deg, side_deg, -down_deg, up_deg)
         shown = axes.imshow(wall.cpu().numpy(), cmap="inferno", extent=extent, aspect="auto", interpolation="antialiased")
-        axes.set(title=f"The {side} lamp on a wall at 25 m, at the end", ylabel="up in deg")
+        axes.set(title=f"The {side} lamp on a wall at 25 m, at the end: {float(wall.max()):.3g} lx at most", ylabel="up in deg")
         axes.grid(False)
         axes.figure.colorbar(shown, ax=axes, label="lx", pad=0.01)
     axes.set_xlabel("to the right in deg")

@@ -5,13 +5,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import torch
 
 from loop import cli
+from loop.headlight_views import BIRDSEYE_X_M, BIRDSEYE_Y_M
 from loop.lighting.picture import measured, white_of
 from loop.lighting.record import schema
+from loop.lighting.report import lit_part
 from loop.lighting.simulation import LightingSimulation, driving
 from loop.run import run
 from loop.scenario import DrivingParams, LightingScenario, validate_any
@@ -76,6 +80,20 @@ def test_pictures_have_the_cameras_noise_and_measured_light_has_none() -> None:
     assert float(z.std()) == pytest.approx(1, abs=5 / (2 * len(z)) ** 0.5)
     level = 1.34 / (2**camera.bits - 1)  # cd/m^2
     torch.testing.assert_close(measured(result, still)[lit], exact[lit], rtol=0, atol=0.51 * level)
+
+
+def test_the_road_from_above_is_cut_to_its_light() -> None:
+    light = np.zeros((400, 1060))  # texels of 10 cm from 20 m left and -6 m ahead on
+    light[150:251, 160:361] = 0.2
+    (x0, x1), (y0, y1) = lit_part(light)
+    assert (x0, x1, y0, y1) == pytest.approx((10 - 2, 30 + 2, -5 - 2, 5 + 2), abs=0.1)  # 2 m around it
+    assert lit_part(np.zeros((400, 1060))) == (BIRDSEYE_X_M, BIRDSEYE_Y_M)
+
+
+def test_a_report_of_one_step_in_the_dark_without_objects(tmp_path: Path) -> None:
+    run(scenario(steps=1, objects=[], lighting={"base": {"beam": "off"}}), tmp_path / "dark", video=False)
+    image = cv2.imread(str(tmp_path / "dark" / "report.png"))
+    assert image.shape[1] > 1000 and float(image.std()) > 10
 
 
 def test_functions_without_effect_are_told(tmp_path: Path) -> None:
