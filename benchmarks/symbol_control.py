@@ -1,0 +1,58 @@
+"""How well symbols lie on roads by luxloop's controllers: `python benchmarks/symbol_control.py [--quick] [--out FOLDER] [--json FILE]`.
+
+Standing roads, late frames, drives and disturbances, and in each of these worlds all controllers side by side. Goes on where an
+earlier run in the same folder was, and writes docs/symbol_control.md. `--quick`: one seed, a smaller camera, fewer steps, two latencies.
+"""
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+
+import symbol_control_page
+from bench import machine
+from symbol_control_cases import DISTURBED, UNDISTURBED, cases, trajectories
+from symbol_control_goals import measures
+
+from loop.code import digest_of_code
+from loop.jobs import Job, run
+
+DOCS = Path(__file__).parents[1] / "docs"
+SEEDS = 5
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="one seed, 640 x 480 px, 30 steps, latencies 0 and 2")
+    parser.add_argument("--only", nargs="+", metavar="SCENE", help="these scenes alone")
+    parser.add_argument("--out", type=Path, default=Path("runs/symbol_control"), help="folder for what has been done")
+    parser.add_argument("--page", type=Path, default=DOCS, help="folder for the page and its picture")
+    parser.add_argument("--json", type=Path, help="also write a row a run and controller here")
+    parser.add_argument("--jobs", type=int, help="processes, by default one a core")
+    given = parser.parse_args()
+    seeds = 1 if given.quick else SEEDS
+    begun = time.perf_counter()
+    chosen = [case for case in cases(seeds, given.quick) if not given.only or case.scene in given.only]
+    jobs = [Job(case.key, case.parameters) for case in chosen]
+    results = run(trajectories, jobs, given.out / "jobs.jsonl", version=digest_of_code(), processes=given.jobs, title="worlds")
+    found = {row["key"]: row["judged"] for row in results.rows}
+    judged = [(case, found[case.key]) for case in chosen if case.key in found]
+    undisturbed = {case.seed: each for case, each in judged if case.scene == UNDISTURBED}
+    rows = [row for case, each in judged for row in measures(case, each, undisturbed.get(case.seed) if case.scene in DISTURBED else None)]
+    if given.json:
+        given.json.write_text(json.dumps(rows, indent=1))
+    about = machine("torch", "numpy") | {
+        "command": "python benchmarks/symbol_control.py" + (" --quick" if given.quick else ""),
+        "seeds": "seed 0 alone, so there are no brackets" if given.quick else f"{seeds} seeds",
+        "camera": "640 x 480" if given.quick else "1280 x 720, in motion 640 x 480",
+        "left_out": "".join(f"\n\nFailed: {key}: {reason}" for key, reason in results.failures.items()),
+    }
+    symbol_control_page.write(rows, judged, about, given.page)
+    print(f"written: {given.page / 'symbol_control.md'}, after {(time.perf_counter() - begun) / 60:.1f} minutes")
+    if results.failures:
+        sys.exit("\n".join(f"failed: {key}: {reason}" for key, reason in results.failures.items()))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,112 @@
+"""docs/symbol_control.md and its picture, from the results of benchmarks/symbol_control.py; the words are in the .md beside this file."""
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from symbol_control_cases import CONTROLLERS, DISTURBED, DRIVING, FROM, STANDING, UNDISTURBED, UNTIL, Case
+from symbol_control_goals import BEGUN, GOALS, Judged, Row
+
+TEMPLATE = Path(__file__).with_suffix(".md")
+PICTURE = "symbol-control.png"
+MEASURES = {"iou": 2, "iou_least": 2, "settle": 0, "overshoot": 0, "centroid": 1, "gap": 2, "recovery": 0}  # and their digits
+COLOURS = dict(zip(CONTROLLERS, ("0.5", "tab:orange", "tab:green", "tab:purple", "tab:brown", "tab:blue"), strict=True))
+PANELS = (("mixed", 0), ("mixed", 2), ("curb", 0), ("box, comes and goes", 0), ("20 m/s", 0), ("noise x 10", 0))  # scene, latency
+
+
+def write(rows: Sequence[Row], judged: Sequence[tuple[Case, Judged]], about: dict[str, Any], folder: Path) -> None:
+    """Write `symbol_control.md` and its picture into a folder. about: what the template says of the run."""
+    (folder / "images").mkdir(parents=True, exist_ok=True)
+    draw(judged, folder / "images" / PICTURE)
+    (folder / "symbol_control.md").write_text(page(rows, about), "utf-8")
+
+
+def page(rows: Sequence[Row], about: dict[str, Any]) -> str:
+    standing = [row for row in rows if row["part"] == "standing"]
+    on_time = [row for row in rows if row["latency"] == 0]
+    disturbed = [scene for scene in DISTURBED if scene != UNDISTURBED]
+    return TEMPLATE.read_text("utf-8").format(
+        **about,
+        goals=goals(rows),
+        **{f"standing_{name}": table(on_time, "scene", STANDING, name) for name in ("iou", "settle", "overshoot", "centroid", "gap")},
+        **{f"driving_{name}": table(on_time, "scene", DRIVING, name) for name in ("iou", "centroid", "gap")},
+        **{f"disturbed_{name}": table(on_time, "scene", disturbed, name) for name in ("iou_least", "recovery", "gap")},
+        late=table(standing, "latency", dict.fromkeys(row["latency"] for row in standing), "iou"),
+        luxloop=all_latencies([row for row in standing if row["controller"] == "luxloop"]),
+    )
+
+
+def goals(rows: Sequence[Row]) -> str:
+    """A row a goal: what was measured, and what limits it where it was missed."""
+    lines = ["| goal | measured | | what limits it |", "| --- | ---: | --- | --- |"]
+    for goal in GOALS:
+        worst = goal.worst(rows)
+        if worst is None:
+            lines.append(f"| {goal.what} | — | not measured | |")
+            continue
+        value, where = worst
+        reached = goal.reached(value)
+        place = f" ({where})" if len(goal.scenes) > 1 and where else ""
+        verdict, limited = ("reached", "") if reached else ("**missed**", goal.limited)
+        lines.append(f"| {goal.what} | {value:.{MEASURES[goal.measure] + 1}f}{place} | {verdict} | {limited} |")
+    return "\n".join(lines)
+
+
+def table(rows: Sequence[Row], field: str, values: Iterable[Any], measure: str) -> str:
+    """A row for each value of the field and a column a controller: the mean of a measure, its worst case in brackets."""
+    lines = [f"| {field} | {' | '.join(CONTROLLERS)} |", f"| --- |{' ---: |' * len(CONTROLLERS)}"]
+    for value in values:
+        found = [row for row in rows if row[field] == value]
+        if found:
+            cells = [_cell([row for row in found if row["controller"] == name], measure) for name in CONTROLLERS]
+            lines.append(f"| {value} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def all_latencies(rows: Sequence[Row]) -> str:
+    """A row for each scene and latency, and a column a measure."""
+    lines = ["| scene | late by | IoU | settled | overshoot % | centroid % | below open loop |", "| --- | ---: |" + " ---: |" * 5]
+    for scene, latency in dict.fromkeys((row["scene"], row["latency"]) for row in rows):
+        found = [row for row in rows if (row["scene"], row["latency"]) == (scene, latency)]
+        cells = [_cell(found, name) for name in ("iou", "settle", "overshoot", "centroid", "gap")]
+        lines.append(f"| {scene} | {latency} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _cell(rows: Sequence[Row], measure: str) -> str:
+    values = [row[measure] for row in rows if row[measure] is not None]
+    if not values:
+        return "—"
+    worst, digits = (min if measure.startswith("iou") else max)(values), MEASURES[measure]
+    return f"{np.mean(values):.{digits}f}" + (f" ({worst:.{digits}f})" if len(values) > 1 else "")
+
+
+def draw(judged: Sequence[tuple[Case, Judged]], file: Path) -> None:
+    """IoU over the steps, first seed, of each controller in a few worlds."""
+    figure, grid = plt.subplots(2, 3, figsize=(12, 6.4), sharey=True, layout="constrained")
+    for axes, (scene, latency) in zip(grid.flat, PANELS, strict=True):
+        axes.set_title(scene + (f", frames {latency} steps late" if latency else ""), fontsize=10)
+        for case, each in judged:
+            if (case.scene, case.latency, case.seed) == (scene, latency, 0):
+                for name, series in each.items():
+                    own = name == "luxloop"
+                    values = [np.nan if value is None else value for value in series["iou"]]
+                    axes.plot(values, color=COLOURS[name], label=name, lw=2.2 if own else 1.2, zorder=3 if own else 2)
+        if scene in DISTURBED:
+            axes.axvspan(FROM, UNTIL, color="0.9", zorder=0)
+        axes.axvline(BEGUN, color="0.8", lw=0.8, zorder=0)
+        axes.set(ylim=(0, 1), xlim=(0, None))
+        axes.grid(alpha=0.3)
+    for axes in grid[:, 0]:
+        axes.set_ylabel("IoU")
+    for axes in grid[-1]:
+        axes.set_xlabel("step")
+    handles, labels = next((h for axes in grid.flat if (h := axes.get_legend_handles_labels())[0]), ([], []))
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(CONTROLLERS), frameon=False)
+    figure.savefig(file, dpi=110)
+    plt.close(figure)
