@@ -14,6 +14,7 @@ SMALL: dict[str, Any] = {
     "start": {"x_m": 19.0, "y_m": 1.0, "roll_deg": 5.0, "pitch_deg": -2.0},
     "camera": {"width_px": 320, "height_px": 180},
     "surface": {"grain": 0.0},
+    "controller": {"name": "thesis_pid"},
     "renderer": "raycast",
 }
 
