@@ -169,7 +169,15 @@ def _walls(figure: SubFigure, simulation: LightingSimulation, last: LightingResu
         mine = [number for number, module in enumerate(simulation.modules) if module.side == side]
         wall = wall_light([simulation.modules[n] for n in mine], [last.lights[n] for n in mine], WALL_COLUMNS)
         extent = (-side_deg, side_deg, -down_deg, up_deg)
-        shown = axes.imshow(wall.cpu().numpy(), cmap="inferno", extent=extent, aspect="auto", interpolation="antialiased")
+        shown = axes.imshow(
+            wall.cpu().numpy(),
+            cmap="inferno",
+            vmin=0,
+            vmax=float(wall.max()) or 1,
+            extent=extent,
+            aspect="auto",
+            interpolation="antialiased",
+        )
         axes.set(title=f"The {side} lamp on a wall at 25 m, at the end: {float(wall.max()):.3g} lx at most", ylabel="up in deg")
         axes.grid(False)
         axes.figure.colorbar(shown, ax=axes, label="lx", pad=0.01)
