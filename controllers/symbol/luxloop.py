@@ -7,15 +7,19 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from controllers.symbol.drawing import Drawing, Warp, warp_onto
+from controllers.symbol.drawing import Drawing, warp_onto
+from controllers.symbol.memory import Memory
 from controllers.symbol.observer import Observer
 from controllers.symbol.projector import SymbolParams
-from controllers.symbol.protocol import Look
+from controllers.symbol.protocol import Look, Shown
 from controllers.symbol.registration import Heights, Registration
-from controllers.symbol.relief import Relief
 from controllers.symbol.sight import Sight
+from controllers.symbol.stance import HERE, Stances
 from controllers.symbol.sweep import sweep
+from controllers.symbol.swing import Swing, swung
 from perception.birdseye import Region
+from perception.camera import camera_view
+from world.frames import inverse, transform
 from world.params import Params
 
 LEAST_LIT_PX = 20.0  # fewer lit pixels are no symbol
@@ -37,32 +41,28 @@ class LuxloopParams(Params):
 
 @dataclass(frozen=True)
 class LuxloopState:
-    """heights: what is known of the road. brightness: `[n]` at its nodes, multiple of the assumed road's. drawing: what is shown now."""
+    """memory: what is known of the road, in the ground frame of time_s. swing: of the body, if it is measured. drawing: shown now."""
 
-    heights: Heights
-    brightness: Tensor
+    memory: Memory
+    time_s: float
     drawing: Drawing
+    swing: Swing | None = None
 
 
 class Luxloop:
-    """Registration of heights, supervised by the open loop."""
+    """Registration of the heights of a road that the vehicle may drive over, supervised by the open loop."""
 
     def __init__(self, params: LuxloopParams, observer: Observer) -> None:
-        self.params, self.projector = params, observer.projector
+        self.params, self.projector, self.observer = params, observer.projector, observer
         self.region = region_of(self.projector.params, *params.beyond_m)
-
-        def sight(step: int, samples: int) -> Sight:
-            return Sight.prepare(
-                self.projector, observer.camera, observer.params, observer.model.albedo, self.region, params.cell_m, step, samples
-            )
-
-        self.coarse, self.fine = sight(4, 1), sight(2, 3)
-        self.registration = Registration.prepare(self.fine)
+        self.coarse, self.registration = self._coarse(Stances()), self._fine(Stances())
+        lamps = torch.stack([module.T_world_headlight[:3, 3].cpu().double() for module in self.projector.modules])
+        self.ends = torch.stack([camera_view(observer.camera).origin, lamps.mean(0)], 1)  # of the ways of light, in the body
         self.tried = torch.linspace(-params.highest_m, params.highest_m, HEIGHTS, device=self.projector.symbol.device)
 
     def start(self, pose: Tensor) -> LuxloopState:
         """State that shows the pose `[4]` first."""
-        return self._ignorant(Drawing(pose))
+        return LuxloopState(self._nothing(self.registration), 0.0, Drawing(pose))
 
     def drawing(self, state: LuxloopState) -> Drawing:
         """The symbol for the road as it is known."""
@@ -70,65 +70,90 @@ class Luxloop:
 
     def step(self, state: LuxloopState, look: Look) -> LuxloopState:
         """Register the look; the open loop's drawing, unless heights explain it better than a flat road does."""
-        flat = Drawing(self.projector.target)
-        if look.frames is None:
-            return replace(state, drawing=state.drawing if state.drawing.warp else flat)
-        contrast, limit = self.fine.observe(look.frames)
-        seen = self.fine.symbol(contrast, limit)
-        if float(seen.sum()) * self.fine.step < LEAST_LIT_PX:
-            return replace(state, drawing=flat)
+        swing = swung(state.swing, look.ego)
+        stances = Stances.of(look, swing, state.time_s)
+        registration = self.registration if stances.still else self._fine(stances)
+        memory = state.memory.moved(stances.since, registration.sight.eye)
+        if look.frames is not None:
+            memory = self._looked(registration, memory, look.frames, look.shown, stances)
+        return LuxloopState(memory, stances.time_s, self._drawn(memory, stances), swing)
+
+    def _looked(self, registration: Registration, memory: Memory, frames: tuple[Tensor, Tensor], shown: Shown, stances: Stances) -> Memory:
+        """What is known after a look: nothing, where heights do not explain it."""
+        fine, known = registration.sight, memory.heights
+        contrast, limit = fine.observe(frames)
+        seen = fine.symbol(contrast, limit)
+        if float(seen.sum()) * fine.step < LEAST_LIT_PX:
+            return self._nothing(registration)
         textures = tuple(
             module.pixel_controller.headlight.light_texture(light.u - module.pixel_controller.default)
-            for module, light in zip(self.projector.modules, look.shown.lights, strict=True)
+            for module, light in zip(self.projector.modules, shown.lights, strict=True)
         )
-        heights, residual, residual_flat = self._registered(state, look.frames, seen, limit, textures)
-        if residual > residual_flat - self.params.evidence:
-            return self._ignorant(flat)
-        brightness = self._brightness(heights.mean, state.brightness, contrast, seen, textures)
-        return LuxloopState(heights, brightness, Drawing(self.projector.target, warp=self._warp(heights.mean, brightness)))
-
-    def _ignorant(self, drawing: Drawing) -> LuxloopState:
-        heights = self.registration.unknown()
-        return LuxloopState(heights, torch.ones_like(heights.mean), drawing)
-
-    def _registered(
-        self, state: LuxloopState, frames: tuple[Tensor, Tensor], seen: Tensor, limit: Tensor, textures: tuple[Tensor, ...]
-    ) -> tuple[Heights, float, float]:
-        """Heights with what is known of them, their residual on this look, and that of the flat road."""
-        register, known = self.registration, state.heights
-        limit = limit / self.fine.on_pixels(state.brightness)  # of the light that the assumed road would show
-        found = [register.refine(known.mean, known, seen, textures, limit)]
-        residual = register.residual(found[0].mean[None], seen, textures, limit)
-        if float(residual[0]) > self.params.sweep_above:
-            contrast, threshold = self.coarse.observe(frames)
-            swept = sweep(
-                self.coarse,
-                self.coarse.symbol(contrast, threshold),
-                textures,
-                threshold / self.coarse.on_pixels(state.brightness),
-                self.tried,
-            )
-            found.append(register.refine(swept, known, seen, textures, limit))
+        limit = limit / fine.on_pixels(memory.brightness)  # of the light that the assumed road would show
+        found = [registration.refine(known.mean, known, seen, textures, limit)]
+        if float(registration.residual(found[0].mean[None], seen, textures, limit)[0]) > self.params.sweep_above:
+            swept = self._swept(memory, frames, textures, stances)
+            found.append(registration.refine(swept, known, seen, textures, limit))
         nodes = torch.stack([*(each.mean for each in found), torch.zeros_like(known.mean)])
-        residuals = register.residual(nodes, seen, textures, limit)
+        residuals = registration.residual(nodes, seen, textures, limit)
         best = int(residuals[:-1].argmin())
-        information = self.params.memory * (known.information + found[best].information)
-        return Heights(found[best].mean, information), float(residuals[best]), float(residuals[-1])
+        if residuals[best] > residuals[-1] - self.params.evidence:
+            return self._nothing(registration)
+        mean, information = found[best].mean, self.params.memory * (known.information + found[best].information)
+        brightness = _brightness(fine, mean, memory.brightness, contrast, seen, textures)
+        return replace(memory, heights=Heights(mean, information), brightness=brightness)
 
-    def _brightness(self, nodes: Tensor, before: Tensor, contrast: Tensor, seen: Tensor, textures: tuple[Tensor, ...]) -> Tensor:
-        fine = self.fine
-        expected = fine.luminance(textures, fine.on_pixels(nodes)[None])[0]
-        lit = (seen > 0.5) & (expected > 0)
-        there, usual = fine.on_nodes(torch.stack([contrast, expected]) * lit)
-        guess = SEEN_BY * usual.mean()
-        return (there + guess * before) / (usual + guess)
+    def _swept(self, memory: Memory, frames: tuple[Tensor, Tensor], textures: tuple[Tensor, ...], stances: Stances) -> Tensor:
+        coarse = self.coarse if stances.still else self._coarse(stances)
+        contrast, limit = coarse.observe(frames)
+        return sweep(coarse, coarse.symbol(contrast, limit), textures, limit / coarse.on_pixels(memory.brightness), self.tried)
 
-    def _warp(self, nodes: Tensor, brightness: Tensor) -> Warp:
-        fine, symbol = self.fine, self.projector.params
-        grid = (fine.rows, fine.cols)
-        relief = Relief(self.region, fine.eye, nodes.view(grid), brightness.view(grid))
-        lamp = torch.stack([each.origin for each in fine.lamps]).mean(0)
-        return warp_onto(relief, lamp, (symbol.x_m, symbol.y_m), symbol.length_m, symbol.width_m)
+    def _drawn(self, memory: Memory, stances: Stances) -> Drawing:
+        """The symbol for the road as it is known, from where the body will be then."""
+        symbol, target = self.projector.params, self.projector.target
+        pose, z = _laid(target, inverse(stances.following))
+        if not memory.heights.information.any():
+            return Drawing(pose, z)
+        eye, lamp = transform(stances.following, self.ends).T.to(target)
+        relief = memory.moved(stances.until, eye).relief()
+        return Drawing(pose, z, warp_onto(relief, lamp, (symbol.x_m, symbol.y_m), symbol.length_m, symbol.width_m))
+
+    def _nothing(self, registration: Registration) -> Memory:
+        """Nothing known of the road."""
+        heights, sight = registration.unknown(), registration.sight
+        return Memory(heights, torch.ones_like(heights.mean), self.region, (sight.rows, sight.cols), sight.eye)
+
+    def _fine(self, stances: Stances) -> Registration:
+        return Registration.prepare(self._sight(stances, 2, 3))
+
+    def _coarse(self, stances: Stances) -> Sight:
+        return self._sight(stances, 4, 1)
+
+    def _sight(self, stances: Stances, step: int, samples: int) -> Sight:
+        """How the body sees the road when the two frames are exposed."""
+        seer, cell_m = self.observer, self.params.cell_m
+        return Sight.prepare(
+            self.projector, seer.camera, seer.params, seer.model.albedo, self.region, cell_m, step, samples, stances.on, stances.off
+        )
+
+
+def _laid(target: Tensor, T_body_ground: Tensor) -> tuple[Tensor, Tensor | None]:
+    """Pose `[4]` and height in m of a rectangle for a body, that lies at a target pose on the ground; its yaw of some 1e-4 is left out."""
+    if T_body_ground.equal(HERE):
+        return target, None
+    T = T_body_ground
+    centre = transform(T, T.new_tensor([[float(target[0])], [float(target[1])], [0.0]]))[:, 0]
+    angles = torch.stack([torch.atan2(T[2, 1], T[2, 2]), torch.asin(-T[2, 0])])
+    return torch.cat([centre[:2], angles]).to(target), centre[2].to(target)
+
+
+def _brightness(fine: Sight, heights: Tensor, before: Tensor, contrast: Tensor, seen: Tensor, textures: tuple[Tensor, ...]) -> Tensor:
+    """Brightness `[n]` of the nodes, from where the light is that falls on such heights."""
+    expected = fine.luminance(textures, fine.on_pixels(heights)[None])[0]
+    lit = (seen > 0.5) & (expected > 0)
+    there, usual = fine.on_nodes(torch.stack([contrast, expected]) * lit)
+    guess = SEEN_BY * usual.mean()
+    return (there + guess * before) / (usual + guess)
 
 
 def region_of(symbol: SymbolParams, near_m: float, far_m: float, side_m: float) -> Region:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from kornia.geometry.transform import remap
@@ -15,6 +15,7 @@ from perception.camera import CameraParams, average_rows, camera_view
 from perception.extraction import Crop, ExtractionParams, difference, symbol_image, threshold
 from world.frames import inverse
 from world.headlight import Headlight
+from world.view import View
 
 DARKNESS_TEXELS = 3.0  # over which a shadow's edge fades
 
@@ -53,7 +54,8 @@ class Sight:
     """Lines of sight through a region of the plane, and the nodes `[rows, cols]` that hold its heights.
 
     step: columns of the camera that are taken together. samples: lines of sight in a camera row. node: `[4, h * w]` int64 and weight:
-    `[4, h * w]`, bilinear, of each pixel of the crop. inside: `[h, w]`, 1 where a pixel sees the region.
+    `[4, h * w]`, bilinear, of each pixel of the crop. inside: `[h, w]`, 1 where a pixel sees the region. off_place: `[2, H, W]`, where in
+    the off frame the pixels of the crop see the same road, -1 to 1 over the image; None where the camera has not moved.
     """
 
     region: Region
@@ -69,6 +71,7 @@ class Sight:
     inside: Tensor
     camera: CameraParams
     params: ExtractionParams
+    off_place: Tensor | None
 
     @classmethod
     def prepare(
@@ -81,13 +84,17 @@ class Sight:
         cell_m: tuple[float, float],
         step: int,
         samples: int,
+        T_ground_on: Tensor | None = None,
+        T_ground_off: Tensor | None = None,
     ) -> "Sight":
-        """cell_m: of the nodes, along and across. step, samples: as above."""
+        """cell_m: of the nodes, along and across. step, samples: as above. T_ground_on, T_ground_off: body `[4, 4]` in on and off frame."""
         device = projector.symbol.device
-        view = camera_view(camera, samples)
+        standing = torch.eye(4, dtype=torch.float64)
+        T_on, T_off = (standing if T is None else T for T in (T_ground_on, T_ground_off))
+        whole, view = (_from(T_on, camera_view(camera, rows)) for rows in (1, samples))
         x, y = torch.tensor([[region.x_near_m, region.x_far_m], [region.y_left_m, region.y_right_m]], dtype=torch.float64)
         corners = torch.stack([x.repeat_interleave(2), y.repeat(2), torch.zeros(4, dtype=torch.float64)])
-        uv, _ = camera_view(camera).project(corners)
+        uv, _ = whole.project(corners)
         (u0, v0), (u1, v1) = (end.tolist() for end in uv.aminmax(dim=1))
         u0, v0 = max(math.floor(u0), 0), max(math.floor(v0), 0)
         width = (min(math.ceil(u1), view.width) - u0) // step * step
@@ -98,8 +105,8 @@ class Sight:
         ground = eye[:, None, None] - rays * (eye[2] / rays[2])
         lamps = []
         for module in projector.modules:
-            T = inverse(module.T_world_headlight.cpu().double())
-            origin = module.T_world_headlight[:3, 3].cpu()
+            T_ground_headlight = T_on @ module.T_world_headlight.cpu().double()
+            T, origin = inverse(T_ground_headlight), T_ground_headlight[:3, 3]
             on_plane = torch.einsum("ij,jhw->ihw", T[:3, :3], ground) + T[:3, 3, None, None]
             per_m = torch.einsum("ij,jhw->ihw", T[:3, :3], (eye[:, None, None] - ground) / eye[2])
             factor = albedo * origin[2] / (ground - origin[:, None, None]).norm(dim=0) ** 3 / math.pi
@@ -116,7 +123,8 @@ class Sight:
         weight = torch.stack([(1 - a) * (1 - b), (1 - a) * b, a * (1 - b), a * b]).float()
         inside = (inside_x & inside_y).float()
         node, weight, seen = node.to(device), weight.to(device), inside.to(device)
-        return cls(region, crop, eye.float().to(device), step, samples, tuple(lamps), rows, cols, node, weight, seen, camera, params)
+        off = None if T_off.equal(T_on) else _place_in_image(whole, _from(T_off, camera_view(camera)), crop).to(device)
+        return cls(region, crop, eye.float().to(device), step, samples, tuple(lamps), rows, cols, node, weight, seen, camera, params, off)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -126,10 +134,17 @@ class Sight:
 
     def observe(self, frames: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
         """Contrast and threshold `[h, w]` in cd/m^2 of on and off frame `[height, width]` (digital numbers)."""
-        on, off = (frame[self.crop.slices] for frame in frames)
+        on, off = frames[0][self.crop.slices], self._compensated(frames[1])
         images = torch.stack([difference(on, off, self.camera), threshold(off, self.camera, self.params)])
         contrast, limit = avg_pool2d(images[:, None], (1, self.step))[:, 0]
         return contrast, limit
+
+    def _compensated(self, off: Tensor) -> Tensor:
+        """The off frame `[height, width]` as the camera would see the plane where the on frame was exposed, cut at the crop."""
+        if self.off_place is None:
+            return off[self.crop.slices]
+        u, v = self.off_place[:, None]
+        return remap(off[None, None], u, v, padding_mode="border", align_corners=False, normalized_coordinates=True)[0, 0]
 
     def on_pixels(self, nodes: Tensor) -> Tensor:
         """Values of nodes `[..., n]` at the pixels, `[..., h, w]`."""
@@ -149,6 +164,19 @@ class Sight:
     def symbol(self, contrast: Tensor, limit: Tensor) -> Tensor:
         """Symbol image `[..., h, w]` in 0..1 as extraction would find it."""
         return symbol_image(contrast, limit, self.params)
+
+
+def _from(T_ground_body: Tensor, view: View) -> View:
+    """A view of the standing vehicle from where its body is."""
+    return replace(view, T_world_view=T_ground_body @ view.T_world_view)
+
+
+def _place_in_image(view: View, other: View, crop: Crop) -> Tensor:
+    """Where another view sees the plane that a view sees in the pixels of a crop: `[2, h, w]`, -1 to 1 over its image."""
+    rays = view.rays()[(slice(None), *crop.slices)].flatten(1)
+    uv, _ = other.project(view.origin[:, None] - rays * (view.origin[2] / rays[2]))
+    size = uv.new_tensor([[other.width], [other.height]])
+    return (2 * uv / size - 1).float().unflatten(1, (crop.v_stop - crop.v_start, -1))
 
 
 def _place(start: float, stop: float, at: Tensor, count: int) -> tuple[Tensor, Tensor]:

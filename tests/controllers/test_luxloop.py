@@ -8,7 +8,6 @@ from torch import Tensor
 
 from controllers.symbol.drawing import CELLS, FOLLOWED, Drawing, warp_onto
 from controllers.symbol.protocol import Look, Shown
-from controllers.symbol.registration import Registration
 from controllers.symbol.relief import Relief
 from controllers.symbol.sweep import semi_global, sweep
 from loop.run import prepare
@@ -86,12 +85,12 @@ def test_one_look_tells_how_high_the_road_is(lifted: Simulation) -> None:
     controller, projector = lifted.controller, lifted.projector
     lights = projector.light(projector.target)
     _, frames = lifted.plant.show(lifted.plant.start(), lights, 0)
-    fine = controller.fine
+    fine = controller.registration.sight
     contrast, limit = fine.observe(frames)
     seen = fine.symbol(contrast, limit)
     textures = tuple(m.pixel_controller.headlight.light_texture(light.u) for m, light in zip(projector.modules, lights, strict=True))
     swept = sweep(fine, seen, textures, limit, controller.tried)
-    registration = Registration.prepare(fine)
+    registration = controller.registration
     refined = registration.refine(swept, registration.unknown(), seen, textures, limit)
     found, lit = refined.mean, refined.information.diagonal() > 1 / 0.005**2  # known to half a centimetre by themselves
     assert lit.sum() > 50
