@@ -83,7 +83,7 @@ def trials(tuned: Tuned) -> list[tuple[dict[str, float], float | None, str]]:
 
 @pytest.fixture(scope="module")
 def tuned(scenario: Scenario, tmp_path_factory: pytest.TempPathFactory) -> Tuned:
-    return tune(task(scenario), tmp_path_factory.mktemp("tuned"), 9, local(1))
+    return tune(task(scenario), tmp_path_factory.mktemp("tuned"), 5, local(1))
 
 
 def test_what_is_best_is_better_and_can_be_run(tuned: Tuned, scenario: Scenario, tmp_path: Path) -> None:
@@ -97,7 +97,7 @@ def test_what_is_best_is_better_and_can_be_run(tuned: Tuned, scenario: Scenario,
     run = load("flat", [*SMALL, "controller.name=thesis_pid", str(tmp_path / BEST)])
     assert run == ranges.changed(scenario, values)
     text = (tmp_path / REPORT).read_text()
-    assert f"| cost |  | {tuned.given_cost:.4g} | {cost:.4g} |" in text and "9 trials" in text
+    assert f"| cost |  | {tuned.given_cost:.4g} | {cost:.4g} |" in text and "5 trials" in text
     assert (tmp_path / PICTURE).stat().st_size > 5_000
 
 
@@ -115,9 +115,9 @@ def test_a_seeded_study_is_the_same_with_more_processes_and_after_a_stop(
         original(*arguments)  # type: ignore[arg-type]
 
     monkeypatch.setattr(module, "_try", stopping)
-    with pytest.raises(KeyboardInterrupt, match="2 of 9 trials are kept"):
-        tune(task(scenario), tmp_path, 9, local(1))
-    assert trials(tune(task(scenario), tmp_path, 9, local(2))) == trials(tuned)
+    with pytest.raises(KeyboardInterrupt, match="2 of 5 trials are kept"):
+        tune(task(scenario), tmp_path, 5, local(1))
+    assert trials(tune(task(scenario), tmp_path, 5, local(2))) == trials(tuned)
 
 
 def test_other_settings_need_another_folder(tuned: Tuned, scenario: Scenario, tmp_path: Path) -> None:
