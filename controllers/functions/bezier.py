@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 HALLEY_STEPS = 6  # from the best sample, Halley's cubic convergence needs three or four
-SAMPLES_PER_DEGREE = 16  # a curve of degree n turns at most n - 1 times
+SAMPLES_PER_DEGREE = 64  # so dense since a curve turns fast near a cusp, between samples that are farther off than others
 INTERVALS, NODES = 32, 8  # of the arc length's quadrature: some 1e-9 of the length for curves without a cusp
 
 
