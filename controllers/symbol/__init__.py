@@ -11,6 +11,7 @@ from controllers.symbol.observer import Observer
 from controllers.symbol.open_loop import OpenLoop, OpenLoopParams
 from controllers.symbol.own import OWN, OwnParams, own_controller
 from controllers.symbol.protocol import SymbolController
+from controllers.symbol.stages import staged
 from controllers.symbol.thesis_pid import ThesisPid, ThesisPidParams
 
 
@@ -53,10 +54,10 @@ def build_controller(params: AnyParams, observer: Observer) -> SymbolController:
         case FeedforwardParams():
             return Feedforward(params, observer)
         case ThesisPidParams():
-            return ThesisPid(params, observer.projector.target)
+            return staged(params, ThesisPid(params, observer.projector.target), observer)
         case LuxloopParams():
             return Luxloop(params, observer)
         case OwnParams():
-            return own_controller(params, observer)
+            return staged(params, own_controller(params, observer), observer)
         case GaussNewtonParams() | ModelReferenceParams():
-            return Feedback(params, observer)
+            return staged(params, Feedback(params, observer), observer)

@@ -17,11 +17,11 @@ from controllers.symbol.drawing import Drawing
 from controllers.symbol.flat_model import PROBE
 from controllers.symbol.observer import Observer
 from controllers.symbol.protocol import Look
+from controllers.symbol.stages import StagedParams
 from perception.extraction import Loss
-from world.params import Params
 
 
-class FeedbackParams(Params):
+class FeedbackParams(StagedParams):
     """What both laws have in common."""
 
     dof: Literal["z", "x"] = Field("z", description="what shifts the symbol along the road: height or place of its rectangle")

@@ -7,14 +7,14 @@ from pydantic import Field
 
 from controllers.symbol.observer import Observer
 from controllers.symbol.protocol import SymbolController
+from controllers.symbol.stages import StagedParams
 from world.errors import LuxloopError
-from world.params import Params
 
 OWN: Final = "package.module:Name"
 METHODS = ("start", "drawing", "step")
 
 
-class OwnParams(Params):
+class OwnParams(StagedParams):
     """`Name(observer, **options)` of a module that Python finds makes the controller."""
 
     name: str = Field(pattern=r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$", description="module and class or function, as package.module:Name")

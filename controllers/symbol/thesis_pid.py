@@ -15,6 +15,7 @@ from torch import Tensor
 from controllers.pid import PidParams, PidState, pid_gains, pid_reset, pid_step
 from controllers.symbol.drawing import Drawing
 from controllers.symbol.protocol import Look
+from controllers.symbol.stages import StagedParams
 from perception.extraction import Loss
 from world.params import Params
 
@@ -28,7 +29,7 @@ class PidTuning(Params):
     tracking_steps: float | None = Field(None, gt=0, description="time constant of the anti-windup's back-calculation, none if left out")
 
 
-class ThesisPidParams(Params):
+class ThesisPidParams(StagedParams):
     """Gains of T 9.4.3; limits keep the primitive from turning edge-on, which it does at atan(h/x) = 2.5 deg nose-down."""
 
     name: Literal["thesis_pid"] = "thesis_pid"

@@ -1,0 +1,37 @@
+"""Intersection over union with and without warp and supervisor, on four roads and behind a box: the table of docs/control.md."""
+
+import itertools
+
+from loop.run import prepare
+from loop.scenario import load
+
+STEPS, MEANT = 30, 10
+BOX = '[{kind="box", name="box", size_m=[0.4, 0.5, 0.3], albedo=0.2, track=[{position_m=[15.5, 0.2, 0.0]}]}]'
+ROADS = {
+    "mixed": ("snowflake", ()),
+    "bumps": ("snowflake", ("road.kind=bumps",)),
+    "speed bump": ("speed_bump", ()),
+    "curb": ("curb", ()),
+    "box on a flat road": ("snowflake", ("road.kind=flat", f"objects={BOX}")),
+}
+STAGES = {"alone": "", "warp": ", warp={}", "both": ", warp={}, supervisor={}"}
+
+
+def iou(scenario: str, changes: tuple[str, ...], controller: str) -> float:
+    """Mean of the last steps."""
+    results = prepare(load(scenario, [*changes, f"controller={controller}", f"steps={STEPS}"]), "cpu").run()
+    return sum(float(result.verdict.iou) for result in list(results)[-MEANT:]) / MEANT
+
+
+def main() -> None:
+    """Print the table."""
+    names = ["thesis_pid", "gauss_newton"]
+    columns = [f"`{name}` {stage}" for name, stage in itertools.product(names, STAGES)]
+    print("| road | open loop |", " | ".join(columns), "|\n" + "| --- " * (len(columns) + 2) + "|")
+    for road, (scenario, changes) in ROADS.items():
+        controllers = ['{name="open"}', *(f'{{name="{name}"{keys}}}' for name, keys in itertools.product(names, STAGES.values()))]
+        print(f"| {road} |", " | ".join(f"{iou(scenario, changes, each):.2f}" for each in controllers), "|", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,23 @@
+"""The stages that any controller with feedback can have on top of it: a warp, and a supervisor over both."""
+
+from pydantic import Field
+
+from controllers.symbol.observer import Observer
+from controllers.symbol.protocol import SymbolController
+from controllers.symbol.supervising import Supervising, SupervisorParams
+from controllers.symbol.warping import Warping, WarpParams
+from world.params import Params
+
+
+class StagedParams(Params):
+    """Keys of every controller that can have stages."""
+
+    warp: WarpParams | None = Field(None, description="warps the symbol where the controller can do no more; left out: none")
+    supervisor: SupervisorParams | None = Field(None, description="shows the open loop where control does not better it; left out: none")
+
+
+def staged(params: StagedParams, controller: SymbolController, observer: Observer) -> SymbolController:
+    """The controller with the stages that its keys ask for."""
+    if params.warp is not None:
+        controller = Warping(params.warp, controller, observer)
+    return controller if params.supervisor is None else Supervising(params.supervisor, controller, observer)
