@@ -85,7 +85,7 @@ def test_controllers_side_by_side_run_as_each_does_alone(benchmark: Any) -> None
     from symbol_control_cases import trajectories
 
     scenario = load("snowflake", (*TINY, "camera.latency_steps=1"), steps=5).model_dump(mode="json", exclude={"controller"})
-    tables = {"thesis_pid": {"name": "thesis_pid"}, "luxloop": {"name": "luxloop"}, "open": {"name": "open"}}
+    tables = {"thesis_pid": {"name": "thesis_pid"}, "luxloop": {"name": "luxloop"}}
     together = trajectories(scenario, tables)["judged"]
     for name, table in tables.items():
         alone = [row(result)["iou"] for result in prepare(validate({**scenario, "controller": table}, "alone"), "cpu").run()]
