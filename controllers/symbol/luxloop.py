@@ -111,7 +111,7 @@ class Luxloop:
     def _drawn(self, memory: Memory, stances: Stances) -> Drawing:
         """The symbol for the road as it is known, from where the body will be then."""
         symbol, target = self.projector.params, self.projector.target
-        pose, z = _laid(target, inverse(stances.following))
+        pose, z = laid(target, inverse(stances.following))
         if not memory.heights.information.any():
             return Drawing(pose, z)
         eye, lamp = transform(stances.following, self.ends).T.to(target)
@@ -137,7 +137,7 @@ class Luxloop:
         )
 
 
-def _laid(target: Tensor, T_body_ground: Tensor) -> tuple[Tensor, Tensor | None]:
+def laid(target: Tensor, T_body_ground: Tensor) -> tuple[Tensor, Tensor | None]:
     """Pose `[4]` and height in m of a rectangle for a body, that lies at a target pose on the ground; its yaw of some 1e-4 is left out."""
     if T_body_ground.equal(HERE):
         return target, None
