@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow as pa
 
 from controllers.symbol.flat_model import FeatureParams
-from loop.recorder import CENTROIDS, COLUMNS, ERRORS
+from loop.recorder import CENTROIDS, COLUMNS, ERRORS, LATER
 from loop.summary import settle_step
 
 SHEAR = (0.005, "a quarter of what counts as settled")
@@ -16,6 +16,7 @@ TOLERANCES: dict[str, tuple[float, str]] = {
     "time_s": (1e-9, "rounding of step times period"),
     "x_m": (1e-3, "a millimetre"),
     "y_m": (1e-3, "a millimetre"),
+    "z_m": (1e-4, "what moves the symbol's light by two millimetres"),
     "roll_deg": (0.05, "a hundredth of the range"),
     "pitch_deg": (0.05, "a hundredth of the range"),
     "pose_error_x_m": (0.02, "a tenth of a pixel: the raw image has 11 cm a pixel along the road at 17 m; twice, for the target's own"),
@@ -59,15 +60,17 @@ def tolerances(what: FeatureParams) -> dict[str, tuple[float, str]]:
 def compare(recorded: pa.Table, replayed: pa.Table, within: dict[str, tuple[float, str]]) -> tuple[Difference, ...]:
     """Columns that differ by more than `within` has for them, in the order of the file; exactly those that it has not.
 
-    Both tables have the columns of a recording; steps that only one has are a difference of the column "step". What was not seen in both
-    is equal, what was not seen in one is an infinite difference. An empty `within` asks for bit-identical trajectories.
+    Both tables have the columns of a recording, the recorded one perhaps those of an older version; steps that only one has are a
+    difference of the column "step". What was not seen in both is equal, what was not seen in one is an infinite difference. An empty
+    `within` asks for bit-identical trajectories.
     """
     steps = min(recorded.num_rows, replayed.num_rows)
     found = []
     if recorded.num_rows != replayed.num_rows:
         last = float(abs(recorded.num_rows - replayed.num_rows))
         found.append(Difference("step", 0.0, steps, float(recorded.num_rows), float(replayed.num_rows), last, steps))
-    for name in (name for name in COLUMNS if not name.endswith("_ms")):
+    lacking = {name for name in LATER if name not in recorded.column_names}
+    for name in (name for name in COLUMNS if not name.endswith("_ms") and name not in lacking):
         tolerance = within.get(name, (0.0, ""))[0]
         apart = _distance(recorded[name][:steps], replayed[name][:steps])
         outside = np.flatnonzero(apart > tolerance)

@@ -25,6 +25,7 @@ Result = TypeVar("Result")
 TRAJECTORY, SUMMARY, REPORT, VIDEO = "trajectory.parquet", "summary.json", "report.png", "video.mp4"
 REST = 10  # times what a write takes pass between two: recording costs a tenth at most, and a kill the last 50 ms or so
 
+LATER = ("z_m",)  # columns that recordings of older versions lack
 POSE = ("x_m", "y_m", "roll_deg", "pitch_deg")
 ERRORS = ("e_x", "e_y", "e_roll", "e_pitch")
 CENTROIDS = tuple(f"{point}_{axis}" for point in ("c", "tl", "tr", "bl", "br") for axis in "uv")
@@ -36,6 +37,7 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "time_s": ("s", "time of the on frame since the scenario's start"),
     "x_m": ("m", "shown pose of the primitive: centre ahead of the lamps"),
     "y_m": ("m", "shown pose: centre to the left"),
+    "z_m": ("m", "shown height of the primitive's centre above the assumed road"),
     "roll_deg": ("deg", "shown pose: rotation about the forward axis"),
     "pitch_deg": ("deg", "shown pose: rotation about the left axis, nose down positive"),
     "e_x": ("axes", "error of the centre along u, seen minus target"),
@@ -85,6 +87,7 @@ def row(result: StepResult) -> dict[str, Any]:
     degrees = torch.tensor([1.0, 1.0, 180 / torch.pi, 180 / torch.pi], dtype=torch.float64)
     tensors = {
         POSE: result.pose,
+        ("z_m",): result.z,
         ERRORS: seen.errors,
         tuple(f"pose_error_{name}" for name in POSE): seen.pose_error,
         CENTROIDS: seen.appearance.centroids,
@@ -95,7 +98,7 @@ def row(result: StepResult) -> dict[str, Any]:
     }
     host = torch.cat([tensor.flatten().double() for tensor in tensors.values()]).cpu()
     host[:4] *= degrees
-    host[8:12] *= degrees
+    host[9:13] *= degrees
     values = dict(zip([name for names in tensors for name in names], host.tolist(), strict=True))
     values |= {"step": result.step, "time_s": result.time_s, "loss": loss_name(int(values["code"]))}
     values |= {f"{part}_ms": result.timings[part] for part in PARTS}

@@ -12,7 +12,7 @@ import torch
 
 from loop.comparison import Difference, compare, tolerances
 from loop.manifest import Manifest
-from loop.recorder import COLUMNS, SCHEMA, TRAJECTORY, row, table_of
+from loop.recorder import COLUMNS, LATER, SCHEMA, TRAJECTORY, row, table_of
 from loop.scenario import Scenario, validate
 from loop.simulation import Simulation, StepResult
 from world.errors import LuxloopError
@@ -59,13 +59,14 @@ def read_parquet(file: Path) -> pa.Table:
 
 
 def read_table(file: Path) -> pa.Table:
-    """Read a trajectory, with the columns of a recording and no others. Raises LuxloopError where it is damaged."""
+    """Read a trajectory, with the columns of a recording, of an older version too, and no others. Raises LuxloopError if it is damaged."""
     table = read_parquet(file)
-    missing = [name for name in COLUMNS if name not in table.column_names]
+    names = [name for name in COLUMNS if name in table.column_names or name not in LATER]
+    missing = [name for name in names if name not in table.column_names]
     if missing:
         raise LuxloopError(f"{file}: the column {missing[0]!r} is missing; record the run again")
     try:
-        return table.select(list(COLUMNS)).cast(SCHEMA)
+        return table.select(names).cast(pa.schema([SCHEMA.field(name) for name in names]))
     except (pa.ArrowException, ValueError) as error:
         raise LuxloopError(f"{file}: a column is not of its type ({_first_line(error)}); record the run again") from error
 

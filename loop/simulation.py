@@ -40,11 +40,15 @@ class SimulationState:
 
 @dataclass(frozen=True)
 class StepResult:
-    """What happened in one step. pose: `[4]` that was shown; timings: ms by part, 'step' is all that control and plant took."""
+    """What happened in one step. timings: ms by part, 'step' is all that control and plant took.
+
+    pose: `[4]` that was shown. z: `[]` m, height of its centre above the assumed road.
+    """
 
     step: int
     time_s: float
     pose: Tensor
+    z: Tensor
     lights: Lights
     frames: Frames | None
     seen: Seen
@@ -139,7 +143,8 @@ class Simulation:
         with _timed(timings, "judge"):
             verdict = self.judge(lights, time_s)
         following = replace(state, step=state.step + 1, controller=controller, plant=plant, shown=shown[-late:] if late else ())
-        return following, StepResult(state.step, time_s, drawing.pose, lights, frames, seen, verdict, timings)
+        z = torch.zeros_like(drawing.pose[..., 0]) if drawing.z is None else drawing.z
+        return following, StepResult(state.step, time_s, drawing.pose, z, lights, frames, seen, verdict, timings)
 
     def judge(self, lights: Lights, time_s: float) -> Verdict:
         """How the light lies on the road at a time, without noise."""

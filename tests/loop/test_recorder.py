@@ -56,6 +56,7 @@ def test_row_has_plain_values_in_the_units_of_their_names(small_results: list[St
     assert list(values) == list(COLUMNS)
     assert {type(value) for value in values.values()} == {int, float, str}
     assert [values[name] for name in recorder.POSE] == pytest.approx([19.0, 1.0, 5.0, -2.0])
+    assert values["z_m"] == 0.0
     assert values["pose_error_roll_deg"] == pytest.approx(math.degrees(result.seen.pose_error[2]))
     assert values["br_v"] == result.seen.appearance.centroids[4, 1].item()
     assert values["centroid_error_y_percent"] == result.verdict.centroid_percent[1].item()

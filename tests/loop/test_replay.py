@@ -250,6 +250,14 @@ def test_trajectory_from_elsewhere_may_have_more_columns(recording: Path, table:
     assert load(recording).table.equals(table)
 
 
+def test_recording_of_an_older_version_has_no_height_and_agrees(recording: Path, small_results: list[StepResult]) -> None:
+    rewrite(recording, lambda t: t.drop_columns(["z_m"]))
+    assert "z_m" not in load(recording).table.column_names
+    comparison = replay(recording)
+    assert comparison.agrees
+    assert comparison.steps == len(small_results)
+
+
 def test_csv_has_every_value(recording: Path, tmp_path: Path, table: pa.Table) -> None:
     gap = changed(table, "c_u", [np.nan, *table["c_u"].to_pylist()[1:]])
     pq.write_table(gap, recording / "trajectory.parquet")

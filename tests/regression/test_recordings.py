@@ -14,7 +14,7 @@ import pytest
 
 from loop import data
 from loop.comparison import compare, tolerances
-from loop.recorder import COLUMNS, SCHEMA, row, table_of
+from loop.recorder import COLUMNS, LATER, SCHEMA, row, table_of
 from loop.scenario import LightingScenario, Scenario, load, load_any
 from loop.shipped import shipped
 from loop.simulation import Simulation
@@ -48,8 +48,9 @@ def trajectory(scenario: Scenario) -> pa.Table:
 def read(file: Path) -> pa.Table:
     """A recorded trajectory; its timings, which are not kept, become null."""
     kept = pq.read_table(file)
-    columns = [kept[name] if name in COMPARED else pa.nulls(kept.num_rows, SCHEMA.field(name).type) for name in COLUMNS]
-    return pa.Table.from_arrays(columns, schema=SCHEMA)
+    fields = [SCHEMA.field(name) for name in COLUMNS if name in kept.column_names or name not in LATER]
+    columns = [kept[field.name] if field.name in COMPARED else pa.nulls(kept.num_rows, field.type) for field in fields]
+    return pa.Table.from_arrays(columns, schema=pa.schema(fields))
 
 
 @pytest.mark.parametrize("name", SYMBOLS)
