@@ -6,7 +6,11 @@ from typing import TypeVar
 
 import torch
 
+from controllers.symbol import build_controller
+from controllers.symbol.feedforward import FeedforwardParams
+from controllers.symbol.observer import Observer
 from controllers.symbol.projector import DrawingModule, Projector
+from controllers.symbol.protocol import SymbolController
 from controllers.symbols import load_still
 from loop import data
 from loop.lamp_description import load_lamp
@@ -32,12 +36,12 @@ def build_motion(scenario: Scenario) -> Motion:
     """The drive, over half a period more than all steps. Raises LuxloopError where a file is missing or broken."""
     if scenario.vehicle is None:
         return STANDING
-    return drive(scenario.vehicle, _road(scenario), (scenario.steps + 1) / scenario.rate_hz)
+    return drive(scenario.vehicle, _located(scenario.road), (scenario.steps + 1) / scenario.rate_hz)
 
 
 def build_scene(scenario: WorldScenario, motion: Motion = STANDING) -> Scene:
     """Road, along the vehicle's course, and objects. Raises LuxloopError where a file is missing or broken."""
-    road, surface = _road(scenario), scenario.surface
+    road, surface = _located(scenario.road), scenario.surface
     texture = SpottedTexture(surface, scenario.spots) if scenario.spots else surface.texture()
     ground: Body | RoadTiles
     if motion is STANDING:
@@ -48,8 +52,15 @@ def build_scene(scenario: WorldScenario, motion: Motion = STANDING) -> Scene:
     return Scene((ground, *objects), scenario.light.ambient_lx, scenario.light.street_lamps)
 
 
-def _road(scenario: WorldScenario) -> Road:
-    road = scenario.road
+def build_symbol_controller(scenario: Scenario, observer: Observer) -> SymbolController:
+    """The controller of the symbol. Raises LuxloopError where a road's file is missing, or a controller of one's own cannot be made."""
+    params = scenario.controller
+    if isinstance(params, FeedforwardParams):
+        params = params.model_copy(update={"road": _located(params.road)})
+    return build_controller(params, observer)
+
+
+def _located(road: Road) -> Road:
     return road.model_copy(update={"file": data.locate(road.file)}) if isinstance(road, OpenCrgRoad) else road
 
 

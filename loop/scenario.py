@@ -379,8 +379,10 @@ def _merge(into: dict[str, Any], changes: Mapping[str, Any]) -> None:
 def resolve_paths(data: dict[str, Any], folder: Path) -> None:
     """Make paths absolute against the file's folder; names of shipped symbols, of presets and of known data stay names."""
     objects, lighting = data.get("objects"), data.get("lighting")
+    controller = data.get("controller")
+    believed = controller.get("road") if isinstance(controller, dict) else None
     functions, raw = (lighting.get(key) if isinstance(lighting, dict) else None for key in ("functions", "raw"))
-    tables = [(data.get("symbol"), "image"), (data.get("road"), "file"), (data.get("headlight"), "model")]
+    tables = [(data.get("symbol"), "image"), (data.get("road"), "file"), (believed, "file"), (data.get("headlight"), "model")]
     for items, key in ((objects, "file"), (functions, "image"), (raw, "file")):
         items = list(items.values()) if isinstance(items, dict) else items
         tables += [(item, key) for item in items] if isinstance(items, list) else []

@@ -10,12 +10,11 @@ import torch
 from torch import Tensor
 
 from controllers.ssc import Utilisation
-from controllers.symbol import build_controller
 from controllers.symbol.flat_model import FlatModel, flat_model
 from controllers.symbol.observer import Observer, Seen
 from controllers.symbol.projector import Projector
 from controllers.symbol.protocol import Look, Shown, SymbolController
-from loop.build import build_motion, build_projector, build_scene
+from loop.build import build_motion, build_projector, build_scene, build_symbol_controller
 from loop.plant import Frames, Plant, SimulatedPlant
 from loop.scenario import Scenario
 from loop.truth import true_camera, true_modules
@@ -107,7 +106,7 @@ class Simulation:
             device=device,
             projector=projector,
             observer=observer,
-            controller=build_controller(scenario.controller, observer),
+            controller=build_symbol_controller(scenario, observer),
             plant=world,
             world=world,
             plane=plane,

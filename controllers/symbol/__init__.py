@@ -5,7 +5,7 @@ from typing import Annotated, Any
 from pydantic import Discriminator, Tag
 
 from controllers.symbol.feedback import Feedback, GaussNewtonParams, ModelReferenceParams
-from controllers.symbol.feedforward import Feedforward, FeedforwardParams
+from controllers.symbol.feedforward import Feedforward, FeedforwardParams, Surveyed
 from controllers.symbol.luxloop import Luxloop, LuxloopParams
 from controllers.symbol.observer import Observer
 from controllers.symbol.open_loop import OpenLoop, OpenLoopParams
@@ -52,7 +52,7 @@ def build_controller(params: AnyParams, observer: Observer) -> SymbolController:
         case OpenLoopParams():
             return OpenLoop(observer.projector.target)
         case FeedforwardParams():
-            return Feedforward(params, observer)
+            return Surveyed(params, observer) if params.survey else Feedforward(params, observer)
         case ThesisPidParams():
             return staged(params, ThesisPid(params, observer.projector.target), observer)
         case LuxloopParams():

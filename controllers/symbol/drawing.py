@@ -37,12 +37,13 @@ class Drawing:
     """One symbol to be shown.
 
     pose: `[..., 4]` = x, y in m, roll, pitch in rad. z: `[...]` m, height of the centre above the assumed road, None for none.
-    warp: None for the symbol as it is.
+    warp: None for the symbol as it is. raw: utilisations `[n_p]`, one a module, that are shown in place of any symbol.
     """
 
     pose: Tensor
     z: Tensor | None = None
     warp: Warp | None = None
+    raw: tuple[Tensor, ...] | None = None
 
     def singles(self) -> Iterator["Drawing"]:
         """The drawings of a batch, one by one."""

@@ -1,5 +1,6 @@
-"""Feed-forward: inverse ray tracing onto a road that is given, right or wrong."""
+"""Feed-forward: inverse ray tracing onto a road that is given, right or wrong, or that is surveyed with structured light first."""
 
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import torch
@@ -9,22 +10,26 @@ from torch import Tensor
 from controllers.symbol.drawing import Drawing, warp_onto
 from controllers.symbol.luxloop import region_of
 from controllers.symbol.observer import Observer
+from controllers.symbol.projector import Projector
 from controllers.symbol.protocol import Look
 from controllers.symbol.relief import Relief
+from controllers.symbol.survey import Survey, SurveyState
 from perception.birdseye import Region
 from perception.camera import camera_view
 from world.params import Params
 from world.roads import Flat, RoadParams
 
 CELL_M = 0.1
+BEYOND_M = (1.2, 1.5, 0.6)  # how far a road is looked at beyond the symbol: near, far, sides
 HIGHEST_M, LAYERS = 0.3, 121  # heights between which a given road may be, and how many are looked at
 
 
 class FeedforwardParams(Params):
-    """The road as it is believed to be; what the camera sees is not used."""
+    """The road as it is believed to be; what the camera sees is not used, or only in the survey at the beginning."""
 
     name: Literal["feedforward"] = "feedforward"
     road: RoadParams = Field(Flat(), description="the road's shape, with the keys of [road]")
+    survey: bool = Field(False, description="measure the road with structured light in the first steps, in place of [controller.road]")
     offset_m: float = Field(0.0, ge=-0.2, le=0.2, description="added to its heights, to see what a wrong road does")
 
 
@@ -32,11 +37,8 @@ class Feedforward:
     """Draws for the given road for ever; the state is the drawing."""
 
     def __init__(self, params: FeedforwardParams, observer: Observer) -> None:
-        projector, symbol = observer.projector, observer.projector.params
-        relief = relief_of(params, region_of(symbol, 1.2, 1.5, 0.6), camera_view(observer.camera).origin)
-        lamp = torch.stack([module.T_world_headlight[:3, 3].cpu() for module in projector.modules]).mean(0)
-        warp = warp_onto(relief, lamp, (symbol.x_m, symbol.y_m), symbol.length_m, symbol.width_m).to(projector.symbol.device)
-        self.target, self.drawn = projector.target, Drawing(projector.target, warp=warp)
+        relief = relief_of(params, region_around(observer), camera_view(observer.camera).origin)
+        self.drawn = drawn_on(relief, observer.projector)
 
     def start(self, pose: Tensor) -> Drawing:
         """The symbol for the given road, whatever the pose `[4]`."""
@@ -49,6 +51,54 @@ class Feedforward:
     def step(self, state: Drawing, look: Look) -> Drawing:
         """Nothing changes."""
         return state
+
+
+@dataclass(frozen=True)
+class SurveyedState:
+    """survey: what was seen of the patterns. drawing: for the road that they told, None before."""
+
+    survey: SurveyState
+    drawing: Drawing | None = None
+
+
+class Surveyed:
+    """Surveys the road, then draws for it for ever."""
+
+    def __init__(self, params: FeedforwardParams, observer: Observer) -> None:
+        self.params, self.projector = params, observer.projector
+        self.survey = Survey(observer, region_around(observer))
+
+    def start(self, pose: Tensor) -> SurveyedState:
+        """The first pattern, whatever the pose `[4]`."""
+        return SurveyedState(self.survey.start())
+
+    def drawing(self, state: SurveyedState) -> Drawing:
+        """A pattern, or the symbol for the road that was found."""
+        return state.drawing or self.survey.drawing(state.survey)
+
+    def step(self, state: SurveyedState, look: Look) -> SurveyedState:
+        """Go on with the survey; draw as soon as it is complete."""
+        if state.drawing is not None:
+            return state
+        survey = self.survey.step(state.survey, look)
+        if not survey.complete:
+            return SurveyedState(survey)
+        relief = self.survey.relief(survey)
+        relief = replace(relief, heights=relief.heights + self.params.offset_m)
+        return SurveyedState(survey, drawn_on(relief, self.projector))
+
+
+def region_around(observer: Observer) -> Region:
+    """The plane that light for the symbol crosses, high or low."""
+    return region_of(observer.projector.params, *BEYOND_M)
+
+
+def drawn_on(relief: Relief, projector: Projector) -> Drawing:
+    """The symbol for a road."""
+    symbol = projector.params
+    lamp = torch.stack([module.T_world_headlight[:3, 3] for module in projector.modules]).mean(0).to(relief.heights)
+    warp = warp_onto(relief, lamp, (symbol.x_m, symbol.y_m), symbol.length_m, symbol.width_m)
+    return Drawing(projector.target, warp=warp.to(projector.symbol.device))
 
 
 def relief_of(params: FeedforwardParams, region: Region, eye: Tensor) -> Relief:

@@ -74,6 +74,8 @@ class Projector:
 
     def draw(self, drawing: Drawing) -> tuple[Utilisation, ...]:
         """Utilisations `[..., n_p]`, one a module, of a drawing; a warped one costs a turn for each of a batch."""
+        if drawing.raw is not None:
+            return tuple(Utilisation(u) for u in drawing.raw)
         if drawing.warp is None:
             return self.light(drawing.pose) if drawing.z is None else self._cast(_lifted(self.primitive(drawing.pose), drawing.z))
         batch = drawing.pose.shape[:-1]
