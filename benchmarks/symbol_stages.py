@@ -1,4 +1,4 @@
-"""Intersection over union with and without warp and supervisor, on four roads and behind a box: the table of docs/control.md."""
+"""Intersection over union with and without warp and supervisor, and after a survey, on four roads and behind a box: docs/control.md."""
 
 import itertools
 
@@ -27,9 +27,10 @@ def main() -> None:
     """Print the table."""
     names = ["thesis_pid", "gauss_newton"]
     columns = [f"`{name}` {stage}" for name, stage in itertools.product(names, STAGES)]
-    print("| road | open loop |", " | ".join(columns), "|\n" + "| --- " * (len(columns) + 2) + "|")
+    print("| road | open loop | survey |", " | ".join(columns), "|\n" + "| --- " * (len(columns) + 3) + "|")
     for road, (scenario, changes) in ROADS.items():
-        controllers = ['{name="open"}', *(f'{{name="{name}"{keys}}}' for name, keys in itertools.product(names, STAGES.values()))]
+        controllers = ['{name="open"}', '{name="feedforward", survey=true}']
+        controllers += (f'{{name="{name}"{keys}}}' for name, keys in itertools.product(names, STAGES.values()))
         print(f"| {road} |", " | ".join(f"{iou(scenario, changes, each):.2f}" for each in controllers), "|", flush=True)
 
 
