@@ -25,6 +25,7 @@ from world.params import Params
 LEAST_LIT_PX = 20.0  # fewer lit pixels are no symbol
 HEIGHTS = 57  # that a sweep tries
 SEEN_BY = 0.05  # of the usual illuminance a node, with which its brightness is no longer a guess
+PITCH_RAD = 5e-4  # usual error of a pitch that is foretold
 
 
 class LuxloopParams(Params):
@@ -69,12 +70,21 @@ class Luxloop:
         return state.drawing
 
     def step(self, state: LuxloopState, look: Look) -> LuxloopState:
-        """Register the look; the open loop's drawing, unless heights explain it better than a flat road does."""
+        """Register the look; the open loop's drawing, unless heights explain it better than a flat road does.
+
+        Where the body's pitch is not measured yet, what is known of the road tells it.
+        """
         swing = swung(state.swing, look.ego)
         stances = Stances.of(look, swing, state.time_s)
         registration = self.registration if stances.still else self._fine(stances)
         memory = state.memory.moved(stances.since, registration.sight.eye)
-        if look.frames is not None:
+        if look.frames is not None and swing is not None and swing.foretold(stances.time_s):
+            pivot_x_m = swing.pivot_x_m
+            known, memory = memory, memory.loosened(PITCH_RAD, pivot_x_m)
+            memory = self._looked(registration, memory, look.frames, look.shown, stances)
+            corrected, pitch = swing.corrected(stances.time_s, memory.pitched(known, pivot_x_m))
+            memory, stances = memory.levelled(pitch, pivot_x_m), Stances.of(look, corrected, state.time_s)
+        elif look.frames is not None:
             memory = self._looked(registration, memory, look.frames, look.shown, stances)
         return LuxloopState(memory, stances.time_s, self._drawn(memory, stances), swing)
 

@@ -1,6 +1,6 @@
 """Road memory: what is known of the road's heights stays on the road while the vehicle drives over it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -41,6 +41,25 @@ class Memory:
         brightness = relief.at(relief.brightness, *places)
         information = self._carried(self._seen_anew(nodes, self.heights.mean, self.eye, inverse(T), eye))
         return Memory(Heights(heights.flatten(), information), brightness.flatten(), self.region, self.grid, eye)
+
+    def levelled(self, pitch_rad: Tensor, pivot_x_m: float) -> "Memory":
+        """As it would be, had the body that saw it pitched by `[]` rad more."""
+        heights = self.heights.mean - pitch_rad * (self._nodes()[0] - pivot_x_m)
+        return replace(self, heights=replace(self.heights, mean=heights))
+
+    def loosened(self, pitch_rad: float, pivot_x_m: float) -> "Memory":
+        """With a body whose pitch is uncertain by so many rad: heights may all be higher by as much times their distance (Woodbury)."""
+        L, arm = self.heights.information, self._nodes()[0] - pivot_x_m
+        pull = L @ arm
+        information = L - pull[:, None] * pull / (1 / pitch_rad**2 + arm @ pull)
+        return replace(self, heights=replace(self.heights, information=information))
+
+    def pitched(self, before: "Memory", pivot_x_m: float) -> Tensor:
+        """By how many rad `[]` the body has pitched more than it was taken to, if the road is still as it was known before."""
+        known, seen = (each.heights.information.diagonal() for each in (before, self))
+        arm = self._nodes()[0] - pivot_x_m
+        weight = arm * known * seen / (known + seen).clamp(min=1.0)
+        return (weight * (self.heights.mean - before.heights.mean)).sum() / (weight * arm).sum().clamp(min=1.0)
 
     def _nodes(self) -> Tensor:
         """Places `[3, n]` of the nodes on the plane."""

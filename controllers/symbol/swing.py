@@ -15,6 +15,7 @@ from world.vehicle import body_pose
 RATE_HZ, DAMPING = 1.3, 0.2  # with which bodies of cars swing
 JERK = (0.8, 0.5, 0.5)  # m/s^3 and rad/s^3, root of the density of what the road adds to heave, roll and pitch
 NOISE = ((1e-3, 5e-3), (2e-4, 2e-3), (2e-4, 2e-3))  # usual, of measured heave, roll and pitch and of their rates
+SEEN = 1e-4  # rad, how well the road tells the pitch
 PARTS = 16  # of a period, over which noise is added up
 
 
@@ -35,7 +36,18 @@ class Swing:
             return self
         before = _moved(ego.time_s - self.time_s) @ self.modes
         news = torch.stack([_exact(ego.attitude), _exact(ego.rates)]) - before[:2]
-        return Swing(ego.time_s, before + torch.einsum("kij,jk->ik", _gains(ego.period_s), news), ego.pivot_x_m)
+        return Swing(ego.time_s, before + torch.einsum("kij,jk->ik", _filter(ego.period_s)[0], news), ego.pivot_x_m)
+
+    def foretold(self, time_s: float) -> bool:
+        """Whether nothing was measured yet at a time."""
+        return time_s > self.time_s + 1e-6
+
+    def corrected(self, time_s: float, pitch_rad: Tensor) -> tuple["Swing", Tensor]:
+        """After the road has told that the body pitched by `[]` rad more at a time than was foretold; also how much of it is believed."""
+        gain = _filter(time_s - self.time_s)[1]
+        modes = _moved(time_s - self.time_s) @ self.modes
+        modes[:, 2] += gain * _exact(pitch_rad)
+        return Swing(time_s, modes, self.pivot_x_m), gain[0].to(pitch_rad) * pitch_rad
 
     def T_ground_body(self, time_s: float) -> Tensor:
         """Pose `[4, 4]` of the body over the ground at another time."""
@@ -61,8 +73,8 @@ def _transition(duration_s: float) -> np.ndarray:
 
 
 @lru_cache(maxsize=8)
-def _gains(period_s: float) -> Tensor:
-    """Kalman gains `[3, 3, 2]` of the three modes in the steady state."""
+def _filter(period_s: float) -> tuple[Tensor, Tensor]:
+    """Kalman gains in the steady state: `[3, 3, 2]` of the three modes for sensors, `[3]` of pitch for what the road tells."""
     F, H = _transition(period_s), np.eye(3)[:2]
     ways = [_transition((k + 0.5) * period_s / PARTS)[:, 2:] for k in range(PARTS)]
     shaken = sum(way @ way.T for way in ways) * (period_s / PARTS)
@@ -71,7 +83,7 @@ def _gains(period_s: float) -> Tensor:
         R = np.diag(np.square(noise))
         P = solve_discrete_are(F.T, H.T, jerk**2 * shaken, R)
         gains.append(P @ H.T @ np.linalg.inv(H @ P @ H.T + R))
-    return torch.from_numpy(np.stack(gains))
+    return torch.from_numpy(np.stack(gains)), torch.from_numpy(P[:, 0] / (P[0, 0] + SEEN**2))
 
 
 def _exact(values: Tensor) -> Tensor:

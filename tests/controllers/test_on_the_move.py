@@ -79,6 +79,19 @@ def test_information_moves_by_whole_cells_exactly_and_is_kept_in_between() -> No
     assert flat.moved(way(7.0, 0.0, 0.0), eye).heights.information.abs().sum() == 0, "behind"
 
 
+def test_the_road_tells_a_pitch_and_not_its_own_heights() -> None:
+    known = remembered(torch.eye(4, dtype=torch.float64), EYE)
+    tilted = known.levelled(torch.tensor(-1e-3), -2.2)  # 19 mm at 17 m
+    assert float(tilted.pitched(known, -2.2)) == pytest.approx(1e-3, rel=1e-3)
+    assert float(known.pitched(known, -2.2)) == 0
+    loose, error = known.loosened(1e-3, -2.2).heights.information, tilted.heights.mean - known.heights.mean
+    # a pitch of one standard deviation costs at most 1; a shape without a pitch costs what it did
+    assert float(error @ loose @ error) <= 1 and float(error @ error) > 0.2
+    wave = torch.randn(len(error), generator=torch.Generator().manual_seed(1))
+    wave -= wave @ error / (error @ error) * error
+    assert float(wave @ loose @ wave) == pytest.approx(float(wave @ wave), rel=1e-3)
+
+
 def nodding(time_s: float, hz: float = 1.2, amplitude: float = math.radians(0.2)) -> Ego:
     pitch, omega = math.sin(2 * math.pi * hz * time_s), 2 * math.pi * hz
     attitude = torch.tensor([0.0, 0.0, amplitude * pitch])
