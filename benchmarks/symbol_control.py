@@ -44,7 +44,7 @@ def main() -> None:
         given.json.write_text(json.dumps(rows, indent=1))
     about = machine("torch", "numpy") | {
         "command": "python benchmarks/symbol_control.py" + (" --quick" if given.quick else ""),
-        "seeds": "seed 0 alone, so there are no brackets" if given.quick else f"{seeds} seeds",
+        "seeds": "seed 0 alone" if given.quick else f"{seeds} seeds",
         "camera": "640 x 480" if given.quick else "1280 x 720, in motion 640 x 480",
         "left_out": "".join(f"\n\nFailed: {key}: {reason}" for key, reason in results.failures.items()),
     }

@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from symbol_control_cases import DISTURBED, DRIVING, STANDING, UNTIL, Case
+from symbol_control_cases import DISTURBED, DRIVING, STANDING, UNDISTURBED, UNTIL, Case
 
 from loop.summary import AXES
 
@@ -18,6 +18,7 @@ Row = dict[str, Any]
 Judged = Mapping[str, Mapping[str, Any]]  # by controller
 
 EVEN, CURVED = ("flat",), ("bumps", "grade + cross-fall", "mixed")
+DISTURBANCES = tuple(scene for scene in DISTURBED if scene != UNDISTURBED)
 SCANS, STEEP = ("Belgian block", "half-round bar", "torsion track", "rough course"), ("speed bump", "curb")
 
 
@@ -83,28 +84,32 @@ class Goal:
 
 
 ROADS = (*EVEN, *CURVED, *SCANS, *STEEP)
-LOOKS = "luxloop needs two looks, each of them as late as the frames, and goes on refining heights"
-HIDDEN = "the symbol's parts in the shadow behind a rise or a kerb get no light"
+STRAYS = (
+    "the length goes on straying by 2 to 8 %: heights that explain hardly more than a flat road are dropped and found again "
+    "(torsion track), those in shadow drift (speed bump)"
+)
+MESH = "heights 20 x 15 cm apart are coarser than stones and edges of bars; drawn for the exact road the centroid is 0.1 to 0.6 % off"
+SHADOW = "the bump's back is in the lamp's shadow, where its height is a guess; drawn for the exact road the centroid is 1.5 % off"
 PIXELS = "heights are known to a share of a camera pixel, which spans 10 to 20 cm of the road there"
-MOTION = "what comes into sight is not known yet, and the body's motion only as its sensors say"
+BODY = "late and noisy sensors [foretell the body](control.md#on-the-move), which the road jolts meanwhile; 1 cm moves the light by 23 cm"
+LEFT = "ambient light in on frames alone leaves wrong heights and brightness, which later looks mend by a few percent a step"
+LUCK = "in single steps the body swings through its rest, where the open loop happens to be right, and luxloop trusts its sensors"
 GOALS = (
-    Goal("Settling, mean of roads and latencies, at most 6 steps", "settle", 6, ROADS, LOOKS, each="all"),
+    Goal("Settling, mean of roads and latencies, at most 6 steps", "settle", 6, ROADS, STRAYS, each="all"),
     Goal("Overshoot at most 5 %", "overshoot", 5, ROADS, "heights from the first look of a symbol far from its place"),
-    Goal("Centroid at most 1 % off on flat, curved and measured roads", "centroid", 1, (*EVEN, *CURVED, *SCANS), HIDDEN),
-    Goal("Centroid at most 2 % off on speed bump and curb", "centroid", 2, STEEP, HIDDEN),
+    Goal("Centroid at most 1 % off on flat, curved and measured roads", "centroid", 1, (*EVEN, *CURVED, *SCANS), MESH),
+    Goal("Centroid at most 2 % off on speed bump and curb", "centroid", 2, STEEP, SHADOW),
     Goal("IoU at least 0.99 on the flat road", "iou", 0.99, EVEN, PIXELS, least=True),
     Goal("IoU at least 0.95 on bumps, grade + cross-fall and mixed", "iou", 0.95, CURVED, PIXELS, least=True),
-    Goal("IoU at least 0.85 on speed bump and curb", "iou", 0.85, STEEP, HIDDEN, least=True),
+    Goal("IoU at least 0.85 on speed bump and curb", "iou", 0.85, STEEP, SHADOW, least=True),
     Goal("Nowhere, at no step, more than 0.02 below the open loop: standing", "gap", 0.02, tuple(STANDING), PIXELS, each="case"),
-    Goal("The same: moving", "gap", 0.02, tuple(DRIVING), MOTION, each="case"),
-    Goal("The same: disturbed", "gap", 0.02, tuple(DISTURBED), "heights from a disturbed look", each="case"),
-    Goal("Mean IoU at least 0.92 at 5 m/s", "iou", 0.92, ("5 m/s",), MOTION, least=True),
-    Goal("Mean IoU at least 0.88 at 10 m/s", "iou", 0.88, ("10 m/s",), MOTION, least=True),
-    Goal("Mean IoU at least 0.80 at 20 m/s", "iou", 0.80, ("20 m/s",), MOTION, least=True),
-    Goal("The same with a start that is 3 cm wrong", "iou", 0.80, ("20 m/s, from 3 cm off",), MOTION, least=True),
-    Goal("Mean IoU at least 0.90 while the nose nods by 0.2°", "iou", 0.90, ("nods by 0.2°",), MOTION, least=True),
-    Goal("Mean IoU at least 0.60 while it nods by 1°", "iou", 0.60, ("nods by 1°",), MOTION, least=True),
-    Goal(
-        "Recovered within 10 steps of a disturbance's end", "recovery", 10, tuple(DISTURBED), "remembered heights fade slowly", each="case"
-    ),
+    Goal("The same: moving", "gap", 0.02, tuple(DRIVING), LUCK, each="case"),
+    Goal("The same: disturbed", "gap", 0.02, tuple(DISTURBED), LEFT, each="case"),
+    Goal("Mean IoU at least 0.92 at 5 m/s", "iou", 0.92, ("5 m/s",), BODY, least=True),
+    Goal("Mean IoU at least 0.88 at 10 m/s", "iou", 0.88, ("10 m/s",), BODY, least=True),
+    Goal("Mean IoU at least 0.80 at 20 m/s", "iou", 0.80, ("20 m/s",), BODY, least=True),
+    Goal("The same with a start that is 3 cm wrong", "iou", 0.80, ("20 m/s, from 3 cm off",), BODY, least=True),
+    Goal("Mean IoU at least 0.90 while the nose nods by 0.2°", "iou", 0.90, ("nods by 0.2°",), BODY, least=True),
+    Goal("Mean IoU at least 0.60 while it nods by 1°", "iou", 0.60, ("nods by 1°",), BODY, least=True),
+    Goal("Recovered within 10 steps of a disturbance's end", "recovery", 10, DISTURBANCES, LEFT, each="case"),
 )

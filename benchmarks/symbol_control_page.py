@@ -9,8 +9,8 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-from symbol_control_cases import CONTROLLERS, DISTURBED, DRIVING, FROM, STANDING, UNDISTURBED, UNTIL, Case
-from symbol_control_goals import BEGUN, GOALS, Judged, Row
+from symbol_control_cases import CONTROLLERS, DISTURBED, DRIVING, FROM, STANDING, UNTIL, Case
+from symbol_control_goals import BEGUN, DISTURBANCES, GOALS, Judged, Row
 
 TEMPLATE = Path(__file__).with_suffix(".md")
 PICTURE = "symbol-control.png"
@@ -29,13 +29,12 @@ def write(rows: Sequence[Row], judged: Sequence[tuple[Case, Judged]], about: dic
 def page(rows: Sequence[Row], about: dict[str, Any]) -> str:
     standing = [row for row in rows if row["part"] == "standing"]
     on_time = [row for row in rows if row["latency"] == 0]
-    disturbed = [scene for scene in DISTURBED if scene != UNDISTURBED]
     return TEMPLATE.read_text("utf-8").format(
         **about,
         goals=goals(rows),
         **{f"standing_{name}": table(on_time, "scene", STANDING, name) for name in ("iou", "settle", "overshoot", "centroid", "gap")},
         **{f"driving_{name}": table(on_time, "scene", DRIVING, name) for name in ("iou", "centroid", "gap")},
-        **{f"disturbed_{name}": table(on_time, "scene", disturbed, name) for name in ("iou_least", "recovery", "gap")},
+        **{f"disturbed_{name}": table(on_time, "scene", DISTURBANCES, name) for name in ("iou_least", "recovery", "gap")},
         late=table(standing, "latency", dict.fromkeys(row["latency"] for row in standing), "iou"),
         luxloop=all_latencies([row for row in standing if row["controller"] == "luxloop"]),
     )
