@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from world.opencrg import Crg, CrgError, CrgSurface, filled, modified, read_crg, write_crg
@@ -128,6 +128,7 @@ def test_real_scans_survive_a_round_trip(scan: Crg, tmp_path: Path) -> None:
 
 
 @settings(max_examples=30, deadline=None)
+@example(u=3.0, v=-1.2659479698433227, seed=0)  # rounding takes it before the line's start, where another heading counts
 @given(u=st.floats(3.0, 12.7), v=st.floats(-1.5, 1.5), seed=st.integers(0, 20))
 def test_xy_and_uv_are_inverse(u: float, v: float, seed: int) -> None:
     surface = CrgSurface(grid(seed=seed))

@@ -11,6 +11,7 @@ from world.opencrg.crg import Crg
 
 Floats = NDArray[np.float64]
 NO_VALUE, ZERO, KEEP, REPEAT, MIRROR = range(5)
+ROUNDING = 1e-9  # of a step, by which what lies at an end may seem to lie beyond it
 
 
 class CrgSurface:
@@ -156,6 +157,8 @@ class CrgSurface:
 
     def _beyond_ends(self, p: Floats, u: Floats, v: Floats) -> tuple[Floats, Floats]:
         first, last = self.u_start, self.u_end
+        inside = u.clip(first, last)
+        u = np.where(np.abs(u - inside) < ROUNDING * self.u_step, inside, u)
         # On a closed track what lies past one end belongs to the other.
         ends = [(u < first, 0, first), (u > last, 1, last)]
         if self._gap is not None:
