@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, maximum_filter, uniform_filter
 
+from controllers.symbol.drawing import Drawing
 from controllers.symbol.flat_model import PAIRED
 from loop.plant import SHADOW_MAP
 from loop.simulation import Simulation
@@ -211,7 +212,8 @@ class Baseline:
         dark = uniform_filter(off, 3, mode="nearest") * level
         variance = np.minimum(dark, c.saturation_e) + (c.read_noise_e**2 * c.noise + level**2 / 12) if c.noise else level**2 / 12
         limit = np.float32(self.params.threshold_sigma * 2**0.5) * np.sqrt(variance) * electron
-        crop = self.projector.footprint(self.projector.symbol.new_tensor(pose), self.model.eye.view, self.params.footprint_margin_m)
+        drawing = Drawing(self.projector.symbol.new_tensor(pose))
+        crop = self.projector.footprint(drawing, self.model.eye.view, self.params.footprint_margin_m)
         footprint = np.zeros(on.shape, bool)
         footprint[crop.slices] = True
         symbol = _symbol_image((on - off) * (level * electron), limit) * footprint

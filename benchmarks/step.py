@@ -65,7 +65,7 @@ def luxloop_step(simulation: Simulation, state: SimulationState, lap: Lap) -> tu
     noise = (frame_generator(plant.seed, state.step, frame) for frame in (0, 1))
     frames = (expose(lit_on, plant.camera, next(noise)), expose(lit.off, plant.camera, next(noise)))
     lap("camera")
-    seen = simulation.observer.look(frames, drawing.pose, lights)
+    seen = simulation.observer.look(frames, drawing, lights)
     lap("perceive")
     controller = simulation.controller.step(state.controller, Look(seen, frames, Shown(drawing, lights)))
     lap("control")

@@ -101,7 +101,7 @@ def _lights(simulation: Simulation, poses: Tensor) -> list[Lights]:
 def _look(simulation: Simulation, poses: Tensor, lights: list[Lights], step: int, quantise: bool) -> Seen:
     """What the camera sees of poses `[B, 4]`, exposed only where their light can be."""
     observer, world, camera = simulation.observer, simulation.world, simulation.scenario.camera
-    crop = simulation.projector.footprint(poses, observer.model.eye.view, observer.params.footprint_margin_m)
+    crop = simulation.projector.footprint(Drawing(poses), observer.model.eye.view, observer.params.footprint_margin_m)
     if crop.v_stop - crop.v_start < 2 or crop.u_stop - crop.u_start < 2:
         return observer.lost(poses, Loss.NOTHING)
     on_view, off_view = (world.lit(t_s) for t_s in world.exposures(step))

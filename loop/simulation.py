@@ -135,7 +135,7 @@ class Simulation:
             ego = self.world.ego(state.step)
             shown = (*state.shown, Shown(drawing, lights, ego))
             late = self.scenario.camera.latency_steps
-            seen = self.observer.look(frames, shown[0].drawing.pose, shown[0].lights)
+            seen = self.observer.look(frames, shown[0].drawing, shown[0].lights)
         with _timed(timings, "control"):
             controller = self.controller.step(state.controller, Look(seen, frames, shown[0], ego))
         timings["step"] = sum(timings.values())

@@ -100,7 +100,7 @@ class Feedback:
         losses = torch.where(usable, 0, state.losses + lost)
         offset = torch.where(usable[..., None], look.seen.errors, 0.0)
         if isinstance(self.params, ModelReferenceParams):
-            rendered = self.observer.rendered(look.shown.drawing.pose, look.shown.lights)
+            rendered = self.observer.rendered(look.shown.drawing, look.shown.lights)
             offset = torch.where(usable[..., None], offset + self.observer.model.target - rendered, 0.0)
             wanted = -offset @ self.inverse.T
         else:
@@ -118,4 +118,4 @@ class Feedback:
 
     def _expected(self, correction: Tensor) -> Tensor:
         drawing = self._drawn(correction)
-        return self.observer.rendered(drawing.pose, self.observer.projector.draw(drawing))
+        return self.observer.rendered(drawing, self.observer.projector.draw(drawing))

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from controllers.ssc import Utilisation
+from controllers.symbol.drawing import Drawing
 from controllers.symbol.flat_model import PAIRED, FlatModel
 from controllers.symbol.projector import Projector
 from perception.appearance import Appearance, errors
@@ -41,16 +42,16 @@ class Observer:
     camera: CameraParams
     params: ExtractionParams
 
-    def look(self, frames: tuple[Tensor, Tensor] | None, pose: Tensor, lights: Sequence[Utilisation]) -> Seen:
-        """Look at the on and off frames `[..., height, width]` (digital numbers) that show the light of a pose `[..., 4]`.
+    def look(self, frames: tuple[Tensor, Tensor] | None, drawing: Drawing, lights: Sequence[Utilisation]) -> Seen:
+        """Look at the on and off frames `[..., height, width]` (digital numbers) that show the light of a drawing.
 
         frames: None where the camera lost them. lights: the utilisations that were shown, one a module.
         """
-        crop = self.projector.footprint(pose, self.model.eye.view, self.params.footprint_margin_m)
+        crop = self.projector.footprint(drawing, self.model.eye.view, self.params.footprint_margin_m)
         if frames is None:
-            return self.lost(pose, Loss.NO_FRAME)
+            return self.lost(drawing.pose, Loss.NO_FRAME)
         if crop.v_stop - crop.v_start < 2 or crop.u_stop - crop.u_start < 2:
-            return self.lost(pose, Loss.NOTHING)
+            return self.lost(drawing.pose, Loss.NOTHING)
         on, off = (frame[..., *crop.slices] for frame in frames)
         return self.compare(on, off, self.model.symbol(lights, crop), crop)
 
@@ -64,9 +65,9 @@ class Observer:
         pose_error = error[..., PAIRED] / self.model.gains
         return Seen(gate(seen.area, expected, self.params), error, pose_error, seen.area / expected, seen, symbol, crop)
 
-    def rendered(self, pose: Tensor, lights: Sequence[Utilisation]) -> Tensor:
-        """Features `[..., 4]` that a flat road would show of the light of a pose `[..., 4]`, without noise."""
-        crop = self.projector.footprint(pose, self.model.eye.view, self.params.footprint_margin_m)
+    def rendered(self, drawing: Drawing, lights: Sequence[Utilisation]) -> Tensor:
+        """Features `[..., 4]` that a flat road would show of the light of a drawing, without noise."""
+        crop = self.projector.footprint(drawing, self.model.eye.view, self.params.footprint_margin_m)
         return self.model.eye.features(self.model.eye.look(self.model.symbol(lights, crop), crop))
 
     def lost(self, pose: Tensor, reason: Loss) -> Seen:

@@ -77,7 +77,7 @@ class Projector:
         if drawing.raw is not None:
             return tuple(Utilisation(u) for u in drawing.raw)
         if drawing.warp is None:
-            return self.light(drawing.pose) if drawing.z is None else self._cast(_lifted(self.primitive(drawing.pose), drawing.z))
+            return self._cast(_lifted(self.primitive(drawing.pose), drawing.z))
         batch = drawing.pose.shape[:-1]
         singles = [self._cast(self._warped(each)) for each in drawing.singles()]
         return tuple(
@@ -93,15 +93,16 @@ class Projector:
         assert drawing.warp is not None
         u, v = drawing.warp.source[:, None]
         image = remap(self.symbol[None, None], u, v, padding_mode="zeros", align_corners=False, normalized_coordinates=True)[0, 0]
-        primitive = self._rectangle(drawing.pose, *drawing.warp.size_m, image * drawing.warp.dimming)
-        return primitive if drawing.z is None else _lifted(primitive, drawing.z)
+        return _lifted(self._rectangle(drawing.pose, *drawing.warp.size_m, image * drawing.warp.dimming), drawing.z)
 
-    def footprint(self, pose: Tensor, view: View, margin_m: float) -> Crop:
-        """Where in a camera's image the light for a pose `[..., 4]` can appear if the road is at most margin_m above or below z = 0.
+    def footprint(self, drawing: Drawing, view: View, margin_m: float) -> Crop:
+        """Where in a camera's image the light of a drawing can appear if the road is at most margin_m above or below z = 0.
 
         One rectangle for all of a batch. Rays that do not come down within 200 m end there.
         """
-        corners = self.primitive(pose).corners().detach().reshape(-1, 3).T.cpu().double()
+        size = (self.params.length_m, self.params.width_m) if drawing.warp is None else drawing.warp.size_m
+        rectangle = _lifted(self._rectangle(drawing.pose, *size, self.symbol), drawing.z)
+        corners = rectangle.corners().detach().reshape(-1, 3).T.cpu().double()
         origins = torch.stack([module.T_world_headlight[:3, 3:] for module in self.modules]).to(corners)
         rays = corners - origins
         fall = (-rays[:, 2]).clamp(min=1e-6)
@@ -112,13 +113,15 @@ class Projector:
         if uv.shape[1] == 0:
             return Crop(0, 0, 0, 0)
         low, high = uv.aminmax(dim=1)
-        size = (view.width, view.height)
-        u0, v0 = (min(max(math.floor(end), 0), n) for end, n in zip(low.tolist(), size, strict=True))
-        u1, v1 = (min(max(math.ceil(end), 0), n) for end, n in zip(high.tolist(), size, strict=True))
+        whole = (view.width, view.height)
+        u0, v0 = (min(max(math.floor(end), 0), n) for end, n in zip(low.tolist(), whole, strict=True))
+        u1, v1 = (min(max(math.ceil(end), 0), n) for end, n in zip(high.tolist(), whole, strict=True))
         return Crop(v0, v1, u0, u1)
 
 
-def _lifted(primitive: Primitives, z: Tensor) -> Primitives:
-    """A primitive `[..., 1]` at a height z `[...]` m."""
+def _lifted(primitive: Primitives, z: Tensor | None) -> Primitives:
+    """A primitive `[..., 1]` at a height z `[...]` m, if there is one."""
+    if z is None:
+        return primitive
     up = torch.stack([torch.zeros_like(z), torch.zeros_like(z), z], -1)[..., None, :]
     return replace(primitive, origin=primitive.origin + up)

@@ -142,7 +142,7 @@ def test_without_frames_and_without_light_the_open_loop_is_shown() -> None:
 def _look(prepared: Simulation, frames: tuple[Tensor, Tensor] | None) -> Look:
     lights = prepared.projector.light(prepared.projector.target)
     pose = prepared.projector.target
-    return Look(prepared.observer.look(frames, pose, lights), frames, Shown(Drawing(pose), lights))
+    return Look(prepared.observer.look(frames, Drawing(pose), lights), frames, Shown(Drawing(pose), lights))
 
 
 def test_a_batch_of_warped_drawings_equals_singles() -> None:

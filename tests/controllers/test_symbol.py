@@ -11,9 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
+from controllers.primitives import road_symbol
 from controllers.ssc import Ssc
 from controllers.symbol import CONTROLLERS, build_controller
-from controllers.symbol.drawing import Drawing
+from controllers.symbol.drawing import Drawing, Warp
 from controllers.symbol.flat_model import FeatureParams, FlatModel, flat_model
 from controllers.symbol.observer import Observer, Seen
 from controllers.symbol.open_loop import OpenLoop, OpenLoopParams
@@ -77,7 +78,7 @@ def frames(luminance: Tensor, step: int | None = None) -> tuple[Tensor, Tensor]:
 
 def look(watcher: Observer, shown: Tensor, step: int | None = None) -> Seen:
     lights = watcher.projector.light(shown)
-    return watcher.look(frames(watcher.model.luminance(lights), step), shown, lights)
+    return watcher.look(frames(watcher.model.luminance(lights), step), Drawing(shown), lights)
 
 
 # The flat model
@@ -133,13 +134,17 @@ offsets = st.tuples(st.floats(-6, 10), st.floats(-2, 2), st.floats(-0.12, 0.12),
 
 
 @settings(deadline=None)
-@given(offsets, st.floats(0, 1), st.floats(0, 1), st.floats(-0.15, 0.15))
-def test_footprint_holds_what_the_lamp_can_draw_on_an_uneven_road(offset: tuple, u: float, v: float, height_m: float) -> None:
+@given(offsets, st.floats(0, 1), st.floats(0, 1), st.floats(-0.15, 0.15), st.none() | st.floats(-0.2, 0.2), st.booleans())
+def test_footprint_holds_what_the_lamp_can_draw_on_an_uneven_road(
+    offset: tuple, u: float, v: float, height_m: float, z: float | None, warped: bool
+) -> None:
     pose = (TARGET + torch.tensor(offset)).double()
     view = camera_view(CAMERA)
-    crop = projector().footprint(pose, view, 0.15)
-    primitive = projector().primitive(pose)
-    point = (primitive.origin + u * primitive.d1 + v * primitive.d2)[0]
+    larger = Warp(torch.zeros(2, 2, 2), torch.ones(2, 2), (7.2, 2.6)) if warped else None
+    crop = projector().footprint(Drawing(pose, None if z is None else torch.tensor(z), larger), view, 0.15)
+    length_m, width_m = larger.size_m if larger else (4.0, 2.0)
+    primitive = road_symbol(pose, 0.0, width_m, length_m, torch.ones(1, 1), 1.0, "u_abs")
+    point = (primitive.origin + u * primitive.d1 + v * primitive.d2)[0] + torch.tensor([0.0, 0.0, z or 0.0])
     lamp = lamps()[0].T_world_headlight[:3, 3]
     ray = point - lamp
     if ray[2] >= 0 or (height_m - lamp[2]) / ray[2] * ray.norm() > 200:
@@ -190,7 +195,7 @@ def test_light_beside_the_footprint_is_ignored() -> None:
     glare = watcher.model.luminance(lights)
     beside = torch.ones_like(glare, dtype=torch.bool)
     beside[clean.crop.slices] = False
-    seen = watcher.look(frames(glare + 5.0 * beside), TARGET, lights)
+    seen = watcher.look(frames(glare + 5.0 * beside), Drawing(TARGET), lights)
     torch.testing.assert_close(seen.errors, clean.errors, rtol=0, atol=0)
 
 
@@ -198,12 +203,12 @@ def test_reasons_for_loss() -> None:
     watcher, lights = observer(), projector().light(TARGET)
     symbol = watcher.model.luminance(lights)
     left_part = symbol * (torch.arange(CAMERA.width_px) < 0.47 * CAMERA.width_px)
-    assert watcher.look(None, TARGET, lights).code == Loss.NO_FRAME
-    assert watcher.look(frames(torch.zeros_like(symbol), step=1), TARGET, lights).code == Loss.NOTHING
-    assert watcher.look(frames(left_part), TARGET, lights).code == Loss.TOO_SMALL
-    assert watcher.look(frames(symbol + 5.0), TARGET, lights).code == Loss.TOO_LARGE
+    assert watcher.look(None, Drawing(TARGET), lights).code == Loss.NO_FRAME
+    assert watcher.look(frames(torch.zeros_like(symbol), step=1), Drawing(TARGET), lights).code == Loss.NOTHING
+    assert watcher.look(frames(left_part), Drawing(TARGET), lights).code == Loss.TOO_SMALL
+    assert watcher.look(frames(symbol + 5.0), Drawing(TARGET), lights).code == Loss.TOO_LARGE
     aside = TARGET + torch.tensor([0.0, 30.0, 0.0, 0.0])
-    lost = watcher.look(frames(symbol), aside, projector().light(aside))
+    lost = watcher.look(frames(symbol), Drawing(aside), projector().light(aside))
     assert lost.code == Loss.NOTHING
     assert lost.errors.isnan().all()
     assert lost.symbol.numel() == 0
@@ -212,7 +217,7 @@ def test_reasons_for_loss() -> None:
 def test_shadows_are_no_symbol() -> None:
     lights = projector().light(TARGET)
     on, off = frames(observer().model.luminance(lights))
-    assert observer().look((off, on), TARGET, lights).code == Loss.NOTHING
+    assert observer().look((off, on), Drawing(TARGET), lights).code == Loss.NOTHING
 
 
 # The controllers
@@ -366,7 +371,7 @@ def run(watcher: Observer, start: Tensor, steps: int = 30, drop_every: int | Non
         seen_frames = frames(watcher.model.luminance(lights), step)
         dropped = drop_every is not None and step % drop_every == 1
         state = controller.step(
-            state, Look(watcher.look(None if dropped else seen_frames, pose, lights), None, Shown(Drawing(pose), lights))
+            state, Look(watcher.look(None if dropped else seen_frames, Drawing(pose), lights), None, Shown(Drawing(pose), lights))
         )
     return torch.stack(poses)
 

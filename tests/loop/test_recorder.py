@@ -16,6 +16,7 @@ import pyarrow.parquet as pq
 import pytest
 import torch
 
+from controllers.symbol.drawing import Drawing
 from loop import recorder
 from loop.manifest import Manifest
 from loop.recorder import COLUMNS, SCHEMA, Recorder, row, table_of
@@ -67,7 +68,7 @@ def test_row_has_plain_values_in_the_units_of_their_names(small_results: list[St
 
 def test_lost_symbol_is_a_row_with_a_reason(small_simulation: Simulation, small_results: list[StepResult]) -> None:
     result = small_results[0]
-    lost = replace(result, frames=None, seen=small_simulation.observer.look(None, result.pose, result.lights))
+    lost = replace(result, frames=None, seen=small_simulation.observer.look(None, Drawing(result.pose), result.lights))
     values = row(lost)
     assert values["loss"] == "no_frame"
     assert math.isnan(values["c_u"]) and math.isnan(values["e_pitch"])

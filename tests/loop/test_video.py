@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from controllers.symbol.drawing import Drawing
 from loop.simulation import Simulation, StepResult
 from loop.video import LOST_RGB, SEEN_RGB, TARGET_RGB, VideoWriter, frame_picture, tone_map
 from world.errors import LuxloopError
@@ -47,7 +48,7 @@ def test_symbol_is_outlined_where_it_is(small_simulation: Simulation, small_resu
 
 def test_lost_frames_are_a_dark_picture_that_says_so(small_simulation: Simulation, small_results: list[StepResult]) -> None:
     result = small_results[0]
-    lost = replace(result, frames=None, seen=small_simulation.observer.look(None, result.pose, result.lights))
+    lost = replace(result, frames=None, seen=small_simulation.observer.look(None, Drawing(result.pose), result.lights))
     picture = frame_picture(lost, small_simulation)
     assert not shows(picture, SEEN_RGB)
     assert shows(picture[-12:, :80], LOST_RGB)
