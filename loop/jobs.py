@@ -46,6 +46,7 @@ class Results:
         from loop.recorder import write_table
 
         with _writing(file):
+            file.parent.mkdir(parents=True, exist_ok=True)
             write_table(file, pa.Table.from_pylist(self.rows))
 
 
