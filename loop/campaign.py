@@ -1,20 +1,18 @@
 """What `luxloop campaign` does: a grid or list of runs from one TOML file into one table, resumable, on this machine or on many."""
 
-import importlib.util
 import json
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import Field, ValidationError
 
 from loop.code import digest_of_code
 from loop.executors import Executor
 from loop.jobs import Job, run
-from loop.manifest import input_files, sha256
+from loop.manifest import digests
 from loop.scenario import AnyScenario, Scenario, load_any, resolve_paths, validate_any
 from loop.validation import read_toml, sentence
 from world.errors import LuxloopError
@@ -38,7 +36,7 @@ class CampaignParams(Params):
 
     scenarios: tuple[str, ...] = Field((), description="shipped names, or files beside this one")
     controllers: tuple[str, ...] = Field((), description="controllers, with what a scenario says of them; left out: each scenario's own")
-    seeds: tuple[int, ...] = Field((0,), min_length=1, description="seeds of all noise")
+    seeds: tuple[Annotated[int, Field(ge=0, lt=2**63)], ...] = Field((0,), min_length=1, description="seeds of all noise")
     set: dict[str, Any] = Field({}, description="keys to change in every scenario, as a scenario file writes them")
     variants: dict[str, dict[str, Any]] = Field({}, description="named tables of keys to change on top; left out: one without changes")
     runs: tuple[RunParams, ...] = Field((), description="runs beside the grid")
@@ -90,7 +88,10 @@ def read(file: Path) -> list[Run]:
         raise LuxloopError(f"{file}: {sentence(error, CampaignParams, 'docs/campaigns.md has an example')}") from error
     except TypeError as error:
         raise LuxloopError(f"{file}: holds a date or a time, which has no meaning here; write a text in quotes") from error
-    runs = {each.key: each for each in (_run(file, params, one) for one in _all(params))}
+    runs = dict[str, Run]()
+    for each in (_run(file, params, one) for one in _all(params)):
+        if runs.setdefault(each.key, each).scenario.digest != each.scenario.digest:
+            raise LuxloopError(f"{file}: two different runs are both called {each.key!r}; rename a scenario's file, or give variants")
     if not runs:
         raise LuxloopError(f'{file}: names no runs; give scenarios = ["snowflake"], or [[runs]]')
     return list(runs.values())
@@ -100,7 +101,7 @@ def run_campaign(file: Path, out: Path, *, device: str = "cpu", processes: int |
     """Do the runs that `out` does not hold yet, and write the table of all. Raises what `read` and `loop.jobs.run` raise."""
     runs = read(file)
     jobs = [
-        Job(each.key, {"scenario": each.scenario.model_dump(mode="json"), "inputs": _inputs(each.scenario), "device": device})
+        Job(each.key, {"scenario": each.scenario.model_dump(mode="json"), "inputs": digests(each.scenario), "device": device})
         for each in runs
     ]
     results = run(figures_of, jobs, out / JOBS, version=digest_of_code(), processes=processes, executor=executor, title="runs")
@@ -114,14 +115,24 @@ def run_campaign(file: Path, out: Path, *, device: str = "cpu", processes: int |
     return Campaign(file.stem, results.rows)
 
 
-def figures_of(scenario: Mapping[str, Any], inputs: Mapping[str, str], device: str) -> Row:
-    """A job: the figures of a scenario. inputs: digests of its files, which decide the job's result."""
+def figures_of(scenario: Mapping[str, Any], inputs: dict[str, str], device: str) -> Row:
+    """A job: the figures of a scenario. inputs: `loop.manifest.digests` of its files, which decide the job's result.
+
+    Raises LuxloopError where the scenario cannot run, or its files are others here.
+    """
     import torch
 
     from loop.figures import figures
 
     torch.set_num_threads(1)  # wherever the job runs, so that the figures do not depend on it
-    return figures(validate_any(scenario, str(scenario["name"])), device)
+    valid = validate_any(scenario, str(scenario["name"]))
+    here = digests(valid)
+    if others := [key for key in inputs | here if inputs.get(key) != here.get(key)]:
+        raise LuxloopError(
+            f"{valid.name}: {others[0]}: is another file here than where the run was asked for, or has changed since; put the same at "
+            "the same place on every machine and start again"
+        )
+    return figures(valid, device)
 
 
 def _figures(row: Row) -> Row:
@@ -152,14 +163,3 @@ def _run(file: Path, params: CampaignParams, one: RunParams) -> Run:
     except LuxloopError as error:
         variant = f" {one.variant}" if one.variant else ""
         raise LuxloopError(f"{file}:{variant} {error}") from error
-
-
-def _inputs(scenario: AnyScenario) -> dict[str, str]:
-    """Digests of the files that decide a run beside its scenario and luxloop's code: roads, symbols, lamps, one's own classes."""
-    files = dict(input_files(scenario))
-    if (lamp := Path(scenario.headlight.model)).is_file():
-        files["headlight.model"] = lamp
-    for module, name in re.findall(r'"(\w+(?:\.\w+)*):(\w+)"', scenario.model_dump_json()):
-        if (found := importlib.util.find_spec(module)) and found.origin:
-            files[f"{module}:{name}"] = Path(found.origin)
-    return {key: sha256(file) for key, file in files.items()}

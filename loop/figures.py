@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from controllers.symbol import build_controller
+from loop.build import build_symbol_controller
 from loop.lighting.record import row as lighting_row
 from loop.lighting.record import schema as lighting_schema
 from loop.lighting.simulation import LightingSimulation
 from loop.lighting.summary import summarise as summarise_lighting
+from loop.manifest import digests
 from loop.recorder import row, summary_of, table_of
 from loop.run import prepare, torch_device
 from loop.scenario import AnyScenario, LightingScenario, Scenario
@@ -50,13 +51,13 @@ def figures(scenario: AnyScenario, device: str = "auto") -> dict[str, float | st
 
 def _simulation(scenario: Scenario, device: str) -> Simulation:
     """A simulation of the scenario; all but controller and noise is taken from one that is ready where there is one."""
-    key = (scenario.model_dump_json(exclude={"controller", "seed"}), device)
+    key = (scenario.model_dump_json(exclude={"controller", "seed"}), *digests(scenario).items(), device)
     if key not in _prepared:
         _prepared[key] = prepare(scenario, device)
         if len(_prepared) > KEPT:
             _prepared.popitem(last=False)
     ready = with_seed(_prepared[key], scenario.seed)
-    return replace(ready, scenario=scenario, controller=build_controller(scenario.controller, ready.observer))
+    return replace(ready, scenario=scenario, controller=build_symbol_controller(scenario, ready.observer))
 
 
 def with_seed(simulation: Simulation, seed: int) -> Simulation:

@@ -4,7 +4,7 @@ import json
 import os
 import warnings
 from collections import ChainMap
-from collections.abc import Callable, Mapping, MutableMapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, Self, cast
@@ -18,6 +18,7 @@ from loop.utilisations import read_utilisation
 from loop.validation import did_you_mean, read_toml, sentence
 from world import lampfile, presets
 from world.errors import LuxloopError
+from world.files import files_at
 from world.lamp import Lamp
 from world.params import Params
 from world.photometry.distribution import Array
@@ -103,6 +104,23 @@ def build(path: Path, side: Side = "left", on_progress: Progress | None = None) 
     # A chain writes to its first map alone, and fits the beams of the second when it is asked for them.
     fitted = cast(MutableMapping[str, tuple[Tensor, ...]], FittedBeams(bare) if description.beams.default else {})
     return replace(bare, beams=ChainMap(given, fitted)), tuple(report for _, report in built)
+
+
+def lamp_files(name: str) -> Iterator[Path]:
+    """The files that decide a lamp of that name, none for a preset: the file itself, and all that a description names.
+
+    Raises LuxloopError where a description is broken.
+    """
+    path = Path(name)
+    if name in presets.NAMES or not path.is_file():
+        return
+    yield path
+    if path.suffix.lower() == ".toml":
+        description = describe(path)
+        for module in description.module:
+            if source := getattr(module.source, "path", None):
+                yield from files_at(path.parent / source)
+        yield from (path.parent / file for files in description.beams.given.values() for file in files.values())
 
 
 def _beam(lamp: Lamp, files: Mapping[str, Path], folder: Path) -> tuple[Tensor, ...]:

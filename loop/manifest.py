@@ -1,10 +1,13 @@
 """The manifest of a recording: what ran, on what, with which files. Written first, so that a recording explains itself however it ends."""
 
+import contextlib
 import datetime
 import hashlib
+import importlib.util
 import json
 import os
 import platform
+import re
 from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
@@ -15,11 +18,13 @@ from pydantic import Field, ValidationError
 
 from loop import data
 from loop.build import symbol_path
+from loop.lamp_description import lamp_files
 from loop.scenario import AnyScenario, Scenario
 from loop.shipped import named
 from loop.utilisations import sequence_files
 from loop.validation import sentence
 from world.errors import LuxloopError
+from world.files import files_at
 from world.objects import MeshParams
 from world.params import Params
 from world.roads import OpenCrgRoad
@@ -122,22 +127,36 @@ def write_json(file: Path, value: Any) -> None:
 
 
 def input_files(scenario: AnyScenario) -> Iterator[tuple[str, Path]]:
-    """Files that decide a run beside the scenario, by the key that names them."""
+    """Files that decide a run beside the scenario and luxloop's code, by the key that names them: symbols, roads, meshes, lamps and what
+    their descriptions name, and modules of one's own (not what these import)."""
     if isinstance(scenario, Scenario):
         yield "symbol.image", symbol_path(scenario.symbol.image)
     else:
         for i, function in enumerate(scenario.lighting.functions):
             image = getattr(function, "image", None)
-            if image is not None and (path := symbol_path(image)).is_file():
-                yield f"lighting.functions[{i}].image", path
+            for file in files_at(symbol_path(image)) if image is not None else ():
+                yield f"lighting.functions[{i}].image {file.name}", file
         for i, raw in enumerate(scenario.lighting.raw):
             for file in sequence_files(named(raw.file, "utilisations")):
                 yield f"lighting.raw[{i}].file {file.name}", file
-    if isinstance(scenario.road, OpenCrgRoad):
-        yield "road.file", Path(data.locate(scenario.road.file))
+    believed = getattr(scenario.controller, "road", None) if isinstance(scenario, Scenario) else None
+    for key, road in (("road.file", scenario.road), ("controller.road.file", believed)):
+        if isinstance(road, OpenCrgRoad):
+            yield key, Path(data.locate(road.file))
+    for file in lamp_files(scenario.headlight.model):
+        yield f"headlight.model {os.path.relpath(file, Path(scenario.headlight.model).parent)}", file
+    for module in re.findall(r'"(\w+(?:\.\w+)*):\w+"', scenario.model_dump_json()):
+        with contextlib.suppress(ImportError):  # whoever makes the controller says so
+            if (found := importlib.util.find_spec(module)) and found.origin:
+                yield f"module {module}", Path(found.origin)
     for i, item in enumerate(scenario.objects):
         if isinstance(item, MeshParams):
             yield f"objects[{i}].file", item.file
+
+
+def digests(scenario: AnyScenario) -> dict[str, str]:
+    """SHA-256 of each of `input_files`, by the key that names it. Raises LuxloopError where one is missing."""
+    return {key: sha256(file) for key, file in input_files(scenario)}
 
 
 def sha256(file: Path) -> str:

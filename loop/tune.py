@@ -4,6 +4,7 @@ import hashlib
 import json
 import warnings
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from optuna.trial import TrialState
 from loop.campaign import figures_of
 from loop.code import digest_of_code
 from loop.executors import Executor
+from loop.manifest import digests
 from loop.objective import Objective
 from loop.progress import progress
 from loop.ranges import Range, Values, changed, value_of
@@ -26,7 +28,7 @@ from world.errors import LuxloopError
 STUDY = "study.log"
 FINISHED = (TrialState.COMPLETE, TrialState.PRUNED)
 STARTUP = 8  # trials at random before the sampler learns, and before any is pruned
-Runs = list[tuple[dict[str, Any], str]]
+Runs = list[tuple[dict[str, Any], dict[str, str], str]]
 
 
 @dataclass(frozen=True)
@@ -45,12 +47,18 @@ class Task:
         """Changes with everything that decides a trial."""
         what = [
             [each.digest for each in self.scenarios],
+            self.inputs,
             [vars(each) for each in self.ranges],
             self.objective.weights,
             self.seeds,
             self.seed,
         ]
         return hashlib.sha256(json.dumps([*what, self.device, digest_of_code()]).encode()).hexdigest()
+
+    @cached_property
+    def inputs(self) -> list[dict[str, str]]:
+        """Digests of the files of each scenario, as they were when this was first asked for."""
+        return [digests(each) for each in self.scenarios]
 
     @property
     def given(self) -> dict[str, float | int | None]:
@@ -60,8 +68,11 @@ class Task:
     def runs(self, values: Values) -> Runs:
         """All runs of a trial, one seed after the other."""
         varied = [changed(scenario, values) for scenario in self.scenarios]
-        seeded = [each.model_copy(update={"seed": each.seed + k}) for k in range(self.seeds) for each in varied]
-        return [(each.model_dump(mode="json"), self.device) for each in seeded]
+        seeds = range(self.seeds)
+        seeded = [
+            (each.model_copy(update={"seed": each.seed + k}), files) for k in seeds for each, files in zip(varied, self.inputs, strict=True)
+        ]
+        return [(each.model_dump(mode="json"), files, self.device) for each, files in seeded]
 
 
 @dataclass(frozen=True)
@@ -119,11 +130,11 @@ def _costs(task: Task, runs: Runs, execute: Executor) -> list[float]:
     return [task.objective.cost(found[number]) for number in range(len(runs))]
 
 
-def _figures(task: tuple[int, tuple[dict[str, Any], str]]) -> tuple[int, dict[str, Any]]:
+def _figures(task: tuple[int, tuple[dict[str, Any], dict[str, str], str]]) -> tuple[int, dict[str, Any]]:
     """Number and figures of a run, which are empty where it fails: a controller that loses itself is no reason to stop."""
-    number, (scenario, device) = task
+    number, (scenario, inputs, device) = task
     try:
-        return number, figures_of(scenario, {}, device)
+        return number, figures_of(scenario, inputs, device)
     except (LuxloopError, ArithmeticError, ValueError):
         return number, {}
 

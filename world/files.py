@@ -17,6 +17,11 @@ UNREADABLE: Final = (
 )
 
 
+def files_at(path: Path) -> list[Path]:
+    """All files of a folder in the order of their names, or the file itself; none where there is nothing."""
+    return [file for file in (sorted(path.iterdir()) if path.is_dir() else [path]) if file.is_file()]
+
+
 @contextmanager
 def whole(path: Path) -> Iterator[Path]:
     """A file to write in place of `path`, which it becomes at the end; where anything fails, nothing is left behind.

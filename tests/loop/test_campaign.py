@@ -71,9 +71,12 @@ def test_the_example_is_what_the_docs_show() -> None:
         ('scenarios = ["snowflake"]\nvariants.a.camera.bit = 8', "a .*camera.bit: unknown key; did you mean 'bits'"),
         ('runs = [{ scenario = "snowflake", variant = "b" }]', "there is no variant 'b'"),
         ("scenarios = [2026-01-01]", "date"),
+        ('scenarios = ["flat"]\nseeds = [-1]', r"seeds\[0\]: -1 should be greater than or equal to 0"),
+        ('scenarios = ["flat", "./flat.toml"]', "two different runs are both called 'flat, thesis_pid, seed 0'"),
     ],
 )
 def test_what_is_wrong_with_a_file_is_one_sentence(text: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "flat.toml").write_text('name = "mine"\n[symbol]\nimage = "chevrons"\n[controller]\nname = "thesis_pid"\n')
     with pytest.raises(LuxloopError, match=rf"night\.toml.*{said}"):
         read(written(tmp_path, text))
 
@@ -105,6 +108,17 @@ def test_table_report_and_failures(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(campaign, "digest_of_code", lambda: "other code")
     run_campaign(file, out, processes=1)
     assert len(started) == 2 + 4
+
+
+def test_a_campaign_whose_runs_all_fail_says_why(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    file = written(tmp_path, 'scenarios = ["flat"]\ncontrollers = ["nopkg.mod:Name"]\n')
+    assert cli.main(["campaign", str(file), "--jobs", "1", "--out", "new/folder"]) == cli.DIFFERS
+    assert "No module named 'nopkg'" in "".join(capsys.readouterr())
+    assert "No module named 'nopkg'" in Path("new/folder/report.md").read_text()
+    assert pq.read_table(tmp_path / "new" / "folder" / TABLE).num_rows == 1
 
 
 def test_runs_that_share_a_simulation_are_as_those_that_do_not(monkeypatch: pytest.MonkeyPatch) -> None:
