@@ -11,7 +11,7 @@ from torch.nn.functional import avg_pool2d
 
 from controllers.symbol.projector import Projector
 from perception.birdseye import Region
-from perception.camera import CameraParams, average_rows, camera_view
+from perception.camera import CameraParams, average_rows, camera_view, luminance_of
 from perception.extraction import Crop, ExtractionParams, difference, symbol_image, threshold
 from world.frames import inverse
 from world.headlight import Headlight
@@ -135,9 +135,15 @@ class Sight:
     def observe(self, frames: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
         """Contrast and threshold `[h, w]` in cd/m^2 of on and off frame `[height, width]` (digital numbers)."""
         on, off = frames[0][self.crop.slices], self._compensated(frames[1])
-        images = torch.stack([difference(on, off, self.camera), threshold(off, self.camera, self.params)])
-        contrast, limit = avg_pool2d(images[:, None], (1, self.step))[:, 0]
-        return contrast, limit
+        images = torch.stack([difference(on, off, self.camera), threshold(off, self.camera, self.params), luminance_of(off, self.camera)])
+        contrast, limit, without = avg_pool2d(images[:, None], (1, self.step))[:, 0]
+        return self._steady(contrast, limit, without), limit
+
+    def _steady(self, contrast: Tensor, limit: Tensor, without: Tensor) -> Tensor:
+        """Contrast less what all other light has changed by between the frames, if it has: a symbol is less than half of what is seen."""
+        seen = self.inside > 0
+        rise = (contrast / without)[seen].median()
+        return torch.where((contrast / limit)[seen].median().abs() > 1, contrast - rise * without, contrast)
 
     def _compensated(self, off: Tensor) -> Tensor:
         """The off frame `[height, width]` as the camera would see the plane where the on frame was exposed, cut at the crop."""
