@@ -8,7 +8,7 @@ from typing import Any
 from loop.validation import did_you_mean
 from world.errors import LuxloopError
 
-FAILED = 2.0  # a term without a value: as dear as if the symbol settled only after twice the run
+FAILED = 2.0  # a term without a value: as dear as if the symbol settled only after twice the run; no term costs more
 
 Figures = Mapping[str, Any]
 # name: (figure, what is made of it, what it is)
@@ -57,4 +57,4 @@ def _term(name: str, row: Figures) -> float:
     if value is None:
         # Whoever starts at the target has no overshoot to speak of, but a symbol that is never seen has none either.
         return 0.0 if name == "overshoot" and row.get("residual_percent") is not None else FAILED
-    return float(of(value, row))
+    return min(float(of(value, row)), FAILED)

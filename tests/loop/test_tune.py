@@ -77,6 +77,16 @@ def test_objectives_weigh_terms_and_failures_are_dear() -> None:
     assert objective.parse("overshoot").cost({**row, "overshoot_percent": None}) == 0.0
 
 
+def test_a_lost_symbol_is_never_cheaper_than_one_far_off() -> None:
+    never = {"steps": 40, "settle_step": None, "iou_mean": 0.0, "utilisation_mean": 1.0}
+    lost, far = (
+        {**never, "residual_percent": None, "overshoot_percent": None},
+        {**never, "residual_percent": 40.0, "overshoot_percent": 900.0},
+    )
+    for text in (*objective.TERMS, "settling+residual"):
+        assert objective.parse(text).cost(lost) >= objective.parse(text).cost(far)
+
+
 def trials(tuned: Tuned) -> list[tuple[dict[str, float], float | None, str]]:
     return [(trial.params, trial.value, trial.state.name) for trial in tuned.study.trials if trial.state in module.FINISHED]
 
@@ -167,6 +177,14 @@ def test_descent_lowers_squared_errors_and_becomes_a_trial(tmp_path: Path) -> No
     assert squared(values) < squared({"controller.position.kp": 0.1, "controller.rotation.kp": 0.5})
     assert values["controller.position.kp"] > 0.1
     assert cost is not None and cost < tuned.given_cost
+
+
+@pytest.mark.parametrize("given", [5.4321e-8, 0.25])
+def test_what_descent_finds_keeps_its_digits_and_its_range(given: float) -> None:
+    scenario = load("snowflake", [*SEEN, "steps=1", f"controller.position.ki={given}"])
+    narrow = (ranges.parse(f"controller.position.ki={0.9999999 * given}:{1.0000001 * given}:log", [scenario]),)
+    (found,) = gradient.descend(Task((scenario,), narrow, objective.parse("iou")), 1).values()
+    assert narrow[0].low <= found <= narrow[0].high
 
 
 def test_whole_numbers_have_no_gradient(scenario: Scenario) -> None:
