@@ -27,6 +27,7 @@ from world.errors import LuxloopError
 
 STUDY = "study.log"
 FINISHED = (TrialState.COMPLETE, TrialState.PRUNED)
+APART = 1_000_003  # between the seeds of two searches' first trials, so that they share none
 STARTUP = 8  # trials at random before the sampler learns, and before any is pruned
 Runs = list[tuple[dict[str, Any], dict[str, str], str]]
 
@@ -101,7 +102,7 @@ def tune(task: Task, out: Path, trials: int, execute: Executor) -> Tuned:
         with progress("trials", trials, min(done, trials)) as advance:
             for number in range(done, trials):
                 # Seeded by the trial: a study that was interrupted goes on as it would have.
-                study.sampler = optuna.samplers.TPESampler(seed=task.seed + number, n_startup_trials=STARTUP)
+                study.sampler = optuna.samplers.TPESampler(seed=(task.seed * APART + number) % 2**32, n_startup_trials=STARTUP)
                 _try(study, study.ask(space), task, execute)
                 advance()
     except KeyboardInterrupt as error:

@@ -1,6 +1,7 @@
 """Tuning: what is asked for is checked first, a seeded study is the same however it is run, and what is best can be run."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -128,6 +129,11 @@ def test_a_seeded_study_is_the_same_with_more_processes_and_after_a_stop(
     with pytest.raises(KeyboardInterrupt, match="2 of 5 trials are kept"):
         tune(task(scenario), tmp_path, 5, local(1))
     assert trials(tune(task(scenario), tmp_path, 5, local(2))) == trials(tuned)
+
+
+def test_another_search_has_other_trials(tuned: Tuned, scenario: Scenario, tmp_path: Path) -> None:
+    other = tune(replace(task(scenario), seed=1), tmp_path, 2, local(1))
+    assert not {str(values) for values, _, _ in trials(other)} & {str(values) for values, _, _ in trials(tuned)}
 
 
 def test_other_settings_need_another_folder(tuned: Tuned, scenario: Scenario, tmp_path: Path) -> None:
