@@ -62,7 +62,12 @@ def descend(task: Task, iterations: int, advance: Callable[[], None] = lambda: N
             best, least = logits.detach().clone(), total
         adam.step()
         advance()
-    return {each.key: round(float(_value(each, logit)), 6) for each, logit in zip(task.ranges, best, strict=True)}
+    return {each.key: _rounded(each, float(_value(each, logit))) for each, logit in zip(task.ranges, best, strict=True)}
+
+
+def _rounded(each: Range, value: float) -> float:
+    """To six digits that count, and not out of the range."""
+    return min(max(float(f"{value:.6g}"), each.low), each.high)
 
 
 def squared_errors(rollout: Rollout, scenario: Scenario) -> Tensor:

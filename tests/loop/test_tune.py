@@ -187,7 +187,7 @@ def test_descent_lowers_squared_errors_and_becomes_a_trial(tmp_path: Path) -> No
 
 @pytest.mark.parametrize("given", [5.4321e-8, 0.25])
 def test_what_descent_finds_keeps_its_digits_and_its_range(given: float) -> None:
-    scenario = load("snowflake", [*SEEN, "steps=1", f"controller.position.ki={given}"])
+    scenario = load("snowflake", [*SEEN, "steps=3", f"controller.position.ki={given}"])
     narrow = (ranges.parse(f"controller.position.ki={0.9999999 * given}:{1.0000001 * given}:log", [scenario]),)
     (found,) = gradient.descend(Task((scenario,), narrow, objective.parse("iou")), 1).values()
     assert narrow[0].low <= found <= narrow[0].high
