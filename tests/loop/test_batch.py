@@ -88,6 +88,12 @@ def test_errors_are_differentiable_in_gains(monkeypatch: pytest.MonkeyPatch) -> 
         (["controller.name=open"], [], "for controller.name = thesis_pid, not open"),
         ([], ["controller.position.kq"], "has no gradient; did you mean 'controller.position.kp'"),
         (["camera.drop_probability=0.5"], [], "no frame is lost"),
+        (["controller.warp={}"], [], "leave out controller.warp"),
+        (["controller.supervisor={}"], [], "leave out controller.warp and controller.supervisor"),
+        (["disturbances.oncoming=[{ position_m=[40, 2, 0.65] }]"], [], r"know nothing of disturbances\.oncoming"),
+        (["disturbances.ambient=[{ factor=2.0 }]"], [], r"know nothing of disturbances\.ambient"),
+        (["disturbances.noise=[{ factor=2.0 }]"], [], r"know nothing of disturbances\.noise"),
+        (["disturbances.drops=[{}]"], [], r"know nothing of disturbances\.drops"),
     ],
 )
 def test_what_cannot_be_rolled_out_is_said_so(changes: list[str], keys: list[str], said: str, simulation: Simulation) -> None:
