@@ -12,7 +12,7 @@ from controllers.symbol.memory import Memory
 from controllers.symbol.observer import Observer
 from controllers.symbol.projector import SymbolParams
 from controllers.symbol.protocol import Look, Shown
-from controllers.symbol.registration import Heights, Registration
+from controllers.symbol.registration import HEIGHT_M, Heights, Registration
 from controllers.symbol.sight import Sight
 from controllers.symbol.stance import HERE, Stances
 from controllers.symbol.sweep import sweep
@@ -38,6 +38,9 @@ class LuxloopParams(Params):
     memory: float = Field(0.6, ge=0, lt=1, description="share of what is known that a step keeps; the rest may have changed")
     evidence: float = Field(0.0025, ge=0, description="share of the symbol that heights have to explain beyond what the flat road does")
     sweep_above: float = Field(0.01, ge=0, description="share of the symbol that may stay unexplained before all heights are tried anew")
+    start_height_m: float = Field(
+        0.0, ge=-0.3, le=0.3, description="height that the whole road is taken to have at first; 0: nothing is known"
+    )
 
 
 @dataclass(frozen=True)
@@ -62,8 +65,13 @@ class Luxloop:
         self.tried = torch.linspace(-params.highest_m, params.highest_m, HEIGHTS, device=self.projector.symbol.device)
 
     def start(self, pose: Tensor) -> LuxloopState:
-        """State that shows the pose `[4]` first."""
-        return LuxloopState(self._nothing(self.registration), 0.0, Drawing(pose))
+        """State that shows the pose `[4]` first, or the symbol for the road that is believed."""
+        memory = self._nothing(self.registration)
+        if self.params.start_height_m == 0:
+            return LuxloopState(memory, 0.0, Drawing(pose))
+        mean = memory.heights.mean + self.params.start_height_m
+        believed = replace(memory, heights=Heights(mean, torch.eye(len(mean)).to(mean) / HEIGHT_M**2))
+        return LuxloopState(believed, 0.0, self._drawn(believed, Stances()))
 
     def drawing(self, state: LuxloopState) -> Drawing:
         """The symbol for the road as it is known."""

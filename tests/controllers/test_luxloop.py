@@ -161,3 +161,13 @@ def test_a_batch_of_warped_drawings_equals_singles() -> None:
     plain = prepared.projector.light(target)[0].u
     # the symbol is resampled once more: pixels at its edges differ
     assert (together.u[0] - plain).abs().sum() < 0.1 * plain.sum()
+
+
+def test_a_wrong_belief_at_the_start_is_drawn_and_given_up() -> None:
+    prepared = simulation('{kind="flat"}', "controller={name='luxloop', start_height_m=0.03}")
+    _, first = prepared.step(prepared.start())
+    # the camera at 1.35 m takes the target for 17 m (1 - 0.03 / 1.35), where the lamp at 0.75 m casts light 0.75 / 0.72 times as far
+    assert float(first.seen.pose_error[0]) == pytest.approx(0.3, abs=0.1)  # of a symbol that is some cm longer, too
+    seen, opened = ious(prepared, 5)
+    assert seen[0] < opened - 0.1
+    assert min(seen[1:]) > 0.9  # one look is enough; at this resolution noise alone costs up to 0.03 in some steps
