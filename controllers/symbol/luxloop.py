@@ -115,7 +115,8 @@ class Luxloop:
         nodes = torch.stack([*(each.mean for each in found), torch.zeros_like(known.mean)])
         residuals = registration.residual(nodes, seen, textures, limit)
         best = int(residuals[:-1].argmin())
-        if residuals[best] > residuals[-1] - self.params.evidence:
+        evidence = 0.0 if bool(known.information.any()) else self.params.evidence
+        if residuals[best] > residuals[-1] - evidence:
             return self._nothing(registration)
         mean, information = found[best].mean, self.params.memory * (known.information + found[best].information)
         brightness = _brightness(fine, mean, memory.brightness, contrast, seen, textures)
