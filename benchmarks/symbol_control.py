@@ -12,7 +12,7 @@ from pathlib import Path
 
 import symbol_control_page
 from bench import machine
-from symbol_control_cases import DISTURBED, UNDISTURBED, cases, trajectories
+from symbol_control_cases import DISTURBED, STANDING, UNDISTURBED, cases, trajectories
 from symbol_control_goals import measures
 
 from loop.code import digest_of_code
@@ -40,15 +40,18 @@ def main() -> None:
     judged = [(case, found[case.key]) for case in chosen if case.key in found]
     undisturbed = {case.seed: each for case, each in judged if case.scene == UNDISTURBED}
     rows = [row for case, each in judged for row in measures(case, each, undisturbed.get(case.seed) if case.scene in DISTURBED else None)]
+    failed = {case.scene for case in chosen if case.key not in found}
+    absent = [] if given.only else [scene for scene in STANDING if all(case.scene != scene for case in chosen)]
     if given.json:
         given.json.write_text(json.dumps(rows, indent=1))
     about = machine("torch", "numpy") | {
         "command": "python benchmarks/symbol_control.py" + (" --quick" if given.quick else ""),
         "seeds": "seed 0 alone" if given.quick else f"{seeds} seeds",
         "camera": "640 x 480" if given.quick else "1280 x 720, in motion 640 x 480",
-        "left_out": "".join(f"\n\nFailed: {key}: {reason}" for key, reason in results.failures.items()),
+        "left_out": (f"\n\nLeft out, as their measured roads are not here: {', '.join(absent)}." if absent else "")
+        + "".join(f"\n\nFailed: {key}: {reason}" for key, reason in results.failures.items()),
     }
-    symbol_control_page.write(rows, judged, about, given.page)
+    symbol_control_page.write(rows, judged, about, given.page, failed, absent)
     print(f"written: {given.page / 'symbol_control.md'}, after {(time.perf_counter() - begun) / 60:.1f} minutes")
     if results.failures:
         sys.exit("\n".join(f"failed: {key}: {reason}" for key, reason in results.failures.items()))

@@ -34,7 +34,7 @@ def measures(case: Case, judged: Judged, undisturbed: Judged | None = None) -> l
             "controller": controller,
             "iou_least": float(iou[BEGUN:].min()),
             "settle": len(iou) if each["settle_step"] is None else each["settle_step"],
-            "overshoot": each["overshoot_percent"],
+            "overshoot": DARK if (offset == DARK).all() else each["overshoot_percent"],
             "gap": float((opened - iou)[BEGUN:].max()),
         }
         if case.part == "driving":

@@ -1,6 +1,6 @@
 """docs/symbol_control.md and its picture, from the results of benchmarks/symbol_control.py; the words are in the .md beside this file."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,19 +19,29 @@ COLOURS = dict(zip(CONTROLLERS, ("0.5", "tab:orange", "tab:green", "tab:purple",
 PANELS = (("mixed", 0), ("mixed", 2), ("curb", 0), ("box, comes and goes", 0), ("20 m/s", 0), ("noise x 10", 0))  # scene, latency
 
 
-def write(rows: Sequence[Row], judged: Sequence[tuple[Case, Judged]], about: dict[str, Any], folder: Path) -> None:
-    """Write `symbol_control.md` and its picture into a folder. about: what the template says of the run."""
+def write(
+    rows: Sequence[Row],
+    judged: Sequence[tuple[Case, Judged]],
+    about: dict[str, Any],
+    folder: Path,
+    failed: Collection[str] = (),
+    absent: Collection[str] = (),
+) -> None:
+    """Write `symbol_control.md` and its picture into a folder. about: what the template says of the run.
+
+    failed, absent: scenes of which a world failed, or which are not here.
+    """
     (folder / "images").mkdir(parents=True, exist_ok=True)
     draw(judged, folder / "images" / PICTURE)
-    (folder / "symbol_control.md").write_text(page(rows, about), "utf-8")
+    (folder / "symbol_control.md").write_text(page(rows, about, failed, absent), "utf-8")
 
 
-def page(rows: Sequence[Row], about: dict[str, Any]) -> str:
+def page(rows: Sequence[Row], about: dict[str, Any], failed: Collection[str], absent: Collection[str]) -> str:
     standing = [row for row in rows if row["part"] == "standing"]
     on_time = [row for row in rows if row["latency"] == 0]
     return TEMPLATE.read_text("utf-8").format(
         **about,
-        goals=goals(rows),
+        goals=goals(rows, failed, absent),
         **{f"standing_{name}": table(on_time, "scene", STANDING, name) for name in ("iou", "settle", "overshoot", "centroid", "gap")},
         **{f"driving_{name}": table(on_time, "scene", DRIVING, name) for name in ("iou", "centroid", "gap")},
         **{f"disturbed_{name}": table(on_time, "scene", DISTURBANCES, name) for name in ("iou_least", "recovery", "gap")},
@@ -40,10 +50,13 @@ def page(rows: Sequence[Row], about: dict[str, Any]) -> str:
     )
 
 
-def goals(rows: Sequence[Row]) -> str:
-    """A row a goal: what was measured, and what limits it where it was missed."""
+def goals(rows: Sequence[Row], failed: Collection[str] = (), absent: Collection[str] = ()) -> str:
+    """A row a goal: what was measured, and what limits it where it was missed. A scene of which a world failed is missed."""
     lines = ["| goal | measured | | what limits it |", "| --- | ---: | --- | --- |"]
     for goal in GOALS:
+        if broken := [scene for scene in goal.scenes if scene in failed]:
+            lines.append(f"| {goal.what} | — | **missed** | failed: {', '.join(broken)} |")
+            continue
         worst = goal.worst(rows)
         if worst is None:
             lines.append(f"| {goal.what} | — | not measured | |")
@@ -52,6 +65,8 @@ def goals(rows: Sequence[Row]) -> str:
         reached = goal.reached(value)
         place = f" ({where})" if len(goal.scenes) > 1 and where else ""
         verdict, limited = ("reached", "") if reached else ("**missed**", goal.limited)
+        if without := [scene for scene in goal.scenes if scene in absent]:
+            verdict += f", without {', '.join(without)}"
         lines.append(f"| {goal.what} | {value:.{MEASURES[goal.measure] + 1}f}{place} | {verdict} | {limited} |")
     return "\n".join(lines)
 

@@ -80,6 +80,28 @@ def test_goals_take_the_worst_mean_over_seeds_and_of_luxloop_alone(benchmark: An
     assert all(each.scenes and each.limited for each in GOALS)
 
 
+def test_what_failed_or_is_not_here_is_not_passed_over(benchmark: Any) -> None:
+    from symbol_control_page import goals
+
+    run = {"part": "standing", "latency": 0, "seed": 0, "controller": "luxloop", "centroid": 0.1}
+    rows = [run | {"scene": scene} for scene in ("flat", "Belgian block", "curb")]
+    (all_here,) = (line for line in goals(rows).splitlines() if "measured roads" in line)
+    assert all_here.endswith("| reached |  |")
+    (broken,) = (line for line in goals(rows, failed=["flat"]).splitlines() if "measured roads" in line)
+    assert broken.endswith("| — | **missed** | failed: flat |")
+    (partly,) = (line for line in goals(rows, absent=["torsion track"]).splitlines() if "measured roads" in line)
+    assert partly.endswith("| reached, without torsion track |  |")
+
+
+def test_a_symbol_that_is_never_seen_overshoots(benchmark: Any) -> None:
+    dark = judged([0.0] * 20, settle_step=None, centroid=None) | {
+        "centroid_error_x_percent": [None] * 20,
+        "centroid_error_y_percent": [None] * 20,
+    }
+    assert measured(benchmark, "standing", dark)["overshoot"] == 100.0
+    assert measured(benchmark, "standing", judged([0.9] * 20))["overshoot"] is None, "it began in its place"
+
+
 def test_controllers_side_by_side_run_as_each_does_alone(benchmark: Any) -> None:
     """Rendered views are shared, noise and states are not."""
     from symbol_control_cases import trajectories
