@@ -21,6 +21,7 @@ from loop.progress import progress
 from world.errors import LuxloopError
 
 Values = Mapping[str, Any]  # what JSON can hold, by name
+NAMED = 4  # jobs that a message names
 _START = b'{"id": '  # of every line
 
 
@@ -88,7 +89,8 @@ def run(
         kept = f"{len(done.keys() & dict(pairs))} of {total} {title} are kept in {file}, the same command goes on from there"
         if isinstance(error, KeyboardInterrupt):
             raise KeyboardInterrupt(kept) from error
-        raise LuxloopError(f"{error}: {kept}") from error
+        lost = [job.key for identity, job in left.items() if identity not in done and identity not in failures]
+        raise LuxloopError(f"{error}: {kept}; the first that are not done: {'; '.join(lost[:NAMED])}") from error
     return Results(
         [{"key": job.key, **job.parameters, **done[identity]} for identity, job in pairs if identity in done],
         {job.key: failures[identity] for identity, job in pairs if identity in failures},
@@ -111,10 +113,15 @@ def _call(function: Callable[..., Values], task: tuple[str, Values]) -> tuple[st
     try:
         return identity, json.dumps(dict(function(**parameters))), ""
     except Exception as error:
-        if isinstance(error, LuxloopError):
-            return identity, "", str(error)
-        where = traceback.extract_tb(error.__traceback__)[-1]
-        return identity, "", f"{type(error).__name__}: {error} ({Path(where.filename).name}, line {where.lineno})"
+        return identity, "", reason(error)
+
+
+def reason(error: Exception) -> str:
+    """Why a job has failed: luxloop's own sentence, or what was raised and where."""
+    if isinstance(error, LuxloopError):
+        return str(error)
+    where = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {error} ({Path(where.filename).name}, line {where.lineno})"
 
 
 def _read(file: Path) -> dict[str, dict[str, Any]]:

@@ -5,6 +5,7 @@ import json
 import warnings
 from dataclasses import dataclass
 from functools import cached_property
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from optuna.trial import TrialState
 from loop.campaign import figures_of
 from loop.code import digest_of_code
 from loop.executors import Executor
+from loop.jobs import reason
 from loop.manifest import digests
 from loop.objective import Objective
 from loop.progress import progress
@@ -25,7 +27,7 @@ from loop.ranges import Range, Values, changed, value_of
 from loop.scenario import Scenario
 from world.errors import LuxloopError
 
-STUDY = "study.log"
+STUDY, FAILURES = "study.log", "failures"
 FINISHED = (TrialState.COMPLETE, TrialState.PRUNED)
 APART = 1_000_003  # between the seeds of two searches' first trials, so that they share none
 STARTUP = 8  # trials at random before the sampler learns, and before any is pruned
@@ -85,6 +87,11 @@ class Tuned:
     study: optuna.Study
 
     @property
+    def failures(self) -> list[str]:
+        """Why runs of trials have failed, each of which counts as `loop.objective.FAILED` in all terms."""
+        return [why for trial in self.study.get_trials(deepcopy=False, states=FINISHED) for why in trial.user_attrs.get(FAILURES, [])]
+
+    @property
     def best(self) -> tuple[dict[str, float | int], float]:
         """Values and cost of the best trial; no values where the given ones are best."""
         values, cost = self.study.best_params, self.study.best_value
@@ -115,29 +122,32 @@ def _try(study: optuna.Study, trial: optuna.Trial, task: Task, execute: Executor
     """All runs of a trial; after half of them it may be given up. The same runs are done however many go on at once."""
     runs = task.runs(trial.params)
     half = -(-len(runs) // 2)
-    costs = _costs(task, runs[:half], execute)
+    costs, reasons = _costs(task, runs[:half], execute)
+    trial.set_user_attr(FAILURES, reasons)
     if len(runs) > half:
         trial.report(float(np.mean(costs)), 0)
         if trial.should_prune():
             study.tell(trial, state=TrialState.PRUNED)
             return
-        costs += _costs(task, runs[half:], execute)
+        more, others = _costs(task, runs[half:], execute)
+        costs += more
+        trial.set_user_attr(FAILURES, reasons + others)
     study.tell(trial, float(np.mean(costs)))
 
 
-def _costs(task: Task, runs: Runs, execute: Executor) -> list[float]:
-    """Costs in the order of the runs, though they end in any, so that sums are rounded alike."""
-    found = dict(execute(_figures, list(enumerate(runs))))
-    return [task.objective.cost(found[number]) for number in range(len(runs))]
+def _costs(task: Task, runs: Runs, execute: Executor) -> tuple[list[float], list[str]]:
+    """Costs in the order of the runs, though they end in any, so that sums are rounded alike; and why some of them failed."""
+    done = sorted(execute(_figures, list(enumerate(runs))), key=itemgetter(0))
+    return [task.objective.cost(figures) for _, figures, _ in done], [why for _, _, why in done if why]
 
 
-def _figures(task: tuple[int, tuple[dict[str, Any], dict[str, str], str]]) -> tuple[int, dict[str, Any]]:
-    """Number and figures of a run, which are empty where it fails: a controller that loses itself is no reason to stop."""
+def _figures(task: tuple[int, tuple[dict[str, Any], dict[str, str], str]]) -> tuple[int, dict[str, Any], str]:
+    """Number and figures of a run, or why it failed: a controller that loses itself is no reason to stop."""
     number, (scenario, inputs, device) = task
     try:
-        return number, figures_of(scenario, inputs, device)
-    except (LuxloopError, ArithmeticError, ValueError):
-        return number, {}
+        return number, figures_of(scenario, inputs, device), ""
+    except Exception as error:
+        return number, {}, reason(error)
 
 
 def _distribution(each: Range) -> BaseDistribution:
@@ -154,13 +164,17 @@ def opened(task: Task, out: Path, execute: Executor) -> tuple[optuna.Study, dict
     for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):  # cut off by a kill
         study.tell(trial.number, state=TrialState.FAIL)
     if "given_cost" not in study.user_attrs:
-        study.set_user_attr("given_cost", mean_cost(task, {}, execute))
+        costs, reasons = _costs(task, task.runs({}), execute)
+        if len(reasons) == len(costs):
+            (out / STUDY).unlink()  # nothing is in it, and other settings shall not need another folder
+            raise LuxloopError(f"every run with the given values fails, so there is nothing to tune; the first: {reasons[0]}")
+        study.set_user_attr("given_cost", float(np.mean(costs)))
     return study, {each.key: _distribution(each) for each in task.ranges}
 
 
 def mean_cost(task: Task, values: Values, execute: Executor) -> float:
     """Mean cost of all runs with some values."""
-    return float(np.mean(_costs(task, task.runs(values), execute)))
+    return float(np.mean(_costs(task, task.runs(values), execute)[0]))
 
 
 def _stored(task: Task, out: Path) -> optuna.Study:

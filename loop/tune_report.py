@@ -52,6 +52,8 @@ def do_tune(
         table.add_row(f"[bold]{key}[/]", _number(given), _number(values.get(key, given)))
     table.add_row("cost", _number(tuned.given_cost), _number(cost))
     tables.show(table)
+    if failed := _failed(tuned):
+        print(failed.strip())
     if values:
         print(f"{folder / BEST} and {folder / REPORT} written; run it with: luxloop run {names[0]} --set {folder / BEST}")
     else:
@@ -96,9 +98,14 @@ def page(tuned: Tuned) -> str:
     ]
     terms = "".join(f"- `{name}`: {objective.TERMS[name][2]}\n" for name in task.objective.weights)
     names = ", ".join(each.name for each in task.scenarios)
-    what = f"{len(finished)} trials ({pruned} given up halfway) of {names} with {task.seeds} seeds each."
+    what = f"{len(finished)} trials ({pruned} given up halfway) of {names} with {task.seeds} seeds each.{_failed(tuned)}"
     table = "\n".join(f"| {' | '.join(row)} |" for row in rows)
     return f"# Tuning\n\n{what} The cost is `{task.objective}`:\n\n{terms}\n{table}\n\n![History, and cost over each key]({PICTURE})\n"
+
+
+def _failed(tuned: Tuned) -> str:
+    failures = tuned.failures
+    return f" {len(failures)} {'runs' if len(failures) > 1 else 'run'} failed, the first: {failures[0]}." if failures else ""
 
 
 def _importances(tuned: Tuned) -> dict[str, float]:

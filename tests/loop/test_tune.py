@@ -136,6 +136,37 @@ def test_another_search_has_other_trials(tuned: Tuned, scenario: Scenario, tmp_p
     assert not {str(values) for values, _, _ in trials(other)} & {str(values) for values, _, _ in trials(tuned)}
 
 
+FRAIL = """
+from controllers.symbol.open_loop import OpenLoop
+from world.errors import LuxloopError
+
+
+def frail(observer, weight):
+    if weight > 0.5:
+        raise IndexError("too heavy")
+    return OpenLoop(observer.projector.target)
+"""
+
+
+def test_failures_of_trials_are_told_and_those_of_all_given_runs_stop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "frail_controllers.py").write_text(FRAIL)
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def weighing(weight: float) -> Task:
+        scenario = load("flat", [*SMALL, f"controller={{ name='frail_controllers:frail', options={{ weight={weight} }} }}"])
+        return Task((scenario,), (ranges.parse("controller.options.weight=0.0:1.0", [scenario]),), objective.parse("iou"))
+
+    folder = tmp_path / "study"
+    with pytest.raises(LuxloopError, match=r"every run with the given values fails.*IndexError: too heavy"):
+        tune(weighing(0.9), folder, 1, local(1))
+    tuned = tune(weighing(0.1), folder, 4, local(1))  # in the same folder, of which nothing was made
+    heavy = [values for values, cost, _ in trials(tuned) if cost == objective.FAILED]
+    assert 0 < len(heavy) < 4 and all(values["controller.options.weight"] > 0.5 for values in heavy)
+    assert len(tuned.failures) == len(heavy)
+    write(tuned, folder)
+    assert re.search(rf"{len(heavy)} runs? failed, the first: IndexError: too heavy", (folder / REPORT).read_text())
+
+
 def test_other_settings_need_another_folder(tuned: Tuned, scenario: Scenario, tmp_path: Path) -> None:
     tune(task(scenario, seeds=1), tmp_path, 1, local(1))
     with pytest.raises(LuxloopError, match="study of other settings"):
@@ -185,7 +216,7 @@ def test_descent_lowers_squared_errors_and_becomes_a_trial(tmp_path: Path) -> No
     assert cost is not None and cost < tuned.given_cost
 
 
-@pytest.mark.parametrize("given", [5.4321e-8, 0.25])
+@pytest.mark.parametrize("given", [5.4321e-8, 0.12345678])
 def test_what_descent_finds_keeps_its_digits_and_its_range(given: float) -> None:
     scenario = load("snowflake", [*SEEN, "steps=3", f"controller.position.ki={given}"])
     narrow = (ranges.parse(f"controller.position.ki={0.9999999 * given}:{1.0000001 * given}:log", [scenario]),)
