@@ -41,7 +41,7 @@ class FrameSpell(Spell):
 class AmbientParams(FrameSpell):
     """Another light beside the headlamps'."""
 
-    factor: float = Field(ge=0, le=1000, description="ambient light and street lamps, as a multiple of [light]'s")
+    factor: float = Field(ge=0, le=1000, description="all light but the own headlamps': sky, street lamps, other cars' lamps")
 
 
 class OncomingSpellParams(OncomingParams, FrameSpell):
