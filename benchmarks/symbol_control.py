@@ -10,13 +10,15 @@ import sys
 import time
 from pathlib import Path
 
+import symbol_control_cases
 import symbol_control_page
 from bench import machine
 from symbol_control_cases import DISTURBED, STANDING, UNDISTURBED, cases, trajectories
 from symbol_control_goals import measures
 
 from loop.code import digest_of_code
-from loop.jobs import Job, run
+from loop.jobs import Job, digest_of, run
+from loop.manifest import digests
 
 DOCS = Path(__file__).parents[1] / "docs"
 SEEDS = 5
@@ -35,7 +37,9 @@ def main() -> None:
     begun = time.perf_counter()
     chosen = [case for case in cases(seeds, given.quick) if not given.only or case.scene in given.only]
     jobs = [Job(case.key, case.parameters) for case in chosen]
-    results = run(trajectories, jobs, given.out / "jobs.jsonl", version=digest_of_code(), processes=given.jobs, title="worlds")
+    inputs = sorted({file for case in cases(1, quick=True) for file in digests(case.scenario).items()})  # of all worlds, roads among them
+    version = digest_of_code() + digest_of(symbol_control_cases) + json.dumps(inputs)
+    results = run(trajectories, jobs, given.out / "jobs.jsonl", version=version, processes=given.jobs, title="worlds")
     found = {row["key"]: row["judged"] for row in results.rows}
     judged = [(case, found[case.key]) for case in chosen if case.key in found]
     undisturbed = {case.seed: each for case, each in judged if case.scene == UNDISTURBED}

@@ -137,3 +137,6 @@ def test_the_page_is_written_and_a_second_run_does_nothing_again(benchmark: Any,
     monkeypatch.setattr(symbol_control_cases, "prepare", None)  # a job done again would fail
     benchmark.main()
     assert (tmp_path / "run" / "jobs.jsonl").read_bytes() == kept
+    monkeypatch.setattr(benchmark, "digests", lambda scenario: {"road.file": "of another scan"})
+    with pytest.raises(SystemExit, match="failed: curb"):  # so it is done again
+        benchmark.main()
