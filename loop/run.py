@@ -8,15 +8,16 @@ from typing import Any
 
 import torch
 
-from controllers.symbol.projector import DrawingModule
+from controllers.symbol.projector import DrawingModule, SymbolParams
 from loop.lighting.run import run_lighting
 from loop.lighting.simulation import LightingResult, LightingSimulation
 from loop.recorder import REPORT, VIDEO, Recorder
 from loop.report import Gathered, write_report
 from loop.scenario import AnyScenario, LightingScenario, Scenario
 from loop.simulation import Simulation, StepResult
+from loop.truth import true_camera
 from loop.video import VideoWriter, frame_picture
-from perception.camera import camera_view, saturation_luminance
+from perception.camera import CameraParams, camera_view, saturation_luminance
 from world.errors import LuxloopError, located
 
 VIDEO_FPS = 10  # slower than the loop, so that the eye can follow its steps
@@ -68,8 +69,10 @@ def prepare(scenario: Scenario, device: str = "auto") -> Simulation:
 def _prepare(scenario: Scenario, device: str) -> Simulation:
     symbol = scenario.symbol
     where = f"the target at symbol.x_m = {symbol.x_m:g}, symbol.y_m = {symbol.y_m:g}"
-    if not _in_the_image(scenario):
+    if not _in_the_image(symbol, scenario.camera):
         raise LuxloopError(f"{where} is out of the camera's sight; move it, or turn the camera")
+    if not _in_the_image(symbol, true_camera(scenario)):
+        raise LuxloopError(f"{where} is out of the sight of the camera as it truly is; make disturbances.calibration smaller")
     simulation = Simulation.prepare(scenario, torch_device(device))
     if not simulation.goal.mask.any():
         if scenario.headlight.beam != "off" and simulation.observer.model.beams.any():
@@ -121,8 +124,8 @@ def check(scenario: AnyScenario, device: str = "auto") -> str:
     return f"{scenario.steps} steps, road {scenario.road.kind}, controller {scenario.controller.name}"
 
 
-def _in_the_image(scenario: Scenario) -> bool:
-    symbol, view = scenario.symbol, camera_view(scenario.camera)
+def _in_the_image(symbol: SymbolParams, camera: CameraParams) -> bool:
+    view = camera_view(camera)
     x = symbol.x_m + symbol.length_m * torch.tensor([-0.5, -0.5, 0.5, 0.5], dtype=torch.float64)
     y = symbol.y_m + symbol.width_m * torch.tensor([-0.5, 0.5, -0.5, 0.5], dtype=torch.float64)
     uv, depth = view.project(torch.stack([x, y, torch.zeros_like(x)]))

@@ -27,17 +27,22 @@ class LampModule:
 
 
 def true_camera(scenario: Scenario) -> CameraParams:
-    """The camera with its error of calibration."""
+    """The camera with its error of calibration. Raises LuxloopError where that puts it under the road."""
     camera, error = scenario.camera, scenario.disturbances.calibration
     half = math.tan(math.radians(camera.hfov_deg) / 2) / (1 + error.focal_percent / 100)
     moved = {name: getattr(camera, name) + value for name, value in error if name != "focal_percent" and value}
     if error.focal_percent:
         moved["hfov_deg"] = math.degrees(2 * math.atan(half))
+    if error.z_m and moved["z_m"] <= 0:
+        raise LuxloopError(f"disturbances.calibration.z_m: the camera is at {moved['z_m']:.3g} m, not above the road; lower it less")
     return camera.model_copy(update=moved)
 
 
 def true_modules(scenario: Scenario, projector: Projector) -> tuple[LampModule, ...]:
-    """The modules that draw, with errors of aim, dead and aged pixels. Raises LuxloopError where a module lacks a pixel that is named."""
+    """The modules that draw, with errors of aim, dead and aged pixels.
+
+    Raises LuxloopError where a module lacks a pixel that is named, and where its aim puts it under the road.
+    """
     modules, aims = projector.modules, scenario.disturbances.aim
     return tuple(
         LampModule(
@@ -53,6 +58,8 @@ def misaimed(T_world_headlight: Tensor, aims: list[AimParams]) -> Tensor:
     """A pose `[4, 4]` moved and turned by errors, about its own origin and the vehicle's axes."""
     T = T_world_headlight.clone()
     for aim in aims:
+        if aim.z_m and T[2, 3] > 0 >= T[2, 3] + aim.z_m:
+            raise LuxloopError(f"disturbances.aim.z_m: the lamp is at {float(T[2, 3]) + aim.z_m:.3g} m, not above the road; lower it less")
         error = pose_from_degrees((aim.x_m, aim.y_m, aim.z_m), aim.roll_deg, aim.pitch_deg, aim.yaw_deg).to(T)
         T[:3, :3] = error[:3, :3] @ T[:3, :3]
         T[:3, 3] += error[:3, 3]

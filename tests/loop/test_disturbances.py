@@ -11,6 +11,7 @@ from torch import Tensor
 from controllers.ssc import Utilisation
 from loop.disturbances import DisturbanceParams, WearParams
 from loop.plant import SimulatedPlant
+from loop.run import prepare
 from loop.scenario import Scenario, validate
 from loop.simulation import Simulation, StepResult
 from loop.truth import true_camera, true_modules, worn
@@ -147,6 +148,23 @@ def test_a_camera_on_another_place_sees_from_there(small_scenario: Scenario) -> 
     assert (there.x_m, there.y_m, there.z_m, there.pitch_deg) == pytest.approx((-1.8, 0.0, 1.45, 2.8))
     assert there == camera.model_copy(update={"x_m": there.x_m, "z_m": there.z_m, "pitch_deg": there.pitch_deg})
     assert true_camera(small_scenario) == camera
+
+
+@pytest.mark.parametrize(
+    ("disturbances", "changes", "words"),
+    [
+        ({"calibration": {"z_m": -0.5, "pitch_deg": -10}}, {}, "make disturbances.calibration smaller"),
+        (
+            {"calibration": {"z_m": -0.5}},
+            {"camera": {"z_m": 0.4}},
+            "disturbances.calibration.z_m: the camera is at -0.1 m",
+        ),
+        ({"aim": [{"z_m": -0.4}, {"z_m": -0.4}]}, {}, "disturbances.aim.z_m: the lamp is at -0.05 m"),
+    ],
+)
+def test_errors_that_leave_nothing_to_see_are_told(disturbances: dict[str, Any], changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(LuxloopError, match=words):
+        prepare(validate({**AT_TARGET, **changes, "disturbances": disturbances}, "disturbed"), "cpu")
 
 
 def test_a_lamp_aimed_too_high_throws_the_symbol_further() -> None:
