@@ -45,6 +45,16 @@ class Drawing:
     warp: Warp | None = None
     raw: tuple[Tensor, ...] | None = None
 
+    def shows(self, other: "Drawing") -> bool:
+        """Whether another drawing is the same; that of a state that was stored and read again is another object."""
+        mine, others = self._values(), other._values()
+        return len(mine) == len(others) and all(a.shape == b.shape and bool((a == b).all()) for a, b in zip(mine, others, strict=True))
+
+    def _values(self) -> list[Tensor]:
+        none = self.pose.new_zeros(0)
+        warp = (none,) if self.warp is None else (self.warp.source, self.warp.dimming, self.pose.new_tensor(self.warp.size_m))
+        return [self.pose, none if self.z is None else self.z, *warp, *(self.raw or ())]
+
     def singles(self) -> Iterator["Drawing"]:
         """The drawings of a batch, one by one."""
         n = self.pose.dim() - 1

@@ -60,7 +60,7 @@ class Supervising:
             return state if state.inner is None else replace(state, inner=self.inner.step(state.inner, look))
         image = self.alignment.image(look.seen) if look.seen.code == Loss.SEEN else torch.zeros_like(self.alignment.target)
         residual = float(self.alignment.residual(image))
-        opened = look.shown.drawing is self.flat
+        opened = look.shown.drawing.shows(self.flat)
         if state.inner is None:
             return self._tried(residual, image, state, look) if opened else state
         if opened:

@@ -63,7 +63,7 @@ class Survey:
         """Keep what the frames show; go round what is still missing, since frames may be late or lost."""
         seen = list(state.seen)
         for k, pattern in enumerate(self.patterns):
-            if look.frames is not None and look.shown.drawing is pattern:
+            if look.frames is not None and look.shown.drawing.shows(pattern):
                 seen[k] = self.sight.observe(look.frames)[0]
         after = [(state.next + 1 + k) % len(seen) for k in range(len(seen))]
         return replace(state, seen=tuple(seen), next=next((k for k in after if seen[k] is None), state.next))

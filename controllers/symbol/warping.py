@@ -60,7 +60,7 @@ class Warping:
         lost = look.seen.code != Loss.SEEN
         if state.drawing is None or (lost and look.seen.code != Loss.NO_FRAME):
             return self._led(state, look, bool(lost))
-        if lost or look.shown.drawing is not state.drawing:
+        if lost or not look.shown.drawing.shows(state.drawing):
             return state
         image = self.alignment.image(look.seen)
         residual = float(self.alignment.residual(image))

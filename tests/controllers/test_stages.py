@@ -1,5 +1,7 @@
 """Registration from above, the warp that is made of it, and the supervisor who keeps the open loop where nothing is better."""
 
+import pickle
+
 import pytest
 import torch
 
@@ -86,6 +88,19 @@ def test_a_controller_that_makes_things_worse_loses_the_charge() -> None:
     drawn = [result.lights[0].u for result in sim.run()]
     flat = sim.projector.light(sim.projector.target)[0].u
     assert [bool(u.equal(flat)) for u in drawn] == [True, False, False, False, True, True]
+
+
+@pytest.mark.parametrize("stage", ["warp", "supervisor"])
+def test_a_run_goes_on_from_a_stored_state(stage: str) -> None:
+    prepared = simulation(f"controller={{name='gauss_newton', {stage}={{}}}}", *ROUGH, "camera.latency_steps=1")
+    kept, stored = prepared.start(), prepared.start()
+    found = []
+    for _ in range(10):
+        kept, result = prepared.step(kept)
+        stored, again = prepared.step(pickle.loads(pickle.dumps(stored)))
+        found.append(float(result.verdict.iou))
+        assert float(again.verdict.iou) == found[-1]
+    assert len(set(found[-6:])) > 1, "the stage has begun to act"
 
 
 def test_unknown_kinds_are_told() -> None:
