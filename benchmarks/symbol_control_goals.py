@@ -85,14 +85,14 @@ class Goal:
 
 ROADS = (*EVEN, *CURVED, *SCANS, *STEEP)
 STRAYS = (
-    "the length goes on straying by 2 to 8 %: heights that explain hardly more than a flat road are dropped and found again "
-    "(torsion track), those in shadow drift (speed bump)"
+    "heights that looks can hardly tell go on drifting, those in shadow (speed bump) and those finer than the mesh (rough course, Belgian block), "
+    "and a look that is late comes late"
 )
 MESH = "heights 20 x 15 cm apart are coarser than stones and edges of bars; drawn for the exact road the centroid is 0.1 to 0.6 % off"
 SHADOW = "the bump's back is in the lamp's shadow, where its height is a guess; drawn for the exact road the centroid is 1.5 % off"
 PIXELS = "heights are known to a share of a camera pixel, which spans 10 to 20 cm of the road there"
 BODY = "late and noisy sensors [foretell the body](control.md#on-the-move), which the road jolts meanwhile; 1 cm moves the light by 23 cm"
-LEFT = "ambient light in on frames alone leaves wrong heights and brightness, which later looks mend by a few percent a step"
+LEFT = "noise leaves wrong heights, which later looks mend by a few percent a step"
 LUCK = "in single steps the body swings through its rest, where the open loop happens to be right, and luxloop trusts its sensors"
 GOALS = (
     Goal("Settling, mean of roads and latencies, at most 6 steps", "settle", 6, ROADS, STRAYS, each="all"),
