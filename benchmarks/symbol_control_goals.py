@@ -85,8 +85,8 @@ class Goal:
 
 ROADS = (*EVEN, *CURVED, *SCANS, *STEEP)
 STRAYS = (
-    "heights that looks can hardly tell go on drifting, those in shadow (speed bump) and those finer than the mesh (rough course, Belgian block), "
-    "and a look that is late comes late"
+    "heights that looks can hardly tell go on drifting, those in shadow (speed bump) and those finer than the mesh (rough course, "
+    "Belgian block), and a look that is late comes late"
 )
 MESH = "heights 20 x 15 cm apart are coarser than stones and edges of bars; drawn for the exact road the centroid is 0.1 to 0.6 % off"
 SHADOW = "the bump's back is in the lamp's shadow, where its height is a guess; drawn for the exact road the centroid is 1.5 % off"
