@@ -22,7 +22,7 @@ class OwnParams(StagedParams):
 
 
 def own_controller(params: OwnParams, observer: Observer) -> SymbolController:
-    """Import and call it. Raises LuxloopError where there is no such thing, where it fails, and where a method is missing."""
+    """Import and call it. Raises LuxloopError where there is none, it does not take what it is given, or lacks a method."""
     module, _, name = params.name.partition(":")
     where = f"controller.name: {params.name}"
     try:

@@ -231,6 +231,11 @@ def test_traffic_comes_from_its_seed_in_sight_and_with_room():
     assert TrafficParams(pedestrians=0, cyclists=0, cars=0, parked=0, signs=0, clutter=0).objects() == ()
 
 
+def test_traffic_that_is_nowhere_is_told():
+    with pytest.raises(ValidationError, match="near_m: 70 m is not nearer than far_m = 60 m"):
+        TrafficParams(near_m=70)
+
+
 def test_worlds_vary_with_their_seed():
     worlds = [varied(seed) for seed in range(12)]
     assert varied(3) == worlds[3] and {each["road"]["kind"] for each in worlds} == {"flat", "bumps", "iso8608"}

@@ -1,10 +1,10 @@
 """Traffic at random: who and what is on a road and beside it, and roads, surfaces and light that vary, all from a seed."""
 
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from world.objects import ObjectParams
 from world.params import Params
@@ -36,6 +36,12 @@ class TrafficParams(Params):
     far_m: float = Field(60.0, ge=10, le=200, description="greatest distance ahead at the start")
     moving: bool = Field(True, description="whether road users move")
 
+    @model_validator(mode="after")
+    def _near_is_nearer(self) -> Self:
+        if self.near_m >= self.far_m:
+            raise ValueError(f"near_m: {self.near_m:g} m is not nearer than far_m = {self.far_m:g} m; give a smaller one")
+        return self
+
     def objects(self) -> tuple[ObjectParams, ...]:
         """All of them, those that move first; fewer than asked for where the road is full."""
         rng = np.random.default_rng(self.seed)
@@ -64,7 +70,7 @@ class TrafficParams(Params):
         """Places in sight that nothing stands on yet."""
         for _ in range(TRIES):
             # even in the logarithm: as many near as far
-            x = float(np.exp(rng.uniform(np.log(self.near_m), np.log(max(self.far_m, self.near_m + 1)))))
+            x = float(np.exp(rng.uniform(np.log(self.near_m), np.log(self.far_m))))
             keys, speed, y, yaw = make(rng)
             clear = all(np.hypot(x - other_x, y - other_y) > radius_m + other for other_x, other_y, other in taken)
             if clear and abs(y) <= SIGHT * x:
