@@ -99,7 +99,7 @@ class Luxloop:
     def _looked(self, registration: Registration, memory: Memory, frames: tuple[Tensor, Tensor], shown: Shown, stances: Stances) -> Memory:
         """What is known after a look: nothing, where heights do not explain it."""
         fine, known = registration.sight, memory.heights
-        contrast, limit = fine.observe(frames)
+        contrast, limit = fine.observe_symbol(frames)
         seen = fine.symbol(contrast, limit)
         if float(seen.sum()) * fine.step < LEAST_LIT_PX:
             return self._nothing(registration)
@@ -124,7 +124,7 @@ class Luxloop:
 
     def _swept(self, memory: Memory, frames: tuple[Tensor, Tensor], textures: tuple[Tensor, ...], stances: Stances) -> Tensor:
         coarse = self.coarse if stances.still else self._coarse(stances)
-        contrast, limit = coarse.observe(frames)
+        contrast, limit = coarse.observe_symbol(frames)
         return sweep(coarse, coarse.symbol(contrast, limit), textures, limit / coarse.on_pixels(memory.brightness), self.tried)
 
     def _drawn(self, memory: Memory, stances: Stances) -> Drawing:

@@ -134,16 +134,23 @@ class Sight:
 
     def observe(self, frames: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
         """Contrast and threshold `[h, w]` in cd/m^2 of on and off frame `[height, width]` (digital numbers)."""
+        contrast, limit, _ = self._looked(frames)
+        return contrast, limit
+
+    def observe_symbol(self, frames: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
+        """The same of a symbol, which is less than half of what is seen: less what all other light has changed by between the frames."""
+        contrast, limit, without = self._looked(frames)
+        seen = self.inside > 0
+        rise = (contrast / without)[seen].median()
+        changed = (contrast / limit)[seen].median().abs() > 1
+        return torch.where(changed, contrast - rise * without, contrast), limit
+
+    def _looked(self, frames: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
+        """Contrast, threshold, and luminance without the lamps' light."""
         on, off = frames[0][self.crop.slices], self._compensated(frames[1])
         images = torch.stack([difference(on, off, self.camera), threshold(off, self.camera, self.params), luminance_of(off, self.camera)])
         contrast, limit, without = avg_pool2d(images[:, None], (1, self.step))[:, 0]
-        return self._steady(contrast, limit, without), limit
-
-    def _steady(self, contrast: Tensor, limit: Tensor, without: Tensor) -> Tensor:
-        """Contrast less what all other light has changed by between the frames, if it has: a symbol is less than half of what is seen."""
-        seen = self.inside > 0
-        rise = (contrast / without)[seen].median()
-        return torch.where((contrast / limit)[seen].median().abs() > 1, contrast - rise * without, contrast)
+        return contrast, limit, without
 
     def _compensated(self, off: Tensor) -> Tensor:
         """The off frame `[height, width]` as the camera would see the plane where the on frame was exposed, cut at the crop."""
