@@ -17,6 +17,7 @@ if TYPE_CHECKING:  # these import torch
     from loop.doctor import Check
 
 WIDE = 160  # columns where there is no terminal to fit into
+DEFAULT_CONTROLLER = "luxloop"  # of scenarios that name none, whose model imports torch
 COLOURS = {"ok": "green", "warn": "yellow", "fail": "red"}
 
 
@@ -45,8 +46,8 @@ def scenarios() -> Table:
 
 def _at_work(content: dict[str, Any]) -> str:
     """The controller of a symbol, or the kinds of lighting functions, the base beam where there are none."""
-    if "controller" in content:
-        return str(content["controller"]["name"])
+    if "lighting" not in content:
+        return str(content.get("controller", {}).get("name", DEFAULT_CONTROLLER))
     lighting = content["lighting"]
     raw = ["raw utilisations"] if "raw" in lighting else []
     kinds = dict.fromkeys([*raw, *(function["kind"] for function in lighting.get("functions", ()))])

@@ -18,7 +18,7 @@ import torch
 
 from loop import cli, data, tables
 from loop.doctor import Check
-from loop.scenario import Scenario, load, load_any
+from loop.scenario import Scenario, load, load_any, validate
 from loop.simulation import Simulation
 from world.errors import LuxloopError
 from world.opencrg import Crg, write_crg
@@ -231,6 +231,10 @@ def test_list_names_missing_data_and_how_to_get_it(lux: Lux, tmp_path: Path, mon
     (tmp_path / data.entry("belgian_block").file).parent.mkdir(exist_ok=True)
     (tmp_path / data.entry("belgian_block").file).touch()
     assert "luxloop data get" not in lux("list")[1]
+
+
+def test_list_knows_the_controller_that_applies_where_none_is_named() -> None:
+    assert validate({"name": "bare", "symbol": {"image": "snowflake"}}, "bare").controller.name == tables.DEFAULT_CONTROLLER
 
 
 def test_data_commands(lux: Lux, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
