@@ -245,3 +245,12 @@ def test_worlds_vary_with_their_seed():
 def test_cyclists_have_bicycles():
     assert {"head", "helmet", "tyres", "frame"} <= {part.name for part in made("cyclist", helmet=True).parts}
     assert "helmet" not in {part.name for part in made("cyclist", helmet=False).parts}
+
+
+def test_signs_are_turned_towards_the_road() -> None:
+    signs = [item for seed in range(30) for item in TrafficParams(seed=seed, signs=3).objects() if item.kind == "traffic_sign"]
+    sides = {item.track[0].position_m[1] > 0 for item in signs}
+    assert sides == {False, True}
+    for item in signs:
+        across = math.sin(math.radians(item.track[0].yaw_deg))
+        assert across * item.track[0].position_m[1] <= 1e-9

@@ -143,7 +143,7 @@ def _pedestrian(rng: np.random.Generator) -> Made:
 def _sign(rng: np.random.Generator) -> Made:
     left = rng.random() < 0.3
     y = LANE_M * 1.5 + float(rng.uniform(0.5, 1.5)) if left else -LANE_M / 2 - float(rng.uniform(0.5, 1.5))
-    return {"height_m": round(float(rng.uniform(1.6, 2.4)), 2)}, 0.0, y, 180.0 - float(rng.uniform(0, 12))
+    return {"height_m": round(float(rng.uniform(1.6, 2.4)), 2)}, 0.0, y, (-1 if left else 1) * (180.0 - float(rng.uniform(0, 12)))
 
 
 def _clutter(rng: np.random.Generator) -> Made:
