@@ -57,11 +57,6 @@ class Ego:
         """Measured pose `[4, 4]` of the body in the ground frame."""
         return body_pose(self.attitude, self.pivot_x_m)
 
-    @property
-    def T_before_now(self) -> Tensor:
-        """Pose `[4, 4]` of the ground frame in that of a control period before: an arc at the measured speed and yaw rate."""
-        return self.way(self.period_s)
-
     def way(self, duration_s: float) -> Tensor:
         """Pose `[4, 4]` of the ground frame after `duration_s` s at this speed and yaw rate, in that at their beginning."""
         turn, length = self.yaw_rate_rad_s * duration_s, self.speed_m_s * duration_s
