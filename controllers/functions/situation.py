@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal, Protocol, Self
+from typing import Any, Literal, Protocol, Self
 
 import torch
 from pydantic import Field, model_validator
@@ -16,6 +16,7 @@ from world.figure import Figure
 from world.frames import inverse, transform
 from world.params import Params
 from world.tracked import Category
+from world.view import View
 
 LAYERS = 16  # a function's primitives may lie above each other in so many layers
 MASK = 1000  # priority of masks: above every function's own, which are at most 100
@@ -27,6 +28,7 @@ class TrackedObject:
 
     T_world_object: `[4, 4]`, origin in the middle of the box's foot, x along its length. size_m: length, width, height.
     since_s, until_s: when the tracker first saw it and when it lost it; a lost object stays in the list while its functions fade out.
+    confidence: 0..1, of its class, filtered over frames. score: the same in the last frame alone, NaN where it was not found there.
     """
 
     name: str
@@ -35,6 +37,8 @@ class TrackedObject:
     size_m: tuple[float, float, float]
     since_s: float = -math.inf
     until_s: float = math.inf
+    confidence: float = 1.0
+    score: float = 1.0
 
     @classmethod
     def of(cls, body: Body | Figure, category: Category, time_s: float) -> "TrackedObject":
@@ -50,11 +54,28 @@ class TrackedObject:
 
 
 @dataclass(frozen=True, eq=False)
+class Seen:
+    """What the camera saw last.
+
+    luminance: `[height, width]` cd/m^2 as measured. albedo: `[height, width]` of what is there, and material: index of its name in
+    materials, -1 for none, where a source of both is at hand.
+    """
+
+    time_s: float
+    view: View
+    luminance: Tensor
+    albedo: Tensor | None = None
+    material: Tensor | None = None
+    materials: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
 class Situation:
     """One moment.
 
     T_world_vehicle: `[4, 4]`, the road is its plane z = 0. lamps: `[L, 3]` m, photometric centres of all modules in the world.
     curvature_1_m: of the car's course, to the left positive. symbols: images of the functions that draw any, by the name that they use.
+    seen: None where there is no camera, or before its first frame.
     """
 
     time_s: float
@@ -66,6 +87,7 @@ class Situation:
     wet: bool = False
     street_lit: bool = False
     symbols: dict[str, SymbolSource] = field(default_factory=dict)
+    seen: Seen | None = None
 
     def distance_m(self, each: TrackedObject) -> float:
         """Along the road from the car's origin to the nearest corner of the object; negative for what lies behind."""
@@ -121,6 +143,26 @@ class LightingFunction(Protocol):
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
         """The function's primitives at this moment, none where it has nothing to do."""
+        ...
+
+
+class AdaptiveFunction(Protocol):
+    """A lighting function that closes a loop: it learns from what is seen. Its state is a value, so that a run can be taken up anywhere."""
+
+    def start(self) -> Any:
+        """The state before anything is seen."""
+        ...
+
+    def step(self, state: Any, now: Situation) -> Any:
+        """What has been learnt once `now.seen`, and what was found in it, has come."""
+        ...
+
+    def adapted(self, state: Any, now: Situation) -> tuple[Primitives, ...]:
+        """The primitives at this moment."""
+        ...
+
+    def base_share(self, state: Any) -> float:
+        """How much of the base beam shall be left, 0..1; of several functions that ask, the least dimmed wins."""
         ...
 
 
