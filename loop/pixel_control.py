@@ -1,7 +1,5 @@
 """Pixel controllers by name: what a scenario turns primitives into utilisations with."""
 
-from importlib import import_module
-
 from torch import Tensor
 
 from controllers.jpo import Jpo
@@ -9,6 +7,7 @@ from controllers.ssc import PixelController, Ssc
 from loop.scenario import WorldScenario
 from world.errors import LuxloopError
 from world.headlight import Headlight
+from world.plugin import load
 
 
 def pixel_controller(scenario: WorldScenario, headlight: Headlight, default: Tensor | None = None) -> PixelController:
@@ -28,15 +27,10 @@ def pixel_controller(scenario: WorldScenario, headlight: Headlight, default: Ten
 
 
 def _own(name: str, headlight: Headlight) -> PixelController:
-    where = f"pixel_controller: {name!r}"
-    module, _, cls = name.partition(":")
-    try:
-        found = getattr(import_module(module), cls)
-    except (ImportError, AttributeError) as error:
-        raise LuxloopError(f"{where} cannot be imported ({error}); install it, or set PYTHONPATH to the folder of its package") from error
+    found = load(name, "pixel_controller")
     made = found.prepare(headlight) if hasattr(found, "prepare") else found
     lacking = [part for part in ("prepare", "headlight", "default", "utilisation", "over") if not hasattr(made, part)]
     if lacking:
-        raise LuxloopError(f"{where} has no {lacking[0]!r}; write one as docs/python.md has it")
+        raise LuxloopError(f"pixel_controller: {name} has no {lacking[0]!r}; write one as docs/python.md has it")
     controller: PixelController = made
     return controller

@@ -30,6 +30,7 @@ from world.errors import LuxloopError
 from world.materials import RoadSurfaceParams
 from world.objects import ObjectParams
 from world.params import Params
+from world.plugin import PATTERN
 from world.roads import Flat, RoadParams
 from world.scene import StreetLamp
 from world.spots import SpotParams
@@ -116,7 +117,7 @@ class WorldScenario(Params):
     @field_validator("pixel_controller")
     @classmethod
     def _known_or_own(cls, name: str) -> str:
-        if name not in PIXEL_CONTROLLERS and not re.fullmatch(r"\w+(\.\w+)*:\w+", name):
+        if name not in PIXEL_CONTROLLERS and not re.fullmatch(PATTERN, name):
             known = did_you_mean(name, PIXEL_CONTROLLERS)
             raise ValueError(f"there is no pixel controller {name!r}; {known} One of your own is given as package.module:Name")
         return name

@@ -9,6 +9,7 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 
 from world.errors import LuxloopError
+from world.plugin import OWN
 
 WANTED = {
     "int_type": "a whole number",
@@ -132,6 +133,6 @@ def _models(annotation: Any) -> Iterable[type[BaseModel]]:
 
 
 def _tags(model: type[BaseModel]) -> tuple[Any, ...]:
-    """The names by which a union tells its variants apart."""
+    """The names by which a union tells its variants apart; one of the user's own bears any."""
     field = model.model_fields.get("kind") or model.model_fields.get("name")
-    return get_args(field.annotation) if field is not None else ()
+    return (get_args(field.annotation) or (OWN,)) if field is not None else ()

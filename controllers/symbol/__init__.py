@@ -1,25 +1,19 @@
 """Symbol controllers by name; a scenario names one."""
 
-from typing import Annotated, Any
+from typing import Annotated
 
-from pydantic import Discriminator, Tag
+from pydantic import Tag
 
 from controllers.symbol.feedback import Feedback, GaussNewtonParams, ModelReferenceParams
 from controllers.symbol.feedforward import Feedforward, FeedforwardParams, Surveyed
 from controllers.symbol.luxloop import Luxloop, LuxloopParams
 from controllers.symbol.observer import Observer
 from controllers.symbol.open_loop import OpenLoop, OpenLoopParams
-from controllers.symbol.own import OWN, OwnParams, own_controller
+from controllers.symbol.own import OwnParams, own_controller
 from controllers.symbol.protocol import SymbolController
 from controllers.symbol.stages import staged
 from controllers.symbol.thesis_pid import ThesisPid, ThesisPidParams
-
-
-def name(controller: Any) -> Any:
-    """What tells controllers apart; all of `package.module:Name` are of one kind."""
-    given = controller.get("name") if isinstance(controller, dict) else getattr(controller, "name", None)
-    return OWN if isinstance(given, str) and ":" in given else given
-
+from world.plugin import OWN, known_or_own
 
 NamedParams = LuxloopParams | OpenLoopParams | FeedforwardParams | ThesisPidParams | GaussNewtonParams | ModelReferenceParams
 AnyParams = NamedParams | OwnParams
@@ -31,7 +25,7 @@ ControllerParams = Annotated[
     | Annotated[GaussNewtonParams, Tag("gauss_newton")]
     | Annotated[ModelReferenceParams, Tag("model_reference")]
     | Annotated[OwnParams, Tag(OWN)],
-    Discriminator(name),
+    known_or_own("name"),
 ]
 CONTROLLERS: dict[str, type[NamedParams]] = {
     "luxloop": LuxloopParams,

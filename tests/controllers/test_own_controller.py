@@ -56,7 +56,7 @@ def test_a_controller_of_ones_own_is_named_in_the_scenario() -> None:
         ("{name='halfway_controllers:Quarterway'}", ["halfway_controllers", "no Quarterway"]),
         ("{name='halfway_controllers:Halfway', options={gain=1}}", ["controller.options", "gain"]),
         ("{name='halfway_controllers:Speechless'}", ["no method start", "drawing"]),
-        ("{name='halfway_controllers:'}", ["controller", "pattern"]),
+        ("{name='halfway_controllers:'}", ["controller.name", "pattern"]),
     ],
 )
 def test_what_is_wrong_with_it_is_said_in_a_sentence(controller: str, words: list[str]) -> None:

@@ -134,9 +134,9 @@ WRONG = {
     "typo": ({"pixel_controller": "jop"}, ["pixel_controller", "'jop'", "'jpo'", "package.module:Name"]),
     "table of the other": ({"jpo": {"iterations": 5}}, ["jpo", 'pixel_controller = "jpo"', "'ssc'"]),
     "unknown key": ({"pixel_controller": "jpo", "jpo": {"iteration": 5}}, ["jpo.iteration", "'iterations'"]),
-    "package that is not there": ({"pixel_controller": "no_such_package:Half"}, ["'no_such_package:Half'", "imported", "PYTHONPATH"]),
-    "class that is not there": ({"pixel_controller": "half_lit:Haalf"}, ["'half_lit:Haalf'", "imported"]),
-    "no controller": ({"pixel_controller": "half_lit:Unfinished"}, ["'half_lit:Unfinished'", "'prepare'", "docs/python.md"]),
+    "package that is not there": ({"pixel_controller": "no_such_package:Half"}, ["no_such_package:Half", "No module", "PYTHONPATH"]),
+    "class that is not there": ({"pixel_controller": "half_lit:Haalf"}, ["half_lit:Haalf", "no Haalf"]),
+    "no controller": ({"pixel_controller": "half_lit:Unfinished"}, ["half_lit:Unfinished", "'prepare'", "docs/python.md"]),
 }
 
 
