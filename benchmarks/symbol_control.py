@@ -1,7 +1,7 @@
 """How well symbols lie on roads by luxloop's controllers: `python benchmarks/symbol_control.py [--quick] [--out FOLDER] [--json FILE]`.
 
 Standing roads, late frames, drives and disturbances, and in each of these worlds all controllers side by side. Goes on where an
-earlier run in the same folder was, and writes docs/symbol_control.md. `--quick`: one seed, a smaller camera, fewer steps, two latencies.
+earlier run in the same folder was, and writes docs/symbol_control.md. `--quick`: one seed, fewer steps, two latencies.
 """
 
 import argparse
@@ -26,14 +26,15 @@ SEEDS = 5
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="one seed, 640 x 480 px, 30 steps, latencies 0 and 2")
+    parser.add_argument("--quick", action="store_true", help="one seed, 30 steps, latencies 0 and 2")
+    parser.add_argument("--seeds", type=int, choices=range(1, SEEDS + 1), default=SEEDS, help=f"of the long run, by default {SEEDS}")
     parser.add_argument("--only", nargs="+", metavar="SCENE", help="these scenes alone")
     parser.add_argument("--out", type=Path, default=Path("runs/symbol_control"), help="folder for what has been done")
     parser.add_argument("--page", type=Path, default=DOCS, help="folder for the page and its picture")
     parser.add_argument("--json", type=Path, help="also write a row a run and controller here")
     parser.add_argument("--jobs", type=int, help="processes, by default one a core")
     given = parser.parse_args()
-    seeds = 1 if given.quick else SEEDS
+    seeds = 1 if given.quick else given.seeds
     begun = time.perf_counter()
     chosen = [case for case in cases(seeds, given.quick) if not given.only or case.scene in given.only]
     jobs = [Job(case.key, case.parameters) for case in chosen]
@@ -49,9 +50,8 @@ def main() -> None:
     if given.json:
         given.json.write_text(json.dumps(rows, indent=1))
     about = machine("torch", "numpy") | {
-        "command": "python benchmarks/symbol_control.py" + (" --quick" if given.quick else ""),
-        "seeds": "seed 0 alone" if given.quick else f"{seeds} seeds",
-        "camera": "640 x 480" if given.quick else "1280 x 720, in motion 640 x 480",
+        "command": "python benchmarks/symbol_control.py" + (" --quick" if given.quick else f" --seeds {seeds}" if seeds < SEEDS else ""),
+        "seeds": "seed 0 alone" if seeds == 1 else f"{seeds} seeds",
         "left_out": (f"\n\nLeft out, as their measured roads are not here: {', '.join(absent)}." if absent else "")
         + "".join(f"\n\nFailed: {key}: {reason}" for key, reason in results.failures.items()),
     }

@@ -63,7 +63,7 @@ DISTURBED: dict[str, tuple[str, tuple[Override, ...]]] = {
     "half of the frames lost": ("snowflake", (f"disturbances.drops=[{{probability=0.5, {_SPELL}}}]",)),
     "noise x 10": ("snowflake", (f"disturbances.noise=[{{factor=10, {_SPELL}}}]",)),
 }
-SMALL = "camera={width_px=640, height_px=480}"  # of the quick run, and of all that moves
+SMALL = "camera={width_px=640, height_px=480}"
 
 
 @dataclass(frozen=True)
@@ -98,19 +98,18 @@ class Case:
 
 def cases(seeds: int, quick: bool) -> Iterator[Case]:
     """All worlds but those whose road was measured and is not here."""
-    small = (SMALL,) if quick else ()
     for seed in range(seeds):
         for scene, (name, changes) in STANDING.items():
             steps = {"steps": 30} if quick and load(name).steps == 40 else {}  # boxes need the time that they are given
             for latency in (0, 2) if quick else LATENCIES:
-                scenario = load(name, (*small, *changes, f"camera.latency_steps={latency}"), seed=seed, **steps)
+                scenario = load(name, (SMALL, *changes, f"camera.latency_steps={latency}"), seed=seed, **steps)
                 if scenario.road.kind != "opencrg" or data.present(scenario.road.file) is not None:
                     yield Case("standing", scene, latency, seed, scenario)
         for scene, (name, changes) in DRIVING.items():
             rough = ("road.roughness_class='D'", f"road.seed={ROUGH[seed]}") if name == "driving" else ()
             yield Case("driving", scene, 0, seed, load(name, (SMALL, *rough, *changes), seed=seed, steps=30 if quick else 60))
         for scene, (name, changes) in DISTURBED.items():
-            yield Case("disturbed", scene, 0, seed, load(name, (*small, *changes), seed=seed, steps=50))
+            yield Case("disturbed", scene, 0, seed, load(name, (SMALL, *changes), seed=seed, steps=50))
 
 
 def trajectories(scenario: Mapping[str, Any], controllers: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
