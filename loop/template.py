@@ -91,7 +91,7 @@ def _table(key: str, field: FieldInfo) -> str:
     model = VARIANTS.get(key) or cast(type[BaseModel], field.annotation)
     lines = [f"[{key}]  # {field.description}"]
     if key == "road":
-        kinds = [kind.model_fields["kind"].default for kind in get_args(get_args(RoadParams)[0])]
+        kinds = [get_args(kind)[1].tag for kind in get_args(get_args(RoadParams)[0])]
         lines.append(f"# kinds: {', '.join(kinds)}; `luxloop schema` has the keys of each")
     if key == "symbol":
         lines.append(f"# shipped images: {', '.join(shipped_files('symbols'))}")

@@ -20,7 +20,8 @@ from pydantic import BaseModel
 
 from loop import cli, lamp_description
 from loop.lamp_description import LampDescription
-from loop.scenario import TAGS, LightingScenario, Scenario, validate, validate_any
+from loop.run import prepare
+from loop.scenario import TAGS, LightingScenario, Scenario, load, validate, validate_any
 from loop.shipped import shipped
 
 ROOT = Path(__file__).parents[1]
@@ -101,6 +102,20 @@ def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     if "runs/snowflake" in code:
         execute("luxloop run snowflake")
     exec(compile(code, str(page), "exec"), {"__name__": "docs"})
+
+
+OWN_PART = re.compile(r"^```python\n((?:(?!```).*\n)*)```\n\nSaved as `(\w+)\.py`(?:.*\n)*?```toml\n((?:(?!```).*\n)*)```", re.M)
+OWN_PARTS = [pytest.param(*found, id=found[1]) for page in PAGES for found in OWN_PART.findall(page.read_text("utf-8"))]
+
+
+@pytest.mark.parametrize(("code", "module", "tables"), OWN_PARTS)
+def test_parts_of_ones_own_run(code: str, module: str, tables: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / f"{module}.py").write_text(code)
+    monkeypatch.syspath_prepend(tmp_path)
+    assert f'"{module}:' in tables
+    scenario = load("flat", [tomllib.loads(tables)], steps=12, camera={"width_px": 640, "height_px": 360, "oversampling": 2})
+    *_, last = prepare(scenario, "cpu").run()
+    assert last.verdict.iou > 0.7, "each of them brings the symbol to its place, or leaves it there"
 
 
 @pytest.mark.parametrize("page", with_blocks("toml lamp"))

@@ -5,9 +5,11 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field, field_validator
+from pydantic import Field, Tag, field_validator
 
 from world.iso8608 import roughness
+from world.ownroad import OwnRoad
+from world.plugin import OWN, known_or_own
 from world.roadbase import Floats, MeshGrid, Road, RoadModel, ahead, smoothstep
 from world.scanroad import OpenCrgRoad
 
@@ -20,6 +22,7 @@ __all__ = [
     "MeshGrid",
     "Mixed",
     "OpenCrgRoad",
+    "OwnRoad",
     "Pothole",
     "Road",
     "RoadParams",
@@ -201,6 +204,15 @@ class Mixed(RoadModel):
 
 
 RoadParams = Annotated[
-    Flat | Grade | Bumps | SpeedBump | Curb | Pothole | Iso8608 | Mixed | OpenCrgRoad,
-    Field(discriminator="kind"),
+    Annotated[Flat, Tag("flat")]
+    | Annotated[Grade, Tag("grade")]
+    | Annotated[Bumps, Tag("bumps")]
+    | Annotated[SpeedBump, Tag("speed_bump")]
+    | Annotated[Curb, Tag("curb")]
+    | Annotated[Pothole, Tag("pothole")]
+    | Annotated[Iso8608, Tag("iso8608")]
+    | Annotated[Mixed, Tag("mixed")]
+    | Annotated[OpenCrgRoad, Tag("opencrg")]
+    | Annotated[OwnRoad, Tag(OWN)],
+    known_or_own("kind"),
 ]

@@ -1,0 +1,103 @@
+"""Roads of the user's own: wherever a road is named, and refused in a sentence."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from controllers.symbol import FeedforwardParams
+from loop.run import prepare
+from loop.scenario import load
+from world.errors import LuxloopError
+from world.ownroad import OwnRoad
+from world.roads import SpeedBump
+
+ROADS = """
+import numpy as np
+from world.roadbase import MeshGrid, RoadModel
+from world.roads import SpeedBump
+
+def bump(height_m):
+    return SpeedBump(height_m=height_m)
+
+class Along(RoadModel):
+    "Depends on x alone, as the class says and does."
+    rise: float = 0.01
+    def z(self, x, y):
+        return self.rise * x
+
+class Shapeless(Along):
+    def z(self, x, y):
+        return np.zeros(3)
+
+class Bottomless(Along):
+    def z(self, x, y):
+        return np.where(x > 0, np.nan, 0.0)
+
+class Meshless(Along):
+    def grid(self):
+        return 0.03
+
+class Heightless:
+    def grid(self):
+        return MeshGrid()
+"""
+SMALL = ["camera.width_px=320", "camera.height_px=180", "camera.oversampling=2"]
+
+
+@pytest.fixture
+def roads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "own_roads.py").write_text(ROADS)
+    monkeypatch.syspath_prepend(tmp_path)
+
+
+@pytest.mark.usefixtures("roads")
+def test_it_lies_and_is_believed_in_as_the_same_road_of_ours() -> None:
+    """A speed bump by another name shows and draws bit for bit the same; `luxloop check` would call it by its name."""
+    own = "{kind='own_roads:bump', options={height_m=0.05}}"
+    ours = "{kind='speed_bump', height_m=0.05}"
+    runs = []
+    for road in (own, ours):
+        scenario = load("flat", [*SMALL, f"road={road}", f"controller={{name='feedforward', road={road}}}"])
+        assert isinstance(scenario.controller, FeedforwardParams)
+        _, result = (simulation := prepare(scenario, "cpu")).step(simulation.start())
+        assert result.frames is not None
+        runs.append((scenario, *result.frames, result.lights[0].u))
+    for one, other in zip(runs[0][1:], runs[1][1:], strict=True):
+        assert one.equal(other)
+    scenario = runs[0][0]
+    assert type(scenario).model_validate_json(scenario.model_dump_json()) == scenario, "recordings hold it"
+
+
+@pytest.mark.usefixtures("roads")
+def test_heights_are_one_a_place() -> None:
+    x, y = np.linspace(0, 3, 4)[:, None], np.linspace(-1, 1, 3)
+    np.testing.assert_array_equal(OwnRoad(kind="own_roads:Along", options={"rise": 0.5}).z(x, y), np.broadcast_to(0.5 * x, (4, 3)))
+    own, bump = OwnRoad(kind="own_roads:bump", options={"height_m": 0.08}), SpeedBump()
+    np.testing.assert_array_equal(own.z(17.0, [0, 1]), bump.z(17.0, [0, 1]))
+    assert own.grid() == bump.grid()
+
+
+@pytest.mark.usefixtures("roads")
+@pytest.mark.parametrize(
+    ("road", "words"),
+    [
+        ({"kind": "no_such_roads:Along"}, ["No module named 'no_such_roads'", "PYTHONPATH"]),
+        ({"kind": "own_roads:Across"}, ["own_roads has no Across"]),
+        ({"kind": "own_roads:Along", "options": {"rise": "much"}}, ["road.options", "rise", "valid number"]),
+        ({"kind": "own_roads:Along", "options": {"raise": 1}}, ["road.options", "raise"]),
+        ({"kind": "own_roads:Heightless"}, ["no method z", "z, grid"]),
+        ({"kind": "own_roads:Shapeless"}, ["(3,)", "one a place"]),
+        ({"kind": "own_roads:Bottomless"}, ["no finite number"]),
+        ({"kind": "own_roads:Meshless"}, ["grid gives float", "MeshGrid"]),
+        ({"kind": "own_roads:"}, ["road.kind", "pattern"]),
+        ({"kind": "own_roads:Along", "rise": 1}, ["road.rise", "unknown key"]),
+        ({"kind": "washboard"}, ["road.kind", "package.module:Name"]),
+    ],
+)
+def test_what_is_wrong_with_it_is_said_in_a_sentence(road: dict[str, Any], words: list[str]) -> None:
+    with pytest.raises(LuxloopError) as error:
+        prepare(load("flat", [*SMALL, {"road": road}]), "cpu")
+    message = str(error.value)
+    assert all(word in message for word in ["road", *words]) and "\n" not in message, message
