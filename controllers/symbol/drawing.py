@@ -19,8 +19,8 @@ HIGHEST_M = 0.2  # of a road that light is drawn for
 class Warp:
     """The symbol laid anew over a rectangle of `size_m` (length, width) about the same centre.
 
-    source: `[..., 2, h, w]`, where on the symbol the light of each cell comes from: u to the right and v down, -1 to 1 over the symbol.
-    dimming: `[..., h, w]`, 0..1.
+    source: `[..., m, 2, h, w]`, where on the symbol the light of each cell comes from: u to the right and v down, -1 to 1 over the symbol;
+    one for each of m modules, or with m = 1 one for all. dimming: `[..., m, h, w]`, 0..1.
     """
 
     source: Tensor
@@ -67,18 +67,19 @@ class Drawing:
             yield Drawing(pose, z, warp)
 
 
-def warp_onto(relief: Relief, lamp: Tensor, centre: tuple[float, float], length_m: float, width_m: float) -> Warp:
+def warp_onto(relief: Relief, lamps: Tensor, centre: tuple[float, float], length_m: float, width_m: float) -> Warp:
     """Inverse ray tracing: the eye shall see a symbol about a centre (x, y) of the plane on the relief as it would on the plane.
 
-    lamp: `[3]` m. The light of a cell takes what of the symbol lies where the eye sees that light. What is brighter than the plane would be
-    is dimmed.
+    lamps: `[m, 3]` m. The light of a cell takes what of the symbol lies where the eye sees that light. What is brighter than the plane
+    would be is dimmed.
     """
     size = (length_m * (1 + 2 * BEYOND[0]), width_m * (1 + 2 * BEYOND[1]))
     rows, cols = (n // FOLLOWED for n in CELLS)
     along, across = (0.5 - (torch.arange(n, device=relief.heights.device) + 0.5) / n for n in (rows, cols))
     x, y = (centre[0] + size[0] * along)[:, None].expand(rows, cols), (centre[1] + size[1] * across).expand(rows, cols)
-    x_seen, y_seen = relief.seen_from(lamp, x, y, HIGHEST_M)
-    dimming = 1 / relief.at(relief.brightness, x_seen, y_seen).clamp(min=1)
+    seen = torch.stack([torch.stack(relief.seen_from(lamp, x, y, HIGHEST_M)) for lamp in lamps])
+    x_seen, y_seen = seen.unbind(1)
+    brightness = relief.at(relief.brightness, x_seen.flatten(0, 1), y_seen.flatten(0, 1)).view_as(x_seen)
     source = [2 * (centre[1] - y_seen) / width_m, 2 * (centre[0] - x_seen) / length_m]
-    fine = interpolate(torch.stack([*source, dimming])[None], scale_factor=FOLLOWED, mode="bilinear")[0]
-    return Warp(fine[:2], fine[2], size)
+    fine = interpolate(torch.stack([*source, 1 / brightness.clamp(min=1)], 1), scale_factor=FOLLOWED, mode="bilinear")
+    return Warp(fine[:, :2], fine[:, 2], size)

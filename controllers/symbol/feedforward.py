@@ -96,8 +96,8 @@ def region_around(observer: Observer) -> Region:
 def drawn_on(relief: Relief, projector: Projector) -> Drawing:
     """The symbol for a road."""
     symbol = projector.params
-    lamp = torch.stack([module.T_world_headlight[:3, 3] for module in projector.modules]).mean(0).to(relief.heights)
-    warp = warp_onto(relief, lamp, (symbol.x_m, symbol.y_m), symbol.length_m, symbol.width_m)
+    lamps = torch.stack([module.T_world_headlight[:3, 3] for module in projector.modules]).to(relief.heights)
+    warp = warp_onto(relief, lamps, (symbol.x_m, symbol.y_m), symbol.length_m, symbol.width_m)
     return Drawing(projector.target, warp=warp.to(projector.symbol.device))
 
 

@@ -61,7 +61,7 @@ class Luxloop:
         self.region = region_of(self.projector.params, *params.beyond_m)
         self.coarse, self.registration = self._coarse(Stances()), self._fine(Stances())
         lamps = torch.stack([module.T_world_headlight[:3, 3].cpu().double() for module in self.projector.modules])
-        self.ends = torch.stack([camera_view(observer.camera).origin, lamps.mean(0)], 1)  # of the ways of light, in the body
+        self.ends = torch.stack([camera_view(observer.camera).origin, *lamps], 1)  # of the ways of light, in the body
         self.tried = torch.linspace(-params.highest_m, params.highest_m, HEIGHTS, device=self.projector.symbol.device)
 
     def start(self, pose: Tensor) -> LuxloopState:
@@ -133,9 +133,9 @@ class Luxloop:
         pose, z = laid(target, inverse(stances.following))
         if not memory.heights.information.any():
             return Drawing(pose, z)
-        eye, lamp = transform(stances.following, self.ends).T.to(target)
-        relief = memory.moved(stances.until, eye).relief()
-        return Drawing(pose, z, warp_onto(relief, lamp, (symbol.x_m, symbol.y_m), symbol.length_m, symbol.width_m))
+        ends = transform(stances.following, self.ends).T.to(target)
+        relief = memory.moved(stances.until, ends[0]).relief()
+        return Drawing(pose, z, warp_onto(relief, ends[1:], (symbol.x_m, symbol.y_m), symbol.length_m, symbol.width_m))
 
     def _nothing(self, registration: Registration) -> Memory:
         """Nothing known of the road."""

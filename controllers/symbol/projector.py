@@ -1,7 +1,9 @@
 """The projector draws one symbol with one or several lamp modules: a pose in, utilisations out."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from itertools import repeat
 from typing import Self
 
 import torch
@@ -70,14 +72,14 @@ class Projector:
 
     def light(self, pose: Tensor) -> tuple[Utilisation, ...]:
         """Utilisations `[..., n_p]`, one a module, that draw the symbol as it is at a pose `[..., 4]`."""
-        return self._cast(self.primitive(pose))
+        return self._cast(repeat(self.primitive(pose)))
 
     def draw(self, drawing: Drawing) -> tuple[Utilisation, ...]:
         """Utilisations `[..., n_p]`, one a module, of a drawing; a warped one costs a turn for each of a batch."""
         if drawing.raw is not None:
             return tuple(Utilisation(u) for u in drawing.raw)
         if drawing.warp is None:
-            return self._cast(_lifted(self.primitive(drawing.pose), drawing.z))
+            return self._cast(repeat(_lifted(self.primitive(drawing.pose), drawing.z)))
         batch = drawing.pose.shape[:-1]
         singles = [self._cast(self._warped(each)) for each in drawing.singles()]
         return tuple(
@@ -85,15 +87,21 @@ class Projector:
             for lights in zip(*singles, strict=True)
         )
 
-    def _cast(self, primitive: Primitives) -> tuple[Utilisation, ...]:
-        return tuple(module.pixel_controller.utilisation(primitive, module.T_world_headlight) for module in self.modules)
+    def _cast(self, primitives: Iterable[Primitives]) -> tuple[Utilisation, ...]:
+        """Of one primitive a module."""
+        return tuple(
+            module.pixel_controller.utilisation(primitive, module.T_world_headlight)
+            for module, primitive in zip(self.modules, primitives, strict=False)
+        )
 
-    def _warped(self, drawing: Drawing) -> Primitives:
-        """The primitive of one warped drawing."""
+    def _warped(self, drawing: Drawing) -> list[Primitives]:
+        """The primitives of one warped drawing, one a module."""
         assert drawing.warp is not None
-        u, v = drawing.warp.source[:, None]
-        image = remap(self.symbol[None, None], u, v, padding_mode="zeros", align_corners=False, normalized_coordinates=True)[0, 0]
-        return _lifted(self._rectangle(drawing.pose, *drawing.warp.size_m, image * drawing.warp.dimming), drawing.z)
+        u, v = drawing.warp.source.unbind(1)
+        symbol = self.symbol.expand(len(u), 1, -1, -1)
+        warped = remap(symbol, u, v, padding_mode="zeros", align_corners=False, normalized_coordinates=True)[:, 0] * drawing.warp.dimming
+        images = warped.expand(len(self.modules), -1, -1)
+        return [_lifted(self._rectangle(drawing.pose, *drawing.warp.size_m, image), drawing.z) for image in images]
 
     def footprint(self, drawing: Drawing, view: View, margin_m: float) -> Crop:
         """Where in a camera's image the light of a drawing can appear if the road is at most margin_m above or below z = 0.

@@ -92,7 +92,8 @@ class Warping:
         if drop < self.params.least_drop:
             return replace(state, drawing=state.best, share=0.0)
         warp = state.best.warp or self._whole()
-        warp = replace(warp, source=torch.lerp(warp.source, placement.of(warp.source), state.share))
+        placed = torch.stack([placement.of(source) for source in warp.source])
+        warp = replace(warp, source=torch.lerp(warp.source, placed, state.share))
         return replace(state, drawing=replace(state.best, warp=warp))
 
     def _whole(self) -> Warp:
@@ -100,5 +101,5 @@ class Warping:
         p, margins = self.projector.params, [1 + 2 * beyond for beyond in BEYOND]
         centres = [(2 * torch.arange(n, device=self.projector.symbol.device) + 1) / n - 1 for n in CELLS]
         v, u = (centre * margin for centre, margin in zip(centres, margins, strict=True))
-        source = torch.stack([u.expand(*CELLS), v[:, None].expand(*CELLS)])
-        return Warp(source, torch.ones_like(source[0]), (p.length_m * margins[0], p.width_m * margins[1]))
+        source = torch.stack([u.expand(*CELLS), v[:, None].expand(*CELLS)])[None]
+        return Warp(source, torch.ones_like(source[:, 0]), (p.length_m * margins[0], p.width_m * margins[1]))

@@ -1,5 +1,6 @@
 """Heights from one look, and drawings for them: against closed forms, then in a small closed loop."""
 
+from dataclasses import replace
 from functools import cache
 
 import pytest
@@ -50,16 +51,32 @@ def test_light_falls_on_the_first_thing_in_its_way() -> None:
 
 
 def test_a_drawing_for_the_plane_is_the_symbol_itself() -> None:
-    warp = warp_onto(relief(0.0, 0.5), LAMP, (17.0, 0.0), 4.0, 2.0)
+    warp = warp_onto(relief(0.0, 0.5), LAMP[None], (17.0, 0.0), 4.0, 2.0)
     length, width = warp.size_m
     v = (2 * (torch.arange(CELLS[0]) + 0.5) / CELLS[0] - 1) * length / 4
     u = (2 * (torch.arange(CELLS[1]) + 0.5) / CELLS[1] - 1) * width / 2
     # rounding of float32 coordinates of some 20 m, over half of the symbol's width of 1 m
     inner = (slice(FOLLOWED, -FOLLOWED), slice(FOLLOWED, -FOLLOWED))  # at the outermost, dark cells nothing is there to interpolate
-    torch.testing.assert_close(warp.source[1][inner], v[:, None].expand(CELLS)[inner], rtol=0, atol=1e-4)
-    torch.testing.assert_close(warp.source[0][inner], u.expand(CELLS)[inner], rtol=0, atol=1e-4)
+    torch.testing.assert_close(warp.source[0, 1][inner], v[:, None].expand(CELLS)[inner], rtol=0, atol=1e-4)
+    torch.testing.assert_close(warp.source[0, 0][inner], u.expand(CELLS)[inner], rtol=0, atol=1e-4)
     assert (warp.dimming == 1).all(), "what is darker than expected is not dimmed"
-    assert torch.allclose(warp_onto(relief(0.0, 4.0), LAMP, (17.0, 0.0), 4.0, 2.0).dimming, torch.tensor(0.25))
+    assert torch.allclose(warp_onto(relief(0.0, 4.0), LAMP[None], (17.0, 0.0), 4.0, 2.0).dimming, torch.tensor(0.25))
+
+
+def test_each_lamp_has_a_drawing_of_its_own() -> None:
+    eye, lamps = torch.tensor([-1.6, 0.0, 1.35]), torch.stack([LAMP, LAMP * torch.tensor([1.0, -1.0, 1.0])])
+    bump = Relief(REGION, eye, torch.linspace(0, 0.08, 20)[:, None].expand(20, 10), torch.linspace(1, 2, 20)[:, None].expand(20, 10))
+    warp = warp_onto(bump, lamps, (17.0, 0.0), 4.0, 2.0)
+    left, right = warp.source
+    # rounding of float32 coordinates, as above; what is left for one lamp is right for the other
+    torch.testing.assert_close(right, torch.stack([-left[0], left[1]]).flip(-1), rtol=0, atol=1e-4)
+    torch.testing.assert_close(warp.dimming[1], warp.dimming[0].flip(-1), rtol=0, atol=1e-4)
+    assert (left[0] - right[0]).abs().max() > 0.1, "5 cm of road move a lamp's light by 4 cm sideways"
+    projector = prepare(load("flat", [*SMALL, 'headlight.lamps=["left", "right"]']), "cpu").projector
+    drawn = projector.draw(Drawing(projector.target, warp=warp))
+    for k, light in enumerate(drawn):
+        for_all = replace(warp, source=warp.source[k, None], dimming=warp.dimming[k, None])
+        assert torch.equal(light.u, projector.draw(Drawing(projector.target, warp=for_all))[k].u)
 
 
 def test_neighbours_settle_what_is_ambiguous() -> None:
@@ -153,7 +170,7 @@ def _look(prepared: Simulation, frames: tuple[Tensor, Tensor] | None) -> Look:
 def test_a_batch_of_warped_drawings_equals_singles() -> None:
     prepared = simulation('{kind="flat"}')
     target = prepared.projector.target
-    warps = [warp_onto(relief(height), LAMP, (17.0, 0.0), 4.0, 2.0) for height in (0.0, 0.05)]
+    warps = [warp_onto(relief(height), LAMP[None], (17.0, 0.0), 4.0, 2.0) for height in (0.0, 0.05)]
     batch = type(warps[0])(torch.stack([w.source for w in warps]), torch.stack([w.dimming for w in warps]), warps[0].size_m)
     (together,) = prepared.projector.draw(Drawing(target.expand(2, 4), warp=batch))
     for light, warp in zip(together.u, warps, strict=True):

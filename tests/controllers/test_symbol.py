@@ -140,7 +140,7 @@ def test_footprint_holds_what_the_lamp_can_draw_on_an_uneven_road(
 ) -> None:
     pose = (TARGET + torch.tensor(offset)).double()
     view = camera_view(CAMERA)
-    larger = Warp(torch.zeros(2, 2, 2), torch.ones(2, 2), (7.2, 2.6)) if warped else None
+    larger = Warp(torch.zeros(1, 2, 2, 2), torch.ones(1, 2, 2), (7.2, 2.6)) if warped else None
     crop = projector().footprint(Drawing(pose, None if z is None else torch.tensor(z), larger), view, 0.15)
     length_m, width_m = larger.size_m if larger else (4.0, 2.0)
     primitive = road_symbol(pose, 0.0, width_m, length_m, torch.ones(1, 1), 1.0, "u_abs")
