@@ -1,0 +1,52 @@
+"""From boxes in the image to boxes on the road, by where the foot's line of sight meets the plane z = 0."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from world.tracked import Category
+from world.view import View
+
+FARTHEST_M = 150.0  # what stands on the horizon is taken for so far away
+LOWEST_M = 0.05  # of a camera, below which no foot can be told from the horizon
+LENGTH_M: Mapping[Category, float] = {"pedestrian": 0.5, "cyclist": 1.0, "animal": 1.0, "motorcycle": 1.5, "car": 4.0, "truck": 8.0}
+OTHER_LENGTH_M = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class OnRoad:
+    """T_world_box: `[n, 4, 4]`, origin in the middle of the foot, x away from the camera. size_m: `[n, 3]`, length, width, height."""
+
+    T_world_box: Tensor
+    size_m: Tensor
+
+
+def placed(boxes: Tensor, categories: tuple[Category, ...], view: View) -> OnRoad:
+    """Upright boxes that fill the image boxes `[n, 4]` px with the side turned to the camera; behind it they are as long as their class is.
+
+    An error of the foot of one pixel moves a box by `d^2 / (f h)` along the line of sight, 1.6 m at 50 m for f = 1194 px and a camera at
+    h = 1.3 m, but it stays where it is seen.
+    """
+    T = view.T_world_view
+    left, top, right, bottom = boxes.to(T).unbind(-1)
+    foot, head = (_direction(view, (left + right) / 2, v) for v in (bottom, top))
+    height = max(float(view.origin[2]), LOWEST_M)
+    level = foot[:, :2].norm(dim=-1)
+    depth = height / -torch.minimum(foot[:, 2], -height / FARTHEST_M * level)
+    near = view.origin[:2] + depth[:, None] * foot[:, :2]
+    forward = torch.nn.functional.normalize(foot[:, :2], dim=-1)
+    high = height + depth * level * head[:, 2] / head[:, :2].norm(dim=-1)
+    length = torch.tensor([LENGTH_M.get(each, OTHER_LENGTH_M) for each in categories]).to(T)
+    size = torch.stack([length, (right - left) / view.fx * depth, high.clamp(min=0.01)], -1)
+    T_world_box = torch.eye(4).to(T).repeat(len(boxes), 1, 1)
+    T_world_box[:, :2, 0] = forward
+    T_world_box[:, :2, 1] = torch.stack([-forward[:, 1], forward[:, 0]], -1)
+    T_world_box[:, :2, 3] = near + length[:, None] / 2 * forward
+    return OnRoad(T_world_box, size)
+
+
+def _direction(view: View, u: Tensor, v: Tensor) -> Tensor:
+    """`[n, 3]` in the world, of depth 1."""
+    return torch.stack([(u - view.cx) / view.fx, (v - view.cy) / view.fy, torch.ones_like(u)], -1) @ view.T_world_view[:3, :3].T
