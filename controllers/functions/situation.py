@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol, Self
+from typing import Any, Literal, Protocol, Self, runtime_checkable
 
 import torch
 from pydantic import Field, model_validator
@@ -10,6 +10,7 @@ from torch import Tensor
 
 from controllers.functions.geometry import Place
 from controllers.primitives import Primitives, rectangle
+from controllers.secondary import Light
 from controllers.symbols import SymbolSource
 from world.body import Body
 from world.figure import Figure
@@ -57,13 +58,14 @@ class TrackedObject:
 class Seen:
     """What the camera saw last.
 
-    luminance: `[height, width]` cd/m^2 as measured. albedo: `[height, width]` of what is there, and material: index of its name in
-    materials, -1 for none, where a source of both is at hand.
+    luminance: `[height, width]` cd/m^2 as measured. saturation: the most that can be, cd/m^2. albedo: `[height, width]` of what is there,
+    and material: index of its name in materials, -1 for none, where a source of both is at hand.
     """
 
     time_s: float
     view: View
     luminance: Tensor
+    saturation: float = math.inf
     albedo: Tensor | None = None
     material: Tensor | None = None
     materials: tuple[str, ...] = ()
@@ -75,7 +77,7 @@ class Situation:
 
     T_world_vehicle: `[4, 4]`, the road is its plane z = 0. lamps: `[L, 3]` m, photometric centres of all modules in the world.
     curvature_1_m: of the car's course, to the left positive. symbols: images of the functions that draw any, by the name that they use.
-    seen: None where there is no camera, or before its first frame.
+    seen: None where there is no camera, or before its first frame. lights: what the car's modules can give, with their names.
     """
 
     time_s: float
@@ -88,6 +90,7 @@ class Situation:
     street_lit: bool = False
     symbols: dict[str, SymbolSource] = field(default_factory=dict)
     seen: Seen | None = None
+    lights: tuple[tuple[str, Light], ...] = ()
 
     def distance_m(self, each: TrackedObject) -> float:
         """Along the road from the car's origin to the nearest corner of the object; negative for what lies behind."""
@@ -146,6 +149,7 @@ class LightingFunction(Protocol):
         ...
 
 
+@runtime_checkable
 class AdaptiveFunction(Protocol):
     """A lighting function that closes a loop: it learns from what is seen. Its state is a value, so that a run can be taken up anywhere."""
 
@@ -161,8 +165,8 @@ class AdaptiveFunction(Protocol):
         """The primitives at this moment."""
         ...
 
-    def base_share(self, state: Any) -> float:
-        """How much of the base beam shall be left, 0..1; of several functions that ask, the least dimmed wins."""
+    def base_share(self, state: Any) -> float | None:
+        """How much of the base beam shall be left, 0..1, None if it may be dimmed or not; of several that ask, the least dimmed wins."""
         ...
 
 

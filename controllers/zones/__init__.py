@@ -1,0 +1,1 @@
+"""Light that follows what the camera measures of places and materials."""

@@ -1,0 +1,141 @@
+"""Zones: places that shall look as bright as wanted, whatever they are made of (T 9.3, fig. 9.6).
+
+The camera measures a zone's luminance and a PID sets the illuminance. What the zone reflects is not known, but it is a factor between the
+two: between their logarithms it is a constant, so the loop has the same gain on black cloth as on paint. The loop's output is its own
+integrator, held at what the lamps can give, so nothing winds up.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal, Self
+
+import torch
+from pydantic import Field, model_validator
+from torch import Tensor
+
+from controllers.functions.geometry import Place, facing
+from controllers.functions.situation import LAYERS, Seen, Situation
+from controllers.pid import PidGains, PidParams, PidState, pid_gains, pid_reset, pid_step
+from controllers.primitives import Primitives, meant, rectangle
+from perception.regions import box_region
+from world.frames import pose_from_degrees
+from world.params import Params
+
+DARKEST = 0.01  # of the target: what is measured darker counts as this, so that black is not infinitely far from it
+CLIPPED = 0.5  # share of a zone's pixels at the camera's largest number from which on its mean says only that it is no darker
+LIMIT_POINTS = 5  # along each side of a zone, where it is asked what the lamps can give
+
+
+@dataclass(frozen=True)
+class ZoneState:
+    """pid: one loop `[1]` whose output is the natural logarithm of the illuminance in lx. luminance: measured last, cd/m^2, NaN before."""
+
+    pid: PidState
+    luminance: float = math.nan
+
+    @property
+    def lx(self) -> float:
+        """Illuminance asked for."""
+        return math.exp(float(self.pid.output))
+
+
+class ZoneParams(Params):
+    """A place in the world that is lit until the camera measures the wanted luminance there."""
+
+    kind: Literal["zone"] = "zone"
+    name: str = Field(min_length=1, description="name of the zone, for recordings")
+    centre_m: tuple[float, float, float] = Field(description="its middle in the world (x forward, y left, z up)")
+    size_m: tuple[float, float, float] = Field(description="length, width and height of a box; a rectangle where one of them is 0")
+    roll_deg: float = Field(0.0, ge=-180, le=180, description="rotation about its length, right side down")
+    pitch_deg: float = Field(0.0, ge=-90, le=90, description="rotation about its width, nose down")
+    yaw_deg: float = Field(0.0, ge=-180, le=180, description="rotation about the upward axis, to the left")
+    luminance_cd_m2: float = Field(gt=0, description="target: mean luminance of the zone in the camera's image")
+    start_lx: float = Field(1.0, gt=0, description="illuminance before the camera has seen it")
+    pid: PidParams = Field(
+        PidParams(kp=0.7, form="incremental", lower=-5.0, rate_limit=2.0),
+        description="the loop, on natural logarithms: of luminance in, of illuminance in lx out; its time is in steps",
+    )
+    weight: float = Field(1.0, ge=0, description="how much it counts where a pixel lights more than the zone")
+    priority: int = Field(0, ge=0, le=100, description="of two functions in one place, the higher is drawn")
+    modules: tuple[str, ...] = Field((), description="lamps or modules that light it; left out: all")
+
+    @model_validator(mode="after")
+    def _box_or_rectangle(self) -> Self:
+        if min(self.size_m) < 0 or sorted(self.size_m)[1] == 0:
+            raise ValueError(f"size_m: a box has three sides above zero and a rectangle two, here {list(self.size_m)}; correct them")
+        return self
+
+    def start(self) -> ZoneState:
+        return ZoneState(pid_reset(self._gains, torch.tensor([math.log(self.start_lx)], dtype=torch.float64)))
+
+    def step(self, state: ZoneState, now: Situation) -> ZoneState:
+        """One step of the loop from what was seen; nothing changes while the zone is out of the image."""
+        if now.seen is None or not bool((region := self.region(now.seen)).any()):
+            return state
+        values = now.seen.luminance[region.to(now.seen.luminance.device)].double()
+        luminance = float(values.mean())
+        error = math.log(self.luminance_cd_m2 / max(luminance, DARKEST * self.luminance_cd_m2))
+        if float((values >= now.seen.saturation).double().mean()) > CLIPPED:
+            error = min(error, 0.0)
+        upper = torch.minimum(self._gains.upper, self._most_lx(now).clamp(min=1e-9).log())
+        gains = replace(self._gains, upper=upper, lower=torch.minimum(self._gains.lower, upper))
+        return ZoneState(pid_step(state.pid, state.pid.output.new_tensor([error]), 1.0, gains)[0], luminance)
+
+    def adapted(self, state: ZoneState, now: Situation) -> tuple[Primitives, ...]:
+        """One rectangle: the zone's own, or of a box the upright one in its middle that is turned to the lamps."""
+        place = self.place(now.lamps)
+        return (
+            rectangle(
+                place.origin,
+                place.d1,
+                place.d2,
+                state.lx,
+                "E_v",
+                normal=place.normal,
+                weight=self.weight,
+                priority=self.priority * LAYERS,
+                modules=self.modules,
+            ),
+        )
+
+    def base_share(self, state: ZoneState) -> None:
+        """A zone asks nothing of the base beam."""
+
+    def region(self, seen: Seen) -> Tensor:
+        """Its pixels in the camera's image, `[height, width]` bool."""
+        high = torch.tensor(self.size_m, dtype=torch.float64) / 2
+        return box_region(seen.view, self._T_world_zone, -high, high)
+
+    def place(self, lamps: Tensor) -> Place:
+        """Where light is asked for; lamps: `[L, 3]` m, to which its face is turned."""
+        T, size = self._T_world_zone, torch.tensor(self.size_m, dtype=torch.float64)
+        lamp = lamps.double().mean(0)
+        if min(self.size_m) > 0:
+            return facing(T, -size / 2, size / 2, lamp)
+        flat = self.size_m.index(0)
+        d1, d2 = (T[:3, k] * size[k] for k in range(3) if k != flat)
+        towards = torch.where((lamp - T[:3, 3]) @ T[:3, flat] < 0, -1.0, 1.0)
+        return Place(T[:3, 3] - (d1 + d2) / 2, d1, d2, towards * T[:3, flat])
+
+    @property
+    def _T_world_zone(self) -> Tensor:
+        return pose_from_degrees(self.centre_m, self.roll_deg, self.pitch_deg, self.yaw_deg)
+
+    @property
+    def _gains(self) -> PidGains:
+        return pid_gains([self.pid], torch.float64)
+
+    def _most_lx(self, now: Situation) -> Tensor:
+        """The most illuminance that the lamps can give anywhere in the zone; infinite where they are not known."""
+        lights = [light for name, light in now.lights if meant(self.modules, name)]
+        if not lights:
+            return torch.tensor(math.inf, dtype=torch.float64)
+        place = self.place(now.lamps)
+        at = (torch.arange(LIMIT_POINTS, dtype=torch.float64) + 0.5) / LIMIT_POINTS
+        u, v = torch.meshgrid(at, at, indexing="ij")
+        points = place.origin[:, None] + place.d1[:, None] * u.flatten() + place.d2[:, None] * v.flatten()
+        total = torch.zeros_like(points[0])
+        for light in lights:
+            away = light.T_world_headlight[:3, 3:].to(points) - points
+            total += light.possible(points).to(points) * (place.normal @ away / away.norm(dim=0)).clamp(min=0)
+        return total.amax()
