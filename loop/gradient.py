@@ -17,6 +17,7 @@ from loop.run import prepare
 from loop.scenario import Scenario
 from loop.simulation import Simulation
 from loop.tune import Task, Tuned, mean_cost, opened
+from perception.extraction import ExtractionParams
 from world.errors import LuxloopError
 
 RATE = 0.5  # of Adam, in logits of the ranges
@@ -83,6 +84,8 @@ def squared_errors(rollout: Rollout, scenario: Scenario) -> Tensor:
 def _simulations(task: Task) -> Iterator[Simulation]:
     """Of all runs, their symbols seen with soft edges."""
     for scenario in task.scenarios:
+        if not isinstance(scenario.extraction, ExtractionParams):
+            raise LuxloopError(f"{scenario.name}: extraction.kind: has no soft edges to descend on; leave it out, or tune without")
         soft = scenario.model_copy(update={"extraction": scenario.extraction.model_copy(update={"edges": "soft"})})
         ready = prepare(soft, task.device)
         yield from (with_seed(ready, scenario.seed + k) for k in range(task.seeds))

@@ -24,8 +24,10 @@ from loop.disturbances import DisturbanceParams
 from loop.shipped import find
 from loop.validation import did_you_mean, read_toml, sentence
 from perception.camera import CameraParams
+from perception.detection.params import DetectorParams
 from perception.egomotion import SensorParams
-from perception.extraction import ExtractionParams
+from perception.extraction import Extraction, ExtractionParams
+from perception.tracking import TrackerParams
 from world.errors import LuxloopError
 from world.materials import RoadSurfaceParams
 from world.objects import ObjectParams
@@ -153,7 +155,7 @@ class Scenario(WorldScenario):
     features: FeatureParams = Field(FeatureParams(), description="what of the symbol the controller looks at")
     vehicle: VehicleParams | None = Field(None, description="how the vehicle drives; left out: it stands")
     sensors: SensorParams = Field(SensorParams(), description="odometry and inertial sensors of the vehicle")
-    extraction: ExtractionParams = Field(ExtractionParams(), description="how the symbol is found in the image")
+    extraction: Extraction = Field(ExtractionParams(), description="how the symbol is found in the image")
     controller: Annotated[ControllerParams, Field(description="the controller of the symbol")] = LuxloopParams()
 
     disturbances: DisturbanceParams = Field(DisturbanceParams(), description="what the controller is not told of")
@@ -222,6 +224,21 @@ class LightingScenario(WorldScenario):
     headlight: CarLampsParams = Field(CarLampsParams(), description="the lamps")
     driving: tuple[DrivingParams, ...] = Field((DrivingParams(),), min_length=1, description="how the car drives, in ascending time")
     lighting: LightingParams = Field(description="base beam and lighting functions")
+    detector: DetectorParams | None = Field(
+        None, description="what finds objects in the camera's frames; left out: lighting functions are told where all of them are"
+    )
+    tracker: TrackerParams = Field(TrackerParams(), description="what follows from frame to frame whom the detector finds")
+
+    @model_validator(mode="after")
+    def _tracks_what_is_detected(self) -> Self:
+        if self.detector is None and self.tracker != TrackerParams():
+            raise ValueError('tracker: follows what a detector finds, but there is none; give one, detector = {kind = "network"} say')
+        if self.detector is not None and (named := [k for k, each in enumerate(self.lighting.functions) if _names_objects(each)]):
+            raise ValueError(
+                f"lighting.functions[{named[0]}]: names objects, but a detector knows them by class alone; leave names out, "
+                "or take the [detector] out"
+            )
+        return self
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
@@ -232,6 +249,12 @@ class LightingScenario(WorldScenario):
         if doubled := [name for name in names if names.count(name) > 1]:
             raise ValueError(f"objects: the name {doubled[0]!r} is there twice, but recordings tell objects by name; rename one")
         return self
+
+
+def _names_objects(function: Any) -> bool:
+    selections = (function, *(getattr(function, key, None) for key in ("when", "unless")))
+    observer = getattr(function, "observer", None)
+    return any(getattr(each, "names", None) for each in selections) or (observer is not None and observer.name is not None)
 
 
 AnyScenario = Scenario | LightingScenario
@@ -384,6 +407,7 @@ def resolve_paths(data: dict[str, Any], folder: Path) -> None:
     believed = controller.get("road") if isinstance(controller, dict) else None
     functions, raw = (lighting.get(key) if isinstance(lighting, dict) else None for key in ("functions", "raw"))
     tables = [(data.get("symbol"), "image"), (data.get("road"), "file"), (believed, "file"), (data.get("headlight"), "model")]
+    tables += [(data.get("detector"), key) for key in ("file", "weights")]
     for items, key in ((objects, "file"), (functions, "image"), (raw, "file")):
         items = list(items.values()) if isinstance(items, dict) else items
         tables += [(item, key) for item in items] if isinstance(items, list) else []

@@ -11,6 +11,7 @@ from controllers.symbol import CONTROLLERS, LuxloopParams
 from loop.scenario import Scenario
 from loop.shipped import shipped, shipped_files
 from loop.validation import did_you_mean
+from perception.extraction import ExtractionParams
 from world.errors import LuxloopError
 from world.roads import Mixed, RoadParams
 from world.traffic.generator import varied
@@ -22,7 +23,7 @@ CHOSEN: dict[str, dict[str, Any]] = {
     "road": {"kind": "mixed"},
     "controller": {"name": "luxloop"},
 }
-VARIANTS: dict[str, type[BaseModel]] = {"road": Mixed, "controller": LuxloopParams}
+VARIANTS: dict[str, type[BaseModel]] = {"road": Mixed, "extraction": ExtractionParams, "controller": LuxloopParams}
 HEAD = """\
 # A scenario of luxloop. Check it with `luxloop check FILE`, run it with `luxloop run FILE`.
 # Lines that begin with # show defaults: remove the # to change one. SI units, degrees where a name ends in _deg.

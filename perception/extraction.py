@@ -2,14 +2,17 @@
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Literal
+from functools import cached_property
+from typing import Annotated, Any, Literal
 
 import torch
-from pydantic import Field
+from pydantic import Field, Tag
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, pad
 
 from perception.camera import CameraParams, luminance_of, noise_std
+from world import plugin
+from world.errors import LuxloopError
 from world.params import Params
 
 NEIGHBOURHOOD = (3, 7)  # rows, columns in px: wider than an edge, narrower than the change of light over a symbol
@@ -26,17 +29,50 @@ class Loss(IntEnum):
     TOO_LARGE = 4
 
 
-class ExtractionParams(Params):
-    """How a symbol is told from noise and glare."""
+class SearchParams(Params):
+    """What is told from noise and glare, and where it is looked for."""
 
     threshold_sigma: float = Field(5.0, gt=0, description="least difference on - off, in standard deviations of the noise without a symbol")
-    edges: Literal["grey", "binary", "soft"] = Field(
-        "grey", description="grey: by lit share; binary: every lit pixel wholly; soft: by a sigmoid as wide as the noise"
-    )
     footprint_margin_m: float = Field(0.15, ge=0, description="unevenness of the road that the predicted footprint allows for, up and down")
     nothing_below: float = Field(0.08, ge=0, lt=1, description="share of the expected area below which there is no symbol at all")
     area_low: float = Field(0.45, ge=0, lt=1, description="least share of the expected area that is taken for the symbol")
     area_high: float = Field(1.9, gt=1, description="largest multiple of the expected area that is taken for the symbol")
+
+
+class ExtractionParams(SearchParams):
+    """How a symbol is told from noise and glare."""
+
+    kind: Literal["differential"] = "differential"
+    edges: Literal["grey", "binary", "soft"] = Field(
+        "grey", description="grey: by lit share; binary: every lit pixel wholly; soft: by a sigmoid as wide as the noise"
+    )
+
+
+class OwnExtractionParams(SearchParams):
+    """`Name(**options)` of a module that Python finds makes the extractor, whose `symbol_image(contrast, limit)` is that of this module."""
+
+    kind: str = Field(pattern=plugin.PATTERN, description="module and class or function, as package.module:Name")
+    options: dict[str, Any] = Field({}, description="keyword arguments of Name")
+
+    @cached_property
+    def extractor(self) -> Any:
+        """Raises LuxloopError where there is none, it does not take its options, or lacks the method."""
+        return plugin.make(self.kind, "extraction.kind", {}, self.options, ("symbol_image",))
+
+    def symbol_image(self, contrast: Tensor, limit: Tensor) -> Tensor:
+        """The extractor's. Raises LuxloopError where that is no image of the same size."""
+        symbol = self.extractor.symbol_image(contrast, limit)
+        if not isinstance(symbol, Tensor) or symbol.shape != contrast.shape or symbol.dtype != contrast.dtype:
+            given = f"{symbol.dtype} {list(symbol.shape)}" if isinstance(symbol, Tensor) else type(symbol).__name__
+            what = f"symbol_image gives {given} for {contrast.dtype} {list(contrast.shape)}"
+            raise LuxloopError(f"extraction.kind: {self.kind}: {what}; give an image like that")
+        return symbol
+
+
+Extraction = Annotated[
+    Annotated[ExtractionParams, Tag("differential")] | Annotated[OwnExtractionParams, Tag(plugin.OWN)],
+    plugin.known_or_own("kind", "differential"),
+]
 
 
 @dataclass(frozen=True)
@@ -59,7 +95,7 @@ def difference(on: Tensor, off: Tensor, camera: CameraParams) -> Tensor:
     return luminance_of(on, camera) - luminance_of(off, camera)
 
 
-def threshold(off: Tensor, camera: CameraParams, params: ExtractionParams) -> Tensor:
+def threshold(off: Tensor, camera: CameraParams, params: SearchParams) -> Tensor:
     """Absolute threshold in cd/m^2 a pixel `[..., h, w]`, from the noise that two frames without a symbol would differ by.
 
     The light without a symbol is the mean of the off frame over 3 x 3 pixels: a pixel of its own that happens to be dark would claim too
@@ -70,18 +106,20 @@ def threshold(off: Tensor, camera: CameraParams, params: ExtractionParams) -> Te
     return noise_limit(mean.reshape(light.shape), camera, params)
 
 
-def noise_limit(light: Tensor, camera: CameraParams, params: ExtractionParams) -> Tensor:
+def noise_limit(light: Tensor, camera: CameraParams, params: SearchParams) -> Tensor:
     """Threshold `[..., h, w]` in cd/m^2 for the difference of two frames that both see this light `[..., h, w]` in cd/m^2."""
     return params.threshold_sigma * 2**0.5 * noise_std(light, camera)
 
 
-def symbol_image(contrast: Tensor, limit: Tensor, params: ExtractionParams) -> Tensor:
+def symbol_image(contrast: Tensor, limit: Tensor, params: Extraction) -> Tensor:
     """Symbol image `[..., h, w]` in 0..1 from luminance contrast and threshold, both `[..., h, w]` in cd/m^2.
 
     Binary edges: what exceeds the threshold counts wholly. Grey edges: it counts by its lit share, from nothing at the threshold to wholly
     near the brightest contrast around it, so that edges are known to a fraction of a pixel, and yet bright faces do not outweigh dark ones.
     Soft edges: a sigmoid as wide as the noise in place of the threshold.
     """
+    if isinstance(params, OwnExtractionParams):
+        return params.symbol_image(contrast, limit)
     if params.edges == "soft":
         return torch.sigmoid((contrast - limit) * (params.threshold_sigma / limit))
     if params.edges == "binary":
@@ -104,7 +142,7 @@ def _largest_around(image: Tensor) -> Tensor:
     return image
 
 
-def gate(area: Tensor, expected: Tensor, params: ExtractionParams) -> Tensor:
+def gate(area: Tensor, expected: Tensor, params: SearchParams) -> Tensor:
     """Loss codes `[...]` int64 by comparing the symbol's area with the expected one, both `[...]` in the same unit."""
     ratio = torch.nan_to_num(area / expected)
     code = torch.full(ratio.shape, Loss.SEEN, dtype=torch.int64, device=ratio.device)

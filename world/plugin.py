@@ -12,11 +12,11 @@ OWN: Final = "package.module:Name"
 PATTERN: Final = r"^[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*$"
 
 
-def known_or_own(key: str) -> Discriminator:
+def known_or_own(key: str, default: str | None = None) -> Discriminator:
     """Tells the variants of a table apart by a key of it; all of `package.module:Name` are one, with the tag `OWN`."""
 
     def tag(table: Any) -> Any:
-        given = table.get(key) if isinstance(table, dict) else getattr(table, key, None)
+        given = table.get(key, default) if isinstance(table, dict) else getattr(table, key, None)
         return OWN if isinstance(given, str) and ":" in given else given
 
     tag.__name__ = key  # which is what an error calls it

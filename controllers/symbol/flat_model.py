@@ -16,7 +16,7 @@ from controllers.symbol.projector import Projector
 from perception.appearance import Appearance, Axes, appearance, area, features, image_axes
 from perception.birdseye import BirdsEye, birds_eye, rectify, region_around
 from perception.camera import CameraParams, average_rows, camera_view
-from perception.extraction import Crop, ExtractionParams, noise_limit, symbol_image
+from perception.extraction import Crop, Extraction, noise_limit, symbol_image
 from world.ambient import ambient_luminance
 from world.flatroad import flat_road
 from world.illumination import Transport, added_light, reach, transport
@@ -75,7 +75,7 @@ class FlatModel:
     transports: tuple[Transport, ...]
     beams: Tensor
     limit: Tensor
-    params: ExtractionParams
+    params: Extraction
     eye: Eye
     target: Tensor
     gains: Tensor
@@ -99,7 +99,7 @@ def flat_model(
     camera: CameraParams,
     surface: RoadSurfaceParams,
     ambient_lx: float,
-    params: ExtractionParams,
+    params: Extraction,
     what: FeatureParams,
 ) -> FlatModel:
     """Build the model for a camera and an assumed road of uniform, unmarked asphalt under ambient light in lx; measure target and gains."""

@@ -12,7 +12,7 @@ from controllers.symbol.flat_model import PAIRED, FlatModel
 from controllers.symbol.projector import Projector
 from perception.appearance import Appearance, errors
 from perception.camera import CameraParams
-from perception.extraction import Crop, ExtractionParams, Loss, difference, gate, symbol_image, threshold
+from perception.extraction import Crop, Extraction, Loss, difference, gate, symbol_image, threshold
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Observer:
     projector: Projector
     model: FlatModel
     camera: CameraParams
-    params: ExtractionParams
+    params: Extraction
 
     def look(self, frames: tuple[Tensor, Tensor] | None, drawing: Drawing, lights: Sequence[Utilisation]) -> Seen:
         """Look at the on and off frames `[..., height, width]` (digital numbers) that show the light of a drawing.

@@ -12,7 +12,7 @@ from torch.nn.functional import avg_pool2d
 from controllers.symbol.projector import Projector
 from perception.birdseye import Region
 from perception.camera import CameraParams, average_rows, camera_view, luminance_of
-from perception.extraction import Crop, ExtractionParams, difference, symbol_image, threshold
+from perception.extraction import Crop, Extraction, difference, symbol_image, threshold
 from world.frames import inverse
 from world.headlight import Headlight
 from world.view import View
@@ -70,7 +70,7 @@ class Sight:
     weight: Tensor
     inside: Tensor
     camera: CameraParams
-    params: ExtractionParams
+    params: Extraction
     off_place: Tensor | None
 
     @classmethod
@@ -78,7 +78,7 @@ class Sight:
         cls,
         projector: Projector,
         camera: CameraParams,
-        params: ExtractionParams,
+        params: Extraction,
         albedo: float,
         region: Region,
         cell_m: tuple[float, float],

@@ -1,0 +1,96 @@
+"""Extractions of the user's own: the whole symbol loop looks with them, and what is wrong is said in a sentence."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from loop.run import prepare
+from loop.scenario import load
+from loop.simulation import Simulation
+from perception.extraction import ExtractionParams, OwnExtractionParams, symbol_image
+from world.errors import LuxloopError
+
+EXTRACTIONS = """
+import torch
+from perception import extraction
+
+class Ours:
+    def __init__(self, edges="grey"):
+        self.params = extraction.ExtractionParams(edges=edges)
+    def symbol_image(self, contrast, limit):
+        return extraction.symbol_image(contrast, limit, self.params)
+
+class Pooled(Ours):
+    def symbol_image(self, contrast, limit):
+        return contrast[..., ::2, ::2]
+
+class Listed(Ours):
+    def symbol_image(self, contrast, limit):
+        return contrast.tolist()
+
+class Blind:
+    pass
+"""
+SMALL = ["camera.width_px=320", "camera.height_px=180", "camera.oversampling=2"]
+
+
+@pytest.fixture
+def extractions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "own_extractions.py").write_text(EXTRACTIONS)
+    monkeypatch.syspath_prepend(tmp_path)
+
+
+def looked(*overrides: Any) -> tuple[Simulation, Tensor]:
+    """Errors of three steps on bumps."""
+    simulation = prepare(load("flat", [*SMALL, "road.kind=bumps", *overrides], steps=3), "cpu")
+    return simulation, torch.stack([result.seen.errors for result in simulation.run()])
+
+
+@pytest.mark.usefixtures("extractions")
+@pytest.mark.parametrize("controller", ["luxloop", "model_reference"])
+def test_the_loop_looks_with_it(controller: str) -> None:
+    """Ours by another name sees, expects and registers the same, bit for bit; other edges do not."""
+    named = f"controller.name={controller}"
+    own = "extraction={kind='own_extractions:Ours', options={edges='binary'}, area_low=0.3}"
+    _, as_own = looked(named, own)
+    simulation, as_ours = looked(named, "extraction={edges='binary', area_low=0.3}")
+    _, by_default = looked(named, "extraction.area_low=0.3")
+    assert torch.equal(as_own, as_ours) and not torch.equal(as_own, by_default)
+    assert isinstance(simulation.scenario.extraction, ExtractionParams)
+    scenario = load("flat", [own])
+    assert type(scenario).model_validate_json(scenario.model_dump_json()) == scenario, "recordings hold it"
+
+
+@pytest.mark.usefixtures("extractions")
+@pytest.mark.parametrize(
+    ("extraction", "words"),
+    [
+        ({"kind": "no_such_extractions:Ours"}, ["No module named 'no_such_extractions'", "PYTHONPATH"]),
+        ({"kind": "own_extractions:Theirs"}, ["own_extractions has no Theirs"]),
+        ({"kind": "own_extractions:Ours", "options": {"edge": "grey"}}, ["extraction.options", "edge"]),
+        ({"kind": "own_extractions:Blind"}, ["no method symbol_image"]),
+        ({"kind": "own_extractions:Pooled"}, ["float32", "an image like that"]),
+        ({"kind": "own_extractions:Listed"}, ["gives list"]),
+        ({"kind": "own_extractions:Ours", "edges": "grey"}, ["extraction.edges", "unknown key"]),
+        ({"kind": "differentiall"}, ["extraction.kind", "did you mean 'differential'"]),
+    ],
+)
+def test_what_is_wrong_with_it_is_said_in_a_sentence(extraction: dict[str, Any], words: list[str]) -> None:
+    with pytest.raises(LuxloopError) as error:
+        looked({"extraction": extraction})
+    message = str(error.value)
+    assert all(word in message for word in ["extraction", *words]) and "\n" not in message, message
+
+
+def test_batches_and_devices_are_passed_on(device: torch.device) -> None:
+    own = OwnExtractionParams(kind=f"{__name__}:Lit")
+    contrast, limit = torch.rand(2, 3, 8, 6, device=device), torch.full((8, 6), 0.4, device=device)
+    assert symbol_image(contrast, limit, own).equal((contrast > limit).to(contrast))
+
+
+class Lit:
+    def symbol_image(self, contrast: Tensor, limit: Tensor) -> Tensor:
+        return (contrast > limit).to(contrast)
