@@ -1,0 +1,42 @@
+"""The ambient loop: the least share of the base beam in which all that is tracked stays found (T 9.3)."""
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+
+from pydantic import Field
+
+from world.params import Params
+
+
+@dataclass(frozen=True)
+class Ambient:
+    """State. share: of the base beam. rested: frames since the last step. risen: whether that led up."""
+
+    share: float = 1.0
+    rested: int = 0
+    risen: bool = False
+
+
+class AmbientParams(Params):
+    """How far the base beam is dimmed: down in steps, up at once and then not down for long, so that it does not hunt."""
+
+    least: float = Field(0.05, ge=0, le=1, description="never less than this share of the base beam, for what nobody has found yet")
+    fall: float = Field(0.6, gt=0, lt=1, description="factor of a step down, when every object is found for sure")
+    fall_frames: int = Field(4, ge=1, le=300, description="frames before a step down")
+    rise: float = Field(2.0, gt=1, description="factor of a step up, when one is doubtful")
+    rise_frames: int = Field(15, ge=1, le=300, description="frames between two steps up")
+    patience: int = Field(150, ge=1, description="frames after a step up without one down")
+    doubtful: float = Field(0.3, ge=0, le=1, description="confidence below which an object that has had more may get lost")
+    margin: float = Field(0.1, ge=0, le=1, description="above that, for sure")
+
+    def sure(self, confidence: float) -> bool:
+        return confidence >= self.doubtful + self.margin
+
+    def step(self, ambient: Ambient, confidences: Collection[float]) -> Ambient:
+        """After one more frame. confidences: now, of all objects in sight that have ever been found for sure."""
+        weakest, rested = min(confidences, default=1.0), ambient.rested + 1
+        if weakest < self.doubtful and ambient.share < 1 and rested >= (self.rise_frames if ambient.risen else 1):
+            return Ambient(min(self.rise * ambient.share, 1.0), risen=True)
+        if self.sure(weakest) and ambient.share > self.least and rested >= (self.patience if ambient.risen else self.fall_frames):
+            return Ambient(max(self.fall * ambient.share, self.least))
+        return replace(ambient, rested=rested)

@@ -1,0 +1,109 @@
+"""Object-based lighting: the road stays nearly dark, and each object gets as much light as a detector gains from (T 9.3)."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from pydantic import Field, field_validator
+
+from controllers.functions.situation import SelectionParams, Situation, TrackedObject, fade
+from controllers.obl.ambient import Ambient, AmbientParams
+from controllers.obl.light import ObjectLightParams
+from controllers.obl.object_loop import ObjectLoop, ObjectLoopParams
+from controllers.primitives import Primitives
+from world.tracked import Category
+
+
+@dataclass(frozen=True)
+class ObjectBasedState:
+    """What has been learnt: of the base beam, and of each object by its name."""
+
+    ambient: Ambient = field(default_factory=Ambient)
+    loops: Mapping[str, ObjectLoop] = field(default_factory=dict)
+
+    @property
+    def share(self) -> float:
+        return self.ambient.share
+
+
+class ObjectBasedParams(SelectionParams):
+    """Light on objects, over a dimmed base beam."""
+
+    kind: Literal["object_based"] = "object_based"
+    method: Literal["confidence", "class", "constant"] = Field(
+        "confidence", description="`confidence`: loops on what a detector says; `class`: a setpoint for each class; `constant`: one for all"
+    )
+    categories: tuple[Category, ...] = Field(
+        ("pedestrian", "cyclist", "car", "animal", "truck", "motorcycle"), min_length=1, description="classes of objects meant"
+    )
+    ambient: AmbientParams = Field(AmbientParams(), description="the loop of the base beam, of `confidence`")
+    loop: ObjectLoopParams = Field(ObjectLoopParams(), description="the loop of each object, of `confidence`")
+    share: float = Field(0.2, ge=0, le=1, description="of the base beam, of `class` and `constant`")
+    setpoint_lx: float = Field(10.0, ge=0, description="on each object, of `constant`; of `class` where none is given for its class")
+    setpoints_lx: dict[Category, float] = Field(
+        {"pedestrian": 10.0, "cyclist": 10.0, "animal": 15.0, "car": 3.0, "truck": 3.0, "motorcycle": 5.0},
+        description="on objects by their class, of `class`",
+    )
+    light: ObjectLightParams = Field(ObjectLightParams(), description="where and how objects are lit")
+    fade_out_s: float = Field(0.6, ge=0, description="time to go dark for an object that is gone")
+    priority: int = Field(20, ge=0, le=100, description="of two functions in one place, the higher is drawn")
+    modules: tuple[str, ...] = Field((), description="lamps or modules that draw it; left out: all")
+
+    @field_validator("setpoints_lx")
+    @classmethod
+    def _not_negative(cls, setpoints_lx: dict[Category, float]) -> dict[Category, float]:
+        for category, lx in setpoints_lx.items():
+            if lx < 0:
+                raise ValueError(f"{category}: {lx:g} lx is less than no light; give 0 or more")
+        return setpoints_lx
+
+    def start(self) -> ObjectBasedState:
+        return ObjectBasedState(Ambient() if self.method == "confidence" else Ambient(self.share))
+
+    def step(self, state: ObjectBasedState, now: Situation) -> ObjectBasedState:
+        """After one more frame; objects that the tracker does not report any more are forgotten."""
+        if self.method != "confidence":
+            return state
+        loops: dict[str, ObjectLoop] = {}
+        for each in self.selected(now):
+            old, distance = state.loops.get(each.name), now.distance_m(each)
+            if each.until_s <= now.time_s:
+                loops |= {} if old is None else {each.name: old}
+            elif each.since_s <= now.time_s:
+                loops[each.name] = self.loop.start(each, distance) if old is None else self.loop.step(old, each, distance)
+        doubtful = [
+            loop.recent
+            for each in now.objects
+            if (loop := loops.get(each.name)) and each.until_s > now.time_s and self.ambient.sure(loop.peak) and _in_sight(each, now)
+        ]
+        return ObjectBasedState(self.ambient.step(state.ambient, doubtful), loops)
+
+    def adapted(self, state: ObjectBasedState, now: Situation) -> tuple[Primitives, ...]:
+        """Two primitives for each object: its light, and what of it stays dark."""
+        parts: list[Primitives] = []
+        for each in self.selected(now):
+            share = fade(now.time_s, each.since_s, each.until_s, 0.0, self.fade_out_s)
+            if share:
+                parts += self.light.on(each, now.lamps, share * self.lx(state, each), self.priority, self.modules)
+        return tuple(parts)
+
+    def base_share(self, state: ObjectBasedState) -> float:
+        return state.share
+
+    def lx(self, state: ObjectBasedState, each: TrackedObject) -> float:
+        """Setpoint of an object."""
+        if self.method == "constant":
+            return self.setpoint_lx
+        if self.method == "class":
+            return self.setpoints_lx.get(each.category, self.setpoint_lx)
+        loop = state.loops.get(each.name)
+        return self.loop.search.next(()).lx if loop is None else loop.lx
+
+
+def _in_sight(each: TrackedObject, now: Situation) -> bool:
+    """Whether the camera looks at the middle of it, as far as there is a camera."""
+    if now.seen is None:
+        return True
+    middle = each.T_world_object[:3, 3:] + each.T_world_object[:3, 2:3] * each.size_m[2] / 2
+    (u, v), depth = now.seen.view.project(middle)
+    return bool(depth > 0) and 0 <= float(u) < now.seen.view.width and 0 <= float(v) < now.seen.view.height

@@ -1,0 +1,103 @@
+"""Light on tracked objects that leaves their heads and windscreens dark: rectangles that face the lamps (T 9.3)."""
+
+import math
+from typing import Literal
+
+import torch
+from pydantic import Field, field_validator
+from torch import Tensor
+
+from controllers.functions.geometry import Place
+from controllers.functions.situation import LAYERS, MASK, TrackedObject
+from controllers.primitives import Primitives, rectangle
+from world.frames import transform
+from world.params import Params
+from world.tracked import Category
+
+NEAREST_M = 1.0  # what reaches nearer to a lamp is not lit, and no lamp's light falls on heads there
+CELLS = 16  # texels of a stripe
+Pattern = Literal["homogeneous", "stripes", "checks"]
+
+
+class ObjectLightParams(Params):
+    """Where an object is lit, and how."""
+
+    pattern: Pattern = Field("homogeneous", description="structured light, `stripes` (upright) or `checks`, shows edges with less flux")
+    period_m: float = Field(0.5, gt=0.01, le=5, description="of the structure, on the object")
+    margin_m: float = Field(0.1, ge=0, description="light beyond the box, to all sides; below the foot it shows where it meets the road")
+    dark: dict[Category, float] = Field(
+        {"pedestrian": 0.18, "cyclist": 0.18, "motorcycle": 0.35, "car": 0.5, "truck": 0.6},
+        description="share of the box's height that stays dark from the top: heads, windscreens and what is behind them",
+    )
+    dark_margin_m: float = Field(0.1, ge=0, description="beyond that, to all sides")
+    dark_margin_deg: float = Field(0.1, ge=0, le=5, description="the same as an angle seen from the lamps, in addition")
+
+    @field_validator("dark")
+    @classmethod
+    def _shares(cls, dark: dict[Category, float]) -> dict[Category, float]:
+        for category, share in dark.items():
+            if not 0 <= share <= 1:
+                raise ValueError(f"{category}: {share:g} is no share of a box's height; give 0 to 1")
+        return dark
+
+    def on(self, each: TrackedObject, lamps: Tensor, lx: float, priority: int, modules: tuple[str, ...]) -> tuple[Primitives, ...]:
+        """One primitive that lights the object by lx, and a mask on what stays dark; none where it is beside or behind the lamps."""
+        length, width, height = each.size_m
+        low, high = torch.tensor([[-length / 2, -width / 2, 0.0], [length / 2, width / 2, height]], dtype=torch.float64)
+        body = frontal(each.T_world_object, low, high, lamps, self.margin_m)
+        if body is None:
+            return ()
+        parts = [
+            rectangle(
+                body.origin,
+                body.d1,
+                body.d2,
+                lx,
+                "E_v",
+                normal=body.normal,
+                symbol=self._image(body),
+                priority=priority * LAYERS,
+                modules=modules,
+            )
+        ]
+        share = self.dark.get(each.category, 0.0)
+        low[2] = (1 - share) * height
+        margin = self.dark_margin_m + math.tan(math.radians(self.dark_margin_deg)) * float((body.origin - lamps.mean(0)).norm())
+        eyes = frontal(each.T_world_object, low, high, lamps, margin) if share else None
+        if eyes is not None:
+            mask = rectangle(eyes.origin, eyes.d1, eyes.d2, 0.0, normal=eyes.normal, weight=math.inf, forced=True, priority=MASK * LAYERS)
+            parts.append(mask)
+        return tuple(parts)
+
+    def _image(self, place: Place) -> Tensor | None:
+        """`[h, w]` of the structure, whole cells from the top left; None for homogeneous light."""
+        if self.pattern == "homogeneous":
+            return None
+        across, down = (torch.arange(max(1, round(2 * float(d.norm()) / self.period_m))) % 2 == 0 for d in (place.d1, place.d2))
+        cells = across.expand(len(down), -1) if self.pattern == "stripes" else across == down[:, None]
+        return cells.double().repeat_interleave(CELLS, 0).repeat_interleave(CELLS, 1)
+
+
+def frontal(T_world_box: Tensor, low: Tensor, high: Tensor, lamps: Tensor, margin_m: float) -> Place | None:
+    """The upright rectangle, turned to the lamps, that covers a box as each of them sees it, in the plane of its nearest corner.
+
+    low, high: `[3]` m, opposite corners in the box's frame. lamps: `[L, 3]` m. None where a corner is nearer than NEAREST_M.
+    """
+    T, lamps = T_world_box.double(), lamps.double()
+    up, viewer = T[:3, 2], lamps.mean(0)
+    corners = transform(T, torch.cartesian_prod(*torch.stack([low, high]).double().T).T).T
+    away = corners.mean(0) - viewer
+    ahead = torch.nn.functional.normalize(away - (away @ up) * up, dim=0)
+    nearest = ((corners - viewer) @ ahead).amin()
+    rays = corners - lamps[:, None]
+    depth = rays @ ahead
+    if nearest < NEAREST_M or depth.amin() < NEAREST_M:
+        return None
+    plane = nearest - (lamps - viewer) @ ahead
+    seen = lamps[:, None] + rays * (plane[:, None] / depth)[..., None] - viewer
+    right = torch.linalg.cross(ahead, up)
+    across, height = (seen @ right).flatten(), (seen @ up).flatten()
+    left_at, right_at = across.amin() - margin_m, across.amax() + margin_m
+    top_at, foot_at = height.amax() + margin_m, height.amin() - margin_m
+    origin = viewer + nearest * ahead + left_at * right + top_at * up
+    return Place(origin, (right_at - left_at) * right, (foot_at - top_at) * up, -ahead)

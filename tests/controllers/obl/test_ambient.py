@@ -1,0 +1,59 @@
+"""The ambient loop against a scene in which objects are found by the base beam alone."""
+
+from itertools import pairwise
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from controllers.obl.ambient import Ambient, AmbientParams
+
+PARAMS = AmbientParams()
+
+
+def followed(needed: float, steps: int, ambient: Ambient = Ambient(), params: AmbientParams = PARAMS) -> list[Ambient]:  # noqa: B008
+    """States of a loop around an object that is found for sure from a share `needed` on, doubtfully from half of that on."""
+    states = []
+    for _ in range(steps):
+        ambient = params.step(ambient, [0.7 if ambient.share >= needed else 0.35 if ambient.share >= needed / 2 else 0.1])
+        states.append(ambient)
+    return states
+
+
+def test_with_nothing_in_doubt_it_falls_to_the_least_within_a_second() -> None:
+    shares = [each.share for each in followed(0.0, 30)]
+    assert shares == sorted(shares, reverse=True) and shares[-1] == PARAMS.least
+    assert [PARAMS.step(Ambient(0.5, rested=k), ()).share for k in (0, 2, 3)] == [0.5, 0.5, 0.3]
+
+
+@settings(deadline=None)
+@given(needed=st.floats(0.06, 1.0))
+def test_it_keeps_what_it_found_detectable_and_does_not_hunt(needed: float) -> None:
+    """Never doubtful for longer than it takes to rise; steps are rare once the least has been found."""
+    states = followed(needed, 600)
+    doubtful = [each.share < needed / 2 for each in states]
+    assert not any(a and b for a, b in pairwise(doubtful))
+    changes = sum(a.share != b.share for a, b in pairwise(states[60:]))
+    assert changes <= 2 * 540 / PARAMS.patience + 2
+    assert states[-1].share < max(3.5 * needed, 1.5 * PARAMS.least)
+
+
+def test_it_rises_at_once_and_waits_between_two_steps() -> None:
+    first = PARAMS.step(Ambient(0.05, rested=1), [0.1, 0.9])
+    assert first.share == 0.1
+    ambient, shares = first, []
+    for _ in range(PARAMS.rise_frames):
+        ambient = PARAMS.step(ambient, [0.1])
+        shares.append(ambient.share)
+    assert shares == [0.1] * (PARAMS.rise_frames - 1) + [0.2]
+
+
+def test_it_is_never_more_than_the_whole_beam() -> None:
+    assert PARAMS.step(Ambient(0.8), [0.0]).share == 1.0 == PARAMS.step(Ambient(1.0), [0.0]).share
+
+
+def test_after_a_loss_it_stays_up_for_a_while_and_falls_again() -> None:
+    ambient, shares = Ambient(0.05, rested=10), []
+    for k in range(400):
+        ambient = PARAMS.step(ambient, [0.1 if 5 <= k < 12 else 0.8])
+        shares.append(ambient.share)
+    assert set(shares[:5]) == {0.05} and set(shares[5 : 5 + PARAMS.patience]) == {0.1} and set(shares[170:]) == {0.05}

@@ -1,0 +1,199 @@
+"""The function on objects: what it lights, what it leaves dark, what it remembers."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydantic import ValidationError
+from torch import Tensor
+
+from controllers.functions.geometry import cuboid
+from controllers.functions.situation import AdaptiveFunction, Situation, TrackedObject
+from controllers.obl.function import ObjectBasedParams, ObjectBasedState
+from controllers.obl.light import NEAREST_M, ObjectLightParams, frontal
+from controllers.primitives import concatenate
+from controllers.secondary import Light, SecondaryRays
+from controllers.ssc import Ssc
+from world.frames import inverse, pose_from_degrees, transform
+from world.presets import lamp
+
+HERE = torch.eye(4, dtype=torch.float64)
+PLACES = [pose_from_degrees((0.0, y, 0.65)) for y in (0.6, -0.6)]
+LAMPS = torch.stack([T[:3, 3] for T in PLACES])
+CONSTANT = ObjectBasedParams(method="constant", setpoint_lx=10.0)
+
+
+def person(name: str = "person", x: float = 20.0, y: float = 1.0, **what: float) -> TrackedObject:
+    return TrackedObject(name, "pedestrian", pose_from_degrees((x, y, 0.0)), (0.4, 0.6, 1.7), **what)
+
+
+def car(x: float = 30.0, y: float = 3.0) -> TrackedObject:
+    return TrackedObject("car", "car", pose_from_degrees((x, y, 0.0), yaw_deg=180), (4.4, 1.8, 1.5))
+
+
+def now(*objects: TrackedObject, time_s: float = 0.0) -> Situation:
+    return Situation(time_s, HERE, LAMPS, objects)
+
+
+def on_front(each: TrackedObject, low: float, high: float, n: int = 15) -> Tensor:
+    """Points `[3, N]` m of the box, all around, from one share of its height to another."""
+    length, width, height = each.size_m
+    bounds = torch.tensor([[-length / 2, -width / 2, low * height], [length / 2, width / 2, high * height]], dtype=torch.float64)
+    origin, d1, d2 = cuboid(each.T_world_object, bounds[0], bounds[1])
+    s = torch.linspace(0, 1, n, dtype=torch.float64)
+    return (origin[:, None, None] + s[:, None, None] * d1[:, None, None] + s[:, None] * d2[:, None, None]).reshape(-1, 3).T
+
+
+@pytest.fixture(scope="module")
+def shining():  # type: ignore[no-untyped-def]
+    """lx of both lamps together at points `[3, N]`, on a plane that faces each; share: of full light, below the function."""
+    light = lamp("ssl-hd-lores").modules[0].headlight
+    ssc = Ssc.prepare(light)
+    lights = tuple((name, Light.of(light, T)) for name, T in zip(("left lores", "right lores"), PLACES, strict=True))
+
+    def lx(function: ObjectBasedParams, situation: Situation, points: Tensor, share: float = 0.0) -> Tensor:
+        scene = concatenate(*function.adapted(function.start(), situation)).to(torch.float32)
+        total = torch.zeros(points.shape[1])
+        for k, T in enumerate(PLACES):
+            u = ssc.over(torch.full((light.n_pixels,), share)).utilisation(scene, T, SecondaryRays(lights, k)).u
+            local = transform(inverse(T), points).float()
+            total += light.intensity(light.light_texture(u), local) / local.square().sum(0)
+        return total
+
+    return lx
+
+
+def test_it_is_an_adaptive_function_whose_state_is_a_value() -> None:
+    function: AdaptiveFunction = ObjectBasedParams()
+    state = function.start()
+    assert function.base_share(state) == 1.0
+    following = function.step(state, now(person(score=0.5)))
+    assert state == ObjectBasedState() and following != state
+    assert following == function.step(state, now(person(score=0.5)))
+
+
+@pytest.mark.parametrize("x", [12.0, 20.0, 30.0])
+def test_the_body_gets_the_setpoint_and_the_head_none(shining, x: float) -> None:  # type: ignore[no-untyped-def]
+    """Over a beam of full light. Pixels are blurred by 0.4 deg, so that the body is darker right below the head."""
+    each, blurred = person(x=x), x * math.tan(math.radians(0.9))
+    front = torch.tensor([[x - 0.2] * 3, [0.85, 1.0, 1.15], [0.3, 0.5, 0.6]], dtype=torch.float64)
+    assert blurred < 0.5
+    torch.testing.assert_close(shining(CONSTANT, now(each), front), torch.full((3,), 10.0), rtol=0.08, atol=0)
+    assert shining(CONSTANT, now(each), on_front(each, 0.82, 1.0), share=1.0).max() == 0
+
+
+@settings(deadline=None, max_examples=15)
+@given(x=st.floats(8, 60), y=st.floats(-6, 6), kind=st.sampled_from(["car", "person"]))
+def test_heads_and_windscreens_stay_dark_wherever_the_object_is(shining, x: float, y: float, kind: str) -> None:  # type: ignore[no-untyped-def]
+    """Zero, not little, over a beam of full light: all around the upper part of the box, from both lamps."""
+    each = car(x, y) if kind == "car" else person(x=x, y=y)
+    dark = 1 - ObjectLightParams().dark[each.category]
+    assert shining(CONSTANT, now(each), on_front(each, dark, 1.0), share=1.0).max() == 0
+
+
+def test_a_mask_beats_the_light_of_an_object_beside_it(shining) -> None:  # type: ignore[no-untyped-def]
+    """A child stands before someone's chest, and someone behind a car."""
+    child = TrackedObject("child", "pedestrian", pose_from_degrees((20.0, 1.0, 0.0)), (0.3, 0.5, 1.1))
+    for objects in ((child, person(x=22.0)), (car(25, 1), person(x=29.0, y=1.5))):
+        for each in objects:
+            dark = 1 - ObjectLightParams().dark[each.category]
+            assert shining(CONSTANT, now(*objects), on_front(each, dark, 1.0)).max() == 0
+
+
+@settings(deadline=None)
+@given(x=st.floats(4, 80), y=st.floats(-8, 8), yaw=st.floats(-180, 180))
+def test_the_rectangle_covers_the_box_seen_from_every_lamp(x: float, y: float, yaw: float) -> None:
+    each = replace(car(), T_world_object=pose_from_degrees((x, y, 0.0), yaw_deg=yaw))
+    low, high = torch.tensor([-2.2, -0.9, 0.0]), torch.tensor([2.2, 0.9, 1.5])
+    place = frontal(each.T_world_object, low, high, LAMPS, 0.0)
+    points = on_front(each, 0.0, 1.0)
+    ahead = -(place.normal @ (points - LAMPS.mean(0)[:, None])) if place else points[0]
+    assert (place is None) <= bool(ahead.amin() < NEAREST_M + 2)
+    if place is None:
+        return
+    for eye in LAMPS:
+        ray = points - eye[:, None]
+        hit = eye[:, None] + ray * ((place.origin - eye) @ place.normal / (place.normal @ ray)) - place.origin[:, None]
+        u, v = place.d1 @ hit / place.d1.square().sum(), place.d2 @ hit / place.d2.square().sum()
+        assert torch.stack([u, v, 1 - u, 1 - v]).amin() >= -1e-6
+        assert (ray.norm(dim=0) - (hit + place.origin[:, None] - eye[:, None]).norm(dim=0)).amin() > -1e-6  # before the box
+
+
+def test_what_stands_beside_the_lamps_is_left_alone() -> None:
+    assert not CONSTANT.adapted(CONSTANT.start(), now(person(x=1.0, y=1.2)))
+
+
+def test_setpoints_follow_the_class() -> None:
+    function = ObjectBasedParams(method="class", setpoints_lx={"pedestrian": 7.0}, setpoint_lx=2.0)
+    values = [part.value.item() for part in function.adapted(function.start(), now(person(), car()))]
+    assert values == [7.0, 0.0, 2.0, 0.0]
+    assert function.base_share(function.start()) == function.share
+    assert function.step(function.start(), now(person())) == function.start()
+
+
+def test_structure_is_light_and_dark_in_cells_of_half_a_period() -> None:
+    for pattern, dark in (("stripes", 0.5), ("checks", 0.5)):
+        light = ObjectLightParams(pattern=pattern, period_m=0.4, margin_m=0.0)
+        lit = light.on(person(), LAMPS, 10.0, 0, ())[0]
+        image = lit.image_of(0)
+        assert set(image.unique().tolist()) == {0.0, 1.0} and abs(image.mean() - dark) < 0.2
+        cell = lit.d1.norm() / image.shape[1] * 16
+        assert cell == pytest.approx(0.2, rel=0.2)
+    rows = ObjectLightParams(pattern="stripes").on(person(), LAMPS, 10.0, 0, ())[0].image_of(0)
+    assert (rows == rows[0]).all()
+
+
+def test_a_new_object_is_lit_at_once_and_a_lost_one_fades() -> None:
+    function = ObjectBasedParams()
+    state = function.step(function.start(), now(person(since_s=0.0, score=0.4)))
+    assert function.adapted(state, now(person(since_s=0.0)))[0].value.item() == 20.0
+    fading = []
+    for k in range(30):
+        situation = now(person(since_s=0.0, until_s=1.0), time_s=0.8 + k / 30)
+        parts = function.adapted(state, situation)
+        fading.append(parts[0].value.item() if parts else 0.0)
+        state = function.step(state, situation)
+    assert fading[0] == 20.0 and fading == sorted(fading, reverse=True) and fading[-1] == 0.0
+    assert not function.step(state, now(time_s=3.0)).loops
+
+
+def test_neighbours_that_share_their_light_settle_together() -> None:
+    """Each sees a third of the other's light too; none ends doubtful, and both stay where they settle."""
+    function = ObjectBasedParams()
+    names, knees = ("left", "right"), (3.0, 8.0)
+    state = function.start()
+    history = []
+    for k in range(240):
+        lx = [state.loops[name].lx if name in state.loops else 1.0 for name in names]
+        reached = [lx[0] + lx[1] / 3, lx[1] + lx[0] / 3]
+        scores = [min(0.7, 0.7 + 0.12 * math.log2(e / knee)) for e, knee in zip(reached, knees, strict=True)]
+        people = [person(name, y=y, score=score) for name, y, score in zip(names, (-1.0, 1.0), scores, strict=True)]
+        state = function.step(state, now(*people, time_s=k / 30))
+        history.append((tuple(loop.lx for loop in state.loops.values()), all(loop.settled for loop in state.loops.values())))
+    assert all(settled for _, settled in history[60:])
+    assert len({lx for lx, _ in history[60:]}) == 1
+    assert min(scores) >= 0.65
+    assert state.share == function.ambient.least
+
+
+def test_it_is_the_lost_object_that_brings_light_back() -> None:
+    """One that was never found for sure, or that the camera does not look at any more, does not."""
+    function = ObjectBasedParams()
+    for before, rises in ((0.7, True), (0.35, False)):
+        state = function.start()
+        for k in range(60):
+            state = function.step(state, now(person(score=before), time_s=k / 30))
+        low = state.share
+        for k in range(60, 80):
+            state = function.step(state, now(person(score=math.nan), time_s=k / 30))
+        assert (state.share > low) == rises
+
+
+def test_bad_values_are_refused_by_name() -> None:
+    with pytest.raises(ValidationError, match=r"pedestrian: -1 lx"):
+        ObjectBasedParams(setpoints_lx={"pedestrian": -1})
+    with pytest.raises(ValidationError, match=r"car: 2 is no share"):
+        ObjectLightParams(dark={"car": 2.0})
