@@ -7,20 +7,26 @@ from pathlib import Path
 
 DECISIVE = {"world": "**/*", "perception": "**/*.py", "controllers": "**/*.py", "loop": "*.py", "loop.lighting": "*.py"}
 SHOWING = (  # beginnings of the names of those modules of loop that decide no figure
-    *(
-        "campaign",
-        "cli",
-        "commands",
-        "comparison",
-        "doctor",
-        "evaluate",
-        "executors",
-        "gradient",
-        "headlight",
-        "jobs",
-        "progress",
-    ),
-    *("ranges", "rectangles", "replay", "report", "tables", "template", "tune", "video"),
+    "campaign",
+    "cli",
+    "commands",
+    "comparison",
+    "doctor",
+    "evaluate",
+    "executors",
+    "gradient",
+    "headlight",
+    "jobs",
+    "photometry_picture",
+    "progress",
+    "ranges",
+    "rectangles",
+    "replay",
+    "report",
+    "tables",
+    "template",
+    "tune",
+    "video",
 )
 
 

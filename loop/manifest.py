@@ -1,9 +1,7 @@
 """The manifest of a recording: what ran, on what, with which files. Written first, so that a recording explains itself however it ends."""
 
-import contextlib
 import datetime
 import hashlib
-import importlib.util
 import json
 import os
 import platform
@@ -21,6 +19,7 @@ from loop.build import symbol_path
 from loop.lamp_description import lamp_files
 from loop.scenario import AnyScenario, Scenario
 from loop.shipped import named
+from loop.sources import sources_of
 from loop.utilisations import sequence_files
 from loop.validation import sentence
 from world.errors import LuxloopError
@@ -128,7 +127,7 @@ def write_json(file: Path, value: Any) -> None:
 
 def input_files(scenario: AnyScenario) -> Iterator[tuple[str, Path]]:
     """Files that decide a run beside the scenario and luxloop's code, by the key that names them: symbols, roads, meshes, lamps and what
-    their descriptions name, and modules of one's own (not what these import)."""
+    their descriptions name, and modules of one's own with what they import from beside them."""
     if isinstance(scenario, Scenario):
         yield "symbol.image", symbol_path(scenario.symbol.image)
     else:
@@ -146,9 +145,7 @@ def input_files(scenario: AnyScenario) -> Iterator[tuple[str, Path]]:
     for file in lamp_files(scenario.headlight.model):
         yield f"headlight.model {os.path.relpath(file, Path(scenario.headlight.model).parent)}", file
     for module in re.findall(r'"(\w+(?:\.\w+)*):\w+"', scenario.model_dump_json()):
-        with contextlib.suppress(ImportError):  # whoever makes the controller says so
-            if (found := importlib.util.find_spec(module)) and found.origin:
-                yield f"module {module}", Path(found.origin)
+        yield from ((f"module {name}", file) for name, file in sources_of(module).items())
     for i, item in enumerate(scenario.objects):
         if isinstance(item, MeshParams):
             yield f"objects[{i}].file", item.file

@@ -1,0 +1,69 @@
+"""The files that a module of the user's own consists of: itself, and what it imports from the folder that it lies in."""
+
+import ast
+import sysconfig
+from collections.abc import Iterator
+from importlib.machinery import PathFinder
+from importlib.util import resolve_name
+from pathlib import Path
+
+from world.errors import LuxloopError
+
+OURS = ("world", "perception", "controllers", "loop", "scenarios")  # which have a version of their own
+PACKAGE = "__init__.py"
+INSTALLED = {Path(sysconfig.get_path(kind)) for kind in ("purelib", "platlib", "stdlib")}
+
+
+def sources_of(module: str) -> dict[str, Path]:
+    """Files by module, without running any: the module, the packages around it, and all that these import, at their heads or in functions.
+
+    Followed is what lies in the folder in which Python finds the module; of an installed one, its own package. Empty where there is no
+    such module. Raises LuxloopError where a file is not Python.
+    """
+    top = module.partition(".")[0]
+    folder = _folder_of(top)
+    if folder is None or top in OURS:
+        return {}
+    only_its_own = folder in INSTALLED
+    found: dict[str, Path] = {}
+    waiting = [module]
+    while waiting:
+        name = waiting.pop()
+        start = name.partition(".")[0]
+        if name in found or start in OURS or (only_its_own and start != top):
+            continue
+        file = _file(folder, name)
+        if file is not None:
+            found[name] = file
+            waiting += _imported(file, name if file.name == PACKAGE else name.rpartition(".")[0])
+        if "." in name:
+            waiting.append(name.rpartition(".")[0])
+    return found
+
+
+def _folder_of(top: str) -> Path | None:
+    spec = PathFinder.find_spec(top)
+    if spec is None:
+        return None
+    within = list(spec.submodule_search_locations or ())
+    return Path(within[0]).parent if within else Path(spec.origin or "").parent
+
+
+def _file(folder: Path, name: str) -> Path | None:
+    path = folder.joinpath(*name.split("."))
+    return next((file for file in (path / PACKAGE, path.with_name(f"{path.name}.py")) if file.is_file()), None)
+
+
+def _imported(file: Path, package: str) -> Iterator[str]:
+    """Names that may be modules."""
+    try:
+        tree = ast.parse(file.read_bytes())
+    except (SyntaxError, ValueError, OSError) as error:
+        raise LuxloopError(f"{file}: cannot be read as Python ({error}); mend it") from error
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = resolve_name("." * node.level + (node.module or ""), package) if node.level else node.module or ""
+            yield base
+            yield from (f"{base}.{alias.name}" for alias in node.names)
