@@ -1,9 +1,9 @@
 """The planner: base beam and lighting functions, composed for one moment into primitives (T 4.1, 7.2.2)."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import torch
 from pydantic import Field
@@ -14,7 +14,7 @@ from controllers.functions.lane import LaneParams, WidthParams
 from controllers.functions.marker import MarkerParams
 from controllers.functions.path import PathParams
 from controllers.functions.sign import SignParams
-from controllers.functions.situation import LightingFunction, Situation
+from controllers.functions.situation import AdaptiveFunction, LightingFunction, Situation
 from controllers.functions.symbol import SymbolFunctionParams
 from controllers.primitives import Primitives, concatenate
 from controllers.symbols import SymbolSource, load
@@ -25,6 +25,9 @@ FunctionParams = Annotated[
     GlareFreeParams | MarkerParams | SignParams | SymbolFunctionParams | PathParams | LaneParams | WidthParams,
     Field(discriminator="kind"),
 ]
+
+
+States = tuple[Any, ...]  # of all functions, by their place in the scenario; None of those that learn nothing
 
 
 class LightingParams(Params):
@@ -76,16 +79,50 @@ class Planner:
                     symbols[image] = load(find(image))
         return cls(params, symbols, dtype)
 
-    def plan(self, now: Situation) -> Plan:
-        """Compose all functions. Masks of road users beat everything else; else the higher priority wins where two lie in one place."""
+    @property
+    def functions(self) -> tuple[LightingFunction | AdaptiveFunction, ...]:
+        return self.params.functions
+
+    @property
+    def learns(self) -> bool:
+        """Whether any function depends on what was seen before."""
+        return any(isinstance(function, AdaptiveFunction) for function in self.functions)
+
+    def start(self) -> States:
+        """Before anything is seen."""
+        return tuple(function.start() if isinstance(function, AdaptiveFunction) else None for function in self.functions)
+
+    def step(self, states: States, now: Situation) -> States:
+        """What the functions have learnt once `now.seen` has come."""
         now = replace(now, symbols=dict(self.symbols))
-        functions: tuple[LightingFunction, ...] = self.params.functions
-        parts: list[Primitives] = []
-        for number, function in enumerate(functions):
+        stepped = []
+        for number, (function, state) in enumerate(zip(self.functions, states, strict=True)):
             with located(f"lighting.functions[{number}]"):
-                parts += function.primitives(now)
-        base = self.params.base.at(now)
+                stepped.append(function.step(state, now) if isinstance(function, AdaptiveFunction) else None)
+        return tuple(stepped)
+
+    def drawn(self, now: Situation, states: States) -> tuple[tuple[Primitives, ...], ...]:
+        """The primitives of each function."""
+        now = replace(now, symbols=dict(self.symbols))
+        found = []
+        for number, (function, state) in enumerate(zip(self.functions, states, strict=True)):
+            with located(f"lighting.functions[{number}]"):
+                found.append(function.adapted(state, now) if isinstance(function, AdaptiveFunction) else function.primitives(now))
+        return tuple(found)
+
+    def plan(self, now: Situation, states: States | None = None) -> Plan:
+        """Compose all functions. Masks of road users beat everything else; else the higher priority wins where two lie in one place.
+
+        states: what the functions have learnt; left out: nothing.
+        """
+        states = self.start() if states is None else states
+        parts = [primitives for each in self.drawn(now, states) for primitives in each]
+        base = replace(self.params.base.at(now), share=self._base_share(states))
         if not parts:
             return Plan(now.time_s, base, None)
         primitives = concatenate(*parts).to(self.dtype)
         return Plan(now.time_s, base, replace(primitives, shared=primitives.shared & self.params.share))
+
+    def _base_share(self, states: Sequence[Any]) -> float:
+        asked = (each.base_share(state) for each, state in zip(self.functions, states, strict=True) if isinstance(each, AdaptiveFunction))
+        return max((share for share in asked if share is not None), default=1.0)

@@ -27,7 +27,7 @@ def pictures(folder: Path) -> None:
     """`night_traffic` after 1.5 s, by night and in 2000 lx; the sky is light grey by day."""
     for name, ambient_lx, white_cd_m2, sky in (("night", 0.05, 6.0, 0.0), ("day", 2000.0, 350.0, 0.8)):
         simulation = LightingSimulation.prepare(load_any("night_traffic", [f"light.ambient_lx={ambient_lx}"]))
-        result = simulation.step(30)
+        result = simulation.at(30)
         image = (result.luminance / white_cd_m2).clamp(0, 1).sqrt()
         image[simulation.camera.at(result.time_s).surfaces.object_id < 0] = sky
         cv2.imwrite(str(folder / f"traffic-{name}.jpg"), (255 * image).byte().cpu().numpy(), [cv2.IMWRITE_JPEG_QUALITY, 80])

@@ -19,12 +19,13 @@ MOTORWAY_ABOVE_M_S = 110 / 3.6
 
 @dataclass(frozen=True)
 class BaseBeam:
-    """A beam by name and how it is morphed, in rad: bend to the left, level nose down, roll right side down."""
+    """A beam by name and how it is morphed, in rad: bend to the left, level nose down, roll right side down; share: what is left of it."""
 
     name: str
     bend: float = 0.0
     level: float = 0.0
     roll: float = 0.0
+    share: float = 1.0
 
     @property
     def morph(self) -> Morph:

@@ -49,7 +49,7 @@ class ShiningModule:
         return self.controller.headlight
 
     def base(self, plan: Plan) -> Tensor:
-        """Utilisation `[n_p]` below all functions: the raw one, else a base beam, morphed.
+        """Utilisation `[n_p]` below all functions: the raw one, else a base beam, morphed and dimmed.
 
         Raises LuxloopError where the lamp has no such beam.
         """
@@ -58,11 +58,11 @@ class ShiningModule:
         beam, name = plan.base, plan.base.name
         if name not in self._straight:
             self._straight[name] = self.lamp.beam(name)[self.number].to(self.flux)
-        if beam == BaseBeam(name):
-            return self._straight[name]
+        if beam == BaseBeam(name, share=beam.share):
+            return beam.share * self._straight[name] if beam.share < 1 else self._straight[name]
         if name not in self._morphings:
             self._morphings[name] = Morphing.prepare(self.headlight, self._straight[name])
-        return self._morphings[name].utilisation(beam.morph)
+        return beam.share * self._morphings[name].utilisation(beam.morph)
 
     def utilisation(self, plan: Plan, secondary: SecondaryRays) -> Tensor:
         """Utilisation `[n_p]` of base beam and functions; secondary: what this module's rays ask where they hit."""

@@ -13,7 +13,7 @@ from controllers.functions.situation import TrackedObject
 from loop.lighting.lamps import ShiningModule
 from loop.lighting.simulation import LightingResult, LightingSimulation
 from loop.video import Picture, tone_map
-from perception.camera import CameraParams, expose, frame_generator, luminance_of
+from perception.camera import CameraParams, expose, luminance_of
 from world.frames import pose_from_degrees, transform
 from world.sources import Source, wall_illuminance
 from world.view import View
@@ -34,8 +34,7 @@ def white_of(luminance: Tensor, camera: CameraParams) -> Tensor:
 
 def measured(result: LightingResult, simulation: LightingSimulation) -> Tensor:
     """Luminance `[height, width]` in cd/m^2 that the camera measures, with that step's noise."""
-    camera, seed = simulation.scenario.camera, simulation.scenario.seed
-    return luminance_of(expose(result.luminance, camera, frame_generator(seed, result.step, 0, simulation.device)), camera)
+    return luminance_of(result.frame, simulation.scenario.camera)
 
 
 def frame_picture(result: LightingResult, simulation: LightingSimulation, white: Tensor) -> Picture:
@@ -44,7 +43,7 @@ def frame_picture(result: LightingResult, simulation: LightingSimulation, white:
     height, width = picture.shape[:2]
     for each in result.now.objects:
         if each.since_s <= result.time_s < each.until_s:
-            colour = MASKED_RGB if result.objects[each.name].masked else TRACKED_RGB
+            colour = MASKED_RGB if each.name in result.masked else TRACKED_RGB
             for a, b in box_lines(each, simulation.camera.view):
                 cv2.line(picture, a, b, colour, 1, cv2.LINE_AA)
     wall = wall_light(simulation.modules, result.lights, round(WALL_SHARE * width))

@@ -92,7 +92,7 @@ class LightingRecorder(TableRecorder[LightingResult]):
 
     def row(self, result: LightingResult) -> dict[str, Any]:
         if self.idle:
-            self.idle &= self.simulation.idle(result.now)
+            self.idle &= self.simulation.idle(result)
         return row(result)
 
     def summary(self) -> dict[str, Any]:

@@ -76,7 +76,7 @@ def _camera(axes: Axes, simulation: LightingSimulation, result: LightingResult, 
     axes.imshow(image, cmap=NIGHT, vmin=0, vmax=1, interpolation="antialiased")
     for each in result.now.objects:
         if each.since_s <= result.time_s < each.until_s:
-            colour = MASKED if result.objects[each.name].masked else TRACKED
+            colour = MASKED if each.name in result.masked else TRACKED
             for (u0, v0), (u1, v1) in box_lines(each, simulation.camera.view):
                 axes.plot([u0, u1], [v0, v1], color=colour, linewidth=0.7)
     axes.set(xlim=(-0.5, image.shape[1] - 0.5), ylim=(image.shape[0] - 0.5, -0.5), xticks=[], yticks=[])
@@ -109,7 +109,7 @@ def _from_above(axes: Axes, simulation: LightingSimulation, last: LightingResult
         if each.since_s <= last.time_s < each.until_s:
             x, y = each.size_m[0] / 2, each.size_m[1] / 2
             foot = torch.tensor([[x, x, -x, -x], [y, -y, -y, y], [0.0] * 4], dtype=torch.float64)
-            colour = MASKED if last.objects[each.name].masked else TRACKED
+            colour = MASKED if each.name in last.masked else TRACKED
             axes.add_patch(Polygon(transform(each.T_world_object.double(), foot)[:2].T.numpy(), fill=False, color=colour, linewidth=1.2))
     axes.set(xlabel="ahead in m", ylabel="to the left in m", title="Illuminance from above, at the end")
     (left, right), (low, high) = lit_part(light)

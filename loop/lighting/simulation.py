@@ -3,24 +3,28 @@
 import math
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
 
-from controllers.functions.situation import LightingFunction, Situation, TrackedObject
-from controllers.planner import Plan, Planner
+from controllers.functions.situation import LightingFunction, Seen, Situation, TrackedObject
+from controllers.planner import Plan, Planner, States
 from controllers.primitives import Primitives
 from controllers.rthc import masks
 from controllers.secondary import Light, SecondaryRays, scene_caster
 from controllers.windows import projected_windows
 from loop.build import build_scene
+from loop.lighting.known import Known, categories
 from loop.lighting.lamps import LampPower, ShiningModule, driven, shining_modules
 from loop.lighting.observed import ObservedSymbol, in_white, observed_symbols
-from loop.lighting.view import Looker
+from loop.lighting.sight import Recognised, Sight, name_of, recognised
+from loop.lighting.view import LitScene, Looker
 from loop.scenario import DrivingParams, LightingScenario
 from loop.shipped import named
-from perception.camera import camera_view
+from perception.camera import camera_view, expose, frame_generator, luminance_of, saturation_luminance
+from perception.detection.protocol import Detections
+from perception.tracking import Tracks
 from world.errors import LuxloopError, located
 from world.face_source import face_source
 from world.scene import Scene
@@ -37,24 +41,51 @@ class OnObject:
     masked: bool
 
 
+@dataclass(frozen=True, eq=False)
+class LightingState:
+    """What the car knows before a step. tracks: None without a detector. functions: what each of them has learnt."""
+
+    step: int
+    tracks: Tracks | None
+    functions: States
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """What was found in a frame. recognised: what is made of each object in sight, by its name. false_positives: detections of none.
+    eyes_lx_max: most light of the lamps on heads and windscreens of road users, None where none are seen.
+    """
+
+    found: Detections
+    tracks: Tracks
+    recognised: Mapping[str, Recognised]
+    false_positives: int
+    eyes_lx_max: float | None
+
+
 @dataclass(frozen=True)
 class LightingResult:
     """What happened in one step.
 
+    now: what was known, and functions: what they had learnt, when the light was planned. masked: names of its objects that must be dark.
     lights: utilisations `[n_p]`, one a module. powers: by the lamps' sides. illuminance: `[height, width]` lx from the lamps alone, and
-    luminance: in cd/m^2 with all other light, as the camera sees them. objects: by name, those that are there and tracked.
-    symbols: those that are meant for an observer, from their eyes. timings: ms by part.
+    luminance: in cd/m^2 with all other light, as the camera sees them. frame: its digital numbers. objects: by name, those that are there
+    and have a category. look: None without a detector. symbols: those that are meant for an observer, from their eyes. timings: ms by part.
     """
 
     step: int
     time_s: float
     now: Situation
+    functions: States
+    masked: frozenset[str]
     plan: Plan
     lights: tuple[Tensor, ...]
     powers: Mapping[str, LampPower]
     illuminance: Tensor
     luminance: Tensor
+    frame: Tensor
     objects: Mapping[str, OnObject]
+    look: Look | None
     symbols: tuple[ObservedSymbol, ...]
     timings: Mapping[str, float]
 
@@ -72,7 +103,9 @@ class LightingResult:
 
 @dataclass(frozen=True, eq=False)
 class LightingSimulation:
-    """A lighting scenario made ready to run on one device. Its steps depend on nothing but their time."""
+    """A lighting scenario made ready to run on one device. sight: None without a detector; then steps depend on their time alone, unless
+    a function learns.
+    """
 
     scenario: LightingScenario
     device: torch.device
@@ -81,6 +114,8 @@ class LightingSimulation:
     modules: tuple[ShiningModule, ...]
     lights: tuple[tuple[str, Light], ...]
     camera: Looker
+    sight: Sight | None = None
+    _known: list[Known] = field(default_factory=list, init=False, repr=False)
 
     @classmethod
     def prepare(cls, scenario: LightingScenario, device: torch.device | str = "cpu") -> "LightingSimulation":
@@ -96,49 +131,88 @@ class LightingSimulation:
         _check_names(scenario, modules)
         camera = Looker(scene, camera_view(scenario.camera), modules, face_source(scenario.renderer), device)
         lights = tuple((module.name, Light.of(module.headlight, module.T_world_module)) for module in modules)
-        simulation = cls(scenario, device, planner, scene, modules, lights, camera)
+        given = scenario.detector
+        sight = None if given is None else Sight.prepare(given, scenario.tracker, camera.view, device)
+        simulation = cls(scenario, device, planner, scene, modules, lights, camera, sight)
         planner.plan(simulation.situation(0.0))
         for module in modules:
             for name in scenario.lighting.base.names if module.raw is None else ():
                 module.lamp.beam(name)
         return simulation
 
-    def situation(self, time_s: float) -> Situation:
-        """What the car knows at a time, from a tracker that makes no mistakes."""
-        categories = ((body, item.category) for body, item in zip(self.scene.objects, self.scenario.all_objects, strict=True))
+    def situation(self, time_s: float, tracks: Tracks | None = None) -> Situation:
+        """What the car knows at a time: from tracks, if there is a detector, else from a tracker that makes no mistakes."""
         drive = driving(self.scenario.driving, time_s)
         return Situation(
             time_s,
             torch.eye(4, dtype=torch.float64),
             torch.stack([module.T_world_module[:3, 3].double().cpu() for module in self.modules]),
-            tuple(TrackedObject.of(body, category, time_s) for body, category in categories if category is not None),
+            self._all_objects(time_s) if self.sight is None else self.sight.objects(tracks or self.sight.start(), time_s),
             drive.speed_m_s,
             drive.curvature_1_m,
             drive.wet,
             drive.street_lit,
+            lights=self.lights,
         )
 
-    def step(self, step: int) -> LightingResult:
-        """One step."""
+    def start(self, step: int = 0) -> LightingState:
+        """The state before a step, with nothing seen yet."""
+        return LightingState(step, None if self.sight is None else self.sight.start(), self.planner.start())
+
+    def step(self, state: LightingState) -> tuple[LightingState, LightingResult]:
+        """One step: light is planned with what is known, and what is then seen adds to it."""
         start = time.perf_counter()
-        time_s = step / self.scenario.rate_hz
-        now = self.situation(time_s)
-        plan = self.planner.plan(now)
+        time_s = state.step / self.scenario.rate_hz
+        now = self.situation(time_s, state.tracks)
+        plan = self.planner.plan(now, state.functions)
         planned = time.perf_counter()
         lights, powers = self._driven(plan, time_s)
         lit = time.perf_counter()
         seen = self.camera.at(time_s)
         illuminance, luminance = seen.light(lights)
-        objects = self._on_objects(illuminance, seen.surfaces.object_id, now)
+        luminance += seen.base
+        frame = expose(luminance, self.scenario.camera, frame_generator(self.scenario.seed, state.step, 0, self.device))
+        looked = time.perf_counter()
+        known = self._truth(seen)
+        tracks, look = self._look(state.tracks, frame, known, illuminance, time_s)
+        functions = self.planner.step(state.functions, self._learnt(now, known, frame, tracks)) if self.planner.learns else state.functions
+        found = time.perf_counter()
+        masked = frozenset(each.name for each in now.objects if self.masked(each, now))
+        objects = self._on_objects(illuminance, seen.surfaces.object_id, masked, look)
         white = in_white(plan)
         symbols = () if white is None else observed_symbols(plan, lights, self._driven(white, time_s)[0], self.camera, time_s)
         stop = time.perf_counter()
-        timings = {"plan": 1e3 * (planned - start), "light": 1e3 * (lit - planned), "look": 1e3 * (stop - lit)}
-        return LightingResult(step, time_s, now, plan, lights, powers, illuminance, luminance + seen.base, objects, symbols, timings)
+        taken = {"plan": planned - start, "light": lit - planned, "look": looked - lit + stop - found, "find": found - looked}
+        timings = {part: 1e3 * seconds for part, seconds in taken.items()}
+        result = LightingResult(
+            state.step,
+            time_s,
+            now,
+            state.functions,
+            masked,
+            plan,
+            lights,
+            powers,
+            illuminance,
+            luminance,
+            frame,
+            objects,
+            look,
+            symbols,
+            timings,
+        )
+        return LightingState(state.step + 1, tracks, functions), result
+
+    def at(self, step: int) -> LightingResult:
+        """One step alone, before which nothing was seen; that of the run where nothing depends on what was seen."""
+        return self.step(self.start(step))[1]
 
     def lights_at(self, time_s: float) -> tuple[Tensor, ...]:
-        """Utilisations `[n_p]`, one a module, at any time."""
-        return self._driven(self.planner.plan(self.situation(time_s)), time_s)[0]
+        """Utilisations `[n_p]`, one a module, at any time; what depends on what was seen is run up to it."""
+        state = self.start()
+        while (self.sight is not None or self.planner.learns) and (state.step + 1) / self.scenario.rate_hz <= time_s:
+            state, _ = self.step(state)
+        return self._driven(self.planner.plan(self.situation(time_s, state.tracks), state.functions), time_s)[0]
 
     def base(self, beam: str) -> str:
         """What shines below all functions, in words, where the base beam is one of this name."""
@@ -147,19 +221,50 @@ class LightingSimulation:
 
     def run(self) -> Iterator[LightingResult]:
         """All steps of the scenario."""
-        return (self.step(step) for step in range(self.scenario.steps))
+        state = self.start()
+        for _ in range(self.scenario.steps):
+            state, result = self.step(state)
+            yield result
 
-    def masked(self, name: str, now: Situation) -> bool:
+    def masked(self, each: TrackedObject, now: Situation) -> bool:
         """Whether a glare-free function keeps all light off an object: its own mask is there, and not fading."""
-        alone = replace(now, objects=tuple(each for each in now.objects if each.name == name))
+        alone = replace(now, objects=(each,))
         functions = (function for function in self.scenario.lighting.functions if function.kind == "glare_free")
-        return any(any(masks(part)) for function in functions for part in function.primitives(alone))
+        there = each.since_s <= now.time_s < each.until_s
+        return there and any(any(masks(part)) for function in functions for part in function.primitives(alone))
 
-    def idle(self, now: Situation) -> set[int]:
+    def idle(self, result: LightingResult) -> set[int]:
         """Functions, by their place in the scenario, of which no ray of any lamp that draws them can hit anything at that moment."""
-        now = replace(now, symbols=dict(self.planner.symbols))
-        functions: tuple[LightingFunction, ...] = self.scenario.lighting.functions
-        return {number for number, each in enumerate(functions) if not any(map(self._in_reach, each.primitives(now)))}
+        drawn = self.planner.drawn(result.now, result.functions)
+        return {number for number, parts in enumerate(drawn) if not any(map(self._in_reach, parts))}
+
+    def _all_objects(self, time_s: float) -> tuple[TrackedObject, ...]:
+        told = ((body, item.category) for body, item in zip(self.scene.objects, self.scenario.all_objects, strict=True))
+        return tuple(TrackedObject.of(body, category, time_s) for body, category in told if category is not None)
+
+    def _truth(self, lit: LitScene) -> Known:
+        """The truth about a look at the scene, which serves until something moves."""
+        if not self._known or self._known[0].lit is not lit:
+            self._known[:] = [Known(lit, categories(self.scenario), [each.category for each in self.scenario.all_objects])]
+        return self._known[0]
+
+    def _look(
+        self, tracks: Tracks | None, frame: Tensor, known: Known, illuminance: Tensor, time_s: float
+    ) -> tuple[Tracks | None, Look | None]:
+        """The tracks after a frame, and what was found in it."""
+        if self.sight is None or tracks is None:
+            return tracks, None
+        found = self.sight.find(frame / (2**self.scenario.camera.bits - 1), known)
+        tracks = self.sight.track(tracks, found, time_s)
+        eyes = illuminance[known.eyes]
+        return tracks, Look(found, tracks, *recognised(known, tracks, found), float(eyes.max()) if len(eyes) else None)
+
+    def _learnt(self, now: Situation, known: Known, frame: Tensor, tracks: Tracks | None) -> Situation:
+        """The situation once the frame is there."""
+        camera, surfaces = self.scenario.camera, known.lit.surfaces
+        seen = Seen(now.time_s, self.camera.view, luminance_of(frame, camera), saturation_luminance(camera), surfaces.albedo)
+        objects = now.objects if self.sight is None or tracks is None else self.sight.objects(tracks, now.time_s)
+        return replace(now, objects=objects, seen=seen)
 
     def _in_reach(self, primitives: Primitives) -> bool:
         for module in self.modules:
@@ -175,14 +280,18 @@ class LightingSimulation:
         secondary = [SecondaryRays(self.lights, own, street_lamps, occluded) for own in range(len(self.modules))]
         return driven(self.modules, plan, secondary, params.power_limit)
 
-    def _on_objects(self, illuminance: Tensor, object_id: Tensor, now: Situation) -> Mapping[str, OnObject]:
+    def _on_objects(self, illuminance: Tensor, object_id: Tensor, masked: frozenset[str], look: Look | None) -> Mapping[str, OnObject]:
         found = {}
-        for number, (body, item) in enumerate(zip(self.scene.objects, self.scenario.all_objects, strict=True), 1):
-            if item.category is None:
+        for number, (item, category) in enumerate(zip(self.scenario.all_objects, categories(self.scenario), strict=True), 1):
+            if (item.category if look is None else category) is None:
                 continue
             lx = illuminance[object_id == number]
             low, mean, high = (float(value) for value in (lx.min(), lx.mean(), lx.max())) if len(lx) else [math.nan] * 3
-            found[item.name] = OnObject(len(lx), low, mean, high, body.track.visible_at(now.time_s) and self.masked(item.name, now))
+            name = item.name
+            if look is not None:
+                track = look.recognised[name].track if name in look.recognised else None
+                name = "" if track is None else name_of(track)
+            found[item.name] = OnObject(len(lx), low, mean, high, name in masked)
         return found
 
 

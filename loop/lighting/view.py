@@ -23,6 +23,7 @@ SHADOW_MAP = (512, 332)  # width, height in px: a texel is 9 cm wide at 60 m for
 class LitScene:
     """A scene in a view at one time. base: luminance `[height, width]` in cd/m^2 without the lamps."""
 
+    view: View
     triangles: Triangles
     surfaces: GBuffer
     base: Tensor
@@ -65,5 +66,5 @@ class Looker:
             triangles = self.scene.at(time_s)
             surfaces = self.surfaces.gbuffer(triangles, self.view).to(self.device)
             base = ambient_luminance(surfaces, self.scene.ambient_lx, self.scene.street_lamps, self.scene.spotlights_at(time_s))
-            self._last = (key, LitScene(triangles, surfaces, base, self.modules, self.surfaces))
+            self._last = (key, LitScene(self.view, triangles, surfaces, base, self.modules, self.surfaces))
         return self._last[1]

@@ -134,7 +134,7 @@ def test_the_lights_of_a_scenario_are_those_of_its_run() -> None:
     scenario = load_any("gfhb", ["headlight.model=hd84", "headlight.intensity_cd=1000"])
     assert isinstance(scenario, LightingScenario)
     shown = lights_by_side(scenario, "hd84", 0.3)
-    for side, u in zip(("left", "right"), LightingSimulation.prepare(scenario).step(3).lights, strict=True):
+    for side, u in zip(("left", "right"), LightingSimulation.prepare(scenario).at(3).lights, strict=True):
         # gfhb asks for shares, which no intensity changes, but each factor rounds float32 anew.
         torch.testing.assert_close(shown[side][0], u, rtol=1e-6, atol=1e-7)
 

@@ -70,16 +70,16 @@ def test_pictures_have_the_cameras_noise_and_measured_light_has_none() -> None:
     noisy, other, still = (
         LightingSimulation.prepare(scenario(**each)) for each in ({}, {"seed": 1}, {"camera": {**CAMERA, "noise": False}})
     )
-    result, camera = noisy.step(1), noisy.scenario.camera
-    assert torch.equal(result.luminance, other.step(1).luminance) and torch.equal(result.illuminance, other.step(1).illuminance)
+    result, camera = noisy.at(1), noisy.scenario.camera
+    assert torch.equal(result.luminance, other.at(1).luminance) and torch.equal(result.illuminance, other.at(1).illuminance)
     image, exact = measured(result, noisy), result.luminance
-    assert torch.equal(image, measured(result, noisy)) and not torch.equal(image, measured(result, other))
+    assert torch.equal(image, measured(result, noisy)) and not torch.equal(image, measured(other.at(1), other))
     lit = (exact > 0.03) & (exact < 0.8)  # ten standard deviations of the read noise from black, and as far from saturation
     z = ((image - exact) / noise_std(exact, camera))[lit]
     assert len(z) > 1000 and float(z.mean()) == pytest.approx(0, abs=5 / len(z) ** 0.5)  # five standard errors, as the next
     assert float(z.std()) == pytest.approx(1, abs=5 / (2 * len(z)) ** 0.5)
     level = 1.34 / (2**camera.bits - 1)  # cd/m^2
-    torch.testing.assert_close(measured(result, still)[lit], exact[lit], rtol=0, atol=0.51 * level)
+    torch.testing.assert_close(measured(still.at(1), still)[lit], exact[lit], rtol=0, atol=0.51 * level)
 
 
 def test_the_road_from_above_is_cut_to_its_light() -> None:
@@ -156,7 +156,7 @@ def test_light_on_an_object_is_that_of_the_law_of_distances() -> None:
             camera={"width_px": 320, "height_px": 180, "hfov_deg": 3, "pitch_deg": 1.7},
         )
     )
-    light = simulation.step(0).objects["plate"]
+    light = simulation.at(0).objects["plate"]
     module = simulation.modules[0]
     ahead = module.headlight.intensity(module.headlight.light_texture(torch.ones(84)), torch.tensor([[1.0], [0.0], [0.0]]))
     assert light.pixels > 50 and not light.masked
@@ -175,7 +175,7 @@ def test_an_object_appears_to_the_tracker_when_it_does_in_the_scene() -> None:
 def test_what_stands_still_is_rendered_once() -> None:
     simulation = LightingSimulation.prepare(scenario(objects=[]))
     assert simulation.camera.at(0.0) is simulation.camera.at(5.0)
-    torch.testing.assert_close(simulation.step(0).illuminance, simulation.step(2).illuminance)
+    torch.testing.assert_close(simulation.at(0).illuminance, simulation.at(2).illuminance)
 
 
 def test_driving_changes_evenly_and_holds_what_is_true() -> None:

@@ -82,7 +82,7 @@ def most_light(simulation: LightingSimulation, result: LightingResult, names: se
 def test_masked_bodies_get_exactly_no_light(model: str) -> None:
     simulation = LightingSimulation.prepare(scenario(model))
     for step in range(3):
-        result = simulation.step(step)
+        result = simulation.at(step)
         light = most_light(simulation, result, set(SIZES))
         assert {"pole", "car"} <= {name for seen in light.values() for name in seen}, "a body is not in sight"
         assert all(lx == 0.0 for seen in light.values() for lx in seen.values()), (step, light)
@@ -91,13 +91,13 @@ def test_masked_bodies_get_exactly_no_light(model: str) -> None:
 
 def test_without_a_mask_they_are_lit() -> None:
     simulation = LightingSimulation.prepare(scenario("hd84", functions=[]))
-    light = most_light(simulation, simulation.step(0), set(SIZES))
+    light = most_light(simulation, simulation.at(0), set(SIZES))
     assert all(lx > 0.5 for lx in light["camera"].values()), light
 
 
 def test_a_power_limit_keeps_masks_dark() -> None:
     simulation = LightingSimulation.prepare(scenario("hd84", power_limit=0.2))
-    result = simulation.step(0)
+    result = simulation.at(0)
     assert all(power.share == pytest.approx(0.2) and power.factor < 1 for power in result.powers.values())
     assert result.dark_lx_max == 0.0
 
@@ -115,7 +115,7 @@ def test_a_mask_that_fades_lights_no_other_masked_body() -> None:
     assert isinstance(found, LightingScenario)
     simulation = LightingSimulation.prepare(found)
     for step in (1, 2):
-        result = simulation.step(step)
+        result = simulation.at(step)
         assert result.dark_lx_max == 0.0 and result.objects["car"].masked
         assert all(light["car"] == 0.0 for light in most_light(simulation, result, {"car"}).values()), step
 
@@ -126,7 +126,7 @@ def test_shipped_glare_free_scenarios_are_dark_where_they_must_be(name: str) -> 
     assert isinstance(loaded, LightingScenario)
     simulation = LightingSimulation.prepare(loaded)
     for step in range(0, loaded.steps, max(1, (loaded.steps - 1) // 2)):
-        result = simulation.step(step)
+        result = simulation.at(step)
         masked = {each for each, light in result.objects.items() if light.masked}
         light = most_light(simulation, result, masked)
         assert masked and all(lx == 0.0 for seen in light.values() for lx in seen.values()), (step, light)

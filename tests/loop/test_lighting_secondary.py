@@ -32,7 +32,7 @@ def run(lighting: dict[str, Any], **changes: Any) -> tuple[LightingSimulation, L
     scenario = validate_any(base | changes, "carpet")
     assert isinstance(scenario, LightingScenario)
     simulation = LightingSimulation.prepare(scenario)
-    return simulation, simulation.step(0)
+    return simulation, simulation.at(0)
 
 
 def on_road(simulation: LightingSimulation, result: LightingResult, aside_m: float = 0.0) -> float:
@@ -129,7 +129,7 @@ def test_shipped_scenarios_run(name: str) -> None:
     headlight = scenario.headlight.model_copy(update={"modules": None})
     simulation = LightingSimulation.prepare(scenario.model_copy(update={"lighting": lighting, "headlight": headlight}))
     for step in (0, scenario.steps - 1):
-        result = simulation.step(step)
+        result = simulation.at(step)
         assert all(power.flux_lm > 0 for power in result.powers.values())
         assert all(((u >= 0) & (u <= 1)).all() for u in result.lights)
         assert torch.isfinite(result.luminance).all()

@@ -86,7 +86,7 @@ def test_masks_are_exactly_dark_with_joint_optimisation_too(model: str, objectiv
     """Measured on what the camera sees of the bodies; what is not masked is lit, so that darkness is none of the lamps'."""
     jpo = {"objective": objective, "iterations": 10}
     simulation = LightingSimulation.prepare(lit(headlight={"model": model}, pixel_controller="jpo", jpo=jpo))
-    result = simulation.step(0)
+    result = simulation.at(0)
     assert all(each.masked and each.pixels > 5 and each.lx_max == 0.0 for each in result.objects.values()), result.objects
     assert result.dark_lx_max == 0.0 and float(result.illuminance.max()) > 1.0
 
@@ -123,7 +123,7 @@ def test_a_symbol_is_drawn_by_the_controller_that_is_named() -> None:
 def test_one_of_the_users_own_drives_both_kinds(own: str) -> None:
     simulation = LightingSimulation.prepare(lit(pixel_controller=own))
     beams = [module.base(simulation.planner.plan(simulation.situation(0.0))) for module in simulation.modules]
-    for u, beam in zip(simulation.step(0).lights, beams, strict=True):
+    for u, beam in zip(simulation.at(0).lights, beams, strict=True):
         torch.testing.assert_close(u, 0.5 * beam, rtol=0, atol=0)
     scenario: Scenario = validate({**SYMBOL, "pixel_controller": own}, "own")
     projector = build_projector(scenario, torch.device("cpu"))

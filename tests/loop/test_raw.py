@@ -84,15 +84,15 @@ def test_both_lamps_show_the_frame_of_the_time(written: dict[str, Path], sequenc
     again, held = (LightingSimulation.prepare(scenario([raw | {"repeat": repeat}])) for repeat in (True, False))
     for step in range(10):
         frame = torch.from_numpy(sequence[step // 2 % FRAMES]).flatten().float()
-        for u in again.step(step).lights:
+        for u in again.at(step).lights:
             torch.testing.assert_close(u, frame, rtol=0, atol=1e-7)
-    for u in held.step(9).lights:
+    for u in held.at(9).lights:
         torch.testing.assert_close(u, torch.from_numpy(sequence[-1]).flatten().float(), rtol=0, atol=1e-7)
 
 
 def test_modules_that_are_not_meant_keep_their_base_beam(written: dict[str, Path], sequence: Array) -> None:
     raw = {"file": str(written["folder"]), "modules": ["right"]}
-    left, right = LightingSimulation.prepare(scenario([raw], lighting={"base": {"beam": "full"}})).step(0).lights
+    left, right = LightingSimulation.prepare(scenario([raw], lighting={"base": {"beam": "full"}})).at(0).lights
     assert (left == 1).all() and right.view(ROWS, COLUMNS)[0, 0] == pytest.approx(sequence[0, 0, 0])
 
 
@@ -108,7 +108,7 @@ def test_it_is_said_what_shines_below_the_functions(written: dict[str, Path]) ->
 def test_functions_draw_over_them_and_limits_hold(written: dict[str, Path]) -> None:
     raw = [{"file": str(written["folder"])}]
     bare, masked, limited = (
-        LightingSimulation.prepare(scenario(raw, objects=[VAN], lighting=lighting)).step(0)
+        LightingSimulation.prepare(scenario(raw, objects=[VAN], lighting=lighting)).at(0)
         for lighting in ({}, {"functions": [MASK]}, {"power_limit": 0.1})
     )
     assert bare.objects["van"].lx_max > 0.5 and masked.dark_lx_max == 0.0
@@ -121,7 +121,7 @@ def test_functions_draw_over_them_and_limits_hold(written: dict[str, Path]) -> N
 def test_paths_are_those_beside_the_file_and_every_frame_is_an_input(written: dict[str, Path], tmp_path: Path) -> None:
     (tmp_path / "my.toml").write_text('name = "my"\n[headlight]\nmodel = "hd84"\n[[lighting.raw]]\nfile = "./png/*.png"\n')
     mine = load_any(str(tmp_path / "my.toml"))
-    assert isinstance(mine, LightingScenario) and LightingSimulation.prepare(mine).step(0).lights[0].any()
+    assert isinstance(mine, LightingScenario) and LightingSimulation.prepare(mine).at(0).lights[0].any()
     assert [file.name for _, file in input_files(mine)] == [f"{k:02d}.png" for k in range(FRAMES)]
     assert len(dict(input_files(mine))) == FRAMES
 

@@ -41,7 +41,7 @@ def trajectory(name: str) -> pa.Table:
     simulation = LightingSimulation.prepare(scenario.model_copy(update={"camera": coarse}))
     rows: list[dict[str, Any]] = []
     for k in range(STEPS):
-        result = simulation.step(k * (scenario.steps - 1) // (STEPS - 1))
+        result = simulation.at(k * (scenario.steps - 1) // (STEPS - 1))
         rows.append(row(result) | moments(result, simulation))
     columns = [pa.field(field.name, field.type) for field in schema(simulation) if not field.name.endswith("_ms")]
     columns += [pa.field(f"module.{module.name}.{key}", pa.float64()) for module in simulation.modules for key in MOMENTS]

@@ -1,0 +1,116 @@
+"""How the car sees: frames go to a detector, what it finds to a tracker, and tracks become boxes on the road."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import get_args
+
+import torch
+from scipy.optimize import linear_sum_assignment
+from torch import Tensor
+
+from controllers.functions.situation import TrackedObject
+from loop.lighting.known import Known
+from perception.boxes import overlap
+from perception.detection.params import AnyParams, TruthParams
+from perception.detection.protocol import Detections, Detector
+from perception.placing import placed
+from perception.tracking import TrackerParams, Tracks, no_tracks, track
+from world.tracked import Category
+from world.view import View
+
+SAME = 0.3  # least overlap of a box with the object that it is said to show
+
+
+@dataclass(frozen=True)
+class Recognised:
+    """What is made of an object that is there. track: its number, None for none. confidence and score: of that track, 0 for none;
+    of what was found in this frame alone.
+    """
+
+    track: int | None
+    confidence: float
+    score: float
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """A detector, None for the truth, and what tracks what it finds."""
+
+    detector: Detector | None
+    params: AnyParams
+    tracker: TrackerParams
+    view: View
+
+    @classmethod
+    def prepare(cls, params: AnyParams, tracker: TrackerParams, view: View, device: torch.device) -> "Sight":
+        """Raises LuxloopError where the detector's file is missing or broken."""
+        from perception.detection.build import detector
+
+        return cls(None if isinstance(params, TruthParams) else detector(params, device), params, tracker, view)
+
+    @property
+    def classes(self) -> tuple[Category, ...]:
+        return get_args(Category) if self.detector is None else self.detector.classes
+
+    def start(self) -> Tracks:
+        return no_tracks(self.classes)
+
+    def find(self, frame: Tensor, known: Known) -> Detections:
+        """frame: `[height, width]`, digital numbers as a share of the largest."""
+        if isinstance(self.params, TruthParams):
+            return known.detections(self.params, self.classes)
+        assert self.detector is not None
+        return self.detector.detect(frame[None])[0]
+
+    def track(self, tracks: Tracks, found: Detections, time_s: float) -> Tracks:
+        return track(tracks, found, time_s, self.tracker)
+
+    def objects(self, tracks: Tracks, time_s: float) -> tuple[TrackedObject, ...]:
+        """The tracks as lighting functions are told of them, where they are expected at a time."""
+        ahead = tracks.known.at(time_s)
+        numbers = ahead.category.tolist()
+        names = tuple(self.classes[number] for number in numbers)
+        boxes = placed(ahead.boxes, names, self.view)
+        return tuple(
+            TrackedObject(
+                name_of(int(ahead.number[k])),
+                names[k],
+                boxes.T_world_box[k],
+                tuple(boxes.size_m[k].tolist()),
+                float(ahead.since_s[k]),
+                float(ahead.until_s[k]),
+                float(ahead.confidence[k, number]),
+                float(ahead.score[k, number]),
+            )
+            for k, number in enumerate(numbers)
+        )
+
+
+def name_of(number: int) -> str:
+    """A track's name as an object."""
+    return f"track {number}"
+
+
+def recognised(known: Known, tracks: Tracks, found: Detections) -> tuple[Mapping[str, Recognised], int]:
+    """What is made of each object in sight by its name, and the number of detections that show none, which are false."""
+    present = tracks.known
+    present = present.take(present.until_s.isinf())
+    boxes, scores = found.boxes.double().cpu(), found.scores.double().cpu()
+    its_track = dict(pairs(known.boxes, present.boxes))
+    its_box = dict(pairs(known.boxes, boxes))
+    whole, sure = {}, present.confidence.amax(-1)
+    for k, each in enumerate(known.objects):
+        row, column = its_track.get(k), its_box.get(k)
+        whole[each.name] = Recognised(
+            None if row is None else int(present.number[row]),
+            0.0 if row is None else float(sure[row]),
+            0.0 if column is None else float(scores[column].max()),
+        )
+    shows_any = overlap(boxes, known.boxes).amax(-1) >= SAME if len(known.boxes) else torch.zeros(len(boxes), dtype=torch.bool)
+    return whole, int((~shows_any).sum())
+
+
+def pairs(objects: Tensor, boxes: Tensor) -> list[tuple[int, int]]:
+    """Indices of objects and of their boxes, each once, so that they overlap most in all."""
+    shares = overlap(objects, boxes)
+    return [(i, j) for i, j in zip(*(each.tolist() for each in linear_sum_assignment(-shares)), strict=True) if shares[i, j] >= SAME]
