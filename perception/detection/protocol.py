@@ -27,7 +27,10 @@ class Detections:
 class Detector(Protocol):
     """Finds objects in grey frames. Has no memory from frame to frame."""
 
-    classes: tuple[Category, ...]
+    @property
+    def classes(self) -> tuple[Category, ...]:
+        """What its scores are of."""
+        ...
 
     def detect(self, frames: Tensor) -> Sequence[Detections]:
         """One for each of the frames `[B, height, width]`: digital numbers as a share 0..1 of the largest."""

@@ -1,0 +1,10 @@
+"""Pictures for detectors that were made for photographs: 8 bits, coded."""
+
+import numpy as np
+from torch import Tensor
+
+
+def coded(frame: Tensor, gamma: float) -> np.ndarray:
+    """Levels 0..255 `[height, width]` uint8 of a frame `[height, width]` in 0..1."""
+    picture: np.ndarray = frame.float().clamp(0, 1).pow(1 / gamma).mul(255).round().byte().cpu().numpy()
+    return picture

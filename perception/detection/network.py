@@ -1,0 +1,124 @@
+"""A small convolutional network that finds middles of objects, and how far their boxes reach from there (CenterNet, Zhou et al. 2019)."""
+
+import math
+import pickle
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import interpolate, max_pool2d
+
+from perception.detection.protocol import Detections
+from perception.detection.suppression import suppressed
+from world.errors import LuxloopError
+from world.tracked import Category
+
+STRIDE = 8  # px of the frame a cell of what the network gives
+CANDIDATES = 64  # the most objects in a frame
+
+
+class Network(nn.Module):
+    """From frames `[B, 1, height, width]`, the root of their light, to logits of the classes and sides of boxes, a cell for 8 x 8 px.
+
+    It looks at scales of 2 to 32 px, and adds what the coarser ones see to the finer ones.
+    """
+
+    def __init__(self, classes: int) -> None:
+        super().__init__()
+        self.fine = nn.Sequential(_conv(1, 16, 2), _conv(16, 32, 2), _conv(32, 32))
+        self.middle = nn.Sequential(_conv(32, 48, 2), _conv(48, 48))
+        self.coarse = nn.Sequential(_conv(48, 64, 2), _conv(64, 64))
+        self.coarsest = nn.Sequential(_conv(64, 96, 2), _conv(96, 96), nn.Conv2d(96, 64, 1))
+        self.joined_coarse = nn.Sequential(_conv(64, 64), nn.Conv2d(64, 48, 1))
+        self.joined = nn.Sequential(_conv(48, 48), _conv(48, 64))
+        self.head = nn.Conv2d(64, classes + 4, 1)
+        self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+
+    def expect(self, share: float) -> None:
+        """Before training: begin with objects in this share of the cells, and boxes of about 40 px."""
+        assert self.head.bias is not None
+        nn.init.constant_(self.head.bias[:-4], math.log(share / (1 - share)))
+        nn.init.constant_(self.head.bias[-4:], 1.0)
+
+    def forward(self, frames: Tensor) -> tuple[Tensor, Tensor]:
+        """Logits `[B, classes, rows, columns]`; px from a cell's middle to left, top, right, bottom `[B, 4, rows, columns]`, above 0."""
+        middle = self.middle(self.fine(frames))
+        coarse = self.coarse(middle)
+        coarse = coarse + _spread(self.coarsest(coarse), coarse)
+        out = self.head(self.joined(middle + _spread(self.joined_coarse(coarse), middle)))
+        return out[:, :-4], STRIDE * out[:, -4:].clamp(-4, 5).exp()
+
+
+def _conv(channels: int, out: int, stride: int = 1) -> nn.Sequential:
+    return nn.Sequential(nn.Conv2d(channels, out, 3, stride, 1, bias=False), nn.BatchNorm2d(out), nn.ReLU(inplace=True))
+
+
+def _spread(coarse: Tensor, fine: Tensor) -> Tensor:
+    return interpolate(coarse, size=fine.shape[-2:], mode="nearest")
+
+
+def prepared(frames: Tensor) -> Tensor:
+    """What the network looks at, `[B, 1, height, width]`: of the root of the light, shot noise is the same in bright and dark places."""
+    return frames.float().clamp(min=0).sqrt()[:, None].contiguous(memory_format=torch.channels_last)
+
+
+def middles(rows: int, columns: int, device: torch.device) -> Tensor:
+    """Middles of the cells, `[2, rows, columns]` px: to the right, down."""
+    y, x = torch.meshgrid(torch.arange(rows, device=device), torch.arange(columns, device=device), indexing="ij")
+    return (torch.stack([x, y]) + 0.5) * STRIDE
+
+
+def boxes_of(sides: Tensor) -> Tensor:
+    """Boxes `[B, 4, rows, columns]` of sides in the same shape."""
+    rows, columns = sides.shape[-2:]
+    at = middles(rows, columns, sides.device)
+    return torch.cat([at - sides[:, :2], at + sides[:, 2:]], 1)
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkDetector:
+    """The network with its weights. threshold: least score. overlap: IoU above which the less sure of two boxes is dropped."""
+
+    network: Network
+    classes: tuple[Category, ...]
+    threshold: float
+    overlap: float
+
+    @torch.inference_mode()
+    def detect(self, frames: Tensor) -> Sequence[Detections]:
+        """See `Detector`. A cell counts where it is the surest among its eight neighbours."""
+        height, width = frames.shape[-2:]
+        device = next(self.network.parameters()).device
+        logits, sides = self.network(prepared(frames.to(device)))
+        scores = logits.sigmoid()
+        best = scores.amax(1)
+        peak = torch.where(best == max_pool2d(best, 3, 1, 1), best, 0).flatten(1)
+        chosen = peak.topk(min(CANDIDATES, peak.shape[1])).indices
+        boxes, scores = (each.flatten(2).gather(2, chosen[:, None].expand(-1, each.shape[1], -1)).mT for each in (boxes_of(sides), scores))
+        boxes = torch.minimum(boxes.clamp(min=0), torch.tensor([width, height, width, height]).to(boxes))
+        kept = ~suppressed(boxes, self.overlap) & (peak.gather(1, chosen) >= self.threshold)
+        return [Detections(boxes[k][kept[k]], scores[k][kept[k]]) for k in range(len(frames))]
+
+
+def load(file: Path, device: torch.device) -> tuple[Network, tuple[Category, ...]]:
+    """The network of a file that `save` wrote, ready to detect, and its classes. Raises LuxloopError where it is none."""
+    try:
+        stored = torch.load(file, map_location=device, weights_only=True)
+        classes = tuple(stored["classes"])
+        network = Network(len(classes))
+        network.load_state_dict(stored["weights"])
+    except OSError as error:
+        raise LuxloopError(f"{file}: cannot be read ({error.strerror}); check the path") from error
+    except (RuntimeError, KeyError, TypeError, EOFError, pickle.UnpicklingError) as error:
+        raise LuxloopError(f"{file}: holds no weights of this network; take a file that `luxloop train-detector` wrote") from error
+    return network.to(device).eval(), classes
+
+
+def save(network: Network, classes: Sequence[Category], file: Path) -> None:
+    """Write weights in half precision, with what they find."""
+    weights: Mapping[str, Any] = network.state_dict()
+    halves = {name: each.half() if each.is_floating_point() else each for name, each in weights.items()}
+    torch.save({"classes": list(classes), "weights": halves}, file)

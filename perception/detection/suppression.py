@@ -1,0 +1,21 @@
+"""Of boxes that lie on each other, the surest stays."""
+
+import torch
+from torch import Tensor
+
+
+def overlaps(boxes: Tensor, others: Tensor) -> Tensor:
+    """Intersection over union `[..., n, m]` of boxes `[..., n, 4]` and others `[..., m, 4]`: left, top, right, bottom; 0 of empty ones."""
+    low = torch.maximum(boxes[..., :, None, :2], others[..., None, :, :2])
+    high = torch.minimum(boxes[..., :, None, 2:], others[..., None, :, 2:])
+    both = (high - low).clamp(min=0).prod(-1)
+    areas = [(each[..., 2:] - each[..., :2]).clamp(min=0).prod(-1) for each in (boxes, others)]
+    return both / (areas[0][..., :, None] + areas[1][..., None, :] - both).clamp(min=1e-9)
+
+
+def suppressed(boxes: Tensor, overlap: float) -> Tensor:
+    """Which boxes `[..., n, 4]`, the surest first, lie on a surer one with an IoU above `overlap`, `[..., n]` bool (Fast NMS, Bolya 2019).
+
+    A surer one counts even if it is suppressed itself, so that all are compared at once.
+    """
+    return overlaps(boxes, boxes).triu(1).amax(-2) > overlap
