@@ -5,9 +5,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from loop.scenario import Scenario, validate
-from loop.validation import did_you_mean
-from world.errors import LuxloopError
+from loop.scenario import INDEX, Scenario, overridden, toml_key, validate
+from world.errors import LuxloopError, located
 
 Values = Mapping[str, float | int]
 
@@ -43,45 +42,51 @@ def parse(text: str, scenarios: Sequence[Scenario]) -> Range:
         raise LuxloopError(f"{where}: the range is the wrong way round or empty; {turned}")
     if scale and low <= 0:
         raise LuxloopError(f"{where}: a range that reaches {low:g} has no logarithm; let it begin above 0, or leave :log out")
-    found = [value_of(scenario, key) for scenario in scenarios]
-    whole = any(isinstance(value, int) for value in found)
-    if whole and not (low.is_integer() and high.is_integer()):
-        raise LuxloopError(f"{where}: only whole numbers are possible; give whole ends")
-    made = Range(key, low, high, bool(scale), whole)
-    for scenario in scenarios:
-        for end in (low, high):
-            changed(scenario, {key: int(end) if whole else end})
+    with located(where):
+        found = [value_of(scenario, key) for scenario in scenarios]
+        # A number that is left out says nothing of its kind; what becomes of the lower end does.
+        kinds = found if any(value is not None for value in found) else [value_of(changed(scenarios[0], {key: _number(low_text)}), key)]
+        whole = any(isinstance(value, int) for value in kinds)
+        if whole and not (low.is_integer() and high.is_integer()):
+            raise LuxloopError("only whole numbers are possible; give whole ends")
+        made = Range(key, low, high, bool(scale), whole)
+        for scenario in scenarios:
+            for end in (low, high):
+                changed(scenario, {key: int(end) if whole else end})
     return made
 
 
+def _number(text: str) -> float | int:
+    return int(text) if text.lstrip("+-").isdecimal() else float(text)
+
+
 def value_of(scenario: Scenario, key: str) -> float | int | None:
-    """The number that a scenario has at a key, None where it has left an optional one out. Raises LuxloopError with the nearest key."""
+    """The number that a scenario has at a key, None where there is nothing. Raises LuxloopError where there is something else."""
     table: Any = scenario.model_dump(mode="json")
-    for number, part in enumerate(parts := key.split(".")):
-        if not isinstance(table, dict) or part not in table:
-            before = ".".join(parts[:number])
-            known = list(table) if isinstance(table, dict) else []
-            hint = did_you_mean(part, known) if known else f"{before} is no table"
-            raise LuxloopError(f"--key {key}: {scenario.name} has no {part!r}{f' in {before}' if before else ''}; {hint}")
-        table = table[part]
+    for part in toml_key(key).replace('"', "").split("."):
+        place = INDEX.fullmatch(part)
+        if isinstance(table, list) and place:
+            table = dict(enumerate(table)).get(int(place[1]))
+        else:
+            table = table.get(part) if isinstance(table, dict) else None
     if isinstance(table, bool) or not (table is None or isinstance(table, int | float)):
-        hint = f"name one of its keys, such as {key}.{next(iter(table))}" if isinstance(table, dict) and table else "give the key of one"
-        raise LuxloopError(f"--key {key}: is no number, and only numbers are tuned; {hint}")
+        raise LuxloopError(f"is no number, and only numbers are tuned; {_hint(key, table)}")
     return table
 
 
+def _hint(key: str, value: Any) -> str:
+    if isinstance(value, dict) and value:
+        return f"name one of its keys, such as {key}.{next(iter(value))}"
+    return f"name one of its items, {key}[0] to [{len(value) - 1}]" if isinstance(value, list) and value else "give the key of one"
+
+
 def changed(scenario: Scenario, values: Values) -> Scenario:
-    """The scenario with other values. Raises LuxloopError where one is not possible."""
-    data = scenario.model_dump(mode="json")
-    for key, value in values.items():
-        *path, last = key.split(".")
-        table = data
-        for part in path:
-            table = table[part]
-        table[last] = value
+    """The scenario with other values, which keys have as `--set` takes them. Raises LuxloopError where one is not possible."""
+    settings = [f"{key}={value!r}" for key, value in values.items()]
+    data = overridden(scenario.model_dump(mode="json"), settings)
     return validate(data, f"{scenario.name} with {' '.join(f'{key}={value:g}' for key, value in values.items())}")
 
 
 def overlay(values: Values) -> str:
     """Values as a TOML file for `--set`."""
-    return "".join(f"{key} = {value if isinstance(value, int) else repr(float(value))}\n" for key, value in values.items())
+    return "".join(f"{toml_key(key)} = {value if isinstance(value, int) else repr(float(value))}\n" for key, value in values.items())

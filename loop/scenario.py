@@ -284,12 +284,8 @@ def load_any(name: str, overrides: Sequence[Override] = (), **values: Any) -> An
     data = read_toml(path)
     resolve_paths(data, path.parent)
     data.update(values)
-    changes: dict[str, Any] = {}
-    for override in overrides:
-        _merge(changes, _tables(override))
-    if changes:
-        data = _with_defaults(data)
-        _merge(data, changes)
+    if overrides:
+        data = overridden(_with_defaults(data), overrides)
     given = [
         *(f"{key}={value['name'] if isinstance(value, dict) and 'name' in value else value}" for key, value in values.items()),
         *(override for override in overrides if isinstance(override, str)),
@@ -327,6 +323,21 @@ def validate_any(data: Mapping[str, Any], source: str) -> AnyScenario:
         raise LuxloopError(f"{source}: {sentence(error, kind, EXAMPLES[kind])}") from error
     vars(scenario)["source"] = source
     return scenario
+
+
+def overridden(data: Mapping[str, Any], overrides: Sequence[Override]) -> dict[str, Any]:
+    """Plain data of a scenario with other values, of later overrides where several set a key. Raises LuxloopError where one is none."""
+    changes: dict[str, Any] = {}
+    for override in overrides:
+        _merge(changes, _tables(override))
+    changed = copy.deepcopy(dict(data))
+    _merge(changed, changes)
+    return changed
+
+
+def toml_key(key: str) -> str:
+    """A key as TOML has it: items of lists, [0], stand under keys of their own, "[0]"."""
+    return INDEX.sub(r'."[\1]"', key)
 
 
 def _with_defaults(data: dict[str, Any]) -> dict[str, Any]:
@@ -369,7 +380,7 @@ def _parsed(text: str) -> dict[str, Any]:
     key, equals, value = text.partition("=")
     if not equals or not key.strip():
         raise LuxloopError(f"--set {text}: not of the form key=value; write for example --set camera.bits=8, or name a .toml file of keys")
-    key = INDEX.sub(r'."[\1]"', key.strip())
+    key = toml_key(key.strip())
     try:
         return tomllib.loads(f"{key} = {value.strip()}")
     except tomllib.TOMLDecodeError:
@@ -389,9 +400,7 @@ def _merge(into: dict[str, Any], changes: Mapping[str, Any]) -> None:
         if isinstance(old, list) and isinstance(value, dict) and value and all(INDEX.fullmatch(place) for place in value):
             items = {f"[{k}]": item for k, item in enumerate(old)}
             if strange := [place for place in value if place not in items]:
-                raise LuxloopError(
-                    f"--set {key}{strange[0]}: there are {len(items)} {key}, numbered from 0; change another, or set all of {key}"
-                )
+                raise LuxloopError(f"{key}{strange[0]}: there are {len(items)} {key}, numbered from 0; change another, or set all of {key}")
             _merge(items, value)
             into[key] = list(items.values())
         elif isinstance(old, dict) and isinstance(value, dict) and all(old.get(tag, new) == new for tag in TAGS if (new := value.get(tag))):

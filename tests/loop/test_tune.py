@@ -32,9 +32,13 @@ def task(scenario: Scenario, seeds: int = 2) -> Task:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("controller.position.kq=0.1:2", "flat has no 'kq' in controller.position; did you mean 'kp'"),
+        ("controller.position.kq=0.1:2", "controller.position.kq: unknown key; did you mean 'kp'"),
         ("controler.position.kp=0.1:2", "did you mean 'controller'"),
-        ("controller.position.kp.a=0.1:2", "controller.position.kp is no table"),
+        ("controller.position.kp.a=0.1:2", "controller.position.kp: a table is not a number"),
+        ("headlight.lamps[1]=0.1:2", r"lamps\[1\]: there are 1 lamps, numbered from 0"),
+        ("headlight.lamps[0]=0.1:2", "is no number"),
+        ("objects=0.1:2", "is no number"),
+        ("controller.supervisor.grace_step=1:9", "unknown key; did you mean 'grace_steps'"),
         ("controller.position=0.1:2", "is no number.*such as controller.position.kp"),
         ("controller.name=0.1:2", "is no number"),
         ("camera.noise=0:1", "is no number"),
@@ -52,6 +56,29 @@ def task(scenario: Scenario, seeds: int = 2) -> Task:
 def test_wrong_ranges_are_one_sentence(text: str, said: str, scenario: Scenario) -> None:
     with pytest.raises(LuxloopError, match=f"{re.escape(text.partition('=')[0]) if '--key' in said else ''}.*{said}"):
         ranges.parse(text, [scenario])
+
+
+def test_every_number_that_set_takes_is_tuned(tmp_path: Path) -> None:
+    """Items of lists, of tables in them, and keys of tables that are left out; what is best can be run with --set."""
+    box = 'objects=[{kind="box", name="a", size_m=[0.4, 0.4, 0.3], track=[{position_m=[17, 1, 0]}]}]'
+    scenario = load("flat", [*SMALL, "controller.name=thesis_pid", box])
+    keys = {
+        "objects[0].track[0].position_m[1]": (-1.0, 1.0, False, 1.0),
+        "objects[0].albedo": (0.1, 0.9, False, 0.2),
+        "controller.supervisor.grace_steps": (1, 9, True, None),
+        "controller.warp.takes_over": (0, 1, False, None),
+        "controller.losses_to_reset": (1, 4, True, 2),
+    }
+    for key, (low, high, whole, given) in keys.items():
+        if key != "controller.warp.takes_over":
+            assert ranges.parse(f"{key}={low}:{high}", [scenario]) == ranges.Range(key, low, high, whole=whole)
+        assert ranges.value_of(scenario, key) == given
+    assert not ranges.parse("controller.warp.takes_over=0.1:1", [scenario]).whole
+    values = {key: high for key, (_, high, _, _) in keys.items()}
+    (tmp_path / BEST).write_text(ranges.overlay(values))
+    run = load("flat", [*SMALL, "controller.name=thesis_pid", box, str(tmp_path / BEST)])
+    assert run == ranges.changed(scenario, values)
+    assert {key: ranges.value_of(run, key) for key in keys} == values
 
 
 def test_an_optional_key_that_is_left_out_can_be_tuned(scenario: Scenario) -> None:
