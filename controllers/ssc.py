@@ -1,6 +1,7 @@
 """SuperSampling Control (T 7): primitives in, pixel utilisations out, behind the protocol of all pixel controllers."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Protocol, Self
 
 import torch
@@ -44,13 +45,17 @@ class PixelController(Protocol):
 
 @dataclass(frozen=True)
 class Ssc:
-    """RTHC and MRPC for one headlight; default: `[n_p]`, the base pattern's utilisation; dark: it is zero."""
+    """RTHC and MRPC for one headlight; default: `[n_p]`, the base pattern's utilisation."""
 
     headlight: Headlight
     pixels: PixelMajor
     params: MrpcParams
     default: Tensor
-    dark: bool
+
+    @cached_property
+    def dark(self) -> bool:
+        """Whether the base pattern is dark: then nothing but a primitive's own rays and pixels counts."""
+        return not bool(self.default.any())
 
     @classmethod
     def prepare(cls, headlight: Headlight, params: MrpcParams | None = None, default: Tensor | None = None) -> "Ssc":
@@ -58,7 +63,7 @@ class Ssc:
         params = params or MrpcParams()
         values = headlight.matrix.values
         default = torch.zeros(headlight.n_pixels, dtype=values.dtype, device=values.device) if default is None else default
-        return cls(headlight, pixel_major(headlight, params), params, default, not bool(default.any()))
+        return cls(headlight, pixel_major(headlight, params), params, default)
 
     def utilisation(self, primitives: Primitives, T_world_headlight: Tensor, secondary: SecondaryRays | None = None) -> Utilisation:
         """A single scene on the CPU touches only the projected rectangle and its band of pixels; batches and accelerators take all rays."""
@@ -70,4 +75,4 @@ class Ssc:
 
     def over(self, default: Tensor) -> "Ssc":
         """The same tables over another base pattern `[n_p]`: a morphed one, for the second pass."""
-        return replace(self, default=default.to(self.default), dark=False)
+        return replace(self, default=default.to(self.default))

@@ -34,6 +34,17 @@ def in_float64(lamp: Headlight) -> Headlight:
     return replace(lamp, matrix=lamp.matrix.to(torch.float64))
 
 
+def test_a_base_pattern_that_goes_out_is_dark_again() -> None:
+    """Only then is the band known, which spares what follows most of the lamp; light is the same either way."""
+    lit = torch.full((LAMP.n_pixels,), 0.3)
+    ssc, primitive = Ssc.prepare(LAMP), road_primitive(TARGET)
+    burning = ssc.over(lit)
+    assert ssc.dark and not burning.dark and burning.over(torch.zeros_like(lit)).dark
+    assert burning.utilisation(primitive, T_LEFT).band is None
+    out, plain = burning.over(torch.zeros_like(lit)).utilisation(primitive, T_LEFT), ssc.utilisation(primitive, T_LEFT)
+    assert out.band == plain.band is not None and torch.equal(out.u, plain.u)
+
+
 @pytest.mark.parametrize(("quantity", "value"), [("I_v", 30_000.0), ("E_v", 3.0), ("u_abs", 1.0), ("u_rel", 1.5)])
 @pytest.mark.parametrize(("a_m", "a_r"), [(1.0, 1.0), (0.0, 2.0)])
 def test_equals_the_reference_from_primitive_to_pixel(quantity: Quantity, value: float, a_m: float, a_r: float) -> None:
