@@ -12,6 +12,7 @@ from world.brdf import LAMBERTIAN, Material
 from world.params import Params
 
 MaterialName = Literal[
+    "matt",
     "asphalt",
     "wet_asphalt",
     "lane_paint",
@@ -34,6 +35,7 @@ MaterialName = Literal[
 # A film of water of refractive index 1.33 throws back 1 - (1 - 0.066) / 1.33^2 of the diffuse light below it.
 WET = Material(interface=1.0, f0=0.02, roughness=0.12, trapped=0.47)
 MATERIALS: dict[MaterialName, Material] = {
+    "matt": LAMBERTIAN,
     "asphalt": Material(interface=1.0, f0=0.04, roughness=0.6),
     "wet_asphalt": WET,
     # R_L 204 mcd/(m^2 lx) in the geometry of EN 1436 with an albedo of 0.6
@@ -56,7 +58,7 @@ class Texture:
     """Albedo and material over a body's x and y, repeated endlessly.
 
     albedo: `[n_x, n_y]` float32; texel (i, j) has its centre at `origin_m + ((i, j) + 1/2) * texel_m`.
-    materials: those of the surface. material: `[n_x, n_y]` uint8, which of them a texel is made of; None: of the first.
+    materials: those of the surface, and their names. material: `[n_x, n_y]` uint8, which of them a texel is made of; None: of the first.
     """
 
     albedo: Tensor
@@ -64,6 +66,7 @@ class Texture:
     origin_m: tuple[float, float] = (0.0, 0.0)
     materials: tuple[Material, ...] = (LAMBERTIAN,)
     material: Tensor | None = None
+    names: tuple[MaterialName, ...] = ("matt",)
 
     def at(self, x: Tensor, y: Tensor) -> Tensor:
         """Albedo, bilinear, float32 in the shape of x and y (m, body frame)."""
@@ -131,14 +134,23 @@ class RoadSurfaceParams(Params):
             painted = solid[None] | broken
             albedo = np.where(painted, (0.6 + albedo - self.albedo).clip(0, 1), albedo)
         seen = self.ground.darkened(torch.from_numpy(albedo.astype(np.float32)))
-        return Texture(seen, texel_m, (0.0, -n_y * texel_m / 2), *self._materials(painted))
+        origin_m = (0.0, -n_y * texel_m / 2)
+        if not self.markings:
+            return Texture(seen, texel_m, origin_m, (self.ground,), names=(self.ground_name,))
+        of_texel = torch.from_numpy(painted.astype(np.uint8))
+        return Texture(seen, texel_m, origin_m, (self.ground, self._paint), of_texel, (self.ground_name, "lane_paint"))
 
-    def _materials(self, painted: np.ndarray) -> tuple[tuple[Material, ...], Tensor | None]:
-        if not (self.markings and self.beads):
-            return (self.ground,), None
+    @property
+    def ground_name(self) -> MaterialName:
+        return "wet_asphalt" if self.wet else "asphalt"
+
+    @property
+    def _paint(self) -> Material:
+        """What lane markings have besides their albedo."""
+        if not self.beads:
+            return self.ground
         paint = MATERIALS["lane_paint"]
-        paint = replace(self.ground, retro=paint.retro * (1 - self.wet), retro_width_deg=paint.retro_width_deg)
-        return (self.ground, paint), torch.from_numpy(painted.astype(np.uint8))
+        return replace(self.ground, retro=paint.retro * (1 - self.wet), retro_width_deg=paint.retro_width_deg)
 
 
 def _grain(rng: np.random.Generator, n_x: int, n_y: int) -> np.ndarray:

@@ -1,20 +1,21 @@
 """Objects that a scenario file may put into the scene: boxes, meshes from files, and what is made from a seed."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self, cast
 
 import numpy as np
 import torch
 import trimesh
 from pydantic import Field, model_validator
 
-from world.body import Body
-from world.brdf import LAMBERTIAN
+from world.body import Body, Part
 from world.errors import LuxloopError
 from world.materials import MATERIALS, MaterialName
 from world.tracked import TrackedParams
 from world.traffic.animal import AnimalParams
 from world.traffic.car import CarParams
+from world.traffic.making import SurfaceParams, check_parts
 from world.traffic.road_users import CyclistParams, PedestrianParams
 from world.traffic.roadside import ClutterParams, TrafficSignParams
 
@@ -28,10 +29,12 @@ class SolidParams(TrackedParams):
     albedo: float = Field(0.2, ge=0, le=1, description="Share of light reflected, diffusely; of what gets wet when it is dry")
     material: MaterialName | None = Field(None, description="What it reflects besides, by name; left out: nothing, it is matt")
 
-    def surface(self) -> dict[str, Any]:
-        """A body's albedo, as it is seen, and material."""
-        material = MATERIALS[self.material] if self.material else LAMBERTIAN
-        return {"albedo": float(material.darkened(torch.tensor(self.albedo, dtype=torch.float64))), "material": material}
+    def part(self, name: str, given: SurfaceParams | None = None) -> Part:
+        """A part of it; given: what it looks like in place of the whole."""
+        given = given or SurfaceParams()
+        material = given.material or self.material or "matt"
+        albedo = torch.tensor(self.albedo if given.albedo is None else given.albedo, dtype=torch.float64)
+        return Part(name, float(MATERIALS[material].darkened(albedo)), material)
 
 
 class BoxParams(SolidParams):
@@ -45,7 +48,7 @@ class BoxParams(SolidParams):
     def build(self) -> Body:
         box = trimesh.creation.box(self.size_m)
         box.apply_translation((0, 0, self.size_m[2] / 2))
-        return Body(self.name, box, **self.surface(), track=self.pose_track())
+        return Body(self.name, box, track=self.pose_track(), parts=(self.part("surface"),))
 
 
 class MeshParams(SolidParams):
@@ -57,6 +60,9 @@ class MeshParams(SolidParams):
     forward: Axis = Field("x", description="The file's axis that points ahead")
     up: Axis = Field("z", description="The file's axis that points up; y in .glb and in most .obj files")
     smooth: bool = Field(False, description="Interpolate normals over the faces, for rounded bodies")
+    parts: dict[str, SurfaceParams] = Field(
+        {}, description="Albedo and material of parts, by the names of the file's nodes, or of its materials where it has no nodes"
+    )
 
     @model_validator(mode="after")
     def _square(self) -> Self:
@@ -65,13 +71,24 @@ class MeshParams(SolidParams):
         return self
 
     def build(self) -> Body:
-        """Read the file. Raises LuxloopError where it is missing, unreadable or has no triangles."""
-        mesh = _read_mesh(self.file, self.scale)
+        """Read the file. Raises LuxloopError where it is missing, unreadable or has no triangles, or has no such part."""
+        nodes = _read_nodes(self.file)
+        check_parts(self.name, self.parts, list(nodes))
+        mesh = cast(trimesh.Trimesh, trimesh.util.concatenate(list(nodes.values())))
         ahead, up = (AXES["xyz".index(axis[-1])] * (-1 if axis[0] == "-" else 1) for axis in (self.forward, self.up))
         turn = np.eye(4)
         turn[:3, :3] = [ahead, np.cross(up, ahead), up]
-        mesh.apply_transform(turn)
-        return Body(self.name, mesh, **self.surface(), smooth=self.smooth, two_sided=not mesh.is_watertight, track=self.pose_track())
+        mesh.apply_scale(self.scale).apply_transform(turn)
+        of_face = torch.arange(len(nodes)).repeat_interleave(torch.tensor([len(node.faces) for node in nodes.values()]))
+        return Body(
+            self.name,
+            mesh,
+            smooth=self.smooth,
+            two_sided=not mesh.is_watertight,
+            track=self.pose_track(),
+            parts=tuple(self.part(name, self.parts.get(name)) for name in nodes),
+            part_of_face=of_face,
+        )
 
 
 ObjectParams = Annotated[
@@ -80,16 +97,25 @@ ObjectParams = Annotated[
 ]
 
 
-def _read_mesh(file: Path, scale: float) -> trimesh.Trimesh:
+def _read_nodes(file: Path) -> Mapping[str, trimesh.Trimesh]:
+    """The meshes of a file in its frame, by the names of its nodes."""
     if not file.is_file():
         raise LuxloopError(f"{file}: there is no such mesh file; correct the object's key 'file'")
     try:
-        mesh = trimesh.load_mesh(file)
+        found = trimesh.load_scene(file, split_objects=True).dump()
     except Exception as error:  # trimesh's readers raise whatever their formats provoke
         raise LuxloopError(f"{file}: not readable as a mesh ({error}); export it again as .obj, .ply, .stl or .glb") from error
-    if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
+    meshes = [mesh for mesh in found if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
+    if not meshes:
         raise LuxloopError(f"{file}: holds no triangles; export it with its faces")
-    if not np.isfinite(mesh.vertices).all() or mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+    if not all(np.isfinite(mesh.vertices).all() and mesh.faces.min() >= 0 and mesh.faces.max() < len(mesh.vertices) for mesh in meshes):
         raise LuxloopError(f"{file}: has corners that are not numbers or not there; export it again")
-    mesh.apply_scale(scale)
-    return mesh
+    return dict(zip(_names(meshes), meshes, strict=True))
+
+
+def _names(meshes: Sequence[trimesh.Trimesh]) -> list[str]:
+    """Of the nodes, without the material that a reader puts behind them where each is of one material alone."""
+    nodes = [str(mesh.metadata["node"]) for mesh in meshes]
+    materials = [getattr(getattr(mesh.visual, "material", None), "name", None) for mesh in meshes]
+    alone = [node.removesuffix(f"_{material}") for node, material in zip(nodes, materials, strict=True)]
+    return [short if alone.count(short) == 1 else node for short, node in zip(alone, nodes, strict=True)]

@@ -54,6 +54,11 @@ class SpottedTexture:
         """Those of the road, then one a spot."""
         return (*self._around.materials, *map(self._material, self.spots))
 
+    @property
+    def names(self) -> tuple[MaterialName, ...]:
+        """Those of the materials; a spot of none is of what is around it."""
+        return (*self._around.names, *(spot.material or self.surface.ground_name for spot in self.spots))
+
     def at(self, x: Tensor, y: Tensor) -> Tensor:
         """Albedo, float32 in the shape of x and y (m, body frame)."""
         albedo = self._around.at(x, y)

@@ -125,8 +125,8 @@ def test_the_assumed_road_is_as_wet_as_the_real_one() -> None:
 
 def test_a_puddle_is_as_dark_as_wet_asphalt() -> None:
     puddle = board(material="wet_asphalt", albedo=0.2)
-    assert puddle.material == WET
-    assert puddle.albedo == pytest.approx(WET.darkened(torch.tensor(0.2)).item(), rel=1e-6)
+    assert MATERIALS[puddle.parts[0].material] == WET
+    assert puddle.parts[0].albedo == pytest.approx(WET.darkened(torch.tensor(0.2)).item(), rel=1e-6)
 
 
 def test_a_texel_is_of_one_material() -> None:

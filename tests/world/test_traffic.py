@@ -254,3 +254,44 @@ def test_signs_are_turned_towards_the_road() -> None:
     for item in signs:
         across = math.sin(math.radians(item.track[0].yaw_deg))
         assert across * item.track[0].position_m[1] <= 1e-9
+
+
+def car_file(folder):
+    """A hull and a windscreen, each a node of its own, the windscreen 2 m higher."""
+    scene = trimesh.Scene()
+    for node, up_m in (("hull", 0.0), ("windscreen", 2.0)):
+        mesh = trimesh.creation.box((1.0, 1.0, 1.0))
+        mesh.visual = trimesh.visual.TextureVisuals(
+            uv=np.zeros((len(mesh.vertices), 2)), material=trimesh.visual.material.PBRMaterial(name=f"{node} paint")
+        )
+        scene.add_geometry(
+            mesh, node_name=node, geom_name=f"{node} geometry", transform=trimesh.transformations.translation_matrix((0, 0, up_m))
+        )
+    scene.export(folder / "car.glb")
+    return folder / "car.glb"
+
+
+def test_nodes_of_a_file_are_parts_by_name(tmp_path):
+    params = {"name": "car", "file": car_file(tmp_path), "track": HERE, "albedo": 0.3}
+    body = MeshParams(**params, parts={"windscreen": {"material": "glass", "albedo": 0.02}}).build()
+    parts = {part.name: part for part in body.parts}
+    assert (parts["hull"].albedo, parts["hull"].material) == (pytest.approx(0.3), "matt")
+    assert (parts["windscreen"].albedo, parts["windscreen"].material) == (pytest.approx(0.02), "glass")
+    higher = body.corners.mean(1)[:, 2] > 1.0
+    assert torch.equal(body.part_of_face[higher], torch.full((12,), [*parts].index("windscreen")))
+    assert torch.equal(body.part_of_face[~higher], torch.full((12,), [*parts].index("hull")))
+    with pytest.raises(LuxloopError, match="no part 'windscren'; did you mean 'windscreen'"):
+        MeshParams(**params, parts={"windscren": {}}).build()
+
+
+def test_objects_and_materials_of_obj_files_are_parts_too(tmp_path):
+    (tmp_path / "it.mtl").write_text("newmtl paint\nKd 1 0 0\nnewmtl glass\nKd 0 0 1\n")
+    corners = "mtllib it.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
+    named = {
+        "of one material each": ("o head\nusemtl paint\nf 1 2 3\no body\nusemtl glass\nf 1 2 4\n", {"head", "body"}),
+        "of several": ("o body\nusemtl paint\nf 1 2 3\nusemtl glass\nf 1 2 4\n", {"body_paint", "body_glass"}),
+        "no objects": ("usemtl paint\nf 1 2 3\nusemtl glass\nf 1 2 4\n", {"paint", "glass"}),
+    }
+    for faces, names in named.values():
+        (tmp_path / "it.obj").write_text(corners + faces)
+        assert {part.name for part in MeshParams(name="it", file=tmp_path / "it.obj", track=HERE).build().parts} == names

@@ -1,7 +1,7 @@
 """What all objects made from a seed have: parts by name, each of a material, whose reflectance can be set."""
 
 import difflib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 import torch
@@ -27,6 +27,15 @@ class SurfaceParams(Params):
     material: MaterialName | None = Field(None, description="Material by name")
 
 
+def check_parts(owner: str, given: Iterable[str], names: Sequence[str]) -> None:
+    """Raises LuxloopError where an object is given a part that it has not."""
+    for name in given:
+        if name not in names:
+            nearest = difflib.get_close_matches(name, names, 1)
+            hint = f"did you mean {nearest[0]!r}?" if nearest else f"it has {', '.join(names)}"
+            raise LuxloopError(f"object {owner!r}: parts: there is no part {name!r}; {hint}")
+
+
 class MadeParams(TrackedParams):
     """An object made from a seed."""
 
@@ -39,11 +48,7 @@ class MadeParams(TrackedParams):
     def made(self, pieces: Sequence[Piece], looks: Looks, track: PoseTrack, spotlights: tuple[Spotlight, ...] = ()) -> Body:
         """The body of pieces. Raises LuxloopError where `parts` names one that it has not."""
         mesh, names, of_face = joined(list(pieces))
-        for name in self.parts:
-            if name not in names:
-                nearest = difflib.get_close_matches(name, names, 1)
-                hint = f"did you mean {nearest[0]!r}?" if nearest else f"it has {', '.join(names)}"
-                raise LuxloopError(f"object {self.name!r}: parts: there is no part {name!r}; {hint}")
+        check_parts(self.name, self.parts, names)
         parts = tuple(self._part(name, *looks[name]) for name in names)
         return Body(self.name, mesh, smooth=True, track=track, parts=parts, part_of_face=torch.from_numpy(of_face), spotlights=spotlights)
 
