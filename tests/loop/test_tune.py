@@ -251,6 +251,13 @@ def test_what_descent_finds_keeps_its_digits_and_its_range(given: float) -> None
     assert narrow[0].low <= found <= narrow[0].high
 
 
+def test_an_extraction_of_ones_own_is_not_descended_on() -> None:
+    own = load("flat", [*SMALL, "controller.name=thesis_pid", "extraction.kind=own:Extraction"])
+    position = ranges.parse("controller.position.kp=0.1:2", [own])
+    with pytest.raises(LuxloopError, match=r"flat: extraction.kind: has no soft edges .* leave it out"):
+        gradient.descend(Task((own,), (position,), objective.parse("iou")), 1)
+
+
 def test_whole_numbers_have_no_gradient(scenario: Scenario) -> None:
     with pytest.raises(LuxloopError, match="losses_to_reset: takes whole numbers"):
         gradient.descend(task(scenario), 1)
