@@ -16,13 +16,25 @@ from controllers.functions.path import PathParams
 from controllers.functions.sign import SignParams
 from controllers.functions.situation import AdaptiveFunction, LightingFunction, Situation
 from controllers.functions.symbol import SymbolFunctionParams
+from controllers.obl.function import ObjectBasedParams
 from controllers.primitives import Primitives, concatenate
 from controllers.symbols import SymbolSource, load
+from controllers.zones.material import MaterialParams
+from controllers.zones.zone import ZoneParams
 from world.errors import located
 from world.params import Params
 
 FunctionParams = Annotated[
-    GlareFreeParams | MarkerParams | SignParams | SymbolFunctionParams | PathParams | LaneParams | WidthParams,
+    GlareFreeParams
+    | MarkerParams
+    | SignParams
+    | SymbolFunctionParams
+    | PathParams
+    | LaneParams
+    | WidthParams
+    | ObjectBasedParams
+    | MaterialParams
+    | ZoneParams,
     Field(discriminator="kind"),
 ]
 

@@ -17,7 +17,7 @@ class Ambient:
     risen: bool = False
 
 
-class AmbientParams(Params):
+class AmbientLoopParams(Params):
     """How far the base beam is dimmed: down in steps, up at once and then not down for long, so that it does not hunt."""
 
     least: float = Field(0.05, ge=0, le=1, description="never less than this share of the base beam, for what nobody has found yet")
@@ -25,7 +25,7 @@ class AmbientParams(Params):
     fall_frames: int = Field(4, ge=1, le=300, description="frames before a step down")
     rise: float = Field(2.0, gt=1, description="factor of a step up, when one is doubtful")
     rise_frames: int = Field(15, ge=1, le=300, description="frames between two steps up")
-    patience: int = Field(150, ge=1, description="frames after a step up without one down")
+    patience: int = Field(60, ge=1, description="frames after a step up without one down")
     doubtful: float = Field(0.3, ge=0, le=1, description="confidence below which an object that has had more may get lost")
     margin: float = Field(0.1, ge=0, le=1, description="above that, for sure")
 

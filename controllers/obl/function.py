@@ -7,7 +7,7 @@ from typing import Literal
 from pydantic import Field, field_validator
 
 from controllers.functions.situation import SelectionParams, Situation, TrackedObject, fade
-from controllers.obl.ambient import Ambient, AmbientParams
+from controllers.obl.ambient import Ambient, AmbientLoopParams
 from controllers.obl.light import ObjectLightParams
 from controllers.obl.object_loop import ObjectLoop, ObjectLoopParams
 from controllers.primitives import Primitives
@@ -36,7 +36,7 @@ class ObjectBasedParams(SelectionParams):
     categories: tuple[Category, ...] = Field(
         ("pedestrian", "cyclist", "car", "animal", "truck", "motorcycle"), min_length=1, description="classes of objects meant"
     )
-    ambient: AmbientParams = Field(AmbientParams(), description="the loop of the base beam, of `confidence`")
+    ambient: AmbientLoopParams = Field(AmbientLoopParams(), description="the loop of the base beam, of `confidence`")
     loop: ObjectLoopParams = Field(ObjectLoopParams(), description="the loop of each object, of `confidence`")
     share: float = Field(0.2, ge=0, le=1, description="of the base beam, of `class` and `constant`")
     setpoint_lx: float = Field(10.0, ge=0, description="on each object, of `constant`; of `class` where none is given for its class")

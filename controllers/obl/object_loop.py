@@ -19,8 +19,8 @@ FOLLOWING = 0.2  # share of a new mean in what is expected of a settled object, 
 class ObjectLoop:
     """State. lx: the setpoint. scores: of frames in this light that have not been averaged yet, 0 where the object was not found.
 
-    trials: of the search. expected: confidence, once settled. category, distance_m: when the search began. recent: the latest scores'
-    weighted mean, peak: its highest value, whatever the search.
+    trials: of the search. expected: confidence, once settled. category, distance_m: when the search began. recent: weighted mean of the
+    latest scores. peak: the highest mean that any light has brought.
     """
 
     lx: float
@@ -47,27 +47,25 @@ class ObjectLoopParams(Params):
 
     def start(self, each: TrackedObject, distance_m: float) -> ObjectLoop:
         """The loop of a new object."""
-        score = _found(each)
-        return ObjectLoop(self.search.next(()).lx, each.category, distance_m, recent=score, peak=score)
+        return ObjectLoop(self.search.next(()).lx, each.category, distance_m, recent=_found(each))
 
     def step(self, loop: ObjectLoop, each: TrackedObject, distance_m: float) -> ObjectLoop:
         """After one more frame of the object in the light that the loop asked for."""
-        recent = loop.recent + RECENT * (_found(each) - loop.recent)
-        loop = replace(loop, recent=recent, peak=max(loop.peak, recent), scores=(*loop.scores, _found(each)))
-        anew = replace(self.start(each, distance_m), recent=loop.recent, peak=loop.peak)
-        if each.category != loop.category or not 1 / self.change < distance_m / loop.distance_m < self.change:
-            return anew
+        score = _found(each)
+        loop = replace(loop, recent=loop.recent + RECENT * (score - loop.recent), scores=(*loop.scores, score))
         if len(loop.scores) < (self.watch_frames if loop.settled else self.frames):
             return loop
         mean = sum(loop.scores) / len(loop.scores)
-        if not loop.settled:
-            trials = (*loop.trials, Trial(loop.lx, mean))
-            following = self.search.next(trials)
-            expected = means(trials).get(following.lx, 0.0)
-            return replace(loop, lx=following.lx, settled=following.settled, scores=(), trials=trials, expected=expected)
-        if mean < loop.expected - self.drop:
-            return anew
-        return replace(loop, scores=(), expected=loop.expected + FOLLOWING * (mean - loop.expected))
+        loop = replace(loop, scores=(), peak=max(loop.peak, mean))
+        changed = each.category != loop.category or not 1 / self.change < distance_m / loop.distance_m < self.change
+        if changed or (loop.settled and mean < loop.expected - self.drop):
+            return replace(self.start(each, distance_m), recent=loop.recent, peak=loop.peak)
+        if loop.settled:
+            return replace(loop, expected=loop.expected + FOLLOWING * (mean - loop.expected))
+        trials = (*loop.trials, Trial(loop.lx, mean))
+        following = self.search.next(trials)
+        expected = means(trials).get(following.lx, 0.0)
+        return replace(loop, lx=following.lx, settled=following.settled, trials=trials, expected=expected)
 
 
 def _found(each: TrackedObject) -> float:

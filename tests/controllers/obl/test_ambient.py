@@ -5,12 +5,12 @@ from itertools import pairwise
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controllers.obl.ambient import Ambient, AmbientParams
+from controllers.obl.ambient import Ambient, AmbientLoopParams
 
-PARAMS = AmbientParams()
+PARAMS = AmbientLoopParams()
 
 
-def followed(needed: float, steps: int, ambient: Ambient = Ambient(), params: AmbientParams = PARAMS) -> list[Ambient]:  # noqa: B008
+def followed(needed: float, steps: int, ambient: Ambient = Ambient(), params: AmbientLoopParams = PARAMS) -> list[Ambient]:  # noqa: B008
     """States of a loop around an object that is found for sure from a share `needed` on, doubtfully from half of that on."""
     states = []
     for _ in range(steps):
@@ -56,4 +56,4 @@ def test_after_a_loss_it_stays_up_for_a_while_and_falls_again() -> None:
     for k in range(400):
         ambient = PARAMS.step(ambient, [0.1 if 5 <= k < 12 else 0.8])
         shares.append(ambient.share)
-    assert set(shares[:5]) == {0.05} and set(shares[5 : 5 + PARAMS.patience]) == {0.1} and set(shares[170:]) == {0.05}
+    assert set(shares[:5]) == {0.05} and set(shares[5 : 5 + PARAMS.patience]) == {0.1} and set(shares[5 + PARAMS.patience + 20 :]) == {0.05}

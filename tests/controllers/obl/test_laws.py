@@ -124,7 +124,7 @@ def test_what_has_changed_is_searched_anew(what: str) -> None:
     params = ObjectLoopParams()
     loop = followed(params, Knee(4.0))[-1]
     assert loop.settled and loop.lx < 7
-    each, distance, steps = replace(PERSON, score=0.7), 20.0, 1
+    each, distance, steps = replace(PERSON, score=0.7), 20.0, params.watch_frames
     if what == "drop":
         each, steps = replace(PERSON, score=0.4), 2 * params.watch_frames
     elif what == "category":
