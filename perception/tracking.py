@@ -14,8 +14,8 @@ from pydantic import Field
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
-from perception.boxes import overlap
 from perception.detection.protocol import Detections
+from perception.detection.suppression import overlaps
 from world.params import Params
 from world.tracked import Category
 
@@ -137,7 +137,7 @@ def assigned(tracks: Tracks, found: Detections) -> tuple[Tensor, Tensor]:
     spread = tracks.covariance[:, None, :, 0, 0] + _noise(tracks.mean, MEASURED)[:, None]
     far = (off[..., :2] ** 2).sum(-1).sqrt() / _size(tracks.mean)[:, None]
     likeness = found.scores[:, tracks.category].T / found.scores.amax(-1).clamp(min=1e-9)
-    cost = 1 - overlap(tracks.boxes, found.boxes) + far + OTHER_CLASS * (1 - likeness)
+    cost = 1 - overlaps(tracks.boxes, found.boxes) + far + OTHER_CLASS * (1 - likeness)
     impossible = (off[..., :2] ** 2 > GATE**2 * spread[..., :2]).any(-1) | (far > FARTHEST)
     cost = torch.where(impossible, LARGEST_COST, cost.clamp(max=LARGEST_COST))
     rows, columns = (torch.from_numpy(each) for each in linear_sum_assignment(cost.numpy()))

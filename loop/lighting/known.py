@@ -1,4 +1,4 @@
-"""What is known of a view because it was rendered: where objects are, and through which parts they see."""
+"""What is known of a view because it was rendered: where objects are, through which parts they see, and what all is made of."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,6 +12,8 @@ from loop.scenario import LightingScenario
 from perception.detection.params import TruthParams
 from perception.detection.protocol import Detections
 from perception.ground_truth import Box, Truth, ground_truth, part_mask
+from perception.materials import material_picture
+from world.materials import MaterialName
 from world.tracked import Category
 from world.traffic.making import EYES
 
@@ -48,6 +50,11 @@ class Known:
         users = torch.tensor([number for number, each in enumerate(self.told, 1) if each in ROAD_USERS], dtype=torch.int32)
         ids = self.lit.surfaces.object_id
         return part_mask(self.lit.surfaces, self.lit.triangles, EYES) & torch.isin(ids, users.to(ids))
+
+    @cached_property
+    def materials(self) -> tuple[Tensor, tuple[MaterialName, ...]]:
+        """Index `[height, width]` of what is seen in names of materials, -1 for none, and these."""
+        return material_picture(self.lit.surfaces, self.lit.triangles)
 
     def detections(self, params: TruthParams, classes: tuple[Category, ...]) -> Detections:
         """What a detector finds that makes no mistakes."""

@@ -1,6 +1,6 @@
 """The car's lamps, ready to be driven: every module that shines, with its pixel controller and its base beams."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import torch
@@ -74,11 +74,12 @@ class ShiningModule:
 
 @dataclass(frozen=True)
 class LampPower:
-    """What a lamp gives: flux in lm, power as a share of all pixels on, and the factor by which its limit has dimmed it."""
+    """What a lamp gives and takes: flux in lm, power as a share of all pixels on, the factor by which its limit dims it, and watts."""
 
     flux_lm: float
     share: float
     factor: float
+    watts: float
 
 
 def shining_modules(scenario: LightingScenario, device: torch.device) -> tuple[ShiningModule, ...]:
@@ -122,11 +123,15 @@ def _raw(scenario: LightingScenario, name: str, headlight: Headlight) -> RawUtil
 
 
 def driven(
-    modules: Sequence[ShiningModule], plan: Plan, secondary: Sequence[SecondaryRays], power_limit: float | None
+    modules: Sequence[ShiningModule],
+    plan: Plan,
+    secondary: Sequence[SecondaryRays],
+    power_limit: float | None,
+    power_w: Callable[[float], float],
 ) -> tuple[tuple[Tensor, ...], Mapping[str, LampPower]]:
     """Utilisations `[n_p]`, one a module, and the power of each lamp by its side, within the limit if there is one.
 
-    secondary: of each module.
+    secondary: of each module. power_w: electrical power of a lamp that gives so many lm.
     """
     asks = dict(zip((module.name for module in modules), secondary, strict=True))
     lights, powers = [], {}
@@ -136,6 +141,6 @@ def driven(
         flux = torch.cat([module.flux for module in mine])
         u, factor = limit_power(u, flux, flux.sum() * (1.0 if power_limit is None else power_limit))
         total = float((u * flux).sum())
-        powers[side] = LampPower(total, total / float(flux.sum()), float(factor))
+        powers[side] = LampPower(total, total / float(flux.sum()), float(factor), power_w(total))
         lights += u.split([len(module.flux) for module in mine])
     return tuple(lights), powers

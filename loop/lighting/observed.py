@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from controllers.planner import Plan
+from controllers.primitives import Primitives
 from loop.lighting.view import Looker
 from perception.metrics import iou
 from world.view import View
@@ -30,12 +31,17 @@ class ObservedSymbol:
         return float(iou(self.share > LIT, self.wanted > LIT))
 
 
+def pictures(primitives: Primitives) -> list[int]:
+    """Which primitives are pictures for an observer's eye; images with an opacity are a camera's, of where light shall be."""
+    return [p for p in range(len(primitives)) if primitives.observed(p) and primitives.image_of(p).ndim == 2]
+
+
 def in_white(plan: Plan) -> Plan | None:
     """The plan with white pictures for all observers, None where it has no observers."""
-    if plan.primitives is None or (who := plan.primitives.observer) is None:
+    if plan.primitives is None or not (shown := pictures(plan.primitives)):
         return None
     symbols = (*plan.primitives.symbols, torch.ones(1, 1).to(plan.primitives.origin))
-    symbol_of = torch.where(who.active, len(symbols) - 1, plan.primitives.symbol_of)
+    symbol_of = plan.primitives.symbol_of.index_fill(0, torch.tensor(shown), len(symbols) - 1)
     return replace(plan, primitives=replace(plan.primitives, symbols=symbols, symbol_of=symbol_of))
 
 
@@ -47,7 +53,7 @@ def observed_symbols(
     if primitives is None or (who := primitives.observer) is None:
         return ()
     found = []
-    for p in who.active.nonzero()[:, 0].tolist():
+    for p in pictures(primitives):
         view = picture_view(*(each[p].double() for each in (who.eye, who.origin, who.d1, who.d2)))
         seen = Looker(camera.scene, view, camera.modules, camera.source, camera.device).at(time_s)
         (_, drawn), (_, full) = seen.light(lights), seen.light(white)

@@ -39,6 +39,17 @@ LAMP = {
     "power_share": (pa.float64(), "1", "power, as a share of all pixels on"),
     "power_factor": (pa.float64(), "1", "factor by which the power limit dims all pixels"),
 }
+LEARNING = {
+    "base_share": (pa.float64(), "1", "what is left of the base beam"),
+    "power_w": (pa.float64(), "W", "electrical power of all lamps, by the lamp model of headlight.standby_w and efficacy_lm_w"),
+    "find_ms": (pa.float64(), "ms", "detector, tracker, what functions learn, and the truth that they are held against"),
+}
+LOOKING = {
+    "detections": (pa.int64(), "1", "boxes that the detector found"),
+    "false_positives": (pa.int64(), "1", "of them, those that overlap no object by an IoU of 0.3"),
+    "tracks": (pa.int64(), "1", "objects that the tracker has confirmed and not lost"),
+    "eyes_lx_max": (pa.float64(), "lx", "most light of the lamps on heads and windscreens of road users; empty while none is seen"),
+}
 OBJECT = {
     "pixels": (pa.int64(), "px", "of the camera that see it"),
     "lx_min": (pa.float64(), "lx", "least light of the lamps on what the camera sees of it; empty where that is nothing"),
@@ -46,15 +57,21 @@ OBJECT = {
     "lx_max": (pa.float64(), "lx", "most light on it"),
     "masked": (pa.bool_(), "", "whether a mask must keep it dark"),
 }
+LOOKED_AT = {
+    "track": (pa.int64(), "", "number of the track that shows it; empty without one"),
+    "confidence": (pa.float64(), "1", "of that track, filtered over frames, 0 without one; empty while the camera sees nothing of it"),
+    "score": (pa.float64(), "1", "of what the detector found in this frame alone"),
+}
 
 
 def schema(simulation: LightingSimulation) -> pa.Schema:
     """Columns of a simulation's recording: `lamp.left.flux_lm`, `object.NAME.lx_max` and so on."""
     sides = dict.fromkeys(module.side for module in simulation.modules)
-    tracked = [item.name for item in simulation.scenario.all_objects if item.category is not None]
+    tracked, looks = simulation.watched, simulation.sight is not None
     observed = any(getattr(function, "observer", None) for function in simulation.scenario.lighting.functions)
     columns = STEP | (OBSERVED if observed else {}) | {f"lamp.{side}.{key}": of for side in sides for key, of in LAMP.items()}
-    columns |= {f"object.{name}.{key}": of for name in tracked for key, of in OBJECT.items()}
+    columns |= (LEARNING if looks or simulation.planner.learns else {}) | (LOOKING if looks else {})
+    columns |= {f"object.{name}.{key}": of for name in tracked for key, of in (OBJECT | (LOOKED_AT if looks else {})).items()}
     return pa.schema(pa.field(name, kind, metadata={"unit": unit, "description": text}) for name, (kind, unit, text) in columns.items())
 
 
@@ -73,10 +90,16 @@ def row(result: LightingResult) -> dict[str, Any]:
         "symbol_iou_min": result.symbol_iou_min,
         **{f"{part}_ms": ms for part, ms in result.timings.items()},
     }
+    values |= {"base_share": base.share, "power_w": sum(power.watts for power in result.powers.values())}
     for side, power in result.powers.items():
         values |= {f"lamp.{side}.{key}": value for key, value in zip(LAMP, (power.flux_lm, power.share, power.factor), strict=True)}
     for name, each in result.objects.items():
         values |= {f"object.{name}.{key}": getattr(each, key) for key in OBJECT}
+    if (look := result.look) is not None:
+        values |= {"detections": len(look.found), "false_positives": look.false_positives, "eyes_lx_max": look.eyes_lx_max}
+        values["tracks"] = int((look.tracks.since_s.isfinite() & look.tracks.until_s.isinf()).sum())
+        for name, made in look.recognised.items():
+            values |= {f"object.{name}.{key}": getattr(made, key) for key in LOOKED_AT}
     return values
 
 

@@ -10,9 +10,10 @@ from torch import Tensor
 
 from controllers.functions.situation import TrackedObject
 from loop.lighting.known import Known
-from perception.boxes import overlap
+from perception.detection.build import detector
 from perception.detection.params import AnyParams, TruthParams
 from perception.detection.protocol import Detections, Detector
+from perception.detection.suppression import overlaps
 from perception.placing import placed
 from perception.tracking import TrackerParams, Tracks, no_tracks, track
 from world.tracked import Category
@@ -44,8 +45,6 @@ class Sight:
     @classmethod
     def prepare(cls, params: AnyParams, tracker: TrackerParams, view: View, device: torch.device) -> "Sight":
         """Raises LuxloopError where the detector's file is missing or broken."""
-        from perception.detection.build import detector
-
         return cls(None if isinstance(params, TruthParams) else detector(params, device), params, tracker, view)
 
     @property
@@ -106,11 +105,11 @@ def recognised(known: Known, tracks: Tracks, found: Detections) -> tuple[Mapping
             0.0 if row is None else float(sure[row]),
             0.0 if column is None else float(scores[column].max()),
         )
-    shows_any = overlap(boxes, known.boxes).amax(-1) >= SAME if len(known.boxes) else torch.zeros(len(boxes), dtype=torch.bool)
+    shows_any = overlaps(boxes, known.boxes).amax(-1) >= SAME if len(known.boxes) else torch.zeros(len(boxes), dtype=torch.bool)
     return whole, int((~shows_any).sum())
 
 
 def pairs(objects: Tensor, boxes: Tensor) -> list[tuple[int, int]]:
     """Indices of objects and of their boxes, each once, so that they overlap most in all."""
-    shares = overlap(objects, boxes)
+    shares = overlaps(objects, boxes)
     return [(i, j) for i, j in zip(*(each.tolist() for each in linear_sum_assignment(-shares)), strict=True) if shares[i, j] >= SAME]

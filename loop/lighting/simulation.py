@@ -4,11 +4,12 @@ import math
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import torch
 from torch import Tensor
 
-from controllers.functions.situation import LightingFunction, Seen, Situation, TrackedObject
+from controllers.functions.situation import Seen, Situation, TrackedObject
 from controllers.planner import Plan, Planner, States
 from controllers.primitives import Primitives
 from controllers.rthc import masks
@@ -140,6 +141,13 @@ class LightingSimulation:
                 module.lamp.beam(name)
         return simulation
 
+    @cached_property
+    def watched(self) -> Mapping[str, int]:
+        """Objects that are recorded, by name, and their ids: those that a tracker is told of, with a detector all that it ought to find."""
+        told = [item.category for item in self.scenario.all_objects]
+        wanted = enumerate(zip(self.scene.objects, told if self.sight is None else categories(self.scenario), strict=True), 1)
+        return {body.name: number for number, (body, category) in wanted if category is not None}
+
     def situation(self, time_s: float, tracks: Tracks | None = None) -> Situation:
         """What the car knows at a time: from tracks, if there is a detector, else from a tracker that makes no mistakes."""
         drive = driving(self.scenario.driving, time_s)
@@ -262,7 +270,8 @@ class LightingSimulation:
     def _learnt(self, now: Situation, known: Known, frame: Tensor, tracks: Tracks | None) -> Situation:
         """The situation once the frame is there."""
         camera, surfaces = self.scenario.camera, known.lit.surfaces
-        seen = Seen(now.time_s, self.camera.view, luminance_of(frame, camera), saturation_luminance(camera), surfaces.albedo)
+        luminance, most = luminance_of(frame, camera), saturation_luminance(camera)
+        seen = Seen(now.time_s, self.camera.view, luminance, most, surfaces.albedo, *known.materials)
         objects = now.objects if self.sight is None or tracks is None else self.sight.objects(tracks, now.time_s)
         return replace(now, objects=objects, seen=seen)
 
@@ -278,20 +287,16 @@ class LightingSimulation:
         street_lamps = self.scene.street_lamps if params.street_lamps else ()
         occluded = scene_caster(self.scene.at(time_s)) if params.shadow_rays else None
         secondary = [SecondaryRays(self.lights, own, street_lamps, occluded) for own in range(len(self.modules))]
-        return driven(self.modules, plan, secondary, params.power_limit)
+        return driven(self.modules, plan, secondary, params.power_limit, self.scenario.headlight.power_w)
 
     def _on_objects(self, illuminance: Tensor, object_id: Tensor, masked: frozenset[str], look: Look | None) -> Mapping[str, OnObject]:
         found = {}
-        for number, (item, category) in enumerate(zip(self.scenario.all_objects, categories(self.scenario), strict=True), 1):
-            if (item.category if look is None else category) is None:
-                continue
+        for name, number in self.watched.items():
             lx = illuminance[object_id == number]
             low, mean, high = (float(value) for value in (lx.min(), lx.mean(), lx.max())) if len(lx) else [math.nan] * 3
-            name = item.name
-            if look is not None:
-                track = look.recognised[name].track if name in look.recognised else None
-                name = "" if track is None else name_of(track)
-            found[item.name] = OnObject(len(lx), low, mean, high, name in masked)
+            track = look.recognised[name].track if look is not None and name in look.recognised else None
+            known_as = name if look is None else "" if track is None else name_of(track)
+            found[name] = OnObject(len(lx), low, mean, high, known_as in masked)
         return found
 
 
@@ -325,7 +330,7 @@ def _check_names(scenario: LightingScenario, modules: tuple[ShiningModule, ...])
                 )
 
 
-def _objects_named(function: LightingFunction) -> Iterator[tuple[str, str]]:
+def _objects_named(function: object) -> Iterator[tuple[str, str]]:
     """The objects that a function names, each after its key."""
     for table in ("", "when.", "unless."):
         selection = getattr(function, table[:-1], None) if table else function

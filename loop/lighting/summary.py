@@ -9,9 +9,13 @@ from rich.table import Table
 
 from loop.summary import column
 
+LAST_STEPS = 10  # that a confidence at the end is the mean of
+LOOKING = {"detections": "mean", "false_positives": "mean", "eyes_lx_max": "max"}
+
 
 def summarise(table: pa.Table, scenario: str) -> dict[str, Any]:
     """A recording in a few numbers, ready for JSON: None where a value does not exist."""
+    known = table.column_names
     lamps = [name.split(".")[1] for name in table.column_names if name.startswith("lamp.") and name.endswith(".flux_lm")]
     objects = [name.removeprefix("object.").removesuffix(".lx_max") for name in table.column_names if name.endswith(".lx_max")]
 
@@ -35,10 +39,35 @@ def summarise(table: pa.Table, scenario: str) -> dict[str, Any]:
             for side in lamps
         },
         "objects": {
-            name: {"lx_mean": over(f"object.{name}.lx_mean", "mean"), "lx_max": over(f"object.{name}.lx_max", "max")} for name in objects
+            name: {
+                "lx_mean": over(f"object.{name}.lx_mean", "mean"),
+                "lx_max": over(f"object.{name}.lx_max", "max"),
+                **(_recognised(table, f"object.{name}.") if f"object.{name}.track" in known else {}),
+            }
+            for name in objects
         },
+        **(
+            {"energy_j": _energy(table), "base_share_final": float(column(table, "base_share")[-1])}
+            if "power_w" in known and table.num_rows
+            else {}
+        ),
+        **({key: over(key, what) for key, what in LOOKING.items()} if "detections" in known else {}),
         "control_ms_median": float(np.median(column(table, "plan_ms") + column(table, "light_ms"))) if table.num_rows else None,
     }
+
+
+def _energy(table: pa.Table) -> float | None:
+    """Of all lamps, in J; None of a single step, which has no duration."""
+    power, times = column(table, "power_w"), column(table, "time_s")
+    return float(power.sum() * (times[-1] - times[0]) / (len(times) - 1)) if len(times) > 1 else None
+
+
+def _recognised(table: pa.Table, key: str) -> dict[str, Any]:
+    """The confidence at the end, and how many tracks showed an object one after the other."""
+    confidence = column(table, f"{key}confidence")[-LAST_STEPS:]
+    confidence = confidence[np.isfinite(confidence)]
+    tracks = {number for number in table[f"{key}track"].to_pylist() if number is not None}
+    return {"confidence_final": float(confidence.mean()) if len(confidence) else None, "tracks": len(tracks)}
 
 
 def shown(values: dict[str, Any], files: str) -> Table:
@@ -58,6 +87,11 @@ def shown(values: dict[str, Any], files: str) -> Table:
         rows["symbols, to their observers"] = f"IoU {values['symbol_iou_min']:.3f} at least"
     if values["idle_functions"]:
         rows["without effect"] = f"{', '.join(values['idle_functions'])}: nothing to draw, or nothing that a lamp reaches, in all steps"
+    if values.get("energy_j") is not None:
+        rows["energy"] = f"{values['energy_j']:.0f} J by the lamp model, {values['base_share_final']:.1%} of the base beam left at the end"
+    if "eyes_lx_max" in values:
+        eyes = "" if values["eyes_lx_max"] is None else f"; {values['eyes_lx_max']:.3g} lx at most on heads and windscreens"
+        rows["found"] = f"{values['detections']:.1f} boxes a step, {values['false_positives']:.2f} of them false{eyes}"
     rows["time a step"] = f"{_number(values['control_ms_median'], '.1f')} ms (median) for planning and all lamps"
     rows["files"] = files
     for label, value in rows.items():

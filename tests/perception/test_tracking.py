@@ -10,9 +10,9 @@ import torch
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
-from perception.boxes import overlap
 from perception.camera import CameraParams, camera_view
 from perception.detection.protocol import Detections
+from perception.detection.suppression import overlaps
 from perception.tracking import EACH, LINGER_S, TrackerParams, Tracks, no_tracks, track
 from world.tracked import Category
 
@@ -58,7 +58,7 @@ def identities(roads: list[Road], frames: int, seed: int, noise: float = 0.04, m
         tracks = track(tracks, Detections(boxes[shown], scores[shown]), k / RATE_HZ, TrackerParams())
         known = tracks.known
         known = known.take(known.until_s.isinf())
-        shares, numbers = overlap(true, known.boxes), known.number.tolist()
+        shares, numbers = overlaps(true, known.boxes), known.number.tolist()
         for n, number in owner.items():
             if number in numbers and shares[n, numbers.index(number)] > 0.3:
                 shares[n, numbers.index(number)] += 2

@@ -1,0 +1,150 @@
+"""With a detector the loop is closed: frames are looked through, objects tracked, light planned from tracks, and all of it recorded."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import torch
+
+from controllers.functions.situation import AdaptiveFunction
+from loop import cli
+from loop.lighting.record import row, schema
+from loop.lighting.simulation import LightingSimulation
+from loop.run import run
+from loop.scenario import LightingScenario, validate_any
+from world.errors import LuxloopError
+
+CAMERA = {"width_px": 320, "height_px": 180, "pitch_deg": 1.5, "oversampling": 1, "saturation_e": 2000}
+WALKER = {"kind": "pedestrian", "name": "walker", "seed": 3, "path": {"points_m": [[15, -2, 0], [15, 2, 0]], "speed_m_s": 1.4}}
+CAR = {"kind": "car", "name": "oncoming", "track": [{"position_m": [30, 3, 0], "yaw_deg": 180}]}
+PARKED = {"kind": "car", "name": "parked", "category": None, "lit": False, "track": [{"position_m": [22, -5, 0]}]}
+OBL = {"kind": "object_based"}
+
+
+def scenario(**changes: Any) -> LightingScenario:
+    base = {
+        "name": "closed",
+        "steps": 8,
+        "headlight": {"model": "hd84"},
+        "camera": CAMERA,
+        "surface": {"grain": 0.0},
+        "objects": [WALKER, CAR, PARKED],
+        "detector": {"kind": "truth"},
+        "lighting": {"base": {"beam": "low"}, "functions": [OBL, {"kind": "glare_free"}]},
+        "renderer": "raycast",
+    }
+    found = validate_any(base | changes, "closed")
+    assert isinstance(found, LightingScenario)
+    return found
+
+
+def test_everyone_is_found_tracked_placed_and_recorded(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    summary = run(scenario(), out, video=False)
+    table = pq.read_table(out / "trajectory.parquet")
+    confirmed = 2  # a track is reported after its third frame
+    for name in ("walker", "oncoming", "parked"):
+        track = table[f"object.{name}.track"].to_pylist()
+        assert track[:confirmed] == [None, None] and len(set(track[confirmed:])) == 1, name
+        assert table[f"object.{name}.confidence"].to_pylist() == [0.0] * confirmed + [1.0] * (8 - confirmed)
+        assert table[f"object.{name}.score"].to_pylist() == [1.0] * 8
+        assert summary["objects"][name]["tracks"] == 1 and summary["objects"][name]["confidence_final"] == pytest.approx(6 / 8)
+    assert table["false_positives"].to_pylist() == [0] * 8 and table["tracks"].to_pylist() == [0, 0, 3, 3, 3, 3, 3, 3]
+    flux = sum(np.array(table[f"lamp.{side}.flux_lm"].to_pylist()) for side in ("left", "right"))
+    power = np.array(table["power_w"].to_pylist())
+    np.testing.assert_allclose(power, 2 * 5.0 + flux / 40.0)
+    assert summary["energy_j"] == pytest.approx(power.sum() / 30)
+    assert table["eyes_lx_max"].to_pylist()[0] > 0
+    assert json.loads((out / "manifest.json").read_text())["scenario"]["detector"]["kind"] == "truth"
+    assert cli.main(["replay", str(out)]) == cli.OK
+    assert (out / "report.png").stat().st_size > 10_000
+
+
+def test_masks_follow_tracks_and_darken_them() -> None:
+    results = list(
+        LightingSimulation.prepare(scenario(steps=6, lighting={"base": {"beam": "full"}, "functions": [{"kind": "glare_free"}]})).run()
+    )
+    assert not results[0].masked and results[0].objects["oncoming"].lx_max > 1
+    last = results[-1].objects
+    assert last["oncoming"].masked and last["parked"].masked and not last["walker"].masked
+    assert last["oncoming"].lx_mean < 0.1 * results[0].objects["oncoming"].lx_mean
+
+
+def test_tracks_are_where_objects_are() -> None:
+    simulation = LightingSimulation.prepare(scenario(steps=8))
+    *_, last = simulation.run()
+    assert last.look is not None
+    true = {each.name: each for each in LightingSimulation.prepare(scenario(detector=None)).situation(last.time_s).objects}
+    for name, length_m in (("walker", 0.5), ("oncoming", 4.0)):
+        told = next(each for each in last.now.objects if each.name == f"track {last.look.recognised[name].track}")
+        error = told.T_world_object[:2, 3] - true[name].T_world_object[:2, 3]
+        # A pixel of this camera's image is 0.6 m of the road at 15 m, and 1.9 m at 30 m; lengths are those of the class
+        assert float(error.norm()) < {"walker": 1.0, "oncoming": 3.0}[name]
+        assert told.category == true[name].category and told.size_m[0] == length_m
+        assert told.size_m[2] == pytest.approx(true[name].size_m[2], rel=0.15)
+
+
+def test_a_state_taken_up_again_goes_on_as_the_run_did() -> None:
+    simulation = LightingSimulation.prepare(scenario())
+    state = simulation.start()
+    for _ in range(4):
+        state, _ = simulation.step(state)
+    _, first = simulation.step(state)
+    _, again = LightingSimulation.prepare(scenario()).step(state)
+    assert all(torch.equal(a, b) for a, b in zip(first.lights, again.lights, strict=True))
+    assert first.step == 4 and torch.equal(first.frame, again.frame)
+
+
+def test_the_lights_of_a_time_are_those_of_the_run() -> None:
+    simulation = LightingSimulation.prepare(scenario(steps=6))
+    *_, last = simulation.run()
+    assert all(torch.equal(a, b) for a, b in zip(simulation.lights_at(5 / 30), last.lights, strict=True))
+
+
+def test_a_base_beam_is_dimmed_as_functions_ask() -> None:
+    half = {"kind": "object_based", "method": "constant", "share": 0.5, "setpoint_lx": 0.0}
+    most = half | {"share": 0.8}
+    bright, dim, both = (
+        LightingSimulation.prepare(scenario(objects=[], lighting={"base": {"beam": "low"}, "functions": functions})).at(0)
+        for functions in ([], [half], [half, most])
+    )
+    for full, one, two in zip(bright.lights, dim.lights, both.lights, strict=True):
+        torch.testing.assert_close(one, 0.5 * full)
+        torch.testing.assert_close(two, 0.8 * full)  # the least dimmed wins
+
+
+def test_without_a_detector_functions_that_learn_are_told_the_truth() -> None:
+    simulation = LightingSimulation.prepare(scenario(detector=None))
+    assert simulation.planner.learns and isinstance(simulation.planner.functions[0], AdaptiveFunction)
+    state, result = simulation.step(simulation.start())
+    assert state.tracks is None and [each.name for each in result.now.objects] == ["walker", "oncoming"]
+    names = schema(simulation).names
+    assert "power_w" in names and "object.walker.track" not in names and "parked" not in " ".join(names)
+    assert set(names) <= set(row(result))
+
+
+def test_scenes_without_objects_and_out_of_sight_are_recorded() -> None:
+    behind = WALKER | {"path": None, "track": [{"position_m": [-20, 0, 0]}]}
+    for objects in ([], [behind]):
+        simulation = LightingSimulation.prepare(scenario(objects=objects))
+        result = simulation.at(0)
+        assert (
+            result.look is not None and result.look.false_positives == 0 and result.look.eyes_lx_max is None and len(result.look.found) == 0
+        )
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"detector": None, "tracker": {"keep_s": 1.0}}, "tracker: follows what a detector finds, but there is none"),
+        ({"lighting": {"functions": [{"kind": "glare_free", "names": ["oncoming"]}]}}, "functions\\[0\\]: names objects, but a detector"),
+        ({"detector": {"kind": "none"}}, "detector"),
+        ({"headlight": {"efficacy_lm_w": 0}}, "efficacy_lm_w"),
+    ],
+)
+def test_what_cannot_be_is_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(LuxloopError, match=message):
+        scenario(**changes)
