@@ -206,6 +206,12 @@ class CarLampsParams(HeadlightParams):
     )
     lamps: tuple[Literal["left", "right"], ...] = Field(("left", "right"), min_length=1, description="lamps that shine")
     modules: tuple[str, ...] | None = Field(None, min_length=1, description="their modules that shine; left out: all")
+    standby_w: float = Field(5.0, ge=0, description="electrical power of a lamp that is dark: its electronics and fan")
+    efficacy_lm_w: float = Field(40.0, gt=0, description="luminous flux that leaves a lamp for each watt that its light sources take")
+
+    def power_w(self, flux_lm: float) -> float:
+        """Electrical power of one lamp that gives so much light."""
+        return self.standby_w + flux_lm / self.efficacy_lm_w
 
 
 class DrivingParams(Params):
