@@ -43,12 +43,12 @@ class AsYolo(nn.Module):
 def says(numbers: Any, size: tuple[int, int], file: Path) -> str:
     """Write a network that gives the same numbers whatever it sees, 3 channels of a size; what it sees takes part by zero times its sum."""
     nodes = [
-        helper.make_node("Reshape", ["frames", "row"], ["flat"]),
-        helper.make_node("Mul", ["flat", "zero"], ["nothing"]),
+        helper.make_node("Flatten", ["frames"], ["flat"]),
+        helper.make_node("MatMul", ["flat", "zeros"], ["nothing"]),
         helper.make_node("ReduceSum", ["nothing"], ["sum"], keepdims=0),
         helper.make_node("Add", ["sum", "numbers"], ["found"]),
     ]
-    constants = {"row": np.array([1, 3 * size[0] * size[1]]), "zero": np.float32([0]), "numbers": np.float32(numbers)[None]}
+    constants = {"zeros": np.zeros((3 * size[0] * size[1], 1), np.float32), "numbers": np.float32(numbers)[None]}
     initial = [numpy_helper.from_array(value, name) for name, value in constants.items()]
     tensors = [
         helper.make_tensor_value_info(*each) for each in (("frames", FLOAT, (1, 3, *size)), ("found", FLOAT, (1, *np.shape(numbers))))
