@@ -2,28 +2,25 @@
 
 import math
 from collections.abc import Sequence
-from itertools import combinations
 
 import cv2
 import numpy as np
 import torch
 from torch import Tensor
 
-from controllers.functions.situation import TrackedObject
 from loop.lighting.lamps import ShiningModule
+from loop.lighting.marks import marks
 from loop.lighting.simulation import LightingResult, LightingSimulation
 from loop.video import Picture, tone_map
 from perception.camera import CameraParams, expose, luminance_of
-from world.frames import pose_from_degrees, transform
+from world.frames import pose_from_degrees
 from world.sources import Source, wall_illuminance
-from world.view import View
 
-TRACKED_RGB, MASKED_RGB, TEXT_RGB = (90, 220, 120), (255, 170, 40), (235, 235, 235)
+TRACKED_RGB, MASKED_RGB, FOUND_RGB, TEXT_RGB = (90, 220, 120), (255, 170, 40), (110, 130, 160), (235, 235, 235)
 WALL_DEG = (24.0, 8.0, 6.0)  # to each side, down and up, of the wall that the lamps light
 WALL_SHARE = 0.3  # its width, of the picture's
 WALL_M = 25.0
 BRIGHT = 0.995  # quantile of the first picture's luminance that is shown as white
-EDGES = [(a, b) for a, b in combinations(range(8), 2) if bin(a ^ b).count("1") == 1]  # corners whose bits are x, y, z
 
 
 def white_of(luminance: Tensor, camera: CameraParams) -> Tensor:
@@ -38,19 +35,20 @@ def measured(result: LightingResult, simulation: LightingSimulation) -> Tensor:
 
 
 def frame_picture(result: LightingResult, simulation: LightingSimulation, white: Tensor) -> Picture:
-    """A step as a picture `[H, W, 3]` in the camera's size: boxes in green, orange where a mask keeps them dark."""
+    """A step as a picture `[H, W, 3]` in the camera's size: boxes in green, orange where a mask keeps them dark, grey of detections."""
     picture = tone_map(measured(result, simulation), white)
     height, width = picture.shape[:2]
-    for each in result.now.objects:
-        if each.since_s <= result.time_s < each.until_s:
-            colour = MASKED_RGB if each.name in result.masked else TRACKED_RGB
-            for a, b in box_lines(each, simulation.camera.view):
-                cv2.line(picture, a, b, colour, 1, cv2.LINE_AA)
+    line = max(height / 28, 9.0)
+    for mark in marks(result, simulation):
+        colour = FOUND_RGB if mark.faint else MASKED_RGB if mark.masked else TRACKED_RGB
+        for a, b in mark.lines:
+            cv2.line(picture, a, b, colour, 1, cv2.LINE_AA)
+        at = (mark.at[0], max(mark.at[1] - 3, round(line)))
+        cv2.putText(picture, mark.text, at, cv2.FONT_HERSHEY_SIMPLEX, line / 38, colour, 1, cv2.LINE_AA)
     wall = wall_light(simulation.modules, result.lights, round(WALL_SHARE * width))
     inset, margin = tone_map(wall, wall.max().clamp(min=1e-6)), max(height // 60, 1)
     rows = slice(margin, margin + min(inset.shape[0], height - 2 * margin))
     picture[rows, width - margin - inset.shape[1] : width - margin] = inset[: rows.stop - rows.start]
-    line = max(height / 28, 9.0)
     for number, text in enumerate(captions(result, simulation)):
         at = (margin, round(margin + line * (number + 1)))
         cv2.putText(picture, text, at, cv2.FONT_HERSHEY_SIMPLEX, line / 38, TEXT_RGB, 1, cv2.LINE_AA)
@@ -64,21 +62,13 @@ def captions(result: LightingResult, simulation: LightingSimulation) -> list[str
     lines = [simulation.scenario.name, f"step {result.step}, {result.time_s:.2f} s", simulation.base(base.name), lamps]
     if base.bend or base.level or base.roll:
         lines[2] += f", bend {math.degrees(base.bend):+.1f}, level {math.degrees(base.level):+.1f} deg"
+    if base.share < 1:
+        lines[2] += f" at {100 * base.share:.0f} %"
+    if result.look is not None:
+        lines[3] += f", {sum(power.watts for power in result.powers.values()):.0f} W"
     if result.dark_lx_max is not None:
         lines.append(f"on what must be dark: {result.dark_lx_max:.3g} lx")
     return lines
-
-
-def box_lines(each: TrackedObject, view: View) -> list[tuple[tuple[int, int], tuple[int, int]]]:
-    """Edges of a box in a view, in px; none where it reaches behind the eye."""
-    length, width, height = each.size_m
-    bits = torch.tensor([[k & 1, k >> 1 & 1, k >> 2 & 1] for k in range(8)], dtype=torch.float64).T
-    corners = torch.tensor([[length], [width], [height]]) * (bits - torch.tensor([[0.5], [0.5], [0.0]]))
-    uv, depth = view.project(transform(each.T_world_object.double(), corners.double()))
-    if (depth <= 0).any():
-        return []
-    points = [(round(u), round(v)) for u, v in uv.T.tolist()]
-    return [(points[a], points[b]) for a, b in EDGES]
 
 
 def wall_light(modules: Sequence[ShiningModule], lights: Sequence[Tensor], columns: int) -> Tensor:

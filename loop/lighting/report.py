@@ -15,8 +15,9 @@ from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
 from loop.headlight_views import BIRDSEYE_X_M, BIRDSEYE_Y_M, birdseye
+from loop.lighting.marks import marks
 from loop.lighting.observed import ObservedSymbol
-from loop.lighting.picture import WALL_DEG, box_lines, measured, wall_light, white_of
+from loop.lighting.picture import WALL_DEG, measured, wall_light, white_of
 from loop.lighting.simulation import LightingResult, LightingSimulation
 from loop.lighting.view import Looker
 from loop.report import FOUR, NIGHT, STYLE
@@ -25,7 +26,7 @@ from world.errors import LuxloopError
 from world.frames import transform
 
 INCHES, DPI = (13.0, 8.6), 120
-TRACKED, MASKED = "#4fd17a", "#ffaa28"
+TRACKED, MASKED, FOUND = "#4fd17a", "#ffaa28", "#6e82a0"
 COLOURS = (*FOUR, "#56b4e9", "#d55e00", "#000000", "#999999")
 WALL_COLUMNS = 480
 OBSERVED = 4  # observers' pictures that fit side by side
@@ -74,11 +75,11 @@ def _title(simulation: LightingSimulation, last: LightingResult, table: pa.Table
 def _camera(axes: Axes, simulation: LightingSimulation, result: LightingResult, white: float) -> None:
     image = (measured(result, simulation).cpu().numpy() / white).clip(0, 1) ** 0.5
     axes.imshow(image, cmap=NIGHT, vmin=0, vmax=1, interpolation="antialiased")
-    for each in result.now.objects:
-        if each.since_s <= result.time_s < each.until_s:
-            colour = MASKED if each.name in result.masked else TRACKED
-            for (u0, v0), (u1, v1) in box_lines(each, simulation.camera.view):
-                axes.plot([u0, u1], [v0, v1], color=colour, linewidth=0.7)
+    for mark in marks(result, simulation):
+        colour = FOUND if mark.faint else MASKED if mark.masked else TRACKED
+        for (u0, v0), (u1, v1) in mark.lines:
+            axes.plot([u0, u1], [v0, v1], color=colour, linewidth=0.7)
+        axes.annotate(mark.text, mark.at, (0, 2), textcoords="offset points", color=colour, fontsize=7, clip_on=True)
     axes.set(xlim=(-0.5, image.shape[1] - 0.5), ylim=(image.shape[0] - 0.5, -0.5), xticks=[], yticks=[])
     axes.set_title(f"Camera at {result.time_s:.2f} s, {simulation.base(result.plan.base.name)}", weight="normal")
     axes.grid(False)

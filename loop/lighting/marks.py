@@ -1,0 +1,68 @@
+"""What is drawn over the camera's picture: the boxes of tracked objects, and with a detector what it found and how sure the car is."""
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import torch
+
+from controllers.functions.situation import TrackedObject
+from loop.lighting.sight import name_of
+from loop.lighting.simulation import LightingResult, LightingSimulation, Look
+from world.frames import transform
+from world.view import View
+
+Point = tuple[int, int]
+EDGES = [(a, b) for a, b in combinations(range(8), 2) if bin(a ^ b).count("1") == 1]  # corners whose bits are x, y, z
+
+
+@dataclass(frozen=True)
+class Mark:
+    """Lines in px of the image, and a text at its place. masked: what must be dark. faint: what a detector found in this frame alone."""
+
+    lines: tuple[tuple[Point, Point], ...]
+    masked: bool = False
+    faint: bool = False
+    text: str = ""
+    at: Point = (0, 0)
+
+
+def marks(result: LightingResult, simulation: LightingSimulation) -> tuple[Mark, ...]:
+    """Boxes on the road of what a perfect tracker tells; with a detector those in the image, of tracks after the frame."""
+    if result.look is None:
+        there = (each for each in result.now.objects if each.since_s <= result.time_s < each.until_s)
+        return tuple(Mark(box_lines(each, simulation.camera.view), each.name in result.masked) for each in there)
+    return (*_found(result.look), *_tracked(result.look, result.masked))
+
+
+def _found(look: Look) -> tuple[Mark, ...]:
+    return tuple(Mark(_outline(box), faint=True) for box in look.found.boxes.tolist())
+
+
+def _tracked(look: Look, masked: frozenset[str]) -> tuple[Mark, ...]:
+    tracks = look.tracks.known
+    tracks = tracks.take(tracks.until_s.isinf())
+    drawn = []
+    for number, box, category, sure in zip(
+        tracks.number.tolist(), tracks.boxes.tolist(), tracks.category.tolist(), tracks.confidence, strict=True
+    ):
+        text = f"{tracks.classes[category]} {number}: {float(sure[category]):.2f}"
+        drawn.append(Mark(_outline(box), name_of(number) in masked, text=text, at=(round(box[0]), round(box[1]))))
+    return tuple(drawn)
+
+
+def _outline(box: list[float]) -> tuple[tuple[Point, Point], ...]:
+    left, top, right, bottom = (round(each) for each in box)
+    corners = ((left, top), (right, top), (right, bottom), (left, bottom))
+    return tuple((corners[k], corners[(k + 1) % 4]) for k in range(4))
+
+
+def box_lines(each: TrackedObject, view: View) -> tuple[tuple[Point, Point], ...]:
+    """Edges of a box in a view; none where it reaches behind the eye."""
+    length, width, height = each.size_m
+    bits = torch.tensor([[k & 1, k >> 1 & 1, k >> 2 & 1] for k in range(8)], dtype=torch.float64).T
+    corners = torch.tensor([[length], [width], [height]]) * (bits - torch.tensor([[0.5], [0.5], [0.0]]))
+    uv, depth = view.project(transform(each.T_world_object.double(), corners.double()))
+    if (depth <= 0).any():
+        return ()
+    points = [(round(u), round(v)) for u, v in uv.T.tolist()]
+    return tuple((points[a], points[b]) for a, b in EDGES)
