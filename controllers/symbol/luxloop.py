@@ -16,15 +16,17 @@ from controllers.symbol.registration import HEIGHT_M, Heights, Registration
 from controllers.symbol.sight import Sight
 from controllers.symbol.stance import HERE, Stances
 from controllers.symbol.sweep import sweep
-from controllers.symbol.swing import Swing, swung
+from controllers.symbol.swing import TRACK_M, Swing
 from perception.birdseye import Region
 from perception.camera import camera_view
+from perception.egomotion import Ego
 from world.frames import inverse, transform
 from world.params import Params
 
 LEAST_LIT_PX = 20.0  # fewer lit pixels are no symbol
 HEIGHTS = 57  # that a sweep tries
 SEEN_BY = 0.05  # of the usual illuminance a node, with which its brightness is no longer a guess
+ROAD_M = 4e-3  # how well a track's height is known at best
 PITCH_RAD = 5e-4  # usual error of a pitch that is foretold
 
 
@@ -45,12 +47,16 @@ class LuxloopParams(Params):
 
 @dataclass(frozen=True)
 class LuxloopState:
-    """memory: what is known of the road, in the ground frame of time_s. swing: of the body, if it is measured. drawing: shown now."""
+    """memory: what is known of the road, in the ground frame of time_s. swing: of the body, if it is measured. drawing: shown now.
+
+    level_rad: pitch of the body that the memory's heights are based on.
+    """
 
     memory: Memory
     time_s: float
     drawing: Drawing
     swing: Swing | None = None
+    level_rad: float = 0.0
 
 
 class Luxloop:
@@ -59,6 +65,7 @@ class Luxloop:
     def __init__(self, params: LuxloopParams, observer: Observer) -> None:
         self.params, self.projector, self.observer = params, observer.projector, observer
         self.region = region_of(self.projector.params, *params.beyond_m)
+        self.reach_m = self.projector.params.x_m - self.projector.params.length_m / 4
         self.coarse, self.registration = self._coarse(Stances()), self._fine(Stances())
         lamps = torch.stack([module.T_world_headlight[:3, 3].cpu().double() for module in self.projector.modules])
         self.ends = torch.stack([camera_view(observer.camera).origin, *lamps], 1)  # of the ways of light, in the body
@@ -80,21 +87,34 @@ class Luxloop:
     def step(self, state: LuxloopState, look: Look) -> LuxloopState:
         """Register the look; the open loop's drawing, unless heights explain it better than a flat road does.
 
-        Where the body's pitch is not measured yet, what is known of the road tells it.
+        What is known of the road tells how the body has pitched since the look before, and what the wheels will come to.
         """
-        swing = swung(state.swing, look.ego)
-        stances = Stances.of(look, swing, state.time_s)
+        swing = self._swung(state.swing, look.ego)
+        now = None if swing is None else swing.caught_up()
+        stances = Stances.of(look, now, state.time_s)
         registration = self.registration if stances.still else self._fine(stances)
         memory = state.memory.moved(stances.since, registration.sight.eye)
-        if look.frames is not None and swing is not None and swing.foretold(stances.time_s):
-            pivot_x_m = swing.pivot_x_m
-            known, memory = memory, memory.loosened(PITCH_RAD, pivot_x_m)
-            memory = self._looked(registration, memory, look.frames, look.shown, stances)
-            corrected, pitch = swing.corrected(stances.time_s, memory.pitched(known, pivot_x_m))
-            memory, stances = memory.levelled(pitch, pivot_x_m), Stances.of(look, corrected, state.time_s)
-        elif look.frames is not None:
-            memory = self._looked(registration, memory, look.frames, look.shown, stances)
-        return LuxloopState(memory, stances.time_s, self._drawn(memory, stances), swing)
+        if swing is None or now is None or stances.still or not swing.foretold(stances.time_s):
+            if look.frames is not None:
+                memory = self._looked(registration, memory, look.frames, look.shown, stances)
+        else:
+            memory = memory.levelled(now.level_rad - state.level_rad, swing.pivot_x_m)
+            if look.frames is not None:
+                known, foretold = memory, now.at(stances.time_s).pitch_rad
+                memory = self._looked(registration, known.loosened(PITCH_RAD, swing.pivot_x_m), look.frames, look.shown, stances)
+                pitched = memory.pitched(known, swing.pivot_x_m)
+                swing = swing.looked(stances.time_s, None if pitched is None else foretold + pitched - now.level_rad)
+                now = swing.caught_up()
+                memory, stances = memory.levelled(now.level_rad - foretold, swing.pivot_x_m), Stances.of(look, now, state.time_s)
+        if swing is not None and look.ego is not None:
+            swing = _previewed(swing, memory, stances.time_s, look.ego)
+        return LuxloopState(memory, stances.time_s, self._drawn(memory, stances), swing, 0.0 if now is None else now.level_rad)
+
+    def _swung(self, before: Swing | None, ego: Ego | None) -> Swing | None:
+        """What is known of the body after a measurement, if there is one; one without axles does not swing."""
+        if ego is None or ego.pivot_x_m == ego.rear_x_m:
+            return before
+        return Swing.first(ego, self.reach_m, self.projector.params.x_m) if before is None else before.updated(ego)
 
     def _looked(self, registration: Registration, memory: Memory, frames: tuple[Tensor, Tensor], shown: Shown, stances: Stances) -> Memory:
         """What is known after a look: nothing, where heights do not explain it."""
@@ -154,6 +174,15 @@ class Luxloop:
         return Sight.prepare(
             self.projector, seer.camera, seer.params, seer.model.albedo, self.region, cell_m, step, samples, stances.on, stances.off
         )
+
+
+def _previewed(swing: Swing, memory: Memory, time_s: float, ego: Ego) -> Swing:
+    """With the road that the wheels will come to, as it is known at a time when it has left the light."""
+    way_m, driven_m = swing.unseen(), swing.way_m + swing.speed_m_s * (time_s - swing.time_s)
+    x = (way_m - driven_m).to(memory.eye)
+    aside = ego.yaw_rate_rad_s / ego.speed_m_s.clamp(min=1.0) * (x - ego.rear_x_m) ** 2 / 2
+    heights, information = memory.tracks(x.expand(2, -1), torch.stack([aside + TRACK_M / 2, aside - TRACK_M / 2]))
+    return swing.seen(way_m, heights, ROAD_M**2 + 1 / information.clamp(min=1e-3))
 
 
 def laid(target: Tensor, T_body_ground: Tensor) -> tuple[Tensor, Tensor | None]:

@@ -42,8 +42,20 @@ class Memory:
         information = self._carried(self._seen_anew(nodes, self.heights.mean, self.eye, inverse(T), eye))
         return Memory(Heights(heights.flatten(), information), brightness.flatten(), self.region, self.grid, eye)
 
-    def levelled(self, pitch_rad: Tensor, pivot_x_m: float) -> "Memory":
-        """As it would be, had the body that saw it pitched by `[]` rad more."""
+    def tracks(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+        """Height in m of the road at places `[2, k]` of the ground, and its information in 1/m^2: 0 outside of the region."""
+        relief, (eye_x, eye_y, eye_z) = self.relief(), self.eye
+        heights = torch.zeros_like(x)
+        for _ in range(10):  # where lines of sight to the road meet the plane; by halves, or what falls off would swing
+            share = eye_z / (eye_z - heights)
+            places = (eye_x + (x - eye_x) * share, eye_y + (y - eye_y) * share)
+            heights = (heights + relief.at(relief.heights, *places)) / 2
+        r = self.region
+        inside = (places[0] > r.x_near_m) & (places[0] < r.x_far_m) & (places[1] < r.y_left_m) & (places[1] > r.y_right_m)
+        return heights, relief.at(self.heights.information.diagonal().view(self.grid), *places) * inside
+
+    def levelled(self, pitch_rad: float, pivot_x_m: float) -> "Memory":
+        """As it would be, had the body that saw it pitched by so many rad more."""
         heights = self.heights.mean - pitch_rad * (self._nodes()[0] - pivot_x_m)
         return replace(self, heights=replace(self.heights, mean=heights))
 
@@ -54,12 +66,13 @@ class Memory:
         information = L - pull[:, None] * pull / (1 / pitch_rad**2 + arm @ pull)
         return replace(self, heights=replace(self.heights, information=information))
 
-    def pitched(self, before: "Memory", pivot_x_m: float) -> Tensor:
-        """By how many rad `[]` the body has pitched more than it was taken to, if the road is still as it was known before."""
+    def pitched(self, before: "Memory", pivot_x_m: float) -> float | None:
+        """By how many rad the body has pitched more than it was taken to, if the road is still as it was known before; None: unknown."""
         known, seen = (each.heights.information.diagonal() for each in (before, self))
         arm = self._nodes()[0] - pivot_x_m
         weight = arm * known * seen / (known + seen).clamp(min=1.0)
-        return (weight * (self.heights.mean - before.heights.mean)).sum() / (weight * arm).sum().clamp(min=1.0)
+        lever = float(weight @ arm)
+        return float(weight @ (self.heights.mean - before.heights.mean)) / lever if lever > 0 else None
 
     def _nodes(self) -> Tensor:
         """Places `[3, n]` of the nodes on the plane."""
