@@ -12,7 +12,7 @@ from world.params import Params
 class Ambient:
     """State. share: of the base beam. rested: frames since the last step. risen: whether that led up."""
 
-    share: float = 1.0
+    share: float
     rested: int = 0
     risen: bool = False
 
@@ -20,8 +20,9 @@ class Ambient:
 class AmbientLoopParams(Params):
     """How far the base beam is dimmed: down in steps, up at once and then not down for long, so that it does not hunt."""
 
+    first: float = Field(1.0, ge=0, le=1, description="share of the base beam at the beginning, which shall show all that is there")
     least: float = Field(0.05, ge=0, le=1, description="never less than this share of the base beam, for what nobody has found yet")
-    fall: float = Field(0.6, gt=0, lt=1, description="factor of a step down, when every object is found for sure")
+    fall: float = Field(0.5, gt=0, lt=1, description="factor of a step down, when every object is found for sure")
     fall_frames: int = Field(4, ge=1, le=300, description="frames before a step down")
     rise: float = Field(2.0, gt=1, description="factor of a step up, when one is doubtful")
     rise_frames: int = Field(15, ge=1, le=300, description="frames between two steps up")

@@ -18,7 +18,7 @@ from world.tracked import Category
 class ObjectBasedState:
     """What has been learnt: of the base beam, and of each object by its name."""
 
-    ambient: Ambient = field(default_factory=Ambient)
+    ambient: Ambient
     loops: Mapping[str, ObjectLoop] = field(default_factory=dict)
 
     @property
@@ -58,7 +58,7 @@ class ObjectBasedParams(SelectionParams):
         return setpoints_lx
 
     def start(self) -> ObjectBasedState:
-        return ObjectBasedState(Ambient() if self.method == "confidence" else Ambient(self.share))
+        return ObjectBasedState(Ambient(self.ambient.first if self.method == "confidence" else self.share))
 
     def step(self, state: ObjectBasedState, now: Situation) -> ObjectBasedState:
         """After one more frame; objects that the tracker does not report any more are forgotten."""

@@ -26,11 +26,9 @@ class ObjectLightParams(Params):
     period_m: float = Field(0.5, gt=0.01, le=5, description="of the structure, on the object")
     margin_m: float = Field(0.1, ge=0, description="light beyond the box, to all sides; below the foot it shows where it meets the road")
     dark: dict[Category, float] = Field(
-        {"pedestrian": 0.18, "cyclist": 0.18, "motorcycle": 0.35, "car": 0.5, "truck": 0.6},
+        {"pedestrian": 0.15, "cyclist": 0.15, "motorcycle": 0.3, "car": 0.45, "truck": 0.6},
         description="share of the box's height that stays dark from the top: heads, windscreens and what is behind them",
     )
-    dark_margin_m: float = Field(0.1, ge=0, description="beyond that, to all sides")
-    dark_margin_deg: float = Field(0.1, ge=0, le=5, description="the same as an angle seen from the lamps, in addition")
 
     @field_validator("dark")
     @classmethod
@@ -44,7 +42,7 @@ class ObjectLightParams(Params):
         """One primitive that lights the object by lx, and a mask on what stays dark; none where it is beside or behind the lamps."""
         length, width, height = each.size_m
         low, high = torch.tensor([[-length / 2, -width / 2, 0.0], [length / 2, width / 2, height]], dtype=torch.float64)
-        body = frontal(each.T_world_object, low, high, lamps, self.margin_m)
+        body = frontal(each.T_world_object, low, high, lamps, self.margin_m, self.margin_m)
         if body is None:
             return ()
         parts = [
@@ -62,8 +60,7 @@ class ObjectLightParams(Params):
         ]
         share = self.dark.get(each.category, 0.0)
         low[2] = (1 - share) * height
-        margin = self.dark_margin_m + math.tan(math.radians(self.dark_margin_deg)) * float((body.origin - lamps.mean(0)).norm())
-        eyes = frontal(each.T_world_object, low, high, lamps, margin) if share else None
+        eyes = frontal(each.T_world_object, low, high, lamps, self.margin_m, foot_m=0.0) if share else None
         if eyes is not None:
             mask = rectangle(eyes.origin, eyes.d1, eyes.d2, 0.0, normal=eyes.normal, weight=math.inf, forced=True, priority=MASK * LAYERS)
             parts.append(mask)
@@ -78,10 +75,11 @@ class ObjectLightParams(Params):
         return cells.double().repeat_interleave(CELLS, 0).repeat_interleave(CELLS, 1)
 
 
-def frontal(T_world_box: Tensor, low: Tensor, high: Tensor, lamps: Tensor, margin_m: float) -> Place | None:
+def frontal(T_world_box: Tensor, low: Tensor, high: Tensor, lamps: Tensor, margin_m: float, foot_m: float) -> Place | None:
     """The upright rectangle, turned to the lamps, that covers a box as each of them sees it, in the plane of its nearest corner.
 
-    low, high: `[3]` m, opposite corners in the box's frame. lamps: `[L, 3]` m. None where a corner is nearer than NEAREST_M.
+    low, high: `[3]` m, opposite corners in the box's frame. lamps: `[L, 3]` m. margin_m: to all sides but the
+    foot; foot_m: there. None where a corner is nearer than NEAREST_M.
     """
     T, lamps = T_world_box.double(), lamps.double()
     up, viewer = T[:3, 2], lamps.mean(0)
@@ -98,6 +96,6 @@ def frontal(T_world_box: Tensor, low: Tensor, high: Tensor, lamps: Tensor, margi
     right = torch.linalg.cross(ahead, up)
     across, height = (seen @ right).flatten(), (seen @ up).flatten()
     left_at, right_at = across.amin() - margin_m, across.amax() + margin_m
-    top_at, foot_at = height.amax() + margin_m, height.amin() - margin_m
+    top_at, foot_at = height.amax() + margin_m, height.amin() - foot_m
     origin = viewer + nearest * ahead + left_at * right + top_at * up
     return Place(origin, (right_at - left_at) * right, (foot_at - top_at) * up, -ahead)

@@ -10,11 +10,11 @@ from controllers.obl.ambient import Ambient, AmbientLoopParams
 PARAMS = AmbientLoopParams()
 
 
-def followed(needed: float, steps: int, ambient: Ambient = Ambient(), params: AmbientLoopParams = PARAMS) -> list[Ambient]:  # noqa: B008
+def followed(needed: float, steps: int) -> list[Ambient]:
     """States of a loop around an object that is found for sure from a share `needed` on, doubtfully from half of that on."""
-    states = []
+    ambient, states = Ambient(1.0), []
     for _ in range(steps):
-        ambient = params.step(ambient, [0.7 if ambient.share >= needed else 0.35 if ambient.share >= needed / 2 else 0.1])
+        ambient = PARAMS.step(ambient, [0.7 if ambient.share >= needed else 0.35 if ambient.share >= needed / 2 else 0.1])
         states.append(ambient)
     return states
 
@@ -22,7 +22,7 @@ def followed(needed: float, steps: int, ambient: Ambient = Ambient(), params: Am
 def test_with_nothing_in_doubt_it_falls_to_the_least_within_a_second() -> None:
     shares = [each.share for each in followed(0.0, 30)]
     assert shares == sorted(shares, reverse=True) and shares[-1] == PARAMS.least
-    assert [PARAMS.step(Ambient(0.5, rested=k), ()).share for k in (0, 2, 3)] == [0.5, 0.5, 0.3]
+    assert [PARAMS.step(Ambient(0.5, rested=k), ()).share for k in (0, 2, 3)] == [0.5, 0.5, 0.25]
 
 
 @settings(deadline=None)

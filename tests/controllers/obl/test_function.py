@@ -12,6 +12,7 @@ from torch import Tensor
 
 from controllers.functions.geometry import cuboid
 from controllers.functions.situation import AdaptiveFunction, Situation, TrackedObject
+from controllers.obl.ambient import Ambient
 from controllers.obl.function import ObjectBasedParams, ObjectBasedState
 from controllers.obl.light import NEAREST_M, ObjectLightParams, frontal
 from controllers.primitives import concatenate
@@ -71,7 +72,7 @@ def test_it_is_an_adaptive_function_whose_state_is_a_value() -> None:
     state = function.start()
     assert function.base_share(state) == 1.0
     following = function.step(state, now(person(score=0.5)))
-    assert state == ObjectBasedState() and following != state
+    assert state == ObjectBasedState(Ambient(1.0)) and following != state
     assert following == function.step(state, now(person(score=0.5)))
 
 
@@ -82,7 +83,7 @@ def test_the_body_gets_the_setpoint_and_the_head_none(shining, x: float) -> None
     front = torch.tensor([[x - 0.2] * 3, [0.85, 1.0, 1.15], [0.3, 0.5, 0.6]], dtype=torch.float64)
     assert blurred < 0.5
     torch.testing.assert_close(shining(CONSTANT, now(each), front), torch.full((3,), 10.0), rtol=0.08, atol=0)
-    assert shining(CONSTANT, now(each), on_front(each, 0.82, 1.0), share=1.0).max() == 0
+    assert shining(CONSTANT, now(each), on_front(each, 0.85, 1.0), share=1.0).max() == 0
 
 
 @settings(deadline=None, max_examples=15)
@@ -108,7 +109,7 @@ def test_a_mask_beats_the_light_of_an_object_beside_it(shining) -> None:  # type
 def test_the_rectangle_covers_the_box_seen_from_every_lamp(x: float, y: float, yaw: float) -> None:
     each = replace(car(), T_world_object=pose_from_degrees((x, y, 0.0), yaw_deg=yaw))
     low, high = torch.tensor([-2.2, -0.9, 0.0]), torch.tensor([2.2, 0.9, 1.5])
-    place = frontal(each.T_world_object, low, high, LAMPS, 0.0)
+    place = frontal(each.T_world_object, low, high, LAMPS, 0.0, 0.0)
     points = on_front(each, 0.0, 1.0)
     ahead = -(place.normal @ (points - LAMPS.mean(0)[:, None])) if place else points[0]
     assert (place is None) <= bool(ahead.amin() < NEAREST_M + 2)
