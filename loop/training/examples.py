@@ -1,0 +1,99 @@
+"""What the network learns from: parts of scenes in all kinds of light, and what it shall say of them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import interpolate
+
+from loop.training.light import WELL_LIT_LX, any_light, head_shares, luminance, mean_lx
+from loop.training.scenes import CAMERA, CLASSES, DarkScene, read
+from perception.camera import expose
+from perception.detection.network import STRIDE, middles
+
+SIZE = (256, 384)  # rows, columns of an example
+LEAST_HEIGHT_PX, LEAST_VISIBLE, LEAST_INSIDE = 16, 0.35, 0.4  # of what must be found; what has less may be
+SPREAD = 0.09  # standard deviation of a middle's neighbourhood, as a share of the box
+
+
+@dataclass(frozen=True)
+class Examples:
+    """B examples. frames: `[B, height, width]` in 0..1. heat: `[B, C, rows, columns]`, 1 in the middles of what must be found.
+
+    counts: the same shape, 0 where objects lie that may be found. boxes: `[B, 4, rows, columns]` px, of the object that a cell belongs to;
+    share: `[B, rows, columns]`, how much the cell counts for it, 1 in sum.
+    """
+
+    frames: Tensor
+    heat: Tensor
+    counts: Tensor
+    boxes: Tensor
+    share: Tensor
+
+    @classmethod
+    def drawn(cls, rows: Sequence[dict[str, Any]], number: int, rng: np.random.Generator) -> "Examples":
+        """So many, each of one or two of the scenes that `draw` gave these rows of."""
+        found = [_example(rows, rng) for _ in range(number)]
+        return cls(*(torch.stack(each) for each in zip(*found, strict=True)))
+
+
+def _example(rows: Sequence[dict[str, Any]], rng: np.random.Generator) -> tuple[Tensor, ...]:
+    scene = _scene(rows, rng)
+    light = any_light(scene, head_shares(CLASSES), rng)
+    must = mean_lx(scene, light) >= WELL_LIT_LX[0]
+    seen = luminance(scene, light, scene.ambient_lx * float(np.exp(rng.normal(0, 1)))) * float(np.exp(rng.uniform(-0.25, 0.25)))
+    seen = interpolate(seen[None, None], SIZE, mode="bilinear", antialias=True, align_corners=False)[0, 0]
+    frame = expose(seen, CAMERA, torch.Generator().manual_seed(int(rng.integers(2**62)))) / (2**CAMERA.bits - 1)
+    to_frame = torch.tensor([SIZE[1] / scene.shape[1], SIZE[0] / scene.shape[0]]).repeat(2)
+    boxes = torch.tensor([each.box for each in scene.objects]).view(-1, 4) * to_frame
+    must &= torch.tensor([each.visible >= LEAST_VISIBLE and each.inside >= LEAST_INSIDE for each in scene.objects]).bool()
+    must &= boxes[:, 3] - boxes[:, 1] >= LEAST_HEIGHT_PX
+    return frame, *targets(boxes, torch.tensor([each.label for each in scene.objects]).long(), must)
+
+
+def _scene(rows: Sequence[dict[str, Any]], rng: np.random.Generator) -> DarkScene:
+    """A part of a scene, of any size; most with the objects of another one besides."""
+    scale = float(np.exp(rng.uniform(-0.3, 0.35)))
+    height, width = min(round(SIZE[0] / scale), CAMERA.height_px), min(round(SIZE[1] / scale), CAMERA.width_px)
+    top = int(rng.integers(CAMERA.height_px - height + 1))
+
+    def part() -> DarkScene:
+        row = rows[int(rng.integers(len(rows)))]
+        middle = float(rng.uniform(0, CAMERA.width_px))
+        if row["objects"] and rng.random() < 0.7:
+            box = row["objects"][int(rng.integers(len(row["objects"])))]["box"]
+            middle = (box[0] + box[2]) / 2 + float(rng.normal(0, 0.25 * width))
+        left = int(np.clip(middle - width / 2, 0, CAMERA.width_px - width))
+        scene = read(row, slice(top, top + height), slice(left, left + width))
+        return scene.mirrored() if rng.random() < 0.5 else scene
+
+    scene = part()
+    return scene.behind(part()) if rng.random() < 0.5 else scene
+
+
+def targets(boxes: Tensor, labels: Tensor, must: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Heat, counts, boxes and share as of `Examples`, of boxes `[n, 4]` px, their labels `[n]`, and which must be found `[n]`."""
+    rows, columns = SIZE[0] // STRIDE, SIZE[1] // STRIDE
+    at = middles(rows, columns, boxes.device)
+    x, y = at[0], at[1]
+    left, top, right, bottom = boxes[:, :, None, None].unbind(1)
+    inside = (x > left - STRIDE) & (x < right + STRIDE) & (y > top - STRIDE) & (y < bottom + STRIDE)
+    counts = (~(inside & ~must[:, None, None])).all(0).float().expand(len(CLASSES), -1, -1)
+    # from the cell's middle, so that there it is 1
+    middle = (torch.stack([left + right, top + bottom]) / 2 / STRIDE).floor().mul(STRIDE).add(STRIDE / 2)
+    width, height = (SPREAD * side.clamp(min=STRIDE / SPREAD / 2) for side in (right - left, bottom - top))
+    near = (-0.5 * (((x - middle[0]) / width) ** 2 + ((y - middle[1]) / height) ** 2)).exp() * must[:, None, None]
+    heat = torch.zeros(len(CLASSES), rows, columns)
+    for label in range(len(CLASSES)):
+        of_class = near[labels == label]
+        heat[label] = of_class.amax(0) if len(of_class) else 0
+    if not len(boxes):
+        return heat, counts, torch.zeros(4, rows, columns), torch.zeros(rows, columns)
+    small_first = torch.where(near > 0.2, 1 / ((right - left) * (bottom - top)), 0)
+    owner = small_first.argmax(0)
+    owned = near.gather(0, owner[None])[0] * (small_first.amax(0) > 0)
+    total = torch.zeros(len(boxes)).index_add(0, owner.flatten(), owned.flatten())
+    return heat, counts, boxes[owner].permute(2, 0, 1), owned / total[owner].clamp(min=1e-6)

@@ -1,0 +1,68 @@
+"""Fits the network to examples."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
+
+from loop.training.examples import Examples
+from loop.training.scenes import CLASSES
+from perception.detection.network import Network, boxes_of, prepared
+
+BATCH = 16
+RATE = 4e-3
+BOX_WEIGHT = 2.0
+RARE = 0.02  # share of cells that the network takes for an object's before it has learnt anything
+
+
+def fit(rows: Sequence[dict[str, Any]], steps: int, seed: int, on_step: Callable[[float], None]) -> Network:
+    """A network that has seen `steps` batches, ready to detect: the mean of its late weights; on_step is told the loss.
+
+    rows: of scenes, as `loop.training.scenes.draw` gives them.
+    """
+    torch.manual_seed(seed)
+    rng = np.random.default_rng(seed)
+    network = Network(len(CLASSES))
+    network.expect(RARE)
+    network.train()
+    averaged = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(min(0.99, 1 - 10 / (steps + 10))), use_buffers=True)
+    optimiser = torch.optim.AdamW(network.parameters(), RATE, weight_decay=1e-3)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, total_steps=steps, pct_start=0.15)
+    for _ in range(steps):
+        examples = Examples.drawn(rows, BATCH, rng)
+        # half as precise and twice as fast where the processor has such numbers
+        with torch.autocast("cpu", torch.bfloat16):
+            logits, sides = network(prepared(examples.frames))
+        loss = heat_loss(logits.float(), examples) + BOX_WEIGHT * box_loss(sides.float(), examples)
+        optimiser.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(network.parameters(), 10.0)
+        optimiser.step()
+        schedule.step()
+        averaged.update_parameters(network)
+        on_step(float(loss.detach()))
+    network.load_state_dict(averaged.module.state_dict())
+    return network.eval()
+
+
+def heat_loss(logits: Tensor, examples: Examples) -> Tensor:
+    """Focal loss that forgives what is near a middle (Law & Deng 2018), an object."""
+    p = logits.sigmoid().clamp(1e-4, 1 - 1e-4)
+    there = examples.heat == 1
+    hit = (1 - p).square() * p.log() * there
+    false = p.square() * (1 - p).log() * (1 - examples.heat) ** 4 * examples.counts * ~there
+    return -(hit + false).sum() / there.sum().clamp(min=1)
+
+
+def box_loss(sides: Tensor, examples: Examples) -> Tensor:
+    """1 - generalised IoU (Rezatofighi et al. 2019), an object."""
+    found, truth = boxes_of(sides), examples.boxes
+    low, high = torch.maximum(found[:, :2], truth[:, :2]), torch.minimum(found[:, 2:], truth[:, 2:])
+    both = (high - low).clamp(min=0).prod(1)
+    areas = (found[:, 2:] - found[:, :2]).prod(1) + (truth[:, 2:] - truth[:, :2]).prod(1)
+    hull = (torch.maximum(found[:, 2:], truth[:, 2:]) - torch.minimum(found[:, :2], truth[:, :2])).prod(1)
+    union = (areas - both).clamp(min=1e-6)
+    return (examples.share * (2 - both / union - union / hull.clamp(min=1e-6))).sum() / examples.share.sum().clamp(min=1)

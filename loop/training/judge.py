@@ -1,0 +1,128 @@
+"""How good a detector is on scenes that it was not trained on: what it finds at one illuminance, and how sure it is at all."""
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from loop.training.light import luminance
+from loop.training.scenes import CAMERA, CLASSES, Labelled, read
+from perception.camera import expose, frame_generator
+from perception.detection.protocol import Detections, Detector
+from perception.detection.suppression import overlaps
+
+ILLUMINANCES_LX = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0)
+WELL_LIT_LX = 10.0
+SURE = 0.3  # least score of what counts as found
+FOUND_IOU = 0.5
+HEIGHT_PX, VISIBLE, INSIDE = 24, 0.5, 0.5  # least of what must be found; what has less may be
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """One frame. confidences: one of each object that must be found, best score of its class on it, 0 where no box lies on it.
+
+    found: which are by a sure box. right: which of these in their class. false: sure boxes on nothing.
+    """
+
+    labels: tuple[int, ...]
+    confidences: tuple[float, ...]
+    found: tuple[bool, ...]
+    right: tuple[bool, ...]
+    false: int
+
+
+def judge(detector: Detector, rows: Sequence[Mapping[str, Any]], sure: float = SURE) -> dict[str, Any]:
+    """What a report says, in numbers, of scenes that `loop.training.scenes.draw` gave the rows of.
+
+    x lx is light of which every surface that faces the lamps gets x lx, however far away it is: the intensity grows with the square of
+    the distance. Other light is that of the scene's night.
+    """
+    verdicts: dict[float, list[Verdict]] = {lx: [] for lx in ILLUMINANCES_LX}
+    times_ms = []
+    for row in rows:
+        scene = read(row)
+        for number, lx in enumerate(ILLUMINANCES_LX):
+            noise = frame_generator(int(row["seed"]), number, 0)
+            frame = expose(luminance(scene, lx), CAMERA, noise)[None] / (2**CAMERA.bits - 1)
+            start = time.process_time()
+            (found,) = detector.detect(frame)
+            times_ms.append(1e3 * (time.process_time() - start))
+            verdicts[lx].append(verdict(found, scene.objects, [CLASSES.index(name) for name in detector.classes], sure))
+    return {
+        "scenes": len(rows),
+        "sure": sure,
+        "well_lit": _found(verdicts[WELL_LIT_LX]),
+        "confidence": _confidence(verdicts),
+        "ms_a_frame": round(float(np.median(times_ms)), 1),
+    }
+
+
+def verdict(found: Detections, objects: Sequence[Labelled], labels_of: Sequence[int], sure: float = SURE) -> Verdict:
+    """Of one frame; labels_of: which of our classes each of the detector's is."""
+    must = [each.height >= HEIGHT_PX and each.visible >= VISIBLE and each.inside >= INSIDE for each in objects]
+    boxes, scores = found.boxes.cpu(), found.scores.cpu()
+    overlap = overlaps(boxes, torch.tensor([each.box for each in objects]).view(-1, 4))
+    owner = [-1] * len(objects)
+    false = 0
+    for k in torch.nonzero(scores.amax(1) >= sure)[:, 0].tolist() if len(scores) else []:
+        free = torch.tensor([number < 0 for number in owner])
+        taken = overlap[k] * free
+        if len(objects) and float(taken.max()) >= FOUND_IOU:
+            owner[int(taken.argmax())] = k
+        else:
+            false += not _on_any(boxes[k], [each for each, needed in zip(objects, must, strict=True) if not needed])
+    labels, confidences, hits, right = [], [], [], []
+    for number, each in enumerate(objects):
+        if not must[number]:
+            continue
+        of_class = [column for column, label in enumerate(labels_of) if label == each.label]
+        on_it = scores[overlap[:, number] >= FOUND_IOU][:, of_class]
+        labels.append(each.label)
+        confidences.append(float(on_it.max()) if on_it.numel() else 0.0)
+        hits.append(owner[number] >= 0)
+        right.append(owner[number] >= 0 and labels_of[int(scores[owner[number]].argmax())] == each.label)
+    return Verdict(tuple(labels), tuple(confidences), tuple(hits), tuple(right), false)
+
+
+def _on_any(box: Tensor, objects: Sequence[Labelled]) -> bool:
+    """Whether most of a box lies on one of the objects."""
+    for each in objects:
+        other = torch.tensor(each.box)
+        both = (torch.minimum(box[2:], other[2:]) - torch.maximum(box[:2], other[:2])).clamp(min=0).prod()
+        if both > 0.5 * (box[2:] - box[:2]).prod():
+            return True
+    return False
+
+
+def _found(verdicts: Sequence[Verdict]) -> dict[str, Any]:
+    def share(hits: Sequence[bool]) -> float:
+        return round(float(np.mean(hits)), 3) if hits else float("nan")
+
+    pairs = [(label, hit, right) for each in verdicts for label, hit, right in zip(each.labels, each.found, each.right, strict=True)]
+    false, true = sum(each.false for each in verdicts), sum(hit for _, hit, _ in pairs)
+    return {
+        "objects": len(pairs),
+        "recall": share([hit for _, hit, _ in pairs]),
+        "precision": round(true / max(true + false, 1), 3),
+        "false_a_frame": round(false / len(verdicts), 3),
+        "class_accuracy": share([right for _, hit, right in pairs if hit]),
+        "recall_by_class": {name: share([hit for label, hit, _ in pairs if label == k]) for k, name in enumerate(CLASSES)},
+    }
+
+
+def _confidence(verdicts: Mapping[float, Sequence[Verdict]]) -> dict[str, Any]:
+    """Quartiles over the illuminances, of all objects and of each class."""
+    curves: dict[str, Any] = {"lx": list(ILLUMINANCES_LX)}
+    for name, labels in {"all": range(len(CLASSES)), **{name: [k] for k, name in enumerate(CLASSES)}}.items():
+        of = [
+            [c for each in verdicts[lx] for c, k in zip(each.confidences, each.labels, strict=True) if k in labels]
+            for lx in ILLUMINANCES_LX
+        ]
+        quartiles = np.array([np.percentile(each, [25, 50, 75]) if each else [np.nan] * 3 for each in of]).round(3)
+        curves[name] = {key: quartiles[:, k].tolist() for k, key in enumerate(("lower", "median", "upper"))}
+    return curves

@@ -1,0 +1,86 @@
+"""Light for scenes that were drawn in the dark: even, as beams fall, or on single objects amid darkness."""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from loop.training.scenes import DarkScene
+
+WELL_LIT_LX = (5.0, 60.0)  # by which a detector is trained
+DARK_LX = (0.02, 2.0)  # around objects that are lit alone
+HEAD = {"pedestrian": 0.18, "cyclist": 0.18, "car": 0.45, "animal": 0.0}  # share of a box from its top that glare-free light leaves dark
+
+
+def luminance(scene: DarkScene, lx: Tensor | float, ambient_lx: float | None = None) -> Tensor:
+    """`[height, width]` in cd/m^2 where surfaces that face the headlamps get `lx` from them; ambient_lx: in place of that of the night."""
+    return scene.lamps * lx + scene.own + scene.sky * (scene.ambient_lx if ambient_lx is None else ambient_lx)
+
+
+def any_light(scene: DarkScene, heads: tuple[float, ...], rng: np.random.Generator) -> Tensor:
+    """Illuminance `[height, width]` in lx of surfaces that face the lamps; heads: share of the box that is one, by class."""
+    kind = rng.random()
+    if kind < 0.35:
+        return _even(scene, _between(rng, WELL_LIT_LX), rng)
+    if kind < 0.6:
+        return _beam(scene, _between(rng, WELL_LIT_LX), rng)
+    base = (_even if rng.random() < 0.5 else _beam)(scene, _between(rng, DARK_LX), rng)
+    return _spotlit(scene, base, heads, rng)
+
+
+def _between(rng: np.random.Generator, limits: tuple[float, float]) -> float:
+    return float(np.exp(rng.uniform(*np.log(limits))))
+
+
+def _even(scene: DarkScene, lx: float, rng: np.random.Generator) -> Tensor:
+    """The same everywhere but for a gradient from side to side."""
+    slope = torch.linspace(-1, 1, scene.shape[1]) * float(rng.normal(0, 0.3))
+    return (lx * slope.exp()).expand(scene.shape)
+
+
+def _beam(scene: DarkScene, lx: float, rng: np.random.Generator) -> Tensor:
+    """A cone whose light falls with the square of the distance, with a cut-off or without; lx: at 25 m."""
+    height, width = scene.shape
+    column, row = torch.arange(width) - float(rng.uniform(0, width)), torch.arange(height) - float(rng.uniform(0, 0.6 * height))
+    across = (-0.5 * (column / float(rng.uniform(0.3, 1.5) * width)) ** 2).exp()
+    above = float(rng.choice([0.03, 1.0])) if rng.random() < 0.7 else 0.3
+    down = above + (1 - above) * torch.sigmoid(row / float(rng.uniform(2, 10)))
+    return lx * (down[:, None] * across) * (25 / scene.distance.clamp(3, 200)) ** 2
+
+
+def _spotlit(scene: DarkScene, base: Tensor, heads: tuple[float, ...], rng: np.random.Generator) -> Tensor:
+    """Light on the boxes of most objects, some with dark heads, and on places where there is none."""
+    light, (height, width) = base.clone(), scene.shape
+    for each in scene.objects:
+        if rng.random() < 0.75:
+            u0, v0, u1, v1 = each.box
+            margin = float(rng.uniform(-0.03, 0.25)) * (u1 - u0), float(rng.uniform(-0.03, 0.2)) * (v1 - v0)
+            top = v0 + heads[each.label] * (v1 - v0) if rng.random() < 0.6 else v0 - margin[1]
+            light += _patch(scene, (u0 - margin[0], top, u1 + margin[0], v1 + margin[1]), _between(rng, WELL_LIT_LX), rng)
+    for _ in range(int(rng.integers(4))):
+        w, h = float(rng.uniform(10, 0.4 * width)), float(rng.uniform(10, 0.5 * height))
+        u, v = float(rng.uniform(-w / 2, width)), float(rng.uniform(-h / 2, height))
+        light += _patch(scene, (u, v, u + w, v + h), _between(rng, WELL_LIT_LX), rng)
+    return light
+
+
+def _patch(scene: DarkScene, box: tuple[float, float, float, float], lx: float, rng: np.random.Generator) -> Tensor:
+    """A rectangle of light with soft edges."""
+    soft = float(rng.uniform(0.5, 5))
+    (rows, columns), (u0, v0, u1, v1) = scene.shape, box
+    u, v = torch.arange(columns) + 0.5, torch.arange(rows) + 0.5
+    across = torch.sigmoid((u - u0) / soft) * torch.sigmoid((u1 - u) / soft)
+    down = torch.sigmoid((v - v0) / soft) * torch.sigmoid((v1 - v) / soft)
+    return lx * down[:, None] * across
+
+
+def mean_lx(scene: DarkScene, light: Tensor) -> Tensor:
+    """Mean light on each object of the scene, `[n]` lx, where it is seen."""
+    ids = scene.object_id.flatten() + 1
+    count = torch.bincount(ids, minlength=512).clamp(min=1)
+    return (torch.bincount(ids, light.flatten(), minlength=512) / count)[
+        torch.tensor([each.object_id + 1 for each in scene.objects]).long()
+    ]
+
+
+def head_shares(classes: tuple[str, ...]) -> tuple[float, ...]:
+    return tuple(HEAD[name] for name in classes)

@@ -1,0 +1,101 @@
+"""The report of a trained detector: a page of Markdown, and confidence against illuminance as a picture."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from rich.table import Table
+
+from loop import tables
+from loop.report import FOUR, STYLE
+from loop.training.judge import FOUND_IOU, HEIGHT_PX, VISIBLE
+from loop.training.scenes import CLASSES
+from world.errors import LuxloopError
+
+PAGE, PICTURE = "report.md", "confidence.jpg"
+DPI = 110
+Report = Mapping[str, Any]
+
+
+def goals(report: Report) -> list[tuple[str, str, float, bool]]:
+    """What was to be reached, the limit in words, what was reached, and whether."""
+    found, all_ = report["well_lit"], report["confidence"]["all"]["median"]
+    at = dict(zip(report["confidence"]["lx"], all_, strict=True))
+    change = abs(at[40.0] - at[20.0])
+    return [
+        ("recall at 10 lx", "≥ 0.90", found["recall"], found["recall"] >= 0.90),
+        ("false positives a frame at 10 lx", "≤ 0.3", found["false_a_frame"], found["false_a_frame"] <= 0.3),
+        ("median confidence at 0.1 lx", "≤ 0.1", at[0.1], at[0.1] <= 0.1),
+        ("median confidence at 10 lx", "≥ 0.5", at[10.0], at[10.0] >= 0.5),
+        ("its change from 20 to 40 lx", "≤ 0.05", round(change, 3), change <= 0.05),
+    ]
+
+
+def overview(report: Report) -> Table:
+    """The goals for the terminal."""
+    shown = tables.plain(f"{report['scenes']} scenes held out", "goal", "reached", "")
+    for name, limit, value, reached in goals(report):
+        shown.add_row(name, limit, f"{value:g}", "yes" if reached else "[bold]no[/]")
+    return shown
+
+
+def page(report: Report, picture: str) -> str:
+    """The report as Markdown; picture: where that is."""
+    training, found = report["training"], report["well_lit"]
+    by_class = ", ".join(f"{name} {value:g}" for name, value in found["recall_by_class"].items())
+    rows = "\n".join(f"| {name} | {limit} | {value:g} | {'yes' if reached else 'no'} |" for name, limit, value, reached in goals(report))
+    lx = report["confidence"]["lx"]
+    header = f"| median confidence at lx | {' | '.join(f'{each:g}' for each in lx)} |\n| --- |{' ---: |' * len(lx)}"
+    medians = "\n".join(
+        f"| {name} | {' | '.join(f'{each:.2f}' for each in report['confidence'][name]['median'])} |" for name in ("all", *CLASSES)
+    )
+    return f"""Trained on {report["date"]} on {training["scenes"]} scenes, {training["epochs"]} epochs ({training["examples"]} examples), \
+seed {training["seed"]}; judged on {report["scenes"]} others with {found["objects"]} objects, which share no object with them.
+
+| | goal | measured | reached |
+| --- | --- | ---: | --- |
+{rows}
+
+An object counts where it is at least {HEIGHT_PX} px tall and {VISIBLE:.0%} visible. It is found by a box of a score of at least \
+{report["sure"]:g} whose IoU with it is {FOUND_IOU:g} or more; a box on nothing is false, one on a smaller or more hidden object neither. \
+Precision is {found["precision"]:g}, the class of what is found is right in {found["class_accuracy"]:.1%}, recall by class: {by_class}. \
+A frame takes {report["ms_a_frame"]:g} ms of processor time.
+
+x lx is light of which every surface that faces the lamps gets x lx, however far away it is: the lamps' intensity grows with the square \
+of the distance. An object's confidence is the best score of its class among boxes on it, 0 where there is none.
+
+{header}
+{medians}
+
+![Confidence against illuminance]({picture})
+"""
+
+
+def confidence_figure(report: Report) -> Figure:
+    """Medians over illuminance of each class, and the middle half of all objects."""
+    with rc_context(STYLE):
+        figure = Figure((7.2, 3.6), DPI, layout="constrained")
+        FigureCanvasAgg(figure)
+        axes: Axes = figure.subplots()
+        curves = report["confidence"]
+        axes.fill_between(curves["lx"], curves["all"]["lower"], curves["all"]["upper"], color="0.85", label="middle half of all")
+        for name, colour in zip(CLASSES, FOUR, strict=True):
+            axes.plot(curves["lx"], curves[name]["median"], color=colour, marker="o", markersize=3, label=f"{name}, median")
+        axes.set(xscale="log", xlabel="illuminance of surfaces that face the lamps in lx", ylabel="confidence", ylim=(0, 1))
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.grid(alpha=0.3)
+        axes.legend(fontsize=8, loc="upper left")
+        return figure
+
+
+def write_report(report: Report, out: Path) -> None:
+    """Write page and picture into a folder. Raises LuxloopError where that cannot be."""
+    try:
+        confidence_figure(report).savefig(out / PICTURE)
+        (out / PAGE).write_text("# Detector\n\n" + page(report, PICTURE), "utf-8")
+    except OSError as error:
+        raise LuxloopError(f"{out}: the report cannot be written ({error.strerror}); give another folder with --out") from error

@@ -1,0 +1,71 @@
+"""What `luxloop train-detector` does: draw scenes, fit the network, judge it on others, and leave weights and report in a folder."""
+
+import datetime
+import json
+from pathlib import Path
+from typing import Any, Final
+
+from loop import tables
+from loop.jobs import Job, Results, digest_of, run
+from loop.progress import progress
+from loop.training import scenes
+from loop.training.fit import BATCH, fit
+from loop.training.judge import judge
+from loop.training.report import overview, write_report
+from perception.detection.network import NetworkDetector, save
+from perception.detection.params import NetworkParams
+from world.errors import LuxloopError
+
+JOBS, FOLDER = "scenes.jsonl", "scenes"
+LEAST_SCORE = 0.01  # of what is judged
+VERSION: Final = digest_of(scenes)
+
+
+def train(out: Path, number: int, held_out: int, epochs: int, seed: int, processes: int | None) -> dict[str, Any]:
+    """Train on so many scenes, judge on others, write weights and report into a folder; what the report says.
+
+    Raises LuxloopError for numbers that make no sense, scenes that cannot be drawn, or a folder that cannot be written.
+    """
+    for key, value in (("scenes", number), ("held-out", held_out), ("epochs", epochs), ("jobs", 1 if processes is None else processes)):
+        if value < 1:
+            raise LuxloopError(f"--{key} {value}: nothing can be learnt from that; give 1 or more")
+    seen = drawn(out, scenes.TRAINING, number, processes, "scenes to train on")
+    others = drawn(out, scenes.HELD_OUT, held_out, processes, "scenes held out")
+    steps = -(-epochs * number // BATCH)
+    with progress("training", steps) as advance:
+        network = fit(seen, steps, seed, lambda _: advance())
+    params = NetworkParams()
+    # as it is stored
+    network = network.half().float()
+    found = judge(NetworkDetector(network, scenes.CLASSES, LEAST_SCORE, params.overlap), others)
+    report = {
+        "date": datetime.date.today().isoformat(),
+        "training": {"scenes": number, "epochs": epochs, "examples": steps * BATCH, "seed": seed},
+        "camera": scenes.CAMERA.model_dump(),
+        **found,
+    }
+    try:
+        save(network, scenes.CLASSES, out / "detector.pt")
+        (out / "report.json").write_text(json.dumps(report, indent=1) + "\n", "utf-8")
+    except (OSError, RuntimeError) as error:
+        raise LuxloopError(f"{out}: cannot be written ({error}); give another folder with --out") from error
+    write_report(report, out)
+    return report
+
+
+def drawn(out: Path, first: int, number: int, processes: int | None, title: str) -> list[dict[str, Any]]:
+    """Rows of so many scenes from a first seed on, drawn unless they are in the folder. Raises LuxloopError where some cannot be."""
+    folder = str(out / FOLDER)
+    jobs = [Job(f"scene {seed}", {"seed": seed, "folder": folder}) for seed in range(first, first + number)]
+    results: Results = run(scenes.draw, jobs, out / JOBS, version=VERSION, processes=processes, title=title)
+    if results.failures:
+        key, reason = next(iter(results.failures.items()))
+        raise LuxloopError(f"{out}: {len(results.failures)} scenes cannot be drawn, first {key}: {reason}")
+    return results.rows
+
+
+def train_detector(out: Path, number: int, held_out: int, epochs: int, seed: int, processes: int | None) -> None:
+    """Train and show how good the network has become."""
+    report = train(out, number, held_out, epochs, seed, processes)
+    tables.show(overview(report))
+    print(f"{out / 'detector.pt'} and {out / 'report.md'} written")

@@ -1,0 +1,157 @@
+"""Training a detector: scenes in the dark, light for them, what is learnt from them, and how it is judged."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from loop import cli
+from loop.training import examples, fit
+from loop.training.examples import SIZE, Examples, targets
+from loop.training.judge import judge, verdict
+from loop.training.light import any_light, head_shares, luminance, mean_lx
+from loop.training.scenes import CAMERA, CLASSES, HELD_OUT, TRAINING, DarkScene, Labelled, draw, read
+from perception.detection.build import detector
+from perception.detection.network import STRIDE
+from perception.detection.params import NetworkParams
+from perception.detection.protocol import Detections
+
+CPU = torch.device("cpu")
+
+
+@pytest.fixture(scope="module")
+def row(tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
+    folder = str(tmp_path_factory.mktemp("scenes"))
+    return {**draw(HELD_OUT + 1, folder), "seed": HELD_OUT + 1, "folder": folder}
+
+
+def plain(distance: float, box: tuple[float, float, float, float] | None = None) -> DarkScene:
+    """A white wall at 30 m, with a white pedestrian before it where there is a box."""
+    shape, wall = (120, 200), torch.full((120, 200), 30.0)
+    object_id = torch.zeros(shape, dtype=torch.int32)
+    objects: tuple[Labelled, ...] = ()
+    if box is not None:
+        u0, v0, u1, v1 = map(int, box)
+        object_id[v0:v1, u0:u1] = 1
+        wall[v0:v1, u0:u1] = distance
+        objects = (Labelled(1, 0, box, 1.0, 1.0),)
+    return DarkScene(torch.full(shape, 1 / math.pi), wall, torch.zeros(shape), torch.zeros(shape), object_id, 0.0, objects)
+
+
+def test_a_scene_reflects_what_its_materials_let_it(row: dict[str, object]) -> None:
+    scene = read(row)
+    assert scene.shape == (CAMERA.height_px, CAMERA.width_px)
+    assert (scene.lamps >= 0).all() and (scene.sky >= 0).all() and (scene.sky <= 1 / math.pi + 1e-3).all()
+    # but for what is glossy or sends light back, nothing looks brighter than a white wall that faces the lamps
+    assert (scene.lamps <= 1 / math.pi).float().mean() > 0.98
+    assert (scene.distance[scene.object_id < 0].isinf() | (scene.distance[scene.object_id < 0] >= 6e4)).all()
+    assert len(scene.objects) >= 3 and all((scene.object_id == each.object_id).any() for each in scene.objects)
+    assert torch.allclose(luminance(scene, 8.0) - luminance(scene, 0.0), 8 * scene.lamps, rtol=1e-3, atol=1e-3)  # own light is up to 3e4
+
+
+def test_parts_and_mirror_images_keep_boxes_on_their_objects(row: dict[str, object]) -> None:
+    whole, part = read(row), read(row, slice(60, 300), slice(100, 500)).mirrored()
+    for each in part.objects:
+        (same,) = (other for other in whole.objects if other.object_id == each.object_id)
+        u0, v0, u1, v1 = same.box
+        expected = [400 - min(u1 - 100, 400), max(v0 - 60, 0), 400 - max(u0 - 100, 0), min(v1 - 60, 240)]
+        assert list(each.box) == pytest.approx(expected)
+        seen = torch.nonzero(part.object_id == each.object_id)
+        if each.visible > 0.99 and len(seen):
+            # the truth's box is that of corners, pixels are seen at their centres
+            low, high = seen.amin(0), seen.amax(0) + 1
+            assert abs(low[1] - each.box[0]) <= 2 and abs(high[0] - each.box[3]) <= 2
+
+
+def test_the_nearer_object_hides_the_farther_one() -> None:
+    far, near = plain(20.0, (50, 20, 90, 100)), plain(10.0, (70, 20, 110, 100))
+    for both in (far.behind(near), near.behind(far)):
+        shares = sorted((each.visible, each.box[0]) for each in both.objects)
+        assert shares == [(0.5, 50), (1.0, 70)]
+        assert both.object_id.unique().numel() == 3
+
+
+def test_light_on_an_object_is_the_mean_where_it_is_seen() -> None:
+    scene = plain(20.0, (50, 20, 90, 100))
+    light = torch.zeros(scene.shape)
+    light[20:60, 50:90] = 8.0
+    assert mean_lx(scene, light).tolist() == [4.0]
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        anything = any_light(scene, head_shares(CLASSES), rng)
+        assert anything.shape == scene.shape and (anything >= 0).all() and anything.isfinite().all()
+
+
+def test_targets_are_the_middles_and_boxes_of_what_must_be_found() -> None:
+    boxes = torch.tensor([[40.0, 40, 80, 140], [200, 60, 300, 120], [320, 100, 340, 160]])
+    heat, counts, of_cell, share = targets(boxes, torch.tensor([0, 2, 1]), torch.tensor([True, True, False]))
+    assert heat.shape == (4, SIZE[0] // STRIDE, SIZE[1] // STRIDE)
+    assert torch.nonzero(heat == 1).tolist() == [[0, 90 // 8, 60 // 8], [2, 90 // 8, 250 // 8]]
+    assert counts[:, 130 // 8, 330 // 8].tolist() == [0, 0, 0, 0] and counts[:, 0, 0].tolist() == [1, 1, 1, 1]
+    assert of_cell[:, 11, 7].tolist() == boxes[0].tolist() and of_cell[:, 11, 31].tolist() == boxes[1].tolist()
+    assert float(share.sum()) == pytest.approx(2)  # 1 an object
+    nothing = targets(boxes[:0], torch.zeros(0).long(), torch.zeros(0).bool())
+    assert float(nothing[0].sum()) == 0 and float(nothing[1].mean()) == 1 and float(nothing[3].sum()) == 0
+
+
+def test_losses_are_least_for_what_is_true() -> None:
+    boxes = torch.tensor([[40.0, 40, 80, 140], [200, 60, 300, 120]])
+    parts = targets(boxes, torch.tensor([0, 2]), torch.tensor([True, True]))
+    given = Examples(torch.zeros(1, *SIZE), *(each[None] for each in parts))
+    right = torch.where(given.heat == 1, 9.0, -9.0)
+    assert float(fit.heat_loss(right, given)) < 0.01 < float(fit.heat_loss(-right, given))
+    at = examples.middles(*given.share.shape[1:], CPU)
+    sides = torch.cat([at - given.boxes[:, :2], given.boxes[:, 2:] - at], 1)
+    assert float(fit.box_loss(sides, given)) == pytest.approx(0, abs=1e-5)
+    assert float(fit.box_loss(sides * 1.2, given)) > 0.1
+
+
+def test_examples_come_from_a_seed(row: dict[str, object]) -> None:
+    first, again, other = (Examples.drawn([row], 3, np.random.default_rng(seed)) for seed in (1, 1, 2))
+    assert torch.equal(first.frames, again.frames) and torch.equal(first.heat, again.heat)
+    assert not torch.equal(first.frames, other.frames)
+    assert first.frames.shape == (3, *SIZE) and first.frames.min() >= 0 and first.frames.max() <= 1
+
+
+def test_verdicts_count_what_is_found_missed_and_false() -> None:
+    seen = Labelled(1, 0, (10.0, 10.0, 30.0, 60.0), 1.0, 1.0)
+    objects = [seen, replace(seen, label=2, box=(100.0, 10.0, 160.0, 50.0)), replace(seen, box=(200.0, 0.0, 210.0, 20.0))]
+    boxes = torch.tensor([[10.0, 10, 30, 58], [11, 10, 30, 60], [101, 10, 160, 50], [200, 0, 210, 20], [300, 300, 340, 380]])
+    scores = torch.tensor([[0.9, 0, 0, 0], [0.2, 0, 0, 0], [0.1, 0.6, 0.4, 0], [0.5, 0, 0, 0], [0, 0, 0, 0.7]])
+    found = verdict(Detections(boxes, scores), objects, range(4))
+    assert found.labels == (0, 2) and found.found == (True, True) and found.right == (True, False)
+    assert found.confidences == pytest.approx((0.9, 0.4))
+    assert found.false == 1  # the third object is too small to be asked for, but it is one
+    nothing = verdict(Detections(boxes[:0], scores[:0]), objects, range(4))
+    assert nothing.found == (False, False) and nothing.confidences == (0.0, 0.0) and nothing.false == 0
+
+
+def test_the_shipped_weights_are_what_their_report_says(row: dict[str, object]) -> None:
+    found = judge(detector(NetworkParams(threshold=0.01), CPU), [row])
+    median = dict(zip(found["confidence"]["lx"], found["confidence"]["all"]["median"], strict=True))
+    assert found["well_lit"]["recall"] >= 0.6  # of the few objects of one scene
+    assert median[0.05] < 0.1 < 0.4 < median[10.0]
+
+
+def test_train_detector_writes_weights_that_detect(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["train-detector", "--out", str(tmp_path), "--scenes", "1", "--held-out", "1", "--epochs", "16", "--jobs", "1"]
+    assert cli.main(arguments) == cli.OK
+    assert "median confidence at 10 lx" in capsys.readouterr().out
+    report = json.loads((tmp_path / "report.json").read_text("utf-8"))
+    assert report["training"] == {"scenes": 1, "epochs": 16, "examples": 16, "seed": 0} and report["scenes"] == 1
+    assert "median confidence" in (tmp_path / "report.md").read_text("utf-8") and (tmp_path / "confidence.jpg").is_file()
+    again = detector(NetworkParams(weights=str(tmp_path / "detector.pt")), CPU)
+    assert again.classes == CLASSES and len(again.detect(torch.rand(2, 64, 96))) == 2
+    drawn = sorted(path.stem for path in (tmp_path / "scenes").iterdir())
+    assert drawn == [str(TRAINING), str(HELD_OUT)]
+
+
+def test_numbers_that_make_no_sense_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for key in ("scenes", "held-out", "epochs", "jobs"):
+        assert cli.main(["train-detector", "--out", str(tmp_path), f"--{key}", "0"]) == cli.WRONG
+        assert f"--{key} 0: nothing can be learnt" in capsys.readouterr().err
+    assert not any(tmp_path.iterdir())
