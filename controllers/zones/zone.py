@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 from torch import Tensor
 
 from controllers.functions.geometry import Place, facing
-from controllers.functions.situation import LAYERS, Seen, Situation
+from controllers.functions.situation import LAYERS, Situation
 from controllers.pid import PidGains, PidParams, PidState, pid_gains, pid_reset, pid_step
 from controllers.primitives import Primitives, meant, rectangle
 from perception.regions import box_region
@@ -70,7 +70,7 @@ class ZoneParams(Params):
 
     def step(self, state: ZoneState, now: Situation) -> ZoneState:
         """One step of the loop from what was seen; nothing changes while the zone is out of the image."""
-        if now.seen is None or not bool((region := self.region(now.seen)).any()):
+        if now.seen is None or not bool((region := box_region(now.seen.view, *self.box)).any()):
             return state
         values = now.seen.luminance[region.to(now.seen.luminance.device)].double()
         luminance = float(values.mean())
@@ -101,17 +101,18 @@ class ZoneParams(Params):
     def base_share(self, state: ZoneState) -> None:
         """A zone asks nothing of the base beam."""
 
-    def region(self, seen: Seen) -> Tensor:
-        """Its pixels in the camera's image, `[height, width]` bool."""
+    @property
+    def box(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Its pose `[4, 4]` in the world, and two opposite corners `[3]` m in its frame."""
         high = torch.tensor(self.size_m, dtype=torch.float64) / 2
-        return box_region(seen.view, self._T_world_zone, -high, high)
+        return self._T_world_zone, -high, high
 
     def place(self, lamps: Tensor) -> Place:
         """Where light is asked for; lamps: `[L, 3]` m, to which its face is turned."""
-        T, size = self._T_world_zone, torch.tensor(self.size_m, dtype=torch.float64)
-        lamp = lamps.double().mean(0)
+        T, low, high = self.box
+        size, lamp = high - low, lamps.double().mean(0)
         if min(self.size_m) > 0:
-            return facing(T, -size / 2, size / 2, lamp)
+            return facing(T, low, high, lamp)
         flat = self.size_m.index(0)
         d1, d2 = (T[:3, k] * size[k] for k in range(3) if k != flat)
         towards = torch.where((lamp - T[:3, 3]) @ T[:3, flat] < 0, -1.0, 1.0)

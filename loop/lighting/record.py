@@ -57,6 +57,11 @@ OBJECT = {
     "lx_max": (pa.float64(), "lx", "most light on it"),
     "masked": (pa.bool_(), "", "whether a mask must keep it dark"),
 }
+ZONE = {
+    "lx": (pa.float64(), "lx", "illuminance that its loop asks for"),
+    "luminance": (pa.float64(), "cd/m^2", "mean luminance of its pixels, without the camera's noise"),
+    "target": (pa.float64(), "cd/m^2", "luminance wanted"),
+}
 LOOKED_AT = {
     "track": (pa.int64(), "", "number of the track that shows it; empty without one"),
     "confidence": (pa.float64(), "1", "of that track, filtered over frames, 0 without one; empty while the camera sees nothing of it"),
@@ -72,6 +77,8 @@ def schema(simulation: LightingSimulation) -> pa.Schema:
     columns = STEP | (OBSERVED if observed else {}) | {f"lamp.{side}.{key}": of for side in sides for key, of in LAMP.items()}
     columns |= (LEARNING if looks or simulation.planner.learns else {}) | (LOOKING if looks else {})
     columns |= {f"object.{name}.{key}": of for name in tracked for key, of in (OBJECT | (LOOKED_AT if looks else {})).items()}
+    zones = [function.name for function in simulation.scenario.lighting.functions if function.kind == "zone"]
+    columns |= {f"zone.{name}.{key}": of for name in zones for key, of in ZONE.items()}
     return pa.schema(pa.field(name, kind, metadata={"unit": unit, "description": text}) for name, (kind, unit, text) in columns.items())
 
 
@@ -95,9 +102,11 @@ def row(result: LightingResult) -> dict[str, Any]:
         values |= {f"lamp.{side}.{key}": value for key, value in zip(LAMP, (power.flux_lm, power.share, power.factor), strict=True)}
     for name, each in result.objects.items():
         values |= {f"object.{name}.{key}": getattr(each, key) for key in OBJECT}
+    for name, zone in result.zones.items():
+        values |= {f"zone.{name}.{key}": getattr(zone, key) for key in ZONE}
     if (look := result.look) is not None:
         values |= {"detections": len(look.found), "false_positives": look.false_positives, "eyes_lx_max": look.eyes_lx_max}
-        values["tracks"] = int((look.tracks.since_s.isfinite() & look.tracks.until_s.isinf()).sum())
+        values["tracks"] = len(look.tracks)
         for name, made in look.recognised.items():
             values |= {f"object.{name}.{key}": getattr(made, key) for key in LOOKED_AT}
     return values

@@ -21,6 +21,7 @@ from loop.lighting.lamps import LampPower, ShiningModule, driven, shining_module
 from loop.lighting.observed import ObservedSymbol, in_white, observed_symbols
 from loop.lighting.sight import Recognised, Sight, name_of, recognised
 from loop.lighting.view import LitScene, Looker
+from loop.lighting.zoned import InZone, in_zones
 from loop.scenario import DrivingParams, LightingScenario
 from loop.shipped import named
 from perception.camera import camera_view, expose, frame_generator, luminance_of, saturation_luminance
@@ -53,12 +54,14 @@ class LightingState:
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """What was found in a frame. recognised: what is made of each object in sight, by its name. false_positives: detections of none.
+    """What was found in a frame, and the tracks that are confirmed then, with boxes `[n, 4]` px. recognised: what is made of each object
+    in sight, by its name. false_positives: detections of none.
     eyes_lx_max: most light of the lamps on heads and windscreens of road users, None where none are seen.
     """
 
     found: Detections
     tracks: Tracks
+    boxes: Tensor
     recognised: Mapping[str, Recognised]
     false_positives: int
     eyes_lx_max: float | None
@@ -71,7 +74,8 @@ class LightingResult:
     now: what was known, and functions: what they had learnt, when the light was planned. masked: names of its objects that must be dark.
     lights: utilisations `[n_p]`, one a module. powers: by the lamps' sides. illuminance: `[height, width]` lx from the lamps alone, and
     luminance: in cd/m^2 with all other light, as the camera sees them. frame: its digital numbers. objects: by name, those that are there
-    and have a category. look: None without a detector. symbols: those that are meant for an observer, from their eyes. timings: ms by part.
+    and have a category. look: None without a detector. symbols: those that are meant for an observer, from their eyes. zones: by name.
+    timings: ms by part.
     """
 
     step: int
@@ -88,6 +92,7 @@ class LightingResult:
     objects: Mapping[str, OnObject]
     look: Look | None
     symbols: tuple[ObservedSymbol, ...]
+    zones: Mapping[str, InZone]
     timings: Mapping[str, float]
 
     @property
@@ -116,7 +121,7 @@ class LightingSimulation:
     lights: tuple[tuple[str, Light], ...]
     camera: Looker
     sight: Sight | None = None
-    _known: list[Known] = field(default_factory=list, init=False, repr=False)
+    _known: list[Known] = field(default_factory=list, repr=False)
 
     @classmethod
     def prepare(cls, scenario: LightingScenario, device: torch.device | str = "cpu") -> "LightingSimulation":
@@ -155,7 +160,7 @@ class LightingSimulation:
             time_s,
             torch.eye(4, dtype=torch.float64),
             torch.stack([module.T_world_module[:3, 3].double().cpu() for module in self.modules]),
-            self._all_objects(time_s) if self.sight is None else self.sight.objects(tracks or self.sight.start(), time_s),
+            self._all_objects(time_s) if self.sight is None else self.sight.objects(tracks or self.sight.tracker.start(), time_s),
             drive.speed_m_s,
             drive.curvature_1_m,
             drive.wet,
@@ -165,7 +170,7 @@ class LightingSimulation:
 
     def start(self, step: int = 0) -> LightingState:
         """The state before a step, with nothing seen yet."""
-        return LightingState(step, None if self.sight is None else self.sight.start(), self.planner.start())
+        return LightingState(step, None if self.sight is None else self.sight.tracker.start(), self.planner.start())
 
     def step(self, state: LightingState) -> tuple[LightingState, LightingResult]:
         """One step: light is planned with what is known, and what is then seen adds to it."""
@@ -181,7 +186,7 @@ class LightingSimulation:
         luminance += seen.base
         frame = expose(luminance, self.scenario.camera, frame_generator(self.scenario.seed, state.step, 0, self.device))
         looked = time.perf_counter()
-        known = self._truth(seen)
+        known = self.truth(seen)
         tracks, look = self._look(state.tracks, frame, known, illuminance, time_s)
         functions = self.planner.step(state.functions, self._learnt(now, known, frame, tracks)) if self.planner.learns else state.functions
         found = time.perf_counter()
@@ -189,6 +194,7 @@ class LightingSimulation:
         objects = self._on_objects(illuminance, seen.surfaces.object_id, masked, look)
         white = in_white(plan)
         symbols = () if white is None else observed_symbols(plan, lights, self._driven(white, time_s)[0], self.camera, time_s)
+        zones = in_zones(self.planner.functions, state.functions, luminance, self.camera.view)
         stop = time.perf_counter()
         taken = {"plan": planned - start, "light": lit - planned, "look": looked - lit + stop - found, "find": found - looked}
         timings = {part: 1e3 * seconds for part, seconds in taken.items()}
@@ -207,6 +213,7 @@ class LightingSimulation:
             objects,
             look,
             symbols,
+            zones,
             timings,
         )
         return LightingState(state.step + 1, tracks, functions), result
@@ -250,7 +257,7 @@ class LightingSimulation:
         told = ((body, item.category) for body, item in zip(self.scene.objects, self.scenario.all_objects, strict=True))
         return tuple(TrackedObject.of(body, category, time_s) for body, category in told if category is not None)
 
-    def _truth(self, lit: LitScene) -> Known:
+    def truth(self, lit: LitScene) -> Known:
         """The truth about a look at the scene, which serves until something moves."""
         if not self._known or self._known[0].lit is not lit:
             self._known[:] = [Known(lit, categories(self.scenario), [each.category for each in self.scenario.all_objects])]
@@ -263,9 +270,10 @@ class LightingSimulation:
         if self.sight is None or tracks is None:
             return tracks, None
         found = self.sight.find(frame / (2**self.scenario.camera.bits - 1), known)
-        tracks = self.sight.track(tracks, found, time_s)
+        tracks = self.sight.tracker.step(tracks, found, time_s)
+        boxes, present = self.sight.tracker.boxes(tracks.present), tracks.present
         eyes = illuminance[known.eyes]
-        return tracks, Look(found, tracks, *recognised(known, tracks, found), float(eyes.max()) if len(eyes) else None)
+        return tracks, Look(found, present, boxes, *recognised(known, boxes, present, found), float(eyes.max()) if len(eyes) else None)
 
     def _learnt(self, now: Situation, known: Known, frame: Tensor, tracks: Tracks | None) -> Situation:
         """The situation once the frame is there."""

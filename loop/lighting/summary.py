@@ -9,6 +9,7 @@ from rich.table import Table
 
 from loop.summary import column
 
+SETTLED = 0.05  # greatest deviation of a zone from its target, as a share of it
 LAST_STEPS = 10  # that a confidence at the end is the mean of
 LOOKING = {"detections": "mean", "false_positives": "mean", "eyes_lx_max": "max"}
 
@@ -46,6 +47,7 @@ def summarise(table: pa.Table, scenario: str) -> dict[str, Any]:
             }
             for name in objects
         },
+        **({"zones": zones} if (zones := _zones(table)) else {}),
         **(
             {"energy_j": _energy(table), "base_share_final": float(column(table, "base_share")[-1])}
             if "power_w" in known and table.num_rows
@@ -54,6 +56,19 @@ def summarise(table: pa.Table, scenario: str) -> dict[str, Any]:
         **({key: over(key, what) for key, what in LOOKING.items()} if "detections" in known else {}),
         "control_ms_median": float(np.median(column(table, "plan_ms") + column(table, "light_ms"))) if table.num_rows else None,
     }
+
+
+def _zones(table: pa.Table) -> dict[str, Any]:
+    """By name: how bright a zone is at the end, and the step from which on it stays within 5 % of its target, None if it never does."""
+    found = {}
+    for name in (each.removeprefix("zone.").removesuffix(".target") for each in table.column_names if each.endswith(".target")):
+        luminance, target = column(table, f"zone.{name}.luminance"), column(table, f"zone.{name}.target")
+        beyond = np.flatnonzero(~(np.abs(luminance / target - 1) <= SETTLED))
+        after = int(beyond[-1]) + 1 if len(beyond) else 0
+        if len(luminance):
+            settled = after if after < len(luminance) else None
+            found[name] = {"luminance": float(luminance[-1]), "target": float(target[-1]), "settled_step": settled}
+    return found
 
 
 def _energy(table: pa.Table) -> float | None:
@@ -83,6 +98,9 @@ def shown(values: dict[str, Any], files: str) -> Table:
         rows[f"light on {name}"] = f"{_number(light['lx_mean'], '.3g')} lx (mean), {_number(light['lx_max'], '.3g')} lx at most"
     if values["dark_lx_max"] is not None:
         rows["on what must be dark"] = f"{values['dark_lx_max']:.3g} lx at most"
+    for name, zone in values.get("zones", {}).items():
+        when = "not settled" if zone["settled_step"] is None else f"within 5 % from step {zone['settled_step']} on"
+        rows[f"zone {name}"] = f"{_number(zone['luminance'], '.3g')} of {zone['target']:.3g} cd/m^2, {when}"
     if values["symbol_iou_min"] is not None:
         rows["symbols, to their observers"] = f"IoU {values['symbol_iou_min']:.3f} at least"
     if values["idle_functions"]:

@@ -3,8 +3,6 @@
 A recording here has four steps as `luxloop run` records them, from a coarse camera, and moments of the utilisation of every module.
 """
 
-from typing import Any
-
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -39,10 +37,10 @@ def trajectory(name: str) -> pa.Table:
     camera = scenario.camera
     coarse = camera.model_copy(update={"width_px": WIDTH_PX, "height_px": round(WIDTH_PX * camera.height_px / camera.width_px)})
     simulation = LightingSimulation.prepare(scenario.model_copy(update={"camera": coarse}))
-    rows: list[dict[str, Any]] = []
-    for k in range(STEPS):
-        result = simulation.at(k * (scenario.steps - 1) // (STEPS - 1))
-        rows.append(row(result) | moments(result, simulation))
+    steps = [k * (scenario.steps - 1) // (STEPS - 1) for k in range(STEPS)]
+    learns = simulation.planner.learns or simulation.sight is not None
+    results = (each for each in simulation.run() if each.step in steps) if learns else map(simulation.at, steps)
+    rows = [row(result) | moments(result, simulation) for result in results]
     columns = [pa.field(field.name, field.type) for field in schema(simulation) if not field.name.endswith("_ms")]
     columns += [pa.field(f"module.{module.name}.{key}", pa.float64()) for module in simulation.modules for key in MOMENTS]
     return table_of(rows, pa.schema(columns))
