@@ -37,7 +37,7 @@ class LuxloopParams(Params):
     cell_m: tuple[float, float] = Field((0.2, 0.15), description="distance of heights on the assumed road, along and across")
     beyond_m: tuple[float, float, float] = Field((1.2, 1.5, 0.6), description="how far heights go beyond the symbol: near, far, sides")
     highest_m: float = Field(0.14, gt=0, le=0.3, description="largest height, up or down, that is looked for")
-    memory: float = Field(0.6, ge=0, lt=1, description="share of what is known that a step keeps; the rest may have changed")
+    memory: float = Field(0.6, ge=0, lt=1, description="share of what is known that a step on the move keeps; the rest may have changed")
     evidence: float = Field(0.0025, ge=0, description="share of the symbol that heights have to explain beyond what the flat road does")
     sweep_above: float = Field(0.01, ge=0, description="share of the symbol that may stay unexplained before all heights are tried anew")
     start_height_m: float = Field(
@@ -132,15 +132,17 @@ class Luxloop:
         if float(registration.residual(found[0].mean[None], seen, textures, limit)[0]) > self.params.sweep_above:
             swept = self._swept(memory, frames, textures, stances)
             found.append(registration.refine(swept, known, seen, textures, limit))
-        nodes = torch.stack([*(each.mean for each in found), torch.zeros_like(known.mean)])
-        residuals = registration.residual(nodes, seen, textures, limit)
-        best = int(residuals[:-1].argmin())
+        nodes = torch.stack([*(each.mean for each in found), known.mean, torch.zeros_like(known.mean)])
+        *residuals, before, flat = registration.residual(nodes, seen, textures, limit)
+        least, best = min(zip(residuals, found, strict=True), key=lambda each: float(each[0]))
         evidence = 0.0 if bool(known.information.any()) else self.params.evidence
-        if residuals[best] > residuals[-1] - evidence:
+        if least > flat - evidence:
             return self._nothing(registration)
-        mean, information = found[best].mean, self.params.memory * (known.information + found[best].information)
-        brightness = _brightness(fine, mean, memory.brightness, contrast, seen, textures)
-        return replace(memory, heights=Heights(mean, information), brightness=brightness)
+        information = known.information + best.information
+        gain = best.information.trace() / information.trace().clamp(min=1)  # of this look beside all earlier ones
+        brightness = _brightness(fine, best.mean, memory.brightness, contrast, seen, textures)
+        share = (least / before).nan_to_num(1.0).clamp(max=1) if stances.still else self.params.memory
+        return replace(memory, heights=Heights(best.mean, share * information), brightness=memory.brightness.lerp(brightness, gain))
 
     def _swept(self, memory: Memory, frames: tuple[Tensor, Tensor], textures: tuple[Tensor, ...], stances: Stances) -> Tensor:
         coarse = self.coarse if stances.still else self._coarse(stances)

@@ -17,6 +17,7 @@ from world.frames import inverse
 from world.headlight import Headlight
 from world.view import View
 
+SIGMAS = 1.4826  # of a normal distribution, in its median deviations
 DARKNESS_TEXELS = 3.0  # over which a shadow's edge fades
 
 
@@ -138,12 +139,17 @@ class Sight:
         return contrast, limit
 
     def observe_symbol(self, frames: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
-        """The same of a symbol, which is less than half of what is seen: less what all other light has changed by between the frames."""
+        """The same of a symbol, which is less than half of what is seen, so that medians tell of all the rest.
+
+        What other light has changed by between the frames is taken off. Noisier frames than the camera's raise the threshold.
+        """
         contrast, limit, without = self._looked(frames)
         seen = self.inside > 0
         rise = (contrast / without)[seen].median()
         changed = (contrast / limit)[seen].median().abs() > 1
-        return torch.where(changed, contrast - rise * without, contrast), limit
+        contrast = torch.where(changed, contrast - rise * without, contrast)
+        noise = (contrast / limit)[seen].abs().median() * (SIGMAS * self.params.threshold_sigma)
+        return contrast, limit * noise.clamp(min=1)
 
     def _looked(self, frames: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
         """Contrast, threshold, and luminance without the lamps' light."""

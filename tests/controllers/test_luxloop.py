@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 
 import pytest
 import torch
@@ -188,3 +189,37 @@ def test_a_wrong_belief_at_the_start_is_drawn_and_given_up() -> None:
     seen, opened = ious(prepared, 5)
     assert seen[0] < opened - 0.1
     assert min(seen[1:]) > 0.9  # one look is enough; at this resolution noise alone costs up to 0.03 in some steps
+
+
+def test_looks_that_agree_add_up_until_noise_hardly_moves_the_symbol() -> None:
+    prepared = simulation('{kind="bumps"}')
+    state, heights, known = prepared.start(), [], []
+    for _ in range(10):
+        state, _ = prepared.step(state)
+        heights.append(state.controller.memory.heights.mean)
+        known.append(float(state.controller.memory.heights.information.trace()))
+    assert known[-1] > 2 * known[1]
+    moves = [float((after - before).abs().mean()) for before, after in pairwise(heights)]
+    assert moves[-1] < 0.1 * moves[1]  # 0.04 here, and 0.28 where a step always keeps 0.6
+
+
+def test_noise_is_measured_where_the_camera_does_not_tell() -> None:
+    usual = simulation('{kind="flat"}')
+    noisy = simulation('{kind="flat"}', "disturbances.noise=[{factor=10.0}]")
+    limits = []
+    for prepared in (usual, noisy):
+        _, frames = prepared.plant.show(prepared.plant.start(), prepared.projector.light(prepared.projector.target), 0)
+        sight = prepared.controller.registration.sight
+        contrast, limit = sight.observe_symbol(frames)
+        assert (limit >= sight.observe(frames)[1]).all()
+        unlit = (sight.inside > 0) & (contrast < contrast.max() / 2)
+        limits.append(float(limit.mean()))
+        # faintly lit pixels are beyond, a tenth; with the camera's own noise as threshold it would be 0.31 of the noisy ones
+        assert float((contrast[unlit].abs() > limit[unlit]).float().mean()) < 0.15
+    # two columns are taken together, which the camera's limit leaves out: 10 / sqrt(2); clamping at black takes some off
+    assert 2 < limits[1] / limits[0] < 10
+
+
+def test_ten_times_the_noise_leaves_the_symbol_where_it_was() -> None:
+    seen, _ = ious(simulation('{kind="bumps"}', "disturbances.noise=[{factor=10.0, from_step=4, until_step=8}]"), 9)
+    assert min(seen[4:]) > 0.9  # 0.91 here; 0.89 where the threshold stays and information fades
