@@ -31,13 +31,12 @@ def placed(boxes: Tensor, categories: tuple[Category, ...], view: View) -> OnRoa
     """
     T = view.T_world_view
     left, top, right, bottom = boxes.to(T).unbind(-1)
-    foot, head = (_direction(view, (left + right) / 2, v) for v in (bottom, top))
-    height = max(float(view.origin[2]), LOWEST_M)
-    level = foot[:, :2].norm(dim=-1)
-    depth = height / -torch.minimum(foot[:, 2], -height / FARTHEST_M * level)
+    middle = (left + right) / 2
+    foot, head = (_direction(view, middle, v) for v in (bottom, top))
+    depth = 1 / nearness(view, middle, bottom)
     near = view.origin[:2] + depth[:, None] * foot[:, :2]
     forward = torch.nn.functional.normalize(foot[:, :2], dim=-1)
-    high = height + depth * level * head[:, 2] / head[:, :2].norm(dim=-1)
+    high = _height(view) + depth * foot[:, :2].norm(dim=-1) * head[:, 2] / head[:, :2].norm(dim=-1)
     length = torch.tensor([LENGTH_M.get(each, OTHER_LENGTH_M) for each in categories]).to(T)
     size = torch.stack([length, (right - left) / view.fx * depth, high.clamp(min=0.01)], -1)
     T_world_box = torch.eye(4).to(T).repeat(len(boxes), 1, 1)
@@ -47,6 +46,15 @@ def placed(boxes: Tensor, categories: tuple[Category, ...], view: View) -> OnRoa
     return OnRoad(T_world_box, size)
 
 
+def nearness(view: View, u: Tensor, v: Tensor) -> Tensor:
+    """Inverse of the depth in 1/m at which the road z = 0 is seen at image points `[...]` px, at least that of `FARTHEST_M`."""
+    return (-_direction(view, u, v)[..., 2] / _height(view)).clamp(min=1 / FARTHEST_M)
+
+
+def _height(view: View) -> float:
+    return max(float(view.origin[2]), LOWEST_M)
+
+
 def _direction(view: View, u: Tensor, v: Tensor) -> Tensor:
-    """`[n, 3]` in the world, of depth 1."""
+    """`[..., 3]` in the world, of depth 1."""
     return torch.stack([(u - view.cx) / view.fx, (v - view.cy) / view.fy, torch.ones_like(u)], -1) @ view.T_world_view[:3, :3].T

@@ -1,8 +1,10 @@
 """Multi-object tracking: boxes found frame by frame become tracks that keep their identity, with scores filtered over frames.
 
-Each track is four Kalman filters of constant velocity in the image: middle of the foot, u and v in px, and the logarithms of width and
-height. Detections are given to tracks by the assignment of least cost (Hungarian method), which counts overlap, distance and class.
-Lengths are measured in sizes of the box, the root of its area: for a pedestrian that is about a metre, wherever they are.
+A track is a Kalman filter of constant velocity for the middle of the box's foot in the image, and a size on the road. Things do not
+shrink, but light hides parts of them: a size grows quickly and falls slowly, and a box that is smaller than expected is taken for a part
+and completed. Detections are given to tracks by the assignment of least cost (Hungarian method), which counts overlap, distance and
+class. In the image lengths are measured in sizes of the box, the root of its area: for a pedestrian that is about a metre, wherever they
+are.
 """
 
 import math
@@ -16,16 +18,23 @@ from torch import Tensor
 
 from perception.detection.protocol import Detections
 from perception.detection.suppression import overlaps
+from perception.placing import nearness
 from world.params import Params
 from world.tracked import Category
+from world.view import View
 
-MEASURED = (0.05, 0.05, 0.1, 0.07)  # standard deviations of a detected box: of its foot in sizes, of its logarithmic width and height
-STARTS = (4.0, 1.0, 1.0, 1.0)  # of a new track's rates, a second: 4 m/s across for a pedestrian's size
-CHANGES = (2.0, 0.5, 0.5, 0.5)  # of how rates change, in the root of a second
+MEASURED = 0.05  # standard deviation of the foot of a detected box, in sizes
+STARTS = (4.0, 1.0)  # of a new track's rates, in sizes a second: 4 m/s across for a pedestrian's size, less up and down
+CHANGES = (2.0, 0.7)  # of how rates change, in sizes and the root of a second
 GATE = 4.0  # standard deviations, in u and in v, beyond which a detection is no track's
 FARTHEST = 2.0  # sizes, the same
 OTHER_CLASS = 0.5  # cost of a detection that is nothing like the track's class
 LARGEST_COST = 1.8  # a track rather stays without a detection; the overlap costs 1 at most
+GROWS_S, SHRINKS_S = 0.5, 10.0  # time constants of sizes
+WHOLE = 0.85  # of the expected width or height: what is smaller is a part
+RESTS_S = 0.3  # in which the rate of what is seen in part falls, since a part says little of it
+PART = 0.9  # share of a box that lies in a track's, from which on it is a part of what is tracked and no new object
+ALIKE: tuple[frozenset[Category], ...] = (frozenset({"pedestrian", "cyclist", "motorcycle"}), frozenset({"car", "truck"}))  # by their parts
 LINGER_S = 2.0  # for which a lost track is still told, so that what is drawn about it can fade
 
 
@@ -44,23 +53,23 @@ class TrackerParams(Params):
 class Tracks:
     """All tracks after a frame; n of them, C classes.
 
-    number: `[n]`, the identity. mean: `[n, 4, 2]`, u and v of the foot, log width, log height, and their rates a second. covariance:
-    `[n, 4, 2, 2]`. frames: `[n]` that showed it. since_s, seen_s, until_s: `[n]`, when it was confirmed, last found and lost; inf: not
-    yet. confidence: `[n, C]`, filtered. score: `[n, C]` in this frame, NaN where it was not found.
+    number: `[n]`, the identity. mean: `[n, 2, 2]`, u and v of the foot in px and their rates a second. covariance: `[n, 2, 2, 2]`.
+    size_m: `[n, 2]`, width and height. frames: `[n]` that showed it. since_s, seen_s, until_s: `[n]`, when it was confirmed, last found and
+    lost; inf: not yet. confidence: `[n, C]`, filtered. score: `[n, C]` in this frame, NaN where it was not found.
     """
 
-    classes: tuple[Category, ...]
     time_s: float
     number: Tensor
     mean: Tensor
     covariance: Tensor
+    size_m: Tensor
     frames: Tensor
     since_s: Tensor
     seen_s: Tensor
     until_s: Tensor
     confidence: Tensor
     score: Tensor
-    following: int = 1
+    following: int
 
     def __len__(self) -> int:
         return len(self.number)
@@ -75,130 +84,168 @@ class Tracks:
         return self.take(self.since_s.isfinite())
 
     @property
-    def boxes(self) -> Tensor:
-        """`[n, 4]` px: left, top, right, bottom."""
-        u, v, log_width, log_height = self.mean[..., 0].unbind(-1)
-        half, height = log_width.exp() / 2, log_height.exp()
-        return torch.stack([u - half, v - height, u + half, v], -1)
+    def present(self) -> "Tracks":
+        """Those that are confirmed and not lost."""
+        return self.take(self.since_s.isfinite() & self.until_s.isinf())
 
     @property
     def category(self) -> Tensor:
         """`[n]`, index of the class of most confidence."""
         return self.confidence.argmax(-1)
 
-    def at(self, time_s: float) -> "Tracks":
+
+EACH = ("number", "mean", "covariance", "size_m", "frames", "since_s", "seen_s", "until_s", "confidence", "score")
+
+
+@dataclass(frozen=True, eq=False)
+class Tracker:
+    """Follows what a detector of these classes finds in a view that stands still."""
+
+    classes: tuple[Category, ...]
+    view: View
+    params: TrackerParams
+
+    def start(self) -> Tracks:
+        """The state before the first frame."""
+        return self._started(1, Detections(torch.zeros(0, 4).double(), torch.zeros(0, len(self.classes)).double()), 0.0)
+
+    def boxes(self, tracks: Tracks) -> Tensor:
+        """`[n, 4]` px: left, top, right, bottom."""
+        u, v = tracks.mean[..., 0].unbind(-1)
+        width, height = (tracks.size_m * self._pixels_a_metre(u, v)[:, None]).unbind(-1)
+        return torch.stack([u - width / 2, v - height, u + width / 2, v], -1)
+
+    def at(self, tracks: Tracks, time_s: float) -> Tracks:
         """Where they will be, by their rates; a lost one stays where it was lost."""
-        dt = (time_s - self.time_s) * self.until_s.isinf().double()[:, None]
-        changes = _noise(self.mean, CHANGES)
-        a, b, c = self.covariance[..., 0, 0], self.covariance[..., 0, 1], self.covariance[..., 1, 1]
-        ahead = a + 2 * dt * b + dt**2 * c + changes * dt**3 / 3
-        both, rate = b + dt * c + changes * dt**2 / 2, c + changes * dt
+        dt = (time_s - tracks.time_s) * tracks.until_s.isinf().double()[:, None]
+        changes = (torch.tensor(CHANGES).double() * self._px(tracks)[:, None]) ** 2
+        a, b, c = tracks.covariance[..., 0, 0], tracks.covariance[..., 0, 1], tracks.covariance[..., 1, 1]
+        ahead, both, rate = a + 2 * dt * b + dt**2 * c + changes * dt**3 / 3, b + dt * c + changes * dt**2 / 2, c + changes * dt
         covariance = torch.stack([torch.stack([ahead, both], -1), torch.stack([both, rate], -1)], -2)
-        mean = torch.stack([self.mean[..., 0] + dt * self.mean[..., 1], self.mean[..., 1]], -1)
-        return replace(self, time_s=time_s, mean=mean, covariance=covariance)
+        mean = torch.stack([tracks.mean[..., 0] + dt * tracks.mean[..., 1], tracks.mean[..., 1]], -1)
+        return replace(tracks, time_s=time_s, mean=mean, covariance=covariance)
+
+    def step(self, tracks: Tracks, found: Detections, time_s: float) -> Tracks:
+        """The tracks after a frame at a later time, in which these detections were found."""
+        found = Detections(found.boxes.detach().double().cpu(), found.scores.detach().double().cpu())
+        alive = self.at(tracks, time_s).take(tracks.until_s.isinf())
+        lost = tracks.take(tracks.until_s.isfinite() & (time_s - tracks.until_s < LINGER_S))
+        mine, its = self.assigned(alive, found)
+        shown = torch.zeros(len(alive), dtype=torch.bool).index_fill(0, mine, True)
+        score = torch.full_like(alive.score, math.nan).index_copy(0, mine, found.scores[its])
+        dt = time_s - tracks.time_s
+        confidence = alive.confidence + _share(dt, self.params.confidence_s) * (score.nan_to_num() - alive.confidence)
+        alive = self._corrected(alive, mine, found.boxes[its], dt)
+        alive = replace(alive, score=score, confidence=confidence, frames=alive.frames + shown)
+        alive = replace(alive, seen_s=torch.where(shown, time_s, alive.seen_s))
+        confirmed = shown & (alive.frames >= self.params.confirm_frames) & alive.since_s.isinf()
+        gone = ~shown & (time_s - alive.seen_s > self.params.keep_s)
+        alive = replace(alive, since_s=torch.where(confirmed, time_s, alive.since_s), until_s=torch.where(gone, time_s, alive.until_s))
+        alive = alive.take(shown | alive.since_s.isfinite())
+        left = torch.ones(len(found), dtype=torch.bool).index_fill(0, its, False) & (found.scores.amax(-1) >= self.params.start_score)
+        left &= ~self._parts(alive, found)
+        started = self._started(tracks.following, Detections(found.boxes[left], found.scores[left]), time_s)
+        lost = replace(lost, score=torch.full_like(lost.score, math.nan))
+        values: dict[str, Any] = {name: torch.cat([getattr(each, name) for each in (lost, alive, started)]) for name in EACH}
+        return replace(started, **values)
+
+    def assigned(self, tracks: Tracks, found: Detections) -> tuple[Tensor, Tensor]:
+        """Indices `[k]` of tracks, and `[k]` of the detections that are theirs."""
+        if not len(tracks) or not len(found):
+            return torch.zeros(0, dtype=torch.int64), torch.zeros(0, dtype=torch.int64)
+        expected, px = self.boxes(tracks), self._px(tracks)[:, None]
+        off = _foot(completed(found.boxes[None], expected[:, None])) - tracks.mean[:, None, :, 0]
+        spread = tracks.covariance[:, None, :, 0, 0] + (MEASURED * px[..., None]) ** 2
+        far = off.norm(dim=-1) / px
+        likeness = found.scores[:, tracks.category].T / found.scores.amax(-1).clamp(min=1e-9)
+        cost = 1 - overlaps(expected, found.boxes) + far + OTHER_CLASS * (1 - likeness)
+        impossible = (off**2 > GATE**2 * spread).any(-1) | (far > FARTHEST)
+        cost = torch.where(impossible, LARGEST_COST, cost.clamp(max=LARGEST_COST))
+        rows, columns = (torch.from_numpy(each) for each in linear_sum_assignment(cost.numpy()))
+        possible = cost[rows, columns] < LARGEST_COST
+        return rows[possible], columns[possible]
+
+    def _corrected(self, tracks: Tracks, which: Tensor, boxes: Tensor, dt: float) -> Tracks:
+        """Kalman's step for some of the tracks, and their sizes."""
+        some = tracks.take(which)
+        expected = self.boxes(some)
+        off = _foot(completed(boxes, expected)) - some.mean[..., 0]
+        spread = some.covariance[..., 0, 0] + (MEASURED * self._px(some)[:, None]) ** 2
+        gain = some.covariance[..., 0] / spread[..., None]
+        covariance = some.covariance - gain[..., :, None] * gain[..., None, :] * spread[..., None, None]
+        rest = torch.where(_parts_of(boxes, expected), math.exp(-dt / RESTS_S), 1.0)
+        mean = torch.stack([some.mean[..., 0], rest * some.mean[..., 1]], -1) + gain * off[..., None]
+        measured = self._size_m(boxes, mean[..., 0])
+        settled = (some.frames >= self.params.confirm_frames)[:, None]
+        falls = torch.where(settled, _share(dt, SHRINKS_S), 1 / (some.frames[:, None] + 1))
+        size = some.size_m * (measured / some.size_m) ** torch.where(measured > some.size_m, _share(dt, GROWS_S), falls)
+        return replace(
+            tracks,
+            mean=tracks.mean.index_copy(0, which, mean),
+            covariance=tracks.covariance.index_copy(0, which, covariance),
+            size_m=tracks.size_m.index_copy(0, which, size),
+        )
+
+    def _parts(self, tracks: Tracks, found: Detections) -> Tensor:
+        """Which detections `[m]` lie in the box of something that is tracked and whose parts look like them."""
+        expected, boxes = self.boxes(tracks)[:, None], found.boxes[None]
+        common = (torch.minimum(expected[..., 2:], boxes[..., 2:]) - torch.maximum(expected[..., :2], boxes[..., :2])).clamp(min=0).prod(-1)
+        inside = common > PART * (boxes[..., 2:] - boxes[..., :2]).prod(-1)
+        groups = torch.tensor([next((k for k, each in enumerate(ALIKE) if name in each), -1 - n) for n, name in enumerate(self.classes)])
+        alike = groups[tracks.category][:, None] == groups[found.scores.argmax(-1)][None]
+        return (inside & alike & tracks.since_s.isfinite()[:, None]).any(0)
+
+    def _started(self, following: int, found: Detections, time_s: float) -> Tracks:
+        n, at = len(found), _foot(found.boxes)
+        size_m = self._size_m(found.boxes, at)
+        px = (found.boxes[:, 2:] - found.boxes[:, :2]).clamp(min=1).prod(-1).sqrt()
+        deviations = torch.tensor([[MEASURED, STARTS[0]], [MEASURED, STARTS[1]]], dtype=torch.float64)
+        now, never = (torch.full((n,), each, dtype=torch.float64) for each in (time_s, math.inf))
+        return Tracks(
+            time_s,
+            torch.arange(following, following + n),
+            torch.stack([at, torch.zeros_like(at)], -1),
+            torch.diag_embed((px[:, None, None] * deviations) ** 2),
+            size_m,
+            torch.ones(n, dtype=torch.int64),
+            now if self.params.confirm_frames == 1 else never,
+            now,
+            never,
+            found.scores,
+            found.scores,
+            following + n,
+        )
+
+    def _pixels_a_metre(self, u: Tensor, v: Tensor) -> Tensor:
+        return self.view.fx * nearness(self.view, u, v)
+
+    def _size_m(self, boxes: Tensor, foot: Tensor) -> Tensor:
+        """`[n, 2]`, width and height on the road, of boxes `[n, 4]` px whose foot `[n, 2]` px stands there."""
+        return (boxes[:, 2:] - boxes[:, :2]).clamp(min=1) / self._pixels_a_metre(*foot.unbind(-1))[:, None]
+
+    def _px(self, tracks: Tracks) -> Tensor:
+        """`[n]`, the size of the box."""
+        return tracks.size_m.prod(-1).sqrt() * self._pixels_a_metre(*tracks.mean[..., 0].unbind(-1))
 
 
-EACH = ("number", "mean", "covariance", "frames", "since_s", "seen_s", "until_s", "confidence", "score")
+def completed(boxes: Tensor, expected: Tensor) -> Tensor:
+    """Boxes `[..., 4]` px: those much narrower or lower than expected `[..., 4]` as wide or high, moved from there no more than needed."""
+    low, high = torch.broadcast_tensors(boxes[..., :2], expected[..., :2])[0], torch.broadcast_tensors(boxes[..., 2:], expected[..., 2:])[0]
+    moved = (low - expected[..., :2]).clamp(max=0) + (high - expected[..., 2:]).clamp(min=0)
+    smaller = _parts_of(boxes, expected)
+    return torch.cat([torch.where(smaller, expected[..., :2] + moved, low), torch.where(smaller, expected[..., 2:] + moved, high)], -1)
 
 
-def no_tracks(classes: tuple[Category, ...]) -> Tracks:
-    """The state before the first frame."""
-    none, each_class = torch.zeros(0, dtype=torch.float64), torch.zeros(0, len(classes), dtype=torch.float64)
-    count = torch.zeros(0, dtype=torch.int64)
-    mean, covariance = torch.zeros(0, 4, 2, dtype=torch.float64), torch.zeros(0, 4, 2, 2, dtype=torch.float64)
-    return Tracks(classes, 0.0, count, mean, covariance, count, none, none, none, each_class, each_class)
+def _parts_of(boxes: Tensor, expected: Tensor) -> Tensor:
+    """Whether boxes `[..., 4]` are much narrower and whether much lower than expected `[..., 4]`, `[..., 2]` bool."""
+    return boxes[..., 2:] - boxes[..., :2] < WHOLE * (expected[..., 2:] - expected[..., :2])
 
 
-def track(tracks: Tracks, found: Detections, time_s: float, params: TrackerParams) -> Tracks:
-    """The tracks after a frame at a later time, in which these detections were found."""
-    found = Detections(found.boxes.detach().double().cpu(), found.scores.detach().double().cpu())
-    alive = tracks.at(time_s).take(tracks.until_s.isinf())
-    lost = tracks.take(tracks.until_s.isfinite() & (time_s - tracks.until_s < LINGER_S))
-    mine, its = assigned(alive, found)
-    score = torch.full_like(alive.score, math.nan).index_copy(0, mine, found.scores[its])
-    share = 1.0 if params.confidence_s == 0 else -math.expm1(-(time_s - tracks.time_s) / params.confidence_s)
-    confidence = alive.confidence + share * (score.nan_to_num() - alive.confidence)
-    alive = replace(_corrected(alive, mine, found.boxes[its]), score=score, confidence=confidence)
-    shown = torch.zeros(len(alive), dtype=torch.bool).index_fill(0, mine, True)
-    alive = replace(alive, frames=alive.frames + shown, seen_s=torch.where(shown, time_s, alive.seen_s))
-    confirmed = shown & (alive.frames >= params.confirm_frames) & alive.since_s.isinf()
-    gone = ~shown & (time_s - alive.seen_s > params.keep_s)
-    alive = replace(alive, since_s=torch.where(confirmed, time_s, alive.since_s), until_s=torch.where(gone, time_s, alive.until_s))
-    alive = alive.take(shown | alive.since_s.isfinite())
-    left = torch.ones(len(found), dtype=torch.bool).index_fill(0, its, False) & (found.scores.amax(-1) >= params.start_score)
-    return _joined(lost, alive, _started(tracks, Detections(found.boxes[left], found.scores[left]), time_s, params))
+def _foot(boxes: Tensor) -> Tensor:
+    """`[..., 2]`: u and v of the middle of the foot of boxes `[..., 4]`."""
+    return torch.stack([(boxes[..., 0] + boxes[..., 2]) / 2, boxes[..., 3]], -1)
 
 
-def assigned(tracks: Tracks, found: Detections) -> tuple[Tensor, Tensor]:
-    """Indices `[k]` of tracks, and `[k]` of the detections that are theirs."""
-    if not len(tracks) or not len(found):
-        return torch.zeros(0, dtype=torch.int64), torch.zeros(0, dtype=torch.int64)
-    off = _measured(found.boxes)[None] - tracks.mean[:, None, :, 0]
-    spread = tracks.covariance[:, None, :, 0, 0] + _noise(tracks.mean, MEASURED)[:, None]
-    far = (off[..., :2] ** 2).sum(-1).sqrt() / _size(tracks.mean)[:, None]
-    likeness = found.scores[:, tracks.category].T / found.scores.amax(-1).clamp(min=1e-9)
-    cost = 1 - overlaps(tracks.boxes, found.boxes) + far + OTHER_CLASS * (1 - likeness)
-    impossible = (off[..., :2] ** 2 > GATE**2 * spread[..., :2]).any(-1) | (far > FARTHEST)
-    cost = torch.where(impossible, LARGEST_COST, cost.clamp(max=LARGEST_COST))
-    rows, columns = (torch.from_numpy(each) for each in linear_sum_assignment(cost.numpy()))
-    possible = cost[rows, columns] < LARGEST_COST
-    return rows[possible], columns[possible]
-
-
-def _corrected(tracks: Tracks, which: Tensor, boxes: Tensor) -> Tracks:
-    """Kalman's step for some of the tracks."""
-    before, mean = tracks.covariance[which], tracks.mean[which]
-    spread = before[..., 0, 0] + _noise(mean, MEASURED)
-    gain = before[..., 0] / spread[..., None]
-    off = _measured(boxes) - mean[..., 0]
-    after = before - gain[..., :, None] * gain[..., None, :] * spread[..., None, None]
-    return replace(
-        tracks,
-        mean=tracks.mean.index_copy(0, which, mean + gain * off[..., None]),
-        covariance=tracks.covariance.index_copy(0, which, after),
-    )
-
-
-def _started(tracks: Tracks, found: Detections, time_s: float, params: TrackerParams) -> Tracks:
-    n = len(found)
-    at = _measured(found.boxes)
-    mean = torch.stack([at, torch.zeros_like(at)], -1)
-    covariance = torch.diag_embed(torch.stack([_noise(mean, MEASURED), _noise(mean, STARTS)], -1))
-    now, never = (torch.full((n,), each, dtype=torch.float64) for each in (time_s, math.inf))
-    return Tracks(
-        tracks.classes,
-        time_s,
-        torch.arange(tracks.following, tracks.following + n),
-        mean,
-        covariance,
-        torch.ones(n, dtype=torch.int64),
-        now if params.confirm_frames == 1 else never,
-        now,
-        never,
-        found.scores,
-        found.scores,
-        tracks.following + n,
-    )
-
-
-def _joined(lost: Tracks, alive: Tracks, started: Tracks) -> Tracks:
-    lost = replace(lost, score=torch.full_like(lost.score, math.nan))
-    values: dict[str, Any] = {name: torch.cat([getattr(each, name) for each in (lost, alive, started)]) for name in EACH}
-    return replace(started, **values)
-
-
-def _measured(boxes: Tensor) -> Tensor:
-    """`[n, 4]`: u and v of the foot, log width and log height of boxes `[n, 4]`."""
-    left, top, right, bottom = boxes.unbind(-1)
-    return torch.stack([(left + right) / 2, bottom, (right - left).clamp(min=1).log(), (bottom - top).clamp(min=1).log()], -1)
-
-
-def _size(mean: Tensor) -> Tensor:
-    return (mean[..., 2:, 0].sum(-1) / 2).exp()
-
-
-def _noise(mean: Tensor, deviations: tuple[float, ...]) -> Tensor:
-    """Variances `[n, 4]`, of u and v in px^2; deviations are in sizes."""
-    size = _size(mean)
-    one = torch.ones_like(size)
-    return (torch.tensor(deviations, dtype=torch.float64) * torch.stack([size, size, one, one], -1)) ** 2
+def _share(dt: float, time_constant_s: float) -> float:
+    """Of a first-order filter's way to its input in a time."""
+    return 1.0 if time_constant_s == 0 else -math.expm1(-dt / time_constant_s)

@@ -9,6 +9,7 @@ from controllers.functions.situation import TrackedObject
 from loop.lighting.sight import name_of
 from loop.lighting.simulation import LightingResult, LightingSimulation, Look
 from world.frames import transform
+from world.tracked import Category
 from world.view import View
 
 Point = tuple[int, int]
@@ -31,21 +32,20 @@ def marks(result: LightingResult, simulation: LightingSimulation) -> tuple[Mark,
     if result.look is None:
         there = (each for each in result.now.objects if each.since_s <= result.time_s < each.until_s)
         return tuple(Mark(box_lines(each, simulation.camera.view), each.name in result.masked) for each in there)
-    return (*_found(result.look), *_tracked(result.look, result.masked))
+    assert simulation.sight is not None
+    return (*_found(result.look), *_tracked(result.look, simulation.sight.tracker.classes, result.masked))
 
 
 def _found(look: Look) -> tuple[Mark, ...]:
     return tuple(Mark(_outline(box), faint=True) for box in look.found.boxes.tolist())
 
 
-def _tracked(look: Look, masked: frozenset[str]) -> tuple[Mark, ...]:
-    tracks = look.tracks.known
-    tracks = tracks.take(tracks.until_s.isinf())
-    drawn = []
+def _tracked(look: Look, classes: tuple[Category, ...], masked: frozenset[str]) -> tuple[Mark, ...]:
+    drawn, tracks = [], look.tracks
     for number, box, category, sure in zip(
-        tracks.number.tolist(), tracks.boxes.tolist(), tracks.category.tolist(), tracks.confidence, strict=True
+        tracks.number.tolist(), look.boxes.tolist(), tracks.category.tolist(), tracks.confidence.tolist(), strict=True
     ):
-        text = f"{tracks.classes[category]} {number}: {float(sure[category]):.2f}"
+        text = f"{classes[category]} {number}: {sure[category]:.2f}"
         drawn.append(Mark(_outline(box), name_of(number) in masked, text=text, at=(round(box[0]), round(box[1]))))
     return tuple(drawn)
 

@@ -15,7 +15,7 @@ from perception.detection.params import AnyParams, TruthParams
 from perception.detection.protocol import Detections, Detector
 from perception.detection.suppression import overlaps
 from perception.placing import placed
-from perception.tracking import TrackerParams, Tracks, no_tracks, track
+from perception.tracking import Tracker, TrackerParams, Tracks
 from world.tracked import Category
 from world.view import View
 
@@ -39,37 +39,28 @@ class Sight:
 
     detector: Detector | None
     params: AnyParams
-    tracker: TrackerParams
-    view: View
+    tracker: Tracker
 
     @classmethod
     def prepare(cls, params: AnyParams, tracker: TrackerParams, view: View, device: torch.device) -> "Sight":
         """Raises LuxloopError where the detector's file is missing or broken."""
-        return cls(None if isinstance(params, TruthParams) else detector(params, device), params, tracker, view)
-
-    @property
-    def classes(self) -> tuple[Category, ...]:
-        return get_args(Category) if self.detector is None else self.detector.classes
-
-    def start(self) -> Tracks:
-        return no_tracks(self.classes)
+        finds = None if isinstance(params, TruthParams) else detector(params, device)
+        classes = get_args(Category) if finds is None else finds.classes
+        return cls(finds, params, Tracker(classes, view, tracker))
 
     def find(self, frame: Tensor, known: Known) -> Detections:
         """frame: `[height, width]`, digital numbers as a share of the largest."""
         if isinstance(self.params, TruthParams):
-            return known.detections(self.params, self.classes)
+            return known.detections(self.params, self.tracker.classes)
         assert self.detector is not None
         return self.detector.detect(frame[None])[0]
 
-    def track(self, tracks: Tracks, found: Detections, time_s: float) -> Tracks:
-        return track(tracks, found, time_s, self.tracker)
-
     def objects(self, tracks: Tracks, time_s: float) -> tuple[TrackedObject, ...]:
         """The tracks as lighting functions are told of them, where they are expected at a time."""
-        ahead = tracks.known.at(time_s)
+        ahead = self.tracker.at(tracks.known, time_s)
         numbers = ahead.category.tolist()
-        names = tuple(self.classes[number] for number in numbers)
-        boxes = placed(ahead.boxes, names, self.view)
+        names = tuple(self.tracker.classes[number] for number in numbers)
+        boxes = placed(self.tracker.boxes(ahead), names, self.tracker.view)
         return tuple(
             TrackedObject(
                 name_of(int(ahead.number[k])),
@@ -90,18 +81,19 @@ def name_of(number: int) -> str:
     return f"track {number}"
 
 
-def recognised(known: Known, tracks: Tracks, found: Detections) -> tuple[Mapping[str, Recognised], int]:
-    """What is made of each object in sight by its name, and the number of detections that show none, which are false."""
-    present = tracks.known
-    present = present.take(present.until_s.isinf())
+def recognised(known: Known, tracked: Tensor, tracks: Tracks, found: Detections) -> tuple[Mapping[str, Recognised], int]:
+    """What is made of each object in sight by its name, and the number of detections that show none, which are false.
+
+    tracked: boxes `[n, 4]` px of the tracks.
+    """
     boxes, scores = found.boxes.double().cpu(), found.scores.double().cpu()
-    its_track = dict(pairs(known.boxes, present.boxes))
+    its_track = dict(pairs(known.boxes, tracked))
     its_box = dict(pairs(known.boxes, boxes))
-    whole, sure = {}, present.confidence.amax(-1)
+    whole, sure = {}, tracks.confidence.amax(-1)
     for k, each in enumerate(known.objects):
         row, column = its_track.get(k), its_box.get(k)
         whole[each.name] = Recognised(
-            None if row is None else int(present.number[row]),
+            None if row is None else int(tracks.number[row]),
             0.0 if row is None else float(sure[row]),
             0.0 if column is None else float(scores[column].max()),
         )

@@ -13,12 +13,14 @@ from torch import Tensor
 from perception.camera import CameraParams, camera_view
 from perception.detection.protocol import Detections
 from perception.detection.suppression import overlaps
-from perception.tracking import EACH, LINGER_S, TrackerParams, Tracks, no_tracks, track
+from perception.tracking import EACH, LINGER_S, Tracker, TrackerParams, Tracks, completed
 from world.tracked import Category
 
 CLASSES: tuple[Category, ...] = ("pedestrian", "cyclist", "car", "animal")
 RATE_HZ = 30.0
+DEFAULTS = TrackerParams()
 VIEW = camera_view(CameraParams(width_px=640, height_px=360, pitch_deg=1.5))
+TRACKER = Tracker(CLASSES, VIEW, DEFAULTS)
 SIZES: dict[Category, tuple[float, float]] = {"pedestrian": (0.6, 1.75), "cyclist": (0.7, 1.8), "car": (1.8, 1.5)}
 Road = Callable[[float], tuple[Category, float, float]]  # class, x and y in m at a time
 
@@ -45,7 +47,7 @@ def identities(roads: list[Road], frames: int, seed: int, noise: float = 0.04, m
     As for MOTA, an object's track stays its own while it overlaps by 0.3, and other pairs are those of most overlap.
     """
     rng = torch.Generator().manual_seed(seed)
-    tracks, found, owner = no_tracks(CLASSES), [set[int]() for _ in roads], dict[int, int]()
+    tracks, found, owner = TRACKER.start(), [set[int]() for _ in roads], dict[int, int]()
     for k in range(frames):
         objects = [road(k / RATE_HZ) for road in roads]
         true, hidden = seen(objects)
@@ -55,10 +57,8 @@ def identities(roads: list[Road], frames: int, seed: int, noise: float = 0.04, m
         scores = 0.1 * torch.rand(len(roads), len(CLASSES), generator=rng, dtype=torch.float64)
         for n, (category, _, _) in enumerate(objects):
             scores[n, CLASSES.index(category)] = 0.4 + 0.4 * float(torch.rand(1, generator=rng))
-        tracks = track(tracks, Detections(boxes[shown], scores[shown]), k / RATE_HZ, TrackerParams())
-        known = tracks.known
-        known = known.take(known.until_s.isinf())
-        shares, numbers = overlaps(true, known.boxes), known.number.tolist()
+        tracks = TRACKER.step(tracks, Detections(boxes[shown], scores[shown]), k / RATE_HZ)
+        shares, numbers = overlaps(true, TRACKER.boxes(tracks.present)), tracks.present.number.tolist()
         for n, number in owner.items():
             if number in numbers and shares[n, numbers.index(number)] > 0.3:
                 shares[n, numbers.index(number)] += 2
@@ -79,7 +79,7 @@ SCENES: dict[str, list[Road]] = {
     "two pedestrians cross side by side": [line("pedestrian", 15, 2, vy=-1.4), line("pedestrian", 15.2, -2, vy=1.2)],
     "a cyclist overtakes": [line("pedestrian", 12, -2, vx=1.2), line("cyclist", 8.5, -1.2, vx=5)],
     "a cyclist is overtaken by a car": [line("cyclist", 14, -1.0, vx=4), line("car", 9, 0.5, vx=9)],
-    "ten frames behind a car": [line("car", 14, 0, vy=0), line("pedestrian", 18, -2.2, vy=4.2)],
+    "ten frames behind a car": [line("car", 14, 0, vy=0), line("pedestrian", 18, -4.0, vy=4.2)],
 }
 
 
@@ -101,15 +101,15 @@ def detections(*boxes: tuple[float, float, float, float], scores: list[list[floa
 
 
 BOX = (300.0, 100.0, 340.0, 200.0)
-DEFAULTS = TrackerParams()
 NOTHING = Detections(torch.zeros(0, 4), torch.zeros(0, len(CLASSES)))
 
 
 def shown(frames: int, params: TrackerParams = DEFAULTS, then: int = 0) -> Tracks:
     """Tracks after so many frames with one box, then so many with none."""
-    tracks = no_tracks(CLASSES)
+    tracker = Tracker(CLASSES, VIEW, params)
+    tracks = tracker.start()
     for k in range(frames + then):
-        tracks = track(tracks, detections(BOX) if k < frames else NOTHING, k / RATE_HZ, params)
+        tracks = tracker.step(tracks, detections(BOX) if k < frames else NOTHING, k / RATE_HZ)
     return tracks
 
 
@@ -118,7 +118,7 @@ def test_a_new_object_is_reported_after_the_frames_that_confirm_it() -> None:
     assert float(shown(5).known.since_s) == pytest.approx(2 / RATE_HZ)
     assert len(shown(1, TrackerParams(confirm_frames=1)).known) == 1
     assert len(shown(2, then=1)) == 0  # what a single miss tells from an object is dropped
-    weak = track(no_tracks(CLASSES), detections(BOX, scores=[[0.29, 0.1, 0, 0]]), 0.0, DEFAULTS)
+    weak = TRACKER.step(TRACKER.start(), detections(BOX, scores=[[0.29, 0.1, 0, 0]]), 0.0)
     assert len(weak) == 0
 
 
@@ -129,9 +129,9 @@ def test_one_that_is_lost_is_kept_for_a_while_then_told_as_lost_then_forgotten()
     lost = shown(10, then=22)
     assert float(lost.known.until_s) == pytest.approx(9 / RATE_HZ + keep_s, abs=1.1 / RATE_HZ)  # the first frame after it
     later = replace(lost, time_s=lost.time_s)
-    assert len(track(later, NOTHING, lost.time_s + 0.9 * LINGER_S, DEFAULTS)) == 1
-    assert len(track(later, NOTHING, lost.time_s + 1.1 * LINGER_S, DEFAULTS)) == 0
-    again = track(lost, detections(BOX), lost.time_s + 1 / RATE_HZ, DEFAULTS)
+    assert len(TRACKER.step(later, NOTHING, lost.time_s + 0.9 * LINGER_S)) == 1
+    assert len(TRACKER.step(later, NOTHING, lost.time_s + 1.1 * LINGER_S)) == 0
+    again = TRACKER.step(lost, detections(BOX), lost.time_s + 1 / RATE_HZ)
     assert sorted(again.number.tolist()) == [1, 2]  # the name of a lost one is not given again
 
 
@@ -139,44 +139,45 @@ def test_one_that_is_lost_is_kept_for_a_while_then_told_as_lost_then_forgotten()
 def test_confidence_is_a_first_order_filter_of_scores(time_constant_s: float) -> None:
     params = TrackerParams(confidence_s=time_constant_s)
     tracks = shown(10, params)
-    step = track(tracks, detections(BOX, scores=[[0.2, 0.9, 0.05, 0.0]]), 10 / RATE_HZ, params)
+    tracker = Tracker(CLASSES, VIEW, params)
+    step = tracker.step(tracks, detections(BOX, scores=[[0.2, 0.9, 0.05, 0.0]]), 10 / RATE_HZ)
     share = 1.0 if time_constant_s == 0 else 1 - math.exp(-1 / RATE_HZ / time_constant_s)
     # rtol: scores come in float32
     torch.testing.assert_close(step.confidence[0, :2], torch.tensor([0.8 - 0.6 * share, 0.1 + 0.8 * share]).double(), rtol=1e-6, atol=1e-7)
-    missed = track(tracks, NOTHING, 10 / RATE_HZ, params)
+    missed = tracker.step(tracks, NOTHING, 10 / RATE_HZ)
     assert float(missed.confidence[0, 0]) == pytest.approx(0.8 * (1 - share))
 
 
 def test_one_frame_of_another_class_does_not_change_the_class() -> None:
-    tracks = track(shown(10), detections(BOX, scores=[[0.2, 0.9, 0.05, 0.0]]), 10 / RATE_HZ, DEFAULTS)
+    tracks = TRACKER.step(shown(10), detections(BOX, scores=[[0.2, 0.9, 0.05, 0.0]]), 10 / RATE_HZ)
     assert tracks.number.tolist() == [1] and CLASSES[int(tracks.category)] == "pedestrian"
 
 
 def test_boxes_are_smoother_than_detections_and_move_as_they_do() -> None:
     rng = torch.Generator().manual_seed(1)
-    tracks, errors, raw = no_tracks(CLASSES), [], []
+    tracks, errors, raw = TRACKER.start(), [], []
     for k in range(60):
         true = torch.tensor([[100.0 + 4 * k, 100, 140 + 4 * k, 200]])
         noisy = true + 3 * torch.randn(1, 4, generator=rng)
         if k > 20:  # where it will be, said before it is seen
-            errors.append(float((tracks.at(k / RATE_HZ).boxes - true).abs().mean()))
+            errors.append(float((TRACKER.boxes(TRACKER.at(tracks, k / RATE_HZ)) - true).abs().mean()))
             raw.append(float((noisy - true).abs().mean()))
-        tracks = track(tracks, Detections(noisy, torch.tensor([[0.8, 0, 0, 0]])), k / RATE_HZ, DEFAULTS)
+        tracks = TRACKER.step(tracks, Detections(noisy, torch.tensor([[0.8, 0, 0, 0]])), k / RATE_HZ)
     assert sum(errors) < sum(raw)  # a prediction by one frame is better than the measurement of that frame
     assert float(tracks.mean[0, 0, 1]) == pytest.approx(4 * RATE_HZ, rel=0.1)
 
 
 def test_the_filter_is_the_matrix_form_of_kalmans() -> None:
     tracks = shown(2)
-    ahead = tracks.at(0.2)
+    ahead = TRACKER.at(tracks, 0.2)
     dt = 0.2 - tracks.time_s
     F = torch.tensor([[1, dt], [0, 1]], dtype=torch.float64)
     Q = torch.tensor([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]], dtype=torch.float64)
     size = 4000**0.5  # of the box, 40 px by 100 px
-    q = torch.tensor([2.0 * size, 0.5 * size, 0.5, 0.5], dtype=torch.float64) ** 2
-    expected = F @ tracks.covariance[0] @ F.T + q[:, None, None] * Q
+    q = torch.tensor([2.0, 0.7], dtype=torch.float64) * size
+    expected = F @ tracks.covariance[0] @ F.T + q[:, None, None] ** 2 * Q
     torch.testing.assert_close(ahead.covariance[0], expected)
-    after = track(tracks, detections((310, 105, 352, 204)), 0.2, DEFAULTS)
+    after = TRACKER.step(tracks, detections((310, 105, 352, 204)), 0.2)
     H, R = torch.tensor([[1.0, 0.0]], dtype=torch.float64), (0.05 * size) ** 2
     P, z = expected[0], 331.0
     K = P @ H.T / (H @ P @ H.T + R)
@@ -187,15 +188,57 @@ def test_the_filter_is_the_matrix_form_of_kalmans() -> None:
 def test_two_boxes_of_one_place_are_two_tracks_and_a_far_one_is_not_taken() -> None:
     tracks = shown(5)
     far = (BOX[0] + 300, BOX[1], BOX[2] + 300, BOX[3])
-    after = track(tracks, detections(BOX, far), 5 / RATE_HZ, DEFAULTS)
+    after = TRACKER.step(tracks, detections(BOX, far), 5 / RATE_HZ)
     assert after.number.tolist() == [1, 2] and after.frames.tolist() == [6, 1]
-    swapped = track(after, detections(far, BOX), 6 / RATE_HZ, DEFAULTS)
+    swapped = TRACKER.step(after, detections(far, BOX), 6 / RATE_HZ)
     assert swapped.number.tolist() == [1, 2] and swapped.frames.tolist() == [7, 2]
 
 
 def test_tracks_are_a_value() -> None:
     tracks = shown(5)
     kept = pickle.loads(pickle.dumps(tracks))
-    after, again = (track(each, detections(BOX), 5 / RATE_HZ, DEFAULTS) for each in (tracks, kept))
+    after, again = (TRACKER.step(each, detections(BOX), 5 / RATE_HZ) for each in (tracks, kept))
     assert set(EACH) <= {each.name for each in fields(tracks)} and tracks.frames.tolist() == [5]
     assert all(torch.equal(getattr(after, name), getattr(again, name)) for name in EACH if name != "score")
+
+
+def test_parts_are_completed_and_wholes_are_not() -> None:
+    expected = torch.tensor([[100.0, 100, 140, 200]])
+    given = torch.tensor([[[105.0, 130, 135, 195]], [[90.0, 150, 110, 210]], [[98.0, 96, 139, 203]]])
+    wanted = [[100.0, 100, 140, 200], [90.0, 110, 130, 210], [98.0, 96, 139, 203]]  # 30 of 40 px is less than 85 %
+    assert completed(given, expected)[:, 0].tolist() == wanted
+
+
+def test_one_whose_head_gets_dark_keeps_its_size_its_place_and_its_number() -> None:
+    tracks = shown(10)
+    before = TRACKER.boxes(tracks)
+    body = (BOX[0] + 4, BOX[1] + 25, BOX[2] - 4, BOX[3])
+    for k in range(10, 100):
+        tracks = TRACKER.step(tracks, detections(body), k / RATE_HZ)
+    assert tracks.number.tolist() == [1]
+    # In 3 s of the time constant of 10 s the logarithm of a size loses a quarter of its way to what is lit
+    heights = torch.stack([before, TRACKER.boxes(tracks)])[:, 0].diff(dim=0)[0]
+    assert float(heights[1]) < 12 and float(heights[3].abs()) < 3
+    grown = shown(10)
+    for k in range(10, 100):
+        grown = TRACKER.step(grown, detections((BOX[0], BOX[1] - 50, BOX[2], BOX[3])), k / RATE_HZ)
+    assert float(TRACKER.boxes(grown)[0, 1]) == pytest.approx(BOX[1] - 50, abs=2)  # 3 s are six time constants
+
+
+def test_what_comes_nearer_looks_larger_and_stays_as_large() -> None:
+    tracks = TRACKER.start()
+    for k in range(90):
+        box, _ = seen([("pedestrian", 30 - k / 6, 1.0)])
+        tracks = TRACKER.step(tracks, Detections(box, torch.tensor([[0.8, 0, 0, 0]])), k / RATE_HZ)
+    assert tracks.number.tolist() == [1]
+    # A plate of 1.75 m; rows of a camera that looks down by 1.5 deg are 0.1 % farther apart
+    assert tracks.size_m[0].tolist() == pytest.approx(SIZES["pedestrian"], rel=0.02)
+
+
+def test_a_part_of_what_is_known_is_nobody_new_but_somebody_of_another_kind_is() -> None:
+    tracks = shown(5)
+    part = (BOX[0] + 5, BOX[1] + 40, BOX[2] - 5, BOX[3] - 5)
+    cyclist, car = [0.1, 0.7, 0.0, 0.0], [0.0, 0.1, 0.7, 0.0]
+    sure = [0.8, 0.1, 0.05, 0.0]
+    assert len(TRACKER.step(tracks, detections(BOX, part, scores=[sure, cyclist]), 5 / RATE_HZ)) == 1
+    assert len(TRACKER.step(tracks, detections(BOX, part, scores=[sure, car]), 5 / RATE_HZ)) == 2
