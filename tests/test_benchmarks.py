@@ -50,3 +50,15 @@ def test_the_driving_benchmark_renders_both_ways(tmp_path: Path) -> None:
     assert all(value > 0 for value in (*ms.values(), *result["parts ms"].values()))
     assert result["step to real time, ratio"] == pytest.approx(ms["step"] / (1e3 / 30))
     assert result["exact to quick, ratio"] == pytest.approx(ms["exact"] / ms["quick"])
+
+
+def test_the_benchmark_on_the_move_draws_best_for_what_is_true(tmp_path: Path) -> None:
+    file = tmp_path / "move.json"
+    command = [sys.executable, "benchmarks/on_the_move.py", "--quick", "--json", str(file)]
+    done = subprocess.run(command, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    ((row, found),) = json.loads(file.read_text())["results"].items()
+    assert row == "flat, 10 m/s, nods by 1°"
+    # both are within half a row of the camera of the same place, which is 0.08 of the symbol
+    assert found["true road and pose"] > max(found["luxloop"] - 0.08, found["open"])
+    assert found["luxloop below open, worst step"] >= found["open"] - found["luxloop"]

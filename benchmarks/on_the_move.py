@@ -1,0 +1,142 @@
+"""How well symbols lie on the road while the car drives or nods, by what its sensors know: `python benchmarks/on_the_move.py [--quick]`.
+
+Mean intersection over union after step 10 (docs/control.md, "On the move"). Sensors are those of `driving`, noisy and a step late; the
+same in time; or without errors, in time. Beside them stands what drawing for the true road from the body's true pose gives: the bound.
+"""
+
+import argparse
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import torch
+from bench import machine, on_one_thread
+from rich.table import Table
+from torch import Tensor
+
+from controllers.symbol.drawing import Drawing, warp_onto
+from controllers.symbol.feedforward import FeedforwardParams, relief_of
+from controllers.symbol.luxloop import LuxloopParams, laid, region_of
+from controllers.symbol.observer import Observer
+from controllers.symbol.protocol import Look
+from loop import tables
+from loop.scenario import load
+from loop.simulation import Simulation
+from perception.camera import camera_view
+from world.frames import inverse, transform
+from world.roadbase import Floats, Road
+from world.vehicle import Motion
+
+STEPS, FROM = 60, 10
+ROAD_SEEDS = {"C": 0, "D": 15}
+NOD = "vehicle.oscillation={{pitch_deg={}, rate_hz=1.2}}"
+ROUGH = "road={{kind='iso8608', roughness_class='{}', seed={}}}"
+SPEED = "vehicle.course=[{{speed_m_s={}}}]"
+ROWS = {
+    **{
+        f"rough, class {kind}, {speed} m/s": (ROUGH.format(kind, seed), SPEED.format(speed))
+        for kind, seed in ROAD_SEEDS.items()
+        for speed in (5, 10, 20)
+    },
+    **{f"flat, 10 m/s, nods by {deg}°": ("road.kind='flat'", SPEED.format(10), NOD.format(deg)) for deg in (0.2, 1)},
+}
+ERRORS = ("speed_noise_m_s", "yaw_rate_noise_deg_s", "angle_noise_deg", "rate_noise_deg_s", "heave_noise_m")
+IN_TIME = ("sensors.delay_steps=0",)
+EXACT = (*IN_TIME, "sensors.speed_scale=1", *(f"sensors.{key}=0" for key in ERRORS))
+BOUND = "true road and pose"
+COLUMNS: Mapping[str, tuple[str, tuple[str, ...]]] = {
+    "open": ("open", ()),
+    "thesis_pid": ("thesis_pid", ()),
+    "luxloop": ("luxloop", ()),
+    "luxloop, in time": ("luxloop", IN_TIME),
+    "luxloop, exact": ("luxloop", EXACT),
+    BOUND: ("open", ()),
+}
+
+
+@dataclass(frozen=True)
+class Ahead:
+    """A road as a ground frame sees it."""
+
+    road: Road
+    T_world_ground: Tensor
+
+    def z(self, x: Floats, y: Floats) -> Floats:
+        T = self.T_world_ground.numpy()
+        return self.road.z(*(T[k, 0] * x + T[k, 1] * y + T[k, 3] for k in (0, 1)))
+
+
+@dataclass(frozen=True)
+class Knowing:
+    """Draws for the true road from where the body truly is; its state is the step."""
+
+    observer: Observer
+    road: Road
+    motion: Motion
+    period_s: float
+
+    def start(self, pose: Tensor) -> int:
+        return 0
+
+    def drawing(self, state: int) -> Drawing:
+        projector, now = self.observer.projector, self.motion.at(state * self.period_s)
+        symbol, pose = projector.params, laid(projector.target, inverse(now.T_ground_body))
+        lamps = torch.stack([module.T_world_headlight[:3, 3].double() for module in projector.modules])
+        ends = torch.stack([camera_view(self.observer.camera).origin, *lamps], 1)
+        there = transform(now.T_ground_body, ends).T
+        given = cast(FeedforwardParams, _Given(Ahead(self.road, now.T_world_ground)))
+        relief = relief_of(given, region_of(symbol, *LuxloopParams().beyond_m), there[0])
+        centre = (symbol.x_m, symbol.y_m)
+        return Drawing(*pose, warp_onto(relief, there[1:].float(), centre, symbol.length_m, symbol.width_m))
+
+    def step(self, state: int, look: Look) -> int:
+        return state + 1
+
+
+@dataclass(frozen=True)
+class _Given:
+    road: Ahead
+    offset_m: float = 0.0
+
+
+def iou(changes: tuple[str, ...], column: str, steps: int) -> list[float]:
+    """Of each step."""
+    controller, more = COLUMNS[column]
+    simulation = Simulation.prepare(load("driving", (*changes, *more, f"controller={{name='{controller}'}}", f"steps={steps}")))
+    if column == BOUND:
+        world, scenario = simulation.world, simulation.scenario
+        knowing = Knowing(simulation.observer, cast(Road, scenario.road), world.motion, world.period_s)
+        simulation = replace(simulation, controller=knowing)
+    return [float(result.verdict.iou) for result in simulation.run()]
+
+
+def main() -> None:
+    """Measure, show."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", type=Path, help="also write the results here")
+    parser.add_argument("--only", nargs="+", metavar="ROW", choices=list(ROWS), help="these rows alone")
+    parser.add_argument("--quick", action="store_true", help="two steps of the last row, to see that it works")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    steps, begin = (2, 0) if arguments.quick else (STEPS, FROM)
+    rows = [list(ROWS)[-1]] if arguments.quick else arguments.only or list(ROWS)
+    where, found = machine("torch", "numpy"), dict[str, dict[str, Any]]()
+    shown = Table("mean IoU", *COLUMNS, box=None)
+    for row in rows:
+        each = {column: iou(ROWS[row], column, steps) for column in COLUMNS}
+        found[row] = {column: float(np.nan_to_num(values)[begin:].mean()) for column, values in each.items()}
+        worst = float(np.nan_to_num(np.subtract(each["open"], each["luxloop"]))[begin:].max())
+        found[row]["luxloop below open, worst step"] = worst
+        shown.add_row(row, *(f"{found[row][column]:.2f}" for column in COLUMNS))
+        print(json.dumps({row: found[row]}), flush=True)
+    tables.console().print(shown)
+    if arguments.json:
+        arguments.json.write_text(json.dumps({"machine": where, "steps": steps, "results": found}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    on_one_thread("OMP_NUM_THREADS", "LP_NUM_THREADS")
+    main()
