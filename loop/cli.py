@@ -355,13 +355,61 @@ def tune(
     do_tune(names, key or [], objective, trials, seeds, seed, set or [], out, jobs, device, gradient)
 
 
+@app.command(name="optimise-beam")
+def optimise_beam(
+    name: str,
+    /,
+    *,
+    metric: Literal["detector", "weber_contrast", "edges"] = "detector",
+    energy: float = 2.0,
+    unevenness: float = 0.0,
+    glare: float = 0.1,
+    method: Literal["auto", "gradient", "sampling"] = "auto",
+    steps: int | None = None,
+    set: Annotated[list[str] | None, Parameter(consume_multiple=True, negative=())] = None,
+    out: Path | None = None,
+    device: Literal["auto", "cpu", "cuda"] = "auto",
+) -> None:
+    """Look for the utilisation of every pixel by which objects are detected best with little light, at a scenario's first moment.
+
+    Parameters
+    ----------
+    name
+        Scenario file, or name of a shipped scenario, with [lighting]; its base beam is the start.
+    metric
+        What of the objects shall be high: a detector's confidence, their Weber contrast, or how steep their edges are.
+    energy
+        Weight of the lamps' flux, as a share of all pixels on, beside the logarithm of the metric.
+    unevenness
+        Weight of standard deviation over mean of the light on objects.
+    glare
+        Weight of light on heads and windscreens, for each lx over 1 lx.
+    method
+        Down the gradient of all pixels, which the network and the metrics have, or sampling of a few patches of light, for any detector.
+    steps
+        Steps of the search; by default 80 down the gradient, 150 of sampling.
+    set
+        Keys to change in the scenario, as key=value in TOML syntax, or a TOML file of them.
+    out
+        Folder for utilisations, raw.toml that plays them by --set, picture and figures, by default runs/beam-NAME.
+    device
+        Where to compute; auto takes CUDA where there is any.
+    """
+    from loop.lighting.beam_goal import BeamGoal
+    from loop.lighting.optimise_beam import optimise_beam
+    from loop.run import pick_device
+
+    goal = BeamGoal(metric=metric, energy=energy, unevenness=unevenness, glare=glare)
+    optimise_beam(name, set or [], goal, method, steps, out or Path("runs") / f"beam-{Path(name).stem}", pick_device(device))
+
+
 @app.command(name="train-detector")
 def train_detector(
     *,
     out: Path = Path("runs/detector"),
     scenes: int = 600,
     held_out: int = 100,
-    epochs: int = 40,
+    epochs: int = 45,
     seed: int = 0,
     jobs: int | None = None,
 ) -> None:

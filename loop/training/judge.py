@@ -17,7 +17,8 @@ from perception.detection.suppression import overlaps
 
 ILLUMINANCES_LX = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0)
 WELL_LIT_LX = 10.0
-SURE = 0.3  # least score of what counts as found
+SURE = 0.35  # least score of what counts as found
+SCORES = (0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5)  # that might do as well
 FOUND_IOU = 0.5
 HEIGHT_PX, VISIBLE, INSIDE = 24, 0.5, 0.5  # least of what must be found; what has less may be
 
@@ -36,13 +37,15 @@ class Verdict:
     false: int
 
 
-def judge(detector: Detector, rows: Sequence[Mapping[str, Any]], sure: float = SURE) -> dict[str, Any]:
+def judge(detector: Detector, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """What a report says, in numbers, of scenes that `loop.training.scenes.draw` gave the rows of.
 
     x lx is light of which every surface that faces the lamps gets x lx, however far away it is: the intensity grows with the square of
     the distance. Other light is that of the scene's night.
     """
+    labels_of = [CLASSES.index(name) for name in detector.classes]
     verdicts: dict[float, list[Verdict]] = {lx: [] for lx in ILLUMINANCES_LX}
+    by_score: dict[float, list[Verdict]] = {score: [] for score in SCORES}
     times_ms = []
     for row in rows:
         scene = read(row)
@@ -52,11 +55,15 @@ def judge(detector: Detector, rows: Sequence[Mapping[str, Any]], sure: float = S
             start = time.process_time()
             (found,) = detector.detect(frame)
             times_ms.append(1e3 * (time.process_time() - start))
-            verdicts[lx].append(verdict(found, scene.objects, [CLASSES.index(name) for name in detector.classes], sure))
+            verdicts[lx].append(verdict(found, scene.objects, labels_of))
+            if lx == WELL_LIT_LX:
+                for score, of in by_score.items():
+                    of.append(verdict(found, scene.objects, labels_of, score))
     return {
         "scenes": len(rows),
-        "sure": sure,
+        "sure": SURE,
         "well_lit": _found(verdicts[WELL_LIT_LX]),
+        "by_score": [{"score": score, **{key: _found(of)[key] for key in ("recall", "false_a_frame")}} for score, of in by_score.items()],
         "confidence": _confidence(verdicts),
         "ms_a_frame": round(float(np.median(times_ms)), 1),
     }

@@ -48,6 +48,7 @@ def page(report: Report, picture: str) -> str:
     training, found = report["training"], report["well_lit"]
     by_class = ", ".join(f"{name} {value:g}" for name, value in found["recall_by_class"].items())
     rows = "\n".join(f"| {name} | {limit} | {value:g} | {'yes' if reached else 'no'} |" for name, limit, value, reached in goals(report))
+    others = "; ".join(f"{each['recall']:g} at {each['false_a_frame']:g} with {each['score']:g}" for each in report["by_score"])
     lx = report["confidence"]["lx"]
     header = f"| median confidence at lx | {' | '.join(f'{each:g}' for each in lx)} |\n| --- |{' ---: |' * len(lx)}"
     medians = "\n".join(
@@ -63,7 +64,7 @@ seed {training["seed"]}; judged on {report["scenes"]} others with {found["object
 An object counts where it is at least {HEIGHT_PX} px tall and {VISIBLE:.0%} visible. It is found by a box of a score of at least \
 {report["sure"]:g} whose IoU with it is {FOUND_IOU:g} or more; a box on nothing is false, one on a smaller or more hidden object neither. \
 Precision is {found["precision"]:g}, the class of what is found is right in {found["class_accuracy"]:.1%}, recall by class: {by_class}. \
-A frame takes {report["ms_a_frame"]:g} ms of processor time.
+Recall at false boxes a frame with other scores: {others}. A frame takes {report["ms_a_frame"]:g} ms of processor time.
 
 x lx is light of which every surface that faces the lamps gets x lx, however far away it is: the lamps' intensity grows with the square \
 of the distance. An object's confidence is the best score of its class among boxes on it, 0 where there is none.

@@ -17,11 +17,12 @@ from world.errors import LuxloopError
 from world.tracked import Category
 
 STRIDE = 8  # px of the frame a cell of what the network gives
+CODE = 0.5  # power of the light: of its root, shot noise is the same in bright and dark places
 CANDIDATES = 64  # the most objects in a frame
 
 
 class Network(nn.Module):
-    """From frames `[B, 1, height, width]`, the root of their light, to logits of the classes and sides of boxes, a cell for 8 x 8 px.
+    """From frames `[B, 1, height, width]`, as `prepared` gives them, to logits of the classes and sides of boxes, a cell for 8 x 8 px.
 
     It looks at scales of 2 to 32 px, and adds what the coarser ones see to the finer ones.
     """
@@ -61,8 +62,8 @@ def _spread(coarse: Tensor, fine: Tensor) -> Tensor:
 
 
 def prepared(frames: Tensor) -> Tensor:
-    """What the network looks at, `[B, 1, height, width]`: of the root of the light, shot noise is the same in bright and dark places."""
-    return frames.float().clamp(min=0).sqrt()[:, None].contiguous(memory_format=torch.channels_last)
+    """What the network looks at, `[B, 1, height, width]`."""
+    return frames.float().clamp(min=0).pow(CODE)[:, None].contiguous(memory_format=torch.channels_last)
 
 
 def middles(rows: int, columns: int, device: torch.device) -> Tensor:
