@@ -1,6 +1,7 @@
 """report.png of lighting functions: the camera's view, the road from above, the beams on a wall, and the course of flux and light."""
 
 from collections.abc import Sequence
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,7 @@ from world.errors import LuxloopError
 from world.frames import transform
 
 INCHES, DPI = (13.0, 8.6), 120
+TALLER_INCHES = 2.2  # with a detector, for two large pictures of the camera
 TRACKED, MASKED, FOUND = "#4fd17a", "#ffaa28", "#6e82a0"
 COLOURS = (*FOUR, "#56b4e9", "#d55e00", "#000000", "#999999")
 WALL_COLUMNS = 480
@@ -39,24 +41,20 @@ def write_report(file: Path, simulation: LightingSimulation, moments: Sequence[L
     """Draw a run on one page; moments: those to show, the last one is the end. Raises LuxloopError if the file cannot be written."""
     last = moments[-1]
     with rc_context(STYLE):
-        figure = Figure(INCHES, DPI, layout="constrained")
+        looks = simulation.sight is not None
+        figure = Figure((INCHES[0], INCHES[1] + looks * TALLER_INCHES), DPI, layout="constrained")
         FigureCanvasAgg(figure)
         figure.suptitle(_title(simulation, last, table), x=0.012, ha="left", fontsize=12, weight="bold")
         left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(7.6, 5.4))[0]
         observed = [(result, symbol) for result in moments for symbol in result.symbols][-OBSERVED:]
-        heights = (5.2, 3.4, 1.6) if observed else (5.2, 3.4)
+        high = INCHES[1] + looks * TALLER_INCHES - 3.4
+        heights = (high, 3.4, 1.6) if observed else (high, 3.4)
         top, bottom, *below = left.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
-        top.suptitle("What the camera sees; boxes are tracked objects, orange where a mask keeps them dark", x=0.02, ha="left", fontsize=9)
-        white = float(max(white_of(result.luminance, simulation.scenario.camera) for result in moments))
-        *before, end = moments
-        rows = top.add_gridspec(2, len(before), height_ratios=(1, 2)) if before else top.add_gridspec(2, 1, height_ratios=(1e-3, 1))
-        for number, result in enumerate(before):
-            _camera(top.add_subplot(rows[0, number]), simulation, result, white)
-        _camera(top.add_subplot(rows[1, :]), simulation, end, white)
+        _cameras(top, simulation, moments)
         _from_above(bottom.subplots(), simulation, last)
         for figure_below in below:
             _observed(figure_below, observed)
-        courses, walls = right.subfigures(2, 1, squeeze=False, height_ratios=(5.2, 3.4))[:, 0]
+        courses, walls = right.subfigures(2, 1, squeeze=False, height_ratios=(high, 3.4))[:, 0]
         _courses(courses, simulation, table)
         _walls(walls, simulation, last)
         try:
@@ -72,6 +70,23 @@ def _title(simulation: LightingSimulation, last: LightingResult, table: pa.Table
     return f"{simulation.scenario.name}  ·  {simulation.scenario.headlight.model}  ·  {table.num_rows} steps to {last.time_s:.2f} s{masked}"
 
 
+def _cameras(figure: SubFigure, simulation: LightingSimulation, moments: Sequence[LightingResult]) -> None:
+    """With a detector the first and the last picture, as large as each other; else the last one large."""
+    white = float(max(white_of(result.luminance, simulation.scenario.camera) for result in moments))
+    *before, end = moments
+    found = "" if end.look is None else ", grey detections"
+    told = f"What the camera sees; boxes are tracked objects, orange where a mask keeps them dark{found}"
+    figure.suptitle(told, x=0.02, ha="left", fontsize=9)
+    if before and end.look is not None:
+        for axes, result in zip(figure.subplots(2, 1), (before[0], end), strict=True):
+            _camera(axes, simulation, result, white)
+        return
+    rows = figure.add_gridspec(2, len(before), height_ratios=(1, 2)) if before else figure.add_gridspec(2, 1, height_ratios=(1e-3, 1))
+    for number, result in enumerate(before):
+        _camera(figure.add_subplot(rows[0, number]), simulation, result, white)
+    _camera(figure.add_subplot(rows[1, :]), simulation, end, white)
+
+
 def _camera(axes: Axes, simulation: LightingSimulation, result: LightingResult, white: float) -> None:
     image = (measured(result, simulation).cpu().numpy() / white).clip(0, 1) ** 0.5
     axes.imshow(image, cmap=NIGHT, vmin=0, vmax=1, interpolation="antialiased")
@@ -79,9 +94,12 @@ def _camera(axes: Axes, simulation: LightingSimulation, result: LightingResult, 
         colour = FOUND if mark.faint else MASKED if mark.masked else TRACKED
         for (u0, v0), (u1, v1) in mark.lines:
             axes.plot([u0, u1], [v0, v1], color=colour, linewidth=0.7)
-        axes.annotate(mark.text, mark.at, (0, 2), textcoords="offset points", color=colour, fontsize=7, clip_on=True)
+        axes.annotate(mark.text, mark.at, (0, 2), textcoords="offset points", color=colour, fontsize=6.5, clip_on=True)
     axes.set(xlim=(-0.5, image.shape[1] - 0.5), ylim=(image.shape[0] - 0.5, -0.5), xticks=[], yticks=[])
-    axes.set_title(f"Camera at {result.time_s:.2f} s, {simulation.base(result.plan.base.name)}", weight="normal")
+    share = result.plan.base.share
+    beam = simulation.base(result.plan.base.name) + (f" at {100 * share:.0f} %" if share < 1 else "")
+    watts = "" if result.look is None else f", {sum(power.watts for power in result.powers.values()):.1f} W"
+    axes.set_title(f"Camera at {result.time_s:.2f} s, {beam}{watts}", weight="normal")
     axes.grid(False)
 
 
@@ -132,8 +150,8 @@ def lit_part(light: NDArray[np.floating]) -> tuple[tuple[float, float], tuple[fl
 
 
 def _courses(figure: SubFigure, simulation: LightingSimulation, table: pa.Table) -> None:
-    objects = [item.name for item in simulation.scenario.all_objects if item.category is not None]
-    flux, *below = figure.subplots(2 if objects else 1, 1, sharex=True, squeeze=False)[:, 0]
+    objects, looks = list(simulation.watched), simulation.sight is not None
+    flux, *below = figure.subplots(1 + len(objects and (1 + looks) * [0]), 1, sharex=True, squeeze=False)[:, 0]
     time_s, mark = column(table, "time_s"), "." if table.num_rows < 3 else ""
     limited = simulation.scenario.lighting.power_limit is not None
     for side, colour in zip(dict.fromkeys(module.side for module in simulation.modules), FOUR, strict=False):
@@ -142,18 +160,36 @@ def _courses(figure: SubFigure, simulation: LightingSimulation, table: pa.Table)
         flux.plot(time_s, column(table, f"lamp.{side}.flux_lm"), marker=mark, color=colour, label=label)
     flux.set(title="Luminous flux of the lamps", ylabel="lm", ylim=(0, 1.08 * flux.dataLim.ymax or 1))
     flux.legend(loc="lower right")
-    for light in below:
+    lamp = simulation.scenario.headlight
+    if looks:
+        flux.set_title("Luminous flux of the lamps, and the power of each")
+        watts = flux.secondary_yaxis("right", functions=(lamp.power_w, lambda power_w: (power_w - lamp.standby_w) * lamp.efficacy_lm_w))
+        watts.set_ylabel("W")
+    for light in below[-1:]:
         _on_objects(light, table, objects)
+    for sure in below[:-1]:
+        _confidences(sure, table, objects)
     (below or [flux])[-1].set_xlabel("s")
+
+
+def _confidences(sure: Axes, table: pa.Table, objects: Sequence[str]) -> None:
+    time_s = column(table, "time_s")
+    for name, colour in zip(objects, cycle(COLOURS), strict=False):
+        sure.plot(time_s, column(table, f"object.{name}.confidence"), color=colour, label=name)
+    sure.set(title="Confidence of objects, filtered over frames", ylim=(0, 1.02))
+    sure.legend(loc="best", ncols=2)
 
 
 def _on_objects(light: Axes, table: pa.Table, objects: Sequence[str]) -> None:
     time_s, mark = column(table, "time_s"), "." if table.num_rows < 3 else ""
     dark = [name for name in objects if np.nan_to_num(column(table, f"object.{name}.lx_max")).max() == 0]
-    for number, name in enumerate(name for name in objects if name not in dark):
-        colour = COLOURS[number % len(COLOURS)]
+    for name, colour in zip(objects, cycle(COLOURS), strict=False):
+        if name in dark:
+            continue
         light.plot(time_s, column(table, f"object.{name}.lx_mean"), marker=mark, color=colour, label=name)
         light.plot(time_s, column(table, f"object.{name}.lx_max"), color=colour, linestyle=":", linewidth=0.9)
+    if "eyes_lx_max" in table.column_names and np.isfinite(column(table, "eyes_lx_max")).any():
+        light.plot(time_s, column(table, "eyes_lx_max"), color="0.5", linestyle="--", linewidth=0.9, label="most on heads and windscreens")
     light.set(title="The lamps' light on objects, mean and most (dotted)", ylabel="lx")
     light.set_yscale("symlog", linthresh=FAINTEST_LX)
     light.set_ylim(bottom=-FAINTEST_LX / 10)

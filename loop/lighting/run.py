@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from loop.lighting.picture import frame_picture, white_of
 from loop.lighting.record import LightingRecorder
@@ -30,7 +31,11 @@ def run_lighting(
     simulation = LightingSimulation.prepare(scenario, device)
     recorder = LightingRecorder(directory, simulation)
     moments: dict[int, LightingResult] = {}  # first, between, and the last so far
-    kept = {k * (scenario.steps - 1) // (MOMENTS - 1) for k in range(MOMENTS)}
+    white: Tensor | None = None
+    first = (
+        0 if scenario.detector is None else min(scenario.tracker.confirm_frames, scenario.steps) - 1
+    )  # the last that tracks do not light
+    kept = {first + k * (scenario.steps - 1 - first) // (MOMENTS - 1) for k in range(MOMENTS)}
     try:
         with recorder, ExitStack() as stack:
             size = (scenario.camera.width_px, scenario.camera.height_px)
@@ -39,7 +44,8 @@ def run_lighting(
                 recorder.add(result)
                 moments = {step: each for step, each in moments.items() if step in kept} | {result.step: result}
                 if film is not None:
-                    film.add(frame_picture(result, simulation, white_of(moments[0].luminance, scenario.camera)))
+                    white = white_of(result.luminance, scenario.camera) if white is None else white
+                    film.add(frame_picture(result, simulation, white))
                 on_step(result)
     finally:
         summary = recorder.summary()
