@@ -9,7 +9,7 @@ import torch
 from perception.detection.hog import HogDetector
 from perception.detection.network import NetworkDetector, load
 from perception.detection.onnx import OnnxDetector
-from perception.detection.params import HogParams, NetworkParams, OnnxParams, OwnParams, RunParams
+from perception.detection.params import HogParams, NetworkParams, OnnxParams, OwnDetector, RunParams
 from perception.detection.protocol import Detector
 from world import plugin
 from world.errors import located
@@ -26,7 +26,7 @@ def detector(params: RunParams, device: torch.device) -> Detector:
             return HogDetector(params)
         case OnnxParams():
             return OnnxDetector(params)
-        case OwnParams():
+        case OwnDetector():
             return cast(Detector, plugin.make(params.kind, "detector.kind", {"device": device}, params.options, ["detect"]))
 
 

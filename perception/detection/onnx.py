@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from perception.detection.coded import coded
-from perception.detection.params import OnnxParams
+from perception.detection.params import COCO, OnnxParams
 from perception.detection.protocol import Detections
 from perception.detection.suppression import suppressed
 from world.errors import LuxloopError
@@ -26,7 +26,8 @@ class OnnxDetector:
         if not Path(params.file).is_file():
             raise LuxloopError(f"detector.file: {params.file}: there is no such file; check the path")
         self.params = params
-        self.classes: tuple[Category, ...] = tuple(dict.fromkeys(params.classes.values()))
+        self.meaning = params.classes or COCO
+        self.classes: tuple[Category, ...] = tuple(dict.fromkeys(self.meaning.values()))
         try:
             # the classic engine gives outputs in another order
             self._net = cv2.dnn.readNetFromONNX(params.file, cv2.dnn.ENGINE_NEW)
@@ -72,7 +73,7 @@ class OnnxDetector:
 
     def _boxes(self, out: Tensor) -> tuple[Tensor, Tensor]:
         """Boxes `[n, 4]` in px of what it saw, and scores `[n, C]` of our classes."""
-        layout, numbers = self.params.layout, self.params.classes
+        layout = self.params.layout
         rows = out.T if layout == "yolov8" else out
         first = {"yolov8": 4, "yolov5": 5, "yolov10": 6}[layout]
         if rows.shape[1] < first or (layout == "yolov10" and rows.shape[1] != 6):
@@ -80,7 +81,7 @@ class OnnxDetector:
         if layout == "yolov10":
             boxes, found, number = rows[:, :4], rows[:, 4], rows[:, 5].long()
             return boxes, torch.stack([found * sum(number == k for k in self._numbers(each)) for each in self.classes], 1)
-        if (largest := max(numbers)) >= rows.shape[1] - first:
+        if (largest := max(self.meaning)) >= rows.shape[1] - first:
             raise LuxloopError(
                 f"detector.classes: {self.params.file} has {rows.shape[1] - first} classes, counted from 0, so there is no {largest}; "
                 "leave it out, or set detector.layout"
@@ -91,7 +92,7 @@ class OnnxDetector:
         return torch.cat([middle - half, middle + half], 1), scores
 
     def _numbers(self, category: Category) -> list[int]:
-        return [number for number, each in self.params.classes.items() if each == category]
+        return [number for number, each in self.meaning.items() if each == category]
 
     def _other_layout(self, out: np.ndarray) -> LuxloopError:
         shape, layout = " x ".join(map(str, out.shape)), self.params.layout

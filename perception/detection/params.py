@@ -57,10 +57,12 @@ class OnnxParams(CodedParams):
     layout: Literal["yolov5", "yolov8", "yolov10"] = Field("yolov8", description="what it gives, as the networks of that name do")
     input_px: tuple[int, int] = Field((640, 640), description="width and height that it takes; frames are fitted in")
     channels: Literal[1, 3] = Field(3, description="that it takes; all are the same grey")
-    classes: dict[int, Category] = Field(COCO, min_length=1, description="what its classes are here, by their numbers; others are left out")
+    classes: dict[int, Category] | None = Field(
+        None, min_length=1, description="what its classes are here, by their numbers, others count as nothing; left out: those of COCO"
+    )
 
 
-class OwnParams(Params):
+class OwnDetector(Params):
     """`Name(**options)` of a module that Python finds makes the detector."""
 
     kind: str = Field(pattern=plugin.PATTERN, description="module and class or function, as package.module:Name")
@@ -75,13 +77,13 @@ class TruthParams(Params):
     least_visible: float = Field(0.3, ge=0, le=1, description="share of an object that nothing hides, of what is found")
 
 
-RunParams = NetworkParams | HogParams | OnnxParams | OwnParams
+RunParams = NetworkParams | HogParams | OnnxParams | OwnDetector
 AnyParams = RunParams | TruthParams
 DetectorParams = Annotated[
     Annotated[NetworkParams, Tag("network")]
     | Annotated[HogParams, Tag("hog")]
     | Annotated[OnnxParams, Tag("onnx")]
     | Annotated[TruthParams, Tag("truth")]
-    | Annotated[OwnParams, Tag(OWN)],
+    | Annotated[OwnDetector, Tag(OWN)],
     known_or_own("kind"),
 ]

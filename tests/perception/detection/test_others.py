@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from perception.detection.build import detector
-from perception.detection.params import HogParams, OwnParams
+from perception.detection.params import HogParams, OwnDetector
 from perception.detection.suppression import overlaps
 from tests.perception.detection.lit import Lit
 from world.errors import LuxloopError
@@ -56,10 +56,10 @@ class Brightest:
 def test_a_detector_of_ones_own_is_made_with_its_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "own_detector_of_a_test.py").write_text(OWN)
     monkeypatch.syspath_prepend(tmp_path)
-    own = detector(OwnParams(kind="own_detector_of_a_test:Brightest", options={"size_px": 10}), CPU)
+    own = detector(OwnDetector(kind="own_detector_of_a_test:Brightest", options={"size_px": 10}), CPU)
     frames = torch.zeros(1, 60, 80)
     frames[0, 30, 40] = 0.5
     (found,) = own.detect(frames)
     assert found.boxes.tolist() == [[35, 25, 45, 35]] and found.scores.tolist() == [[0.5]]
     with pytest.raises(LuxloopError, match=r"detector.kind: own_detector_of_a_test:Brightest: .*detector.options"):
-        detector(OwnParams(kind="own_detector_of_a_test:Brightest", options={"sise": 10}), CPU)
+        detector(OwnDetector(kind="own_detector_of_a_test:Brightest", options={"sise": 10}), CPU)

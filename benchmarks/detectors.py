@@ -1,0 +1,90 @@
+"""How good the detectors that are shipped are: `python benchmarks/detectors.py` writes docs/detectors.md with its figures and pictures.
+
+Scenes are those of `luxloop train-detector --out runs/detector`, drawn if they are not there.
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+
+from loop.training.judge import SURE, judge
+from loop.training.light import luminance
+from loop.training.report import confidence_figure, page
+from loop.training.scenes import CAMERA, HELD_OUT, DarkScene, read
+from loop.training.train import drawn
+from perception.camera import expose, frame_generator
+from perception.detection.build import WEIGHTS, detector
+from perception.detection.params import HogParams, NetworkParams
+from perception.detection.protocol import Detector
+
+ROOT = Path(__file__).parents[1]
+REPORT = (ROOT / "perception" / "detection" / WEIGHTS).with_suffix(".json")
+HEAD = (Path(__file__).parent / "detectors_page.md").read_text("utf-8")
+SHOWN = 8  # of the scenes held out, counted from 0
+COLOURS = {"pedestrian": (80, 220, 80), "cyclist": (255, 200, 60), "car": (80, 120, 255), "animal": (230, 120, 255)}  # blue, green, red
+CPU = torch.device("cpu")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Judge the detectors that are shipped and write docs/detectors.md.")
+    parser.add_argument("--out", type=Path, default=Path("runs/detector"), help="folder with the scenes")
+    parser.add_argument("--jobs", type=int, help="processes that draw scenes, by default one a core")
+    given = parser.parse_args()
+    report = json.loads(REPORT.read_text("utf-8"))
+    rows = drawn(given.out, HELD_OUT, report["scenes"], given.jobs, "scenes held out")
+    images = ROOT / "docs" / "images"
+    confidence_figure(report).savefig(images / "detector-confidence.jpg")
+    cv2.imwrite(str(images / "detector-boxes.jpg"), picture(read(rows[SHOWN])), [cv2.IMWRITE_JPEG_QUALITY, 80])
+    measured = page(report, "images/detector-confidence.jpg") + "\n" + SEEN + "\n" + hog_page(judge(detector(HogParams(), CPU), rows))
+    (ROOT / "docs" / "detectors.md").write_text(HEAD + measured, "utf-8")
+    print("written: docs/detectors.md")
+
+
+SEEN = f"""![One scene in three lights, with boxes](images/detector-boxes.jpg)
+
+*A held-out scene with 10 lx and with 0.5 lx everywhere, and with 10 lx on its objects alone amid 0.05 lx; boxes with a score of {SURE:g}
+and more.*
+"""
+
+
+def hog_page(found: dict) -> str:
+    """What is measured of HOG, as Markdown."""
+    lit, curves = found["well_lit"], found["confidence"]
+    medians = ", ".join(
+        f"{value:.2f} at {lx:g} lx" for lx, value in zip(curves["lx"], curves["pedestrian"]["upper"], strict=True) if lx >= 1
+    )
+    return f"""HOG, on the same scenes at 10 lx, finds {lit["recall_by_class"]["pedestrian"]:.0%} of the pedestrians and \
+{lit["recall_by_class"]["cyclist"]:.0%} of the cyclists, with a score of at least {found["sure"]:g}, at {lit["false_a_frame"]:g} false boxes \
+a frame, in {found["ms_a_frame"]:g} ms a frame. Its score for pedestrians (upper quartile): {medians}.
+"""
+
+
+def picture(scene: DarkScene) -> np.ndarray:
+    """One scene in three lights below each other, with the network's boxes, uint8 BGR."""
+    alone = torch.full(scene.shape, 0.05)
+    for each in scene.objects:
+        u0, v0, u1, v1 = (int(value) for value in each.box)
+        alone[v0:v1, u0:u1] = 10.0
+    network = detector(NetworkParams(threshold=SURE), CPU)
+    return np.concatenate([with_boxes(scene, light, network) for light in (10.0, 0.5, alone)])
+
+
+def with_boxes(scene: DarkScene, lx: torch.Tensor | float, finder: Detector) -> np.ndarray:
+    frame = expose(luminance(scene, lx), CAMERA, frame_generator(0, 0, 0)) / (2**CAMERA.bits - 1)
+    (found,) = finder.detect(frame[None])
+    shown = cv2.cvtColor((255 * frame.sqrt()).byte().numpy(), cv2.COLOR_GRAY2BGR)[60:300]
+    for box, scores in zip(found.boxes, found.scores, strict=True):
+        name = finder.classes[int(scores.argmax())]
+        u0, v0, u1, v1 = (round(value) for value in box.tolist())
+        cv2.rectangle(shown, (u0, v0 - 60), (u1, v1 - 60), COLOURS[name], 1)
+        text = f"{name} {float(scores.max()):.2f}"
+        cv2.putText(shown, text, (u0, v0 - 63), cv2.FONT_HERSHEY_SIMPLEX, 0.35, COLOURS[name], 1, cv2.LINE_AA)
+    return shown
+
+
+if __name__ == "__main__":
+    main()
