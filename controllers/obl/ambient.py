@@ -25,8 +25,7 @@ class AmbientLoopParams(Params):
     fall: float = Field(0.5, gt=0, lt=1, description="factor of a step down, when every object is found for sure")
     fall_frames: int = Field(4, ge=1, le=300, description="frames before a step down")
     rise: float = Field(2.0, gt=1, description="factor of a step up, when one is doubtful")
-    rise_frames: int = Field(15, ge=1, le=300, description="frames between two steps up")
-    patience: int = Field(60, ge=1, description="frames after a step up without one down")
+    patience: int = Field(60, ge=1, description="frames after a step up without another step")
     doubtful: float = Field(0.3, ge=0, le=1, description="confidence below which an object that has had more may get lost")
     margin: float = Field(0.1, ge=0, le=1, description="above that, for sure")
 
@@ -36,7 +35,7 @@ class AmbientLoopParams(Params):
     def step(self, ambient: Ambient, confidences: Collection[float]) -> Ambient:
         """After one more frame. confidences: now, of all objects in sight that have ever been found for sure."""
         weakest, rested = min(confidences, default=1.0), ambient.rested + 1
-        if weakest < self.doubtful and ambient.share < 1 and rested >= (self.rise_frames if ambient.risen else 1):
+        if weakest < self.doubtful and ambient.share < 1 and rested >= (self.patience if ambient.risen else 1):
             return Ambient(min(self.rise * ambient.share, 1.0), risen=True)
         if self.sure(weakest) and ambient.share > self.least and rested >= (self.patience if ambient.risen else self.fall_frames):
             return Ambient(max(self.fall * ambient.share, self.least))

@@ -1,4 +1,4 @@
-"""Light on tracked objects that leaves their heads and windscreens dark: rectangles that face the lamps (T 9.3)."""
+"""Light on tracked objects that leaves their heads and windscreens nearly dark: rectangles that face the lamps (T 9.3)."""
 
 import math
 from typing import Literal
@@ -29,6 +29,7 @@ class ObjectLightParams(Params):
         {"pedestrian": 0.15, "cyclist": 0.15, "motorcycle": 0.3, "car": 0.45, "truck": 0.6},
         description="share of the box's height that stays dark from the top: heads, windscreens and what is behind them",
     )
+    dark_lx: float = Field(0.6, ge=0, description="light there, however bright the rest; of what has no head detectors are less sure")
 
     @field_validator("dark")
     @classmethod
@@ -39,7 +40,10 @@ class ObjectLightParams(Params):
         return dark
 
     def on(self, each: TrackedObject, lamps: Tensor, lx: float, priority: int, modules: tuple[str, ...]) -> tuple[Primitives, ...]:
-        """One primitive that lights the object by lx, and a mask on what stays dark; none where it is beside or behind the lamps."""
+        """One primitive that lights the object by lx, and one that beats all others where it stays dark; none beside and behind the lamps.
+
+        The latter reaches as far above the box as into it: where a head is dark, detectors' boxes may end below it.
+        """
         length, width, height = each.size_m
         low, high = torch.tensor([[-length / 2, -width / 2, 0.0], [length / 2, width / 2, height]], dtype=torch.float64)
         body = frontal(each.T_world_object, low, high, lamps, self.margin_m, self.margin_m)
@@ -59,11 +63,13 @@ class ObjectLightParams(Params):
             )
         ]
         share = self.dark.get(each.category, 0.0)
-        low[2] = (1 - share) * height
+        low[2], high[2] = (1 - share) * height, (1 + share) * height
         eyes = frontal(each.T_world_object, low, high, lamps, self.margin_m, foot_m=0.0) if share else None
         if eyes is not None:
-            mask = rectangle(eyes.origin, eyes.d1, eyes.d2, 0.0, normal=eyes.normal, weight=math.inf, forced=True, priority=MASK * LAYERS)
-            parts.append(mask)
+            dim = rectangle(
+                eyes.origin, eyes.d1, eyes.d2, self.dark_lx, "E_v", normal=eyes.normal, weight=math.inf, forced=True, priority=MASK * LAYERS
+            )
+            parts.append(dim)
         return tuple(parts)
 
     def _image(self, place: Place) -> Tensor | None:

@@ -41,10 +41,10 @@ def test_it_rises_at_once_and_waits_between_two_steps() -> None:
     first = PARAMS.step(Ambient(0.05, rested=1), [0.1, 0.9])
     assert first.share == 0.1
     ambient, shares = first, []
-    for _ in range(PARAMS.rise_frames):
+    for _ in range(PARAMS.patience):
         ambient = PARAMS.step(ambient, [0.1])
         shares.append(ambient.share)
-    assert shares == [0.1] * (PARAMS.rise_frames - 1) + [0.2]
+    assert shares == [0.1] * (PARAMS.patience - 1) + [0.2]
 
 
 def test_it_is_never_more_than_the_whole_beam() -> None:
