@@ -35,16 +35,15 @@ WHOLE = 0.85  # of the expected width or height: what is smaller is a part
 RESTS_S = 0.3  # in which the rate of what is seen in part falls, since a part says little of it
 PART = 0.9  # share of a box that lies in a track's, from which on it is a part of what is tracked and no new object
 ALIKE: tuple[frozenset[Category], ...] = (frozenset({"pedestrian", "cyclist", "motorcycle"}), frozenset({"car", "truck"}))  # by their parts
+WEAK = 0.5  # of the score that starts a track: what scores less does not keep one
 LINGER_S = 2.0  # for which a lost track is still told, so that what is drawn about it can fade
 
 
 class TrackerParams(Params):
     """How detections become objects that keep their identity."""
 
-    start_score: float = Field(
-        0.3, ge=0, le=1, description="score of a detection from which on it may be a new object; known ones need none"
-    )
-    confirm_frames: int = Field(3, ge=1, le=30, description="frames in a row that must show a new object before it is reported")
+    start_score: float = Field(0.3, ge=0, le=1, description="score from which on a detection may be a new object, which half of it keeps")
+    confirm_frames: int = Field(3, ge=1, le=30, description="frames in a row that must show a new object, as surely, before it is reported")
     keep_s: float = Field(0.7, ge=0, le=10, description="for how long an object that is no longer found is kept, where it ought to be")
     confidence_s: float = Field(0.15, ge=0, le=10, description="time constant of the filter from scores to confidence; 0: none")
 
@@ -137,9 +136,11 @@ class Tracker:
         confidence = alive.confidence + _share(dt, self.params.confidence_s) * (score.nan_to_num() - alive.confidence)
         alive = self._corrected(alive, mine, found.boxes[its], dt)
         alive = replace(alive, score=score, confidence=confidence, frames=alive.frames + shown)
-        alive = replace(alive, seen_s=torch.where(shown, time_s, alive.seen_s))
-        confirmed = shown & (alive.frames >= self.params.confirm_frames) & alive.since_s.isinf()
-        gone = ~shown & (time_s - alive.seen_s > self.params.keep_s)
+        sure = score.nan_to_num().amax(-1) >= WEAK * self.params.start_score
+        alive = replace(alive, seen_s=torch.where(sure, time_s, alive.seen_s))
+        likely = (alive.frames >= self.params.confirm_frames) & (confidence.amax(-1) >= self.params.start_score)
+        confirmed = shown & likely & alive.since_s.isinf()
+        gone = ~sure & (time_s - alive.seen_s > self.params.keep_s)
         alive = replace(alive, since_s=torch.where(confirmed, time_s, alive.since_s), until_s=torch.where(gone, time_s, alive.until_s))
         alive = alive.take(shown | alive.since_s.isfinite())
         left = torch.ones(len(found), dtype=torch.bool).index_fill(0, its, False) & (found.scores.amax(-1) >= self.params.start_score)
