@@ -18,6 +18,7 @@ from tests.regression.recorded import file_of, replace, told
 
 LIGHTING = [name for name in shipped() if isinstance(load_any(name), LightingScenario)]
 STEPS, WIDTH_PX = 4, 320
+LEARNING_STEPS = 16  # of which scenarios with a detector are run, since each step depends on those before
 MOMENTS = ("mean", "rms", "row", "col")
 
 
@@ -34,6 +35,9 @@ def moments(result: LightingResult, simulation: LightingSimulation) -> dict[str,
 
 def trajectory(name: str) -> pa.Table:
     scenario = load_any(name, ["renderer=raycast"])
+    if isinstance(scenario, LightingScenario) and scenario.detector is not None:
+        # A network's sums are rounded as the processor likes, and a score at the border of what is found decides what is lit.
+        scenario = load_any(name, ["renderer=raycast", "detector.kind=truth"], steps=LEARNING_STEPS)
     camera = scenario.camera
     coarse = camera.model_copy(update={"width_px": WIDTH_PX, "height_px": round(WIDTH_PX * camera.height_px / camera.width_px)})
     simulation = LightingSimulation.prepare(scenario.model_copy(update={"camera": coarse}))
