@@ -1,7 +1,7 @@
 """How well symbols lie on roads by luxloop's controllers: `python benchmarks/symbol_control.py [--quick] [--out FOLDER] [--json FILE]`.
 
 Standing roads, late frames, drives and disturbances, and in each of these worlds all controllers side by side. Goes on where an
-earlier run in the same folder was, and writes docs/symbol_control.md. `--quick`: one seed, fewer steps, two latencies.
+earlier run in the same folder was, and writes docs/symbol_control.md. `--quick`: one seed, two latencies.
 """
 
 import argparse
@@ -26,7 +26,7 @@ SEEDS = 5
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="one seed, 30 steps, latencies 0 and 2")
+    parser.add_argument("--quick", action="store_true", help="one seed, latencies 0 and 2")
     parser.add_argument("--seeds", type=int, choices=range(1, SEEDS + 1), default=SEEDS, help=f"of the long run, by default {SEEDS}")
     parser.add_argument("--only", nargs="+", metavar="SCENE", help="these scenes alone")
     parser.add_argument("--out", type=Path, default=Path("runs/symbol_control"), help="folder for what has been done")

@@ -64,6 +64,7 @@ DISTURBED: dict[str, tuple[str, tuple[Override, ...]]] = {
     "noise x 10": ("snowflake", (f"disturbances.noise=[{{factor=10, {_SPELL}}}]",)),
 }
 SMALL = "camera={width_px=640, height_px=480}"
+STEPS = 30
 
 
 @dataclass(frozen=True)
@@ -100,14 +101,14 @@ def cases(seeds: int, quick: bool) -> Iterator[Case]:
     """All worlds but those whose road was measured and is not here."""
     for seed in range(seeds):
         for scene, (name, changes) in STANDING.items():
-            steps = {"steps": 30} if quick and load(name).steps == 40 else {}  # boxes need the time that they are given
+            steps = {"steps": STEPS} if load(name).steps == 40 else {}  # boxes need the time that they are given
             for latency in (0, 2) if quick else LATENCIES:
                 scenario = load(name, (SMALL, *changes, f"camera.latency_steps={latency}"), seed=seed, **steps)
                 if scenario.road.kind != "opencrg" or data.present(scenario.road.file) is not None:
                     yield Case("standing", scene, latency, seed, scenario)
         for scene, (name, changes) in DRIVING.items():
             rough = ("road.roughness_class='D'", f"road.seed={ROUGH[seed]}") if name == "driving" else ()
-            yield Case("driving", scene, 0, seed, load(name, (SMALL, *rough, *changes), seed=seed, steps=30 if quick else 60))
+            yield Case("driving", scene, 0, seed, load(name, (SMALL, *rough, *changes), seed=seed, steps=STEPS))
         for scene, (name, changes) in DISTURBED.items():
             yield Case("disturbed", scene, 0, seed, load(name, (SMALL, *changes), seed=seed, steps=50))
 
