@@ -395,12 +395,10 @@ def optimise_beam(
     device
         Where to compute; auto takes CUDA where there is any.
     """
-    from loop.lighting.beam_goal import BeamGoal
     from loop.lighting.optimise_beam import optimise_beam
-    from loop.run import pick_device
 
-    goal = BeamGoal(metric=metric, energy=energy, unevenness=unevenness, glare=glare)
-    optimise_beam(name, set or [], goal, method, steps, out or Path("runs") / f"beam-{Path(name).stem}", pick_device(device))
+    goal = {"metric": metric, "energy": energy, "unevenness": unevenness, "glare": glare}
+    optimise_beam(name, set or [], goal, method, steps, out or Path("runs") / f"beam-{Path(name).stem}", device)
 
 
 @app.command(name="train-detector")

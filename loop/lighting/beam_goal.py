@@ -1,0 +1,143 @@
+"""What a beam pattern is optimised for (T fig. 9.3): a detector's confidence or an image metric, less what light costs."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from loop.lighting.known import Known, categories
+from loop.lighting.simulation import LightingSimulation
+from perception.camera import expose, frame_generator, luminance_of, noise_std
+from perception.detection.network import Network, NetworkDetector, boxes_of, middles, prepared
+from perception.detection.protocol import Detector
+from perception.detection.suppression import overlaps
+from perception.visibility import edge_definition, unevenness, weber_contrast
+from world.errors import LuxloopError
+from world.params import Params
+
+Metric = Literal["detector", "weber_contrast", "edges"]
+SAME = 0.3  # least overlap of a box with the object that it is said to show
+FAINTEST = 1e-6  # of a score, so that its logarithm stays finite
+DAZZLING_LX = 1.0  # on eyes, from which on it counts as glare
+SEEN = 0.3  # least share of an object that nothing hides, of those that count
+LEAST_PX = 60
+
+
+class BeamGoal(Params):
+    """Weights of a loss: less the mean logarithm of the objects' scores, plus what light costs."""
+
+    metric: Metric = Field("detector", description="what of the objects shall be high")
+    energy: float = Field(2.0, ge=0, description="of the lamps' flux, as a share of all pixels on")
+    unevenness: float = Field(0.0, ge=0, description="of light on the objects, standard deviation over mean")
+    glare: float = Field(0.1, ge=0, description="of light on heads and windscreens, for each lx over 1 lx")
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """What light does. scores: `[n]` of the objects, of which the logarithm counts; loss: all together; share: of all pixels' flux."""
+
+    scores: Tensor
+    loss: Tensor
+    share: Tensor
+    luminance: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class BeamJudge:
+    """A still scene in which beams are judged. detector: None where an image metric is."""
+
+    simulation: LightingSimulation
+    goal: BeamGoal
+    detector: Detector | None
+    known: Known
+
+    @classmethod
+    def prepare(cls, simulation: LightingSimulation, goal: BeamGoal, detector: Detector | None) -> "BeamJudge":
+        """Raises LuxloopError where there is nothing to be seen."""
+        told = [each.category for each in simulation.scenario.all_objects]
+        judge = cls(simulation, goal, detector, Known(simulation.camera.at(0.0), categories(simulation.scenario), told))
+        if not judge.masks:
+            raise LuxloopError("objects: none with a category that counts is in the camera's sight at the start; put one there")
+        return judge
+
+    @cached_property
+    def masks(self) -> dict[str, Tensor]:
+        """Pixels of the objects that count, by name: in sight, and of a class that the detector has."""
+        ids, classes = self.known.lit.surfaces.object_id, None if self.detector is None else self.detector.classes
+        return {
+            each.name: ids == each.object_id
+            for each in self.known.objects
+            if each.visible >= SEEN and each.pixels >= LEAST_PX and (classes is None or each.category in classes)
+        }
+
+    def frame(self, luminance: Tensor, step: int, quantise: bool = False) -> Tensor:
+        """Digital numbers as a share of the largest, with the noise of a step."""
+        camera, device = self.simulation.scenario.camera, luminance.device
+        noise = frame_generator(self.simulation.scenario.seed, step, 0, device)
+        return expose(luminance, camera, noise, quantise=quantise) / (2**camera.bits - 1)
+
+    def judged(self, lights: Sequence[Tensor], step: int = 0) -> Judgement:
+        """Differentiable in the utilisations `[n_p]`, one a module, if the metric is or the detector is the network."""
+        illuminance, luminance = self.known.lit.light(lights)
+        luminance = luminance + self.known.lit.base
+        scores = self.scores(luminance, step)
+        share = sum((u * module.flux).sum() for u, module in zip(lights, self.simulation.modules, strict=True)) / self._most_lm
+        loss = -scores.clamp(min=FAINTEST).log().mean() + self.goal.energy * share
+        if self.goal.unevenness:
+            loss = loss + self.goal.unevenness * torch.stack([unevenness(illuminance, mask, 1.0) for mask in self.masks.values()]).mean()
+        if self.goal.glare and bool(self.known.eyes.any()):
+            loss = loss + self.goal.glare * (illuminance[self.known.eyes] - DAZZLING_LX).clamp(min=0).mean()
+        return Judgement(scores, loss, torch.as_tensor(share), luminance)
+
+    def scores(self, luminance: Tensor, step: int) -> Tensor:
+        """Of the objects, `[n]`."""
+        camera = self.simulation.scenario.camera
+        if self.goal.metric != "detector":
+            measure: Callable[[Tensor, Tensor, float], Tensor] = weber_contrast if self.goal.metric == "weber_contrast" else edge_definition
+            seen = luminance_of(expose(luminance.clone(), camera, quantise=False), camera)
+            black = float(noise_std(torch.zeros(1), camera))
+            return torch.stack([measure(seen, mask, black) for mask in self.masks.values()])
+        if isinstance(self.detector, NetworkDetector) and luminance.requires_grad:
+            return self._likeliest(self.detector.network, self.frame(luminance, step))
+        return self.confidences(self.frame(luminance.detach(), step, quantise=True))
+
+    def confidences(self, frame: Tensor) -> Tensor:
+        """What the detector says of the objects, `[n]`: the best score for their class of a box that shows them, 0 without one."""
+        assert self.detector is not None
+        found = self.detector.detect(frame[None])[0]
+        boxes, scores = found.boxes.double().cpu(), found.scores.double().cpu()
+        shows = overlaps(self.boxes, boxes) >= SAME
+        of_class = scores[:, self._labels].T
+        return torch.where(shows, of_class, 0.0).amax(1) if len(boxes) else torch.zeros(len(self.masks), dtype=torch.float64)
+
+    def _likeliest(self, network: Network, frame: Tensor) -> Tensor:
+        """The same before boxes are chosen: the best score of the cells whose boxes show an object, which light can be followed to."""
+        logits, sides = network(prepared(frame[None]))
+        scores = logits[0].flatten(1).sigmoid()
+        boxes = boxes_of(sides)[0].flatten(1).T.detach().double().cpu()
+        shows = overlaps(self.boxes, boxes) >= SAME
+        rows, columns = logits.shape[-2:]
+        x, y = middles(rows, columns, boxes.device).flatten(1)
+        left, top, right, bottom = self.boxes.T[..., None]
+        within = (x >= left) & (x <= right) & (y >= top) & (y <= bottom)  # while no box shows it, they may come to
+        shows = torch.where(shows.any(1, keepdim=True), shows, within).to(scores.device)
+        return torch.where(shows, scores[self._labels.to(scores.device)], 0.0).amax(1)
+
+    @cached_property
+    def boxes(self) -> Tensor:
+        """Of the objects that count, `[n, 4]` px."""
+        return torch.stack([box for each, box in zip(self.known.objects, self.known.boxes, strict=True) if each.name in self.masks])
+
+    @cached_property
+    def _labels(self) -> Tensor:
+        assert self.detector is not None
+        classes = list(self.detector.classes)
+        return torch.tensor([classes.index(each.category) for each in self.known.objects if each.category and each.name in self.masks])
+
+    @cached_property
+    def _most_lm(self) -> float:
+        return float(sum(module.flux.sum() for module in self.simulation.modules))
