@@ -1,0 +1,241 @@
+"""The scenes in which benchmarks/object_based.py shows object-based lighting, and the job that runs all its variants in one of them."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from controllers.planner import Planner
+from loop.lighting.known import Known
+from loop.lighting.sight import Sight, pairs
+from loop.lighting.simulation import LightingResult, LightingSimulation
+from loop.lighting.view import LitScene
+from loop.scenario import LightingScenario, validate_any
+from perception.camera import CameraParams, expose, frame_generator
+from perception.ground_truth import Truth
+from world.traffic.generator import varied
+
+CAMERA = {"width_px": 640, "height_px": 360, "pitch_deg": 1.5, "oversampling": 1, "saturation_e": 2000.0}
+WORLD: dict[str, Any] = {"camera": CAMERA, "headlight": {"model": "ssl-hd-lores"}, "detector": {"kind": "network"}, "rate_hz": 30.0}
+FIRST = 2_000_000  # seed of the first scene: the network was trained on scenes from 10,000 on, and judged on those from 1,000,000 on
+OURS = "luxloop"
+VARIANTS: dict[str, dict[str, Any]] = {  # of the table [[lighting.functions]]
+    OURS: {},
+    "raising": {"loop": {"search": {"kind": "raise"}}},
+    "by class": {"method": "class"},
+    "10 lx for all": {"method": "constant"},
+    "stripes": {"light": {"pattern": "stripes"}},
+    "checks": {"light": {"pattern": "checks"}},
+}
+LOW, HIGH, FULL = "low beam", "high beam", "full light"  # all pixels on
+BEAMS = {LOW: "low", HIGH: "high", FULL: None}
+
+END = range(60, 75)  # steps of which means are what object-based lighting has come to
+COMES = 75  # step at which a newcomer is there
+STEPS = 105
+LATE = range(STEPS - 10, STEPS)  # the same of the newcomer
+NEWCOMER = "newcomer"
+LEAST_HEIGHT_PX, LEAST_VISIBLE = 24, 0.5  # of objects that count; as much of them lies in the image
+FREE_M = 1.5  # from a newcomer to everybody else
+
+
+@dataclass(frozen=True)
+class Case:
+    """One scene. scenario: plain data, but for the lighting."""
+
+    scene: int
+    moving: bool
+    scenario: Mapping[str, Any]
+    seeds: int
+
+    @property
+    def key(self) -> str:
+        return f"scene {self.scene}, {'moving' if self.moving else 'static'}"
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Of the job; variants beside the default have the first seed alone."""
+        return {"scenario": self.scenario, "variants": VARIANTS, "seeds": {name: self.seeds if name == OURS else 1 for name in VARIANTS}}
+
+
+def cases(scenes: int, seeds: int) -> Iterator[Case]:
+    """Every other scene moves."""
+    for scene in range(scenes):
+        yield Case(scene, scene % 2 == 1, scenario(FIRST + scene, scene % 2 == 1), seeds)
+
+
+def scenario(seed: int, moving: bool) -> dict[str, Any]:
+    """A scene at random, and a newcomer in a free place."""
+    tables = varied(seed)
+    traffic = tables["traffic"] | {"moving": moving}
+    for key in ("pedestrians", "cyclists"):  # as in training: nights are emptier than what is worth looking at
+        traffic[key] += 1
+    plain = {"name": f"scene {seed}", "steps": STEPS, **WORLD, **tables, "traffic": traffic}
+    others = [each.pose_track() for each in lit(plain).all_objects]
+    places = torch.stack([track.pose_at(COMES / WORLD["rate_hz"])[:2, 3] for track in others]).numpy()
+    return plain | {"objects": [_newcomer(np.random.default_rng([seed, 3]), places)]}
+
+
+def _newcomer(rng: np.random.Generator, others: np.ndarray) -> dict[str, Any]:
+    while True:
+        x = math.exp(rng.uniform(math.log(10), math.log(30)))
+        y = float(rng.uniform(-0.2, 0.2)) * x
+        if np.hypot(*(others - (x, y)).T).min() > FREE_M:
+            break
+    made = {"kind": ("pedestrian", "cyclist")[int(rng.integers(2))], "seed": int(rng.integers(2**31)), "name": NEWCOMER}
+    at = {"position_m": [round(x, 2), round(y, 2), 0.0], "yaw_deg": round(float(rng.uniform(-180, 180)), 1)}
+    return made | {"track": [at], "appears_s": COMES / WORLD["rate_hz"]}
+
+
+def lit(plain: Mapping[str, Any], functions: Sequence[Mapping[str, Any]] = (), beam: str = "low", seed: int = 0) -> LightingScenario:
+    """A scenario with its lighting."""
+    found = validate_any({**plain, "seed": seed, "lighting": {"base": {"beam": beam}, "functions": functions}}, str(plain["name"]))
+    assert isinstance(found, LightingScenario)
+    return found
+
+
+def beside(shared: LightingSimulation, scenario: LightingScenario) -> LightingSimulation:
+    """A simulation in the same world, which looks at what the other has rendered."""
+    return replace(shared, scenario=scenario, planner=Planner.prepare(scenario.lighting))
+
+
+def illuminated(scenario: Mapping[str, Any], variants: Mapping[str, Mapping[str, Any]], seeds: Mapping[str, int]) -> dict[str, Any]:
+    """A job: every variant with every seed, step by step side by side, so that each view is rendered once; frames have the same noise.
+
+    The result: `objects` that count, by name; `lamps`, what they give and take in the beams of BEAMS; `beams`, what the detector says in
+    these; `runs`, by variant, of each seed.
+    """
+    torch.set_num_threads(1)  # wherever the job runs
+    function = {name: {"kind": "object_based", **keys} for name, keys in variants.items()}
+    own = {(name, seed): lit(scenario, [function[name]], seed=seed) for name in variants for seed in range(seeds[name])}
+    shared = LightingSimulation.prepare(next(iter(own.values())))
+    simulations = {key: beside(shared, each) for key, each in own.items()}
+    states = {key: each.start() for key, each in simulations.items()}
+    runs = {key: Run() for key in own}
+    beams, counting, seen = beam_lights(shared), Counting(shared), References(shared, max(seeds.values()))
+    for step in range(STEPS):
+        for key, each in simulations.items():
+            states[key], result = each.step(states[key])
+            runs[key].add(result)
+        if step in END or step in LATE:
+            view = shared.camera.at(step / shared.scenario.rate_hz)
+            known = shared.truth(view)
+            counting.add(known.objects, step)
+            seen.add(view, known, beams, step)
+    names = counting.names
+    return {
+        "objects": {name: counting.categories[name] for name in names},
+        "lamps": {beam: _given(shared, lights) for beam, lights in beams.items()},
+        "beams": {beam: [_means(each, names) for each in found] for beam, found in seen.scores.items()},
+        "runs": {name: [runs[name, seed].result(names) for seed in range(seeds[name])] for name in variants},
+    }
+
+
+def beam_lights(simulation: LightingSimulation) -> dict[str, tuple[Tensor, ...]]:
+    """Utilisations `[n_p]`, one a module, of BEAMS."""
+    lamps = [(module.lamp, module.number, module.flux) for module in simulation.modules]
+    return {
+        name: tuple(torch.ones_like(flux) if beam is None else lamp.beam(beam)[number].to(flux) for lamp, number, flux in lamps)
+        for name, beam in BEAMS.items()
+    }
+
+
+def _given(simulation: LightingSimulation, lights: Sequence[Tensor]) -> dict[str, float]:
+    sides = dict.fromkeys((module.side for module in simulation.modules), 0.0)
+    for module, u in zip(simulation.modules, lights, strict=True):
+        sides[module.side] += float((u * module.flux).sum())
+    return {"flux_lm": sum(sides.values()), "watts": sum(map(simulation.scenario.headlight.power_w, sides.values()))}
+
+
+def _means(scores: Mapping[str, Sequence[float]], names: Sequence[str]) -> dict[str, float]:
+    return {name: round(float(np.mean(scores[name])), 4) for name in names}
+
+
+class Counting:
+    """Which objects count: large enough, and seen well enough, in every step that is judged; the newcomer in those at the end."""
+
+    def __init__(self, simulation: LightingSimulation) -> None:
+        assert simulation.sight is not None and simulation.sight.detector is not None
+        self.classes = simulation.sight.detector.classes
+        self.categories: dict[str, str] = {}
+        self.steps: dict[str, int] = {}
+
+    def add(self, objects: Sequence[Truth], step: int) -> None:
+        for each in objects:
+            large, seen = each.whole[3] - each.whole[1] >= LEAST_HEIGHT_PX, min(each.visible, each.inside) >= LEAST_VISIBLE
+            if large and seen and each.category in self.classes and (step in LATE) == (each.name == NEWCOMER):
+                self.categories[each.name] = each.category
+                self.steps[each.name] = self.steps.get(each.name, 0) + 1
+
+    @property
+    def names(self) -> list[str]:
+        return [name for name, steps in self.steps.items() if steps == len(LATE if name == NEWCOMER else END)]
+
+
+class References:
+    """What the detector says of objects in the light of beams, with each seed's noise: scores by name, 0 where it finds none."""
+
+    def __init__(self, simulation: LightingSimulation, seeds: int) -> None:
+        assert simulation.sight is not None
+        self.sight: Sight = simulation.sight
+        self.camera: CameraParams = simulation.scenario.camera
+        self.scores: dict[str, list[dict[str, list[float]]]] = {beam: [{} for _ in range(seeds)] for beam in BEAMS}
+        self._last: tuple[LitScene, dict[str, Tensor]] | None = None
+
+    def add(self, view: LitScene, known: Known, beams: Mapping[str, Sequence[Tensor]], step: int) -> None:
+        if self._last is None or self._last[0] is not view:
+            self._last = (view, {beam: view.light(lights)[1] + view.base for beam, lights in beams.items()})
+        for beam, luminance in self._last[1].items():
+            for seed, scores in enumerate(self.scores[beam]):
+                frame = expose(luminance, self.camera, frame_generator(seed, step, 0, luminance.device))
+                found = self.sight.find(frame / (2**self.camera.bits - 1), known)
+                its_box = dict(pairs(known.boxes, found.boxes.double().cpu()))
+                for k, each in enumerate(known.objects):
+                    if (step in LATE) == (each.name == NEWCOMER):
+                        scores.setdefault(each.name, []).append(float(found.scores[its_box[k]].max()) if k in its_box else 0.0)
+
+
+class Run:
+    """What is kept of one run."""
+
+    def __init__(self) -> None:
+        self.flux_lm: list[float] = []
+        self.watts: list[float] = []
+        self.eyes_lx: list[float | None] = []
+        self.scores: dict[str, list[float]] = {}
+        self.tracked: dict[str, list[int]] = {}  # steps in which a track shows an object
+        self.newcomer_lx: list[float | None] = []
+
+    def add(self, result: LightingResult) -> None:
+        assert result.look is not None
+        self.flux_lm.append(round(sum(power.flux_lm for power in result.powers.values()), 2))
+        self.watts.append(round(sum(power.watts for power in result.powers.values()), 3))
+        self.eyes_lx.append(_rounded(result.look.eyes_lx_max))
+        for name, each in result.look.recognised.items():
+            if each.track is not None:
+                self.tracked.setdefault(name, []).append(result.step)
+            if result.step in (LATE if name == NEWCOMER else END):
+                self.scores.setdefault(name, []).append(each.score)
+        if result.step >= COMES:
+            self.newcomer_lx.append(_rounded(result.objects[NEWCOMER].lx_mean))
+
+    def result(self, names: Sequence[str]) -> dict[str, Any]:
+        """Plain values. scores, tracked: by name, mean, and share of the steps that are judged. found: first step with a track, if any."""
+        judged = {name: LATE if name == NEWCOMER else END for name in names}
+        return {
+            "flux_lm": self.flux_lm,
+            "watts": self.watts,
+            "eyes_lx": self.eyes_lx,
+            "scores": _means(self.scores, names),
+            "tracked": {name: len(set(judged[name]) & set(self.tracked.get(name, ()))) / len(judged[name]) for name in names},
+            "found": {name: self.tracked[name][0] if name in self.tracked else None for name in names},
+            "newcomer_lx": self.newcomer_lx,
+        }
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None or not math.isfinite(value) else round(value, 3)
