@@ -45,8 +45,7 @@ def _measured(run: Mapping[str, Any], full: Mapping[str, float], lamps: Mapping[
         "never_found": sum(run["found"][name] is None for name in seen),
         "settle_s": settle_step(flux[:COMES], SETTLED * lamps[LOW]["flux_lm"]) / RATE_HZ,
         "eyes_lx": max(eyes, default=None),
-        "newcomer": full.get(NEWCOMER, 0.0) >= FOUND,
-        "newcomer_s": newcomer_s(run) if NEWCOMER in full else None,
+        **({"newcomer": full.get(NEWCOMER, 0.0) >= FOUND, "newcomer_s": newcomer_s(run)} if run["newcomer_lx"] else {}),
     }
 
 
@@ -140,7 +139,7 @@ def share_kept(rows: Sequence[Row]) -> float | None:
 
 def newcomers(rows: Sequence[Row]) -> list[float]:
     """Times in s of those that full light shows; infinite: never lit."""
-    return [float("inf") if row["newcomer_s"] is None else row["newcomer_s"] for row in rows if row["newcomer"]]
+    return [float("inf") if row["newcomer_s"] is None else row["newcomer_s"] for row in rows if row.get("newcomer")]
 
 
 def _newcomers(rows: Sequence[Row]) -> float | None:

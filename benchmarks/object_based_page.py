@@ -78,7 +78,7 @@ def _objects(rows: Sequence[Row], key: str) -> str:
 
 
 def _newcomer(rows: Sequence[Row]) -> str:
-    times = newcomers([row for row in rows if "newcomer" in row])
+    times = newcomers(rows)
     return f"{np.median(times):.2f} s ({np.mean(np.array(times) <= 0.5):.0%})" if times else "—"
 
 
