@@ -26,7 +26,7 @@ class AmbientLoopParams(Params):
     fall_frames: int = Field(4, ge=1, le=300, description="frames before a step down")
     rise: float = Field(2.0, gt=1, description="factor of a step up, when one is doubtful")
     patience: int = Field(60, ge=1, description="frames after a step up without another step")
-    doubtful: float = Field(0.3, ge=0, le=1, description="confidence below which an object that has had more may get lost")
+    doubtful: float = Field(0.2, ge=0, le=1, description="confidence below which an object that has had more may get lost")
     margin: float = Field(0.1, ge=0, le=1, description="above that, for sure")
 
     def sure(self, confidence: float) -> bool:
