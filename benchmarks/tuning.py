@@ -1,25 +1,33 @@
-"""What tuning brings, and what batches and gradients save: `python benchmarks/tuning.py [--quick]`.
+"""What tuning brings, and what batches and gradients save: `python benchmarks/tuning.py [--quick]`, 2 minutes of one core, or 5.
 
-Goes on where an earlier run in the same folder was, and prints a table: cost of the thesis' gains and of tuned ones over held-out seeds,
-rollouts that Optuna and the gradient need, and CPU time a rollout, one by one and 64 at once.
+Tunes by `luxloop tune`, with trials and by gradient, and tries what is found on noise that neither has seen. Goes on where an earlier run
+in the same folder was. `--page` writes the figures into docs/tuning.md as well.
 """
 
 import argparse
+import json
+import re
 import time
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
+import bench
 import torch
 from optuna.trial import TrialState
+from rich.console import Console
 
 from loop import objective, ranges
 from loop.batch import rollouts
-from loop.executors import local
-from loop.gradient import tune_by_gradient
+from loop.executors import Executor, local
 from loop.run import prepare
 from loop.scenario import Scenario, load
-from loop.tune import STUDY, Task, Tuned, mean_cost, opened, tune
+from loop.tune import Task, Tuned, mean_cost
+from loop.tune_report import do_tune
 
-SCENARIOS = ("snowflake", "chevrons")
+DOCS = Path(__file__).parents[1] / "docs" / "tuning.md"
+HEADING = "## What it brings"
+SETTINGS = ("controller.name=thesis_pid", "steps=30", "camera.width_px=640", "camera.height_px=360")
 KEYS = (
     *("controller.position.kp=0.2:1.6", "controller.position.ki=0.01:1:log", "controller.position.kd=0.001:0.8"),
     *("controller.rotation.kp=0.1:1.2", "controller.rotation.ki=0.005:0.5:log", "controller.rotation.kd=0.001:0.6"),
@@ -30,29 +38,49 @@ HELD_OUT = 1000  # seed of the first run that no tuning has seen
 BATCH, STEPS, REPEATS = 64, 12, 3
 
 
-def task_of(quick: bool) -> Task:
-    scenarios = tuple(
-        load(name, ["controller.name=thesis_pid", "steps=30" if quick else "steps=40"]) for name in SCENARIOS[: 1 if quick else 2]
-    )
-    return Task(scenarios, tuple(ranges.parse(key, scenarios) for key in KEYS), objective.parse(GOAL), 1 if quick else 3)
+@dataclass(frozen=True)
+class Size:
+    """scenarios: by name. held_out: runs of each, to try what was found."""
+
+    quick: bool
+    scenarios: tuple[str, ...]
+    trials: int
+    iterations: int
+    held_out: int
 
 
-def held_out(task: Task, tuned: Tuned, seeds: int, execute: object) -> tuple[float, float]:
-    """Cost of what was given and of what is best, over seeds that the tuning has not seen."""
-    moved = tuple(scenario.model_copy(update={"seed": HELD_OUT}) for scenario in task.scenarios)
-    fresh = Task(moved, task.ranges, task.objective, seeds)
-    return mean_cost(fresh, {}, execute), mean_cost(fresh, tuned.best[0], execute)  # type: ignore[arg-type]
+QUICK = Size(True, ("snowflake",), 40, 4, 3)
+FULL = Size(False, ("snowflake", "chevrons"), 60, 4, 5)
 
 
-def rollouts_until(tuned: Tuned, cost: float) -> int | None:
-    """Runs that Optuna's trials took until one was as good; None where none was."""
-    runs = len(tuned.task.runs({}))
-    taken = 0
+def rolled_out(tuned: Tuned, until: float = float("-inf")) -> int:
+    """Rollouts of a study until a trial cost no more than that, or in all; of one given up, half. An iteration by gradient is a trial."""
+    runs, taken = len(tuned.task.runs({})), 0
     for trial in tuned.study.get_trials(deepcopy=False):
         taken += runs if trial.state == TrialState.COMPLETE else -(-runs // 2)
-        if trial.state == TrialState.COMPLETE and trial.value is not None and trial.value <= cost:
-            return taken
-    return None
+        if trial.state == TrialState.COMPLETE and trial.value is not None and trial.value <= until:
+            break
+    return taken
+
+
+def held_out(task: Task, values: ranges.Values, seeds: int, execute: Executor) -> float:
+    """Mean cost over noise that no tuning has seen."""
+    moved = tuple(scenario.model_copy(update={"seed": HELD_OUT}) for scenario in task.scenarios)
+    return mean_cost(replace(task, scenarios=moved, seeds=seeds), values, execute)
+
+
+def found(name: str, tuned: Tuned, size: Size, execute: Executor) -> dict[str, Any]:
+    """A way of tuning in figures."""
+    values, cost = tuned.best
+    given, best = (held_out(tuned.task, each, size.held_out, execute) for each in ({}, values))
+    return {
+        "way": name,
+        "values": values,
+        "tuned on": {"given": tuned.given_cost, "best": cost},
+        "held out": {"given": given, "best": best, "ratio": best / given},
+        "rollouts": rolled_out(tuned),
+        "rollouts to the best": rolled_out(tuned, cost),
+    }
 
 
 def seconds_a_rollout(scenario: Scenario) -> tuple[float, float]:
@@ -83,32 +111,87 @@ def seconds_a_rollout(scenario: Scenario) -> tuple[float, float]:
     return single, min(timed(BATCH) for _ in range(REPEATS))
 
 
+def measured(size: Size, out: Path, execute: Executor, jobs: int | None) -> dict[str, Any]:
+    """All figures."""
+    scenarios = tuple(load(name, SETTINGS) for name in size.scenarios)
+    task = Task(scenarios, tuple(ranges.parse(key, scenarios) for key in KEYS), objective.parse(GOAL))
+
+    def by(way: str, count: int, gradient: bool) -> dict[str, Any]:
+        tuned = do_tune(size.scenarios, KEYS, GOAL, count, 1, 0, SETTINGS, out / way, jobs, "cpu", gradient)
+        return found(way, tuned, size, execute)
+
+    ways = [by("trials", size.trials, False), by("gradient", size.iterations, True)]
+    single, batched = seconds_a_rollout(load("snowflake", [*SETTINGS[:1], f"steps={STEPS}"]))
+    trials, gradient = ways
+    goals: list[bench.Goal] = [
+        ("cost of what trials find over held-out seeds, to that of the thesis' gains", trials["held out"]["ratio"], 0.5, False),
+        ("the same of what the gradient finds", gradient["held out"]["ratio"], 0.5, False),
+        (
+            "cost of what the gradient finds, to that of what trials find",
+            gradient["held out"]["best"] / trials["held out"]["best"],
+            1.0,
+            False,
+        ),
+        ("rollouts by gradient, to those of all trials", gradient["rollouts"] / trials["rollouts"], 0.1, False),
+        ("CPU time of a rollout alone, to that of one of 64 at once", single / batched, 3.0, True),
+    ]
+    return {
+        "machine": bench.machine("torch", "optuna"),
+        "scenarios": [each.name for each in task.scenarios],
+        "steps": scenarios[0].steps,
+        "size": vars(size),
+        "ways": ways,
+        "ms a rollout": {"alone": 1e3 * single, f"of {BATCH} at once": 1e3 * batched},
+        "goals": bench.judged(goals),
+    }
+
+
+def section(content: dict[str, Any]) -> str:
+    """The figures as a section of the page."""
+    machine, size = content["machine"], content["size"]
+    rows = [
+        "| | thesis' gains | tuned | ratio | rollouts | to the best |",
+        "| --- | ---: | ---: | ---: | ---: | ---: |",
+        *(
+            f"| {each['way']} | {each['held out']['given']:.3f} | {each['held out']['best']:.3f} | {each['held out']['ratio']:.2f} "
+            f"| {each['rollouts']:.0f} | {each['rollouts to the best']:.0f} |"
+            for each in content["ways"]
+        ),
+    ]
+    goals = ["| goal | measured | limit | |", "| --- | ---: | ---: | --- |"]
+    for each in content["goals"]:
+        limit = f"{'≥' if each['at_least'] else '≤'} {each['limit']:g}"
+        goals.append(f"| {each['goal']} | {each['value']:.2f} | {limit} | {'reached' if each['passed'] else '**missed**'} |")
+    command = f"python benchmarks/tuning.py{' --quick' if size['quick'] else ''} --page"
+    where = f"Measured on {machine['date']} by `{command}` ({machine['processor']}, torch {machine['torch']})"
+    what = (
+        f"Eight gains and rate limits of `thesis_pid` on {' and '.join(content['scenarios'])}, {content['steps']} steps, `{GOAL}`:\n"
+        f"{size['trials']} trials, and {size['iterations']} iterations by gradient, a run of each scenario a trial. "
+        f"Costs are means over {size['held_out']} other kinds of noise."
+    )
+    return "\n".join([HEADING, "", f"{where}. {what}", "", *rows, "", *goals, ""])
+
+
+def written(page: str, made: str) -> str:
+    """A page whose section of that heading is another."""
+    return re.sub(rf"^{HEADING}\n.*?(?=^## |\Z)", lambda _: made + "\n", page, flags=re.DOTALL | re.MULTILINE)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description="Measure what tuning brings and costs.")
-    parser.add_argument("--quick", action="store_true", help="one scenario, one seed, few trials")
-    parser.add_argument("--out", type=Path, default=Path("runs/tuning"), help="folder for the studies")
+    parser.add_argument("--quick", action="store_true", help="one scenario, half of the trials")
+    parser.add_argument("--out", type=Path, default=Path("runs/tuning"), help="folder for the studies and tuning.json")
     parser.add_argument("--jobs", type=int, help="processes, by default one a core")
+    parser.add_argument("--page", nargs="?", type=Path, const=DOCS, help="page whose figures become these (docs/tuning.md)")
     given = parser.parse_args()
-    execute, task = local(given.jobs), task_of(given.quick)
-    trials, iterations, seeds = (30, 8, 2) if given.quick else (120, 10, 5)
-
-    by_optuna = tune(task, given.out / "optuna", trials, execute)
-    folder = given.out / "gradient"
-    done = (folder / STUDY).exists() and opened(task, folder, execute)[0].get_trials(states=(TrialState.COMPLETE,))
-    by_gradient = (
-        Tuned(task, by_optuna.given_cost, opened(task, folder, execute)[0]) if done else tune_by_gradient(task, folder, iterations, execute)
-    )
-
-    print(f"{', '.join(each.name for each in task.scenarios)}, {GOAL}, mean over {seeds} held-out seeds")
-    for name, tuned in (("Optuna", by_optuna), ("gradient", by_gradient)):
-        before, after = held_out(task, tuned, seeds, execute)
-        share = f"{after / before:.2f} of the thesis' gains'"
-        print(f"  {name:9} {before:.3f} -> {after:.3f} ({share}), tuned {tuned.given_cost:.3f} -> {tuned.best[1]:.3f}")
-    needed = rollouts_until(by_optuna, by_gradient.best[1])
-    print(f"  rollouts to that cost: gradient {iterations * len(task.runs({}))}, Optuna {needed or f'not in {trials} trials'}")
-    single, batched = seconds_a_rollout(load("snowflake", [f"steps={STEPS}"]))
-    alone, together = f"{1e3 * single:.0f} ms alone", f"{1e3 * batched:.0f} ms of {BATCH} at once"
-    print(f"  CPU time of {STEPS} steps: {alone}, {together}, {single / batched:.1f} x less")
+    out = given.out / ("quick" if given.quick else "full")
+    content = measured(QUICK if given.quick else FULL, out, local(given.jobs), given.jobs)
+    (out / "tuning.json").write_text(json.dumps(content, indent=2), "utf-8")
+    made = section(content)
+    print(made)
+    if given.page:
+        given.page.write_text(written(given.page.read_text("utf-8"), made), "utf-8")
+    bench.show_goals(Console(width=160), content["goals"])
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 import copy
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -68,6 +69,11 @@ def rollouts(simulation: Simulation, values: dict[str, Tensor], *, quantise: boo
     The noise of all is that of a single run. quantise: false leaves digital numbers unrounded, for gradients; take edges = "soft" with it.
     """
     check(simulation, values)
+    return loops(simulation, values, lambda poses, step: look(simulation, poses, step, quantise=quantise))
+
+
+def loops(simulation: Simulation, values: dict[str, Tensor], look: Callable[[Tensor, int], Seen]) -> Rollout:
+    """The same around anything that looks at poses `[B, 4]` that are shown at a step."""
     controller = with_values(simulation.controller, values)
     (batch,) = {len(value) for value in values.values()}
     start = simulation.start().controller.pid.output
@@ -75,8 +81,7 @@ def rollouts(simulation: Simulation, values: dict[str, Tensor], *, quantise: boo
     late, looks, rows = simulation.scenario.camera.latency_steps, [], []
     for step in range(simulation.scenario.steps):
         pose = controller.drawing(state).pose
-        lights = _lights(simulation, pose)
-        looks.append(_look(simulation, pose, lights, step, quantise))
+        looks.append(look(pose, step))
         seen = looks[step - late] if step >= late else simulation.observer.lost(pose, Loss.NO_FRAME)
         state = controller.step(state, Look(seen, None, Shown(Drawing(pose), ())))
         usable = (seen.code == Loss.SEEN) & seen.pose_error.isfinite().all(-1)
@@ -98,17 +103,14 @@ def with_values(controller: Any, values: dict[str, Tensor]) -> ThesisPid:
     return made
 
 
-def _lights(simulation: Simulation, poses: Tensor) -> list[Lights]:
-    """Lights of poses `[B, 4]`, one by one: the few rays and pixels that each touches are quicker than all of a batch."""
-    return [simulation.projector.light(pose) for pose in poses]
-
-
-def _look(simulation: Simulation, poses: Tensor, lights: list[Lights], step: int, quantise: bool) -> Seen:
-    """What the camera sees of poses `[B, 4]`, exposed only where their light can be."""
+def look(simulation: Simulation, poses: Tensor, step: int, *, quantise: bool = True) -> Seen:
+    """What the camera sees of poses `[B, 4]` at a step, exposed only where their light can be."""
     observer, world, camera = simulation.observer, simulation.world, simulation.scenario.camera
     crop = simulation.projector.footprint(Drawing(poses), observer.model.eye.view, observer.params.footprint_margin_m)
     if crop.v_stop - crop.v_start < 2 or crop.u_stop - crop.u_start < 2:
         return observer.lost(poses, Loss.NOTHING)
+    # One by one: the few rays and pixels that each pose touches are quicker than all of a batch.
+    lights = [simulation.projector.light(pose) for pose in poses]
     on_view, off_view = (world.lit(t_s) for t_s in world.exposures(step))
     on, off = (
         expose(light, camera, noise[crop.slices].to(light), quantise=quantise)

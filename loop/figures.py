@@ -6,7 +6,9 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import torch
 
+from loop.batch import Rollout
 from loop.build import build_symbol_controller
 from loop.lighting.record import row as lighting_row
 from loop.lighting.record import schema as lighting_schema
@@ -18,6 +20,7 @@ from loop.run import prepare, torch_device
 from loop.scenario import AnyScenario, LightingScenario, Scenario
 from loop.simulation import Simulation
 from loop.summary import column
+from perception.extraction import Loss
 
 KEPT = 4  # simulations made ready, half a gigabyte each: runs that differ by controller or seed alone share one
 _prepared: OrderedDict[Any, Simulation] = OrderedDict()
@@ -34,11 +37,18 @@ def figures(scenario: AnyScenario, device: str = "auto") -> dict[str, float | st
         lighting = LightingSimulation.prepare(scenario, torch_device(device))
         table = table_of([lighting_row(result) for result in lighting.run()], lighting_schema(lighting))
         return _flat(summarise_lighting(table, scenario.name))
+    return traced(scenario, device)[0]
+
+
+def traced(scenario: Scenario, device: str = "auto") -> tuple[dict[str, float | str | None], Rollout]:
+    """The figures of a symbol's run, and the run as a batch of one. Raises what `figures` raises."""
     simulation = _simulation(scenario, device)
-    rows, utilisations = [], []
+    rows, utilisations, trace = [], [], []
     for result in simulation.run():
         rows.append(row(result))
         utilisations.append(float(np.mean([light.u.mean().item() for light in result.lights])))
+        usable = (result.seen.code == Loss.SEEN) & result.seen.pose_error.isfinite().all()
+        trace.append((result.pose, torch.where(usable, result.seen.pose_error, 0.0), usable))
     table = table_of(rows)
     values = summary_of(simulation, table)
     x, y = values.pop("centroid_error_percent")
@@ -46,7 +56,7 @@ def figures(scenario: AnyScenario, device: str = "auto") -> dict[str, float | st
     values["residual_percent"] = None if x is None or y is None else float(np.hypot(x, y))
     values["iou_mean"] = float(np.nan_to_num(column(table, "iou")).mean())
     values["utilisation_mean"] = float(np.mean(utilisations))
-    return _flat(values)
+    return _flat(values), Rollout(*(torch.stack(column)[None] for column in zip(*trace, strict=True)))
 
 
 def _simulation(scenario: Scenario, device: str) -> Simulation:

@@ -1,94 +1,143 @@
-"""Tuning by gradient: Adam through differentiable rollouts, from gains to squared errors, which stand for settling and residual."""
+"""Tuning by gradient: run, learn from the run where the symbol is seen, descend through runs that are foretold from that, and so on."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+import optuna
 import torch
-from optuna.trial import create_trial
+from optuna.trial import FrozenTrial, create_trial
 from torch import Tensor
 
-from loop.batch import Rollout, check, rollouts
+from loop.batch import Rollout, check
 from loop.executors import Executor
-from loop.figures import with_seed
+from loop.figures import traced
+from loop.jobs import reason
+from loop.learned import Learned, near
 from loop.progress import progress
-from loop.ranges import Range
+from loop.ranges import Range, Values, changed
 from loop.run import prepare
-from loop.scenario import Scenario
 from loop.simulation import Simulation
-from loop.tune import Task, Tuned, mean_cost, opened
+from loop.tune import FAILURES, Task, Tuned, keeping, opened
 from perception.extraction import ExtractionParams
 from world.errors import LuxloopError
 
-RATE = 0.5  # of Adam, in logits of the ranges
+TRACES = "traces"  # of a trial that is an iteration: poses, errors and whether seen, of each seed of each scenario
+STARTS, DRAWS = 24, 3  # descents at once, each through so many kinds of noise
+STEPS, RATE = 120, 0.15  # of Adam, in logits of the ranges
 FROM_ENDS = 0.02  # of a range: where values start that lie on its ends or beyond, and would have no slope there
-NEAR = 0.02  # of the symbol's size, within which it counts as settled
-NEAR_ANGLES = (math.radians(1.0), math.radians(0.5))  # of roll and pitch, the same
-LOST = 10.0  # what a step without a symbol costs
-
-Values = dict[str, float | int]
+FAR = 0.05  # what being far off counts beside being outside of what settled symbols may have
 
 
 def tune_by_gradient(task: Task, out: Path, iterations: int, execute: Executor) -> Tuned:
-    """Descend from the given values, and add the point of least squared errors to the study in a folder as a trial of its own.
+    """Go on with the descent in a folder until it has so many iterations, each of them a trial of the study there.
 
-    An iteration is one rollout of each scenario and seed. Raises what `loop.tune.tune` and `loop.batch.check` raise.
+    Raises what `loop.tune.tune` and `loop.batch.check` raise, and LuxloopError where a symbol is never seen.
     """
+    if whole := [each.key for each in task.ranges if each.whole]:
+        raise LuxloopError(f"--key {whole[0]}: takes whole numbers, which have no gradient; leave it out, or tune without --gradient")
+    simulations = []
+    for scenario in task.scenarios:
+        if not isinstance(scenario.extraction, ExtractionParams):
+            raise LuxloopError(
+                f"{scenario.name}: extraction.kind: nothing is foretold of its errors; leave it out, or tune without --gradient"
+            )
+        simulations.append(prepare(scenario, task.device))
+        check(simulations[-1], [each.key for each in task.ranges])
     study, space = opened(task, out, execute)
-    with progress("iterations", iterations) as advance:
-        values = descend(task, iterations, advance)
-    study.add_trial(create_trial(params=values, distributions=space, value=mean_cost(task, values, execute)))
+    with (
+        keeping(out, lambda: f"{len(_iterations(study))} of {iterations} iterations"),
+        progress("iterations", iterations, min(len(_iterations(study)), iterations)) as advance,
+    ):
+        while len(before := _iterations(study)) < iterations:
+            values = descend(task, simulations, before)
+            cost, attributes = _run(task, values)
+            study.add_trial(create_trial(params=dict(values), distributions=space, value=cost, user_attrs=attributes))
+            advance()
     return Tuned(task, study.user_attrs["given_cost"], study)
 
 
-def descend(task: Task, iterations: int, advance: Callable[[], None] = lambda: None) -> Values:
-    """The values of least squared errors among those that Adam comes by, from the given ones on."""
-    if whole := [each.key for each in task.ranges if each.whole]:
-        raise LuxloopError(f"--key {whole[0]}: takes whole numbers, which have no gradient; leave it out, or tune without --gradient")
-    simulations = list(_simulations(task))
-    for simulation in simulations:
-        check(simulation, [each.key for each in task.ranges])
-    logits = torch.tensor([_logit(each, task.given[each.key]) for each in task.ranges], dtype=torch.float64, requires_grad=True)
+def descend(task: Task, simulations: Sequence[Simulation], before: Sequence[FrozenTrial]) -> Values:
+    """The values of least `loss` that are found from the best ones before, and others around; at first those that are given."""
+    if not before:
+        return _values(task, _logits(task, task.given))
+    scenes = [_learned(simulation, k, before) for k, simulation in enumerate(simulations)]
+    generator = torch.Generator().manual_seed(task.seed * 1000 + len(before))
+    best = _logits(task, min(before, key=lambda trial: trial.value or 0.0).params)
+    around = torch.randn(STARTS, len(best), generator=generator, dtype=best.dtype)
+    around[0] = 0.0
+    steps = max(scenario.steps for scenario in task.scenarios)
+    noise = torch.randn(steps, DRAWS, 1, 4, generator=generator).expand(-1, -1, STARTS, -1).flatten(1, 2)
+    logits = (best + around).requires_grad_()
     adam = torch.optim.Adam([logits], lr=RATE)
-    best, least = logits.detach().clone(), math.inf
-    for _ in range(iterations):
+    least, found = math.inf, best
+    for _ in range(STEPS):
         adam.zero_grad()
-        values = {each.key: _value(each, logit).float()[None] for each, logit in zip(task.ranges, logits, strict=True)}
-        total = 0.0
-        for simulation in simulations:  # one graph at a time
-            error = squared_errors(rollouts(simulation, values, quantise=False), simulation.scenario).sum() / len(simulations)
-            error.backward(retain_graph=True)  # type: ignore[no-untyped-call]
-            total += error.item()
-        if total < least:
-            best, least = logits.detach().clone(), total
+        values = {each.key: _value(each, logits[:, k]).float().repeat(DRAWS).to(task.device) for k, each in enumerate(task.ranges)}
+        foretold = [scene.foretold(each, values, noise.to(task.device)) for scene, each in zip(scenes, simulations, strict=True)]
+        losses = torch.stack([loss(rollout, each) for rollout, each in zip(foretold, simulations, strict=True)])
+        means = losses.view(-1, STARTS).mean(0)
+        if means.min() < least:
+            least, found = means.min().item(), logits[means.argmin()].detach().clone()
+        means.sum().backward()  # type: ignore[no-untyped-call]
         adam.step()
-        advance()
-    return {each.key: _rounded(each, float(_value(each, logit))) for each, logit in zip(task.ranges, best, strict=True)}
+    return _values(task, found)
 
 
-def _rounded(each: Range, value: float) -> float:
-    """To six digits that count, and not out of the range."""
-    return min(max(float(f"{value:.6g}"), each.low), each.high)
+def loss(rollout: Rollout, simulation: Simulation) -> Tensor:
+    """Share of the steps from which on the symbol is, or will once more be, outside of what settled symbols may have, softly, `[B]`.
 
-
-def squared_errors(rollout: Rollout, scenario: Scenario) -> Tensor:
-    """Mean over all steps of log(1 + squared error), `[B]`, errors counting in what settled symbols may have.
-
-    The logarithm makes a step outside of that dear however far outside it is, so that the sum stands for the time to settle.
+    It stands for settling and residual, whatever the objective is.
     """
-    symbol = scenario.symbol
-    near = rollout.errors.new_tensor([NEAR * symbol.length_m, NEAR * symbol.width_m, *NEAR_ANGLES])
-    return ((rollout.errors / near).square().log1p().sum(-1) + LOST * ~rollout.seen).mean(-1)
+    squares = (rollout.errors / near(simulation)).square().amax(-1)
+    ahead = squares.flip(-1).cummax(-1).values
+    return (ahead.square() / (1 + ahead.square()) + FAR * ahead.log1p()).mean(-1)
 
 
-def _simulations(task: Task) -> Iterator[Simulation]:
-    """Of all runs, their symbols seen with soft edges."""
+def _run(task: Task, values: Values) -> tuple[float, dict[str, Any]]:
+    """Mean cost of a trial's runs, and what is kept of them: their traces, and why some have failed."""
+    costs: list[float] = []
+    failures: list[str] = []
+    traces: list[list[Any]] = []
     for scenario in task.scenarios:
-        if not isinstance(scenario.extraction, ExtractionParams):
-            raise LuxloopError(f"{scenario.name}: extraction.kind: has no soft edges to descend on; leave it out, or tune without")
-        soft = scenario.model_copy(update={"extraction": scenario.extraction.model_copy(update={"edges": "soft"})})
-        ready = prepare(soft, task.device)
-        yield from (with_seed(ready, scenario.seed + k) for k in range(task.seeds))
+        traces.append([])
+        for k in range(task.seeds):
+            try:
+                figures, trace = traced(changed(scenario, values).model_copy(update={"seed": scenario.seed + k}), task.device)
+                traces[-1].append([part[0].tolist() for part in vars(trace).values()])
+            except Exception as error:
+                figures = {}
+                failures.append(reason(error))
+            costs.append(task.objective.cost(figures))
+    return float(np.mean(costs)), {TRACES: traces, FAILURES: failures}
+
+
+def _iterations(study: optuna.Study) -> list[FrozenTrial]:
+    return [trial for trial in study.get_trials(deepcopy=False) if TRACES in trial.user_attrs]
+
+
+def _learned(simulation: Simulation, number: int, trials: Sequence[FrozenTrial]) -> Learned:
+    """Of the scenario of a number, from all runs so far."""
+    scenario = simulation.scenario
+    traces = [trace for trial in trials for trace in trial.user_attrs[TRACES][number]]
+    runs = [Rollout(*(torch.tensor(part, device=simulation.device)[None] for part in trace)) for trace in traces]
+    if not any(run.seen.any() for run in runs):
+        raise LuxloopError(
+            f"{scenario.name}: its symbol is never seen, so there is nothing to descend on; give other values, or tune without"
+        )
+    return Learned.of(runs, scenario.camera.latency_steps)
+
+
+def _values(task: Task, logits: Tensor) -> dict[str, float]:
+    """To six digits that count, and not out of the ranges."""
+    found = ((each, float(f"{_value(each, logit).item():.6g}")) for each, logit in zip(task.ranges, logits, strict=True))
+    return {each.key: min(max(value, each.low), each.high) for each, value in found}
+
+
+def _logits(task: Task, values: dict[str, Any]) -> Tensor:
+    return torch.tensor([_logit(each, values[each.key]) for each in task.ranges], dtype=torch.float64)
 
 
 def _logit(each: Range, value: float | int | None) -> float:

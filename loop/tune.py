@@ -3,6 +3,8 @@
 import hashlib
 import json
 import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from operator import itemgetter
@@ -14,7 +16,7 @@ import optuna
 from optuna.distributions import BaseDistribution, FloatDistribution, IntDistribution
 from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
-from optuna.trial import TrialState
+from optuna.trial import TrialState, create_trial
 
 from loop.campaign import figures_of
 from loop.code import digest_of_code
@@ -104,18 +106,28 @@ def tune(task: Task, out: Path, trials: int, execute: Executor) -> Tuned:
     Raises LuxloopError where the folder holds another study or cannot be written; KeyboardInterrupt that says what is kept.
     """
     study, space = opened(task, out, execute)
-    done = len(study.get_trials(deepcopy=False, states=FINISHED))
-    try:
-        with progress("trials", trials, min(done, trials)) as advance:
-            for number in range(done, trials):
-                # Seeded by the trial: a study that was interrupted goes on as it would have.
-                study.sampler = optuna.samplers.TPESampler(seed=(task.seed * APART + number) % 2**32, n_startup_trials=STARTUP)
-                _try(study, study.ask(space), task, execute)
-                advance()
-    except KeyboardInterrupt as error:
-        kept = len(study.get_trials(deepcopy=False, states=FINISHED))
-        raise KeyboardInterrupt(f"{kept} of {trials} trials are kept in {out / STUDY}, the same command goes on from there") from error
+    done = _finished(study)
+    with keeping(out, lambda: f"{_finished(study)} of {trials} trials"), progress("trials", trials, min(done, trials)) as advance:
+        for number in range(done, trials):
+            # Seeded by the trial: a study that was interrupted goes on as it would have.
+            seed = (task.seed * APART + number) % 2**32
+            study.sampler = optuna.samplers.TPESampler(seed=seed, n_startup_trials=STARTUP, multivariate=True)
+            _try(study, study.ask(space), task, execute)
+            advance()
     return Tuned(task, study.user_attrs["given_cost"], study)
+
+
+@contextmanager
+def keeping(out: Path, what: Callable[[], str]) -> Iterator[None]:
+    """Says, where a study in a folder is interrupted, what of it is kept."""
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        raise KeyboardInterrupt(f"{what()} are kept in {out / STUDY}, the same command goes on from there") from error
+
+
+def _finished(study: optuna.Study) -> int:
+    return len(study.get_trials(deepcopy=False, states=FINISHED))
 
 
 def _try(study: optuna.Study, trial: optuna.Trial, task: Task, execute: Executor) -> None:
@@ -157,7 +169,10 @@ def _distribution(each: Range) -> BaseDistribution:
 
 
 def opened(task: Task, out: Path, execute: Executor) -> tuple[optuna.Study, dict[str, BaseDistribution]]:
-    """The study in a folder, which knows what the given values cost, and its space. Raises what `tune` raises."""
+    """The study in a folder, which knows what the given values cost, and its space. Raises what `tune` raises.
+
+    Its first trial is of the given values where they lie in the ranges: the search learns from them.
+    """
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     warnings.filterwarnings("ignore", category=optuna.exceptions.ExperimentalWarning)
     study = _stored(task, out)
@@ -169,7 +184,14 @@ def opened(task: Task, out: Path, execute: Executor) -> tuple[optuna.Study, dict
             (out / STUDY).unlink()  # nothing is in it, and other settings shall not need another folder
             raise LuxloopError(f"every run with the given values fails, so there is nothing to tune; the first: {reasons[0]}")
         study.set_user_attr("given_cost", float(np.mean(costs)))
-    return study, {each.key: _distribution(each) for each in task.ranges}
+    space = {each.key: _distribution(each) for each in task.ranges}
+    if not study.get_trials(deepcopy=False) and all(_within(each, task.given[each.key]) for each in task.ranges):
+        study.add_trial(create_trial(params=task.given, distributions=space, value=study.user_attrs["given_cost"]))
+    return study, space
+
+
+def _within(each: Range, value: float | int | None) -> bool:
+    return value is not None and each.low <= value <= each.high
 
 
 def mean_cost(task: Task, values: Values, execute: Executor) -> float:

@@ -33,7 +33,7 @@ def do_tune(
     processes: int | None,
     device: str,
     gradient: bool,
-) -> None:
+) -> Tuned:
     """Tune, write what is best and a report, and say it. Raises LuxloopError before anything runs where something makes no sense."""
     if not keys:
         raise LuxloopError("--key: what is to be tuned? Give keys with ranges, such as --key controller.position.kp=0.1:2")
@@ -58,6 +58,7 @@ def do_tune(
         print(f"{folder / BEST} and {folder / REPORT} written; run it with: luxloop run {names[0]} --set {folder / BEST}")
     else:
         print(f"no trial is better than what was given; {folder / REPORT} written")
+    return tuned
 
 
 def write(tuned: Tuned, out: Path) -> None:
