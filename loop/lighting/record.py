@@ -46,7 +46,7 @@ LEARNING = {
 }
 LOOKING = {
     "detections": (pa.int64(), "1", "boxes that the detector found"),
-    "false_positives": (pa.int64(), "1", "of them, those that overlap no object by an IoU of 0.3"),
+    "false_positives": (pa.int64(), "1", "of them, those of at least tracker.start_score that overlap no object by an IoU of 0.3"),
     "tracks": (pa.int64(), "1", "objects that the tracker has confirmed and not lost"),
     "eyes_lx_max": (pa.float64(), "lx", "most light of the lamps on heads and windscreens of road users; empty while none is seen"),
 }

@@ -81,11 +81,8 @@ def name_of(number: int) -> str:
     return f"track {number}"
 
 
-def recognised(known: Known, tracked: Tensor, tracks: Tracks, found: Detections) -> tuple[Mapping[str, Recognised], int]:
-    """What is made of each object in sight by its name, and the number of detections that show none, which are false.
-
-    tracked: boxes `[n, 4]` px of the tracks.
-    """
+def recognised(known: Known, tracked: Tensor, tracks: Tracks, found: Detections) -> Mapping[str, Recognised]:
+    """What is made of each object in sight, by its name. tracked: boxes `[n, 4]` px of the tracks."""
     boxes, scores = found.boxes.double().cpu(), found.scores.double().cpu()
     its_track = dict(pairs(known.boxes, tracked))
     its_box = dict(pairs(known.boxes, boxes))
@@ -97,8 +94,13 @@ def recognised(known: Known, tracked: Tensor, tracks: Tracks, found: Detections)
             0.0 if row is None else float(sure[row]),
             0.0 if column is None else float(scores[column].max()),
         )
-    shows_any = overlaps(boxes, known.boxes).amax(-1) >= SAME if len(known.boxes) else torch.zeros(len(boxes), dtype=torch.bool)
-    return whole, int((~shows_any).sum())
+    return whole
+
+
+def false_positives(known: Known, found: Detections, least: float) -> int:
+    """Number of detections with at least that score that overlap no object."""
+    boxes = found.boxes[found.scores.amax(-1) >= least].double().cpu()
+    return int((~(overlaps(boxes, known.boxes) >= SAME).any(-1)).sum())
 
 
 def pairs(objects: Tensor, boxes: Tensor) -> list[tuple[int, int]]:

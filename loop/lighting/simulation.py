@@ -19,7 +19,7 @@ from loop.build import build_scene
 from loop.lighting.known import Known, categories
 from loop.lighting.lamps import LampPower, ShiningModule, driven, shining_modules
 from loop.lighting.observed import ObservedSymbol, in_white, observed_symbols
-from loop.lighting.sight import Recognised, Sight, name_of, recognised
+from loop.lighting.sight import Recognised, Sight, false_positives, name_of, recognised
 from loop.lighting.view import LitScene, Looker
 from loop.lighting.zoned import InZone, in_zones
 from loop.scenario import DrivingParams, LightingScenario
@@ -55,7 +55,7 @@ class LightingState:
 @dataclass(frozen=True, eq=False)
 class Look:
     """What was found in a frame, and the tracks that are confirmed then, with boxes `[n, 4]` px. recognised: what is made of each object
-    in sight, by its name. false_positives: detections of none.
+    in sight, by its name. false_positives: detections of none that may be new objects.
     eyes_lx_max: most light of the lamps on heads and windscreens of road users, None where none are seen.
     """
 
@@ -273,7 +273,9 @@ class LightingSimulation:
         tracks = self.sight.tracker.step(tracks, found, time_s)
         boxes, present = self.sight.tracker.boxes(tracks.present), tracks.present
         eyes = illuminance[known.eyes]
-        return tracks, Look(found, present, boxes, *recognised(known, boxes, present, found), float(eyes.max()) if len(eyes) else None)
+        made = recognised(known, boxes, present, found)
+        false = false_positives(known, found, self.scenario.tracker.start_score)
+        return tracks, Look(found, present, boxes, made, false, float(eyes.max()) if len(eyes) else None)
 
     def _learnt(self, now: Situation, known: Known, frame: Tensor, tracks: Tracks | None) -> Situation:
         """The situation once the frame is there."""

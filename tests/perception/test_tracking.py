@@ -2,92 +2,23 @@
 
 import math
 import pickle
-from collections.abc import Callable
 from dataclasses import fields, replace
 
 import pytest
 import torch
-from scipy.optimize import linear_sum_assignment
-from torch import Tensor
 
-from perception.camera import CameraParams, camera_view
+from benchmarks.tracking import CLASSES, RATE_HZ, SCENES, SIZES, TRACKER, VIEW, Judge, followed, seen
 from perception.detection.protocol import Detections
-from perception.detection.suppression import overlaps
 from perception.tracking import EACH, LINGER_S, Tracker, TrackerParams, Tracks, completed
-from world.tracked import Category
 
-CLASSES: tuple[Category, ...] = ("pedestrian", "cyclist", "car", "animal")
-RATE_HZ = 30.0
-DEFAULTS = TrackerParams()
-VIEW = camera_view(CameraParams(width_px=640, height_px=360, pitch_deg=1.5))
-TRACKER = Tracker(CLASSES, VIEW, DEFAULTS)
-SIZES: dict[Category, tuple[float, float]] = {"pedestrian": (0.6, 1.75), "cyclist": (0.7, 1.8), "car": (1.8, 1.5)}
-Road = Callable[[float], tuple[Category, float, float]]  # class, x and y in m at a time
-
-
-def seen(objects: list[tuple[Category, float, float]]) -> tuple[Tensor, list[bool]]:
-    """Boxes `[n, 4]` px of upright plates on the road, and whether more than 60 % of one is behind a nearer one."""
-    boxes = []
-    for category, x, y in objects:
-        width, height = SIZES[category]
-        corners = torch.tensor([[x, y + width / 2, height], [x, y - width / 2, 0.0]], dtype=torch.float64).T
-        boxes.append(VIEW.project(corners)[0].T.flatten())
-    stacked = torch.stack(boxes)
-    hidden = []
-    for k, (_, x, _) in enumerate(objects):
-        low, high = torch.maximum(stacked[k, :2], stacked[:, :2]), torch.minimum(stacked[k, 2:], stacked[:, 2:])
-        covered = (high - low).clamp(min=0).prod(-1) / (stacked[k, 2:] - stacked[k, :2]).prod()
-        hidden.append(any(covered[j] > 0.6 and objects[j][1] < x for j in range(len(objects)) if j != k))
-    return stacked, hidden
-
-
-def identities(roads: list[Road], frames: int, seed: int, noise: float = 0.04, misses: float = 0.1) -> list[set[int]]:
-    """Numbers that each object's confirmed tracks bore; boxes are noisy and missing as a detector's are.
-
-    As for MOTA, an object's track stays its own while it overlaps by 0.3, and other pairs are those of most overlap.
-    """
-    rng = torch.Generator().manual_seed(seed)
-    tracks, found, owner = TRACKER.start(), [set[int]() for _ in roads], dict[int, int]()
-    for k in range(frames):
-        objects = [road(k / RATE_HZ) for road in roads]
-        true, hidden = seen(objects)
-        size = (true[:, 2:] - true[:, :2]).prod(-1, keepdim=True).sqrt()
-        boxes = true + noise * size * torch.randn(true.shape, generator=rng, dtype=torch.float64)
-        shown = torch.tensor([not each for each in hidden]) & (torch.rand(len(roads), generator=rng) > misses)
-        scores = 0.1 * torch.rand(len(roads), len(CLASSES), generator=rng, dtype=torch.float64)
-        for n, (category, _, _) in enumerate(objects):
-            scores[n, CLASSES.index(category)] = 0.4 + 0.4 * float(torch.rand(1, generator=rng))
-        tracks = TRACKER.step(tracks, Detections(boxes[shown], scores[shown]), k / RATE_HZ)
-        shares, numbers = overlaps(true, TRACKER.boxes(tracks.present)), tracks.present.number.tolist()
-        for n, number in owner.items():
-            if number in numbers and shares[n, numbers.index(number)] > 0.3:
-                shares[n, numbers.index(number)] += 2
-        owner = {n: numbers[j] for n, j in zip(*linear_sum_assignment(-shares), strict=True) if shown[n] and shares[n, j] > 0.3} | {
-            n: number for n, number in owner.items() if not shown[n]
-        }
-        for n, number in owner.items():
-            found[n].add(number)
-    return found
-
-
-def line(category: Category, x: float, y: float, vx: float = 0.0, vy: float = 0.0) -> Road:
-    return lambda t: (category, x + vx * t, y + vy * t)
-
-
-SCENES: dict[str, list[Road]] = {
-    "two pedestrians cross": [line("pedestrian", 15, 3, vy=-1.4), line("pedestrian", 16, -3, vy=1.4)],
-    "two pedestrians cross side by side": [line("pedestrian", 15, 2, vy=-1.4), line("pedestrian", 15.2, -2, vy=1.2)],
-    "a cyclist overtakes": [line("pedestrian", 12, -2, vx=1.2), line("cyclist", 8.5, -1.2, vx=5)],
-    "a cyclist is overtaken by a car": [line("cyclist", 14, -1.0, vx=4), line("car", 9, 0.5, vx=9)],
-    "ten frames behind a car": [line("car", 14, 0, vy=0), line("pedestrian", 18, -4.0, vy=4.2)],
-}
+DEFAULTS = TRACKER.params
 
 
 @pytest.mark.parametrize("name", SCENES)
 def test_nobody_changes_identity(name: str) -> None:
     for seed in range(5):
-        for numbers in identities(SCENES[name], 110, seed):
-            assert len(numbers) == 1, f"{name}, seed {seed}: {numbers}"
+        kept = followed(SCENES[name], 110, seed)
+        assert all(len(numbers) == 1 for numbers in kept.numbers) and kept.switches == 0, f"{name}, seed {seed}: {kept}"
 
 
 def test_an_occlusion_of_ten_frames_is_one() -> None:
@@ -242,3 +173,13 @@ def test_a_part_of_what_is_known_is_nobody_new_but_somebody_of_another_kind_is()
     sure = [0.8, 0.1, 0.05, 0.0]
     assert len(TRACKER.step(tracks, detections(BOX, part, scores=[sure, cyclist]), 5 / RATE_HZ)) == 1
     assert len(TRACKER.step(tracks, detections(BOX, part, scores=[sure, car]), 5 / RATE_HZ)) == 2
+
+
+def test_switches_misses_and_ghosts_are_counted() -> None:
+    one, other = torch.tensor([[0.0, 0, 10, 20]]), torch.tensor([[50.0, 0, 60, 20]])
+    judge = Judge(1)
+    for boxes, numbers in ((one, [1]), (other, [1]), (one, [2]), (torch.cat([one, other]), [2, 3])):
+        judge.look(one, [True], boxes, numbers)
+    kept = judge.kept
+    assert (kept.seen, kept.missed, kept.false, kept.switches, kept.numbers) == (4, 1, 2, 1, [{1, 2}])
+    assert kept.mota == pytest.approx(1 - 4 / 4)

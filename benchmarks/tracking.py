@@ -1,0 +1,181 @@
+"""How well identities are kept: `python benchmarks/tracking.py` prints tables for docs/object_based.md.
+
+Made-up boxes are as noisy and missing as a detector's; `--scenes N` adds as many scenes of random traffic with the network's own.
+"""
+
+import argparse
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.optimize import linear_sum_assignment
+from torch import Tensor
+
+from loop.lighting.simulation import LightingSimulation
+from loop.scenario import LightingScenario, validate_any
+from perception.camera import CameraParams, camera_view
+from perception.detection.protocol import Detections
+from perception.detection.suppression import overlaps
+from perception.tracking import Tracker, TrackerParams
+from world.tracked import Category
+
+CLASSES: tuple[Category, ...] = ("pedestrian", "cyclist", "car", "animal")
+CAMERA = {"width_px": 640, "height_px": 360, "hfov_deg": 30.0, "pitch_deg": 1.5, "oversampling": 1, "saturation_e": 2000.0}
+VIEW = camera_view(CameraParams.model_validate(CAMERA))
+RATE_HZ = 30.0
+TRACKER = Tracker(CLASSES, VIEW, TrackerParams())
+SIZES: dict[Category, tuple[float, float]] = {"pedestrian": (0.6, 1.75), "cyclist": (0.7, 1.8), "car": (1.8, 1.5)}
+NOISE, MISSES, HIDDEN = 0.04, 0.1, 0.6  # of a box's size, of frames, and the share of a box behind another from which on it is not found
+SAME = 0.3  # least overlap of a track with what it shows
+Road = Callable[[float], tuple[Category, float, float]]  # class, x and y in m at a time
+
+
+@dataclass
+class Kept:
+    """Who was followed how. numbers: of the tracks that showed each object. seen, missed: frames of objects in sight, and of those
+    without a track; false: of tracks that show nobody; switches: frames in which an object's track is another than before.
+    """
+
+    numbers: list[set[int]]
+    seen: int = 0
+    missed: int = 0
+    false: int = 0
+    switches: int = 0
+
+    @property
+    def mota(self) -> float:
+        return 1 - (self.missed + self.false + self.switches) / max(self.seen, 1)
+
+
+class Judge:
+    """Holds tracks against the truth, frame by frame: an object's track stays its own while it overlaps, as for MOTA."""
+
+    def __init__(self, objects: int) -> None:
+        self.kept, self.owner = Kept([set() for _ in range(objects)]), dict[int, int]()
+
+    def look(self, true: Tensor, shown: Sequence[bool], boxes: Tensor, numbers: list[int]) -> None:
+        """true: `[n, 4]` px of all objects; shown: which of them are in sight."""
+        shares = overlaps(true, boxes)
+        present = torch.tensor(shown, dtype=torch.bool)
+        usable = torch.where(present[:, None], shares, 0.0)
+        for n, number in self.owner.items():
+            if number in numbers and usable[n, numbers.index(number)] > SAME:
+                usable[n, numbers.index(number)] += 2
+        pairs = [(n, j) for n, j in zip(*linear_sum_assignment(-usable), strict=True) if usable[n, j] > SAME]
+        for n, j in pairs:
+            self.kept.switches += numbers[j] != self.owner.get(n, numbers[j])
+            self.owner[n] = numbers[j]
+            self.kept.numbers[n].add(numbers[j])
+        self.kept.seen += int(present.sum())
+        self.kept.missed += int(present.sum()) - len(pairs)
+        self.kept.false += int((shares.amax(0) <= SAME).sum()) if len(true) else len(numbers)
+
+
+def seen(objects: list[tuple[Category, float, float]]) -> tuple[Tensor, list[bool]]:
+    """Boxes `[n, 4]` px of upright plates on the road, and which are hidden behind nearer ones."""
+    plates = []
+    for category, x, y in objects:
+        width, height = SIZES[category]
+        plates.append(torch.tensor([[x, y + width / 2, height], [x, y - width / 2, 0.0]], dtype=torch.float64).T)
+    boxes = torch.stack([VIEW.project(corners)[0].T.flatten() for corners in plates])
+    low, high = torch.maximum(boxes[:, None, :2], boxes[None, :, :2]), torch.minimum(boxes[:, None, 2:], boxes[None, :, 2:])
+    covered = (high - low).clamp(min=0).prod(-1) / (boxes[:, 2:] - boxes[:, :2]).prod(-1)[:, None]
+    away = torch.tensor([each[1] for each in objects])
+    return boxes, ((covered > HIDDEN) & (away[None] < away[:, None])).any(-1).tolist()
+
+
+def followed(roads: list[Road], frames: int, seed: int) -> Kept:
+    """Made-up traffic, tracked."""
+    rng = torch.Generator().manual_seed(seed)
+    tracks, judge = TRACKER.start(), Judge(len(roads))
+    for k in range(frames):
+        objects = [road(k / RATE_HZ) for road in roads]
+        true, hidden = seen(objects)
+        size = (true[:, 2:] - true[:, :2]).prod(-1, keepdim=True).sqrt()
+        boxes = true + NOISE * size * torch.randn(true.shape, generator=rng, dtype=torch.float64)
+        shown = ~torch.tensor(hidden) & (torch.rand(len(roads), generator=rng) > MISSES)
+        scores = 0.1 * torch.rand(len(roads), len(CLASSES), generator=rng, dtype=torch.float64)
+        for n, (category, _, _) in enumerate(objects):
+            scores[n, CLASSES.index(category)] = 0.4 + 0.4 * float(torch.rand(1, generator=rng))
+        tracks = TRACKER.step(tracks, Detections(boxes[shown], scores[shown]), k / RATE_HZ)
+        judge.look(true, [not each for each in hidden], TRACKER.boxes(tracks.present), tracks.present.number.tolist())
+    return judge.kept
+
+
+def line(category: Category, x: float, y: float, vx: float = 0.0, vy: float = 0.0) -> Road:
+    return lambda t: (category, x + vx * t, y + vy * t)
+
+
+SCENES: dict[str, list[Road]] = {
+    "two pedestrians cross": [line("pedestrian", 15, 3, vy=-1.4), line("pedestrian", 16, -3, vy=1.4)],
+    "two pedestrians cross 0.2 m apart": [line("pedestrian", 15, 2, vy=-1.4), line("pedestrian", 15.2, -2, vy=1.2)],
+    "a cyclist overtakes": [line("pedestrian", 12, -2, vx=1.2), line("cyclist", 8.5, -1.2, vx=5)],
+    "a car overtakes a cyclist": [line("cyclist", 14, -1.0, vx=4), line("car", 9, 0.5, vx=9)],
+    "ten frames behind a car": [line("car", 14, 0), line("pedestrian", 18, -4.0, vy=4.2)],
+}
+
+
+def crowd(people: int, seed: int) -> list[Road]:
+    """Pedestrians who walk to and fro between 10 and 30 m, within the view."""
+    rng = np.random.default_rng(seed)
+
+    def walker() -> Road:
+        x, wide, phase, way = rng.uniform(10, 30), rng.uniform(0.5, 2.5), rng.uniform(0, 1), rng.uniform(0.8, 1.8)
+        return lambda t: ("pedestrian", x, wide * (4 * abs((phase + way * t / (4 * wide)) % 1 - 0.5) - 1))
+
+    return [walker() for _ in range(people)]
+
+
+def traffic(seed: int, steps: int) -> Kept:
+    """Random traffic through the whole chain, in a bright beam, with the network's detections."""
+    scenario = validate_any(
+        {
+            "name": "traffic",
+            "steps": steps,
+            "seed": seed,
+            "camera": CAMERA,
+            "headlight": {"model": "ssl-hd-lores"},
+            "light": {"ambient_lx": 5.0},
+            "traffic": {"seed": seed, "pedestrians": 4, "cyclists": 2, "cars": 1, "far_m": 40},
+            "detector": {"kind": "network"},
+            "lighting": {"base": {"beam": "low"}},
+        },
+        f"seed {seed}",
+    )
+    assert isinstance(scenario, LightingScenario)
+    simulation, judge = LightingSimulation.prepare(scenario), Judge(len(scenario.all_objects))
+    for result in simulation.run():
+        assert result.look is not None
+        known = simulation.truth(simulation.camera.at(result.time_s))
+        boxes, shown = torch.zeros(len(scenario.all_objects), 4, dtype=torch.float64), [False] * len(scenario.all_objects)
+        for each, box in zip(known.objects, known.boxes, strict=True):
+            boxes[each.object_id - 1] = box
+            shown[each.object_id - 1] = each.visible >= 1 - HIDDEN and float(box[3] - box[1]) >= 24 and each.category in CLASSES
+        judge.look(boxes, shown, result.look.boxes, result.look.tracks.number.tolist())
+    return judge.kept
+
+
+def printed(name: str, runs: list[Kept]) -> None:
+    switches, seconds = sum(each.switches for each in runs), sum(each.seen for each in runs) / RATE_HZ
+    lost = sum(len(numbers) > 1 for each in runs for numbers in each.numbers)
+    print(f"| {name} | {len(runs)} | {switches} | {lost} | {60 * switches / seconds:.2f} | {np.mean([each.mota for each in runs]):.3f} |")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Count identity switches of the tracker.")
+    parser.add_argument("--seeds", type=int, default=20, help="runs of each made-up scene")
+    parser.add_argument("--scenes", type=int, default=0, help="scenes of random traffic, with the network")
+    given = parser.parse_args()
+    print("| scene | runs | switches | objects with more than one track | switches a minute of an object | MOTA |")
+    print("| --- | --- | --- | --- | --- | --- |")
+    for name, roads in SCENES.items():
+        printed(name, [followed(roads, 110, seed) for seed in range(given.seeds)])
+    for people in (5, 10, 20):
+        printed(f"{people} pedestrians to and fro for 5 s", [followed(crowd(people, seed), 150, seed) for seed in range(given.seeds // 2)])
+    if given.scenes:
+        printed("random traffic for 2 s, with the network", [traffic(seed, 60) for seed in range(given.scenes)])
+
+
+if __name__ == "__main__":
+    main()
