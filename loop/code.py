@@ -5,7 +5,7 @@ from functools import cache
 from importlib.resources import files
 from pathlib import Path
 
-DECISIVE = {"world": "**/*", "perception": "**/*.py", "controllers": "**/*.py", "loop": "*.py", "loop.lighting": "*.py"}
+DECISIVE = {"world": "**/*", "perception": "**/*", "controllers": "**/*.py", "loop": "*.py", "loop.lighting": "*.py"}
 SHOWING = (  # beginnings of the names of those modules of loop that decide no figure
     "campaign",
     "cli",

@@ -127,7 +127,7 @@ def write_json(file: Path, value: Any) -> None:
 
 def input_files(scenario: AnyScenario) -> Iterator[tuple[str, Path]]:
     """Files that decide a run beside the scenario and luxloop's code, by the key that names them: symbols, roads, meshes, lamps and what
-    their descriptions name, and modules of one's own with what they import from beside them."""
+    their descriptions name, detectors, and modules of one's own with what they import from beside them."""
     if isinstance(scenario, Scenario):
         yield "symbol.image", symbol_path(scenario.symbol.image)
     else:
@@ -138,6 +138,9 @@ def input_files(scenario: AnyScenario) -> Iterator[tuple[str, Path]]:
         for i, raw in enumerate(scenario.lighting.raw):
             for file in sequence_files(named(raw.file, "utilisations")):
                 yield f"lighting.raw[{i}].file {file.name}", file
+        for key in ("file", "weights"):
+            if (given := getattr(scenario.detector, key, None)) is not None:
+                yield f"detector.{key}", Path(given)
     believed = getattr(scenario.controller, "road", None) if isinstance(scenario, Scenario) else None
     for key, road in (("road.file", scenario.road), ("controller.road.file", believed)):
         if isinstance(road, OpenCrgRoad):

@@ -13,6 +13,7 @@ from controllers.functions.situation import AdaptiveFunction
 from loop import cli
 from loop.lighting.record import row, schema
 from loop.lighting.simulation import LightingSimulation
+from loop.manifest import input_files
 from loop.run import run
 from loop.scenario import LightingScenario, validate_any
 from world.errors import LuxloopError
@@ -124,6 +125,15 @@ def test_without_a_detector_functions_that_learn_are_told_the_truth() -> None:
     names = schema(simulation).names
     assert "power_w" in names and "object.walker.track" not in names and "parked" not in " ".join(names)
     assert set(names) <= set(row(result))
+
+
+def test_a_detectors_file_is_among_the_inputs_of_a_run(tmp_path: Path) -> None:
+    weights = tmp_path / "own.pt"
+    weights.write_bytes(b"not weights")
+    given = scenario(detector={"kind": "network", "weights": str(weights)})
+    assert dict(input_files(given))["detector.weights"] == weights
+    with pytest.raises(LuxloopError, match=r"detector\.weights"):
+        LightingSimulation.prepare(given)
 
 
 def test_scenes_without_objects_and_out_of_sight_are_recorded() -> None:
