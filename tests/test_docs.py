@@ -33,7 +33,7 @@ EXEMPT = {
     r"make (demo|test)\b": "sets up an environment, and would run this test inside itself",
     r"\. \.venv/bin/activate": "the test runs in an environment already",
     r"(\.venv/bin/)?python benchmarks/": "takes minutes, and has tests of its own",
-    r"luxloop (evaluate|campaign|train-detector)\b": "takes minutes, and has tests of its own",
+    r"luxloop (evaluate|campaign|optimise-beam|train-detector)\b": "takes minutes, and has tests of its own",
 }
 # What makes a command cheap without changing what it shows.
 CHEAP = {
