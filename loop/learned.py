@@ -13,7 +13,6 @@ from loop.summary import FINAL
 from perception.extraction import Loss
 
 NEAR = 0.02  # of the symbol's size: about how far off a symbol may be that has settled
-RIPPLE = 2.5  # how much more than when it stays the error varies where the symbol moves, and its edges pass over pixels
 
 
 def near(simulation: Simulation) -> Tensor:
@@ -44,7 +43,7 @@ class Learned:
             poses.append(shown[seen])
             offsets.append((each.errors[0, late:] - shown)[seen])
         noise = torch.stack([each[-FINAL:].std(0, correction=0) for each in offsets if len(each)]).amin(0)
-        return cls(torch.cat(poses), torch.cat(offsets), RIPPLE * noise)
+        return cls(torch.cat(poses), torch.cat(offsets), noise)
 
     def foretold(self, simulation: Simulation, values: dict[str, Tensor], noise: Tensor) -> Rollout:
         """Runs with gains, values `[B]`; noise: `[steps, B, 4]`, standard normal. Differentiable in the gains, and without any light."""
