@@ -7,14 +7,16 @@ from typing import Any
 
 import torch
 from object_based_cases import FIRST, WORLD, beside, lit, scenario
+from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
 from loop.jobs import Job
-from loop.lighting.sight import pairs
+from loop.lighting.sight import SAME, pairs
 from loop.lighting.simulation import LightingSimulation
 from loop.pixel_control import pixel_controller
 from perception.camera import expose, frame_generator
 from perception.detection.protocol import Detections
+from perception.detection.suppression import overlaps
 from perception.metrics import dssim
 from world.overlap import reduce
 
@@ -27,10 +29,11 @@ KEEP = 8  # pixels a texel of the reduced matrix, of 30 in the middle
 
 
 def zone_jobs(seeds: int) -> Iterator[Job]:
-    """Each reflectance once in each place."""
+    """Each reflectance in each place, once with walls that are all alike, and once beside others."""
+    alike = [[each] * len(PLACES) for each in REFLECTANCES]
+    mixed = [[REFLECTANCES[(first + k) % len(REFLECTANCES)] for k in range(len(PLACES))] for first in range(len(REFLECTANCES))]
     for seed in range(seeds):
-        for first in range(len(REFLECTANCES)):
-            walls = [REFLECTANCES[(first + k) % len(REFLECTANCES)] for k in range(len(PLACES))]
+        for walls in (*alike, *mixed):
             yield Job(f"zones, {' '.join(map(str, walls))}, seed {seed}", {"reflectances": walls, "seed": seed})
 
 
@@ -111,6 +114,7 @@ def tracked(situation: str, scenario: Mapping[str, Any], seeds: int) -> dict[str
     simulations = [beside(shared, each) for each in own]
     states, tracks = [each.start() for each in simulations], [dict[str, list[int | None]]() for _ in own]
     hidden: dict[str, int] = {}
+    matches: list[Mapping[str, int]] = [{} for _ in own]
     for step in range(shared.scenario.steps):
         known = shared.truth(shared.camera.at(step / shared.scenario.rate_hz))
         shown = {each.name: each.visible * each.inside for each in known.objects}
@@ -118,13 +122,29 @@ def tracked(situation: str, scenario: Mapping[str, Any], seeds: int) -> dict[str
         for k, each in enumerate(simulations):
             states[k], result = each.step(states[k])
             assert result.look is not None
-            for name, made in result.look.recognised.items():
+            names, numbers = [each.name for each in known.objects], result.look.tracks.number.tolist()
+            matches[k] = matched(matches[k], names, numbers, overlaps(known.boxes, result.look.boxes))
+            for name in names:
                 if shown[name] >= SHOWN:
-                    tracks[k].setdefault(name, []).append(made.track)
+                    tracks[k].setdefault(name, []).append(matches[k].get(name))
     return {
         "situation": situation,
         "objects": [[_identity(each) | {"hidden": hidden[name]} for name, each in of_seed.items()] for of_seed in tracks],
     }
+
+
+def matched(before: Mapping[str, int], names: Sequence[str], numbers: Sequence[int], shares: Tensor) -> Mapping[str, int]:
+    """Numbers of the tracks that show objects, by name: those that did before as long as they overlap, the others as they overlap most.
+
+    That is how identities are followed since CLEAR MOT (Bernardin & Stiefelhagen 2008). shares: IoU `[objects, tracks]`.
+    """
+    column = {number: j for j, number in enumerate(numbers)}
+    present = {name: number for name, number in before.items() if number in column}
+    kept = {name: present[name] for i, name in enumerate(names) if name in present and shares[i, column[present[name]]] >= SAME}
+    rows, columns = [k for k, name in enumerate(names) if name not in kept], [k for k, n in enumerate(numbers) if n not in kept.values()]
+    left = shares[rows][:, columns]
+    most = zip(*(each.tolist() for each in linear_sum_assignment(-left)), strict=True)
+    return kept | {names[rows[i]]: numbers[columns[j]] for i, j in most if left[i, j] >= SAME}
 
 
 def _identity(tracks: Sequence[int | None]) -> dict[str, int]:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 ROOT = Path(__file__).parents[1]
 LAMPS = {
@@ -72,7 +73,7 @@ def test_a_newcomer_is_lit_once_it_is_known_and_gets_half_of_its_light(goals: An
 def test_zones_count_the_steps_until_they_stay(goals: Any) -> None:
     luminance = [0.1, 0.9, 0.5, 0.87, 0.9, 0.91]
     (row,) = goals.zone_rows([{"zones": [{"reflectance": 0.2, "luminance": luminance}]}])
-    assert row["steps"] == 3 and row["error"] == pytest.approx(0.01 / 0.9)
+    assert row["steps"] == 3 and not row["mixed"] and row["error"] == pytest.approx(0.01 / 0.9)
 
 
 def test_an_identity_switches_between_numbers_and_not_at_gaps(goals: Any) -> None:
@@ -80,6 +81,17 @@ def test_an_identity_switches_between_numbers_and_not_at_gaps(goals: Any) -> Non
 
     found = object_based_parts._identity([None, 1, 1, None, 1, 2, None, 2, 1])
     assert found == {"switches": 2, "frames": 9, "found": 8, "lost": 2}
+
+
+def test_a_track_stays_an_objects_while_it_overlaps(goals: Any) -> None:
+    import object_based_parts
+
+    crossed = torch.tensor([[0.5, 0.8], [0.7, 0.4]])
+    assert object_based_parts.matched({"a": 7, "b": 9}, ["a", "b"], [7, 9], crossed) == {"a": 7, "b": 9}
+    assert object_based_parts.matched({}, ["a", "b"], [7, 9], crossed) == {"a": 9, "b": 7}
+    apart = torch.tensor([[0.1, 0.8], [0.7, 0.0]])
+    assert object_based_parts.matched({"a": 7, "b": 9}, ["a", "b"], [7, 9], apart) == {"a": 9, "b": 7}
+    assert object_based_parts.matched({"a": 7}, ["a", "b"], [9], torch.tensor([[0.1], [0.2]])) == {}
 
 
 def test_goals_are_missed_where_only_one_of_both_is_reached(goals: Any) -> None:
