@@ -17,7 +17,7 @@ import object_based_cases
 import object_based_page
 import object_based_parts
 from bench import machine
-from object_based_cases import COMES, FIRST, FULL, LOW, NEWCOMER, OURS, beam_lights, cases, illuminated, lit, scenario
+from object_based_cases import COMES, FULL, LOW, NEWCOMER, OURS, beam_lights, cases, illuminated, lit
 from object_based_goals import FOUND, Measured, measures, track_rows, zone_rows
 from object_based_parts import agreement, pair_jobs, track_jobs, tracked, zone_jobs, zones
 
@@ -90,8 +90,9 @@ def drawn(result: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def example() -> object_based_page.Pictures:
-    """The first scene in low beam and full light, and as object-based lighting has it when a newcomer comes."""
-    simulation = LightingSimulation.prepare(lit(scenario(FIRST, moving=False), [{"kind": "object_based"}]))
+    """The first scene, which stands, in low beam and full light, and as object-based lighting has it when a newcomer comes."""
+    (case,) = cases(1, 1)
+    simulation = LightingSimulation.prepare(lit(case.scenario, case.parameters["variants"][OURS]))
     state = simulation.start()
     for _ in range(COMES):
         state, result = simulation.step(state)

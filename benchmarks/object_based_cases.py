@@ -14,7 +14,7 @@ from loop.lighting.known import Known
 from loop.lighting.sight import Sight, pairs
 from loop.lighting.simulation import LightingResult, LightingSimulation
 from loop.lighting.view import LitScene
-from loop.scenario import LightingScenario, validate_any
+from loop.scenario import LightingScenario, Override, load_any, validate_any
 from perception.camera import CameraParams, expose, frame_generator
 from perception.ground_truth import Truth
 from world.traffic.generator import varied
@@ -23,15 +23,18 @@ CAMERA = {"width_px": 640, "height_px": 360, "pitch_deg": 1.5, "oversampling": 1
 WORLD: dict[str, Any] = {"camera": CAMERA, "headlight": {"model": "ssl-hd-lores"}, "detector": {"kind": "network"}, "rate_hz": 30.0}
 FIRST = 2_000_000  # seed of the first scene: the network was trained on scenes from 10,000 on, and judged on those from 1,000,000 on
 OURS = "luxloop"
-VARIANTS: dict[str, dict[str, Any]] = {  # of the table [[lighting.functions]]
-    OURS: {},
-    "raising": {"loop": {"search": {"kind": "raise"}}},
-    "by class": {"method": "class"},
-    "10 lx for all": {"method": "constant"},
-    "stripes": {"light": {"pattern": "stripes"}},
+SHARE = 0.08  # of the high beam, which is a fifth of the low one's flux
+VARIANTS: dict[str, tuple[Override, ...]] = {  # what each changes in the lighting of the scenario `obl`
+    OURS: (),
+    "over the low beam": ("lighting.base.beam='low'", "lighting.functions[0].ambient={first=1.0, least=0.05}"),
+    "raising": ("lighting.functions[0].loop.search={kind='raise'}",),
+    "by class": ("lighting.functions[0].method='class'", f"lighting.functions[0].share={SHARE}"),
+    "10 lx for all": ("lighting.functions[0].method='constant'", f"lighting.functions[0].share={SHARE}"),
+    "stripes": ("lighting.functions[0].light.pattern='stripes'",),
 }
 LOW, HIGH, FULL = "low beam", "high beam", "full light"  # all pixels on
 BEAMS = {LOW: "low", HIGH: "high", FULL: None}
+BARE = {"base": {"beam": "high"}}
 
 END = range(60, 75)  # steps of which means are what object-based lighting has come to
 COMES = 75  # step at which a newcomer is there
@@ -58,7 +61,8 @@ class Case:
     @property
     def parameters(self) -> dict[str, Any]:
         """Of the job."""
-        return {"scenario": self.scenario, "variants": VARIANTS, "seeds": {name: self.seeds if name == OURS else 1 for name in VARIANTS}}
+        variants = {name: load_any("obl", changes).model_dump(mode="json")["lighting"] for name, changes in VARIANTS.items()}
+        return {"scenario": self.scenario, "variants": variants, "seeds": {name: self.seeds if name == OURS else 1 for name in VARIANTS}}
 
 
 def cases(scenes: int, seeds: int) -> Iterator[Case]:
@@ -90,9 +94,9 @@ def _newcomer(rng: np.random.Generator, others: np.ndarray) -> dict[str, Any]:
     return made | {"track": [at], "appears_s": COMES / WORLD["rate_hz"]}
 
 
-def lit(plain: Mapping[str, Any], functions: Sequence[Mapping[str, Any]] = (), beam: str = "low", seed: int = 0) -> LightingScenario:
-    """A scenario with its lighting."""
-    found = validate_any({**plain, "seed": seed, "lighting": {"base": {"beam": beam}, "functions": functions}}, str(plain["name"]))
+def lit(plain: Mapping[str, Any], lighting: Mapping[str, Any] = BARE, seed: int = 0) -> LightingScenario:
+    """A scenario with its lighting, and a seed of noise."""
+    found = validate_any({**plain, "seed": seed, "lighting": lighting}, str(plain["name"]))
     assert isinstance(found, LightingScenario)
     return found
 
@@ -110,8 +114,7 @@ def illuminated(scenario: Mapping[str, Any], variants: Mapping[str, Mapping[str,
     these; `runs`, by variant, of each seed.
     """
     torch.set_num_threads(1)  # wherever the job runs
-    function = {name: {"kind": "object_based", **keys} for name, keys in variants.items()}
-    own = {(name, seed): lit(scenario, [function[name]], seed=seed) for name in variants for seed in range(seeds[name])}
+    own = {(name, seed): lit(scenario, lighting, seed) for name, lighting in variants.items() for seed in range(seeds[name])}
     shared = LightingSimulation.prepare(next(iter(own.values())))
     simulations = {key: beside(shared, each) for key, each in own.items()}
     states = {key: each.start() for key, each in simulations.items()}

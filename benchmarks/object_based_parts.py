@@ -48,7 +48,7 @@ def zones(reflectances: Sequence[float], seed: int) -> dict[str, Any]:
         functions.append(zone)
     world = {key: value for key, value in WORLD.items() if key != "detector"}
     plain = {"name": "zones", "steps": ZONE_STEPS, **world, "light": {"ambient_lx": 0.1}, "objects": walls}
-    results = list(LightingSimulation.prepare(lit(plain, functions, seed=seed)).run())
+    results = list(LightingSimulation.prepare(lit(plain, {"base": {"beam": "low"}, "functions": functions}, seed)).run())
     return {
         "zones": [
             {"reflectance": albedo, "luminance": [result.zones[f"zone {k}"].luminance for result in results]}
@@ -109,7 +109,7 @@ def tracked(situation: str, scenario: Mapping[str, Any], seeds: int) -> dict[str
     seen well enough; `lost`, those of them without a track after the first that had one; `hidden`, in which it is not.
     """
     torch.set_num_threads(1)
-    own = [lit(scenario, beam="high", seed=seed) for seed in range(seeds)]
+    own = [lit(scenario, seed=seed) for seed in range(seeds)]
     shared = LightingSimulation.prepare(own[0])
     simulations = [beside(shared, each) for each in own]
     states, tracks = [each.start() for each in simulations], [dict[str, list[int | None]]() for _ in own]
@@ -164,10 +164,10 @@ def agreement(scenario: Mapping[str, Any]) -> dict[str, Any]:
     torch.set_num_threads(1)
     moving = {**scenario, "traffic": {**scenario["traffic"], "moving": True}}  # which is what the quick way is for
     exact, rays, quick, moved = (
-        _frame(LightingSimulation.prepare(lit({**world, "renderer": renderer}, beam="high")))
+        _frame(LightingSimulation.prepare(lit({**world, "renderer": renderer})))
         for world, renderer in ((scenario, "opengl"), (scenario, "raycast"), (moving, "opengl"), (moving, "raycast"))
     )
-    simulation = LightingSimulation.prepare(lit(scenario, beam="high"))
+    simulation = LightingSimulation.prepare(lit(scenario))
     reduced, again = _frame(_with_less_overlap(simulation)), _frame(simulation, noise=1)
     return {
         "OpenGL, exact, and rays": _apart(exact, rays),
