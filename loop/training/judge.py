@@ -17,7 +17,7 @@ from perception.detection.suppression import overlaps
 
 ILLUMINANCES_LX = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0)
 WELL_LIT_LX = 10.0
-SURE = 0.35  # least score of what counts as found
+SURE = 0.3  # least score of what counts as found
 SCORES = (0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5)  # that might do as well
 FOUND_IOU = 0.5
 HEIGHT_PX, VISIBLE, INSIDE = 24, 0.5, 0.5  # least of what must be found; what has less may be

@@ -43,8 +43,8 @@ def overview(report: Report) -> Table:
     return shown
 
 
-def page(report: Report, picture: str) -> str:
-    """The report as Markdown; picture: where that is."""
+def page(report: Report) -> str:
+    """The report as Markdown."""
     training, found = report["training"], report["well_lit"]
     by_class = ", ".join(f"{name} {value:g}" for name, value in found["recall_by_class"].items())
     rows = "\n".join(f"| {name} | {limit} | {value:g} | {'yes' if reached else 'no'} |" for name, limit, value, reached in goals(report))
@@ -71,8 +71,6 @@ of the distance. An object's confidence is the best score of its class among box
 
 {header}
 {medians}
-
-![Confidence against illuminance]({picture})
 """
 
 
@@ -97,6 +95,6 @@ def write_report(report: Report, out: Path) -> None:
     """Write page and picture into a folder. Raises LuxloopError where that cannot be."""
     try:
         confidence_figure(report).savefig(out / PICTURE)
-        (out / PAGE).write_text("# Detector\n\n" + page(report, PICTURE), "utf-8")
+        (out / PAGE).write_text(f"# Detector\n\n{page(report)}\n![Confidence against illuminance]({PICTURE})\n", "utf-8")
     except OSError as error:
         raise LuxloopError(f"{out}: the report cannot be written ({error.strerror}); give another folder with --out") from error

@@ -14,13 +14,16 @@ from loop.training import examples, fit
 from loop.training.examples import SIZE, Examples, targets
 from loop.training.judge import judge, verdict
 from loop.training.light import any_light, head_shares, luminance, mean_lx
+from loop.training.report import page
 from loop.training.scenes import CAMERA, CLASSES, HELD_OUT, TRAINING, DarkScene, Labelled, draw, read
-from perception.detection.build import detector
+from perception.detection.build import WEIGHTS, detector
 from perception.detection.network import STRIDE
 from perception.detection.params import NetworkParams
 from perception.detection.protocol import Detections
 
 CPU = torch.device("cpu")
+ROOT = Path(__file__).parents[2]
+REPORT = (ROOT / "perception" / "detection" / WEIGHTS).with_suffix(".json")
 
 
 @pytest.fixture(scope="module")
@@ -130,11 +133,18 @@ def test_verdicts_count_what_is_found_missed_and_false() -> None:
     assert nothing.found == (False, False) and nothing.confidences == (0.0, 0.0) and nothing.false == 0
 
 
-def test_the_shipped_weights_are_what_their_report_says(row: dict[str, object]) -> None:
+def test_the_shipped_weights_are_as_good_as_their_report_says_on_one_scene(row: dict[str, object]) -> None:
+    report = json.loads(REPORT.read_text("utf-8"))
     found = judge(detector(NetworkParams(threshold=0.01), CPU), [row])
     median = dict(zip(found["confidence"]["lx"], found["confidence"]["all"]["median"], strict=True))
-    assert found["well_lit"]["recall"] >= 0.6  # of the few objects of one scene
+    assert found["well_lit"]["recall"] >= report["well_lit"]["recall"] - 0.3  # of the few objects of one scene
     assert median[0.05] < 0.1 < 0.4 < median[10.0]
+
+
+def test_the_page_says_what_the_report_says() -> None:
+    text = page(json.loads(REPORT.read_text("utf-8")))
+    assert text in (ROOT / "docs" / "detectors.md").read_text("utf-8")
+    assert REPORT.with_suffix(".md").read_text("utf-8").endswith(text)
 
 
 def test_train_detector_writes_weights_that_detect(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,7 +11,7 @@ from onnx import helper, numpy_helper
 from torch import Tensor, nn
 
 from perception.detection.build import detector
-from perception.detection.network import Network, NetworkDetector, boxes_of
+from perception.detection.network import CODE, Network, NetworkDetector, boxes_of, scores_of
 from perception.detection.onnx import OnnxDetector
 from perception.detection.params import NetworkParams, OnnxParams
 from perception.detection.suppression import overlaps
@@ -28,7 +28,7 @@ def export(module: nn.Module, size: tuple[int, int, int], file: Path) -> Path:
 
 
 class AsYolo(nn.Module):
-    """luxloop's own network in the clothes of YOLOv8, for frames that are coded with a gamma of 2, which is what it roots itself."""
+    """luxloop's own network in the clothes of YOLOv8, for frames that are coded with the power that it codes them with itself."""
 
     def __init__(self, network: Network) -> None:
         super().__init__()
@@ -37,7 +37,7 @@ class AsYolo(nn.Module):
     def forward(self, frames: Tensor) -> Tensor:
         logits, sides = self.network(frames)
         low, high = boxes_of(sides).split(2, 1)
-        return torch.cat([(low + high) / 2, high - low, logits.sigmoid()], 1).flatten(2)
+        return torch.cat([(low + high) / 2, high - low, scores_of(logits)], 1).flatten(2)
 
 
 def says(numbers: Any, size: tuple[int, int], file: Path) -> str:
@@ -63,7 +63,7 @@ def test_our_own_network_exported_finds_what_it_finds_here(lit: Lit, tmp_path: P
     assert isinstance(ours, NetworkDetector)
     file = export(AsYolo(ours.network), (1, 360, 640), tmp_path / "ours.onnx")
     theirs = detector(
-        OnnxParams(file=str(file), gamma=2.0, input_px=(640, 360), channels=1, threshold=0.3, classes=dict(enumerate(ours.classes))),
+        OnnxParams(file=str(file), gamma=1 / CODE, input_px=(640, 360), channels=1, threshold=0.3, classes=dict(enumerate(ours.classes))),
         CPU,
     )
     frame = lit.frame(10.0)
