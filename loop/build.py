@@ -1,6 +1,7 @@
 """From a scenario to the things it names: scene, lamps, symbol."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -19,8 +20,10 @@ from loop.scenario import HeadlightParams, Scenario, WorldScenario
 from loop.shipped import named
 from world.body import Body
 from world.errors import LuxloopError, located
+from world.figure import Figure
 from world.frames import pose_from_degrees
 from world.lamp import Lamp, Module
+from world.objects import ObjectParams
 from world.roadbase import Road
 from world.roadmesh import road_mesh
 from world.roadtiles import RoadTiles
@@ -48,8 +51,13 @@ def build_scene(scenario: WorldScenario, motion: Motion = STANDING) -> Scene:
         ground = Body("road", road_mesh(road), surface.albedo, texture, smooth=True)
     else:
         ground = RoadTiles(road, motion.range_y_m, surface.albedo, texture)
-    objects = tuple(item.build() for item in scenario.all_objects)
+    objects = tuple(_built(item, road) for item in scenario.all_objects)
     return Scene((ground, *objects), scenario.light.ambient_lx, scenario.light.street_lamps)
+
+
+def _built(item: ObjectParams, road: Road) -> Body | Figure:
+    body = item.build()
+    return replace(body, track=replace(body.track, road=road)) if item.on_road else body
 
 
 def build_symbol_controller(scenario: Scenario, observer: Observer) -> SymbolController:

@@ -75,8 +75,10 @@ def copied(name: str, like: str) -> str:
 
 def night(name: str, seed: int) -> str:
     """The text of a scenario of lighting functions with traffic, road and light drawn from a seed."""
+    world = varied(seed)
     tables = {
-        **varied(seed),
+        **world,
+        "traffic": world["traffic"] | {"on_road": True},
         "camera": {"width_px": 960, "height_px": 400, "hfov_deg": 30.0, "pitch_deg": 1.5},
         "headlight": {"model": "ssl-hd-lores"},
         "lighting": {"base": {"beam": "low"}, "functions": [{"kind": "glare_free"}]},

@@ -12,6 +12,7 @@ from torch import Tensor
 from world.brdf import LAMBERTIAN, Material
 from world.frames import pose
 from world.materials import MaterialName, Texture
+from world.roadbase import Road
 from world.spots import SpottedTexture
 
 
@@ -42,12 +43,14 @@ class PoseTrack:
     """Where a body is and when it is there: position linear, rotation on the shortest arc between keyframes, constant outside.
 
     times_s: K ascending times. T_world_body: `[K, 4, 4]` float64. The body is there in `[appears_s, vanishes_s)`.
+    road: what heights count from, at the body's x and y; without one they are over z = 0.
     """
 
     times_s: tuple[float, ...]
     T_world_body: Tensor
     appears_s: float = -float("inf")
     vanishes_s: float = float("inf")
+    road: Road | None = None
 
     @classmethod
     def static(cls, T_world_body: Tensor | None = None) -> "PoseTrack":
@@ -69,6 +72,13 @@ class PoseTrack:
 
     def pose_at(self, t_s: float) -> Tensor:
         """`T_world_body` `[4, 4]` float64 at a time in s."""
+        T = self._interpolated(t_s)
+        if self.road is None:
+            return T
+        x, y = T[:2, 3].tolist()
+        return pose(T[:3, 3] + T.new_tensor([0.0, 0.0, float(self.road.z(x, y))]), T[:3, :3])
+
+    def _interpolated(self, t_s: float) -> Tensor:
         t = min(max(t_s, self.times_s[0]), self.times_s[-1])
         after = int(np.searchsorted(self.times_s, t))
         if self.times_s[after] == t:

@@ -64,6 +64,7 @@ class TrackedParams(Params):
     category: Category | None = Field(None, description="What a tracker reports it as to lighting functions; left out: nothing is told")
     track: tuple[KeyframeParams, ...] = Field((), description="Poses in ascending time; one keyframe: the object stands still")
     path: WayParams | None = Field(None, description="A way at a constant speed, in place of a track")
+    on_road: bool = Field(False, description="Count heights from the road's surface under the object's origin, in place of z = 0")
     appears_s: float | None = Field(None, description="Time of appearing; left out: there from the start")
     vanishes_s: float | None = Field(None, description="Time of vanishing; left out: there to the end")
 

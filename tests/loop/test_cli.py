@@ -208,6 +208,7 @@ def test_new_night_is_valid_and_its_traffic_comes_from_the_seed(lux: Lux) -> Non
     assert lux("new", "a.toml", "--traffic", "7")[0] == lux("new", "b.toml", "--traffic", "8")[0] == 0
     a, b = load_any("a.toml"), load_any("b.toml")
     assert len(a.all_objects) > 5 and a.all_objects != b.all_objects and a.surface != b.surface
+    assert all(each.on_road for each in a.all_objects)
     assert lux("check", "a.toml")[0] == 0
 
 

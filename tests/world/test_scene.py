@@ -14,6 +14,7 @@ from world.errors import LuxloopError
 from world.frames import pose_from_degrees
 from world.materials import RoadSurfaceParams, Texture
 from world.objects import BoxParams, MeshParams, ObjectParams
+from world.roads import Grade
 from world.scene import Scene
 
 ORIGIN = {"position_m": (0.0, 0.0, 0.0)}
@@ -39,6 +40,18 @@ def test_poses_between_keyframes_are_rigid(roll_deg, pitch_deg, yaw_deg, t_s):
     assert torch.allclose(R @ R.T, torch.eye(3, dtype=torch.float64), atol=1e-9)
     assert torch.det(R) > 0
     assert torch.allclose(T[:3, 3], stop[:3, 3] * t_s)
+
+
+def test_on_a_road_a_body_keeps_its_height_over_it_all_the_way():
+    grade = Grade(grade_percent=5.0, crossfall_percent=2.0, start_x_m=10.0, curve_m=4.0)
+    ends = torch.stack([pose_from_degrees((0, 1, 0.5), yaw_deg=30), pose_from_degrees((34, 1, 0.5), yaw_deg=30)])
+    plain, track = PoseTrack((0.0, 34.0), ends), PoseTrack((0.0, 34.0), ends, road=grade)
+    # Level, then a parabola of 4 m, then 5 %; 2 % to the left from 6 m on. Beyond the last pose it stands, uphill.
+    for t_s, height_m in ((0.0, 0.0), (8.0, 0.02), (12.0, 0.02 + 0.05 * 2**2 / 8), (34.0, 0.02 + 0.05 * (2 + 20)), (99.0, 1.12)):
+        T = track.pose_at(t_s)
+        assert T[2, 3] == pytest.approx(0.5 + height_m, abs=1e-12)
+        T[2, 3] = 0.5
+        assert torch.allclose(T, plain.pose_at(t_s), rtol=0, atol=1e-12)
 
 
 def test_a_body_is_there_from_appearing_until_just_before_vanishing():

@@ -228,6 +228,8 @@ def test_traffic_comes_from_its_seed_in_sight_and_with_room():
     standing = params.model_copy(update={"moving": False})
     assert not any(len(each.pose_track().times_s) > 1 for each in standing.objects())
     assert any(len(each.pose_track().times_s) > 1 for each in objects)
+    uphill = params.model_copy(update={"on_road": True}).objects()
+    assert uphill == tuple(each.model_copy(update={"on_road": True}) for each in objects) != objects
     assert TrafficParams(pedestrians=0, cyclists=0, cars=0, parked=0, signs=0, clutter=0).objects() == ()
 
 

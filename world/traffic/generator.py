@@ -35,6 +35,7 @@ class TrafficParams(Params):
     near_m: float = Field(8.0, ge=3, le=100, description="least distance ahead at the start")
     far_m: float = Field(60.0, ge=10, le=200, description="greatest distance ahead at the start")
     moving: bool = Field(True, description="whether road users move")
+    on_road: bool = Field(False, description="whether they stand on the road's surface, in place of z = 0")
 
     @model_validator(mode="after")
     def _near_is_nearer(self) -> Self:
@@ -61,6 +62,7 @@ class TrafficParams(Params):
                 keys, speed, place = next(self._free(rng, taken, radius_m, make), ({}, 0.0, None))
                 if place is not None:
                     taken.append((place[0], place[1], radius_m))
+                    keys |= {"on_road": self.on_road}
                     found.append(_made(name, f"{name} {k + 1}", seed, place, speed if self.moving else 0.0, keys))
         return tuple(found)
 
