@@ -106,11 +106,11 @@ def _number(value: float | None, unit: str = "") -> str:
 
 
 def zones(rows: Sequence[Row]) -> str:
-    lines = ["| reflectance | beside it | steps, mean | steps, worst | error, worst |", "| ---: | --- | ---: | ---: | ---: |"]
-    for mixed, reflectance in sorted({(row["mixed"], row["reflectance"]) for row in rows}):
-        found = [row for row in rows if (row["mixed"], row["reflectance"]) == (mixed, reflectance)]
+    lines = ["| full well | reflectance | steps, mean | steps, worst | error, worst |", "| ---: | ---: | ---: | ---: | ---: |"]
+    for saturation_e, reflectance in dict.fromkeys((row["saturation_e"], row["reflectance"]) for row in rows):
+        found = [row for row in rows if (row["saturation_e"], row["reflectance"]) == (saturation_e, reflectance)]
         steps, error = [row["steps"] for row in found], max(row["error"] for row in found)
-        lines.append(f"| {reflectance} | {'others' if mixed else 'the same'} | {np.mean(steps):.1f} | {max(steps)} | {error:.1%} |")
+        lines.append(f"| {saturation_e:g} e | {reflectance} | {np.mean(steps):.1f} | {max(steps)} | {error:.1%} |")
     return "\n".join(lines)
 
 

@@ -6,7 +6,7 @@ from itertools import pairwise
 from typing import Any
 
 import torch
-from object_based_cases import FIRST, WORLD, beside, lit, scenario
+from object_based_cases import CAMERA, FIRST, WORLD, beside, lit, scenario
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
@@ -22,6 +22,7 @@ from world.overlap import reduce
 
 REFLECTANCES = (0.05, 0.1, 0.2, 0.4, 0.8)
 PLACES = ((17.0, 3.0), (25.0, 0.0), (17.0, -3.0))  # of walls, x and y in m
+FULL_WELLS = (8000.0, CAMERA["saturation_e"])  # electrons, of cameras that measure up to 10.7 and 2.7 cd/m^2
 TARGET, ZONE_STEPS, WITHIN = 0.9, 20, 0.05  # cd/m^2, steps, share
 HIDDEN, SHOWN = 0.2, 0.5  # visible share of what is hidden, and of what has to have its old number
 DSSIM_PX = 1.5  # the usual window
@@ -29,15 +30,16 @@ KEEP = 8  # pixels a texel of the reduced matrix, of 30 in the middle
 
 
 def zone_jobs(seeds: int) -> Iterator[Job]:
-    """Each reflectance in each place, once with walls that are all alike, and once beside others."""
-    alike = [[each] * len(PLACES) for each in REFLECTANCES]
-    mixed = [[REFLECTANCES[(first + k) % len(REFLECTANCES)] for k in range(len(PLACES))] for first in range(len(REFLECTANCES))]
+    """Each reflectance once in each place, with each camera."""
+    walls = [[REFLECTANCES[(first + k) % len(REFLECTANCES)] for k in range(len(PLACES))] for first in range(len(REFLECTANCES))]
     for seed in range(seeds):
-        for walls in (*alike, *mixed):
-            yield Job(f"zones, {' '.join(map(str, walls))}, seed {seed}", {"reflectances": walls, "seed": seed})
+        for saturation_e in FULL_WELLS:
+            for each in walls:
+                named = f"zones, {' '.join(map(str, each))}, {saturation_e:g} e, seed {seed}"
+                yield Job(named, {"reflectances": each, "saturation_e": saturation_e, "seed": seed})
 
 
-def zones(reflectances: Sequence[float], seed: int) -> dict[str, Any]:
+def zones(reflectances: Sequence[float], saturation_e: float, seed: int) -> dict[str, Any]:
     """A job: how bright three walls are, each with a zone, `luminance` in cd/m^2 by step, and what they reflect."""
     torch.set_num_threads(1)
     walls, functions = [], []
@@ -47,6 +49,7 @@ def zones(reflectances: Sequence[float], seed: int) -> dict[str, Any]:
         zone = {"kind": "zone", "name": f"zone {k}", "centre_m": (x, y, 1.0), "size_m": (0.0, 1.6, 1.6), "luminance_cd_m2": TARGET}
         functions.append(zone)
     world = {key: value for key, value in WORLD.items() if key != "detector"}
+    world["camera"] = CAMERA | {"saturation_e": saturation_e}
     plain = {"name": "zones", "steps": ZONE_STEPS, **world, "light": {"ambient_lx": 0.1}, "objects": walls}
     results = list(LightingSimulation.prepare(lit(plain, {"base": {"beam": "low"}, "functions": functions}, seed)).run())
     return {
