@@ -119,14 +119,14 @@ class Luxloop:
     def _looked(self, registration: Registration, memory: Memory, frames: tuple[Tensor, Tensor], shown: Shown, stances: Stances) -> Memory:
         """What is known after a look: nothing, where heights do not explain it."""
         fine, known = registration.sight, memory.heights
-        contrast, limit = fine.observe_symbol(frames)
-        seen = fine.symbol(contrast, limit)
-        if float(seen.sum()) * fine.step < LEAST_LIT_PX:
-            return self._nothing(registration)
         textures = tuple(
             module.pixel_controller.headlight.light_texture(light.u - module.pixel_controller.default)
             for module, light in zip(self.projector.modules, shown.lights, strict=True)
         )
+        contrast, limit = fine.observe_symbol(frames, textures)
+        seen = fine.symbol(contrast, limit)
+        if float(seen.sum()) * fine.step < LEAST_LIT_PX:
+            return self._nothing(registration)
         limit = limit / fine.on_pixels(memory.brightness)  # of the light that the assumed road would show
         found = [registration.refine(known.mean, known, seen, textures, limit)]
         if float(registration.residual(found[0].mean[None], seen, textures, limit)[0]) > self.params.sweep_above:
@@ -146,7 +146,7 @@ class Luxloop:
 
     def _swept(self, memory: Memory, frames: tuple[Tensor, Tensor], textures: tuple[Tensor, ...], stances: Stances) -> Tensor:
         coarse = self.coarse if stances.still else self._coarse(stances)
-        contrast, limit = coarse.observe_symbol(frames)
+        contrast, limit = coarse.observe_symbol(frames, textures)
         return sweep(coarse, coarse.symbol(contrast, limit), textures, limit / coarse.on_pixels(memory.brightness), self.tried)
 
     def _drawn(self, memory: Memory, stances: Stances) -> Drawing:

@@ -138,18 +138,19 @@ class Sight:
         contrast, limit, _ = self._looked(frames)
         return contrast, limit
 
-    def observe_symbol(self, frames: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
-        """The same of a symbol, which is less than half of what is seen, so that medians tell of all the rest.
+    def observe_symbol(self, frames: tuple[Tensor, Tensor], textures: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
+        """The same of the symbol of light textures, one a module; medians tell of all that it leaves dark on the plane.
 
-        What other light has changed by between the frames is taken off. Noisier frames than the camera's raise the threshold.
+        What other light has changed by between the frames is taken off. Noisier frames than the camera's raise the threshold. Where
+        nothing is left dark, neither is known.
         """
         contrast, limit, without = self._looked(frames)
-        seen = self.inside > 0
-        rise = (contrast / without)[seen].median()
-        changed = (contrast / limit)[seen].median().abs() > 1
+        dark = (self.inside > 0) & (self.luminance(textures, torch.zeros_like(limit)[None])[0] < limit)
+        rise = (contrast / without)[dark].median()
+        changed = (contrast / limit)[dark].median().abs() > 1
         contrast = torch.where(changed, contrast - rise * without, contrast)
-        noise = (contrast / limit)[seen].abs().median() * (SIGMAS * self.params.threshold_sigma)
-        return contrast, limit * noise.clamp(min=1)
+        noise = (contrast / limit)[dark].abs().median() * (SIGMAS * self.params.threshold_sigma)
+        return contrast, limit * noise.nan_to_num(1.0).clamp(min=1)
 
     def _looked(self, frames: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
         """Contrast, threshold, and luminance without the lamps' light."""
