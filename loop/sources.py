@@ -1,8 +1,10 @@
 """The files that a module of the user's own consists of: itself, and what it imports from the folder that it lies in."""
 
 import ast
+import site
 import sysconfig
 from collections.abc import Iterator
+from contextlib import suppress
 from importlib.machinery import PathFinder
 from importlib.util import resolve_name
 from pathlib import Path
@@ -11,18 +13,19 @@ from world.errors import LuxloopError
 
 OURS = ("world", "perception", "controllers", "loop", "scenarios")  # which have a version of their own
 PACKAGE = "__init__.py"
-INSTALLED = {Path(sysconfig.get_path(kind)) for kind in ("purelib", "platlib", "stdlib")}
+PYTHONS_OWN = Path(sysconfig.get_path("stdlib"))
+INSTALLED = {Path(site.getusersitepackages()), *(Path(sysconfig.get_path(kind)) for kind in ("purelib", "platlib"))}
 
 
 def sources_of(module: str) -> dict[str, Path]:
     """Files by module, without running any: the module, the packages around it, and all that these import, at their heads or in functions.
 
     Followed is what lies in the folder in which Python finds the module; of an installed one, its own package. Empty where there is no
-    such module. Raises LuxloopError where a file is not Python.
+    such module, or it is Python's own. Raises LuxloopError where a file is not Python.
     """
     top = module.partition(".")[0]
     folder = _folder_of(top)
-    if folder is None or top in OURS:
+    if folder in (None, PYTHONS_OWN) or top in OURS:
         return {}
     only_its_own = folder in INSTALLED
     found: dict[str, Path] = {}
@@ -64,6 +67,7 @@ def _imported(file: Path, package: str) -> Iterator[str]:
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            base = resolve_name("." * node.level + (node.module or ""), package) if node.level else node.module or ""
-            yield base
-            yield from (f"{base}.{alias.name}" for alias in node.names)
+            with suppress(ImportError):  # beyond the top, where Python finds nothing either
+                base = resolve_name("." * node.level + (node.module or ""), package)
+                yield base
+                yield from (f"{base}.{alias.name}" for alias in node.names)

@@ -44,7 +44,14 @@ def test_imports_are_followed_within_the_folder(folder: Path) -> None:
     assert "own_pkg" not in sys.modules
     assert sources_of("own_neighbour") == {"own_neighbour": folder / "own_neighbour.py"}
     assert sources_of("own_pkg.nothing") == {"own_pkg": folder / "own_pkg/__init__.py"}
-    assert sources_of("no_such_module_at_all") == sources_of("controllers.ssc") == {}
+    assert sources_of("no_such_module_at_all") == sources_of("controllers.ssc") == sources_of("random") == {}
+
+
+def test_relative_imports_that_find_nothing_are_left_to_python(folder: Path) -> None:
+    (folder / "own_neighbour.py").write_text("try:\n    from . import tables\nexcept ImportError:\n    import own_helper\n")
+    assert set(sources_of("own_neighbour")) == {"own_neighbour", "own_helper"}
+    (folder / "own_pkg/tables.py").write_text("from .deep import waves\nfrom ...beyond import nothing\n")
+    assert set(sources_of("own_pkg.tables")) >= {"own_pkg.tables", "own_pkg.deep.waves"}
 
 
 def test_of_an_installed_package_only_itself_is_followed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
