@@ -19,6 +19,12 @@ class Part:
 
 def part(a, share):
     return Part(a, share)
+
+def part_of_file(a, file):
+    return open(file)
+
+def part_of_shapes(a):
+    raise RuntimeError("shapes do not fit:\\n  2 and 3")
 """
 
 
@@ -53,6 +59,8 @@ def test_classes_and_functions_make_a_part() -> None:
         ("half_written_parts:Part", {}, ["half_written_parts fails", "SyntaxError", "line 1"]),
         ("own_parts:Port", {}, ["own_parts has no Port"]),
         ("own_parts:Part", {"shore": 1}, ["the place and road.options", "shore"]),
+        ("own_parts:part_of_file", {"file": "no.csv"}, ["road.options (FileNotFoundError: ", "no.csv"]),
+        ("own_parts:part_of_shapes", {}, ["(RuntimeError: shapes do not fit: 2 and 3)"]),
         ("own_parts:Part", {}, ["no method rest", "work, rest"]),
     ],
 )
