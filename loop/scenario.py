@@ -254,6 +254,9 @@ class LightingScenario(WorldScenario):
         names = [each.name for each in self.all_objects]
         if doubled := [name for name in names if names.count(name) > 1]:
             raise ValueError(f"objects: the name {doubled[0]!r} is there twice, but recordings tell objects by name; rename one")
+        zones = [each.name for each in self.lighting.functions if each.kind == "zone"]
+        if doubled := [name for name in zones if zones.count(name) > 1]:
+            raise ValueError(f"lighting.functions: there are two zones {doubled[0]!r}, but recordings tell zones by name; rename one")
         return self
 
 

@@ -7,6 +7,7 @@ integrator, held at what the lamps can give, so nothing winds up.
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Literal, Self
 
 import torch
@@ -20,6 +21,7 @@ from controllers.primitives import Primitives, meant, rectangle
 from perception.regions import box_region
 from world.frames import pose_from_degrees
 from world.params import Params
+from world.view import View
 
 DARKEST = 0.01  # of the target: what is measured darker counts as this, so that black is not infinitely far from it
 CLIPPED = 0.5  # share of a zone's pixels at the camera's largest number from which on its mean says only that it is no darker
@@ -70,7 +72,7 @@ class ZoneParams(Params):
 
     def step(self, state: ZoneState, now: Situation) -> ZoneState:
         """One step of the loop from what was seen; nothing changes while the zone is out of the image."""
-        if now.seen is None or not bool((region := box_region(now.seen.view, *self.box)).any()):
+        if now.seen is None or not bool((region := region_of(self, now.seen.view)).any()):
             return state
         values = now.seen.luminance[region.to(now.seen.luminance.device)].double()
         luminance = float(values.mean())
@@ -140,3 +142,9 @@ class ZoneParams(Params):
             away = light.T_world_headlight[:3, 3:].to(points) - points
             total += light.possible(points).to(points) * (place.normal @ away / away.norm(dim=0)).clamp(min=0)
         return total.amax()
+
+
+@lru_cache(maxsize=32)
+def region_of(zone: ZoneParams, view: View) -> Tensor:
+    """The pixels `[height, width]` bool that look at a zone; kept, since cameras and zones stand still."""
+    return box_region(view, *zone.box)

@@ -59,7 +59,7 @@ OBJECT = {
 }
 ZONE = {
     "lx": (pa.float64(), "lx", "illuminance that its loop asks for"),
-    "luminance": (pa.float64(), "cd/m^2", "mean luminance of its pixels, without the camera's noise"),
+    "luminance": (pa.float64(), "cd/m^2", "mean luminance of its pixels, without the camera's noise; empty out of its sight"),
     "target": (pa.float64(), "cd/m^2", "luminance wanted"),
 }
 LOOKED_AT = {

@@ -59,15 +59,15 @@ def summarise(table: pa.Table, scenario: str) -> dict[str, Any]:
 
 
 def _zones(table: pa.Table) -> dict[str, Any]:
-    """By name: how bright a zone is at the end, and the step from which on it stays within 5 % of its target, None if it never does."""
+    """By name: how bright a zone is at the end, and the step from which on it stays within 5 % of its target; None out of sight, and never."""
     found = {}
     for name in (each.removeprefix("zone.").removesuffix(".target") for each in table.column_names if each.endswith(".target")):
         luminance, target = column(table, f"zone.{name}.luminance"), column(table, f"zone.{name}.target")
         beyond = np.flatnonzero(~(np.abs(luminance / target - 1) <= SETTLED))
         after = int(beyond[-1]) + 1 if len(beyond) else 0
         if len(luminance):
-            settled = after if after < len(luminance) else None
-            found[name] = {"luminance": float(luminance[-1]), "target": float(target[-1]), "settled_step": settled}
+            settled, last = after if after < len(luminance) else None, float(luminance[-1])
+            found[name] = {"luminance": last if np.isfinite(last) else None, "target": float(target[-1]), "settled_step": settled}
     return found
 
 

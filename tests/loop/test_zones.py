@@ -9,6 +9,7 @@ import pytest
 from loop.lighting.simulation import LightingSimulation
 from loop.run import run
 from loop.scenario import LightingScenario, validate_any
+from world.errors import LuxloopError
 
 CAMERA = {"width_px": 320, "height_px": 180, "oversampling": 1, "saturation_e": 2000, "pitch_deg": 1.5}
 WALLS = {0.05: 3.0, 0.2: 0.0, 0.8: -3.0}  # y in m by reflectance
@@ -49,6 +50,21 @@ def test_zones_settle_within_10_steps_over_all_reflectances(tmp_path: Path) -> N
         lx.append(table[f"zone.{albedo}.lx"][-1].as_py())
     # 0.1 lx of ambient light on upright walls and the dark rims of the zones aside, light goes with one over the reflectance
     assert lx[0] / lx[1] == pytest.approx(4.0, rel=0.2) and lx[1] / lx[2] == pytest.approx(4.0, rel=0.2)
+
+
+def test_a_zone_behind_the_camera_keeps_its_light_and_has_no_luminance(tmp_path: Path) -> None:
+    zone = {"kind": "zone", "name": "behind", "centre_m": [-15, 0, 1.0], "size_m": [0, 2, 2], "luminance_cd_m2": 0.6, "start_lx": 2.0}
+    summary = run(scenario([zone], steps=2, objects=[]), tmp_path / "zones", video=False)
+    assert summary["zones"]["behind"] == {"luminance": None, "target": 0.6, "settled_step": None}
+    table = pq.read_table(tmp_path / "zones" / "trajectory.parquet")
+    assert table["zone.behind.luminance"].to_pylist() == [None, None]
+    assert table["zone.behind.lx"].to_pylist() == pytest.approx([2.0, 2.0])
+
+
+def test_two_zones_of_one_name_are_refused() -> None:
+    zone = {"kind": "zone", "name": "z", "centre_m": [15, 0, 1.0], "size_m": [0, 2, 2], "luminance_cd_m2": 0.6}
+    with pytest.raises(LuxloopError, match=r"lighting.functions: there are two zones 'z', but recordings tell zones by name; rename one"):
+        scenario([zone, zone | {"centre_m": [15, 3, 1.0]}])
 
 
 def test_paint_gets_its_own_light() -> None:
