@@ -85,9 +85,10 @@ class Goal:
 
 ROADS = (*EVEN, *CURVED, *SCANS, *STEEP)
 STRAYS = (
-    "heights that looks can hardly tell go on drifting, those in shadow (speed bump) and those finer than the mesh (rough course, "
-    "Belgian block), and a look that is late comes late"
+    "a look that is late comes late: 4 steps where frames are on time, 9 where they are 3 steps late; heights in shadow (speed bump) and "
+    "those finer than the mesh (rough course) go on moving"
 )
+FINE = "heights finer than the mesh drift on the rough course, where the open loop is nearly right: its IoU is 0.88"
 MESH = "heights 20 x 15 cm apart are coarser than stones and edges of bars; drawn for the exact road the centroid is 0.1 to 0.6 % off"
 SHADOW = "the bump's back is in the lamp's shadow, where its height is a guess; drawn for the exact road the centroid is 1.5 % off"
 PIXELS = "heights are known to a share of a camera pixel, which spans 10 to 20 cm of the road there"
@@ -103,7 +104,7 @@ GOALS = (
     Goal("IoU at least 0.99 on the flat road", "iou", 0.99, EVEN, PIXELS, least=True),
     Goal("IoU at least 0.95 on bumps, grade + cross-fall and mixed", "iou", 0.95, CURVED, PIXELS, least=True),
     Goal("IoU at least 0.85 on speed bump and curb", "iou", 0.85, STEEP, SHADOW, least=True),
-    Goal("Nowhere, at no step, more than 0.02 below the open loop: standing", "gap", 0.02, tuple(STANDING), PIXELS, each="case"),
+    Goal("Nowhere, at no step, more than 0.02 below the open loop: standing", "gap", 0.02, tuple(STANDING), FINE, each="case"),
     Goal("The same: moving", "gap", 0.02, tuple(DRIVING), LUCK, each="case"),
     Goal("The same: disturbed", "gap", 0.02, tuple(DISTURBED), LEFT, each="case"),
     Goal("Mean IoU at least 0.92 at 5 m/s", "iou", 0.92, ("5 m/s",), BOUND.format("0.84"), least=True),
