@@ -59,7 +59,7 @@ def summarise(table: pa.Table, scenario: str) -> dict[str, Any]:
 
 
 def _zones(table: pa.Table) -> dict[str, Any]:
-    """By name: how bright a zone is at the end, and the step from which on it stays within 5 % of its target; None out of sight, and never."""
+    """By name: how bright a zone is at the end, and the step from which on it stays within 5 % of its target; or None."""
     found = {}
     for name in (each.removeprefix("zone.").removesuffix(".target") for each in table.column_names if each.endswith(".target")):
         luminance, target = column(table, f"zone.{name}.luminance"), column(table, f"zone.{name}.target")
