@@ -9,14 +9,18 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from loop.training.light import luminance
-from loop.training.scenes import CAMERA, CLASSES, Labelled, read
+from controllers.obl.light import ObjectLightParams
+from loop.training.light import lit_alone, luminance
+from loop.training.scenes import CAMERA, CLASSES, DarkScene, Labelled, read
 from perception.camera import expose, frame_generator
 from perception.detection.protocol import Detections, Detector
 from perception.detection.suppression import overlaps
 
 ILLUMINANCES_LX = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0)
 WELL_LIT_LX = 10.0
+ALONE_LX, AROUND_LX, EDGE_PX = 20.0, 0.1, 2.0  # of object-based light: on objects, beside them, and the scale of the lamps' blur
+FRAMES = 4  # with other noise, of which confidences are averaged for that
+AGREE = 0.05  # confidence that object-based light may take from full light
 SURE = 0.3  # least score of what counts as found
 SCORES = (0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5)  # that might do as well
 FOUND_IOU = 0.5
@@ -46,6 +50,7 @@ def judge(detector: Detector, rows: Sequence[Mapping[str, Any]]) -> dict[str, An
     labels_of = [CLASSES.index(name) for name in detector.classes]
     verdicts: dict[float, list[Verdict]] = {lx: [] for lx in ILLUMINANCES_LX}
     by_score: dict[float, list[Verdict]] = {score: [] for score in SCORES}
+    agreements: list[tuple[int, float, float]] = []
     times_ms = []
     for row in rows:
         scene = read(row)
@@ -59,12 +64,14 @@ def judge(detector: Detector, rows: Sequence[Mapping[str, Any]]) -> dict[str, An
             if lx == WELL_LIT_LX:
                 for score, of in by_score.items():
                     of.append(verdict(found, scene.objects, labels_of, score))
+        agreements += agreement(detector, scene, int(row["seed"]))
     return {
         "scenes": len(rows),
         "sure": SURE,
         "well_lit": _found(verdicts[WELL_LIT_LX]),
         "by_score": [{"score": score, **{key: _found(of)[key] for key in ("recall", "false_a_frame")}} for score, of in by_score.items()],
         "confidence": _confidence(verdicts),
+        "alone": _alone(agreements),
         "ms_a_frame": round(float(np.median(times_ms)), 1),
     }
 
@@ -94,6 +101,23 @@ def verdict(found: Detections, objects: Sequence[Labelled], labels_of: Sequence[
         hits.append(owner[number] >= 0)
         right.append(owner[number] >= 0 and labels_of[int(scores[owner[number]].argmax())] == each.label)
     return Verdict(tuple(labels), tuple(confidences), tuple(hits), tuple(right), false)
+
+
+def agreement(detector: Detector, scene: DarkScene, seed: int) -> list[tuple[int, float, float]]:
+    """Label, confidence in full light, and in object-based light of what must be found and is sure in full light; means over frames."""
+    labels_of = [CLASSES.index(name) for name in detector.classes]
+    params = ObjectLightParams()
+    alone = lit_alone(scene, ALONE_LX, AROUND_LX, params.dark, params.dark_lx, EDGE_PX)
+
+    def means(light: Tensor | float, first: int) -> tuple[tuple[int, ...], list[float]]:
+        seen = luminance(scene, light)
+        frames = torch.stack([expose(seen, CAMERA, frame_generator(seed, first + k, 0)) for k in range(FRAMES)]) / (2**CAMERA.bits - 1)
+        verdicts = [verdict(found, scene.objects, labels_of) for found in detector.detect(frames)]
+        return verdicts[0].labels, np.mean([each.confidences for each in verdicts], 0).tolist()
+
+    first = len(ILLUMINANCES_LX)
+    (labels, full), (_, dark) = means(ALONE_LX, first), means(alone, first + FRAMES)
+    return [each for each in zip(labels, full, dark, strict=True) if each[1] >= SURE]
 
 
 def _on_any(box: Tensor, objects: Sequence[Labelled]) -> bool:
@@ -133,3 +157,18 @@ def _confidence(verdicts: Mapping[float, Sequence[Verdict]]) -> dict[str, Any]:
         quartiles = np.array([np.percentile(each, [25, 50, 75]) if each else [np.nan] * 3 for each in of]).round(3)
         curves[name] = {key: quartiles[:, k].tolist() for k, key in enumerate(("lower", "median", "upper"))}
     return curves
+
+
+def _alone(agreements: Sequence[tuple[int, float, float]]) -> dict[str, Any]:
+    """How many objects object-based light leaves as sure as full light, and what it changes in the median."""
+
+    def kept(found: Sequence[tuple[int, float, float]]) -> float:
+        return round(float(np.mean([dark >= full - AGREE for _, full, dark in found])), 3) if found else float("nan")
+
+    changes = [dark - full for _, full, dark in agreements]
+    return {
+        "objects": len(agreements),
+        "kept": kept(agreements),
+        "kept_by_class": {name: kept([each for each in agreements if each[0] == k]) for k, name in enumerate(CLASSES)},
+        "median_change": round(float(np.median(changes)), 3) if changes else float("nan"),
+    }

@@ -1,10 +1,13 @@
 """Light for scenes that were drawn in the dark: even, as beams fall, or on single objects amid darkness."""
 
+from collections.abc import Mapping
+
 import numpy as np
 import torch
 from torch import Tensor
 
-from loop.training.scenes import DarkScene
+from loop.training.scenes import CLASSES, DarkScene, Labelled
+from world.tracked import Category
 
 WELL_LIT_LX = (5.0, 60.0)  # by which a detector is trained
 DARK_LX = (0.02, 2.0)  # around objects that are lit alone
@@ -25,6 +28,24 @@ def any_light(scene: DarkScene, heads: tuple[float, ...], rng: np.random.Generat
         return _beam(scene, _between(rng, WELL_LIT_LX), rng)
     base = (_even if rng.random() < 0.5 else _beam)(scene, _between(rng, DARK_LX), rng)
     return _spotlit(scene, base, heads, rng)
+
+
+def darkened(scene: DarkScene, light: Tensor, each: Labelled, share: float, lx: float, soft: float) -> Tensor:
+    """Light of which a share of an object's box, from the top, and as much above it, gets only so many lx; soft: px of the edge's scale."""
+    u0, v0, u1, _ = _wider(each, 0.15, share)
+    dark = _patch(scene, (u0, v0, u1, each.box[1] + share * each.height), soft)
+    return light + dark * (lx - light)
+
+
+def lit_alone(scene: DarkScene, lx: float, around_lx: float, top: Mapping[Category, float], top_lx: float, soft: float) -> Tensor:
+    """Light in lx on all objects amid `around_lx`, with `top_lx` on shares of their boxes from the top, by class."""
+    light = torch.full(scene.shape, around_lx)
+    for each in scene.objects:
+        light = torch.maximum(light, lx * _patch(scene, _wider(each, 0.1, 0.05), soft))
+    for each in scene.objects:
+        if share := top.get(CLASSES[each.label]):
+            light = darkened(scene, light, each, share, top_lx, soft)
+    return light
 
 
 def _between(rng: np.random.Generator, limits: tuple[float, float]) -> float:
@@ -55,22 +76,33 @@ def _spotlit(scene: DarkScene, base: Tensor, heads: tuple[float, ...], rng: np.r
             u0, v0, u1, v1 = each.box
             margin = float(rng.uniform(-0.03, 0.25)) * (u1 - u0), float(rng.uniform(-0.03, 0.2)) * (v1 - v0)
             top = v0 + heads[each.label] * (v1 - v0) if rng.random() < 0.6 else v0 - margin[1]
-            light += _patch(scene, (u0 - margin[0], top, u1 + margin[0], v1 + margin[1]), _between(rng, WELL_LIT_LX), rng)
+            light += _spot(scene, (u0 - margin[0], top, u1 + margin[0], v1 + margin[1]), rng)
     for _ in range(int(rng.integers(4))):
         w, h = float(rng.uniform(10, 0.4 * width)), float(rng.uniform(10, 0.5 * height))
         u, v = float(rng.uniform(-w / 2, width)), float(rng.uniform(-h / 2, height))
-        light += _patch(scene, (u, v, u + w, v + h), _between(rng, WELL_LIT_LX), rng)
+        light += _spot(scene, (u, v, u + w, v + h), rng)
     return light
 
 
-def _patch(scene: DarkScene, box: tuple[float, float, float, float], lx: float, rng: np.random.Generator) -> Tensor:
-    """A rectangle of light with soft edges."""
-    soft = float(rng.uniform(0.5, 5))
+def _spot(scene: DarkScene, box: tuple[float, float, float, float], rng: np.random.Generator) -> Tensor:
+    """A well-lit rectangle."""
+    return _between(rng, WELL_LIT_LX) * _patch(scene, box, float(rng.uniform(0.5, 5)))
+
+
+def _wider(each: Labelled, across: float, down: float) -> tuple[float, float, float, float]:
+    """Its box and so large a share of its width and height to both sides."""
+    u0, v0, u1, v1 = each.box
+    dx, dy = across * (u1 - u0), down * (v1 - v0)
+    return u0 - dx, v0 - dy, u1 + dx, v1 + dy
+
+
+def _patch(scene: DarkScene, box: tuple[float, float, float, float], soft: float) -> Tensor:
+    """A rectangle of 1 with soft edges amid 0."""
     (rows, columns), (u0, v0, u1, v1) = scene.shape, box
     u, v = torch.arange(columns) + 0.5, torch.arange(rows) + 0.5
     across = torch.sigmoid((u - u0) / soft) * torch.sigmoid((u1 - u) / soft)
     down = torch.sigmoid((v - v0) / soft) * torch.sigmoid((v1 - v) / soft)
-    return lx * down[:, None] * across
+    return down[:, None] * across
 
 
 def mean_lx(scene: DarkScene, light: Tensor) -> Tensor:

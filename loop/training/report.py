@@ -12,7 +12,7 @@ from rich.table import Table
 
 from loop import tables
 from loop.report import FOUR, STYLE
-from loop.training.judge import FOUND_IOU, HEIGHT_PX, VISIBLE
+from loop.training.judge import AGREE, ALONE_LX, AROUND_LX, FOUND_IOU, HEIGHT_PX, VISIBLE
 from loop.training.scenes import CLASSES
 from world.errors import LuxloopError
 
@@ -23,7 +23,7 @@ Report = Mapping[str, Any]
 
 def goals(report: Report) -> list[tuple[str, str, float, bool]]:
     """What was to be reached, the limit in words, what was reached, and whether."""
-    found, all_ = report["well_lit"], report["confidence"]["all"]["median"]
+    found, all_, kept = report["well_lit"], report["confidence"]["all"]["median"], report["alone"]["kept"]
     at = dict(zip(report["confidence"]["lx"], all_, strict=True))
     change = abs(at[40.0] - at[20.0])
     return [
@@ -32,6 +32,7 @@ def goals(report: Report) -> list[tuple[str, str, float, bool]]:
         ("median confidence at 0.1 lx", "≤ 0.1", at[0.1], at[0.1] <= 0.1),
         ("median confidence at 10 lx", "≥ 0.5", at[10.0], at[10.0] >= 0.5),
         ("its change from 20 to 40 lx", "≤ 0.05", round(change, 3), change <= 0.05),
+        (f"objects as sure in object-based light, within {AGREE:g}", "≥ 0.80", kept, kept >= 0.80),
     ]
 
 
@@ -45,7 +46,8 @@ def overview(report: Report) -> Table:
 
 def page(report: Report) -> str:
     """The report as Markdown."""
-    training, found = report["training"], report["well_lit"]
+    training, found, alone = report["training"], report["well_lit"], report["alone"]
+    kept = ", ".join(f"{name} {value:g}" for name, value in alone["kept_by_class"].items())
     by_class = ", ".join(f"{name} {value:g}" for name, value in found["recall_by_class"].items())
     rows = "\n".join(f"| {name} | {limit} | {value:g} | {'yes' if reached else 'no'} |" for name, limit, value, reached in goals(report))
     others = "; ".join(f"{each['recall']:g} at {each['false_a_frame']:g} with {each['score']:g}" for each in report["by_score"])
@@ -68,6 +70,10 @@ Recall at false boxes a frame with other scores: {others}. A frame takes {report
 
 x lx is light of which every surface that faces the lamps gets x lx, however far away it is: the lamps' intensity grows with the square \
 of the distance. An object's confidence is the best score of its class among boxes on it, 0 where there is none.
+
+Object-based light is {ALONE_LX:g} lx on objects amid {AROUND_LX:g} lx, with heads and windscreens as dark as `object_based` leaves them \
+by default. Of {alone["objects"]} objects that are found in full light of {ALONE_LX:g} lx everywhere the confidence falls by no more than \
+{AGREE:g} in {alone["kept"]:.0%} ({kept}); its median change is {alone["median_change"]:+g}.
 
 {header}
 {medians}

@@ -13,7 +13,7 @@ from loop import cli
 from loop.training import examples, fit
 from loop.training.examples import SIZE, Examples, targets
 from loop.training.judge import judge, verdict
-from loop.training.light import any_light, head_shares, luminance, mean_lx
+from loop.training.light import any_light, darkened, head_shares, lit_alone, luminance, mean_lx
 from loop.training.report import page
 from loop.training.scenes import CAMERA, CLASSES, HELD_OUT, TRAINING, DarkScene, Labelled, draw, read
 from perception.detection.build import WEIGHTS, detector
@@ -89,6 +89,17 @@ def test_light_on_an_object_is_the_mean_where_it_is_seen() -> None:
         assert anything.shape == scene.shape and (anything >= 0).all() and anything.isfinite().all()
 
 
+def test_object_based_light_leaves_heads_dark_and_lights_bodies() -> None:
+    scene = plain(20.0, (50, 20, 90, 100))
+    light = lit_alone(scene, 20.0, 0.1, {"pedestrian": 0.25}, 0.5, 0.5)
+    # 3 px from the edge are 6 of its scales, where 20 lx are less than 0.05 lx from what was asked for
+    assert torch.allclose(light[20:37, 50:90], torch.tensor(0.5), atol=0.05)
+    assert torch.allclose(light[43:97, 53:87], torch.tensor(20.0), atol=0.1)
+    assert torch.allclose(light[:, :35], torch.tensor(0.1)) and torch.allclose(light[:, 110:], torch.tensor(0.1))
+    whole = lit_alone(scene, 20.0, 0.1, {}, 0.5, 0.5)
+    assert torch.allclose(darkened(scene, whole, scene.objects[0], 0.25, 0.5, 0.5), light)
+
+
 def test_targets_are_the_middles_and_boxes_of_what_must_be_found() -> None:
     boxes = torch.tensor([[40.0, 40, 80, 140], [200, 60, 300, 120], [320, 100, 340, 160]])
     heat, counts, of_cell, share = targets(boxes, torch.tensor([0, 2, 1]), torch.tensor([True, True, False]))
@@ -136,6 +147,7 @@ def test_verdicts_count_what_is_found_missed_and_false() -> None:
 def test_the_shipped_weights_are_as_good_as_their_report_says_on_one_scene(row: dict[str, object]) -> None:
     report = json.loads(REPORT.read_text("utf-8"))
     found = judge(detector(NetworkParams(threshold=0.01), CPU), [row])
+    assert found["alone"]["objects"] >= 2 and abs(found["alone"]["kept"] - report["alone"]["kept"]) < 0.5  # of the few objects
     median = dict(zip(found["confidence"]["lx"], found["confidence"]["all"]["median"], strict=True))
     assert found["well_lit"]["recall"] >= report["well_lit"]["recall"] - 0.3  # of the few objects of one scene
     assert median[0.05] < 0.1 < 0.4 < median[10.0]
