@@ -42,7 +42,8 @@ class Learned:
             seen, shown = each.seen[0, late:], each.poses[0, : each.poses.shape[1] - late]
             poses.append(shown[seen])
             offsets.append((each.errors[0, late:] - shown)[seen])
-        noise = torch.stack([each[-FINAL:].std(0, correction=0) for each in offsets if len(each)]).amin(0)
+        most = max(len(each) for each in offsets)  # a run that has seen little knows nothing of noise
+        noise = torch.stack([each[-FINAL:].std(0, correction=0) for each in offsets if len(each) >= min(most, FINAL)]).amin(0)
         return cls(torch.cat(poses), torch.cat(offsets), noise)
 
     def foretold(self, simulation: Simulation, values: dict[str, Tensor], noise: Tensor) -> Rollout:
