@@ -52,15 +52,19 @@ def check(simulation: Simulation, keys: Any) -> None:
         raise LuxloopError(f"{scenario.name}: batched rollouts are for controller.name = thesis_pid, not {scenario.controller.name}")
     for key in keys:
         if key not in GAINS:
-            raise LuxloopError(f"--key {key}: has no gradient; {did_you_mean(key, GAINS)}")
+            raise LuxloopError(f"{key}: has no gradient; {did_you_mean(key, GAINS)}")
     if scenario.controller.warp or scenario.controller.supervisor:
         raise LuxloopError(f"{scenario.name}: batched rollouts have no stages; leave out controller.warp and controller.supervisor")
     changing = ("oncoming", "ambient", "noise", "drops")
     if found := [name for name in changing if getattr(scenario.disturbances, name)]:
-        raise LuxloopError(f"{scenario.name}: batched rollouts know nothing of disturbances.{found[0]}; leave it out, or tune without")
+        raise LuxloopError(
+            f"{scenario.name}: batched rollouts know nothing of disturbances.{found[0]}; leave it out, or tune without --gradient"
+        )
     still = [scenario.vehicle is None, not simulation.world.moving, scenario.camera.drop_probability == 0]
     if not (all(still) and all(isinstance(each, Transport) for each in simulation.world.lit(0.0).transports)):
-        raise LuxloopError(f"{scenario.name}: batched rollouts are for scenes in which nothing moves and no frame is lost; tune without")
+        raise LuxloopError(
+            f"{scenario.name}: batched rollouts are for scenes in which nothing moves and no frame is lost; tune without --gradient"
+        )
 
 
 def rollouts(simulation: Simulation, values: dict[str, Tensor], *, quantise: bool = True) -> Rollout:

@@ -120,11 +120,19 @@ def figures_of(scenario: Mapping[str, Any], inputs: dict[str, str], device: str)
 
     Raises LuxloopError where the scenario cannot run, or its files are others here.
     """
-    import torch
-
     from loop.figures import figures
 
-    torch.set_num_threads(1)  # wherever the job runs, so that the figures do not depend on it
+    return figures(checked(scenario, inputs), device)
+
+
+def checked(scenario: Mapping[str, Any], inputs: dict[str, str]) -> AnyScenario:
+    """A job's scenario, ready to run with one thread wherever that is, so that figures do not depend on it.
+
+    Raises LuxloopError where it is no scenario, or its files are others here.
+    """
+    import torch
+
+    torch.set_num_threads(1)
     valid = validate_any(scenario, str(scenario["name"]))
     here = digests(valid)
     if others := [key for key in inputs | here if inputs.get(key) != here.get(key)]:
@@ -132,7 +140,7 @@ def figures_of(scenario: Mapping[str, Any], inputs: dict[str, str], device: str)
             f"{valid.name}: {others[0]}: is another file here than where the run was asked for, or has changed since; put the same at "
             "the same place on every machine and start again"
         )
-    return figures(valid, device)
+    return valid
 
 
 def _figures(row: Row) -> Row:

@@ -1,38 +1,44 @@
 """Tuning by gradient: run, learn from the run where the symbol is seen, descend through runs that are foretold from that, and so on."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import optuna
 import torch
-from optuna.trial import FrozenTrial, create_trial
+from optuna.trial import create_trial
 from torch import Tensor
 
 from loop.batch import Rollout, check
 from loop.executors import Executor
-from loop.figures import traced
-from loop.jobs import reason
 from loop.learned import Learned, near
 from loop.progress import progress
-from loop.ranges import Range, Values, changed
+from loop.ranges import Range
 from loop.run import prepare
 from loop.simulation import Simulation
-from loop.tune import FAILURES, Task, Tuned, keeping, opened
+from loop.tune import FAILURES, TRACES, Task, Trace, Tuned, failed, finished, keeping, opened, ran
 from perception.extraction import ExtractionParams
 from world.errors import LuxloopError
 
-TRACES = "traces"  # of a trial that is an iteration: poses, errors and whether seen, of each seed of each scenario
 STARTS, DRAWS = 24, 3  # descents at once, each through so many kinds of noise
 STEPS, RATE = 120, 0.15  # of Adam, in logits of the ranges
 FROM_ENDS = 0.02  # of a range: where values start that lie on its ends or beyond, and would have no slope there
 FAR = 0.05  # what being far off counts beside being outside of what settled symbols may have
 
 
+@dataclass(frozen=True)
+class Iteration:
+    """What has been run: values by key, None where the scenarios differ; mean cost; traces of all runs in the order of `Task.runs`."""
+
+    values: Mapping[str, float | int | None]
+    cost: float
+    traces: list[Trace]
+
+
 def tune_by_gradient(task: Task, out: Path, iterations: int, execute: Executor) -> Tuned:
-    """Go on with the descent in a folder until it has so many iterations, each of them a trial of the study there.
+    """Go on with the study in a folder until it has so many trials; all but the first with the given values are found by descent.
 
     Raises what `loop.tune.tune` and `loop.batch.check` raise, and LuxloopError where a symbol is never seen.
     """
@@ -47,25 +53,25 @@ def tune_by_gradient(task: Task, out: Path, iterations: int, execute: Executor) 
         simulations.append(prepare(scenario, task.device))
         check(simulations[-1], [each.key for each in task.ranges])
     study, space = opened(task, out, execute)
+    done = finished(study)
     with (
-        keeping(out, lambda: f"{len(_iterations(study))} of {iterations} iterations"),
-        progress("iterations", iterations, min(len(_iterations(study)), iterations)) as advance,
+        keeping(out, lambda: f"{finished(study)} of {iterations} iterations"),
+        progress("iterations", iterations, min(done, iterations)) as advance,
     ):
-        while len(before := _iterations(study)) < iterations:
-            values = descend(task, simulations, before)
-            cost, attributes = _run(task, values)
-            study.add_trial(create_trial(params=dict(values), distributions=space, value=cost, user_attrs=attributes))
+        for _ in range(done, iterations):
+            values = descend(task, simulations, _before(task, study))
+            costs, traces = ran(task, task.runs(values), execute)
+            kept = {TRACES: traces, FAILURES: failed(traces)}
+            study.add_trial(create_trial(params=values, distributions=space, value=float(np.mean(costs)), user_attrs=kept))
             advance()
     return Tuned(task, study.user_attrs["given_cost"], study)
 
 
-def descend(task: Task, simulations: Sequence[Simulation], before: Sequence[FrozenTrial]) -> Values:
-    """The values of least `loss` that are found from the best ones before, and others around; at first those that are given."""
-    if not before:
-        return _values(task, _logits(task, task.given))
-    scenes = [_learned(simulation, k, before) for k, simulation in enumerate(simulations)]
+def descend(task: Task, simulations: Sequence[Simulation], before: Sequence[Iteration]) -> dict[str, float]:
+    """The values of least `loss` that are found from the best ones before, and others around."""
+    scenes = [_learned(simulations, k, before) for k in range(len(simulations))]
     generator = torch.Generator().manual_seed(task.seed * 1000 + len(before))
-    best = _logits(task, min(before, key=lambda trial: trial.value or 0.0).params)
+    best = _logits(task, min(before, key=lambda iteration: iteration.cost).values)
     around = torch.randn(STARTS, len(best), generator=generator, dtype=best.dtype)
     around[0] = 0.0
     steps = max(scenario.steps for scenario in task.scenarios)
@@ -96,37 +102,23 @@ def loss(rollout: Rollout, simulation: Simulation) -> Tensor:
     return (ahead.square() / (1 + ahead.square()) + FAR * ahead.log1p()).mean(-1)
 
 
-def _run(task: Task, values: Values) -> tuple[float, dict[str, Any]]:
-    """Mean cost of a trial's runs, and what is kept of them: their traces, and why some have failed."""
-    costs: list[float] = []
-    failures: list[str] = []
-    traces: list[list[Any]] = []
-    for scenario in task.scenarios:
-        traces.append([])
-        for k in range(task.seeds):
-            try:
-                figures, trace = traced(changed(scenario, values).model_copy(update={"seed": scenario.seed + k}), task.device)
-                traces[-1].append([part[0].tolist() for part in vars(trace).values()])
-            except Exception as error:
-                figures = {}
-                failures.append(reason(error))
-            costs.append(task.objective.cost(figures))
-    return float(np.mean(costs)), {TRACES: traces, FAILURES: failures}
+def _before(task: Task, study: optuna.Study) -> list[Iteration]:
+    """The given values first."""
+    trials = [trial for trial in study.get_trials(deepcopy=False) if TRACES in trial.user_attrs]
+    later = [Iteration(trial.params, trial.value or 0.0, trial.user_attrs[TRACES]) for trial in trials]
+    return [Iteration(task.given, study.user_attrs["given_cost"], study.user_attrs[TRACES]), *later]
 
 
-def _iterations(study: optuna.Study) -> list[FrozenTrial]:
-    return [trial for trial in study.get_trials(deepcopy=False) if TRACES in trial.user_attrs]
-
-
-def _learned(simulation: Simulation, number: int, trials: Sequence[FrozenTrial]) -> Learned:
-    """Of the scenario of a number, from all runs so far."""
+def _learned(simulations: Sequence[Simulation], number: int, before: Sequence[Iteration]) -> Learned:
+    """Of the scenario of a number, from all its runs so far."""
+    simulation = simulations[number]
     scenario = simulation.scenario
-    traces = [trace for trial in trials for trace in trial.user_attrs[TRACES][number]]
-    runs = [Rollout(*(torch.tensor(part, device=simulation.device)[None] for part in trace)) for trace in traces]
+    traces = [trace for iteration in before for trace in iteration.traces[number :: len(simulations)]]
+    whole = [trace for trace in traces if not isinstance(trace, str)]
+    runs = [Rollout(*(torch.tensor(part, device=simulation.device)[None] for part in trace)) for trace in whole]
     if not any(run.seen.any() for run in runs):
-        raise LuxloopError(
-            f"{scenario.name}: its symbol is never seen, so there is nothing to descend on; give other values, or tune without"
-        )
+        why = next(iter(failed(traces)), "its symbol is never seen")
+        raise LuxloopError(f"{scenario.name}: {why}, so there is nothing to descend on; give other values, or tune without --gradient")
     return Learned.of(runs, scenario.camera.latency_steps)
 
 
@@ -136,7 +128,7 @@ def _values(task: Task, logits: Tensor) -> dict[str, float]:
     return {each.key: min(max(value, each.low), each.high) for each, value in found}
 
 
-def _logits(task: Task, values: dict[str, Any]) -> Tensor:
+def _logits(task: Task, values: Mapping[str, float | int | None]) -> Tensor:
     return torch.tensor([_logit(each, values[each.key]) for each in task.ranges], dtype=torch.float64)
 
 

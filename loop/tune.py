@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from operator import itemgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import optuna
@@ -18,9 +18,10 @@ from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState, create_trial
 
-from loop.campaign import figures_of
+from loop.campaign import checked
 from loop.code import digest_of_code
 from loop.executors import Executor
+from loop.figures import traced
 from loop.jobs import reason
 from loop.manifest import digests
 from loop.objective import Objective
@@ -30,10 +31,12 @@ from loop.scenario import Scenario
 from world.errors import LuxloopError
 
 STUDY, FAILURES = "study.log", "failures"
+TRACES = "traces"  # of what has been run and may be learned from
 FINISHED = (TrialState.COMPLETE, TrialState.PRUNED)
 APART = 1_000_003  # between the seeds of two searches' first trials, so that they share none
 STARTUP = 8  # trials at random before the sampler learns, and before any is pruned
 Runs = list[tuple[dict[str, Any], dict[str, str], str]]
+Trace = list[list[Any]] | str  # of a run: poses, errors and whether seen (`loop.batch.Rollout`), or why it failed
 
 
 @dataclass(frozen=True)
@@ -67,8 +70,9 @@ class Task:
 
     @property
     def given(self) -> dict[str, float | int | None]:
-        """The values that the first scenario has."""
-        return {each.key: value_of(self.scenarios[0], each.key) for each in self.ranges}
+        """The values that all scenarios have; None where they differ, or have none."""
+        found = {each.key: {value_of(scenario, each.key) for scenario in self.scenarios} for each in self.ranges}
+        return {key: values.pop() if len(values) == 1 else None for key, values in found.items()}
 
     def runs(self, values: Values) -> Runs:
         """All runs of a trial, one seed after the other."""
@@ -106,8 +110,8 @@ def tune(task: Task, out: Path, trials: int, execute: Executor) -> Tuned:
     Raises LuxloopError where the folder holds another study or cannot be written; KeyboardInterrupt that says what is kept.
     """
     study, space = opened(task, out, execute)
-    done = _finished(study)
-    with keeping(out, lambda: f"{_finished(study)} of {trials} trials"), progress("trials", trials, min(done, trials)) as advance:
+    done = finished(study)
+    with keeping(out, lambda: f"{finished(study)} of {trials} trials"), progress("trials", trials, min(done, trials)) as advance:
         for number in range(done, trials):
             # Seeded by the trial: a study that was interrupted goes on as it would have.
             seed = (task.seed * APART + number) % 2**32
@@ -126,7 +130,7 @@ def keeping(out: Path, what: Callable[[], str]) -> Iterator[None]:
         raise KeyboardInterrupt(f"{what()} are kept in {out / STUDY}, the same command goes on from there") from error
 
 
-def _finished(study: optuna.Study) -> int:
+def finished(study: optuna.Study) -> int:
     return len(study.get_trials(deepcopy=False, states=FINISHED))
 
 
@@ -134,30 +138,36 @@ def _try(study: optuna.Study, trial: optuna.Trial, task: Task, execute: Executor
     """All runs of a trial; after half of them it may be given up. The same runs are done however many go on at once."""
     runs = task.runs(trial.params)
     half = -(-len(runs) // 2)
-    costs, reasons = _costs(task, runs[:half], execute)
-    trial.set_user_attr(FAILURES, reasons)
+    costs, traces = ran(task, runs[:half], execute)
+    trial.set_user_attr(FAILURES, failed(traces))
     if len(runs) > half:
         trial.report(float(np.mean(costs)), 0)
         if trial.should_prune():
             study.tell(trial, state=TrialState.PRUNED)
             return
-        more, others = _costs(task, runs[half:], execute)
+        more, others = ran(task, runs[half:], execute)
         costs += more
-        trial.set_user_attr(FAILURES, reasons + others)
+        trial.set_user_attr(FAILURES, failed(traces + others))
     study.tell(trial, float(np.mean(costs)))
 
 
-def _costs(task: Task, runs: Runs, execute: Executor) -> tuple[list[float], list[str]]:
-    """Costs in the order of the runs, though they end in any, so that sums are rounded alike; and why some of them failed."""
-    done = sorted(execute(_figures, list(enumerate(runs))), key=itemgetter(0))
-    return [task.objective.cost(figures) for _, figures, _ in done], [why for _, _, why in done if why]
+def ran(task: Task, runs: Runs, execute: Executor) -> tuple[list[float], list[Trace]]:
+    """Costs and traces in the order of the runs, though they end in any, so that sums are rounded alike."""
+    done = sorted(execute(_traced, list(enumerate(runs))), key=itemgetter(0))
+    return [task.objective.cost(figures) for _, figures, _ in done], [trace for _, _, trace in done]
 
 
-def _figures(task: tuple[int, tuple[dict[str, Any], dict[str, str], str]]) -> tuple[int, dict[str, Any], str]:
-    """Number and figures of a run, or why it failed: a controller that loses itself is no reason to stop."""
+def failed(traces: list[Trace]) -> list[str]:
+    """Why some of the runs have."""
+    return [trace for trace in traces if isinstance(trace, str)]
+
+
+def _traced(task: tuple[int, tuple[dict[str, Any], dict[str, str], str]]) -> tuple[int, dict[str, Any], Trace]:
+    """Number, figures and trace of a run: a controller that loses itself is no reason to stop."""
     number, (scenario, inputs, device) = task
     try:
-        return number, figures_of(scenario, inputs, device), ""
+        figures, run = traced(cast(Scenario, checked(scenario, inputs)), device)
+        return number, figures, [part[0].tolist() for part in vars(run).values()]
     except Exception as error:
         return number, {}, reason(error)
 
@@ -169,9 +179,9 @@ def _distribution(each: Range) -> BaseDistribution:
 
 
 def opened(task: Task, out: Path, execute: Executor) -> tuple[optuna.Study, dict[str, BaseDistribution]]:
-    """The study in a folder, which knows what the given values cost, and its space. Raises what `tune` raises.
+    """The study in a folder, which knows what the given values cost and their traces, and its space. Raises what `tune` raises.
 
-    Its first trial is of the given values where they lie in the ranges: the search learns from them.
+    Its first trial is of the given values where all scenarios have them and they lie in the ranges: the search learns from them.
     """
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     warnings.filterwarnings("ignore", category=optuna.exceptions.ExperimentalWarning)
@@ -179,10 +189,11 @@ def opened(task: Task, out: Path, execute: Executor) -> tuple[optuna.Study, dict
     for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):  # cut off by a kill
         study.tell(trial.number, state=TrialState.FAIL)
     if "given_cost" not in study.user_attrs:
-        costs, reasons = _costs(task, task.runs({}), execute)
-        if len(reasons) == len(costs):
+        costs, traces = ran(task, task.runs({}), execute)
+        if len(reasons := failed(traces)) == len(costs):
             (out / STUDY).unlink()  # nothing is in it, and other settings shall not need another folder
             raise LuxloopError(f"every run with the given values fails, so there is nothing to tune; the first: {reasons[0]}")
+        study.set_user_attr(TRACES, traces)
         study.set_user_attr("given_cost", float(np.mean(costs)))
     space = {each.key: _distribution(each) for each in task.ranges}
     if not study.get_trials(deepcopy=False) and all(_within(each, task.given[each.key]) for each in task.ranges):
@@ -196,7 +207,7 @@ def _within(each: Range, value: float | int | None) -> bool:
 
 def mean_cost(task: Task, values: Values, execute: Executor) -> float:
     """Mean cost of all runs with some values."""
-    return float(np.mean(_costs(task, task.runs(values), execute)[0]))
+    return float(np.mean(ran(task, task.runs(values), execute)[0]))
 
 
 def _stored(task: Task, out: Path) -> optuna.Study:

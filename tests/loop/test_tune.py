@@ -10,12 +10,12 @@ from torch import Tensor
 
 from loop import cli, gradient, objective, ranges
 from loop import tune as module
-from loop.batch import rollouts
+from loop.batch import Rollout, rollouts
 from loop.executors import local
 from loop.learned import Learned, near
 from loop.scenario import Scenario, load
 from loop.simulation import Simulation
-from loop.tune import STUDY, Task, Tuned, tune
+from loop.tune import STUDY, Task, Trace, Tuned, tune
 from loop.tune_report import BEST, PICTURE, REPORT, write
 from world.errors import LuxloopError
 
@@ -161,6 +161,15 @@ def test_a_seeded_study_is_the_same_with_more_processes_and_after_a_stop(
     assert trials(tune(task(scenario), tmp_path, 5, local(2))) == trials(tuned)
 
 
+def test_what_scenarios_do_not_share_is_given_by_none(scenario: Scenario, tmp_path: Path) -> None:
+    """No trial says that one's gain costs what each costs with its own; the search by gradient starts in the middle of the range."""
+    low, high = (load("snowflake", [*SEEN, f"controller.position.kp={kp}"]) for kp in (0.3, 0.6))
+    both = Task((low, high), small(low).ranges, objective.parse("iou"))
+    assert both.given == {"controller.position.kp": None, "controller.rotation.kp": small(low).given["controller.rotation.kp"]}
+    (found,) = trials(gradient.tune_by_gradient(both, tmp_path, 1, local(1)))
+    assert found[0]["controller.rotation.kp"] != both.given["controller.rotation.kp"]
+
+
 def test_another_search_has_other_trials(tuned: Tuned, scenario: Scenario, tmp_path: Path) -> None:
     other = tune(replace(task(scenario), seed=1), tmp_path, 2, local(1))
     (first, *others), (given, *own) = trials(other), trials(tuned)
@@ -196,7 +205,7 @@ def test_failures_of_trials_are_told_and_those_of_all_given_runs_stop(tmp_path: 
     assert 0 < len(heavy) < 4 and all(values["controller.options.weight"] > 0.5 for values in heavy)
     assert len(tuned.failures) == len(heavy)
     write(tuned, folder)
-    assert re.search(rf"{len(heavy)} runs? failed, the first: IndexError: too heavy", (folder / REPORT).read_text())
+    assert re.search(rf"{len(heavy)} runs? failed, the first: .*IndexError: too heavy", (folder / REPORT).read_text())
 
 
 def test_other_settings_need_another_folder(tuned: Tuned, scenario: Scenario, tmp_path: Path) -> None:
@@ -240,24 +249,24 @@ def test_descent_learns_from_its_runs_and_goes_on_after_a_stop(tmp_path: Path, m
     monkeypatch.setattr(gradient, "STEPS", 20)
     slow = small(load("snowflake", [*SEEN, "controller.position.kp=0.1"]))
     tuned = gradient.tune_by_gradient(slow, tmp_path / "whole", 3, local(1))
-    given, start, *others = trials(tuned)
-    assert start[0] == given[0] == slow.given and start[1] == given[1] == tuned.given_cost  # the same run, of which it learns
+    start, *others = trials(tuned)
+    assert start == (slow.given, tuned.given_cost, "COMPLETE")
     simulation = Simulation.prepare(slow.scenarios[0])
     before, *after = (
         float(gradient.loss(rollouts(simulation, {key: torch.tensor([value]) for key, value in values.items()}), simulation))
         for values, _, _ in (start, *others)
     )
     assert len(after) == 2 and min(after) < before
-    original, asked = gradient._run, 0
+    original, asked = gradient.ran, 0
 
     def stopping(*arguments: object) -> object:
         nonlocal asked
         asked += 1
-        if asked == 3:
+        if asked == 2:
             raise KeyboardInterrupt
         return original(*arguments)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(gradient, "_run", stopping)
+    monkeypatch.setattr(gradient, "ran", stopping)
     with pytest.raises(KeyboardInterrupt, match="2 of 3 iterations are kept"):
         gradient.tune_by_gradient(slow, tmp_path / "stopped", 3, local(1))
     assert trials(gradient.tune_by_gradient(slow, tmp_path / "stopped", 3, local(1))) == trials(tuned)
@@ -283,6 +292,25 @@ def test_what_has_been_run_is_foretold_and_differentiable_in_gains() -> None:
     assert torch.autograd.gradcheck(errors, at)
 
 
+def test_a_run_that_saw_little_knows_nothing_of_noise() -> None:
+    poses, seen = torch.zeros(1, 30, 4), torch.arange(30)[None] < 30
+    long = Rollout(poses, 0.1 * torch.randn(1, 30, 4, generator=torch.Generator().manual_seed(0)), seen)
+    short = replace(long, seen=torch.arange(30)[None] < 1)
+    assert Learned.of([long], 0).noise.min() > 0
+    assert torch.equal(Learned.of([long, short], 0).noise, Learned.of([long], 0).noise)
+
+
+def test_scenarios_of_which_all_runs_fail_are_named_with_the_reason(tmp_path: Path) -> None:
+    fine = load("snowflake", SEEN)
+    broken = fine.model_copy(update={"name": "broken"})
+    both = Task((fine, broken), small(fine).ranges, objective.parse("iou"))
+    simulations = [Simulation.prepare(each) for each in both.scenarios]
+    run = rollouts(simulations[0], {key: torch.tensor([0.3]) for key in both.given})
+    seen: Trace = [part[0].tolist() for part in vars(run).values()]
+    with pytest.raises(LuxloopError, match=r"^broken: IndexError: too far, .*tune without --gradient$"):
+        gradient.descend(both, simulations, [gradient.Iteration(both.given, 1.0, [seen, "IndexError: too far"])])
+
+
 def test_a_symbol_that_is_never_seen_is_not_descended_on(tmp_path: Path) -> None:
     blind = small(load("snowflake", [*SEEN, "extraction.area_low=0.9999999", "extraction.area_high=1.0000001"]))
     with pytest.raises(LuxloopError, match="snowflake: its symbol is never seen"):
@@ -293,7 +321,8 @@ def test_a_symbol_that_is_never_seen_is_not_descended_on(tmp_path: Path) -> None
 def test_what_descent_finds_keeps_its_digits_and_its_range(given: float) -> None:
     scenario = load("snowflake", [*SEEN, "steps=3", f"controller.position.ki={given}"])
     narrow = (ranges.parse(f"controller.position.ki={0.9999999 * given}:{1.0000001 * given}:log", [scenario]),)
-    (found,) = gradient.descend(Task((scenario,), narrow, objective.parse("iou")), [], []).values()
+    tuned = Task((scenario,), narrow, objective.parse("iou"))
+    (found,) = gradient._values(tuned, gradient._logits(tuned, tuned.given)).values()
     assert narrow[0].low <= found <= narrow[0].high
 
 
