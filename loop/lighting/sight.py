@@ -10,8 +10,8 @@ from torch import Tensor
 
 from controllers.functions.situation import TrackedObject
 from loop.lighting.known import Known
-from perception.detection.build import detector
-from perception.detection.params import AnyParams, TruthParams
+from perception.detection.build import detector, own_detections
+from perception.detection.params import AnyParams, OwnDetector, TruthParams
 from perception.detection.protocol import Detections, Detector
 from perception.detection.suppression import overlaps
 from perception.placing import placed
@@ -49,10 +49,12 @@ class Sight:
         return cls(finds, params, Tracker(classes, view, tracker))
 
     def find(self, frame: Tensor, known: Known) -> Detections:
-        """frame: `[height, width]`, digital numbers as a share of the largest."""
+        """frame: `[height, width]`, digital numbers as a share of the largest. Raises LuxloopError where one's own detector fails at it."""
         if isinstance(self.params, TruthParams):
             return known.detections(self.params, self.tracker.classes)
         assert self.detector is not None
+        if isinstance(self.params, OwnDetector):
+            return own_detections(self.detector, frame, self.params.kind)
         return self.detector.detect(frame[None])[0]
 
     def objects(self, tracks: Tracks, time_s: float) -> tuple[TrackedObject, ...]:

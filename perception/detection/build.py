@@ -2,18 +2,21 @@
 
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import cast
+from typing import cast, get_args
 
 import torch
+from torch import Tensor
 
 from perception.detection.hog import HogDetector
 from perception.detection.network import NetworkDetector, load
 from perception.detection.onnx import OnnxDetector
 from perception.detection.params import HogParams, NetworkParams, OnnxParams, OwnDetector, RunParams
-from perception.detection.protocol import Detector
+from perception.detection.protocol import Detections, Detector
 from world import plugin
-from world.errors import located
+from world.errors import LuxloopError, located
+from world.tracked import Category
 
+GIVES = "give one Detections a frame: finite tensors of boxes [n, 4] and of scores [n, classes]"
 WEIGHTS = "weights/night.pt"  # shipped, with their report beside them
 
 
@@ -27,7 +30,12 @@ def detector(params: RunParams, device: torch.device) -> Detector:
         case OnnxParams():
             return OnnxDetector(params)
         case OwnDetector():
-            return cast(Detector, plugin.make(params.kind, "detector.kind", {"device": device}, params.options, ["detect"]))
+            own = plugin.make(params.kind, "detector.kind", {"device": device}, params.options, ["detect"])
+            classes, known = getattr(own, "classes", None), get_args(Category)
+            if not isinstance(classes, tuple) or not classes or any(each not in known for each in classes):
+                given = "no classes" if classes is None else f"classes = {classes!r}"
+                raise LuxloopError(f"detector.kind: {params.kind}: has {given}; it needs a tuple of some of {', '.join(known)}")
+            return cast(Detector, own)
 
 
 def network_detector(params: NetworkParams, device: torch.device) -> NetworkDetector:
@@ -39,3 +47,19 @@ def network_detector(params: NetworkParams, device: torch.device) -> NetworkDete
         with as_file(files("perception.detection") / WEIGHTS) as file:
             network, classes = load(file, device)
     return NetworkDetector(network, classes, params.threshold, params.overlap)
+
+
+def own_detections(own: Detector, frame: Tensor, kind: str) -> Detections:
+    """What the user's own detector finds in a frame `[height, width]`. Raises LuxloopError where it fails, or gives something else."""
+    where, classes = f"detector.kind: {kind}: detect", len(own.classes)
+    try:
+        (found,) = own.detect(frame[None])
+        shapes = tuple(found.boxes.shape), tuple(found.scores.shape)
+        finite = bool(found.boxes.isfinite().all() and found.scores.isfinite().all())
+    except Exception as error:
+        raise LuxloopError(f"{where} fails ({' '.join(f'{type(error).__name__}: {error}'.split())}); it must {GIVES}") from error
+    count = next(iter(shapes[0]), 0)
+    if shapes != ((count, 4), (count, classes)) or not finite:
+        what = f"boxes {list(shapes[0])} and scores {list(shapes[1])}" + ("" if finite else ", some of which are not finite")
+        raise LuxloopError(f"{where} gives {what}; with {classes} classes it must {GIVES}")
+    return found

@@ -34,6 +34,10 @@ class HogDetector:
     def _found(self, frame: Tensor) -> Detections:
         params = self.params
         picture = cv2.resize(coded(frame, params.gamma), None, fx=params.magnify, fy=params.magnify, interpolation=cv2.INTER_LINEAR)
+        # OpenCV reads beyond what is smaller than its window
+        width, height = self._hog.winSize
+        below, right = max(height - picture.shape[0], 0), max(width - picture.shape[1], 0)
+        picture = cv2.copyMakeBorder(picture, 0, below, 0, right, cv2.BORDER_REPLICATE)
         margin = math.log(params.threshold / (1 - params.threshold)) / params.slope
         windows, margins = self._hog.detectMultiScale(picture, hitThreshold=margin, winStride=(8, 8), scale=1.05, groupThreshold=0)
         corner, size = torch.from_numpy(np.reshape(windows, (-1, 4)).astype(np.float32) / params.magnify).split(2, 1)

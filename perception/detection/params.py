@@ -19,6 +19,7 @@ COCO: dict[int, Category] = {
     7: "truck",
     **dict.fromkeys(range(14, 24), "animal"),
 }
+Side = Annotated[int, Field(ge=1, le=8192)]  # px
 
 
 class FoundParams(Params):
@@ -55,9 +56,9 @@ class OnnxParams(CodedParams):
     kind: Literal["onnx"] = "onnx"
     file: str = Field(min_length=1, description="the ONNX file")
     layout: Literal["yolov5", "yolov8", "yolov10"] = Field("yolov8", description="what it gives, as the networks of that name do")
-    input_px: tuple[int, int] = Field((640, 640), description="width and height that it takes; frames are fitted in")
+    input_px: tuple[Side, Side] = Field((640, 640), description="width and height that it takes; frames are fitted in")
     channels: Literal[1, 3] = Field(3, description="that it takes; all are the same grey")
-    classes: dict[int, Category] | None = Field(
+    classes: dict[Annotated[int, Field(ge=0)], Category] | None = Field(
         None, min_length=1, description="what its classes are here, by their numbers, others count as nothing; left out: those of COCO"
     )
 

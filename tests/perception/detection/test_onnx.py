@@ -8,6 +8,7 @@ import onnx
 import pytest
 import torch
 from onnx import helper, numpy_helper
+from pydantic import ValidationError
 from torch import Tensor, nn
 
 from perception.detection.build import detector
@@ -119,3 +120,9 @@ def test_what_does_not_fit_is_said_in_a_sentence(tmp_path: Path) -> None:
         OnnxDetector(OnnxParams(file=file, input_px=(64, 64), layout="yolov10")).detect(frame)
     with pytest.raises(LuxloopError, match=r"OpenCV cannot run it on 3 x 48 x 48 numbers .*set detector.input_px and detector.channels"):
         OnnxDetector(OnnxParams(file=file, input_px=(48, 48))).detect(frame)
+
+
+@pytest.mark.parametrize("wrong", [{"input_px": (0, 640)}, {"input_px": (640, -1)}, {"classes": {-1: "car"}}])
+def test_sizes_and_numbers_that_cannot_be_are_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(ValidationError, match="greater than or equal to"):
+        OnnxParams(file="any.onnx", **wrong)

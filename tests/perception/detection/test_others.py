@@ -1,12 +1,14 @@
 """OpenCV's people detector, and detectors of the user's own."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
-from perception.detection.build import detector
+from perception.detection.build import detector, own_detections
 from perception.detection.params import HogParams, OwnDetector
+from perception.detection.protocol import Detections
 from perception.detection.suppression import overlaps
 from tests.perception.detection.lit import Lit
 from world.errors import LuxloopError
@@ -31,6 +33,13 @@ def test_hog_finds_a_pedestrian_by_light_and_nobody_in_the_dark(lit: Lit, device
 def test_hog_in_an_empty_frame_finds_nothing() -> None:
     (found,) = detector(HogParams(), CPU).detect(torch.zeros(1, 180, 320))
     assert found.boxes.shape == (0, 4) and found.scores.shape == (0, 1)
+
+
+@pytest.mark.parametrize("size", [(180, 320), (90, 160), (30, 40), (2, 2), (256, 128)])
+def test_hog_takes_frames_smaller_than_its_window(size: tuple[int, int]) -> None:
+    """OpenCV's window is 64 x 128 px; of a frame smaller than that it reads beyond the end, and the process dies."""
+    (found,) = detector(HogParams(magnify=0.5), CPU).detect(torch.rand(1, *size, generator=torch.Generator().manual_seed(0)))
+    assert bool(found.boxes.isfinite().all())
 
 
 OWN = """
@@ -63,3 +72,47 @@ def test_a_detector_of_ones_own_is_made_with_its_options(tmp_path: Path, monkeyp
     assert found.boxes.tolist() == [[35, 25, 45, 35]] and found.scores.tolist() == [[0.5]]
     with pytest.raises(LuxloopError, match=r"detector.kind: own_detector_of_a_test:Brightest: .*detector.options"):
         detector(OwnDetector(kind="own_detector_of_a_test:Brightest", options={"sise": 10}), CPU)
+
+
+class Given:
+    """Finds the same whatever it sees."""
+
+    def __init__(self, device: torch.device, boxes: Any = None, scores: Any = None, classes: Any = ("car", "truck")) -> None:
+        self.found = Detections(boxes, scores)
+        if classes is not None:
+            self.classes = classes
+
+    def detect(self, frames: torch.Tensor) -> list[Detections]:
+        return [self.found] * len(frames)
+
+
+KIND = f"{__name__}:Given"
+
+
+@pytest.mark.parametrize("classes", [None, (), ["car"], ("dog",), "car"])
+def test_classes_of_ones_own_detector_must_be_known(classes: Any) -> None:
+    with pytest.raises(LuxloopError, match=r"detector.kind: .*Given: has (no classes|classes = .*); it needs a tuple of some of car"):
+        detector(OwnDetector(kind=KIND, options={"classes": classes}), CPU)
+
+
+BOXES, SCORES = torch.zeros(3, 4), torch.zeros(3, 2)
+
+
+@pytest.mark.parametrize(
+    ("boxes", "scores", "said"),
+    [
+        (BOXES, torch.zeros(3, 1), r"gives boxes \[3, 4\] and scores \[3, 1\]; with 2 classes"),
+        (BOXES, torch.zeros(3), r"gives boxes \[3, 4\] and scores \[3\]"),
+        (torch.zeros(3, 5), SCORES, r"gives boxes \[3, 5\]"),
+        (torch.zeros(()), SCORES, r"gives boxes \[\]"),
+        (BOXES / 0, SCORES, "some of which are not finite"),
+        (BOXES.numpy(), SCORES.numpy(), r"fails \(AttributeError"),
+        (None, None, r"fails \(AttributeError"),
+    ],
+)
+def test_what_ones_own_detector_gives_is_checked(boxes: Any, scores: Any, said: str) -> None:
+    own = detector(OwnDetector(kind=KIND, options={"boxes": boxes, "scores": scores}), CPU)
+    with pytest.raises(LuxloopError, match=rf"detector.kind: .*Given: detect .*{said}.* must give one Detections a frame"):
+        own_detections(own, torch.zeros(60, 80), KIND)
+    right = detector(OwnDetector(kind=KIND, options={"boxes": BOXES, "scores": SCORES}), CPU)
+    assert len(own_detections(right, torch.zeros(60, 80), KIND)) == 3
