@@ -18,7 +18,7 @@ from rich.table import Table
 from torch import Tensor
 
 from controllers.symbol.drawing import Drawing, warp_onto
-from controllers.symbol.feedforward import FeedforwardParams, relief_of
+from controllers.symbol.feedforward import relief_of
 from controllers.symbol.luxloop import LuxloopParams, laid, region_of
 from controllers.symbol.observer import Observer
 from controllers.symbol.protocol import Look
@@ -87,19 +87,12 @@ class Knowing:
         lamps = torch.stack([module.T_world_headlight[:3, 3].double() for module in projector.modules])
         ends = torch.stack([camera_view(self.observer.camera).origin, *lamps], 1)
         there = transform(now.T_ground_body, ends).T
-        given = cast(FeedforwardParams, _Given(Ahead(self.road, now.T_world_ground)))
-        relief = relief_of(given, region_of(symbol, *LuxloopParams().beyond_m), there[0])
+        relief = relief_of(Ahead(self.road, now.T_world_ground).z, region_of(symbol, *LuxloopParams().beyond_m), there[0])
         centre = (symbol.x_m, symbol.y_m)
         return Drawing(*pose, warp_onto(relief, there[1:].float(), centre, symbol.length_m, symbol.width_m))
 
     def step(self, state: int, look: Look) -> int:
         return state + 1
-
-
-@dataclass(frozen=True)
-class _Given:
-    road: Ahead
-    offset_m: float = 0.0
 
 
 def iou(changes: tuple[str, ...], column: str, steps: int) -> list[float]:

@@ -1,5 +1,6 @@
 """Feed-forward: inverse ray tracing onto a road that is given, right or wrong, or that is surveyed with structured light first."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -16,7 +17,9 @@ from controllers.symbol.relief import Relief
 from controllers.symbol.survey import Survey, SurveyState
 from perception.birdseye import Region
 from perception.camera import camera_view
+from world.errors import located
 from world.params import Params
+from world.roadbase import Floats
 from world.roads import Flat, RoadParams
 
 CELL_M = 0.1
@@ -37,7 +40,8 @@ class Feedforward:
     """Draws for the given road for ever; the state is the drawing."""
 
     def __init__(self, params: FeedforwardParams, observer: Observer) -> None:
-        relief = relief_of(params, region_around(observer), camera_view(observer.camera).origin)
+        with located("controller"):
+            relief = relief_of(params.road.z, region_around(observer), camera_view(observer.camera).origin, params.offset_m)
         self.drawn = drawn_on(relief, observer.projector)
 
     def start(self, pose: Tensor) -> Drawing:
@@ -101,14 +105,17 @@ def drawn_on(relief: Relief, projector: Projector) -> Drawing:
     return Drawing(projector.target, warp=warp.to(projector.symbol.device))
 
 
-def relief_of(params: FeedforwardParams, region: Region, eye: Tensor) -> Relief:
-    """A given road as an eye at `[3]` m sees it: lines of sight are followed down to the first height below the road's."""
+def relief_of(z: Callable[[Floats, Floats], Floats], region: Region, eye: Tensor, offset_m: float = 0.0) -> Relief:
+    """A road as an eye at `[3]` m sees it: lines of sight are followed down to the first height below the road's.
+
+    z: its heights in m at x and y in m (`Road.z`). offset_m: added to them.
+    """
     rows, cols = (round((far - near) / CELL_M) for far, near in ((region.x_far_m, region.x_near_m), (region.y_left_m, region.y_right_m)))
     x = region.x_far_m - (torch.arange(rows, dtype=torch.float64)[:, None] + 0.5) * CELL_M
     y = region.y_left_m - (torch.arange(cols, dtype=torch.float64) + 0.5) * CELL_M
     h = torch.linspace(HIGHEST_M, -HIGHEST_M, LAYERS, dtype=torch.float64)[:, None, None]
     places = [(point + (eye[axis] - point) * (h / eye[2])).expand(LAYERS, rows, cols) for axis, point in enumerate((x, y))]
-    road = torch.from_numpy(params.road.z(*(place.numpy() for place in places))) + params.offset_m
+    road = torch.from_numpy(z(*(place.numpy() for place in places))) + offset_m
     above = road - h
     first = (above >= 0).to(torch.uint8).argmax(0, keepdim=True).clamp(min=1)
     under, over = above.gather(0, first), above.gather(0, first - 1)

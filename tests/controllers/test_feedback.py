@@ -3,10 +3,11 @@
 import pytest
 import torch
 
-from controllers.symbol.feedforward import FeedforwardParams, relief_of
+from controllers.symbol.feedforward import relief_of
 from loop.run import prepare
 from loop.scenario import load
 from perception.birdseye import Region
+from world.errors import LuxloopError
 from world.roads import Curb, Flat
 
 SMALL = ["camera.width_px=640", "camera.height_px=360", "camera.oversampling=2"]
@@ -55,9 +56,14 @@ def test_feedforward_is_as_good_as_its_road() -> None:
 
 def test_a_given_road_is_followed_along_lines_of_sight() -> None:
     region, eye = Region(13.0, 21.0, 2.0, -2.0), torch.tensor([-1.6, 0.0, 1.35], dtype=torch.float64)
-    flat = relief_of(FeedforwardParams(road=Flat(), offset_m=0.02), region, eye)
+    flat = relief_of(Flat().z, region, eye, 0.02)
     torch.testing.assert_close(flat.heights, torch.full_like(flat.heights, 0.02), rtol=0, atol=1e-6)
-    curb = relief_of(FeedforwardParams(road=Curb(y_m=0.5, height_m=0.1)), region, eye)
+    curb = relief_of(Curb(y_m=0.5, height_m=0.1).z, region, eye)
     # what is seen at the step's foot lies at y = 0.5 on the road, what is seen at its top appears at y = 0.5 * 1.35 / 1.25 = 0.54
     assert (curb.heights[:, : int((2.0 - 0.6) / 0.1)] > 0.099).all()
     assert (curb.heights[:, int((2.0 - 0.4) / 0.1) :].abs() < 1e-6).all()
+
+
+def test_a_wrong_road_that_is_believed_is_told_from_the_road() -> None:
+    with pytest.raises(LuxloopError, match=r": controller: road\.kind: no_such_roads:Along: No module"):
+        run("{name='feedforward', road={kind='no_such_roads:Along'}}", 0)

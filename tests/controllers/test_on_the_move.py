@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -44,8 +43,7 @@ class Waves:
 
 def remembered(T_world_ground: Tensor, eye: Tensor) -> Memory:
     """What an eye knows of the waves; relief_of has cells of 0.1 m, as many as the grid."""
-    given: Any = SimpleNamespace(road=Waves(T_world_ground), offset_m=0.0)
-    heights = relief_of(given, REGION, eye).heights.flatten()
+    heights = relief_of(Waves(T_world_ground).z, REGION, eye).heights.flatten()
     return Memory(Heights(heights, torch.eye(len(heights))), torch.ones_like(heights), REGION, GRID, eye)
 
 
