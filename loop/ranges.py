@@ -48,7 +48,8 @@ def parse(text: str, scenarios: Sequence[Scenario]) -> Range:
         kinds = found if any(value is not None for value in found) else [value_of(changed(scenarios[0], {key: _number(low_text)}), key)]
         whole = any(isinstance(value, int) for value in kinds)
         if whole and not (low.is_integer() and high.is_integer()):
-            raise LuxloopError("only whole numbers are possible; give whole ends")
+            fraction = f", or {key} a value with a point, such as 1.0" if ".options." in key else ""
+            raise LuxloopError(f"only whole numbers are possible; give whole ends{fraction}")
         made = Range(key, low, high, bool(scale), whole)
         for scenario in scenarios:
             for end in (low, high):

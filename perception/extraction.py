@@ -62,11 +62,14 @@ class OwnExtractionParams(SearchParams):
     def symbol_image(self, contrast: Tensor, limit: Tensor) -> Tensor:
         """The extractor's. Raises LuxloopError where that is no image of the same size."""
         symbol = self.extractor.symbol_image(contrast, limit)
-        if not isinstance(symbol, Tensor) or symbol.shape != contrast.shape or symbol.dtype != contrast.dtype:
-            given = f"{symbol.dtype} {list(symbol.shape)}" if isinstance(symbol, Tensor) else type(symbol).__name__
-            what = f"symbol_image gives {given} for {contrast.dtype} {list(contrast.shape)}"
+        if not isinstance(symbol, Tensor) or _like(symbol) != _like(contrast):
+            what = f"symbol_image gives {_like(symbol) if isinstance(symbol, Tensor) else type(symbol).__name__} for {_like(contrast)}"
             raise LuxloopError(f"extraction.kind: {self.kind}: {what}; give an image like that")
         return symbol
+
+
+def _like(image: Tensor) -> str:
+    return f"{image.dtype} {list(image.shape)} on {image.device}"
 
 
 Extraction = Annotated[

@@ -89,6 +89,13 @@ def test_an_optional_key_that_is_left_out_can_be_tuned(scenario: Scenario) -> No
     assert ranges.value_of(scenario, "headlight.intensity_cd") is None
 
 
+def test_a_whole_share_of_ones_own_part_says_how_it_can_be_a_fraction() -> None:
+    own = load("flat", ["road={ kind='own:Road', options={ share=1, width_m=1.0 } }"])
+    assert not ranges.parse("road.options.width_m=0.5:2", [own]).whole
+    with pytest.raises(LuxloopError, match=r"give whole ends, or road.options.share a value with a point, such as 1.0$"):
+        ranges.parse("road.options.share=0.1:1.5", [own])
+
+
 @pytest.mark.parametrize(
     ("text", "said"), [("setling", "did you mean 'settling'"), ("2 iou", "no term"), ("0*iou", "weighs nothing"), ("", "no term")]
 )

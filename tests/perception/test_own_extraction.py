@@ -31,6 +31,10 @@ class Listed(Ours):
     def symbol_image(self, contrast, limit):
         return contrast.tolist()
 
+class Elsewhere(Ours):
+    def symbol_image(self, contrast, limit):
+        return contrast.to("meta")
+
 class Blind:
     pass
 """
@@ -74,6 +78,7 @@ def test_the_loop_looks_with_it(controller: str) -> None:
         ({"kind": "own_extractions:Blind"}, ["no method symbol_image"]),
         ({"kind": "own_extractions:Pooled"}, ["float32", "an image like that"]),
         ({"kind": "own_extractions:Listed"}, ["gives list"]),
+        ({"kind": "own_extractions:Elsewhere"}, ["on meta for", "on cpu"]),
         ({"kind": "own_extractions:Ours", "edges": "grey"}, ["extraction.edges", "unknown key"]),
         ({"kind": "differentiall"}, ["extraction.kind", "did you mean 'differential'"]),
     ],
