@@ -11,6 +11,7 @@ from torch import Tensor
 from controllers.functions.geometry import cuboid
 from controllers.functions.situation import LAYERS, MASK, SelectionParams, Situation, TrackedObject, fade
 from controllers.primitives import Primitives, rectangles
+from perception.tracking import LINGER_S
 from world.frames import inverse, transform
 from world.params import Params
 
@@ -32,7 +33,7 @@ class GlareFreeParams(SelectionParams):
     margin_m: float = Field(0.2, ge=0, description="safety margin around the box, except below its foot")
     margin_deg: float = Field(0.2, ge=0, le=5, description="the same as an angle seen from the lamps, in addition")
     fade_in_s: float = Field(0.0, ge=0, description="time to go dark for a new object; 0 goes dark at once, which is safe")
-    fade_out_s: float = Field(0.6, ge=0, description="time to become bright again behind an object that is gone")
+    fade_out_s: float = Field(0.6, ge=0, le=LINGER_S, description="time to become bright again behind an object that is gone")
     soft_zones: tuple[SoftZoneParams, ...] = Field((), max_length=LAYERS - 1, description="dimmed boxes around the mask, inner ones first")
 
     @model_validator(mode="after")

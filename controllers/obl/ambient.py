@@ -2,8 +2,9 @@
 
 from collections.abc import Collection
 from dataclasses import dataclass, replace
+from typing import Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from world.params import Params
 
@@ -21,13 +22,19 @@ class AmbientLoopParams(Params):
     """How far the base beam is dimmed: down in steps, up at once and then not down for long, so that it does not hunt."""
 
     first: float = Field(1.0, ge=0, le=1, description="share of the base beam at the beginning, which shall show all that is there")
-    least: float = Field(0.05, ge=0, le=1, description="never less than this share of the base beam, for what nobody has found yet")
+    least: float = Field(0.05, gt=0, le=1, description="never less than this share of the base beam, for what nobody has found yet")
     fall: float = Field(0.5, gt=0, lt=1, description="factor of a step down, when every object is found for sure")
     fall_frames: int = Field(4, ge=1, le=300, description="frames before a step down")
     rise: float = Field(2.0, gt=1, description="factor of a step up, when one is doubtful")
     patience: int = Field(60, ge=1, description="frames after a step up without another step")
     doubtful: float = Field(0.2, ge=0, le=1, description="confidence below which an object that has had more may get lost")
     margin: float = Field(0.1, ge=0, le=1, description="above that, for sure")
+
+    @model_validator(mode="after")
+    def _begins_above(self) -> Self:
+        if self.first < self.least:
+            raise ValueError(f"first: {self.first:g} is below least, {self.least:g}; give a share from there on")
+        return self
 
     def sure(self, confidence: float) -> bool:
         return confidence >= self.doubtful + self.margin

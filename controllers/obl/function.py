@@ -11,6 +11,7 @@ from controllers.obl.ambient import Ambient, AmbientLoopParams
 from controllers.obl.light import ObjectLightParams
 from controllers.obl.object_loop import ObjectLoop, ObjectLoopParams
 from controllers.primitives import Primitives
+from perception.tracking import LINGER_S
 from world.tracked import Category
 
 
@@ -45,7 +46,7 @@ class ObjectBasedParams(SelectionParams):
         description="on objects by their class, of `class`",
     )
     light: ObjectLightParams = Field(ObjectLightParams(), description="where and how objects are lit")
-    fade_out_s: float = Field(0.6, ge=0, description="time to go dark for an object that is gone")
+    fade_out_s: float = Field(0.6, ge=0, le=LINGER_S, description="time to go dark for an object that is gone")
     priority: int = Field(20, ge=0, le=100, description="of two functions in one place, the higher is drawn")
     modules: tuple[str, ...] = Field((), description="lamps or modules that draw it; left out: all")
 

@@ -4,9 +4,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from typing import Literal
+from typing import Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from world.params import Params
 
@@ -37,6 +37,12 @@ class LowerParams(Params):
     tolerance: float = Field(0.03, ge=0, le=1, description="confidence that may be lost against the best")
     confirm: int = Field(2, ge=1, le=10, description="so often has an illuminance to prove enough before it is kept")
 
+    @model_validator(mode="after")
+    def _downwards(self) -> Self:
+        if self.bright_lx < self.least_lx:
+            raise ValueError(f"bright_lx: {self.bright_lx:g} lx is below least_lx, {self.least_lx:g} lx; give more")
+        return self
+
     def next(self, trials: Sequence[Trial]) -> Next:
         """Halves the gap, in the logarithm, between the least that keeps the confidence and the greatest below it that does not."""
         if not trials:
@@ -60,6 +66,12 @@ class RaiseParams(Params):
     most_lx: float = Field(40.0, gt=0, description="it gets no more than this")
     gain: float = Field(0.04, ge=0, le=1, description="a step that brings less confidence is a sign of the plateau")
     patience: int = Field(2, ge=1, le=10, description="so many such steps end the search")
+
+    @model_validator(mode="after")
+    def _upwards(self) -> Self:
+        if self.first_lx > self.most_lx:
+            raise ValueError(f"first_lx: {self.first_lx:g} lx is above most_lx, {self.most_lx:g} lx; give less")
+        return self
 
     def next(self, trials: Sequence[Trial]) -> Next:
         """One factor more, or back to the best step."""

@@ -24,7 +24,7 @@ class ObjectLightParams(Params):
     """Where an object is lit, and how."""
 
     pattern: Pattern = Field("homogeneous", description="structured light, `stripes` (upright) or `checks`, shows edges with less flux")
-    period_m: float = Field(0.5, gt=0.01, le=5, description="of the structure, on the object")
+    period_m: float = Field(0.5, ge=0.05, le=5, description="of the structure, on the object")
     margin_m: float = Field(0.1, ge=0, description="light beyond the box, to all sides; below the foot it shows where it meets the road")
     dark: dict[Category, float] = Field(
         {"pedestrian": 0.18, "cyclist": 0.18, "motorcycle": 0.3, "car": 0.45, "truck": 0.6},
@@ -79,7 +79,7 @@ class ObjectLightParams(Params):
         if self.pattern == "homogeneous":
             return None
         across, down = (torch.arange(max(1, round(2 * float(d.norm()) / self.period_m))) % 2 == 0 for d in (place.d1, place.d2))
-        cells = across.expand(len(down), -1) if self.pattern == "stripes" else across == down[:, None]
+        cells = across[None] if self.pattern == "stripes" else across == down[:, None]
         return cells.double().repeat_interleave(CELLS, 0).repeat_interleave(CELLS, 1)
 
 

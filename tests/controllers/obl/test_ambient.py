@@ -2,8 +2,10 @@
 
 from itertools import pairwise
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 from controllers.obl.ambient import Ambient, AmbientLoopParams
 
@@ -57,3 +59,18 @@ def test_after_a_loss_it_stays_up_for_a_while_and_falls_again() -> None:
         ambient = PARAMS.step(ambient, [0.1 if 5 <= k < 12 else 0.8])
         shares.append(ambient.share)
     assert set(shares[:5]) == {0.05} and set(shares[5 : 5 + PARAMS.patience]) == {0.1} and set(shares[5 + PARAMS.patience + 20 :]) == {0.05}
+
+
+@pytest.mark.parametrize("params", [{"first": 0.0, "least": 0.0}, {"least": 0.0}, {"first": 0.1, "least": 0.5}])
+def test_a_loop_that_could_not_rise_or_begins_below_its_least_is_refused(params: dict[str, float]) -> None:
+    with pytest.raises(ValidationError, match=r"greater than 0|first: 0.1 is below least, 0.5"):
+        AmbientLoopParams(**params)
+
+
+@given(first=st.floats(0.01, 1.0), least=st.floats(0.01, 1.0), confidences=st.lists(st.floats(0, 1), min_size=1, max_size=100))
+def test_the_share_stays_between_the_least_and_all(first: float, least: float, confidences: list[float]) -> None:
+    params = AmbientLoopParams(first=max(first, least), least=least)
+    ambient = Ambient(params.first)
+    for confidence in confidences:
+        ambient = params.step(ambient, [confidence])
+        assert least <= ambient.share <= 1

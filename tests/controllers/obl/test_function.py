@@ -11,13 +11,15 @@ from pydantic import ValidationError
 from torch import Tensor
 
 from controllers.functions.geometry import cuboid
+from controllers.functions.glare_free import GlareFreeParams
 from controllers.functions.situation import AdaptiveFunction, Situation, TrackedObject
 from controllers.obl.ambient import Ambient
 from controllers.obl.function import ObjectBasedParams, ObjectBasedState
-from controllers.obl.light import NEAREST_M, ObjectLightParams, frontal
+from controllers.obl.light import CELLS, NEAREST_M, ObjectLightParams, frontal
 from controllers.primitives import concatenate
 from controllers.secondary import Light, SecondaryRays
 from controllers.ssc import Ssc
+from perception.tracking import LINGER_S
 from world.frames import inverse, pose_from_degrees, transform
 from world.presets import lamp
 
@@ -146,7 +148,9 @@ def test_structure_is_light_and_dark_in_cells_of_half_a_period() -> None:
         cell = lit.d1.norm() / image.shape[1] * 16
         assert cell == pytest.approx(0.2, rel=0.2)
     rows = ObjectLightParams(pattern="stripes").on(person(), LAMPS, 10.0, 0, ())[0].image_of(0)
-    assert (rows == rows[0]).all()
+    assert (rows == rows[0]).all() and len(rows) == CELLS  # one row of them, however high the object is
+    with pytest.raises(ValidationError, match=r"greater than or equal to 0.05"):
+        ObjectLightParams(period_m=0.02)
 
 
 def test_a_new_object_is_lit_at_once_and_a_lost_one_fades() -> None:
@@ -161,6 +165,13 @@ def test_a_new_object_is_lit_at_once_and_a_lost_one_fades() -> None:
         state = function.step(state, situation)
     assert fading[0] == 20.0 and fading == sorted(fading, reverse=True) and fading[-1] == 0.0
     assert not function.step(state, now(time_s=3.0)).loops
+
+
+@pytest.mark.parametrize("params", [ObjectBasedParams, GlareFreeParams])
+def test_nothing_fades_for_longer_than_trackers_tell_of_it(params: type[ObjectBasedParams | GlareFreeParams]) -> None:
+    assert params(fade_out_s=LINGER_S).fade_out_s == LINGER_S
+    with pytest.raises(ValidationError, match="less than or equal to 2"):
+        params(fade_out_s=5.0)
 
 
 def test_neighbours_that_share_their_light_settle_together() -> None:

@@ -9,6 +9,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 from controllers.functions.situation import TrackedObject
 from controllers.obl.laws import LowerParams, RaiseParams, Trial
@@ -154,3 +155,10 @@ def test_slow_changes_are_followed() -> None:
     for k in range(600):
         loop = params.step(loop, replace(PERSON, score=0.7 - 0.3 * k / 600), 20.0)
         assert loop.settled
+
+
+def test_bounds_in_the_wrong_order_are_refused() -> None:
+    with pytest.raises(ValidationError, match="bright_lx: 1 lx is below least_lx, 40 lx; give more"):
+        LowerParams(bright_lx=1, least_lx=40)
+    with pytest.raises(ValidationError, match="first_lx: 50 lx is above most_lx, 40 lx; give less"):
+        RaiseParams(first_lx=50, most_lx=40)
