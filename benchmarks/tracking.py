@@ -12,6 +12,7 @@ import torch
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
+from loop.lighting.sight import SAME
 from loop.lighting.simulation import LightingSimulation
 from loop.scenario import LightingScenario, validate_any
 from perception.camera import CameraParams, camera_view
@@ -27,7 +28,6 @@ RATE_HZ = 30.0
 TRACKER = Tracker(CLASSES, VIEW, TrackerParams())
 SIZES: dict[Category, tuple[float, float]] = {"pedestrian": (0.6, 1.75), "cyclist": (0.7, 1.8), "car": (1.8, 1.5)}
 NOISE, MISSES, HIDDEN = 0.04, 0.1, 0.6  # of a box's size, of frames, and the share of a box behind another from which on it is not found
-SAME = 0.3  # least overlap of a track with what it shows
 Road = Callable[[float], tuple[Category, float, float]]  # class, x and y in m at a time
 
 

@@ -10,6 +10,7 @@ from pydantic import Field
 from torch import Tensor
 
 from loop.lighting.known import Known, categories
+from loop.lighting.sight import SAME
 from loop.lighting.simulation import LightingSimulation
 from perception.camera import expose, frame_generator, luminance_of, noise_std
 from perception.detection.network import Network, NetworkDetector, boxes_of, middles, prepared
@@ -20,7 +21,6 @@ from world.errors import LuxloopError
 from world.params import Params
 
 Metric = Literal["detector", "weber_contrast", "edges"]
-SAME = 0.3  # least overlap of a box with the object that it is said to show
 FAINTEST = 1e-6  # of a score, so that its logarithm stays finite
 DAZZLING_LX = 1.0  # on eyes, from which on it counts as glare
 SEEN = 0.3  # least share of an object that nothing hides, of those that count

@@ -32,9 +32,8 @@ def run_lighting(
     recorder = LightingRecorder(directory, simulation)
     moments: dict[int, LightingResult] = {}  # first, between, and the last so far
     white: Tensor | None = None
-    first = (
-        0 if scenario.detector is None else min(scenario.tracker.confirm_frames, scenario.steps) - 1
-    )  # the last that tracks do not light
+    # the last step that tracks do not light
+    first = 0 if scenario.detector is None else min(scenario.tracker.confirm_frames, scenario.steps) - 1
     kept = {first + k * (scenario.steps - 1 - first) // (MOMENTS - 1) for k in range(MOMENTS)}
     try:
         with recorder, ExitStack() as stack:

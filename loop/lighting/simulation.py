@@ -160,7 +160,7 @@ class LightingSimulation:
             time_s,
             torch.eye(4, dtype=torch.float64),
             torch.stack([module.T_world_module[:3, 3].double().cpu() for module in self.modules]),
-            self._all_objects(time_s) if self.sight is None else self.sight.objects(tracks or self.sight.tracker.start(), time_s),
+            self._all_objects(time_s) if self.sight is None else () if tracks is None else self.sight.objects(tracks, time_s),
             drive.speed_m_s,
             drive.curvature_1_m,
             drive.wet,
@@ -281,7 +281,9 @@ class LightingSimulation:
         """The situation once the frame is there."""
         camera, surfaces = self.scenario.camera, known.lit.surfaces
         luminance, most = luminance_of(frame, camera), saturation_luminance(camera)
-        seen = Seen(now.time_s, self.camera.view, luminance, most, surfaces.albedo, *known.materials)
+        looks = any(function.kind == "material" for function in self.scenario.lighting.functions)
+        materials = (surfaces.albedo, *known.materials) if looks else ()
+        seen = Seen(now.time_s, self.camera.view, luminance, most, *materials)
         objects = now.objects if self.sight is None or tracks is None else self.sight.objects(tracks, now.time_s)
         return replace(now, objects=objects, seen=seen)
 
