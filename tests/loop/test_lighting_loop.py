@@ -16,6 +16,7 @@ from loop.lighting.simulation import LightingSimulation
 from loop.manifest import input_files
 from loop.run import run
 from loop.scenario import LightingScenario, validate_any
+from perception.detection.protocol import Detections
 from world.errors import LuxloopError
 
 CAMERA = {"width_px": 320, "height_px": 180, "pitch_deg": 1.5, "oversampling": 1, "saturation_e": 2000}
@@ -158,3 +159,20 @@ def test_scenes_without_objects_and_out_of_sight_are_recorded() -> None:
 def test_what_cannot_be_is_refused(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(LuxloopError, match=message):
         scenario(**changes)
+
+
+class Numpy:
+    """A detector that gives arrays in place of tensors."""
+
+    classes = ("car",)
+
+    def __init__(self, device: torch.device) -> None: ...
+
+    def detect(self, frames: torch.Tensor) -> list[Detections]:
+        return [Detections(np.zeros((1, 4)), np.zeros((1, 1)))] * len(frames)  # type: ignore[arg-type]
+
+
+def test_what_ones_own_detector_gives_wrong_ends_a_run_in_a_sentence() -> None:
+    simulation = LightingSimulation.prepare(scenario(detector={"kind": f"{__name__}:Numpy"}, objects=[]))
+    with pytest.raises(LuxloopError, match=r"detector.kind: .*Numpy: detect fails \(AttributeError.*it must give one Detections a frame"):
+        simulation.step(simulation.start())
