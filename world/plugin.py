@@ -35,7 +35,7 @@ def load(name: str, key: str) -> Any:
     except ImportError as error:
         raise LuxloopError(f"{where}: {error}; run where Python finds it, or set PYTHONPATH to its folder") from error
     except Exception as error:
-        raise LuxloopError(f"{where}: {module_name} fails while it is imported ({_in_a_line(error)}); mend it") from error
+        raise LuxloopError(f"{where}: {module_name} fails while it is imported ({in_a_line(error)}); mend it") from error
     try:
         return getattr(module, attribute)
     except AttributeError as error:
@@ -54,14 +54,15 @@ def make(name: str, key: str, given: Mapping[str, Any], options: Mapping[str, An
         made = made_by(*given.values(), **options)
     except Exception as error:
         what = " and ".join([*(f"the {each}" for each in given), f"{table}.options"])
-        raise LuxloopError(f"{where}: cannot be made with {what} ({_in_a_line(error)})") from error
+        raise LuxloopError(f"{where}: cannot be made with {what} ({in_a_line(error)})") from error
     missing = [method for method in methods if not callable(getattr(made, method, None))]
     if missing:
         raise LuxloopError(f"{where}: has no method {missing[0]}; it needs {', '.join(methods)}")
     return made
 
 
-def _in_a_line(error: Exception) -> str:
+def in_a_line(error: Exception) -> str:
+    """What went wrong, for the end of a sentence."""
     if isinstance(error, ValidationError):
         first = error.errors(include_url=False)[0]
         return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"

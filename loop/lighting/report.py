@@ -153,10 +153,9 @@ def _courses(figure: SubFigure, simulation: LightingSimulation, table: pa.Table)
     objects, looks = list(simulation.watched), simulation.sight is not None
     flux, *below = figure.subplots(1 + len(objects and (1 + looks) * [0]), 1, sharex=True, squeeze=False)[:, 0]
     time_s, mark = column(table, "time_s"), "." if table.num_rows < 3 else ""
-    limited = simulation.scenario.lighting.power_limit is not None
     for side, colour in zip(dict.fromkeys(module.side for module in simulation.modules), FOUR, strict=False):
         factor = column(table, f"lamp.{side}.power_factor").min()
-        label = f"{side}, dimmed to {100 * factor:.0f} % in the worst step" if limited else side
+        label = f"{side}, dimmed to {100 * factor:.0f} % in the worst step" if factor < 1 else side
         flux.plot(time_s, column(table, f"lamp.{side}.flux_lm"), marker=mark, color=colour, label=label)
     flux.set(title="Luminous flux of the lamps", ylabel="lm", ylim=(0, 1.08 * flux.dataLim.ymax or 1))
     flux.legend(loc="lower right")

@@ -57,7 +57,7 @@ def own_detections(own: Detector, frame: Tensor, kind: str) -> Detections:
         shapes = tuple(found.boxes.shape), tuple(found.scores.shape)
         finite = bool(found.boxes.isfinite().all() and found.scores.isfinite().all())
     except Exception as error:
-        raise LuxloopError(f"{where} fails ({' '.join(f'{type(error).__name__}: {error}'.split())}); it must {GIVES}") from error
+        raise LuxloopError(f"{where} fails ({plugin.in_a_line(error)}); it must {GIVES}") from error
     count = next(iter(shapes[0]), 0)
     if shapes != ((count, 4), (count, classes)) or not finite:
         what = f"boxes {list(shapes[0])} and scores {list(shapes[1])}" + ("" if finite else ", some of which are not finite")

@@ -35,6 +35,10 @@ class Bottomless(Along):
     def z(self, x, y):
         return np.where(x > 0, np.nan, 0.0)
 
+class Mistyped(Along):
+    def z(self, x, y):
+        return np.sinn(x)
+
 class Meshless(Along):
     def grid(self):
         return 0.03
@@ -90,6 +94,7 @@ def test_heights_are_one_a_place() -> None:
         ({"kind": "own_roads:Heightless"}, ["no method z", "z, grid"]),
         ({"kind": "own_roads:Shapeless"}, ["(3,)", "one a place"]),
         ({"kind": "own_roads:Bottomless"}, ["no finite number"]),
+        ({"kind": "own_roads:Mistyped"}, ["z fails", "sinn"]),
         ({"kind": "own_roads:Meshless"}, ["grid gives float", "MeshGrid"]),
         ({"kind": "own_roads:"}, ["road.kind", "pattern"]),
         ({"kind": "own_roads:Along", "rise": 1}, ["road.rise", "unknown key"]),
