@@ -116,7 +116,7 @@ def test_driver_cyclist_and_pedestrian_see_what_they_shall_see() -> None:
 
 @pytest.mark.parametrize("name", LIGHTING)
 def test_shipped_scenarios_run(name: str) -> None:
-    """Their first and last steps, or two where functions learn, in the light of lamps that load at once; raw utilisations fit only their own."""
+    """First and last steps, or two where functions learn, in the light of lamps that load at once; raw utilisations fit only their own."""
     scenario = load_any(name, camera=SMALL)
     assert isinstance(scenario, LightingScenario)
     if not scenario.lighting.raw:
