@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from controllers.symbol.protocol import Look
-from controllers.symbol.swing import Swing
+from controllers.symbol.swing import Swing, exact
 
 HERE: Final = torch.eye(4, dtype=torch.float64)
 
@@ -37,10 +37,10 @@ class Stances:
         half_s = now.period_s / 2
         return cls(
             seen_s,
-            _exact(then.way(seen_s - before_s)),
+            exact(then.way(seen_s - before_s)),
             swing.T_ground_body(seen_s),
-            _exact(then.way(half_s)) @ swing.T_ground_body(seen_s + half_s),
-            _exact(now.way(next_s - seen_s)),
+            exact(then.way(half_s)) @ swing.T_ground_body(seen_s + half_s),
+            exact(now.way(next_s - seen_s)),
             swing.T_ground_body(next_s),
         )
 
@@ -48,7 +48,3 @@ class Stances:
     def still(self) -> bool:
         """Whether the look is that of a standing vehicle on even wheels."""
         return self.on.equal(HERE) and self.off.equal(HERE)
-
-
-def _exact(T: Tensor) -> Tensor:
-    return T.detach().cpu().double()

@@ -123,7 +123,7 @@ class Swing:
             return self
         at, none = self._weights(way_m), torch.zeros(len(way_m), len(self._cells()), dtype=torch.float64)
         rows = [torch.cat([none.new_zeros(len(way_m), BODY), at, side * at / 2], 1) for side in (1, -1)]
-        return replace(self, known_m=float(way_m[-1]))._learnt(torch.cat(rows), _exact(heights).flatten(), _exact(variance).flatten())
+        return replace(self, known_m=float(way_m[-1]))._learnt(torch.cat(rows), exact(heights).flatten(), exact(variance).flatten())
 
     def T_ground_body(self, time_s: float) -> Tensor:
         """Pose `[4, 4]` of the body over the ground at another time."""
@@ -132,7 +132,7 @@ class Swing:
 
     def _measured(self, ego: Ego) -> "Swing":
         rows = torch.cat([_shaken(0, len(self.mean)), _shaken(1, len(self.mean))])
-        values = torch.cat([_exact(ego.attitude), _exact(ego.rates)])
+        values = torch.cat([exact(ego.attitude), exact(ego.rates)])
         return self._learnt(rows, values, torch.tensor(NOISE, dtype=torch.float64).square().flatten())
 
     def _learnt(self, rows: Tensor, values: Tensor, variance: Tensor) -> "Swing":
@@ -208,5 +208,6 @@ def _shaken(derivative: int, states: int) -> Tensor:
     return rows
 
 
-def _exact(values: Tensor) -> Tensor:
+def exact(values: Tensor) -> Tensor:
+    """The same in float64 on the CPU, which filters and poses need."""
     return values.detach().cpu().double()
