@@ -11,8 +11,9 @@ from torch import Tensor
 
 from controllers.planner import Planner
 from loop.lighting.known import Known
+from loop.lighting.result import LightingResult
 from loop.lighting.sight import Sight, pairs
-from loop.lighting.simulation import LightingResult, LightingSimulation
+from loop.lighting.simulation import LightingSimulation
 from loop.lighting.view import LitScene
 from loop.scenario import LightingScenario, Override, load_any, validate_any
 from perception.camera import CameraParams, expose, frame_generator

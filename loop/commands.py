@@ -11,7 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from loop import tables
 from loop.lighting.replay import replay as replay_lighting
-from loop.lighting.simulation import LightingResult
+from loop.lighting.result import LightingResult
 from loop.lighting.summary import shown
 from loop.manifest import Manifest
 from loop.recorder import TRAJECTORY

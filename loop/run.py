@@ -9,8 +9,9 @@ from typing import Any
 import torch
 
 from controllers.symbol.projector import DrawingModule, SymbolParams
+from loop.lighting.result import LightingResult
 from loop.lighting.run import run_lighting
-from loop.lighting.simulation import LightingResult, LightingSimulation
+from loop.lighting.simulation import LightingSimulation
 from loop.recorder import REPORT, VIDEO, Recorder
 from loop.report import Gathered, write_report
 from loop.scenario import AnyScenario, LightingScenario, Scenario

@@ -6,8 +6,9 @@ from itertools import combinations
 import torch
 
 from controllers.functions.situation import TrackedObject
+from loop.lighting.result import LightingResult, Look
 from loop.lighting.sight import name_of
-from loop.lighting.simulation import LightingResult, LightingSimulation, Look
+from loop.lighting.simulation import LightingSimulation
 from world.frames import transform
 from world.tracked import Category
 from world.view import View

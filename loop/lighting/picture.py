@@ -10,7 +10,8 @@ from torch import Tensor
 
 from loop.lighting.lamps import ShiningModule
 from loop.lighting.marks import marks
-from loop.lighting.simulation import LightingResult, LightingSimulation
+from loop.lighting.result import LightingResult
+from loop.lighting.simulation import LightingSimulation
 from loop.video import Picture, tone_map
 from perception.camera import CameraParams, expose, luminance_of
 from world.frames import pose_from_degrees

@@ -6,7 +6,8 @@ from typing import Any
 
 import pyarrow as pa
 
-from loop.lighting.simulation import LightingResult, LightingSimulation
+from loop.lighting.result import LightingResult
+from loop.lighting.simulation import LightingSimulation
 from loop.lighting.summary import summarise
 from loop.manifest import Manifest
 from loop.recorder import TableRecorder

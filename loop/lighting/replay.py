@@ -10,7 +10,8 @@ import torch
 
 from loop.comparison import Difference
 from loop.lighting.record import row, schema
-from loop.lighting.simulation import LightingResult, LightingSimulation
+from loop.lighting.result import LightingResult
+from loop.lighting.simulation import LightingSimulation
 from loop.manifest import Manifest
 from loop.recorder import TRAJECTORY, table_of
 from loop.replay import Comparison, read_parquet

@@ -19,7 +19,8 @@ from loop.headlight_views import BIRDSEYE_X_M, BIRDSEYE_Y_M, birdseye
 from loop.lighting.marks import marks
 from loop.lighting.observed import ObservedSymbol
 from loop.lighting.picture import WALL_DEG, measured, wall_light, white_of
-from loop.lighting.simulation import LightingResult, LightingSimulation
+from loop.lighting.result import LightingResult
+from loop.lighting.simulation import LightingSimulation
 from loop.lighting.view import Looker
 from loop.report import FOUR, NIGHT, STYLE
 from loop.summary import column

@@ -11,7 +11,8 @@ from torch import Tensor
 from loop.lighting.picture import frame_picture, white_of
 from loop.lighting.record import LightingRecorder
 from loop.lighting.report import write_report
-from loop.lighting.simulation import LightingResult, LightingSimulation
+from loop.lighting.result import LightingResult
+from loop.lighting.simulation import LightingSimulation
 from loop.recorder import REPORT, VIDEO
 from loop.scenario import LightingScenario
 from loop.video import VideoWriter

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from controllers.functions.situation import Seen, Situation, TrackedObject
-from controllers.planner import Plan, Planner, States
+from controllers.planner import Plan, Planner
 from controllers.primitives import Primitives
 from controllers.rthc import masks
 from controllers.secondary import Light, SecondaryRays, scene_caster
@@ -18,93 +18,19 @@ from controllers.windows import projected_windows
 from loop.build import build_scene
 from loop.lighting.known import Known, categories
 from loop.lighting.lamps import LampPower, ShiningModule, driven, shining_modules
-from loop.lighting.observed import ObservedSymbol, in_white, observed_symbols
-from loop.lighting.sight import Recognised, Sight, false_positives, name_of, recognised
+from loop.lighting.names import check_names
+from loop.lighting.observed import in_white, observed_symbols
+from loop.lighting.result import LightingResult, LightingState, Look, OnObject
+from loop.lighting.sight import Sight, false_positives, name_of, recognised
 from loop.lighting.view import LitScene, Looker
-from loop.lighting.zoned import InZone, in_zones
+from loop.lighting.zoned import in_zones
 from loop.scenario import DrivingParams, LightingScenario
 from loop.shipped import named
 from perception.camera import camera_view, expose, frame_generator, luminance_of, saturation_luminance
-from perception.detection.protocol import Detections
 from perception.tracking import Tracks
-from world.errors import LuxloopError, located
+from world.errors import located
 from world.face_source import face_source
 from world.scene import Scene
-
-
-@dataclass(frozen=True)
-class OnObject:
-    """The lamps' light on what the camera sees of an object: pixels, and lx that are NaN where there are none. masked: it must be dark."""
-
-    pixels: int
-    lx_min: float
-    lx_mean: float
-    lx_max: float
-    masked: bool
-
-
-@dataclass(frozen=True, eq=False)
-class LightingState:
-    """What the car knows before a step. tracks: None without a detector. functions: what each of them has learnt."""
-
-    step: int
-    tracks: Tracks | None
-    functions: States
-
-
-@dataclass(frozen=True, eq=False)
-class Look:
-    """What was found in a frame, and the tracks that are confirmed then, with boxes `[n, 4]` px. recognised: what is made of each object
-    in sight, by its name. false_positives: detections of none that may be new objects.
-    eyes_lx_max: most light of the lamps on heads and windscreens of road users, None where none are seen.
-    """
-
-    found: Detections
-    tracks: Tracks
-    boxes: Tensor
-    recognised: Mapping[str, Recognised]
-    false_positives: int
-    eyes_lx_max: float | None
-
-
-@dataclass(frozen=True)
-class LightingResult:
-    """What happened in one step.
-
-    now: what was known, and functions: what they had learnt, when the light was planned. masked: names of its objects that must be dark.
-    lights: utilisations `[n_p]`, one a module. powers: by the lamps' sides. illuminance: `[height, width]` lx from the lamps alone, and
-    luminance: in cd/m^2 with all other light, as the camera sees them. frame: its digital numbers. objects: by name, those that are there
-    and have a category. look: None without a detector. symbols: those that are meant for an observer, from their eyes. zones: by name.
-    timings: ms by part.
-    """
-
-    step: int
-    time_s: float
-    now: Situation
-    functions: States
-    masked: frozenset[str]
-    plan: Plan
-    lights: tuple[Tensor, ...]
-    powers: Mapping[str, LampPower]
-    illuminance: Tensor
-    luminance: Tensor
-    frame: Tensor
-    objects: Mapping[str, OnObject]
-    look: Look | None
-    symbols: tuple[ObservedSymbol, ...]
-    zones: Mapping[str, InZone]
-    timings: Mapping[str, float]
-
-    @property
-    def dark_lx_max(self) -> float | None:
-        """The most light on any object that must be dark; None where nothing of any is in sight."""
-        found = [each.lx_max for each in self.objects.values() if each.masked and each.pixels]
-        return max(found, default=None)
-
-    @property
-    def symbol_iou_min(self) -> float | None:
-        """The least overlap of a symbol with what its observer shall see; None where there is no such symbol."""
-        return min((each.iou for each in self.symbols), default=None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +60,7 @@ class LightingSimulation:
         planner = Planner.prepare(scenario.lighting, lambda image: named(image, "symbols"))
         scene = build_scene(scenario)
         modules = shining_modules(scenario, device)
-        _check_names(scenario, modules)
+        check_names(scenario, modules)
         camera = Looker(scene, camera_view(scenario.camera), modules, face_source(scenario.renderer), device)
         lights = tuple((module.name, Light.of(module.headlight, module.T_world_module)) for module in modules)
         given = scenario.detector
@@ -321,31 +247,3 @@ def driving(course: tuple[DrivingParams, ...], time_s: float) -> DrivingParams:
     share = (time_s - last.time_s) / (following.time_s - last.time_s)
     between = {key: (1 - share) * getattr(last, key) + share * getattr(following, key) for key in ("speed_m_s", "curvature_1_m")}
     return last.model_copy(update=between)
-
-
-def _check_names(scenario: LightingScenario, modules: tuple[ShiningModule, ...]) -> None:
-    """Raises LuxloopError where raw utilisations or a function are meant for a lamp, module or object that is not there."""
-    known = dict.fromkeys(word for module in modules for word in (*module.name.split(" ", 1), module.name))
-    objects = [item.name for item in scenario.all_objects if item.category is not None]
-    for key, each in (("raw", scenario.lighting.raw), ("functions", scenario.lighting.functions)):
-        for number, item in enumerate(each):
-            for name in getattr(item, "modules", ()):
-                if name not in known:
-                    where = f"lighting.{key}[{number}].modules"
-                    raise LuxloopError(f"{where}: there is no lamp or module {name!r}; there are {', '.join(known)}")
-    for number, function in enumerate(scenario.lighting.functions):
-        for key, name in _objects_named(function):
-            if name not in objects:
-                raise LuxloopError(
-                    f"lighting.functions[{number}].{key}: there is no object {name!r} with a category; there are "
-                    f"{', '.join(objects) or 'none'}, an object is tracked if it has a category"
-                )
-
-
-def _objects_named(function: object) -> Iterator[tuple[str, str]]:
-    """The objects that a function names, each after its key."""
-    for table in ("", "when.", "unless."):
-        selection = getattr(function, table[:-1], None) if table else function
-        yield from ((f"{table}names", name) for name in getattr(selection, "names", None) or ())
-    if (observer := getattr(function, "observer", None)) is not None and observer.name is not None:
-        yield "observer.name", observer.name

@@ -5,7 +5,8 @@ from typing import Any
 import pytest
 import torch
 
-from loop.lighting.simulation import LightingResult, LightingSimulation
+from loop.lighting.result import LightingResult
+from loop.lighting.simulation import LightingSimulation
 from loop.scenario import LightingScenario, load_any, validate_any
 from loop.shipped import shipped
 from perception.camera import CameraParams, camera_view

@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from loop.lighting.observed import WIDTH_PX, observed_symbols, picture_view
-from loop.lighting.simulation import LightingResult, LightingSimulation
+from loop.lighting.result import LightingResult
+from loop.lighting.simulation import LightingSimulation
 from loop.scenario import LightingScenario, load_any, validate_any
 from loop.shipped import shipped
 from perception.camera import CameraParams

@@ -10,7 +10,8 @@ import torch
 
 from loop.lighting.record import row, schema
 from loop.lighting.replay import compare
-from loop.lighting.simulation import LightingResult, LightingSimulation
+from loop.lighting.result import LightingResult
+from loop.lighting.simulation import LightingSimulation
 from loop.recorder import table_of
 from loop.scenario import LightingScenario, load_any
 from loop.shipped import shipped

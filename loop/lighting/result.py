@@ -1,0 +1,90 @@
+"""What happened in a step of a lighting scenario, and what is known before the next."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from controllers.functions.situation import Situation
+from controllers.planner import Plan, States
+from loop.lighting.lamps import LampPower
+from loop.lighting.observed import ObservedSymbol
+from loop.lighting.sight import Recognised
+from loop.lighting.zoned import InZone
+from perception.detection.protocol import Detections
+from perception.tracking import Tracks
+
+
+@dataclass(frozen=True)
+class OnObject:
+    """The lamps' light on what the camera sees of an object: pixels, and lx that are NaN where there are none. masked: it must be dark."""
+
+    pixels: int
+    lx_min: float
+    lx_mean: float
+    lx_max: float
+    masked: bool
+
+
+@dataclass(frozen=True, eq=False)
+class LightingState:
+    """What the car knows before a step. tracks: None without a detector. functions: what each of them has learnt."""
+
+    step: int
+    tracks: Tracks | None
+    functions: States
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """What was found in a frame, and the tracks that are confirmed then, with boxes `[n, 4]` px. recognised: what is made of each object
+    in sight, by its name. false_positives: detections of none that may be new objects.
+    eyes_lx_max: most light of the lamps on heads and windscreens of road users, None where none are seen.
+    """
+
+    found: Detections
+    tracks: Tracks
+    boxes: Tensor
+    recognised: Mapping[str, Recognised]
+    false_positives: int
+    eyes_lx_max: float | None
+
+
+@dataclass(frozen=True)
+class LightingResult:
+    """What happened in one step.
+
+    now: what was known, and functions: what they had learnt, when the light was planned. masked: names of its objects that must be dark.
+    lights: utilisations `[n_p]`, one a module. powers: by the lamps' sides. illuminance: `[height, width]` lx from the lamps alone, and
+    luminance: in cd/m^2 with all other light, as the camera sees them. frame: its digital numbers. objects: by name, those that are there
+    and have a category. look: None without a detector. symbols: those that are meant for an observer, from their eyes. zones: by name.
+    timings: ms by part.
+    """
+
+    step: int
+    time_s: float
+    now: Situation
+    functions: States
+    masked: frozenset[str]
+    plan: Plan
+    lights: tuple[Tensor, ...]
+    powers: Mapping[str, LampPower]
+    illuminance: Tensor
+    luminance: Tensor
+    frame: Tensor
+    objects: Mapping[str, OnObject]
+    look: Look | None
+    symbols: tuple[ObservedSymbol, ...]
+    zones: Mapping[str, InZone]
+    timings: Mapping[str, float]
+
+    @property
+    def dark_lx_max(self) -> float | None:
+        """The most light on any object that must be dark; None where nothing of any is in sight."""
+        found = [each.lx_max for each in self.objects.values() if each.masked and each.pixels]
+        return max(found, default=None)
+
+    @property
+    def symbol_iou_min(self) -> float | None:
+        """The least overlap of a symbol with what its observer shall see; None where there is no such symbol."""
+        return min((each.iou for each in self.symbols), default=None)
