@@ -14,10 +14,9 @@ from controllers.symbol.observer import Seen
 from controllers.symbol.protocol import Look, Shown
 from controllers.symbol.thesis_pid import ThesisPid, ThesisPidParams
 from loop.simulation import Lights, Simulation
-from loop.validation import did_you_mean
 from perception.camera import expose, frame_generator
 from perception.extraction import Crop, Loss, symbol_image
-from world.errors import LuxloopError
+from world.errors import LuxloopError, did_you_mean
 from world.illumination import Transport, added_light
 
 # Keys of thesis_pid that are tensors in its law: the gains' field, which of the loops x, y, roll, pitch, and the key's unit in theirs.

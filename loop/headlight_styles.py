@@ -3,8 +3,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from loop.validation import did_you_mean
-from world.errors import LuxloopError
+from world.errors import LuxloopError, did_you_mean
 
 # Styles of each view; the first one unless another is asked for.
 VIEWS: Mapping[str, tuple[str, ...]] = {

@@ -15,9 +15,9 @@ from torch import Tensor
 
 from loop.lamp_modules import ModuleParams, ModuleReport, build_module
 from loop.utilisations import read_utilisation
-from loop.validation import did_you_mean, read_toml, sentence
+from loop.validation import read_toml, sentence
 from world import lampfile, presets
-from world.errors import LuxloopError
+from world.errors import LuxloopError, did_you_mean
 from world.files import files_at
 from world.lamp import Lamp
 from world.params import Params

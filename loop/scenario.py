@@ -22,13 +22,13 @@ from controllers.symbol.flat_model import FeatureParams
 from controllers.symbol.projector import SymbolParams
 from loop.disturbances import DisturbanceParams
 from loop.shipped import find
-from loop.validation import did_you_mean, read_toml, sentence
+from loop.validation import read_toml, sentence
 from perception.camera import CameraParams
 from perception.detection.params import DetectorParams
 from perception.egomotion import SensorParams
 from perception.extraction import Extraction, ExtractionParams
 from perception.tracking import TrackerParams
-from world.errors import LuxloopError
+from world.errors import LuxloopError, did_you_mean
 from world.materials import RoadSurfaceParams
 from world.objects import ObjectParams
 from world.params import Params

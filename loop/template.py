@@ -10,9 +10,8 @@ from pydantic.fields import FieldInfo
 from controllers.symbol import CONTROLLERS, LuxloopParams
 from loop.scenario import Scenario
 from loop.shipped import shipped, shipped_files
-from loop.validation import did_you_mean
 from perception.extraction import ExtractionParams
-from world.errors import LuxloopError
+from world.errors import LuxloopError, did_you_mean
 from world.roads import Mixed, RoadParams
 from world.traffic.generator import varied
 

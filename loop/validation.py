@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from world.errors import LuxloopError
+from world.errors import LuxloopError, did_you_mean
 from world.plugin import OWN
 
 WANTED = {
@@ -55,13 +55,6 @@ def _follows(detail: Any, error: ValidationError) -> bool:
     """Whether a list is called too short only because its items are wrong."""
     place = detail["loc"]
     return detail["type"] == "too_short" and any(place == each["loc"][: len(place)] and place != each["loc"] for each in error.errors())
-
-
-def did_you_mean(given: str, known: Iterable[str]) -> str:
-    """The nearest of the known names, or all of them."""
-    known = list(known)
-    nearest = difflib.get_close_matches(given, known, 1, 0.5)
-    return f"did you mean {nearest[0]!r}?" if nearest else f"known are {', '.join(known)}"
 
 
 def _what(detail: Any, fields: dict[str, Any], example: str) -> str:

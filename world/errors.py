@@ -1,6 +1,7 @@
-"""The one error that users cause: the command line turns it into a sentence and exit code 2."""
+"""The one error that users cause, which the command line turns into a sentence and exit code 2, and what helps to word it."""
 
-from collections.abc import Iterator
+import difflib
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
 
@@ -15,3 +16,10 @@ def located(place: str) -> Iterator[None]:
         yield
     except LuxloopError as error:
         raise LuxloopError(f"{place}: {error}") from error
+
+
+def did_you_mean(given: str, known: Iterable[str]) -> str:
+    """The nearest of the known names, or all of them."""
+    known = list(known)
+    nearest = difflib.get_close_matches(given, known, 1, 0.5)
+    return f"did you mean {nearest[0]!r}?" if nearest else f"known are {', '.join(known)}"

@@ -20,6 +20,12 @@ class Part:
 def part(a, share):
     return Part(a, share)
 
+def part_with_any(*everything, **more):
+    return Part(more["c"])
+
+def bare(a, /):
+    return Part(a)
+
 def part_of_file(a, file):
     return open(file)
 
@@ -58,7 +64,6 @@ def test_classes_and_functions_make_a_part() -> None:
         ("broken_parts:Part", {}, ["broken_parts fails", "ZeroDivisionError"]),
         ("half_written_parts:Part", {}, ["half_written_parts fails", "SyntaxError", "line 1"]),
         ("own_parts:Port", {}, ["own_parts has no Port"]),
-        ("own_parts:Part", {"shore": 1}, ["the place and road.options", "shore"]),
         ("own_parts:part_of_file", {"file": "no.csv"}, ["road.options (FileNotFoundError: ", "no.csv"]),
         ("own_parts:part_of_shapes", {}, ["(RuntimeError: shapes do not fit: 2 and 3)"]),
         ("own_parts:Part", {}, ["no method rest", "work, rest"]),
@@ -69,6 +74,33 @@ def test_what_is_wrong_is_said_in_a_sentence(name: str, options: dict[str, Any],
         plugin.make(name, "road.kind", {"place": 3}, options, ("work", "rest"))
     message = str(error.value)
     assert message.startswith(f"road.kind: {name}: ") and all(word in message for word in words), message
+
+
+@pytest.mark.usefixtures("parts")
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("own_parts:Part", {"shore": 1}, "road.options.shore: own_parts:Part has no option of this name; did you mean 'share'?"),
+        ("own_parts:Part", {"a": 1}, "road.options.a: own_parts:Part has no option of this name; known are share"),  # 'a' is the place
+        ("own_parts:part", {}, "road.options.share: is missing, and own_parts:part has no default for it; add it"),
+        (
+            "own_parts:part_of_none",
+            {"b": 1},
+            "road.options.b: own_parts:part_of_none has no option of this name; leave it out, for it takes none",
+        ),
+        (f"{__name__}:Checked", {"Share": 1}, f"road.options.Share: {__name__}:Checked has no option of this name; did you mean 'share'?"),
+    ],
+)
+def test_a_wrong_option_is_named_by_its_key(name: str, options: dict[str, Any], message: str) -> None:
+    given = {} if name.endswith("Checked") else {"place": 3}
+    with pytest.raises(LuxloopError) as error:
+        plugin.make(name, "road.kind", given, options, ("work",))
+    assert str(error.value) == message
+
+
+@pytest.mark.usefixtures("parts")
+def test_what_takes_any_option_gets_them_all() -> None:
+    assert plugin.make("own_parts:part_with_any", "road.kind", {"place": 3}, {"c": 4}, ("work",)).a == 4
 
 
 def test_options_that_a_model_refuses_are_told_in_one_line() -> None:
