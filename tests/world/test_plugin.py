@@ -84,9 +84,9 @@ def test_what_is_wrong_is_said_in_a_sentence(name: str, options: dict[str, Any],
         ("own_parts:Part", {"a": 1}, "road.options.a: own_parts:Part has no option of this name; known are share"),  # 'a' is the place
         ("own_parts:part", {}, "road.options.share: is missing, and own_parts:part has no default for it; add it"),
         (
-            "own_parts:part_of_none",
+            "own_parts:bare",
             {"b": 1},
-            "road.options.b: own_parts:part_of_none has no option of this name; leave it out, for it takes none",
+            "road.options.b: own_parts:bare has no option of this name; leave it out, for it takes none",
         ),
         (f"{__name__}:Checked", {"Share": 1}, f"road.options.Share: {__name__}:Checked has no option of this name; did you mean 'share'?"),
     ],
