@@ -1,19 +1,18 @@
-"""The commands that run the loop, with a progress bar while it does."""
+"""The commands that run the loop, and tell how far it is."""
 
 import os
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import torch
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from loop import tables
 from loop.lighting.replay import replay as replay_lighting
 from loop.lighting.result import LightingResult
 from loop.lighting.summary import shown
 from loop.manifest import Manifest
+from loop.progress import progress
 from loop.recorder import TRAJECTORY
 from loop.replay import Comparison, read_parquet, replay
 from loop.run import run
@@ -33,7 +32,7 @@ def run_scenario(name: str, out: Path, overrides: Sequence[str], values: dict[st
     _one_thread()
     done = 0
 
-    with _progress(scenario.name, scenario.steps) as advance:
+    with progress(scenario.name, scenario.steps) as advance:
 
         def on_step(result: StepResult | LightingResult) -> None:
             nonlocal done
@@ -53,7 +52,7 @@ def compare_recording(directory: Path) -> bool:
     manifest = Manifest.read(directory)
     again: Callable[..., Comparison] = replay_lighting if "lighting" in manifest.scenario else replay
     _one_thread()
-    with _progress(str(manifest.scenario.get("name")), read_parquet(directory / TRAJECTORY).num_rows) as advance:
+    with progress(str(manifest.scenario.get("name")), read_parquet(directory / TRAJECTORY).num_rows) as advance:
         comparison = again(directory, on_step=lambda result: advance())
     console = tables.console()
     for note in comparison.notes:
@@ -64,13 +63,3 @@ def compare_recording(directory: Path) -> bool:
         console.print(f"{directory}: {len(comparison.differences)} columns differ from the recording", markup=False)
         console.print(tables.differences(comparison.differences))
     return comparison.agrees
-
-
-@contextmanager
-def _progress(title: str, steps: int) -> Iterator[Callable[[], None]]:
-    """A progress bar on stderr; call what it gives after every step."""
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    console = tables.console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task(title, total=steps)
-        yield lambda: bar.advance(task)

@@ -78,7 +78,7 @@ def test_what_is_done_is_not_done_again(tmp_path: Path, capsys: pytest.CaptureFi
         results = run(square, numbers(*xs, log=str(log)), file, version="1", processes=1)
         assert [row["square"] for row in results.rows] == [x * x for x in xs]
     assert log.read_text().split() == ["1", "2", "3"]
-    assert "2 of 3 done" in capsys.readouterr().err  # a line a stage where nobody watches a bar
+    assert "2 of 3 done before" in capsys.readouterr().err
 
 
 def test_other_versions_and_parameters_are_done_anew_and_old_results_stay(tmp_path: Path) -> None:
