@@ -42,7 +42,7 @@ LINGER_S = 2.0  # for which a lost track is still told, so that what is drawn ab
 class TrackerParams(Params):
     """How detections become objects that keep their identity."""
 
-    start_score: float = Field(0.3, ge=0, le=1, description="score from which on a detection may be a new object, which half of it keeps")
+    start_score: float = Field(0.5, ge=0, le=1, description="score from which on a detection may be a new object, which half of it keeps")
     confirm_frames: int = Field(3, ge=1, le=30, description="frames in a row that must show a new object, as surely, before it is reported")
     keep_s: float = Field(0.7, ge=0, le=10, description="for how long an object that is no longer found is kept, where it ought to be")
     confidence_s: float = Field(0.15, ge=0, le=10, description="time constant of the filter from scores to confidence; 0: none")

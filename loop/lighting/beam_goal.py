@@ -13,7 +13,7 @@ from loop.lighting.known import Known, categories
 from loop.lighting.sight import SAME
 from loop.lighting.simulation import LightingSimulation
 from perception.camera import expose, frame_generator, luminance_of, noise_std
-from perception.detection.network import Network, NetworkDetector, boxes_of, middles, prepared, scores_of
+from perception.detection.network import Network, NetworkDetector, boxes_of, middles, prepared
 from perception.detection.protocol import Detector
 from perception.detection.suppression import overlaps
 from perception.visibility import edge_definition, unevenness, weber_contrast
@@ -117,7 +117,7 @@ class BeamJudge:
     def _likeliest(self, network: Network, frame: Tensor) -> Tensor:
         """The same before boxes are chosen: the best score of the cells whose boxes show an object, which light can be followed to."""
         logits, sides = network(prepared(frame[None]))
-        scores = scores_of(logits[0].flatten(1))
+        scores = logits[0].flatten(1).sigmoid()
         boxes = boxes_of(sides)[0].flatten(1).T.detach().double().cpu()
         shows = overlaps(self.boxes, boxes) >= SAME
         rows, columns = logits.shape[-2:]

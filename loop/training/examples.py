@@ -1,7 +1,7 @@
-"""What the network learns from: parts of scenes in all kinds of light, and what it shall say of them."""
+"""What the network learns from: parts of scenes, each in two lights, and what it shall say of them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -9,22 +9,25 @@ import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from loop.training.light import WELL_LIT_LX, any_light, head_shares, luminance, mean_lx
+from loop.training.light import WELL_LIT_LX, full_light, lit_share, luminance, object_light
 from loop.training.scenes import CAMERA, CLASSES, DarkScene, read
 from perception.camera import expose
 from perception.detection.network import STRIDE, middles
 
 SIZE = (256, 384)  # rows, columns of an example
 LEAST_HEIGHT_PX, LEAST_VISIBLE, LEAST_INSIDE = 16, 0.35, 0.4  # of what must be found; what has less may be
+LEAST_LIT = 0.15  # share of what is seen of it that is well lit
+UNSEEN_LX = 0.2  # what gets nowhere more is not there: who cannot see shall not be sure
 SPREAD = 0.09  # standard deviation of a middle's neighbourhood, as a share of the box
 
 
 @dataclass(frozen=True)
 class Examples:
-    """B examples. frames: `[B, height, width]` in 0..1. heat: `[B, C, rows, columns]`, 1 in the middles of what must be found.
+    """B scenes in full light, and the same B in object-based light.
 
-    counts: the same shape, 0 where objects lie that may be found. boxes: `[B, 4, rows, columns]` px, of the object that a cell belongs to;
-    share: `[B, rows, columns]`, how much the cell counts for it, 1 in sum.
+    frames: `[2 B, height, width]` in 0..1. heat: `[2 B, C, rows, columns]`, 1 in the middles of what must be found. counts: the same shape,
+    0 where objects lie that may be found. boxes: `[2 B, 4, rows, columns]` px, of the object that a cell belongs to; share:
+    `[2 B, rows, columns]`, how much the cell counts for it, 1 in sum.
     """
 
     frames: Tensor
@@ -35,23 +38,29 @@ class Examples:
 
     @classmethod
     def drawn(cls, rows: Sequence[dict[str, Any]], number: int, rng: np.random.Generator) -> "Examples":
-        """So many, each of one or two of the scenes that `draw` gave these rows of."""
-        found = [_example(rows, rng) for _ in range(number)]
-        return cls(*(torch.stack(each) for each in zip(*found, strict=True)))
+        """Of so many scenes, each of one or two of those that `draw` gave these rows of."""
+        full, alone = zip(*(_pair(rows, rng) for _ in range(number)), strict=True)
+        return cls(*(torch.stack(each) for each in zip(*full + alone, strict=True)))
 
 
-def _example(rows: Sequence[dict[str, Any]], rng: np.random.Generator) -> tuple[Tensor, ...]:
+def _pair(rows: Sequence[dict[str, Any]], rng: np.random.Generator) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
+    """One scene in full light, and in object-based light."""
     scene = _scene(rows, rng)
-    light = any_light(scene, head_shares(CLASSES), rng)
-    must = mean_lx(scene, light) >= WELL_LIT_LX[0]
-    seen = luminance(scene, light, scene.ambient_lx * float(np.exp(rng.normal(0, 1)))) * float(np.exp(rng.uniform(-0.25, 0.25)))
-    seen = interpolate(seen[None, None], SIZE, mode="bilinear", antialias=True, align_corners=False)[0, 0]
-    frame = expose(seen, CAMERA, torch.Generator().manual_seed(int(rng.integers(2**62)))) / (2**CAMERA.bits - 1)
+    scene = replace(scene, ambient_lx=scene.ambient_lx * float(np.exp(rng.normal(0, 1))))
+    exposure = float(np.exp(rng.uniform(-0.25, 0.25)))
+    return _example(scene, full_light(scene, rng), exposure, rng), _example(scene, object_light(scene, rng), exposure, rng)
+
+
+def _example(scene: DarkScene, light: Tensor, exposure: float, rng: np.random.Generator) -> tuple[Tensor, ...]:
+    frame = interpolate(exposure * luminance(scene, light)[None, None], SIZE, mode="bilinear", antialias=True, align_corners=False)[0, 0]
+    frame = expose(frame, CAMERA, torch.Generator().manual_seed(int(rng.integers(2**62)))) / (2**CAMERA.bits - 1)
     to_frame = torch.tensor([SIZE[1] / scene.shape[1], SIZE[0] / scene.shape[0]]).repeat(2)
+    seen = lit_share(scene, light, UNSEEN_LX) > 0
+    must = lit_share(scene, light, WELL_LIT_LX[0]) >= LEAST_LIT
     boxes = torch.tensor([each.box for each in scene.objects]).view(-1, 4) * to_frame
     must &= torch.tensor([each.visible >= LEAST_VISIBLE and each.inside >= LEAST_INSIDE for each in scene.objects]).bool()
     must &= boxes[:, 3] - boxes[:, 1] >= LEAST_HEIGHT_PX
-    return frame, *targets(boxes, torch.tensor([each.label for each in scene.objects]).long(), must)
+    return frame, *targets(boxes[seen], torch.tensor([each.label for each in scene.objects]).long()[seen], must[seen])
 
 
 def _scene(rows: Sequence[dict[str, Any]], rng: np.random.Generator) -> DarkScene:

@@ -6,15 +6,16 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.functional import smooth_l1_loss
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from loop.training.examples import Examples
 from loop.training.scenes import CLASSES
 from perception.detection.network import Network, boxes_of, prepared
 
-BATCH = 16
+BATCH = 8  # scenes, each in two lights
 RATE = 4e-3
-BOX_WEIGHT = 2.0
+BOX_WEIGHT, AGREE_WEIGHT = 2.0, 0.5
 RARE = 0.02  # share of cells that the network takes for an object's before it has learnt anything
 
 
@@ -36,7 +37,8 @@ def fit(rows: Sequence[dict[str, Any]], steps: int, seed: int, on_step: Callable
         # half as precise and twice as fast where the processor has such numbers
         with torch.autocast("cpu", torch.bfloat16):
             logits, sides = network(prepared(examples.frames))
-        loss = heat_loss(logits.float(), examples) + BOX_WEIGHT * box_loss(sides.float(), examples)
+        logits = logits.float()
+        loss = heat_loss(logits, examples) + BOX_WEIGHT * box_loss(sides.float(), examples) + AGREE_WEIGHT * agree_loss(logits, examples)
         optimiser.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), 10.0)
@@ -55,6 +57,15 @@ def heat_loss(logits: Tensor, examples: Examples) -> Tensor:
     hit = (1 - p).square() * p.log() * there
     false = p.square() * (1 - p).log() * (1 - examples.heat) ** 4 * examples.counts * ~there
     return -(hit + false).sum() / there.sum().clamp(min=1)
+
+
+def agree_loss(logits: Tensor, examples: Examples) -> Tensor:
+    """How much object-based light takes from the logits of full light, an object that is well lit by both; the latter are not moved."""
+    own = logits.gather(1, examples.heat.argmax(1, keepdim=True))[:, 0]
+    (full, alone), (share_full, share_alone) = own.chunk(2), examples.share.chunk(2)
+    share = torch.minimum(share_full, share_alone)
+    lost = (full.detach() - alone).clamp(min=0)
+    return (share * smooth_l1_loss(lost, torch.zeros_like(lost), reduction="none", beta=0.5)).sum() / share.sum().clamp(min=1)
 
 
 def box_loss(sides: Tensor, examples: Examples) -> Tensor:

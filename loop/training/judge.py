@@ -3,6 +3,7 @@
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -21,8 +22,9 @@ WELL_LIT_LX = 10.0
 ALONE_LX, AROUND_LX, EDGE_PX = 20.0, 0.1, 2.0  # of object-based light: on objects, beside them, and the scale of the lamps' blur
 FRAMES = 4  # with other noise, of which confidences are averaged for that
 AGREE = 0.05  # confidence that object-based light may take from full light
-SURE = 0.3  # least score of what counts as found
-SCORES = (0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5)  # that might do as well
+SURE = 0.5  # least score of what counts as found: rather right than wrong
+SCORES = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)  # that might do as well
+BINS = (0.1, 0.3, 0.5, 0.7, 0.9, 1.0)  # of scores, whose boxes are asked how many of them are right
 FOUND_IOU = 0.5
 HEIGHT_PX, VISIBLE, INSIDE = 24, 0.5, 0.5  # least of what must be found; what has less may be
 
@@ -51,17 +53,18 @@ def judge(detector: Detector, rows: Sequence[Mapping[str, Any]]) -> dict[str, An
     verdicts: dict[float, list[Verdict]] = {lx: [] for lx in ILLUMINANCES_LX}
     by_score: dict[float, list[Verdict]] = {score: [] for score in SCORES}
     agreements: list[tuple[int, float, float]] = []
+    asked: list[tuple[float, bool]] = []
     times_ms = []
     for row in rows:
         scene = read(row)
         for number, lx in enumerate(ILLUMINANCES_LX):
-            noise = frame_generator(int(row["seed"]), number, 0)
-            frame = expose(luminance(scene, lx), CAMERA, noise)[None] / (2**CAMERA.bits - 1)
+            frame = seen(scene, lx, int(row["seed"]), number)[None]
             start = time.process_time()
             (found,) = detector.detect(frame)
             times_ms.append(1e3 * (time.process_time() - start))
             verdicts[lx].append(verdict(found, scene.objects, labels_of))
             if lx == WELL_LIT_LX:
+                asked += boxes_right(found, scene.objects, labels_of)
                 for score, of in by_score.items():
                     of.append(verdict(found, scene.objects, labels_of, score))
         agreements += agreement(detector, scene, int(row["seed"]))
@@ -71,6 +74,7 @@ def judge(detector: Detector, rows: Sequence[Mapping[str, Any]]) -> dict[str, An
         "well_lit": _found(verdicts[WELL_LIT_LX]),
         "by_score": [{"score": score, **{key: _found(of)[key] for key in ("recall", "false_a_frame")}} for score, of in by_score.items()],
         "confidence": _confidence(verdicts),
+        "right": _right(asked),
         "alone": _alone(agreements),
         "ms_a_frame": round(float(np.median(times_ms)), 1),
     }
@@ -78,7 +82,7 @@ def judge(detector: Detector, rows: Sequence[Mapping[str, Any]]) -> dict[str, An
 
 def verdict(found: Detections, objects: Sequence[Labelled], labels_of: Sequence[int], sure: float = SURE) -> Verdict:
     """Of one frame; labels_of: which of our classes each of the detector's is."""
-    must = [each.height >= HEIGHT_PX and each.visible >= VISIBLE and each.inside >= INSIDE for each in objects]
+    must = [_must(each) for each in objects]
     boxes, scores = found.boxes.cpu(), found.scores.cpu()
     overlap = overlaps(boxes, torch.tensor([each.box for each in objects]).view(-1, 4))
     owner = [-1] * len(objects)
@@ -103,21 +107,48 @@ def verdict(found: Detections, objects: Sequence[Labelled], labels_of: Sequence[
     return Verdict(tuple(labels), tuple(confidences), tuple(hits), tuple(right), false)
 
 
+def boxes_right(found: Detections, objects: Sequence[Labelled], labels_of: Sequence[int]) -> list[tuple[float, bool]]:
+    """Score of each box, and whether it is the surest one on an object of its class; those on what may be found as well are left out."""
+    boxes, (scores, columns) = found.boxes.cpu(), found.scores.cpu().max(1)
+    overlap = overlaps(boxes, torch.tensor([each.box for each in objects]).view(-1, 4))
+    overlap *= torch.tensor([[labels_of[column] == each.label for each in objects] for column in columns.tolist()]).view(overlap.shape)
+    asked, taken = [], set[int]()
+    for k in scores.argsort(descending=True).tolist():
+        best = int(overlap[k].argmax()) if objects else -1
+        hit = best >= 0 and best not in taken and float(overlap[k, best]) >= FOUND_IOU
+        taken |= {best} if hit else set()
+        if hit or not _on_any(boxes[k], [each for each in objects if not _must(each)]):
+            asked.append((float(scores[k]), hit))
+    return asked
+
+
 def agreement(detector: Detector, scene: DarkScene, seed: int) -> list[tuple[int, float, float]]:
     """Label, confidence in full light, and in object-based light of what must be found and is sure in full light; means over frames."""
     labels_of = [CLASSES.index(name) for name in detector.classes]
-    params = ObjectLightParams()
-    alone = lit_alone(scene, ALONE_LX, AROUND_LX, params.dark, params.dark_lx, EDGE_PX)
 
     def means(light: Tensor | float, first: int) -> tuple[tuple[int, ...], list[float]]:
-        seen = luminance(scene, light)
-        frames = torch.stack([expose(seen, CAMERA, frame_generator(seed, first + k, 0)) for k in range(FRAMES)]) / (2**CAMERA.bits - 1)
+        frames = torch.stack([seen(scene, light, seed, first + k) for k in range(FRAMES)])
         verdicts = [verdict(found, scene.objects, labels_of) for found in detector.detect(frames)]
         return verdicts[0].labels, np.mean([each.confidences for each in verdicts], 0).tolist()
 
     first = len(ILLUMINANCES_LX)
-    (labels, full), (_, dark) = means(ALONE_LX, first), means(alone, first + FRAMES)
+    (labels, full), (_, dark) = means(ALONE_LX, first), means(object_based(scene), first + FRAMES)
     return [each for each in zip(labels, full, dark, strict=True) if each[1] >= SURE]
+
+
+def seen(scene: DarkScene, light: Tensor | float, seed: int, number: int) -> Tensor:
+    """A frame of the scene in so much light, as a detector takes it, with noise of this seed and number."""
+    return expose(luminance(scene, light), CAMERA, frame_generator(seed, number, 0)) / (2**CAMERA.bits - 1)
+
+
+def object_based(scene: DarkScene) -> Tensor:
+    """Light on objects alone, as the lighting function of that name gives it by default."""
+    params = ObjectLightParams()
+    return lit_alone(scene, ALONE_LX, AROUND_LX, params.dark, params.dark_lx, EDGE_PX)
+
+
+def _must(each: Labelled) -> bool:
+    return each.height >= HEIGHT_PX and each.visible >= VISIBLE and each.inside >= INSIDE
 
 
 def _on_any(box: Tensor, objects: Sequence[Labelled]) -> bool:
@@ -131,8 +162,8 @@ def _on_any(box: Tensor, objects: Sequence[Labelled]) -> bool:
 
 
 def _found(verdicts: Sequence[Verdict]) -> dict[str, Any]:
-    def share(hits: Sequence[bool]) -> float:
-        return round(float(np.mean(hits)), 3) if hits else float("nan")
+    def share(hits: Sequence[bool]) -> float | None:
+        return round(float(np.mean(hits)), 3) if hits else None
 
     pairs = [(label, hit, right) for each in verdicts for label, hit, right in zip(each.labels, each.found, each.right, strict=True)]
     false, true = sum(each.false for each in verdicts), sum(hit for _, hit, _ in pairs)
@@ -146,6 +177,16 @@ def _found(verdicts: Sequence[Verdict]) -> dict[str, Any]:
     }
 
 
+def _right(asked: Sequence[tuple[float, bool]]) -> list[dict[str, Any]]:
+    """Of boxes in light of 10 lx, by their scores: how many, their mean score, and the share that is right."""
+    rows = []
+    for low, high in pairwise(BINS):
+        boxes = [(score, right) for score, right in asked if low <= score < high or score == high == BINS[-1]]
+        score, right = np.mean(boxes, 0).round(3).tolist() if boxes else (None, None)
+        rows.append({"from": low, "to": high, "boxes": len(boxes), "score": score, "right": right})
+    return rows
+
+
 def _confidence(verdicts: Mapping[float, Sequence[Verdict]]) -> dict[str, Any]:
     """Quartiles over the illuminances, of all objects and of each class."""
     curves: dict[str, Any] = {"lx": list(ILLUMINANCES_LX)}
@@ -154,21 +195,21 @@ def _confidence(verdicts: Mapping[float, Sequence[Verdict]]) -> dict[str, Any]:
             [c for each in verdicts[lx] for c, k in zip(each.confidences, each.labels, strict=True) if k in labels]
             for lx in ILLUMINANCES_LX
         ]
-        quartiles = np.array([np.percentile(each, [25, 50, 75]) if each else [np.nan] * 3 for each in of]).round(3)
-        curves[name] = {key: quartiles[:, k].tolist() for k, key in enumerate(("lower", "median", "upper"))}
+        quartiles = [np.percentile(each, [25, 50, 75]).round(3).tolist() if each else [None] * 3 for each in of]
+        curves[name] = {key: [each[k] for each in quartiles] for k, key in enumerate(("lower", "median", "upper"))}
     return curves
 
 
 def _alone(agreements: Sequence[tuple[int, float, float]]) -> dict[str, Any]:
     """How many objects object-based light leaves as sure as full light, and what it changes in the median."""
 
-    def kept(found: Sequence[tuple[int, float, float]]) -> float:
-        return round(float(np.mean([dark >= full - AGREE for _, full, dark in found])), 3) if found else float("nan")
+    def kept(found: Sequence[tuple[int, float, float]]) -> float | None:
+        return round(float(np.mean([dark >= full - AGREE for _, full, dark in found])), 3) if found else None
 
     changes = [dark - full for _, full, dark in agreements]
     return {
         "objects": len(agreements),
         "kept": kept(agreements),
         "kept_by_class": {name: kept([each for each in agreements if each[0] == k]) for k, name in enumerate(CLASSES)},
-        "median_change": round(float(np.median(changes)), 3) if changes else float("nan"),
+        "median_change": round(float(np.median(changes)), 3) if changes else None,
     }

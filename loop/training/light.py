@@ -1,6 +1,7 @@
-"""Light for scenes that were drawn in the dark: even, as beams fall, or on single objects amid darkness."""
+"""Light for scenes that were drawn in the dark: full, even or as beams fall, or as object-based lighting gives it amid darkness."""
 
 from collections.abc import Mapping
+from typing import Final
 
 import numpy as np
 import torch
@@ -10,8 +11,11 @@ from loop.training.scenes import CLASSES, DarkScene, Labelled
 from world.tracked import Category
 
 WELL_LIT_LX = (5.0, 60.0)  # by which a detector is trained
-DARK_LX = (0.02, 2.0)  # around objects that are lit alone
-HEAD = {"pedestrian": 0.18, "cyclist": 0.18, "car": 0.45, "animal": 0.0}  # share of a box from its top that glare-free light leaves dark
+DARK_LX = (0.02, 0.5)  # around objects that are lit alone
+TOP_LX = (0.0, 1.0)  # on heads and windscreens of these
+# share of a box from its top that glare-free light leaves dark: the head, or what is above the bumper, with the lamps' blur and a
+# tracker's errors
+TOP: Final[Mapping[Category, tuple[float, float]]] = {"pedestrian": (0.12, 0.45), "cyclist": (0.12, 0.45), "car": (0.35, 0.75)}
 
 
 def luminance(scene: DarkScene, lx: Tensor | float, ambient_lx: float | None = None) -> Tensor:
@@ -19,15 +23,27 @@ def luminance(scene: DarkScene, lx: Tensor | float, ambient_lx: float | None = N
     return scene.lamps * lx + scene.own + scene.sky * (scene.ambient_lx if ambient_lx is None else ambient_lx)
 
 
-def any_light(scene: DarkScene, heads: tuple[float, ...], rng: np.random.Generator) -> Tensor:
-    """Illuminance `[height, width]` in lx of surfaces that face the lamps; heads: share of the box that is one, by class."""
-    kind = rng.random()
-    if kind < 0.35:
-        return _even(scene, _between(rng, WELL_LIT_LX), rng)
-    if kind < 0.6:
-        return _beam(scene, _between(rng, WELL_LIT_LX), rng)
-    base = (_even if rng.random() < 0.5 else _beam)(scene, _between(rng, DARK_LX), rng)
-    return _spotlit(scene, base, heads, rng)
+def full_light(scene: DarkScene, rng: np.random.Generator) -> Tensor:
+    """Illuminance `[height, width]` in lx of surfaces that face the lamps, as by day or as a beam gives it."""
+    return (_even if rng.random() < 0.6 else _beam)(scene, _between(rng, WELL_LIT_LX), rng)
+
+
+def object_light(scene: DarkScene, rng: np.random.Generator) -> Tensor:
+    """The same of light on most objects, the tops of most of which stay dark, and on places where there is none."""
+    light, (height, width) = (_even if rng.random() < 0.5 else _beam)(scene, _between(rng, DARK_LX), rng), scene.shape
+    lit = [each for each in scene.objects if rng.random() < 0.85] if rng.random() < 0.75 else []
+    for each in lit:
+        u0, v0, u1, v1 = _wider(each, float(rng.uniform(-0.03, 0.25)), float(rng.uniform(-0.03, 0.2)))
+        light = light + _between(rng, WELL_LIT_LX) * _patch(scene, (u0, v0, u1, v1), float(rng.uniform(0.5, 5)))
+    for _ in range(int(rng.integers(4))):
+        w, h = float(rng.uniform(10, 0.4 * width)), float(rng.uniform(10, 0.5 * height))
+        u, v = float(rng.uniform(-w / 2, width)), float(rng.uniform(-h / 2, height))
+        light = light + _between(rng, WELL_LIT_LX) * _patch(scene, (u, v, u + w, v + h), float(rng.uniform(0.5, 5)))
+    for each in lit:
+        share = TOP.get(CLASSES[each.label])
+        if share and rng.random() < 0.8:
+            light = darkened(scene, light, each, float(rng.uniform(*share)), float(rng.uniform(*TOP_LX)), float(rng.uniform(0.7, 2)))
+    return light
 
 
 def darkened(scene: DarkScene, light: Tensor, each: Labelled, share: float, lx: float, soft: float) -> Tensor:
@@ -68,27 +84,6 @@ def _beam(scene: DarkScene, lx: float, rng: np.random.Generator) -> Tensor:
     return lx * (down[:, None] * across) * (25 / scene.distance.clamp(3, 200)) ** 2
 
 
-def _spotlit(scene: DarkScene, base: Tensor, heads: tuple[float, ...], rng: np.random.Generator) -> Tensor:
-    """Light on the boxes of most objects, some with dark heads, and on places where there is none."""
-    light, (height, width) = base.clone(), scene.shape
-    for each in scene.objects:
-        if rng.random() < 0.75:
-            u0, v0, u1, v1 = each.box
-            margin = float(rng.uniform(-0.03, 0.25)) * (u1 - u0), float(rng.uniform(-0.03, 0.2)) * (v1 - v0)
-            top = v0 + heads[each.label] * (v1 - v0) if rng.random() < 0.6 else v0 - margin[1]
-            light += _spot(scene, (u0 - margin[0], top, u1 + margin[0], v1 + margin[1]), rng)
-    for _ in range(int(rng.integers(4))):
-        w, h = float(rng.uniform(10, 0.4 * width)), float(rng.uniform(10, 0.5 * height))
-        u, v = float(rng.uniform(-w / 2, width)), float(rng.uniform(-h / 2, height))
-        light += _spot(scene, (u, v, u + w, v + h), rng)
-    return light
-
-
-def _spot(scene: DarkScene, box: tuple[float, float, float, float], rng: np.random.Generator) -> Tensor:
-    """A well-lit rectangle."""
-    return _between(rng, WELL_LIT_LX) * _patch(scene, box, float(rng.uniform(0.5, 5)))
-
-
 def _wider(each: Labelled, across: float, down: float) -> tuple[float, float, float, float]:
     """Its box and so large a share of its width and height to both sides."""
     u0, v0, u1, v1 = each.box
@@ -105,14 +100,9 @@ def _patch(scene: DarkScene, box: tuple[float, float, float, float], soft: float
     return down[:, None] * across
 
 
-def mean_lx(scene: DarkScene, light: Tensor) -> Tensor:
-    """Mean light on each object of the scene, `[n]` lx, where it is seen."""
+def lit_share(scene: DarkScene, light: Tensor, lx: float) -> Tensor:
+    """Which share of each object of the scene gets so much light or more, `[n]`, of what is seen of it."""
     ids = scene.object_id.flatten() + 1
-    count = torch.bincount(ids, minlength=512).clamp(min=1)
-    return (torch.bincount(ids, light.flatten(), minlength=512) / count)[
-        torch.tensor([each.object_id + 1 for each in scene.objects]).long()
-    ]
-
-
-def head_shares(classes: tuple[str, ...]) -> tuple[float, ...]:
-    return tuple(HEAD[name] for name in classes)
+    lit = torch.bincount(ids, (light >= lx).flatten().float(), minlength=512)
+    share = lit / torch.bincount(ids, minlength=512).clamp(min=1)
+    return share[torch.tensor([each.object_id + 1 for each in scene.objects]).long()]

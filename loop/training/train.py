@@ -2,6 +2,7 @@
 
 import datetime
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -9,15 +10,18 @@ from loop import tables
 from loop.jobs import Job, Results, digest_of, run
 from loop.progress import progress
 from loop.training import scenes
+from loop.training.calibrate import calibrate
 from loop.training.fit import BATCH, fit
 from loop.training.judge import judge
 from loop.training.report import overview, write_report
-from perception.detection.network import NetworkDetector, save
+from perception.detection.network import Network, NetworkDetector, save
 from perception.detection.params import NetworkParams
 from world.errors import LuxloopError
+from world.files import whole
 
 JOBS, FOLDER = "scenes.jsonl", "scenes"
 LEAST_SCORE = 0.01  # of what is judged
+CALIBRATING = 10  # of so many scenes one is left for calibration
 VERSION: Final = digest_of(scenes)
 
 
@@ -29,28 +33,36 @@ def train(out: Path, number: int, held_out: int, epochs: int, seed: int, process
     for key, value in (("scenes", number), ("held-out", held_out), ("epochs", epochs), ("jobs", 1 if processes is None else processes)):
         if value < 1:
             raise LuxloopError(f"--{key} {value}: nothing can be learnt from that; give 1 or more")
+    if seed < 0:
+        raise LuxloopError(f"--seed {seed}: a seed is 0 or more")
     seen = drawn(out, scenes.TRAINING, number, processes, "scenes to train on")
     others = drawn(out, scenes.HELD_OUT, held_out, processes, "scenes held out")
-    steps = -(-epochs * number // BATCH)
-    with progress("training", steps) as advance:
-        network = fit(seen, steps, seed, lambda _: advance())
-    params = NetworkParams()
-    # as it is stored
-    network = network.half().float()
-    found = judge(NetworkDetector(network, scenes.CLASSES, LEAST_SCORE, params.overlap), others)
-    report = {
-        "date": datetime.date.today().isoformat(),
-        "training": {"scenes": number, "epochs": epochs, "examples": steps * BATCH, "seed": seed},
-        "camera": scenes.CAMERA.model_dump(),
-        **found,
-    }
     try:
-        save(network, scenes.CLASSES, out / "detector.pt")
-        (out / "report.json").write_text(json.dumps(report, indent=1) + "\n", "utf-8")
-    except (OSError, RuntimeError) as error:
-        raise LuxloopError(f"{out}: cannot be written ({error}); give another folder with --out") from error
+        network, training = _learnt(seen, epochs, seed)
+        found = judge(NetworkDetector(network, scenes.CLASSES, LEAST_SCORE, NetworkParams().overlap), others)
+    except OSError as error:
+        raise LuxloopError(f"{out}: a scene cannot be read ({error}); remove {out / JOBS}, so that all are drawn again") from error
+    report = {"date": datetime.date.today().isoformat(), "training": training, "camera": scenes.CAMERA.model_dump(), **found}
+    with whole(out / "detector.pt") as file:
+        save(network, scenes.CLASSES, file)
+    with whole(out / "report.json") as file:
+        file.write_text(json.dumps(report, indent=1, allow_nan=False) + "\n", "utf-8")
     write_report(report, out)
     return report
+
+
+def _learnt(rows: Sequence[dict[str, Any]], epochs: int, seed: int) -> tuple[Network, dict[str, Any]]:
+    """The network as it is stored, and how it came about. Scenes too few to leave one for that serve to calibrate as well."""
+    last = len(rows) // CALIBRATING
+    learnt, asked = (rows[:-last], rows[-last:]) if last else (rows, rows)
+    steps = -(-epochs * len(learnt) // BATCH)
+    with progress("training", steps) as advance:
+        network = fit(learnt, steps, seed, lambda _: advance())
+    slope, shift = calibrate(network, asked)
+    return network.half().float(), {
+        **{"scenes": len(rows), "epochs": epochs, "examples": steps * BATCH * 2, "seed": seed},
+        **{"calibrated_on": len(asked), "slope": round(slope, 3), "shift": round(shift, 3)},
+    }
 
 
 def drawn(out: Path, first: int, number: int, processes: int | None, title: str) -> list[dict[str, Any]]:

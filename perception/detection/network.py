@@ -18,7 +18,6 @@ from world.tracked import Category
 
 STRIDE = 8  # px of the frame a cell of what the network gives
 CODE = 0.75  # power of the light: between 1, where dark clothes hide beside bright ones, and 0.5, where shot noise is even
-SLOPE, SHIFT = 1.5, -0.3  # of a score over its logit, which focal loss leaves flatter than the share of boxes that are right
 CANDIDATES = 64  # the most objects in a frame
 
 
@@ -45,6 +44,13 @@ class Network(nn.Module):
         nn.init.constant_(self.head.bias[:-4], math.log(share / (1 - share)))
         nn.init.constant_(self.head.bias[-4:], 1.0)
 
+    @torch.no_grad()
+    def calibrate(self, slope: float, shift: float) -> None:
+        """Give logits from now on so many times larger, and shifted."""
+        assert self.head.bias is not None
+        self.head.weight[:-4] *= slope
+        self.head.bias[:-4] = slope * self.head.bias[:-4] + shift
+
     def forward(self, frames: Tensor) -> tuple[Tensor, Tensor]:
         """Logits `[B, classes, rows, columns]`; px from a cell's middle to left, top, right, bottom `[B, 4, rows, columns]`, above 0."""
         middle = self.middle(self.fine(frames))
@@ -65,11 +71,6 @@ def _spread(coarse: Tensor, fine: Tensor) -> Tensor:
 def prepared(frames: Tensor) -> Tensor:
     """What the network looks at, `[B, 1, height, width]`."""
     return frames.float().clamp(min=0).pow(CODE)[:, None].contiguous(memory_format=torch.channels_last)
-
-
-def scores_of(logits: Tensor) -> Tensor:
-    """Scores 0..1 of what the network gives, in its shape."""
-    return (SLOPE * logits + SHIFT).sigmoid()
 
 
 def middles(rows: int, columns: int, device: torch.device) -> Tensor:
@@ -100,7 +101,7 @@ class NetworkDetector:
         height, width = frames.shape[-2:]
         device = next(self.network.parameters()).device
         logits, sides = self.network(prepared(frames.to(device)))
-        scores = scores_of(logits)
+        scores = logits.sigmoid()
         best = scores.amax(1)
         peak = torch.where(best == max_pool2d(best, 3, 1, 1), best, 0).flatten(1)
         chosen = peak.topk(min(CANDIDATES, peak.shape[1])).indices

@@ -13,7 +13,7 @@ from perception.detection.suppression import overlaps
 from tests.perception.detection.lit import Lit
 from world.errors import LuxloopError
 
-SURE = 0.3
+SURE = 0.5
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from torch import Tensor, nn
 
 from perception.detection.build import detector
-from perception.detection.network import CODE, Network, NetworkDetector, boxes_of, scores_of
+from perception.detection.network import CODE, Network, NetworkDetector, boxes_of
 from perception.detection.onnx import OnnxDetector
 from perception.detection.params import NetworkParams, OnnxParams
 from perception.detection.suppression import overlaps
@@ -38,7 +38,7 @@ class AsYolo(nn.Module):
     def forward(self, frames: Tensor) -> Tensor:
         logits, sides = self.network(frames)
         low, high = boxes_of(sides).split(2, 1)
-        return torch.cat([(low + high) / 2, high - low, scores_of(logits)], 1).flatten(2)
+        return torch.cat([(low + high) / 2, high - low, logits.sigmoid()], 1).flatten(2)
 
 
 def says(numbers: Any, size: tuple[int, int], file: Path) -> str:
