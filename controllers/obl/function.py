@@ -1,5 +1,6 @@
 """Object-based lighting: the road stays nearly dark, and each object gets as much light as a detector gains from (T 9.3)."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
@@ -8,6 +9,7 @@ from pydantic import Field, field_validator
 
 from controllers.functions.situation import SelectionParams, Situation, TrackedObject, fade
 from controllers.obl.ambient import Ambient, AmbientLoopParams
+from controllers.obl.apparent import Apparent
 from controllers.obl.light import ObjectLightParams
 from controllers.obl.object_loop import ObjectLoop, ObjectLoopParams
 from controllers.primitives import Primitives
@@ -62,16 +64,26 @@ class ObjectBasedParams(SelectionParams):
         return ObjectBasedState(Ambient(self.ambient.first if self.method == "confidence" else self.share))
 
     def step(self, state: ObjectBasedState, now: Situation) -> ObjectBasedState:
-        """After one more frame; objects that the tracker does not report any more are forgotten."""
+        """After one more frame; objects that the tracker does not report any more are forgotten.
+
+        A new object where one is missed is taken for that, and goes on with its loop.
+        """
         if self.method != "confidence":
             return state
+        objects = self.selected(now)
+        seen = {each.name: Apparent.of(each, now.lamps) for each in objects}
+        missed = [each.name for each in objects if each.name in state.loops and math.isnan(each.score)]
         loops: dict[str, ObjectLoop] = {}
-        for each in self.selected(now):
-            old, distance = state.loops.get(each.name), now.distance_m(each)
+        for each in objects:
+            at, old = seen[each.name], state.loops.get(each.name)
             if each.until_s <= now.time_s:
                 loops |= {} if old is None else {each.name: old}
             elif each.since_s <= now.time_s:
-                loops[each.name] = self.loop.start(each, distance) if old is None else self.loop.step(old, each, distance)
+                old = old or next((state.loops[name] for name in missed if at.same(seen[name])), None)
+                if old is None:
+                    loops[each.name] = self.loop.start(each, at.height_rad)
+                else:
+                    loops[each.name] = self.loop.step(old, each, at.height_rad) if _in_sight(each, now) else old
         doubtful = [
             loop.recent
             for each in now.objects
@@ -98,7 +110,7 @@ class ObjectBasedParams(SelectionParams):
         if self.method == "class":
             return self.setpoints_lx.get(each.category, self.setpoint_lx)
         loop = state.loops.get(each.name)
-        return self.loop.search.next(()).lx if loop is None else loop.lx
+        return self.loop.start(each, 1.0).lx if loop is None else loop.lx
 
 
 def _in_sight(each: TrackedObject, now: Situation) -> bool:

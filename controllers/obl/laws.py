@@ -43,14 +43,20 @@ class LowerParams(Params):
             raise ValueError(f"bright_lx: {self.bright_lx:g} lx is below least_lx, {self.least_lx:g} lx; give more")
         return self
 
-    def next(self, trials: Sequence[Trial]) -> Next:
+    @property
+    def bounds_lx(self) -> tuple[float, float]:
+        """Of the search for a new object's light."""
+        return self.least_lx, self.bright_lx
+
+    def next(self, trials: Sequence[Trial], bounds_lx: tuple[float, float]) -> Next:
         """Halves the gap, in the logarithm, between the least that keeps the confidence and the greatest below it that does not."""
-        if not trials:
-            return Next(self.bright_lx, False)
+        least, most = bounds_lx
+        if all(trial.lx < most for trial in trials):
+            return Next(most, False)
         confidence = means(trials)
         best = max(confidence, key=confidence.__getitem__)
         lost = [lx for lx, mean in confidence.items() if lx < best and mean < confidence[best] - self.tolerance]
-        low = max(lost, default=self.least_lx)
+        low = max(lost, default=least)
         high = min(lx for lx in confidence if lx > low or lx == best)
         if high > self.ratio * low:
             return Next(math.sqrt(low * high), False)
@@ -73,16 +79,22 @@ class RaiseParams(Params):
             raise ValueError(f"first_lx: {self.first_lx:g} lx is above most_lx, {self.most_lx:g} lx; give less")
         return self
 
-    def next(self, trials: Sequence[Trial]) -> Next:
+    @property
+    def bounds_lx(self) -> tuple[float, float]:
+        """Of the search for a new object's light."""
+        return self.first_lx, self.most_lx
+
+    def next(self, trials: Sequence[Trial], bounds_lx: tuple[float, float]) -> Next:
         """One factor more, or back to the best step."""
+        least, most = bounds_lx
         if not trials:
-            return Next(self.first_lx, False)
+            return Next(least, False)
         best, without = -math.inf, 0
         for trial in trials:
             without = 0 if trial.confidence >= best + self.gain else without + 1
             best = max(best, trial.confidence)
         lx = trials[-1].lx * self.factor
-        if without < self.patience and lx <= self.most_lx:
+        if without < self.patience and lx <= most:
             return Next(lx, False)
         return Next(max(trials, key=lambda trial: trial.confidence).lx, True)
 

@@ -1,4 +1,4 @@
-"""The loop of one object: its light is searched, kept, watched, and searched anew where what is seen has changed (T 9.3)."""
+"""The loop of one object: its light is searched, kept, watched, and searched again where what is seen has changed (T 9.3)."""
 
 import math
 from dataclasses import dataclass, replace
@@ -17,15 +17,16 @@ FOLLOWING = 0.2  # share of a new mean in what is expected of a settled object, 
 
 @dataclass(frozen=True)
 class ObjectLoop:
-    """State. lx: the setpoint. scores: of frames in this light that have not been averaged yet, 0 where the object was not found.
+    """State. lx: the setpoint. bounds_lx: of the search. category, height_rad: of the object as the lamps see it, when the search began.
 
-    trials: of the search. expected: confidence, once settled. category, distance_m: when the search began. recent: weighted mean of the
-    latest scores. peak: the highest mean that any light has brought.
+    scores: of frames in this light that have not been averaged yet, 0 where the object was not found. trials: of the search.
+    expected: confidence, once settled. recent: weighted mean of the latest scores. peak: the highest mean that any light has brought.
     """
 
     lx: float
+    bounds_lx: tuple[float, float]
     category: Category
-    distance_m: float
+    height_rad: float
     settled: bool = False
     scores: tuple[float, ...] = ()
     trials: tuple[Trial, ...] = ()
@@ -42,14 +43,20 @@ class ObjectLoopParams(Params):
     )
     frames: int = Field(6, ge=1, le=100, description="frames that are averaged at each step")
     watch_frames: int = Field(15, ge=1, le=300, description="the same once settled")
-    drop: float = Field(0.15, gt=0, le=1, description="so much less confidence than expected begins the search anew")
-    change: float = Field(1.5, gt=1, description="so does a distance that has changed by this factor")
+    drop: float = Field(0.15, gt=0, le=1, description="so much less confidence than expected begins a search up to the brightest light")
+    change: float = Field(
+        1.5,
+        gt=1,
+        description="an apparent height that has changed by this factor begins a search around the setpoint, as another class does",
+    )
+    around: float = Field(2.0, gt=1, description="up to so many times the setpoint, and down to such a part of it")
 
-    def start(self, each: TrackedObject, distance_m: float) -> ObjectLoop:
+    def start(self, each: TrackedObject, height_rad: float) -> ObjectLoop:
         """The loop of a new object."""
-        return ObjectLoop(self.search.next(()).lx, each.category, distance_m, recent=_found(each))
+        bounds_lx = self.search.bounds_lx
+        return ObjectLoop(self.search.next((), bounds_lx).lx, bounds_lx, each.category, height_rad, recent=_found(each))
 
-    def step(self, loop: ObjectLoop, each: TrackedObject, distance_m: float) -> ObjectLoop:
+    def step(self, loop: ObjectLoop, each: TrackedObject, height_rad: float) -> ObjectLoop:
         """After one more frame of the object in the light that the loop asked for."""
         score = _found(each)
         loop = replace(loop, recent=loop.recent + RECENT * (score - loop.recent), scores=(*loop.scores, score))
@@ -57,13 +64,17 @@ class ObjectLoopParams(Params):
             return loop
         mean = sum(loop.scores) / len(loop.scores)
         loop = replace(loop, scores=(), peak=max(loop.peak, mean))
-        changed = each.category != loop.category or not 1 / self.change < distance_m / loop.distance_m < self.change
-        if changed or (loop.settled and mean < loop.expected - self.drop):
-            return replace(self.start(each, distance_m), recent=loop.recent, peak=loop.peak)
         if loop.settled:
-            return replace(loop, expected=loop.expected + FOLLOWING * (mean - loop.expected))
+            low, high = sorted((height_rad, loop.height_rad))
+            changed = each.category != loop.category or high > self.change * low
+            dropped = mean < loop.expected - self.drop
+            if not changed and not dropped:
+                return replace(loop, expected=loop.expected + FOLLOWING * (mean - loop.expected))
+            least, most = self.search.bounds_lx
+            bounds_lx = max(loop.lx / self.around, least), most if dropped else min(loop.lx * self.around, most)
+            loop = replace(loop, bounds_lx=bounds_lx, category=each.category, height_rad=height_rad, trials=())
         trials = (*loop.trials, Trial(loop.lx, mean))
-        following = self.search.next(trials)
+        following = self.search.next(trials, loop.bounds_lx)
         expected = means(trials).get(following.lx, 0.0)
         return replace(loop, lx=following.lx, settled=following.settled, trials=trials, expected=expected)
 

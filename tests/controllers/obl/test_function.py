@@ -167,6 +167,24 @@ def test_a_new_object_is_lit_at_once_and_a_lost_one_fades() -> None:
     assert not function.step(state, now(time_s=3.0)).loops
 
 
+@pytest.mark.parametrize(
+    ("y", "until_s", "score", "goes_on"), [(1.2, 2.5, 0.7, True), (1.2, math.inf, math.nan, True), (2.5, 2.5, 0.7, False)]
+)
+def test_a_new_track_goes_on_with_the_light_of_one_that_is_missed_there(y: float, until_s: float, score: float, goes_on: bool) -> None:
+    """Whether that is lost, or just not found any more; one who comes to stand beside it is somebody else, and gets all light."""
+    function = ObjectBasedParams()
+    state = function.start()
+    for k in range(60):
+        state = function.step(state, now(person(score=0.7), time_s=k / 30))
+    lx = state.loops["person"].lx
+    assert lx < 3
+    missed = person(until_s=until_s, score=math.nan)
+    state = function.step(state, now(missed, person("another", y=y, since_s=2.6, score=score), time_s=2.6))
+    assert state.loops["another"].lx == (lx if goes_on else 20.0)
+    both = now(person(score=0.7), person("second", y=1.2, since_s=2.6, score=0.7), time_s=2.6)
+    assert function.step(state, both).loops["second"].lx == 20.0
+
+
 @pytest.mark.parametrize("params", [ObjectBasedParams, GlareFreeParams])
 def test_nothing_fades_for_longer_than_trackers_tell_of_it(params: type[ObjectBasedParams | GlareFreeParams]) -> None:
     assert params(fade_out_s=LINGER_S).fade_out_s == LINGER_S

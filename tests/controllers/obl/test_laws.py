@@ -14,9 +14,11 @@ from pydantic import ValidationError
 from controllers.functions.situation import TrackedObject
 from controllers.obl.laws import LowerParams, RaiseParams, Trial
 from controllers.obl.object_loop import ObjectLoop, ObjectLoopParams
+from world.tracked import Category
 
 HERE = torch.eye(4, dtype=torch.float64)
 PERSON = TrackedObject("person", "pedestrian", HERE, (0.5, 0.6, 1.7))
+HIGH = 0.09  # rad, as it is seen
 STEPS = 60  # two seconds
 Curve = Callable[[float], float]
 
@@ -37,10 +39,10 @@ class Knee:
 
 def followed(params: ObjectLoopParams, curve: Curve, noise: float = 0.0, steps: int = STEPS, seed: int = 0) -> list[ObjectLoop]:
     """The states after each step."""
-    rng, loop, states = random.Random(seed), params.start(PERSON, 20.0), []
+    rng, loop, states = random.Random(seed), params.start(PERSON, HIGH), []
     for _ in range(steps):
         score = min(max(curve(loop.lx) + rng.gauss(0, noise), 0.0), 1.0)
-        loop = params.step(loop, replace(PERSON, score=score), 20.0)
+        loop = params.step(loop, replace(PERSON, score=score), HIGH)
         states.append(loop)
     return states
 
@@ -108,43 +110,71 @@ def test_raising_ends_at_the_best_step() -> None:
 
 
 def test_raising_ends_at_the_most_there_is() -> None:
-    assert RaiseParams(most_lx=8).next([Trial(lx, lx / 10) for lx in (1.0, 2.0, 4.0, 8.0)]).settled
+    assert RaiseParams().next([Trial(lx, lx / 10) for lx in (1.0, 2.0, 4.0, 8.0)], (1.0, 8.0)).settled
 
 
 def test_an_illuminance_is_confirmed_before_it_is_kept() -> None:
     """A lucky trial of a light that is too weak is found out by the second, and the next greater one is tried again."""
-    law = LowerParams(ratio=5.0)
-    assert law.next([Trial(20.0, 0.7), Trial(4.0, 0.7)]).lx == 4.0
-    assert not law.next([Trial(20.0, 0.7), Trial(4.0, 0.7)]).settled
-    following = law.next([Trial(20.0, 0.7), Trial(4.0, 0.7), Trial(4.0, 0.4)])
+    law, bounds = LowerParams(ratio=5.0), (1.0, 20.0)
+    assert law.next([Trial(20.0, 0.7), Trial(4.0, 0.7)], bounds).lx == 4.0
+    assert not law.next([Trial(20.0, 0.7), Trial(4.0, 0.7)], bounds).settled
+    following = law.next([Trial(20.0, 0.7), Trial(4.0, 0.7), Trial(4.0, 0.4)], bounds)
     assert following.lx == 20.0 and not following.settled
 
 
-@pytest.mark.parametrize("what", ["drop", "category", "distance"])
-def test_what_has_changed_is_searched_anew(what: str) -> None:
-    params = ObjectLoopParams()
-    loop = followed(params, Knee(4.0))[-1]
-    assert loop.settled and loop.lx < 7
-    each, distance, steps = replace(PERSON, score=0.7), 20.0, params.watch_frames
-    if what == "drop":
-        each, steps = replace(PERSON, score=0.4), 2 * params.watch_frames
-    elif what == "category":
-        each = replace(PERSON, category="cyclist", score=0.7)
-    else:
-        distance = 31.0
-    found = []
-    for _ in range(steps):
-        loop = params.step(loop, each, distance)
-        found.append((loop.settled, loop.lx))
-    assert (False, 20.0) in found
+def again(params: ObjectLoopParams, curve: Curve, each: TrackedObject = PERSON, high: float = HIGH) -> list[ObjectLoop]:
+    """States of one that has settled at a knee of 4 lx, once all is as given."""
+    loop, states = followed(params, Knee(4.0))[-1], []
+    assert loop.settled and 4 <= loop.lx < 7
+    for _ in range(4 * STEPS):
+        loop = params.step(loop, replace(each, score=curve(loop.lx)), high)
+        states.append(loop)
+    return states
+
+
+@settings(deadline=None, max_examples=40)
+@given(knee=st.floats(2.5, 10), what=st.sampled_from([("cyclist", HIGH), ("pedestrian", 1.6 * HIGH), ("pedestrian", HIGH / 1.6)]))
+def test_what_has_changed_is_searched_around_its_setpoint(knee: float, what: tuple[Category, float]) -> None:
+    """No further than twice as bright or half as bright, and to the new knee as far as that reaches."""
+    category, high = what
+    before = followed(params := ObjectLoopParams(), Knee(4.0))[-1].lx
+    states = again(params, curve := Knee(knee), replace(PERSON, category=category), high)
+    tried = {state.lx for state in states}
+    assert max(tried) == 2 * before and min(tried) >= before / 2 and len(tried) > 1
+    assert states[-1].settled and states[-1].lx <= max(1.5**2 * knee, before / 2 * 1.5)
+    assert curve(states[-1].lx) >= curve(2 * before) - 0.03
+    assert sum(not state.settled for state in states) <= 6 * params.frames
+
+
+def test_a_drop_is_searched_up_to_the_brightest() -> None:
+    states = again(ObjectLoopParams(), curve := Knee(14.0, slope=0.2))
+    assert (False, 20.0) in {(state.settled, state.lx) for state in states}
+    assert states[-1].settled and curve(states[-1].lx) >= 0.67
+
+
+def test_a_drop_that_light_does_not_mend_costs_none() -> None:
+    """Who is hidden shines for six frames only: the brightest light brings nothing."""
+    states = again(ObjectLoopParams(), lambda lx: 0.1)
+    before = states[0].lx
+    assert states[-1].settled and before / 2 <= states[-1].lx <= before
+    assert sum(state.lx == 20.0 for state in states) == ObjectLoopParams().frames
+
+
+def test_raising_goes_on_from_where_it_is() -> None:
+    params = ObjectLoopParams(search={"kind": "raise"})
+    loop, lx = followed(params, Knee(6.0, fall=0.03))[-1], []
+    for _ in range(2 * STEPS):
+        loop = params.step(loop, replace(PERSON, score=Knee(16.0, slope=0.2, fall=0.03)(loop.lx)), HIGH)
+        lx.append(loop.lx)
+    assert lx[0] == 8.0 and min(lx) == 8.0 and lx[-1] == 16.0 and loop.settled
 
 
 def test_an_object_that_is_not_found_counts_as_nought() -> None:
     """So that a light too weak to find it by is left, and nothing becomes NaN."""
     params = ObjectLoopParams()
-    loop = params.start(PERSON, 20.0)
+    loop = params.start(PERSON, HIGH)
     for _ in range(STEPS):
-        loop = params.step(loop, replace(PERSON, score=0.6 if loop.lx > 8 else math.nan), 20.0)
+        loop = params.step(loop, replace(PERSON, score=0.6 if loop.lx > 8 else math.nan), HIGH)
     assert loop.settled and 8 < loop.lx < 12 and math.isfinite(loop.recent)
 
 
@@ -153,7 +183,7 @@ def test_slow_changes_are_followed() -> None:
     params = ObjectLoopParams()
     loop = followed(params, Knee(4.0))[-1]
     for k in range(600):
-        loop = params.step(loop, replace(PERSON, score=0.7 - 0.3 * k / 600), 20.0)
+        loop = params.step(loop, replace(PERSON, score=0.7 - 0.3 * k / 600), HIGH)
         assert loop.settled
 
 
