@@ -71,7 +71,7 @@ def by_products(
     wanted = {
         "light": True,
         "of_default": of_default,
-        "weight": not unit,
+        "weight": ruling or not unit,  # where infinite ones do not rule, finite ones add up to one
         "missed": not dark,
         "forced": apart,
         "forced_light": apart and not asked.masking,
@@ -150,24 +150,24 @@ def _summed(images: dict[str, Tensor], ruling: bool, pixels: PixelMajor, default
     band = place.pixels
     default = default[band]
 
-    def summed(name: str, matrix: Csr) -> Tensor:
-        return multiply(matrix.band(band.start, band.stop), images[name].flatten(-2))
+    def summed(matrix: Csr, *names: str) -> dict[str, Tensor]:
+        there = [name for name in names if name in images]
+        at_once = torch.stack([images[name].flatten(-2) for name in there])  # which reads the matrix once
+        return dict(zip(there, multiply(matrix.band(band.start, band.stop), at_once), strict=True))
 
-    light, forced_light, forced_weight, lit = summed("light", pixels.weight), None, None, None
-    weight = summed("weight", pixels.weight) if "weight" in images else None
-    for name in {"of_default", "missed"} & images.keys():
-        light = light + default * summed(name, pixels.weight)
-    if "forced" in images:
-        forced_weight = summed("forced", pixels.full)
-        forced_light = torch.zeros_like(forced_weight)
-        if "forced_light" in images:
-            forced_light = summed("forced_light", pixels.full)
-        if "forced_of_default" in images:
-            forced_light = forced_light + default * summed("forced_of_default", pixels.full)
+    finite, infinite = ("light", "of_default", "missed", "weight"), ("forced", "forced_light", "forced_of_default")
+    if pixels.weight is pixels.full:
+        sums = summed(pixels.full, *finite, *infinite)
+    else:
+        sums = summed(pixels.weight, *finite) | (summed(pixels.full, *infinite) if "forced" in images else {})
+    light, forced_light, forced_weight, lit = sums["light"], None, sums.get("forced"), None
+    for name in sums.keys() & {"of_default", "missed"}:
+        light = light + default * sums[name]
+    if forced_weight is not None:
+        forced_light = sums.get("forced_light", torch.zeros_like(forced_weight))
+        if "forced_of_default" in sums:
+            forced_light = forced_light + default * sums["forced_of_default"]
     if "lit" in images:
-        lit = summed("lit", pixels.ones)
-        if "missed" in images:
-            lit = lit + (default > 0) * summed("missed", pixels.ones)
-        if "lit_of_default" in images:
-            lit = lit + (default > 0) * summed("lit_of_default", pixels.ones)
-    return Sums(light, weight, forced_light, forced_weight, lit, RULED if ruling else None)
+        counts = summed(pixels.ones, "lit", "missed", "lit_of_default")
+        lit = counts.pop("lit") + sum((default > 0) * count for count in counts.values())
+    return Sums(light, sums.get("weight"), forced_light, forced_weight, lit, RULED if ruling else None)

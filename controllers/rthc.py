@@ -124,7 +124,7 @@ class Casting:
     """Rays about to be cast. windows: of each primitive, empty where it is not seen; window: around all.
 
     is_mask, front: of each primitive whether it is a mask and whether its front is seen, None where the host does not know. unit, finite:
-    whether all weights are 1, whether none is infinite, as far as the host knows.
+    whether all finite weights are 1, whether none is infinite, as far as the host knows.
     """
 
     primitives: Primitives
@@ -154,8 +154,8 @@ class Casting:
         front, is_mask = (nobody, nobody) if windows is None else (_from_the_front(seen), [*masks(primitives)])
         windows = [whole(grid)] * len(primitives) if windows is None else windows
         windows = [NOWHERE if seen_from is False else window for window, seen_from in zip(windows, front, strict=True)]
-        known = primitives.weight.device.type == "cpu"
-        unit, finite = known and not bool((primitives.weight != 1).any()), known and not bool(primitives.weight.isinf().any())
+        known, infinite = primitives.weight.device.type == "cpu", primitives.weight.isinf()
+        unit, finite = known and bool(((primitives.weight == 1) | infinite).all()), known and not bool(infinite.any())
         of_each = (tuple(windows), union(windows), tuple(is_mask), tuple(front))
         return cls(primitives, grid, T_world_headlight, secondary, seen, *of_each, unit, finite)
 
@@ -212,7 +212,7 @@ class Casting:
             return self.blank(filled) if needed else None
 
         value, cover = self.blank(), self.blank()
-        finite, forced = image(not self.unit, 1.0), image(not self.finite)
+        finite, forced = image(not (self.unit and self.finite), 1.0), image(not self.finite)
         in_cd, relative = image(min(codes) < U_ABS <= max(codes)), image(U_REL in codes and len(codes) > 1)
         for stroke in self.strokes():
             cut = (..., *stroke.window.within(self.window))
@@ -342,10 +342,9 @@ def _points(rays: _Rays, seen: Homographies, p: int, window: Window, T_world_hea
     """Where rays hit the p-th primitive, `[..., 3, rows, cols]` m in the world; those that miss it end as near as its corners lie."""
     x = 1 / _between_corners(rays.closeness.on(p, window), seen, p)
     rows, cols = window.slices
-    y, z = torch.broadcast_tensors(rays.y[cols], rays.z[rows, None])
-    T = T_world_headlight.to(x)
-    ray = torch.einsum("ij,jrc->irc", T[:3, :3], torch.stack([torch.ones_like(y), y, z]))
-    return T[:3, 3, None, None] + x[..., None, :, :] * ray
+    forward, left, up, position = T_world_headlight[:3, :, None, None].to(x).unbind(1)
+    ray = (forward + up * rays.z[rows, None]) + left * rays.y[cols]
+    return position + x[..., None, :, :] * ray
 
 
 def _near_outline(window: Window, low: Tensor, high: Tensor) -> Tensor:

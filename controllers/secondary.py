@@ -5,16 +5,18 @@ All functions are pure and take points as the world has them, `[..., 3, N]` in m
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
+from torch.nn.functional import grid_sample
 
 from controllers.primitives import U_ABS, Primitives, meant
 from world.frames import inverse, transform
 from world.headlight import Headlight
 from world.raycast import first_hits
 from world.scene import StreetLamp
-from world.texels import TexelGrid, bilinear
+from world.texels import TexelGrid
 from world.triangles import Triangles, depths
 
 Caster = Callable[[Tensor, Tensor], Tensor]  # (points [3, N], target [3]) -> [N] bool: something lies between them
@@ -53,12 +55,18 @@ class Light:
 
     def possible(self, points: Tensor) -> Tensor:
         """`I_sum / d^2` `[..., N]` in lx, on a surface that faces the lamp; zero outside of its light texture."""
-        x, y, z = transform(inverse(self.T_world_headlight).to(points), points).unbind(-2)
+        x, y, z = transform(self._T_headlight_world.to(points), points).unbind(-2)
         ahead = torch.where(x > 0, x, 1.0)
         row, col = self.grid.texel_of(y / ahead, z / ahead)
-        texel, weight = bilinear(self.grid, row, col)
-        intensity = (self.full.to(points).flatten()[texel] * (weight * (x > 0)).to(points)).sum(0)
-        return intensity / (x * x + y * y + z * z)
+        at = torch.stack([col * (2 / self.grid.cols) - 1, row * (2 / self.grid.rows) - 1], -1)  # the texture reaches from -1 to 1
+        inside = (at.abs().amax(-1) <= 1) & (x > 0)
+        full = self.full.to(points).expand(1, 1, -1, -1)
+        intensity = grid_sample(full, at.reshape(1, 1, -1, 2), padding_mode="border", align_corners=False).view_as(x)
+        return intensity * inside / (x * x + y * y + z * z)
+
+    @cached_property
+    def _T_headlight_world(self) -> Tensor:
+        return inverse(self.T_world_headlight)
 
 
 def shares(lights: Sequence[Light], points: Tensor, occluded: Caster | None = None, asked: Tensor | None = None) -> Tensor:

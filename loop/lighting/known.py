@@ -40,6 +40,14 @@ class Known:
         return tuple(each for each in found if each.category is not None)
 
     @cached_property
+    def pixels(self) -> tuple[Tensor, ...]:
+        """Flat indices of those at which each of the objects 1, 2, ... is seen."""
+        ids = self.lit.surfaces.object_id.flatten()
+        seen = torch.nonzero(ids > 0)[:, 0]
+        of_each = torch.bincount(ids[seen] - 1, minlength=len(self.categories)).tolist()
+        return seen[ids[seen].argsort(stable=True)].split(of_each)
+
+    @cached_property
     def boxes(self) -> Tensor:
         """`[n, 4]` px of all of `objects`, whether hidden or not, as far as in the image."""
         return torch.tensor([self._inside(each.whole) for each in self.objects], dtype=torch.float64).view(-1, 4)

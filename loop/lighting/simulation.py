@@ -117,7 +117,7 @@ class LightingSimulation:
         functions = self.planner.step(state.functions, self._learnt(now, known, frame, tracks)) if self.planner.learns else state.functions
         found = time.perf_counter()
         masked = frozenset(each.name for each in now.objects if self.masked(each, now))
-        objects = self._on_objects(illuminance, seen.surfaces.object_id, masked, look)
+        objects = self._on_objects(illuminance, known, masked, look)
         white = in_white(plan)
         symbols = () if white is None else observed_symbols(plan, lights, self._driven(white, time_s)[0], self.camera, time_s)
         zones = in_zones(self.planner.functions, state.functions, luminance, self.camera.view)
@@ -227,10 +227,10 @@ class LightingSimulation:
         secondary = [SecondaryRays(self.lights, own, street_lamps, occluded) for own in range(len(self.modules))]
         return driven(self.modules, plan, secondary, params.power_limit, self.scenario.headlight.power_w)
 
-    def _on_objects(self, illuminance: Tensor, object_id: Tensor, masked: frozenset[str], look: Look | None) -> Mapping[str, OnObject]:
+    def _on_objects(self, illuminance: Tensor, known: Known, masked: frozenset[str], look: Look | None) -> Mapping[str, OnObject]:
         found = {}
         for name, number in self.watched.items():
-            lx = illuminance[object_id == number]
+            lx = illuminance.flatten()[known.pixels[number - 1]]
             low, mean, high = (float(value) for value in (lx.min(), lx.mean(), lx.max())) if len(lx) else [math.nan] * 3
             track = look.recognised[name].track if look is not None and name in look.recognised else None
             known_as = name if look is None else "" if track is None else name_of(track)

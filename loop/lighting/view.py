@@ -1,5 +1,6 @@
 """What the lamps do to a view of the scene: the light that arrives, and how bright it looks."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -10,7 +11,7 @@ from loop.lighting.lamps import ShiningModule
 from world.ambient import ambient_luminance
 from world.face_source import FaceSource
 from world.gbuffer import GBuffer
-from world.illumination import LitSurface, illuminance, luminance, reach
+from world.illumination import LitSurface, illuminance, reach
 from world.scene import Key, Scene
 from world.surfaces import SurfaceSource, surface_source
 from world.triangles import Triangles
@@ -38,8 +39,9 @@ class LitScene:
         for number, (module, u) in enumerate(zip(self.modules, lights, strict=True)):
             if bool(u.any()):
                 surface, texture = self._surface(number), module.headlight.light_texture(u)
-                arriving[surface.index] += illuminance(surface, texture)
-                leaving[surface.index] += luminance(surface, texture)
+                lx = illuminance(surface, texture)
+                arriving.index_add_(0, surface.index, lx)
+                leaving.index_add_(0, surface.index, lx * surface.luminance_factor / math.pi)
         return arriving.view_as(self.base), leaving.view_as(self.base)
 
     def _surface(self, number: int) -> LitSurface:

@@ -97,9 +97,9 @@ class _Multiply(torch.autograd.Function):
 
 
 def _product(matrix: Csr, x: Tensor) -> Tensor:
-    if x.ndim == 1:
-        return torch.mv(matrix.torch_csr, x)
     flat = x.reshape(x.shape[:-1].numel(), matrix.n_cols)
+    if len(flat) == 1:
+        return torch.mv(matrix.torch_csr, flat[0]).reshape(*x.shape[:-1], matrix.n_rows)
     return (matrix.torch_csr @ flat.T).T.reshape(*x.shape[:-1], matrix.n_rows)
 
 
