@@ -41,7 +41,7 @@ def ground_truth(surfaces: GBuffer, triangles: Triangles, view: View, categories
     surfaces: of `triangles` in `view`. categories: those of the objects 1, 2, ...; the road is object 0.
     Boxes are in px of the view; where its rows are oversampled, so are they.
     """
-    found = []
+    found, rays = [], view.rays()
     parts = dict((placed.object_id, placed) for placed in triangles.placed if placed.object_id > 0)
     for object_id, placed in sorted(parts.items()):
         seen = surfaces.object_id == object_id
@@ -49,7 +49,7 @@ def ground_truth(surfaces: GBuffer, triangles: Triangles, view: View, categories
         if not pixels:
             continue
         whole = _whole(placed, view)
-        alone = _pixels_alone(placed, view, whole)
+        alone = _pixels_alone(placed, view, rays, whole)
         width, height = whole[2] - whole[0], whole[3] - whole[1]
         shown = _clipped(whole, view)
         inside = (shown[2] - shown[0]) * (shown[3] - shown[1]) / (width * height)
@@ -62,14 +62,13 @@ def ground_truth(surfaces: GBuffer, triangles: Triangles, view: View, categories
 
 def part_mask(surfaces: GBuffer, triangles: Triangles, names: Collection[str]) -> Tensor:
     """Where parts of these names are seen, such as heads and windscreens, `[height, width]` bool."""
-    mask = torch.zeros_like(surfaces.object_id, dtype=torch.bool)
-    if surfaces.part is None:
-        return mask
-    for placed in triangles.placed:
-        numbers = [k for k, part in enumerate(placed.body.parts) if part.name in names]
-        if numbers:
-            mask |= (surfaces.object_id == placed.object_id) & torch.isin(surfaces.part, torch.tensor(numbers).to(surfaces.part))
-    return mask
+    bodies = {placed.object_id: placed.body.parts for placed in triangles.placed if placed.body.parts}
+    if surfaces.part is None or not bodies:
+        return torch.zeros_like(surfaces.object_id, dtype=torch.bool)
+    meant = torch.zeros(max(bodies) + 2, max(map(len, bodies.values())), dtype=torch.bool)  # the last row is that of no object, -1
+    for object_id, parts in bodies.items():
+        meant[object_id, : len(parts)] = torch.tensor([part.name in names for part in parts])
+    return meant.to(surfaces.part.device)[surfaces.object_id.long(), surfaces.part.long()]
 
 
 def _seen(mask: Tensor) -> Box:
@@ -91,12 +90,11 @@ def _clipped(box: Box, view: View) -> Box:
     return u0, v0, u1, v1
 
 
-def _pixels_alone(placed: Placed, view: View, whole: Box) -> int:
+def _pixels_alone(placed: Placed, view: View, rays: Tensor, whole: Box) -> int:
     """Number of the image's pixels that would see the object if it were alone."""
     u0, v0, u1, v1 = _clipped(whole, view)
     columns, rows = slice(int(u0), int(u1) + 1), slice(int(v0), int(v1) + 1)
-    rays = view.rays()[:, rows, columns].flatten(1)
-    return int((first_hits(Triangles((placed,)), view.origin, rays) >= 0).sum())
+    return int((first_hits(Triangles((placed,)), view.origin, rays[:, rows, columns].flatten(1)) >= 0).sum())
 
 
 def _materials(surfaces: GBuffer, seen: Tensor, placed: Placed) -> dict[str, int]:

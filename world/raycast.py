@@ -29,7 +29,7 @@ def first_hits(triangles: Triangles, origin: Tensor, directions: Tensor) -> Tens
         T_body_world = inverse(placed.T_world_body)
         local_origin = T_body_world[:3, :3] @ origin + T_body_world[:3, 3]
         local = T_body_world[:3, :3] @ directions
-        rays = torch.nonzero(_near(placed.body.corners, local_origin, local))[:, 0]
+        rays = torch.nonzero(_near(placed.body.bounds, local_origin, local))[:, 0]
         if not len(rays):
             continue
         face = torch.from_numpy(
@@ -47,9 +47,9 @@ def first_hits(triangles: Triangles, origin: Tensor, directions: Tensor) -> Tens
     return nearest
 
 
-def _near(corners: Tensor, origin: Tensor, directions: Tensor) -> Tensor:
+def _near(bounds: Tensor, origin: Tensor, directions: Tensor) -> Tensor:
     """Which rays `[3, N]` pass through the sphere around a body: most miss a small one, and asking embree costs more."""
-    low, high = corners.flatten(0, 1).aminmax(dim=0)
+    low, high = bounds
     to_centre = (low + high) / 2 - origin
     along = to_centre @ directions
     miss2 = to_centre @ to_centre - along * along.abs() / (directions * directions).sum(0)

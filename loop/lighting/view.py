@@ -59,14 +59,18 @@ class Looker:
     def __init__(self, scene: Scene, view: View, modules: tuple[ShiningModule, ...], source: FaceSource, device: torch.device) -> None:
         self.scene, self.view, self.modules, self.source, self.device = scene, view, modules, source, device
         self.surfaces = surface_source(source, scene.moves)
-        self._last: tuple[Key, LitScene] | None = None
+        self._time_s: float | None = None
+        self._key: Key | None = None
+        self._lit: LitScene
 
     def at(self, time_s: float) -> LitScene:
         """The scene at a time."""
-        key = self.scene.key_at(time_s)
-        if self._last is None or self._last[0] != key:
-            triangles = self.scene.at(time_s)
-            surfaces = self.surfaces.gbuffer(triangles, self.view).to(self.device)
-            base = ambient_luminance(surfaces, self.scene.ambient_lx, self.scene.street_lamps, self.scene.spotlights_at(time_s))
-            self._last = (key, LitScene(self.view, triangles, surfaces, base, self.modules, self.surfaces))
-        return self._last[1]
+        if time_s != self._time_s:
+            key = self.scene.key_at(time_s)
+            if key != self._key:
+                triangles = self.scene.at(time_s)
+                surfaces = self.surfaces.gbuffer(triangles, self.view).to(self.device)
+                base = ambient_luminance(surfaces, self.scene.ambient_lx, self.scene.street_lamps, self.scene.spotlights_at(time_s))
+                self._key, self._lit = key, LitScene(self.view, triangles, surfaces, base, self.modules, self.surfaces)
+            self._time_s = time_s
+        return self._lit
