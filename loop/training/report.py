@@ -116,7 +116,7 @@ def confidence_figure(report: Report) -> Figure:
         axes.set(xscale="log", xlabel="illuminance of surfaces that face the lamps in lx", ylabel="confidence", ylim=(0, 1))
         axes.xaxis.set_major_formatter("{x:g}")
         axes.grid(alpha=0.3)
-        axes.legend(fontsize=8, loc="upper left")
+        axes.legend(fontsize=8, loc="lower right")
         return figure
 
 
