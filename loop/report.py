@@ -48,6 +48,7 @@ FOUR = ("#0072b2", "#e69f00", "#009e73", "#cc79a7")  # Okabe and Ito: told apart
 TARGET, PATH, LOST = "#00c8ff", "#ff2020", "#d55e00"
 NIGHT = LinearSegmentedColormap.from_list("night", ["#05070c", "#3a3f4a", "#a9a598", "#fffbe8"])
 PAST_SYMBOLS = 12
+CHARACTER_IN, LINE_IN, AROUND_IN = 0.055, 0.4, 0.7  # of a legend's text, its line with what is around it, and around a chart
 
 
 class Gathered:
@@ -130,17 +131,14 @@ def _courses(figure: SubFigure, simulation: Simulation, table: pa.Table, summary
             axes.axvline(summary["settle_step"], color="0.3", lw=1.2, ls=":", label="settled" if axes is errors else "_settled")
     marker = "o" if len(steps) <= 60 else ""
 
-    errors.set_title("Control errors, each by its largest")
     for name, colour, unit in zip(ERRORS, FOUR, _error_units(simulation), strict=True):
         values = column(table, name)
         peak = np.nanmax(np.abs(values), initial=0)
         label = f"$e_{{{name[2:]}}}$ / {peak:.3g}{unit}"
         errors.plot(steps, values / (peak or 1), color=colour, marker=marker, ms=2.2, label=label)
-    errors.set_ylim(-1.1, 1.6)
-    errors.set_yticks([-1, -0.5, 0, 0.5, 1])
-    errors.legend(loc="upper right", ncols=2, columnspacing=1.2)
+    errors.set_ylim(-1.1, 1.1)
+    headed(errors, "Control errors, each by its largest")
 
-    pose.set_title("Pose of the primitive")
     target = simulation.scenario.symbol
     turned = _right_axis(pose)
     pose.plot(steps, column(table, "x_m") - target.x_m, color=FOUR[0], label=f"x − {target.x_m:g} m")
@@ -149,13 +147,8 @@ def _courses(figure: SubFigure, simulation: Simulation, table: pa.Table, summary
     turned.plot(steps, column(table, "pitch_deg"), color=FOUR[3], ls="--", label="pitch, nose down")
     pose.set_ylabel("m")
     turned.set_ylabel("deg (dashed)")
-    handles = [*pose.get_lines(), *turned.get_lines()]
-    turned.legend(handles=[line for line in handles if not line.get_label().startswith("_")], loc="upper right", ncols=2)
-    for axes in (pose, turned):
-        low, high = axes.get_ylim()
-        axes.set_ylim(low, high + 0.3 * (high - low))
+    headed(pose, "Pose of the primitive", turned)
 
-    judged.set_title("How the symbol lies, without noise")
     judged.axhspan(-2, 2, color="0.5", alpha=0.15, lw=0)
     for name, colour, label in (("x", FOUR[0], "centroid along"), ("y", FOUR[1], "centroid across")):
         judged.plot(steps, column(table, f"centroid_error_{name}_percent"), color=colour, label=label)
@@ -169,11 +162,33 @@ def _courses(figure: SubFigure, simulation: Simulation, table: pa.Table, summary
         overlap.axhline(summary["iou_open"], color="black", ls="--", lw=1, label="IoU, open loop")
     overlap.set_ylim(0, 1)
     overlap.set_ylabel("IoU with the target")
-    handles = [*judged.get_lines(), *overlap.get_lines()]
-    overlap.legend(handles=[line for line in handles if not line.get_label().startswith("_")], loc="lower right", ncols=2)
+    headed(judged, "How the symbol lies, without noise", overlap)
     judged.set_xlabel("control step")
     judged.set_xlim(steps[0], max(steps[-1], steps[0] + 1))
     judged.xaxis.set_major_locator(MaxNLocator(integer=True))
+
+
+def headed(axes: Axes, title: str, *more: Axes) -> None:
+    """A title, and below it the legend, outside of the chart, where it hides nothing. more: axes in the same place with own labels."""
+    found = [each for one in (axes, *more) for each in one.get_legend_handles_labels()[0]]
+    if not found:
+        axes.set_title(title)
+        return
+    longest = max(len(str(each.get_label())) for each in found) * CHARACTER_IN + LINE_IN
+    width = axes.figure.bbox.width / axes.figure.dpi - AROUND_IN
+    axes.legend(
+        handles=found,
+        title=title,
+        title_fontproperties={"weight": "bold", "size": STYLE["axes.titlesize"]},
+        ncols=max(1, min(len(found), int(width / longest))),
+        loc="lower left",
+        bbox_to_anchor=(0, 1),
+        alignment="left",
+        borderaxespad=0.2,
+        borderpad=0.2,
+        handlelength=1.6,
+        columnspacing=1.2,
+    )
 
 
 def _right_axis(axes: Axes) -> Axes:

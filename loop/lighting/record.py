@@ -6,6 +6,7 @@ from typing import Any
 
 import pyarrow as pa
 
+from loop.lighting.compared import compared
 from loop.lighting.result import LightingResult
 from loop.lighting.simulation import LightingSimulation
 from loop.lighting.summary import summarise
@@ -132,4 +133,5 @@ class LightingRecorder(TableRecorder[LightingResult]):
         """The summary of the steps so far."""
         functions = self.simulation.scenario.lighting.functions
         idle = [f"lighting.functions[{number}] ({functions[number].kind})" for number in sorted(self.idle)]
-        return summarise(self.table(), self.simulation.scenario.name) | {"idle_functions": idle}
+        table = self.table()
+        return summarise(table, self.simulation.scenario.name, compared(self.simulation, table)) | {"idle_functions": idle}

@@ -1,7 +1,6 @@
-"""report.png of lighting functions: the camera's view, the road from above, the beams on a wall, and the course of flux and light."""
+"""report.png of lighting functions: the camera's view, the road from above, the beams on a wall, and charts over time."""
 
 from collections.abc import Sequence
-from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -16,13 +15,14 @@ from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
 from loop.headlight_views import BIRDSEYE_X_M, BIRDSEYE_Y_M, birdseye
+from loop.lighting.courses import write_courses
 from loop.lighting.marks import marks
 from loop.lighting.observed import ObservedSymbol
 from loop.lighting.picture import WALL_DEG, measured, wall_light, white_of
 from loop.lighting.result import LightingResult
 from loop.lighting.simulation import LightingSimulation
 from loop.lighting.view import Looker
-from loop.report import FOUR, NIGHT, STYLE
+from loop.report import NIGHT, STYLE
 from loop.summary import column
 from world.errors import LuxloopError
 from world.frames import transform
@@ -30,12 +30,10 @@ from world.frames import transform
 INCHES, DPI = (13.0, 8.6), 120
 TALLER_INCHES = 2.2  # with a detector, for two large pictures of the camera
 TRACKED, MASKED, FOUND = "#4fd17a", "#ffaa28", "#6e82a0"
-COLOURS = (*FOUR, "#56b4e9", "#d55e00", "#000000", "#999999")
 WALL_COLUMNS = 480
 OBSERVED = 4  # observers' pictures that fit side by side
 FAINTEST_ROAD_LX, BRIGHTEST_ROAD_LX, ROAD_LEVELS_LX = 0.1, 30.0, (1.0, 3.0)  # of the picture from above, and its lines
 AROUND_M = 2.0  # that it shows around the light
-FAINTEST_LX = 0.01  # where the scale of illuminance on objects begins
 
 
 def write_report(file: Path, simulation: LightingSimulation, moments: Sequence[LightingResult], table: pa.Table) -> None:
@@ -56,7 +54,7 @@ def write_report(file: Path, simulation: LightingSimulation, moments: Sequence[L
         for figure_below in below:
             _observed(figure_below, observed)
         courses, walls = right.subfigures(2, 1, squeeze=False, height_ratios=(high, 3.4))[:, 0]
-        _courses(courses, simulation, table)
+        write_courses(courses, simulation, table)
         _walls(walls, simulation, last)
         try:
             figure.savefig(file)
@@ -148,55 +146,6 @@ def lit_part(light: NDArray[np.floating]) -> tuple[tuple[float, float], tuple[fl
         return BIRDSEYE_X_M, BIRDSEYE_Y_M
     x, y = np.linspace(*BIRDSEYE_X_M, light.shape[1]), np.linspace(*BIRDSEYE_Y_M[::-1], light.shape[0])
     return (x[columns[0]] - AROUND_M, x[columns[-1]] + AROUND_M), (y[rows[-1]] - AROUND_M, y[rows[0]] + AROUND_M)
-
-
-def _courses(figure: SubFigure, simulation: LightingSimulation, table: pa.Table) -> None:
-    objects, looks = list(simulation.watched), simulation.sight is not None
-    flux, *below = figure.subplots(1 + len(objects and (1 + looks) * [0]), 1, sharex=True, squeeze=False)[:, 0]
-    time_s, mark = column(table, "time_s"), "." if table.num_rows < 3 else ""
-    for side, colour in zip(dict.fromkeys(module.side for module in simulation.modules), FOUR, strict=False):
-        factor = column(table, f"lamp.{side}.power_factor").min()
-        label = f"{side}, dimmed to {100 * factor:.0f} % in the worst step" if factor < 1 else side
-        flux.plot(time_s, column(table, f"lamp.{side}.flux_lm"), marker=mark, color=colour, label=label)
-    flux.set(title="Luminous flux of the lamps", ylabel="lm", ylim=(0, 1.08 * flux.dataLim.ymax or 1))
-    flux.legend(loc="lower right")
-    lamp = simulation.scenario.headlight
-    if looks:
-        flux.set_title("Luminous flux of the lamps, and the power of each")
-        watts = flux.secondary_yaxis("right", functions=(lamp.power_w, lambda power_w: (power_w - lamp.standby_w) * lamp.efficacy_lm_w))
-        watts.set_ylabel("W")
-    for light in below[-1:]:
-        _on_objects(light, table, objects)
-    for sure in below[:-1]:
-        _confidences(sure, table, objects)
-    (below or [flux])[-1].set_xlabel("s")
-
-
-def _confidences(sure: Axes, table: pa.Table, objects: Sequence[str]) -> None:
-    time_s = column(table, "time_s")
-    for name, colour in zip(objects, cycle(COLOURS), strict=False):
-        sure.plot(time_s, column(table, f"object.{name}.confidence"), color=colour, label=name)
-    sure.set(title="Confidence of objects, filtered over frames", ylim=(0, 1.02))
-    sure.legend(loc="best", ncols=2)
-
-
-def _on_objects(light: Axes, table: pa.Table, objects: Sequence[str]) -> None:
-    time_s, mark = column(table, "time_s"), "." if table.num_rows < 3 else ""
-    dark = [name for name in objects if np.nan_to_num(column(table, f"object.{name}.lx_max")).max() == 0]
-    for name, colour in zip(objects, cycle(COLOURS), strict=False):
-        if name in dark:
-            continue
-        light.plot(time_s, column(table, f"object.{name}.lx_mean"), marker=mark, color=colour, label=name)
-        light.plot(time_s, column(table, f"object.{name}.lx_max"), color=colour, linestyle=":", linewidth=0.9)
-    if "eyes_lx_max" in table.column_names and np.isfinite(column(table, "eyes_lx_max")).any():
-        light.plot(time_s, column(table, "eyes_lx_max"), color="0.5", linestyle="--", linewidth=0.9, label="most on heads and windscreens")
-    light.set(title="The lamps' light on objects, mean and most (dotted)", ylabel="lx")
-    light.set_yscale("symlog", linthresh=FAINTEST_LX)
-    light.set_ylim(bottom=-FAINTEST_LX / 10)
-    if len(dark) < len(objects):
-        light.legend(loc="best", ncols=2)
-    if dark:
-        light.text(0.01, 0.02, f"0 lx throughout: {', '.join(dark)}", transform=light.transAxes, fontsize=8, color="0.4")
 
 
 def _walls(figure: SubFigure, simulation: LightingSimulation, last: LightingResult) -> None:

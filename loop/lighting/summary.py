@@ -1,21 +1,27 @@
 """A recording of lighting functions in a few numbers."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 from rich.markup import escape
 from rich.table import Table
 
 from loop.summary import column
 
+START_UP_S = 1.0  # in which functions that learn begin with more light than they come to need
 SETTLED = 0.05  # greatest deviation of a zone from its target, as a share of it
 LAST_STEPS = 10  # that a confidence at the end is the mean of
-LOOKING = {"detections": "mean", "false_positives": "mean", "eyes_lx_max": "max"}
+LOOKING = ("detections", "false_positives")  # whose means are told
 
 
-def summarise(table: pa.Table, scenario: str) -> dict[str, Any]:
-    """A recording in a few numbers, ready for JSON: None where a value does not exist."""
+def summarise(table: pa.Table, scenario: str, compared_w: Mapping[str, NDArray[np.floating]]) -> dict[str, Any]:
+    """A recording in a few numbers, ready for JSON: None where a value does not exist.
+
+    compared_w: electrical power `[steps]` in W that the recording's is compared with, by name.
+    """
     known = table.column_names
     lamps = [name.split(".")[1] for name in table.column_names if name.startswith("lamp.") and name.endswith(".flux_lm")]
     objects = [name.removeprefix("object.").removesuffix(".lx_max") for name in table.column_names if name.endswith(".lx_max")]
@@ -43,25 +49,51 @@ def summarise(table: pa.Table, scenario: str) -> dict[str, Any]:
             name: {
                 "lx_mean": over(f"object.{name}.lx_mean", "mean"),
                 "lx_max": over(f"object.{name}.lx_max", "max"),
-                **(_recognised(table, f"object.{name}.") if f"object.{name}.track" in known else {}),
+                **(_recognised(table, name) if f"object.{name}.track" in known else {}),
             }
             for name in objects
         },
         **({"zones": zones} if (zones := _zones(table)) else {}),
         **(
-            {"energy_j": _energy(table), "base_share_final": float(column(table, "base_share")[-1])}
+            {
+                "energy_j": _energy(table, column(table, "power_w")),
+                "energy_compared_j": {name: _energy(table, watts) for name, watts in compared_w.items()},
+                "base_share_final": float(column(table, "base_share")[-1]),
+            }
             if "power_w" in known and table.num_rows
             else {}
         ),
-        **({key: over(key, what) for key, what in LOOKING.items()} if "detections" in known else {}),
+        **({key: over(key, "mean") for key in LOOKING} | _eyes(table) if "detections" in known else {}),
         "control_ms_median": float(np.median(column(table, "plan_ms") + column(table, "light_ms"))) if table.num_rows else None,
     }
+
+
+def zones_of(table: pa.Table) -> list[str]:
+    """Names of the zones of a recording."""
+    return [each.removeprefix("zone.").removesuffix(".target") for each in table.column_names if each.endswith(".target")]
+
+
+def lost_steps(table: pa.Table, name: str) -> int:
+    """Steps in which an object is in sight and no track shows it, after the first that did."""
+    in_sight, tracked = np.isfinite(column(table, f"object.{name}.confidence")), np.isfinite(column(table, f"object.{name}.track"))
+    return int((in_sight & ~tracked)[np.argmax(tracked) :].sum()) if tracked.any() else 0
+
+
+def eyes_lx(table: pa.Table, from_s: float = 0.0) -> float | None:
+    """Most light on heads and windscreens from a time on; None where none are seen."""
+    values = column(table, "eyes_lx_max")[column(table, "time_s") >= from_s]
+    values = values[np.isfinite(values)]
+    return float(values.max()) if len(values) else None
+
+
+def _eyes(table: pa.Table) -> dict[str, Any]:
+    return {"eyes_lx_max": eyes_lx(table), "eyes_lx_max_after_start_up": eyes_lx(table, START_UP_S)}
 
 
 def _zones(table: pa.Table) -> dict[str, Any]:
     """By name: how bright a zone is at the end, and the step from which on it stays within 5 % of its target; or None."""
     found = {}
-    for name in (each.removeprefix("zone.").removesuffix(".target") for each in table.column_names if each.endswith(".target")):
+    for name in zones_of(table):
         luminance, target = column(table, f"zone.{name}.luminance"), column(table, f"zone.{name}.target")
         beyond = np.flatnonzero(~(np.abs(luminance / target - 1) <= SETTLED))
         after = int(beyond[-1]) + 1 if len(beyond) else 0
@@ -71,18 +103,23 @@ def _zones(table: pa.Table) -> dict[str, Any]:
     return found
 
 
-def _energy(table: pa.Table) -> float | None:
+def _energy(table: pa.Table, power_w: NDArray[np.floating]) -> float | None:
     """Of all lamps, in J; None of a single step, which has no duration."""
-    power, times = column(table, "power_w"), column(table, "time_s")
-    return float(power.sum() * (times[-1] - times[0]) / (len(times) - 1)) if len(times) > 1 else None
+    times = column(table, "time_s")
+    return float(power_w.sum() * (times[-1] - times[0]) / (len(times) - 1)) if len(times) > 1 else None
 
 
-def _recognised(table: pa.Table, key: str) -> dict[str, Any]:
-    """The confidence at the end, and how many tracks showed an object one after the other."""
-    confidence = column(table, f"{key}confidence")[-LAST_STEPS:]
-    confidence = confidence[np.isfinite(confidence)]
-    tracks = {number for number in table[f"{key}track"].to_pylist() if number is not None}
-    return {"confidence_final": float(confidence.mean()) if len(confidence) else None, "tracks": len(tracks)}
+def _recognised(table: pa.Table, name: str) -> dict[str, Any]:
+    """The confidence at the end, how many tracks showed an object one after the other, and for how long it was in sight, and lost."""
+    confidence = column(table, f"object.{name}.confidence")
+    last = confidence[-LAST_STEPS:][np.isfinite(confidence[-LAST_STEPS:])]
+    tracks = {number for number in table[f"object.{name}.track"].to_pylist() if number is not None}
+    return {
+        "confidence_final": float(last.mean()) if len(last) else None,
+        "tracks": len(tracks),
+        "steps_in_sight": int(np.isfinite(confidence).sum()),
+        "steps_lost": lost_steps(table, name),
+    }
 
 
 def shown(values: dict[str, Any], files: str) -> Table:
@@ -106,15 +143,35 @@ def shown(values: dict[str, Any], files: str) -> Table:
     if values["idle_functions"]:
         rows["without effect"] = f"{', '.join(values['idle_functions'])}: nothing to draw, or nothing that a lamp reaches, in all steps"
     if values.get("energy_j") is not None:
-        rows["energy"] = f"{values['energy_j']:.0f} J by the lamp model, {values['base_share_final']:.1%} of the base beam left at the end"
-    if "eyes_lx_max" in values:
-        eyes = "" if values["eyes_lx_max"] is None else f"; {values['eyes_lx_max']:.3g} lx at most on heads and windscreens"
-        rows["found"] = f"{values['detections']:.1f} boxes a step, {values['false_positives']:.2f} of them false{eyes}"
+        rows["energy"] = _of_energy(values["energy_j"], values["energy_compared_j"])
+        if values["base_share_final"] < 1:
+            rows["base beam"] = f"{values['base_share_final']:.1%} of it left at the end"
+    if "detections" in values:
+        rows["found"] = f"{values['detections']:.1f} boxes a step, {values['false_positives']:.2f} of them false"
+        if values["eyes_lx_max"] is not None:
+            rows["on heads and windscreens"] = _on_eyes(values["eyes_lx_max"], values["eyes_lx_max_after_start_up"])
+    for name, each in values["objects"].items():
+        if each.get("steps_in_sight") and (each["steps_lost"] or not each["tracks"]):
+            word, gone = ("lost", each["steps_lost"]) if each["tracks"] else ("missed", each["steps_in_sight"])
+            rows[f"{word} {name}"] = f"no track shows it in {gone} of the {each['steps_in_sight']} steps in which it is in sight"
     rows["time a step"] = f"{_number(values['control_ms_median'], '.1f')} ms (median) for planning and all lamps"
     rows["files"] = files
     for label, value in rows.items():
         table.add_row(f"[bold]{escape(label)}[/]", escape(value))
     return table
+
+
+def _of_energy(own_j: float, compared_j: Mapping[str, float]) -> str:
+    standby, *others = compared_j.items()
+    beams = "".join(f", {name} {joules:.0f} J" for name, joules in others)
+    undimmed = f"; undimmed{beams[1:]}" if beams else ""
+    return f"{own_j:.0f} J by the lamp model, {standby[1]:.0f} J of it {standby[0]}{undimmed}"
+
+
+def _on_eyes(most_lx: float, later_lx: float | None) -> str:
+    if later_lx is None:
+        return f"{most_lx:.3g} lx at most, all within the first {START_UP_S:g} s"
+    return f"{later_lx:.3g} lx at most from {START_UP_S:g} s on, {most_lx:.3g} lx with the start-up before"
 
 
 def _number(value: float | None, form: str) -> str:

@@ -1,0 +1,41 @@
+"""Electrical power to compare a run's with: of lamps on standby, of the low beam, and of the base beam that nothing dims."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+from torch import Tensor
+
+from controllers.functions.base_beams import BaseBeam
+from controllers.planner import Plan
+from loop.lighting.simulation import LightingSimulation
+from loop.summary import column
+
+LOW, STANDBY = "low", "standby"
+
+
+def compared(simulation: LightingSimulation, table: pa.Table) -> Mapping[str, NDArray[np.floating]]:
+    """W of all lamps in each step `[steps]`, by name: "standby", "low beam" if they have one, then the base beam if it is another."""
+    modules, beams = simulation.modules, table["beam"].to_pylist()
+    steps = np.ones(table.num_rows)
+    found = {STANDBY: steps * _watts(simulation, [module.flux * 0 for module in modules])}
+    if all(LOW in module.lamp.beams for module in modules):
+        low = [module.lamp.beam(LOW)[module.number].to(module.flux) for module in modules]
+        found[f"{LOW} beam"] = steps * _watts(simulation, low)
+    own = dict.fromkeys(simulation.base(beam) for beam in beams)
+    if set(own) - {*found, "off beam"}:
+        plans = (Plan(time_s, BaseBeam(beam), None) for time_s, beam in zip(column(table, "time_s"), beams, strict=True))
+        watts = [_watts(simulation, [module.base(plan) for module in modules]) for plan in plans]
+        found[next(iter(own)) if len(own) == 1 else "base beam"] = np.array(watts)
+    return found
+
+
+def _watts(simulation: LightingSimulation, lights: Sequence[Tensor]) -> float:
+    params, limit = simulation.scenario.headlight, simulation.scenario.lighting.power_limit or 1.0
+    total = 0.0
+    for side in dict.fromkeys(module.side for module in simulation.modules):
+        mine = [(u, module.flux) for module, u in zip(simulation.modules, lights, strict=True) if module.side == side]
+        most = limit * sum(float(flux.sum()) for _, flux in mine)
+        total += params.power_w(min(sum(float((u * flux).sum()) for u, flux in mine), most))
+    return total

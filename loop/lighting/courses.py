@@ -1,0 +1,96 @@
+"""What of lighting functions is drawn over time: flux, electrical power, luminance of zones, confidence, and light on objects."""
+
+from collections.abc import Callable, Sequence
+from itertools import cycle
+
+import numpy as np
+import pyarrow as pa
+from matplotlib.axes import Axes
+from matplotlib.figure import SubFigure
+
+from loop.lighting.compared import compared
+from loop.lighting.simulation import LightingSimulation
+from loop.lighting.summary import START_UP_S, eyes_lx, lost_steps, zones_of
+from loop.report import FOUR, headed
+from loop.summary import column
+
+COLOURS = (*FOUR, "#56b4e9", "#d55e00", "#000000", "#999999")
+GREYS = (":", "--", "-.")  # lines of what power is compared with
+FAINTEST_LX = 0.01  # where the scale of illuminance on objects begins
+FEW_STEPS = 30  # which are marked one by one
+
+
+def write_courses(figure: SubFigure, simulation: LightingSimulation, table: pa.Table) -> None:
+    """One chart below the other, of what there is in a recording's table."""
+    charts: dict[Callable[[Axes], None], float] = {lambda axes: _flux(axes, simulation, table): 1.0}  # and how high they are
+    if "power_w" in table.column_names:
+        charts[lambda axes: _power(axes, simulation, table)] = 1.1
+    if zones := zones_of(table):
+        charts[lambda axes: _zones(axes, table, zones)] = 2.0
+    objects, looks = list(simulation.watched), simulation.sight is not None
+    if objects and looks:
+        charts[lambda axes: _confidences(axes, table, objects)] = 1.4
+    if objects:
+        charts[lambda axes: _on_objects(axes, table, objects, named=not looks)] = 1.6
+    panels = figure.subplots(len(charts), 1, sharex=True, squeeze=False, height_ratios=list(charts.values()))[:, 0]
+    for axes, chart in zip(panels, charts, strict=True):
+        chart(axes)
+    panels[-1].set_xlabel("s")
+
+
+def _mark(table: pa.Table) -> str:
+    return "." if table.num_rows < FEW_STEPS else ""
+
+
+def _flux(axes: Axes, simulation: LightingSimulation, table: pa.Table) -> None:
+    for side, colour in zip(dict.fromkeys(module.side for module in simulation.modules), FOUR, strict=False):
+        factor = column(table, f"lamp.{side}.power_factor").min()
+        label = f"{side}, dimmed to {100 * factor:.0f} % in the worst step" if factor < 1 else side
+        axes.plot(column(table, "time_s"), column(table, f"lamp.{side}.flux_lm"), marker=_mark(table), color=colour, label=label)
+    axes.set(ylabel="lm", ylim=(0, 1.08 * axes.dataLim.ymax or 1))
+    headed(axes, "Luminous flux of the lamps")
+
+
+def _power(axes: Axes, simulation: LightingSimulation, table: pa.Table) -> None:
+    time_s = column(table, "time_s")
+    axes.plot(time_s, column(table, "power_w"), marker=_mark(table), color="black", label="this run")
+    for (name, watts), line in zip(compared(simulation, table).items(), GREYS, strict=False):
+        axes.plot(time_s, watts, color="0.5", linestyle=line, label=name)
+    axes.set(ylabel="W", ylim=(0, 1.08 * axes.dataLim.ymax or 1))
+    headed(axes, "Electrical power, beside that of undimmed beams")
+
+
+def _zones(axes: Axes, table: pa.Table, zones: Sequence[str]) -> None:
+    time_s = column(table, "time_s")
+    for name, colour in zip(zones, cycle(COLOURS), strict=False):
+        axes.plot(time_s, column(table, f"zone.{name}.luminance"), marker=_mark(table), color=colour, label=name)
+        axes.plot(time_s, column(table, f"zone.{name}.target"), color=colour, linestyle="--", linewidth=0.9)
+    axes.set(ylabel="cd/m²", ylim=(0, 1.08 * axes.dataLim.ymax))
+    headed(axes, "Luminance of zones, and what is wanted (dashed)")
+
+
+def _confidences(axes: Axes, table: pa.Table, objects: Sequence[str]) -> None:
+    for name, colour in zip(objects, cycle(COLOURS), strict=False):
+        gone = lost_steps(table, name)
+        label = name if not gone else f"{name}, lost in {gone} steps"
+        axes.plot(column(table, "time_s"), column(table, f"object.{name}.confidence"), color=colour, label=label)
+    axes.set(ylim=(0, 1.02))
+    headed(axes, "Confidence of objects, filtered over frames")
+
+
+def _on_objects(axes: Axes, table: pa.Table, objects: Sequence[str], named: bool) -> None:
+    time_s = column(table, "time_s")
+    for name, colour in zip(objects, cycle(COLOURS), strict=False):
+        mean, most = column(table, f"object.{name}.lx_mean"), column(table, f"object.{name}.lx_max")
+        label = f"{name}: 0 lx throughout" if np.nan_to_num(most).max() == 0 else name if named else None
+        axes.plot(time_s, mean, marker=_mark(table), color=colour, label=label)
+        axes.plot(time_s, most, color=colour, linestyle=":", linewidth=0.9)
+    if "eyes_lx_max" in table.column_names and np.isfinite(column(table, "eyes_lx_max")).any():
+        later = eyes_lx(table, START_UP_S)
+        told = "" if later is None else f": {later:.2g} lx from {START_UP_S:g} s on"
+        axes.plot(time_s, column(table, "eyes_lx_max"), color="0.5", linestyle="--", label=f"most on heads and windscreens{told}")
+    axes.set(ylabel="lx", yscale="log")
+    if axes.dataLim.ymin < FAINTEST_LX:
+        axes.set_yscale("symlog", linthresh=FAINTEST_LX)
+        axes.set_ylim(bottom=-FAINTEST_LX / 10)
+    headed(axes, "The lamps' light on objects, mean and most (dotted)")

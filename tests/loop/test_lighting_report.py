@@ -1,0 +1,131 @@
+"""What report and summary of lighting functions tell: charts that nothing hides, energy beside that of beams, whom the tracker loses."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from rich.console import Console
+
+from loop.lighting.compared import compared
+from loop.lighting.courses import write_courses
+from loop.lighting.simulation import LightingSimulation
+from loop.lighting.summary import eyes_lx, lost_steps, shown
+from loop.report import STYLE
+from loop.run import run
+from loop.scenario import LightingScenario, validate_any
+
+WALKER = {"kind": "pedestrian", "name": "walker", "seed": 3, "track": [{"position_m": [15, -2, 0]}]}
+ZONE = {"kind": "zone", "name": "wall", "centre_m": [14, 1, 1.0], "size_m": [0, 1.6, 1.6], "luminance_cd_m2": 0.1}
+HALF = {"kind": "object_based", "method": "constant", "share": 0.5, "setpoint_lx": 0.0}
+
+
+def scenario(functions: list[dict[str, Any]], beam: str = "high", **changes: Any) -> LightingScenario:
+    base = {
+        "name": "told",
+        "steps": 4,
+        "headlight": {"model": "hd84"},
+        "camera": {"width_px": 160, "height_px": 90, "oversampling": 1, "saturation_e": 2000},
+        "surface": {"grain": 0.0},
+        "objects": [WALKER],
+        "detector": {"kind": "truth"},
+        "lighting": {"base": {"beam": beam}, "functions": functions},
+        "renderer": "raycast",
+    }
+    found = validate_any(base | changes, "told")
+    assert isinstance(found, LightingScenario)
+    return found
+
+
+def test_every_chart_is_there_and_no_legend_lies_over_one(tmp_path: Path) -> None:
+    given = scenario([HALF, ZONE])
+    run(given, tmp_path / "told", video=False)
+    table = pq.read_table(tmp_path / "told" / "trajectory.parquet")
+    with rc_context(STYLE):
+        figure = Figure((5.4, 7.4), 80, layout="constrained")
+        FigureCanvasAgg(figure)
+        write_courses(figure.add_subfigure(figure.add_gridspec()[0]), LightingSimulation.prepare(given), table)
+        figure.canvas.draw()
+    charts = {_title(axes): axes for axes in figure.axes}
+    assert [title.split()[0] for title in charts] == ["Luminous", "Electrical", "Luminance", "Confidence", "The"]
+    zone = charts["Luminance of zones, and what is wanted (dashed)"]
+    measured, wanted = (np.asarray(line.get_ydata()).tolist() for line in zone.get_lines())
+    assert measured == table["zone.wall.luminance"].to_pylist() and wanted == [0.1] * 4
+    for axes in charts.values():
+        legend = axes.get_legend()
+        assert legend is not None
+        around, chart = legend.get_window_extent(), axes.get_window_extent()
+        assert around.y0 >= chart.y1 and around.x1 <= figure.bbox.x1 and around.y1 <= figure.bbox.y1
+
+
+def _title(axes: Axes) -> str:
+    legend = axes.get_legend()
+    return axes.get_title(loc="left") if legend is None else legend.get_title().get_text()
+
+
+def test_energy_stands_beside_that_of_standby_and_of_undimmed_beams(tmp_path: Path) -> None:
+    dimmed, full = (run(scenario([each] if each else [], objects=[]), tmp_path / str(bool(each)), video=False) for each in (HALF, None))
+    others, seconds = dimmed["energy_compared_j"], 4 / 30
+    assert others == full["energy_compared_j"] and list(others) == ["standby", "low beam", "high beam"]
+    assert others["standby"] == pytest.approx(2 * 5.0 * seconds)
+    assert others["high beam"] == pytest.approx(full["energy_j"], rel=1e-5) and others["low beam"] < others["high beam"]  # float32
+    # What is left above standby goes with the share of the base beam
+    assert dimmed["energy_j"] - others["standby"] == pytest.approx(0.5 * (full["energy_j"] - others["standby"]), rel=1e-5)
+    console = Console(record=True, width=160)
+    console.print(shown(dimmed, "here"))
+    assert f"standby; undimmed low beam {others['low beam']:.0f} J, high beam" in console.export_text()
+
+
+def test_power_is_compared_within_the_same_limit_and_beams_are_named_once() -> None:
+    table = pa.table({"time_s": [0.0, 0.1], "beam": ["low", "low"]})
+    free, limited = (
+        compared(LightingSimulation.prepare(scenario([], "low", lighting={"base": {"beam": "low"}, "power_limit": limit})), table)
+        for limit in (1.0, 0.001)
+    )
+    assert list(free) == list(limited) == ["standby", "low beam"]
+    assert free["low beam"].shape == (2,) and free["standby"][0] < limited["low beam"][0] < free["low beam"][0]
+    dark = compared(LightingSimulation.prepare(scenario([], "off")), pa.table({"time_s": [0.0], "beam": ["off"]}))
+    assert list(dark) == ["standby", "low beam"]
+
+
+def test_steps_in_which_somebody_in_sight_is_lost_are_counted() -> None:
+    none = None
+    table = pa.table(
+        {
+            # seen before the first track; tracked; lost twice; out of sight; tracked again
+            "object.car.confidence": pa.array([0.0, 0.8, 0.0, 0.0, none, 0.7], pa.float64()),
+            "object.car.track": pa.array([none, 1, none, none, none, 2], pa.int64()),
+            "object.deer.confidence": pa.array([0.0] * 6, pa.float64()),
+            "object.deer.track": pa.array([none] * 6, pa.int64()),
+        }
+    )
+    assert lost_steps(table, "car") == 2 and lost_steps(table, "deer") == 0
+
+
+def test_light_on_eyes_is_told_without_the_start_up() -> None:
+    table = pa.table({"time_s": [0.0, 0.5, 1.0, 1.5], "eyes_lx_max": pa.array([8.0, 2.0, 0.4, None], pa.float64())})
+    assert eyes_lx(table) == 8.0 and eyes_lx(table, 1.0) == 0.4 and eyes_lx(table, 1.2) is None
+
+
+def test_whom_the_tracker_loses_is_told(tmp_path: Path) -> None:
+    """The detector finds nobody who is hidden by half, and a box comes before the walker in the fourth step."""
+    before = {"kind": "box", "name": "box", "size_m": [0.1, 3, 1.4], "appears_s": 0.09, "track": [{"position_m": [14, -2, 0]}]}
+    tracker = {"confirm_frames": 2, "keep_s": 0.1}
+    summary = run(
+        scenario([], steps=12, objects=[WALKER, before], detector={"kind": "truth", "least_visible": 0.5}, tracker=tracker),
+        tmp_path / "lost",
+        video=False,
+    )
+    walker = summary["objects"]["walker"]
+    assert walker["steps_in_sight"] == 12 and 2 <= walker["steps_lost"] <= 9
+    console = Console(record=True, width=160)
+    console.print(shown(summary, "here"))
+    told = console.export_text()
+    assert f"no track shows it in {walker['steps_lost']} of the 12 steps in which it is in sight" in told
+    assert "lx at most, all within the first 1 s" in told
