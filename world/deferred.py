@@ -1,5 +1,6 @@
 """Depths and normals straight from OpenGL, for views of a world that moves: no exact intersections, but several times as fast."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -12,10 +13,11 @@ from torch import Tensor
 from world.body import Body
 from world.frames import inverse
 from world.rasterise import FAR_M, NEAR_M, context
-from world.triangles import Triangles
+from world.triangles import Placed, Triangles
 from world.view import View
 
 MOST_PARTS = 64  # of a body: its number and that of a part share a float of 24 bits
+KEPT = 8  # views of which an image of what stands still is kept
 
 
 @dataclass(frozen=True)
@@ -23,17 +25,19 @@ class Fragments:
     """What OpenGL says of each pixel's centre; all zero where there is nothing.
 
     depth: `[height, width]` m along the optical axis. normal: `[3, height, width]`, unit, in the view's frame.
-    part: `[height, width]` int32, which of the placed bodies, -1 = none. part_of_body: `[height, width]` int32, which of its own parts.
+    object_id: `[height, width]` int32, -1 = none. part: `[height, width]` int32, which of its body's parts.
     """
 
     depth: Tensor
     normal: Tensor
+    object_id: Tensor
     part: Tensor
-    part_of_body: Tensor
 
 
 class DeferredRenderer:
     """Draws placed bodies into a buffer of floats, and reads it back. Corners are snapped to 1/256 px or so.
+
+    Bodies that are where they were when a view was last looked through are drawn once for all further looks.
 
     All instances share the process's one context; use them from one thread.
     """
@@ -42,13 +46,11 @@ class DeferredRenderer:
         """Raises NoOpenGL."""
         context()
         self._arrays: WeakKeyDictionary[Body, tuple[int, int]] = WeakKeyDictionary()
+        self._still: dict[tuple[float, ...], tuple[tuple[Placed, ...], Tensor | None]] = {}  # by the numbers of a view
 
     def fragments(self, triangles: Triangles, view: View) -> Fragments:
         """Draw the triangles as `view` sees them."""
-        from OpenGL import GL
-
-        self._draw(triangles, view)
-        depth, number, x, y = _read(view, GL.GL_RGBA, 4).permute(2, 0, 1).contiguous()
+        depth, number, x, y = self._image(triangles.placed, view, 4).permute(2, 0, 1).contiguous()
         hit = number.abs()
         z = (hit.clamp(max=1) - x * x - y * y).clamp(min=0).sqrt() * -number.sign()
         code = hit.int()
@@ -56,13 +58,27 @@ class DeferredRenderer:
 
     def depth(self, triangles: Triangles, view: View) -> Tensor:
         """Depth `[height, width]` float32 in m along the optical axis, infinite where there is nothing."""
-        from OpenGL import GL
-
-        self._draw(triangles, view)
-        depth = _read(view, GL.GL_RED, 1)[:, :, 0]
+        depth = self._image(triangles.placed, view, 1)[:, :, 0]
         return torch.where(depth > 0, depth, torch.inf)
 
-    def _draw(self, triangles: Triangles, view: View) -> None:
+    def _image(self, placed: tuple[Placed, ...], view: View, channels: int) -> Tensor:
+        """`[height, width, channels]`, depth first, zero where there is nothing."""
+        numbers = (view.width, view.height, view.fx, view.fy, view.cx, view.cy, *view.T_world_view.flatten().tolist(), channels)
+        last, image = self._still.pop(numbers, ((), None))
+        still = tuple(each for each in last if each in placed)
+        if still and (image is None or len(still) < len(last)):
+            image = self._draw(still, view, channels)
+        moved = tuple(each for each in placed if each not in still)
+        if len(self._still) == KEPT:
+            del self._still[next(iter(self._still))]  # which was looked at longest ago
+        self._still[numbers] = (still, image) if still else (placed, None)
+        if image is None or not still:
+            return self._draw(placed, view, channels)
+        over = self._draw(moved, view, channels)
+        depth, behind = over[..., :1], image[..., :1]
+        return torch.where((depth > 0) & ((behind == 0) | (depth < behind)), over, image)
+
+    def _draw(self, bodies: Sequence[Placed], view: View, channels: int) -> Tensor:
         from OpenGL import GL
 
         context()._platform.make_current()
@@ -82,10 +98,10 @@ class DeferredRenderer:
         at = {name: GL.glGetUniformLocation(program, name) for name in ("T_view_body", "projection", "number", "two_sided")}
         GL.glUniformMatrix4fv(at["projection"], 1, GL.GL_TRUE, _projection(view))
         T_view_world = inverse(view.T_world_view)
-        for number, placed in enumerate(triangles.placed, 1):
+        for placed in bodies:
             array, count = self._array_of(placed.body)
             GL.glUniformMatrix4fv(at["T_view_body"], 1, GL.GL_TRUE, (T_view_world @ placed.T_world_body).float().numpy())
-            GL.glUniform1f(at["number"], float(MOST_PARTS * number))
+            GL.glUniform1f(at["number"], float(MOST_PARTS * (placed.object_id + 1)))
             GL.glUniform1i(at["two_sided"], placed.body.two_sided)
             (GL.glDisable if placed.body.two_sided else GL.glEnable)(GL.GL_CULL_FACE)
             GL.glBindVertexArray(array)
@@ -93,6 +109,7 @@ class DeferredRenderer:
         GL.glBindVertexArray(0)
         GL.glUseProgram(0)
         GL.glFrontFace(GL.GL_CCW)  # which pyrender takes for granted
+        return _read(view, channels)
 
     def _array_of(self, body: Body) -> tuple[int, int]:
         """A body's vertex array and its number of corners, uploaded at the first time and deleted with the body."""
@@ -146,13 +163,13 @@ def _projection(view: View) -> np.ndarray:
     return P
 
 
-def _read(view: View, channels: int, count: int) -> Tensor:
-    """`[height, width, count]` float32."""
+def _read(view: View, channels: int) -> Tensor:
+    """`[height, width, channels]` float32, of one or of four."""
     from OpenGL import GL
 
-    pixels = np.empty((view.height, view.width, count), np.float32)
+    pixels = np.empty((view.height, view.width, channels), np.float32)
     GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, _framebuffer()[0])
-    GL.glReadPixels(0, 0, view.width, view.height, channels, GL.GL_FLOAT, pixels)
+    GL.glReadPixels(0, 0, view.width, view.height, GL.GL_RED if channels == 1 else GL.GL_RGBA, GL.GL_FLOAT, pixels)
     GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, 0)
     return torch.from_numpy(pixels)
 

@@ -48,25 +48,23 @@ class QuickSurfaces:
 
     def gbuffer(self, triangles: Triangles, view: View) -> GBuffer:
         seen = self.renderer.fragments(triangles, view)
-        part, shape = seen.part.flatten(), seen.part.shape
+        object_id, shape = seen.object_id.flatten(), seen.object_id.shape
         T_world_view = view.T_world_view.float()
         position = view.rays().float().flatten(1) * seen.depth.flatten()
-        position += T_world_view[:3, 3:] * (part >= 0)
+        position += T_world_view[:3, 3:] * (object_id >= 0)
         normal = T_world_view[:3, :3] @ seen.normal.flatten(1)
-        of_part = torch.tensor([-1, *(placed.object_id for placed in triangles.placed)], dtype=torch.int32)
-        object_id = of_part.index_select(0, part + 1)
-        albedo, material = torch.zeros(part.shape), torch.zeros(part.shape, dtype=torch.int64)
-        part_of_body = seen.part_of_body.flatten() if any(placed.body.parts for placed in triangles.placed) else None
+        albedo, material = torch.zeros(object_id.shape), torch.zeros(object_id.shape, dtype=torch.int64)
+        part = seen.part.flatten() if any(placed.body.parts for placed in triangles.placed) else None
         numbers: dict[Material, int] = {LAMBERTIAN: 0}
         for placed in _one_an_object(triangles):
             pixels = torch.nonzero(object_id == placed.object_id)[:, 0]
             if len(pixels):
-                on_part = None if part_of_body is None else part_of_body[pixels]
+                on_part = None if part is None else part[pixels]
                 albedo[pixels], made_of = reflection(placed, position[:, pixels], numbers, on_part)
                 if len(numbers) > 1:  # else it is the first, and its number 0
                     material[pixels] = made_of
         finish = Finish(tuple(numbers), material.view(shape), view.origin) if len(numbers) > 1 else None
-        parts = None if part_of_body is None else part_of_body.view(shape)
+        parts = None if part is None else part.view(shape)
         return GBuffer(position.view(3, *shape), normal.view(3, *shape), albedo.view(shape), object_id.view(shape), finish, parts)
 
     def shadow_map(self, triangles: Triangles, view: View) -> ShadowMap:

@@ -95,6 +95,23 @@ def test_a_view_that_moves_sees_what_a_standing_one_sees_of_a_world_that_moves_t
     assert (moved.albedo - standing.albedo).flatten()[seen].abs().quantile(0.99) < 1e-3
 
 
+def test_what_stands_still_is_seen_the_same_in_every_further_look():
+    """A body that moves, one that goes, and one that comes, before and behind what stands."""
+    road, box, sheet = bodies()
+    moving = replace(box, track=PoseTrack((0.0, 3.0), torch.stack([pose_from_degrees((x, -3.0 + 6 * (x < 15), 0)) for x in (12.0, 25.0)])))
+    going, coming = (replace(sheet, track=replace(sheet.track, **life)) for life in ({"vanishes_s": 1.5}, {"appears_s": 1.5}))
+    world, again, view, light = Scene((road, moving, going, box, coming)), quick(), camera(), lamp(512, 256)
+    for t_s in (0.0, 0.5, 1.0, 1.5, 2.0, 2.0, 3.0):
+        triangles = world.at(t_s)
+        seen, fresh = (way.gbuffer(triangles, view) for way in (again, quick()))
+        same = seen.object_id == fresh.object_id  # but where depths are equal to 24 bits, at a foot on the road
+        assert same.float().mean() > 0.9999 and set(seen.object_id.unique().tolist()) == set(fresh.object_id.unique().tolist())
+        assert torch.equal(seen.position[:, same], fresh.position[:, same]) and torch.equal(seen.normal[:, same], fresh.normal[:, same])
+        assert torch.equal(seen.albedo[same], fresh.albedo[same])
+        depth, anew = (way.shadow_map(triangles, light).depth for way in (again, quick()))
+        assert (depth == anew).float().mean() > 0.9999
+
+
 def test_drawing_in_turn_with_pyrender_changes_neither():
     try:
         source = face_source("opengl")
