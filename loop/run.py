@@ -1,6 +1,7 @@
 """Run a scenario: recorded, filmed and reported. The command line and Python programs use it alike."""
 
 import math
+from collections import Counter
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
@@ -119,8 +120,12 @@ def check(scenario: AnyScenario, device: str = "auto") -> str:
     """Build everything that a scenario names, and say in a line what it is. Raises LuxloopError where it cannot run."""
     if isinstance(scenario, LightingScenario):
         simulation = LightingSimulation.prepare(scenario, torch_device(device))
-        kinds = ", ".join(function.kind for function in scenario.lighting.functions) or "none"
-        return f"{scenario.steps} steps, road {scenario.road.kind}, {simulation.base(scenario.lighting.base.beam)}, functions {kinds}"
+        number = Counter(function.kind for function in scenario.lighting.functions)
+        kinds = ", ".join(kind if count == 1 else f"{count} x {kind}" for kind, count in number.items()) or "none"
+        finder = "no detector" if scenario.detector is None else f"detector {scenario.detector.kind}"
+        beam = simulation.base(scenario.lighting.base.beam)
+        seen = f"{len(scenario.all_objects)} objects, {finder}"
+        return f"{scenario.steps} steps, road {scenario.road.kind}, {beam}, functions {kinds}, {seen}"
     prepare(scenario, device)
     return f"{scenario.steps} steps, road {scenario.road.kind}, controller {scenario.controller.name}"
 

@@ -315,13 +315,17 @@ def validate_any(data: Mapping[str, Any], source: str) -> AnyScenario:
     key = _key_of_date(data)
     if key:
         raise LuxloopError(f"{source}: {key}: is a date or a time, which has no meaning here; write a number or a text in quotes")
-    if "symbol" in data and "raw" in data.get("lighting", ()):
+    lighting = data.get("lighting")
+    if "symbol" in data and isinstance(lighting, Mapping) and lighting.get("raw"):
         raise LuxloopError(
             f"{source}: lighting.raw: the controller of a [symbol] moves a primitive, which raw utilisations have none of; take one of the "
             "two out, or give a lamp file the utilisations as a beam (docs/lampfiles.md) and draw the symbol into it with headlight.beam"
         )
     if "symbol" in data and "lighting" in data:
-        raise LuxloopError(f"{source}: has both a [symbol] and [lighting]; a scenario is of one kind, take one of the two out")
+        raise LuxloopError(
+            f"{source}: has both a [symbol] and [lighting]; a scenario is of one kind, take one of the two out (what a lighting "
+            "function draws is its own image, as in lighting.functions[0].image)"
+        )
     if "controller" in data and "lighting" in data:
         raise LuxloopError(f"{source}: controller: a scenario with [lighting] has no controller; leave it out")
     kind: type[AnyScenario] = LightingScenario if "lighting" in data else Scenario

@@ -155,7 +155,15 @@ def test_the_command_line_knows_both_kinds(capsys: pytest.CaptureFixture[str]) -
     listed = capsys.readouterr().out
     assert "glare_free" in listed and "thesis_pid" in listed
     assert cli.main(["check", "gfhb", "--set", "headlight.model=hd84", "renderer=raycast"]) == cli.OK
-    assert "high beam, functions glare_free" in capsys.readouterr().out
+    assert "high beam, functions glare_free, 5 objects, no detector" in capsys.readouterr().out
+    assert cli.main(["check", "zones", "--set", "detector.kind=truth", "renderer=raycast"]) == cli.OK
+    assert "low beam, functions 4 x zone, 3 objects, detector truth" in capsys.readouterr().out
+
+
+def test_a_symbol_has_no_place_beside_lighting(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["check", "gfhb", "--set", "symbol.image=none.png"]) == cli.WRONG
+    told = capsys.readouterr().err
+    assert "both a [symbol] and [lighting]" in told and "lighting.functions[0].image" in told and "lighting.raw" not in told
 
 
 def test_light_on_an_object_is_that_of_the_law_of_distances() -> None:
