@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.nn.functional import grid_sample
 
 from controllers.primitives import U_ABS, Primitives, meant
-from world.frames import inverse, transform
+from world.frames import inverse
 from world.headlight import Headlight
 from world.raycast import first_hits
 from world.scene import StreetLamp
@@ -55,18 +55,21 @@ class Light:
 
     def possible(self, points: Tensor) -> Tensor:
         """`I_sum / d^2` `[..., N]` in lx, on a surface that faces the lamp; zero outside of its light texture."""
-        x, y, z = transform(self._T_headlight_world.to(points), points).unbind(-2)
-        ahead = torch.where(x > 0, x, 1.0)
-        row, col = self.grid.texel_of(y / ahead, z / ahead)
-        at = torch.stack([col * (2 / self.grid.cols) - 1, row * (2 / self.grid.rows) - 1], -1)  # the texture reaches from -1 to 1
+        projection, full = self._projection.to(points), self.full.to(points)
+        x, *_ = seen = (projection[:, :3] @ points + projection[:, 3:]).movedim(-2, 0)
+        at = (seen[1:] / torch.where(x > 0, x, 1.0)).movedim(0, -1)
         inside = (at.abs().amax(-1) <= 1) & (x > 0)
-        full = self.full.to(points).expand(1, 1, -1, -1)
-        intensity = grid_sample(full, at.reshape(1, 1, -1, 2), padding_mode="border", align_corners=False).view_as(x)
-        return intensity * inside / (x * x + y * y + z * z)
+        intensity = grid_sample(full[None, None], at.reshape(1, 1, -1, 2), padding_mode="border", align_corners=False).view_as(x)
+        d2 = (points - self.T_world_headlight[:3, 3:].to(points)).square().sum(-2)
+        return intensity * inside / d2
 
     @cached_property
-    def _T_headlight_world(self) -> Tensor:
-        return inverse(self.T_world_headlight)
+    def _projection(self) -> Tensor:
+        """`[3, 4]`, to the distance ahead and, times that, column and row of the texture, which reaches from -1 to 1."""
+        wide, high = self.grid.left - self.grid.right, self.grid.top - self.grid.bottom
+        column = [(self.grid.left + self.grid.right) / wide, -2 / wide, 0.0]
+        row = [(self.grid.top + self.grid.bottom) / high, 0.0, -2 / high]
+        return self.T_world_headlight.new_tensor([[1.0, 0.0, 0.0], column, row]) @ inverse(self.T_world_headlight)[:3]
 
 
 def shares(lights: Sequence[Light], points: Tensor, occluded: Caster | None = None, asked: Tensor | None = None) -> Tensor:
