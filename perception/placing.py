@@ -51,6 +51,16 @@ def nearness(view: View, u: Tensor, v: Tensor) -> Tensor:
     return (-_direction(view, u, v)[..., 2] / _height(view)).clamp(min=1 / FARTHEST_M)
 
 
+def road_rows(view: View, u: Tensor) -> tuple[Tensor, float]:
+    """The horizon's row in columns `[...]` px, and the inverse of the camera's height in 1/m as far as it looks ahead.
+
+    That is by how much a metre on the road looks larger, in px, from row to row.
+    """
+    _, down, ahead = view.T_world_view[2, :3].unbind()
+    across = view.T_world_view[2, 0] * (u - view.cx) / view.fx
+    return view.cy - view.fy * (across + ahead) / down, float(-down * view.fx / view.fy / _height(view))
+
+
 def _height(view: View) -> float:
     return max(float(view.origin[2]), LOWEST_M)
 

@@ -1,10 +1,9 @@
 """Multi-object tracking: boxes found frame by frame become tracks that keep their identity, with scores filtered over frames.
 
-A track is a Kalman filter of constant velocity for the middle of the box's foot in the image, and a size on the road. Things do not
-shrink, but light hides parts of them: a size grows quickly and falls slowly, and a box that is smaller than expected is taken for a part
-and completed. Detections are given to tracks by the assignment of least cost (Hungarian method), which counts overlap, distance and
-class. In the image lengths are measured in sizes of the box, the root of its area: for a pedestrian that is about a metre, wherever they
-are.
+A track is a Kalman filter of constant velocity for the middle of the box's foot in the image, and a size on the road, as its class has.
+Light and other objects hide parts: a box that is smaller than expected is taken for a part and completed. Detections are given to tracks by
+the assignment of least cost (Hungarian method), which counts overlap, distance and class. In the image lengths are measured in sizes of the
+box, the root of its area: for a pedestrian that is about a metre, wherever they are.
 """
 
 import math
@@ -18,82 +17,34 @@ from torch import Tensor
 
 from perception.detection.protocol import Detections
 from perception.detection.suppression import overlaps
+from perception.parts import alike, are_parts, belonging, completed, limits_m, standing
 from perception.placing import nearness
+from perception.tracks import EACH, Tracks
 from world.params import Params
 from world.tracked import Category
 from world.view import View
 
 MEASURED = 0.05  # standard deviation of the foot of a detected box, in sizes
-STARTS = (4.0, 1.0)  # of a new track's rates, in sizes a second: 4 m/s across for a pedestrian's size, less up and down
-CHANGES = (2.0, 0.7)  # of how rates change, in sizes and the root of a second
+STARTS = (4.0, 0.5)  # of a new track's rates, in sizes a second: 4 m/s across for a pedestrian's size, less up and down
+CHANGES = (1.0, 0.3)  # of how rates change, in sizes and the root of a second
 GATE = 4.0  # standard deviations, in u and in v, beyond which a detection is no track's
 FARTHEST = 2.0  # sizes, the same
 OTHER_CLASS = 0.5  # cost of a detection that is nothing like the track's class
 LARGEST_COST = 1.8  # a track rather stays without a detection; the overlap costs 1 at most
-GROWS_S, SHRINKS_S = 0.5, 10.0  # time constants of sizes
-WHOLE = 0.85  # of the expected width or height: what is smaller is a part
-RESTS_S = 0.3  # in which the rate of what is seen in part falls, since a part says little of it
-PART = 0.9  # share of a box that lies in a track's, from which on it is a part of what is tracked and no new object
-ALIKE: tuple[frozenset[Category], ...] = (frozenset({"pedestrian", "cyclist", "motorcycle"}), frozenset({"car", "truck"}))  # by their parts
+FOLLOWS_S = 1.0  # time constant of sizes
+RESTS_S = 1.0  # in which the rate of what is seen in part falls, since a part says little of it
 WEAK = 0.5  # of the score that starts a track: what scores less does not keep one
 LINGER_S = 2.0  # for which a lost track is still told, so that what is drawn about it can fade
+SURER = 2.0  # as sure of another class as of its own, and a track changes class
 
 
 class TrackerParams(Params):
     """How detections become objects that keep their identity."""
 
-    start_score: float = Field(0.5, ge=0, le=1, description="score from which on a detection may be a new object, which half of it keeps")
+    start_score: float = Field(0.3, ge=0, le=1, description="score from which on a detection may be a new object, which half of it keeps")
     confirm_frames: int = Field(3, ge=1, le=30, description="frames in a row that must show a new object, as surely, before it is reported")
     keep_s: float = Field(0.7, ge=0, le=10, description="for how long an object that is no longer found is kept, where it ought to be")
     confidence_s: float = Field(0.15, ge=0, le=10, description="time constant of the filter from scores to confidence; 0: none")
-
-
-@dataclass(frozen=True, eq=False)
-class Tracks:
-    """All tracks after a frame; n of them, C classes.
-
-    number: `[n]`, the identity. mean: `[n, 2, 2]`, u and v of the foot in px and their rates a second. covariance: `[n, 2, 2, 2]`.
-    size_m: `[n, 2]`, width and height. frames: `[n]` that showed it. since_s, seen_s, until_s: `[n]`, when it was confirmed, last found and
-    lost; inf: not yet. confidence: `[n, C]`, filtered. score: `[n, C]` in this frame, NaN where it was not found.
-    """
-
-    time_s: float
-    number: Tensor
-    mean: Tensor
-    covariance: Tensor
-    size_m: Tensor
-    frames: Tensor
-    since_s: Tensor
-    seen_s: Tensor
-    until_s: Tensor
-    confidence: Tensor
-    score: Tensor
-    following: int
-
-    def __len__(self) -> int:
-        return len(self.number)
-
-    def take(self, which: Tensor) -> "Tracks":
-        """Those of indices or of a mask."""
-        return replace(self, **{name: getattr(self, name)[which] for name in EACH})
-
-    @property
-    def known(self) -> "Tracks":
-        """Those that are confirmed, the lost ones among them."""
-        return self.take(self.since_s.isfinite())
-
-    @property
-    def present(self) -> "Tracks":
-        """Those that are confirmed and not lost."""
-        return self.take(self.since_s.isfinite() & self.until_s.isinf())
-
-    @property
-    def category(self) -> Tensor:
-        """`[n]`, index of the class of most confidence."""
-        return self.confidence.argmax(-1)
-
-
-EACH = ("number", "mean", "covariance", "size_m", "frames", "since_s", "seen_s", "until_s", "confidence", "score")
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +60,11 @@ class Tracker:
         return self._started(1, Detections(torch.zeros(0, 4).double(), torch.zeros(0, len(self.classes)).double()), 0.0)
 
     def boxes(self, tracks: Tracks) -> Tensor:
-        """`[n, 4]` px: left, top, right, bottom."""
+        """`[n, 4]` px: left, top, right, bottom, as far as in the image."""
+        return torch.minimum(self.whole(tracks).clamp(min=0), torch.tensor([self.view.width, self.view.height] * 2).double())
+
+    def whole(self, tracks: Tracks) -> Tensor:
+        """The same, with what is outside of the image."""
         u, v = tracks.mean[..., 0].unbind(-1)
         width, height = (tracks.size_m * self._pixels_a_metre(u, v)[:, None]).unbind(-1)
         return torch.stack([u - width / 2, v - height, u + width / 2, v], -1)
@@ -126,25 +81,19 @@ class Tracker:
 
     def step(self, tracks: Tracks, found: Detections, time_s: float) -> Tracks:
         """The tracks after a frame at a later time, in which these detections were found."""
-        found = Detections(found.boxes.detach().double().cpu(), found.scores.detach().double().cpu())
+        found = self._standing(found)
         alive = self.at(tracks, time_s).take(tracks.until_s.isinf())
         lost = tracks.take(tracks.until_s.isfinite() & (time_s - tracks.until_s < LINGER_S))
         mine, its = self.assigned(alive, found)
         shown = torch.zeros(len(alive), dtype=torch.bool).index_fill(0, mine, True)
+        whole = shown.index_copy(0, mine, ~are_parts(found.boxes[its], self.whole(alive.take(mine))).any(-1))
+        alive = self._corrected(alive, mine, found.boxes[its], time_s - tracks.time_s)
         score = torch.full_like(alive.score, math.nan).index_copy(0, mine, found.scores[its])
-        dt = time_s - tracks.time_s
-        confidence = alive.confidence + _share(dt, self.params.confidence_s) * (score.nan_to_num() - alive.confidence)
-        alive = self._corrected(alive, mine, found.boxes[its], dt)
-        alive = replace(alive, score=score, confidence=confidence, frames=alive.frames + shown)
-        sure = score.nan_to_num().amax(-1) >= WEAK * self.params.start_score
-        alive = replace(alive, seen_s=torch.where(sure, time_s, alive.seen_s))
-        likely = (alive.frames >= self.params.confirm_frames) & (confidence.amax(-1) >= self.params.start_score)
-        confirmed = shown & likely & alive.since_s.isinf()
-        gone = ~sure & (time_s - alive.seen_s > self.params.keep_s)
-        alive = replace(alive, since_s=torch.where(confirmed, time_s, alive.since_s), until_s=torch.where(gone, time_s, alive.until_s))
-        alive = alive.take(shown | alive.since_s.isfinite())
+        alive = self._told(alive, shown, score, time_s, time_s - tracks.time_s)
         left = torch.ones(len(found), dtype=torch.bool).index_fill(0, its, False) & (found.scores.amax(-1) >= self.params.start_score)
-        left &= ~self._parts(alive, found)
+        known = alive.since_s.isfinite()[:, None] & alike(self.classes)[alive.category][:, found.scores.argmax(-1)]
+        left &= ~(known & belonging(found.boxes, self.whole(alive), whole)).any(0)
+        alive = alive.take(shown | alive.since_s.isfinite())
         started = self._started(tracks.following, Detections(found.boxes[left], found.scores[left]), time_s)
         lost = replace(lost, score=torch.full_like(lost.score, math.nan))
         values: dict[str, Any] = {name: torch.cat([getattr(each, name) for each in (lost, alive, started)]) for name in EACH}
@@ -154,10 +103,10 @@ class Tracker:
         """Indices `[k]` of tracks, and `[k]` of the detections that are theirs."""
         if not len(tracks) or not len(found):
             return torch.zeros(0, dtype=torch.int64), torch.zeros(0, dtype=torch.int64)
-        expected, px = self.boxes(tracks), self._px(tracks)[:, None]
+        expected, px = self.whole(tracks), self._px(tracks)[:, None]
         off = _foot(completed(found.boxes[None], expected[:, None])) - tracks.mean[:, None, :, 0]
         spread = tracks.covariance[:, None, :, 0, 0] + (MEASURED * px[..., None]) ** 2
-        far = off.norm(dim=-1) / px
+        far = (_foot(found.boxes) - tracks.mean[:, None, :, 0]).norm(dim=-1) / px
         likeness = found.scores[:, tracks.category].T / found.scores.amax(-1).clamp(min=1e-9)
         cost = 1 - overlaps(expected, found.boxes) + far + OTHER_CLASS * (1 - likeness)
         impossible = (off**2 > GATE**2 * spread).any(-1) | (far > FARTHEST)
@@ -166,55 +115,74 @@ class Tracker:
         possible = cost[rows, columns] < LARGEST_COST
         return rows[possible], columns[possible]
 
+    def _standing(self, found: Detections) -> Detections:
+        """What is found for sure enough to be told of a track, with all that must belong to it."""
+        boxes, scores = found.boxes.detach().double().cpu(), found.scores.detach().double().cpu()
+        sure = scores.amax(-1) >= WEAK * self.params.start_score
+        names = tuple(self.classes[number] for number in scores[sure].argmax(-1).tolist())
+        return Detections(standing(boxes[sure], names, self.view), scores[sure])
+
     def _corrected(self, tracks: Tracks, which: Tensor, boxes: Tensor, dt: float) -> Tracks:
         """Kalman's step for some of the tracks, and their sizes."""
         some = tracks.take(which)
-        expected = self.boxes(some)
+        expected = self.whole(some)
         off = _foot(completed(boxes, expected)) - some.mean[..., 0]
         spread = some.covariance[..., 0, 0] + (MEASURED * self._px(some)[:, None]) ** 2
         gain = some.covariance[..., 0] / spread[..., None]
         covariance = some.covariance - gain[..., :, None] * gain[..., None, :] * spread[..., None, None]
-        rest = torch.where(_parts_of(boxes, expected), math.exp(-dt / RESTS_S), 1.0)
+        rest = torch.where(are_parts(boxes, expected), math.exp(-dt / RESTS_S), 1.0)
         mean = torch.stack([some.mean[..., 0], rest * some.mean[..., 1]], -1) + gain * off[..., None]
         measured = self._size_m(boxes, mean[..., 0])
         settled = (some.frames >= self.params.confirm_frames)[:, None]
-        falls = torch.where(settled, _share(dt, SHRINKS_S), 1 / (some.frames[:, None] + 1))
-        size = some.size_m * (measured / some.size_m) ** torch.where(measured > some.size_m, _share(dt, GROWS_S), falls)
+        follows = torch.where(settled, _share(dt, FOLLOWS_S), 1 / (some.frames[:, None] + 1))
+        size = some.size_m * (measured / some.size_m) ** follows
+        least, most = limits_m(self.classes)[some.category].unbind(1)
         return replace(
             tracks,
             mean=tracks.mean.index_copy(0, which, mean),
             covariance=tracks.covariance.index_copy(0, which, covariance),
-            size_m=tracks.size_m.index_copy(0, which, size),
+            size_m=tracks.size_m.index_copy(0, which, torch.minimum(torch.maximum(size, least), most)),
         )
 
-    def _parts(self, tracks: Tracks, found: Detections) -> Tensor:
-        """Which detections `[m]` lie in the box of something that is tracked and whose parts look like them."""
-        expected, boxes = self.boxes(tracks)[:, None], found.boxes[None]
-        common = (torch.minimum(expected[..., 2:], boxes[..., 2:]) - torch.maximum(expected[..., :2], boxes[..., :2])).clamp(min=0).prod(-1)
-        inside = common > PART * (boxes[..., 2:] - boxes[..., :2]).prod(-1)
-        groups = torch.tensor([next((k for k, each in enumerate(ALIKE) if name in each), -1 - n) for n, name in enumerate(self.classes)])
-        alike = groups[tracks.category][:, None] == groups[found.scores.argmax(-1)][None]
-        return (inside & alike & tracks.since_s.isfinite()[:, None]).any(0)
+    def _told(self, tracks: Tracks, shown: Tensor, score: Tensor, time_s: float, dt: float) -> Tracks:
+        """Which of them are confirmed and which are lost, and of which class they are, by their scores."""
+        confidence = tracks.confidence + _share(dt, self.params.confidence_s) * (score.nan_to_num() - tracks.confidence)
+        own, frames = confidence.gather(1, tracks.category[:, None])[:, 0], tracks.frames + shown
+        category = torch.where(
+            confidence.amax(-1) > torch.where(tracks.since_s.isfinite(), SURER, 1.0) * own, confidence.argmax(-1), tracks.category
+        )
+        likely = (frames >= self.params.confirm_frames) & (confidence.amax(-1) >= self.params.start_score)
+        gone = ~shown & (time_s - tracks.seen_s > self.params.keep_s)
+        return replace(
+            tracks,
+            frames=frames,
+            category=category,
+            confidence=confidence,
+            score=score,
+            since_s=torch.where(shown & likely & tracks.since_s.isinf(), time_s, tracks.since_s),
+            seen_s=torch.where(shown, time_s, tracks.seen_s),
+            until_s=torch.where(gone, time_s, tracks.until_s),
+        )
 
     def _started(self, following: int, found: Detections, time_s: float) -> Tracks:
         n, at = len(found), _foot(found.boxes)
-        size_m = self._size_m(found.boxes, at)
         px = (found.boxes[:, 2:] - found.boxes[:, :2]).clamp(min=1).prod(-1).sqrt()
         deviations = torch.tensor([[MEASURED, STARTS[0]], [MEASURED, STARTS[1]]], dtype=torch.float64)
         now, never = (torch.full((n,), each, dtype=torch.float64) for each in (time_s, math.inf))
         return Tracks(
             time_s,
-            torch.arange(following, following + n),
-            torch.stack([at, torch.zeros_like(at)], -1),
-            torch.diag_embed((px[:, None, None] * deviations) ** 2),
-            size_m,
-            torch.ones(n, dtype=torch.int64),
-            now if self.params.confirm_frames == 1 else never,
-            now,
-            never,
-            found.scores,
-            found.scores,
-            following + n,
+            number=torch.arange(following, following + n),
+            mean=torch.stack([at, torch.zeros_like(at)], -1),
+            covariance=torch.diag_embed((px[:, None, None] * deviations) ** 2),
+            size_m=self._size_m(found.boxes, at),
+            frames=torch.ones(n, dtype=torch.int64),
+            since_s=now if self.params.confirm_frames == 1 else never,
+            seen_s=now,
+            until_s=never,
+            category=found.scores.argmax(-1),
+            confidence=found.scores,
+            score=found.scores,
+            following=following + n,
         )
 
     def _pixels_a_metre(self, u: Tensor, v: Tensor) -> Tensor:
@@ -227,19 +195,6 @@ class Tracker:
     def _px(self, tracks: Tracks) -> Tensor:
         """`[n]`, the size of the box."""
         return tracks.size_m.prod(-1).sqrt() * self._pixels_a_metre(*tracks.mean[..., 0].unbind(-1))
-
-
-def completed(boxes: Tensor, expected: Tensor) -> Tensor:
-    """Boxes `[..., 4]` px: those much narrower or lower than expected `[..., 4]` as wide or high, moved from there no more than needed."""
-    low, high = torch.broadcast_tensors(boxes[..., :2], expected[..., :2])[0], torch.broadcast_tensors(boxes[..., 2:], expected[..., 2:])[0]
-    moved = (low - expected[..., :2]).clamp(max=0) + (high - expected[..., 2:]).clamp(min=0)
-    smaller = _parts_of(boxes, expected)
-    return torch.cat([torch.where(smaller, expected[..., :2] + moved, low), torch.where(smaller, expected[..., 2:] + moved, high)], -1)
-
-
-def _parts_of(boxes: Tensor, expected: Tensor) -> Tensor:
-    """Whether boxes `[..., 4]` are much narrower and whether much lower than expected `[..., 4]`, `[..., 2]` bool."""
-    return boxes[..., 2:] - boxes[..., :2] < WHOLE * (expected[..., 2:] - expected[..., :2])
 
 
 def _foot(boxes: Tensor) -> Tensor:

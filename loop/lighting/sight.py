@@ -15,7 +15,8 @@ from perception.detection.params import AnyParams, OwnDetector, TruthParams
 from perception.detection.protocol import Detections, Detector
 from perception.detection.suppression import overlaps
 from perception.placing import placed
-from perception.tracking import Tracker, TrackerParams, Tracks
+from perception.tracking import Tracker, TrackerParams
+from perception.tracks import Tracks
 from world.tracked import Category
 from world.view import View
 
@@ -62,7 +63,7 @@ class Sight:
         ahead = self.tracker.at(tracks.known, time_s)
         numbers = ahead.category.tolist()
         names = tuple(self.tracker.classes[number] for number in numbers)
-        boxes = placed(self.tracker.boxes(ahead), names, self.tracker.view)
+        boxes = placed(self.tracker.whole(ahead), names, self.tracker.view)
         return tuple(
             TrackedObject(
                 name_of(int(ahead.number[k])),

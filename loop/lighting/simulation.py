@@ -27,7 +27,7 @@ from loop.lighting.zoned import in_zones
 from loop.scenario import DrivingParams, LightingScenario
 from loop.shipped import named
 from perception.camera import camera_view, expose, frame_generator, luminance_of, saturation_luminance
-from perception.tracking import Tracks
+from perception.tracks import Tracks
 from world.errors import located
 from world.face_source import face_source
 from world.scene import Scene

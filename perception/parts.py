@@ -1,0 +1,98 @@
+"""Boxes of parts: light and other objects hide a head, feet or a side, and detectors then say where the rest is."""
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+from perception.placing import road_rows
+from world.tracked import Category
+from world.view import View
+
+HEIGHTS_M: Mapping[Category, tuple[float, float]] = {  # of the lowest and of the highest on the road
+    "pedestrian": (1.0, 2.05),
+    "cyclist": (1.4, 2.1),
+    "motorcycle": (1.2, 2.0),
+    "animal": (0.5, 2.2),
+    "car": (1.2, 2.2),
+    "truck": (2.0, 4.2),
+}
+WIDTHS_M: Mapping[Category, tuple[float, float]] = {"pedestrian": (0.3, 1.3), "cyclist": (0.4, 2.1), "motorcycle": (0.5, 2.4)}
+USUAL_HEIGHTS_M: Mapping[Category, float] = {"pedestrian": 1.7, "cyclist": 1.75}
+USUAL_WIDTHS_M: Mapping[Category, float] = {"motorcycle": 0.8, "car": 1.8, "truck": 2.5}
+WHOLE = 0.85  # of the expected width or height: what is smaller is a part
+LEANS = 0.2  # share of the way from there to its own place
+INSIDE = 0.9  # share of a box that lies in a track's, from which on it may be a part of what is tracked
+NEARER = 0.05  # of its height, by which a box may end above what it hides a part of
+ALIKE: tuple[frozenset[Category], ...] = (frozenset({"pedestrian", "cyclist", "motorcycle"}), frozenset({"car", "truck"}))  # by their parts
+
+
+def limits_m(classes: tuple[Category, ...]) -> Tensor:
+    """`[C, 2, 2]`: least and greatest, of width and height of each class."""
+    anything = (0.0, torch.inf)
+    sizes = [[WIDTHS_M.get(each, anything), HEIGHTS_M.get(each, anything)] for each in classes]
+    return torch.tensor(sizes, dtype=torch.float64).view(-1, 2, 2).transpose(1, 2)
+
+
+def standing(boxes: Tensor, categories: tuple[Category, ...], view: View) -> Tensor:
+    """Boxes `[n, 4]` px as high as somebody of their classes is: a top in the dark is added, and a foot that is hidden or below the image.
+
+    On the road the row of the foot says how large a metre looks. What looks higher than its class is at most stands nearer, on a foot that
+    is hidden; by no more than the box is high, since roads have hills. Of what ends at the lowest row the usual height or width says where
+    it stands.
+    """
+    if not len(boxes):
+        return boxes
+    left, top, right, bottom = boxes.unbind(-1)
+    horizon, scale = road_rows(view, (left + right) / 2)
+
+    def foot(height_m: Tensor) -> Tensor:
+        """Where somebody of that height stands whose head is at the top; the bottom for who is lower than the camera, or of any height."""
+        taller = height_m * scale
+        return torch.where((taller > 1) & taller.isfinite(), (taller * horizon - top) / (taller - 1).clamp(min=1e-9), bottom)
+
+    low, high = limits_m(categories)[..., 1].to(boxes).unbind(-1)
+    nothing = torch.full_like(bottom, torch.nan)
+    height, width = (nothing.new_tensor([sizes.get(each, torch.nan) for each in categories]) for sizes in (USUAL_HEIGHTS_M, USUAL_WIDTHS_M))
+    usual = torch.where(height.isfinite(), foot(height), horizon + (right - left) / (width * scale)).nan_to_num()
+    cut = bottom >= view.height - 1
+    lowest = torch.where(cut, usual, torch.where(bottom - top > high * scale * (bottom - horizon), foot(high), bottom))
+    bottom = torch.minimum(torch.maximum(bottom, lowest), bottom + (bottom - top))
+    return torch.stack([left, torch.minimum(top, bottom - low * scale * (bottom - horizon)), right, bottom], -1)
+
+
+def completed(boxes: Tensor, expected: Tensor) -> Tensor:
+    """Boxes `[..., 4]` px: those much narrower or lower than expected `[..., 4]` as wide or high, moved from there as far as needed.
+
+    What was expected may be wrong, so they lean towards the box's own middle and foot as well.
+    """
+    low, high = torch.broadcast_tensors(boxes[..., :2], expected[..., :2])[0], torch.broadcast_tensors(boxes[..., 2:], expected[..., 2:])[0]
+    before, behind = low - expected[..., :2], high - expected[..., 2:]
+    needed = before.clamp(max=0) + behind.clamp(min=0)
+    own = torch.stack([(before + behind)[..., 0] / 2, behind[..., 1]], -1)
+    moved = needed + LEANS * (own - needed)
+    smaller = are_parts(boxes, expected)
+    return torch.cat([torch.where(smaller, expected[..., :2] + moved, low), torch.where(smaller, expected[..., 2:] + moved, high)], -1)
+
+
+def are_parts(boxes: Tensor, expected: Tensor) -> Tensor:
+    """Whether boxes `[..., 4]` are much narrower and whether much lower than expected `[..., 4]`, `[..., 2]` bool."""
+    return boxes[..., 2:] - boxes[..., :2] < WHOLE * (expected[..., 2:] - expected[..., :2])
+
+
+def belonging(boxes: Tensor, expected: Tensor, whole: Tensor) -> Tensor:
+    """Which boxes `[m, 4]` may be parts of what is expected `[n, 4]`, `[n, m]` bool: those inside.
+
+    Not so where that is seen whole, `[n]` bool, and the box ends as low as it, or lower: that is somebody before it.
+    """
+    ours, theirs = expected[:, None], boxes[None]
+    common = (torch.minimum(ours[..., 2:], theirs[..., 2:]) - torch.maximum(ours[..., :2], theirs[..., :2])).clamp(min=0).prod(-1)
+    inside = common > INSIDE * (theirs[..., 2:] - theirs[..., :2]).prod(-1)
+    before = theirs[..., 3] > ours[..., 3] - NEARER * (ours[..., 3] - ours[..., 1])
+    return inside & ~(whole[:, None] & before)
+
+
+def alike(classes: tuple[Category, ...]) -> Tensor:
+    """`[C, C]`: which classes look like each other in part."""
+    groups = torch.tensor([next((k for k, each in enumerate(ALIKE) if name in each), -1 - n) for n, name in enumerate(classes)])
+    return groups[:, None] == groups[None]

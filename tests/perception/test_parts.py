@@ -1,0 +1,80 @@
+"""Boxes of parts become boxes of wholes: by their class, and by what was expected."""
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from perception.camera import CameraParams, camera_view
+from perception.parts import HEIGHTS_M, LEANS, USUAL_HEIGHTS_M, belonging, completed, standing
+from perception.placing import placed
+
+VIEW = camera_view(CameraParams(width_px=640, height_px=360, pitch_deg=1.5))
+
+
+def upright(x: float, width_m: float, height_m: float) -> torch.Tensor:
+    """`[1, 4]` px: a plate on the road, ahead."""
+    corners = torch.tensor([[x, width_m / 2, height_m], [x, -width_m / 2, 0.0]], dtype=torch.float64).T
+    return VIEW.project(corners)[0].T.reshape(1, 4)
+
+
+@given(st.floats(7, 60), st.floats(1.05, 2.0))
+def test_whoever_stands_on_the_road_is_left_alone(x: float, height_m: float) -> None:
+    """Between the least and the greatest height; 1 % is the difference between heights on the road and rows of a camera that looks down."""
+    box = upright(x, 0.6, height_m)
+    torch.testing.assert_close(standing(box, ("pedestrian",), VIEW), box)
+
+
+@given(st.floats(7, 60), st.floats(0.2, 0.9))
+def test_a_foot_in_the_light_gets_the_least_of_its_class(x: float, height_m: float) -> None:
+    found = standing(upright(x, 0.6, height_m), ("pedestrian",), VIEW)
+    size = placed(found, ("pedestrian",), VIEW).size_m[0]
+    assert float(size[2]) == pytest.approx(HEIGHTS_M["pedestrian"][0], rel=0.02)  # rows of a camera that looks down
+    torch.testing.assert_close(found[:, 3], upright(x, 0.6, height_m)[:, 3])
+
+
+@given(st.floats(10, 40), st.floats(0.4, 0.8))
+def test_a_foot_that_is_hidden_is_put_where_somebody_so_high_stands(x: float, hidden: float) -> None:
+    whole = upright(x, 0.6, HEIGHTS_M["pedestrian"][1])
+    half = whole.clone()
+    half[:, 3] -= hidden * 0.5 * (whole[:, 3] - whole[:, 1])
+    torch.testing.assert_close(standing(half, ("pedestrian",), VIEW), whole, rtol=0, atol=1.0)  # px; as above, of the top's row
+
+
+@pytest.mark.parametrize("x", [3.0, 4.0, 5.0])
+def test_whoever_is_nearer_than_the_lowest_row_is_placed_by_the_usual_height(x: float) -> None:
+    """The row of the foot would say 6.25 m from the lamps; the camera is 1.6 m behind them."""
+    whole = upright(x, 0.6, USUAL_HEIGHTS_M["pedestrian"])
+    assert float(whole[0, 3]) > VIEW.height
+    cut = torch.cat([whole[:, :3], torch.tensor([[float(VIEW.height)]]).double()], 1)
+    place = placed(standing(cut, ("pedestrian",), VIEW), ("pedestrian",), VIEW)
+    assert float(place.T_world_box[0, 0, 3] - 0.25) == pytest.approx(x, rel=0.05)
+    assert float(place.size_m[0, 2]) == pytest.approx(USUAL_HEIGHTS_M["pedestrian"], rel=0.05)
+
+
+def test_a_car_at_the_lowest_row_is_placed_by_its_usual_width() -> None:
+    whole = upright(4.0, 1.8, 1.5)
+    cut = torch.cat([whole[:, :3], torch.tensor([[float(VIEW.height)]]).double()], 1)
+    assert float(placed(standing(cut, ("car",), VIEW), ("car",), VIEW).T_world_box[0, 0, 3] - 2.0) == pytest.approx(4.0, rel=0.05)
+
+
+def test_above_the_horizon_boxes_at_most_double() -> None:
+    box = torch.tensor([[300.0, 20.0, 340.0, 60.0], [300.0, 100.0, 340.0, 140.0]]).double()
+    found = standing(box, ("pedestrian", "sign"), VIEW)
+    assert float((found[:, 3] - found[:, 1]).max()) <= 80 and torch.equal(found[1], box[1])  # of signs nothing is known
+    assert standing(torch.zeros(0, 4), (), VIEW).shape == (0, 4)
+
+
+def test_parts_are_completed_and_wholes_are_not() -> None:
+    expected = torch.tensor([[100.0, 100, 140, 200]]).double()
+    given = torch.tensor([[[105.0, 130, 135, 195]], [[90.0, 150, 110, 210]], [[98.0, 96, 139, 203]]]).double()
+    # 30 of 40 px is less than 85 %. Its foot is 5 px higher; of the second the middle is 20 px to the left, where 10 px are needed
+    wanted = [[100.0, 100 - 5 * LEANS, 140, 200 - 5 * LEANS], [90 - 10 * LEANS, 110.0, 130 - 10 * LEANS, 210], [98.0, 96, 139, 203]]
+    torch.testing.assert_close(completed(given, expected)[:, 0], torch.tensor(wanted).double())
+
+
+def test_what_is_inside_belongs_to_it_unless_it_is_before_what_is_seen_whole() -> None:
+    expected = torch.tensor([[100.0, 100, 140, 200], [100.0, 100, 140, 200]]).double()
+    boxes = torch.tensor([[105.0, 130, 135, 199], [105.0, 130, 135, 190], [125.0, 130, 155, 199]]).double()
+    wanted = torch.tensor([[True, True, False], [False, True, False]])
+    assert torch.equal(belonging(boxes, expected, torch.tensor([False, True])), wanted)
