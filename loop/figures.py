@@ -10,6 +10,7 @@ import torch
 
 from loop.batch import Rollout
 from loop.build import build_symbol_controller
+from loop.lighting.compared import compared
 from loop.lighting.record import row as lighting_row
 from loop.lighting.record import schema as lighting_schema
 from loop.lighting.simulation import LightingSimulation
@@ -36,7 +37,7 @@ def figures(scenario: AnyScenario, device: str = "auto") -> dict[str, float | st
     if isinstance(scenario, LightingScenario):
         lighting = LightingSimulation.prepare(scenario, torch_device(device))
         table = table_of([lighting_row(result) for result in lighting.run()], lighting_schema(lighting))
-        return _flat(summarise_lighting(table, scenario.name))
+        return _flat(summarise_lighting(table, scenario.name, compared(lighting, table)))
     return traced(scenario, device)[0]
 
 

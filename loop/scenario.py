@@ -403,21 +403,23 @@ def _parsed(text: str) -> dict[str, Any]:
             raise LuxloopError(f"--set {text}: not understood ({error}); write for example --set camera.bits=8") from error
 
 
-def _merge(into: dict[str, Any], changes: Mapping[str, Any]) -> None:
+def _merge(into: dict[str, Any], changes: Mapping[str, Any], within: str = "") -> None:
     """Lay changes over nested tables; a table that becomes another variant, by its `kind` or `name`, starts anew.
 
-    Changes of list items stand under the keys "[0]", "[1]" and so on. Raises LuxloopError where there is no such item.
+    Changes of list items stand under the keys "[0]", "[1]" and so on. within: key of the table, for messages. Raises LuxloopError where
+    there is no such item.
     """
     for key, value in changes.items():
-        old = into.get(key)
+        old, whole = into.get(key), f"{within}.{key}".strip(".")
         if isinstance(old, list) and isinstance(value, dict) and value and all(INDEX.fullmatch(place) for place in value):
             items = {f"[{k}]": item for k, item in enumerate(old)}
             if strange := [place for place in value if place not in items]:
-                raise LuxloopError(f"{key}{strange[0]}: there are {len(items)} {key}, numbered from 0; change another, or set all of {key}")
-            _merge(items, value)
+                found = f"there are {len(items)} {key}, numbered from 0" if items else f"there are no {key}"
+                raise LuxloopError(f"{whole}{strange[0]}: {found}; change another, or set all of {whole}")
+            _merge(items, value, whole)
             into[key] = list(items.values())
         elif isinstance(old, dict) and isinstance(value, dict) and all(old.get(tag, new) == new for tag in TAGS if (new := value.get(tag))):
-            _merge(old, value)
+            _merge(old, value, whole)
         else:
             into[key] = value
 

@@ -1,5 +1,7 @@
 """What `luxloop optimise-beam` does: search a beam for a scenario's first moment, and leave utilisations that it can play, and figures."""
 
+import json
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -13,7 +15,6 @@ from loop.lighting.beam_goal import BeamGoal, BeamJudge, Metric
 from loop.lighting.beam_picture import write_picture
 from loop.lighting.beam_search import Found, Lights, alike, begin, descend, sample
 from loop.lighting.simulation import LightingSimulation
-from loop.manifest import write_json
 from loop.progress import progress
 from loop.run import torch_device
 from loop.scenario import LightingScenario, load_any
@@ -22,7 +23,7 @@ from perception.detection.build import detector
 from perception.detection.network import NetworkDetector
 from perception.detection.params import NetworkParams, TruthParams
 from perception.detection.protocol import Detector
-from world.errors import LuxloopError
+from world.errors import LuxloopError, located
 from world.files import whole
 
 Method = Literal["auto", "gradient", "sampling"]
@@ -36,7 +37,8 @@ def optimise_beam(
 ) -> dict[str, Any]:
     """Search, write and tell; what was found in numbers. weights: of a `BeamGoal`.
 
-    Raises LuxloopError for weights below zero, scenarios of a symbol or without objects in sight, and what cannot be written.
+    Raises LuxloopError for weights below zero, scenarios of a symbol or without objects in sight, and, before the search, a folder that
+    cannot be made.
     """
     try:
         goal = BeamGoal(**weights)
@@ -49,8 +51,13 @@ def optimise_beam(
         raise LuxloopError(f"--steps {steps}: nothing can be found in that; give 1 or more")
     scenario = scenario.model_copy(update={"lighting": scenario.lighting.model_copy(update={"functions": ()})})
     simulation = LightingSimulation.prepare(scenario, torch_device(device))
-    judge = BeamJudge.prepare(simulation, goal, _detector(scenario, goal.metric, simulation.device))
+    with located(scenario.source):
+        judge = BeamJudge.prepare(simulation, goal, _detector(scenario, goal.metric, simulation.device))
     method = _method(method, judge)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise LuxloopError(f"--out {out}: cannot be made a folder ({error.strerror}); give another one") from error
     start, number = begin(judge), steps or STEPS[method]
     search = descend if method == "gradient" else sample
     with progress("searching", number) as advance:
@@ -60,7 +67,7 @@ def optimise_beam(
     beams = {"before": start, "before, as much flux": alike(start, flux, lm), "found": found.lights}
     summary = _summary(judge, method, found, beams)
     _write(out, judge, found, beams, summary)
-    _tell(summary, name, out)
+    _tell(summary, shlex.join([name, "--set", *overrides, str(out / RAW)]))
     return summary
 
 
@@ -109,10 +116,6 @@ def _figures(judge: BeamJudge, lights: Lights) -> dict[str, Any]:
 
 
 def _write(out: Path, judge: BeamJudge, found: Found, beams: Mapping[str, Lights], summary: dict[str, Any]) -> None:
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise LuxloopError(f"{out}: cannot be made ({error.strerror}); give another folder") from error
     entries = []
     for module, u in zip(judge.simulation.modules, found.lights, strict=True):
         file = out / f"{module.name.replace(' ', '-')}.npz"
@@ -121,11 +124,12 @@ def _write(out: Path, judge: BeamJudge, found: Found, beams: Mapping[str, Lights
         entries.append(f'  {{ file = "./{file.name}", modules = ["{module.name}"] }},\n')
     with whole(out / RAW) as part:
         part.write_text(f"[lighting]\nfunctions = []\nraw = [\n{''.join(entries)}]\n", "utf-8")
-    write_json(out / SUMMARY, summary)
+    with whole(out / SUMMARY) as part:
+        part.write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
     write_picture(out / PICTURE, judge, beams, found.losses, summary)
 
 
-def _tell(summary: dict[str, Any], name: str, out: Path) -> None:
+def _tell(summary: dict[str, Any], played_by: str) -> None:
     beams = summary["beams"]
     table = tables.plain("", *beams)
     table.add_row("flux", *(f"{each['flux_lm']:.0f} lm" for each in beams.values()))
@@ -133,4 +137,4 @@ def _tell(summary: dict[str, Any], name: str, out: Path) -> None:
         table.add_row(f"{summary['metric']}: {key}", *(f"{each['scores'][key]:.2f}" for each in beams.values()))
     table.add_row("on eyes", *("–" if each["eyes_lx_max"] is None else f"{each['eyes_lx_max']:.2f} lx" for each in beams.values()))
     tables.show(table)
-    print(f"to see it: luxloop run {name} --set {out / RAW}")
+    print(f"to see it: luxloop run {played_by}")

@@ -89,7 +89,7 @@ def test_the_command_leaves_what_a_scenario_plays(tmp_path: Path, capsys: pytest
     played = LightingSimulation.prepare(load_any(str(file), [str(out / "raw.toml")])).at(0)
     lm = sum(power.flux_lm for power in played.powers.values())
     assert lm == pytest.approx(summary["beams"]["found"]["flux_lm"], rel=1e-4)
-    capsys.readouterr()
+    assert f"luxloop run {file} --set {out / 'raw.toml'}" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -98,6 +98,8 @@ def test_the_command_leaves_what_a_scenario_plays(tmp_path: Path, capsys: pytest
         (["snowflake"], r"has a \[symbol\]"),
         (["gfhb", "--energy", "-1"], "energy"),
         (["gfhb", "--steps", "0"], "nothing can be found"),
+        (["zones", "--metric", "edges"], r"zones\.toml: objects: none with a category"),
+        (["gfhb", "--metric", "edges", "--out", f"{__file__}/beam"], "^error: --out .*: cannot be made a folder"),
     ],
 )
 def test_what_cannot_be_optimised_is_told(arguments: list[str], complaint: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -234,7 +234,7 @@ def test_one_key_of_one_item_of_a_list_can_be_set(tmp_path: Path, monkeypatch: p
     assert [key.position_m[1] for key in now.objects[0].track] == [-4.5, 0]
     shown = load_any("animated_symbol", ["lighting.functions[0].image=./own.png"])
     assert shown.lighting.functions[0].image == str((tmp_path / "own.png").resolve())
-    with pytest.raises(LuxloopError, match=r"^functions\[2\]: there are 2 functions, numbered from 0"):
+    with pytest.raises(LuxloopError, match=r"^lighting.functions\[2\]: there are 2 functions, numbered from 0"):
         load_any("marker_light", ["lighting.functions[2].value=1"])
     with pytest.raises(LuxloopError, match=r"lighting.functions\[1\].valeu: unknown key; did you mean 'value'"):
         load_any("marker_light", ["lighting.functions[1].valeu=1"])
