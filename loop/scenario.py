@@ -1,6 +1,7 @@
 """Scenario files: a typed, frozen model for each of the two kinds; TOML, `--set key=value` and every other front end edit it alone."""
 
 import copy
+import difflib
 import hashlib
 import json
 import re
@@ -328,7 +329,7 @@ def validate_any(data: Mapping[str, Any], source: str) -> AnyScenario:
         )
     if "controller" in data and "lighting" in data:
         raise LuxloopError(f"{source}: controller: a scenario with [lighting] has no controller; leave it out")
-    kind: type[AnyScenario] = LightingScenario if "lighting" in data else Scenario
+    kind = _kind(data)
     try:
         # By way of JSON, where strict still takes a list for a tuple and a text for a path.
         scenario: AnyScenario = kind.model_validate_json(json.dumps(data), strict=True)
@@ -336,6 +337,15 @@ def validate_any(data: Mapping[str, Any], source: str) -> AnyScenario:
         raise LuxloopError(f"{source}: {sentence(error, kind, EXAMPLES[kind])}") from error
     vars(scenario)["source"] = source
     return scenario
+
+
+def _kind(data: Mapping[str, Any]) -> type[AnyScenario]:
+    """By its table; where it has neither, by the others that it has, or by one that may have been meant."""
+    if "lighting" in data or "symbol" in data:
+        return LightingScenario if "lighting" in data else Scenario
+    strange = [key for key in data if key not in Scenario.model_fields]
+    meant = any(key in LightingScenario.model_fields or difflib.get_close_matches(key, ["lighting"], cutoff=0.8) for key in strange)
+    return LightingScenario if meant else Scenario
 
 
 def overridden(data: Mapping[str, Any], overrides: Sequence[Override]) -> dict[str, Any]:

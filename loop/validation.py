@@ -21,6 +21,7 @@ WANTED = {
     "tuple_type": "a list in [brackets]",
 }
 TABLE_ERRORS = ("model_type", "model_attributes_type", "dict_type")
+KEY_ITSELF = "[key]"  # how pydantic calls a key that is none, after it
 SHOWN_CHARACTERS = 60
 
 
@@ -45,7 +46,7 @@ def sentence(error: ValidationError, model: type[BaseModel], example: str) -> st
     details.sort(key=lambda detail: detail["type"] != "extra_forbidden")
     detail = details[0]
     key, fields = _place(model, detail["loc"])
-    if detail["type"].startswith("union_tag"):
+    if detail["type"].startswith("union_tag") and isinstance(detail["input"], dict):
         key = f"{key}.{_discriminator(detail)}"
     more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
     return f"{key}: {_what(detail, fields, example)}{more}" if key else f"{_what(detail, fields, example)}{more}"
@@ -61,6 +62,8 @@ def _what(detail: Any, fields: dict[str, Any], example: str) -> str:
     kind, given, context = detail["type"], detail.get("input"), detail.get("ctx", {})
     if kind == "extra_forbidden":
         return f"unknown key; {did_you_mean(str(detail['loc'][-1]), fields)}"
+    if kind in TABLE_ERRORS or (kind == "union_tag_not_found" and not isinstance(given, dict)):
+        return f"{_shown(given)} is no table of keys; write key = value below a [header]"
     if kind in ("missing", "union_tag_not_found"):
         return f"is missing; add it ({example})"
     if kind == "union_tag_invalid":
@@ -69,8 +72,6 @@ def _what(detail: Any, fields: dict[str, Any], example: str) -> str:
         expected = context["expected"].replace(" or ", ", ")
         near = difflib.get_close_matches(str(given), _quoted(expected), 1, 0.5)
         return f"{_shown(given)} is not possible; {f'did you mean {near[0]!r}?' if near else f'give one of {expected}'}"
-    if kind in TABLE_ERRORS:
-        return f"{_shown(given)} is no table of keys; write key = value below a [header]"
     if kind in WANTED:
         quotes = "; the shell took its quotes, put all of key=value into single ones" if str(given).startswith("[") else ""
         return f"{_shown(given)} is not {WANTED[kind]}{quotes}"
@@ -104,7 +105,7 @@ def _place(model: type[BaseModel], location: tuple[int | str, ...]) -> tuple[str
     key = ""
     candidates = [model]
     fields: dict[str, Any] = {}
-    for part in location:
+    for part in (part for part in location if part != KEY_ITSELF):
         chosen = [candidate for candidate in candidates if len(candidates) > 1 and part in _tags(candidate)]
         if isinstance(part, int):
             key += f"[{part}]"

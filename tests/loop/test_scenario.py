@@ -196,6 +196,13 @@ BROKEN_LIGHTING = {
     "typo in a function": (LIT + '[[lighting.functions]]\nkind = "marker"\nwidth = 1', ["lighting.functions[0].width", "'width_m'"]),
     "unknown category": (LIT + BOX + 'category = "pedestrain"', ["objects[0].category", "'pedestrian'"]),
     "one name twice": (LIT + BOX + BOX, ["objects", "'crate'", "rename"]),
+    "typo in the table of its kind": ('name = "x"\n[lightning]\nbase = { beam = "low" }', ["lightning: unknown key", "'lighting'"]),
+    "that table left out": ('name = "x"\n[detector]\nkind = "network"', ["lighting: is missing", "path_projection"]),
+    "a list for a table": (LIT + '[[detector]]\nkind = "network"', ["detector: [{'kind': 'network'}] is no table of keys"]),
+    "typo in a class": (
+        LIT + '[[lighting.functions]]\nkind = "object_based"\nsetpoints_lx = { pedestrain = 3 }',
+        ["lighting.functions[0].setpoints_lx.pedestrain: 'pedestrain' is not possible", "'pedestrian'"],
+    ),
     "driving out of order": (LIT + "[[driving]]\ntime_s = 1\n[[driving]]\ntime_s = 1", ["driving", "ascend"]),
 }
 
