@@ -34,24 +34,24 @@ def measured(goals: Any, own: dict[str, Any], full: dict[str, float]) -> dict[st
     beams = {"low beam": [dict.fromkeys(full, 0.0)], "high beam": [full], "full light": [full]}
     rows = goals.measures({"scene": 0, "moving": False}, {"lamps": LAMPS, "beams": beams, "runs": {"luxloop": [own]}})
     assert [row["variant"] for row in rows] == ["luxloop", "low beam", "high beam", "full light"]
-    assert [row["kept"] for row in rows[1:]] == ([None] * 3 if max(full.values()) < 0.3 else [False, True, True])
+    assert [row["kept"] for row in rows[1:]] == ([None] * 3 if max(full.values()) < goals.FOUND else [False, True, True])
     return rows[0]
 
 
 def test_light_is_saved_against_beams_and_kept_against_full_light(goals: Any) -> None:
-    own = run([400.0] * 60 + [40.0] * 45, {"a": 0.56, "b": 0.1, "faint": 0.0})
-    found = measured(goals, own, {"a": 0.6, "b": 0.4, "faint": 0.2})
+    own = run([400.0] * 60 + [40.0] * 45, {"a": 0.56, "b": 0.25, "faint": 0.0})
+    found = measured(goals, own, {"a": 0.6, "b": 0.55, "faint": 0.2})
     assert (found["saved_low"], found["saved_high"], found["watts_saved"]) == pytest.approx((0.9, 0.96, 10.0))
     assert (found["objects"], found["objects_kept"], found["kept"]) == (2, 1, False)
     assert found["gap"] == pytest.approx(0.3)
     assert found["eyes_lx"] == 0.4, "the first second does not count"
-    assert measured(goals, own, {"a": 0.6, "b": 0.12, "faint": 0.2})["kept"]
-    assert measured(goals, own, {"a": 0.2, "b": 0.12, "faint": 0.2})["kept"] is None
+    assert measured(goals, own, {"a": 0.6, "b": 0.27, "faint": 0.2})["kept"]
+    assert measured(goals, own, {"a": 0.2, "b": 0.27, "faint": 0.2})["kept"] is None
 
 
 def test_what_is_lost_had_been_found(goals: Any) -> None:
     own = run([40.0] * 105, {"a": 0.0, "b": 0.0}, tracked={"a": 0.4, "b": 0.0}, found={"a": 5, "b": None})
-    found = measured(goals, own, {"a": 0.6, "b": 0.4})
+    found = measured(goals, own, {"a": 0.6, "b": 0.55})
     assert (found["lost"], found["never_found"]) == (1, 1)
 
 
