@@ -87,7 +87,11 @@ class ObjectBasedParams(SelectionParams):
         doubtful = [
             loop.recent
             for each in now.objects
-            if (loop := loops.get(each.name)) and each.until_s > now.time_s and self.ambient.sure(loop.peak) and _in_sight(each, now)
+            if (loop := loops.get(each.name))
+            and self.loop.exhausted(loop)
+            and each.until_s > now.time_s
+            and self.ambient.sure(loop.peak)
+            and _in_sight(each, now)
         ]
         return ObjectBasedState(self.ambient.step(state.ambient, doubtful), loops)
 

@@ -16,6 +16,7 @@ from world.tracked import Category
 
 NEAREST_M = 1.0  # what reaches nearer to a lamp is not lit, and no lamp's light falls on heads there
 TEXEL_RAD = 1e-3  # of a light texture: light is interpolated between texels
+SURE = 0.7  # confidence below which any object may be a person
 CELLS = 16  # texels of a stripe
 Pattern = Literal["homogeneous", "stripes", "checks"]
 
@@ -27,10 +28,10 @@ class ObjectLightParams(Params):
     period_m: float = Field(0.5, ge=0.05, le=5, description="of the structure, on the object")
     margin_m: float = Field(0.1, ge=0, description="light beyond the box, to all sides; below the foot it shows where it meets the road")
     dark: dict[Category, float] = Field(
-        {"pedestrian": 0.18, "cyclist": 0.18, "motorcycle": 0.3, "car": 0.45, "truck": 0.6},
+        {"pedestrian": 0.25, "cyclist": 0.25, "motorcycle": 0.3, "car": 0.45, "truck": 0.6},
         description="share of the box's height that stays dark from the top: heads, windscreens and what is behind them",
     )
-    dark_lx: float = Field(0.45, ge=0, description="light there, however bright the rest; of what has no head detectors are less sure")
+    dark_lx: float = Field(0.3, ge=0, description="light there, however bright the rest; of what has no head detectors are less sure")
 
     @field_validator("dark")
     @classmethod
@@ -64,6 +65,8 @@ class ObjectLightParams(Params):
             )
         ]
         share = self.dark.get(each.category, 0.0)
+        if each.confidence < SURE:
+            share = max(share, self.dark.get("pedestrian", 0.0))
         low[2], high[2] = (1 - share) * height, (1 + share) * height
         below = TEXEL_RAD * float((body.origin - lamps.mean(0)).norm())
         eyes = frontal(each.T_world_object, low, high, lamps, self.margin_m, below) if share else None

@@ -56,6 +56,10 @@ class ObjectLoopParams(Params):
         bounds_lx = self.search.bounds_lx
         return ObjectLoop(self.search.next((), bounds_lx).lx, bounds_lx, each.category, height_rad, recent=_found(each))
 
+    def exhausted(self, loop: ObjectLoop) -> bool:
+        """Whether it has settled at the brightest light, so that nothing but the base beam can give more."""
+        return loop.settled and loop.lx >= self.search.bounds_lx[1]
+
     def step(self, loop: ObjectLoop, each: TrackedObject, height_rad: float) -> ObjectLoop:
         """After one more frame of the object in the light that the loop asked for."""
         score = _found(each)

@@ -92,7 +92,7 @@ def test_the_body_gets_the_setpoint_and_the_head_none(shining, x: float) -> None
 @settings(deadline=None, max_examples=15)
 @given(x=st.floats(8, 60), y=st.floats(-6, 6), kind=st.sampled_from(["car", "person"]))
 def test_heads_and_windscreens_stay_dark_wherever_the_object_is(shining, x: float, y: float, kind: str) -> None:  # type: ignore[no-untyped-def]
-    """Over a beam of full light, all around the upper part of the box: 0.45 lx, or zero, not little, where that is asked for."""
+    """Over a beam of full light, all around the upper part of the box: `dark_lx`, or zero, not little, where that is asked for."""
     each = car(x, y) if kind == "car" else person(x=x, y=y)
     eyes = on_front(each, 1 - ObjectLightParams().dark[each.category], 1.0)
     assert shining(DARK, now(each), eyes, share=1.0).max() == 0
@@ -134,9 +134,15 @@ def test_what_stands_beside_the_lamps_is_left_alone() -> None:
 def test_setpoints_follow_the_class() -> None:
     function = ObjectBasedParams(method="class", setpoints_lx={"pedestrian": 7.0}, setpoint_lx=2.0)
     values = [part.value.item() for part in function.adapted(function.start(), now(person(), car()))]
-    assert values == [7.0, 0.45, 2.0, 0.45]
+    assert values == [7.0, function.light.dark_lx, 2.0, function.light.dark_lx]
     assert function.base_share(function.start()) == function.share
     assert function.step(function.start(), now(person())) == function.start()
+
+
+@pytest.mark.parametrize(("confidence", "parts"), [(0.9, 1), (0.5, 2)])
+def test_who_may_be_no_animal_has_a_dark_head(confidence: float, parts: int) -> None:
+    deer = replace(person(), category="animal", confidence=confidence)
+    assert len(CONSTANT.adapted(CONSTANT.start(), now(deer))) == parts
 
 
 def test_structure_is_light_and_dark_in_cells_of_half_a_period() -> None:
@@ -211,17 +217,18 @@ def test_neighbours_that_share_their_light_settle_together() -> None:
     assert state.share == function.ambient.least
 
 
-def test_it_is_the_lost_object_that_brings_light_back() -> None:
-    """One that was never found for sure, or that the camera does not look at any more, does not."""
+@pytest.mark.parametrize(("bright", "dim", "rises"), [(0.7, 0.4, True), (0.7, 0.7, False), (0.25, 0.1, False)])
+def test_it_is_the_lost_object_that_brings_light_back(bright: float, dim: float, rises: bool) -> None:
+    """One that gets the brightest light and is lost in spite of it; not one that its own light may help, nor one that was never sure."""
     function = ObjectBasedParams()
-    for before, rises in ((0.7, True), (0.25, False)):
-        state = function.start()
-        for k in range(60):
-            state = function.step(state, now(person(score=before), time_s=k / 30))
-        low = state.share
-        for k in range(60, 80):
-            state = function.step(state, now(person(score=math.nan), time_s=k / 30))
-        assert (state.share > low) == rises
+    state = function.step(function.start(), now(person()))
+    for k in range(60):
+        score = bright if state.loops["person"].lx > 15 else dim
+        state = function.step(state, now(person(score=score), time_s=k / 30))
+    low = state.share
+    for k in range(60, 70):
+        state = function.step(state, now(person(score=math.nan), time_s=k / 30))
+    assert (state.share > low) == rises
 
 
 def test_bad_values_are_refused_by_name() -> None:

@@ -48,7 +48,7 @@ def followed(params: ObjectLoopParams, curve: Curve, noise: float = 0.0, steps: 
 
 
 @settings(deadline=None, max_examples=60)
-@given(knee=st.floats(2, 15), slope=st.floats(0.05, 0.2), fall=st.floats(0, 0.02), noise=st.floats(0, 0.03), seed=st.integers(0, 99))
+@given(knee=st.floats(2, 15), slope=st.floats(0.05, 0.2), fall=st.floats(0, 0.02), noise=st.floats(0, 0.015), seed=st.integers(0, 99))
 def test_the_light_comes_down_to_the_knee(knee: float, slope: float, fall: float, noise: float, seed: int) -> None:
     """It loses the tolerance against full light at most, and four errors of the difference of a mean of 6 and one of 12 frames.
 
@@ -57,7 +57,7 @@ def test_the_light_comes_down_to_the_knee(knee: float, slope: float, fall: float
     states = followed(ObjectLoopParams(), curve := Knee(knee, slope, fall), noise, seed=seed)
     last = states[-1]
     assert last.settled
-    assert curve(last.lx) >= curve(20.0) - 0.03 - 4 * noise * math.sqrt(1 / 6 + 1 / 12)
+    assert curve(last.lx) >= curve(20.0) - 0.02 - 4 * noise * math.sqrt(1 / 6 + 1 / 12)
     assert last.lx <= max(knee * 1.5**2, 2.0)
     kept = [state.lx for state in states if state.settled]
     assert set(kept) == {last.lx}
@@ -74,7 +74,7 @@ def test_most_objects_keep_their_confidence_in_noise(noise: float, share: float)
         good += curve(last.lx) >= 0.65
         lx.append(last.lx)
     assert good / 200 >= share
-    assert sum(lx) / len(lx) < 10
+    assert sum(lx) / len(lx) < 11
 
 
 @settings(deadline=None, max_examples=30)
@@ -142,7 +142,7 @@ def test_what_has_changed_is_searched_around_its_setpoint(knee: float, what: tup
     tried = {state.lx for state in states}
     assert max(tried) == 2 * before and min(tried) >= before / 2 and len(tried) > 1
     assert states[-1].settled and states[-1].lx <= max(1.5**2 * knee, before / 2 * 1.5)
-    assert curve(states[-1].lx) >= curve(2 * before) - 0.03
+    assert curve(states[-1].lx) >= curve(2 * before) - 0.02
     assert sum(not state.settled for state in states) <= 6 * params.frames
 
 
