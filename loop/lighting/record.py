@@ -109,8 +109,8 @@ def row(result: LightingResult) -> dict[str, Any]:
     if (look := result.look) is not None:
         values |= {"detections": len(look.found), "false_positives": look.false_positives, "eyes_lx_max": look.eyes_lx_max}
         values["tracks"] = len(look.tracks)
-        for name, made in look.recognised.items():
-            values |= {f"object.{name}.{key}": getattr(made, key) for key in LOOKED_AT}
+        for name in result.objects:
+            values |= {f"object.{name}.{key}": getattr(look.recognised.get(name), key, None) for key in LOOKED_AT}
     return values
 
 

@@ -11,9 +11,10 @@ import torch
 
 from controllers.functions.situation import AdaptiveFunction
 from loop import cli
-from loop.lighting.record import row, schema
+from loop.lighting.record import LOOKED_AT, row, schema
 from loop.lighting.simulation import LightingSimulation
 from loop.manifest import input_files
+from loop.recorder import table_of
 from loop.run import run
 from loop.scenario import LightingScenario, validate_any
 from perception.detection.protocol import Detections
@@ -145,6 +146,8 @@ def test_scenes_without_objects_and_out_of_sight_are_recorded() -> None:
         assert (
             result.look is not None and result.look.false_positives == 0 and result.look.eyes_lx_max is None and len(result.look.found) == 0
         )
+        table = table_of([row(result)], schema(simulation))
+        assert [table[f"object.{each['name']}.{key}"].to_pylist() for each in objects for key in LOOKED_AT] == [[None]] * 3 * len(objects)
 
 
 @pytest.mark.parametrize(
