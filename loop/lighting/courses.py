@@ -82,7 +82,7 @@ def _on_objects(axes: Axes, table: pa.Table, objects: Sequence[str], named: bool
     time_s = column(table, "time_s")
     for name, colour in zip(objects, cycle(COLOURS), strict=False):
         mean, most = column(table, f"object.{name}.lx_mean"), column(table, f"object.{name}.lx_max")
-        label = f"{name}: 0 lx throughout" if np.nan_to_num(most).max() == 0 else name if named else None
+        label = f"{name}: 0 lx throughout" if (seen := most[np.isfinite(most)]).size and not seen.any() else name if named else None
         axes.plot(time_s, mean, marker=_mark(table), color=colour, label=label)
         axes.plot(time_s, most, color=colour, linestyle=":", linewidth=0.9)
     if "eyes_lx_max" in table.column_names and np.isfinite(column(table, "eyes_lx_max")).any():

@@ -132,10 +132,8 @@ def shown(values: dict[str, Any], files: str) -> Table:
             f"{_number(lamp['flux_lm_mean'], '.0f')} lm (mean), {_number(lamp['power_share_max'], '.1%')} of its power at most{dimmed}"
         )
     for name, light in values["objects"].items():
-        never = "never in the camera's sight"
-        rows[f"light on {name}"] = (
-            never if light["lx_max"] is None else f"{light['lx_mean']:.3g} lx (mean), {light['lx_max']:.3g} lx at most"
-        )
+        mean, most = light["lx_mean"], light["lx_max"]
+        rows[f"light on {name}"] = "never in the camera's sight" if most is None else f"{mean:.3g} lx (mean), {most:.3g} lx at most"
     if values["dark_lx_max"] is not None:
         rows["on what must be dark"] = f"{values['dark_lx_max']:.3g} lx at most"
     for name, zone in values.get("zones", {}).items():

@@ -1,6 +1,7 @@
 """With a detector the loop is closed: frames are looked through, objects tracked, light planned from tracks, and all of it recorded."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -8,11 +9,13 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import torch
+from rich.console import Console
 
 from controllers.functions.situation import AdaptiveFunction
 from loop import cli
 from loop.lighting.record import LOOKED_AT, row, schema
 from loop.lighting.simulation import LightingSimulation
+from loop.lighting.summary import shown
 from loop.manifest import input_files
 from loop.recorder import table_of
 from loop.run import run
@@ -138,7 +141,7 @@ def test_a_detectors_file_is_among_the_inputs_of_a_run(tmp_path: Path) -> None:
         LightingSimulation.prepare(given)
 
 
-def test_scenes_without_objects_and_out_of_sight_are_recorded() -> None:
+def test_scenes_without_objects_and_out_of_sight_are_recorded(tmp_path: Path) -> None:
     behind = WALKER | {"path": None, "track": [{"position_m": [-20, 0, 0]}]}
     for objects in ([], [behind]):
         simulation = LightingSimulation.prepare(scenario(objects=objects))
@@ -148,12 +151,20 @@ def test_scenes_without_objects_and_out_of_sight_are_recorded() -> None:
         )
         table = table_of([row(result)], schema(simulation))
         assert [table[f"object.{each['name']}.{key}"].to_pylist() for each in objects for key in LOOKED_AT] == [[None]] * 3 * len(objects)
+    summary = run(scenario(objects=[behind], steps=2), tmp_path / "run", video=False)
+    assert summary["objects"]["walker"] == {
+        **{"lx_mean": None, "lx_max": None, "confidence_final": None},
+        **{"tracks": 0, "steps_in_sight": 0, "steps_lost": 0},
+    }
+    console = Console(record=True, width=160)
+    console.print(shown(summary, "here"))
+    assert re.search("light on walker +never in the camera's sight", console.export_text())
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"detector": None, "tracker": {"keep_s": 1.0}}, "tracker: follows what a detector finds, but there is none"),
+        ({"detector": None, "tracker": {"keep_s": 0.1}}, "tracker: follows what a detector finds, but there is none"),
         ({"lighting": {"functions": [{"kind": "glare_free", "names": ["oncoming"]}]}}, "functions\\[0\\]: names objects, but a detector"),
         ({"detector": {"kind": "none"}}, "detector"),
         ({"headlight": {"efficacy_lm_w": 0}}, "efficacy_lm_w"),
