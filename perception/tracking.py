@@ -41,10 +41,15 @@ SURER = 2.0  # as sure of another class as of its own, and a track changes class
 class TrackerParams(Params):
     """How detections become objects that keep their identity."""
 
-    start_score: float = Field(0.3, ge=0, le=1, description="score from which on a detection may be a new object, which half of it keeps")
+    start_score: float = Field(0.5, ge=0, le=1, description="score from which on a detection may be a new object, which half of it keeps")
     confirm_frames: int = Field(3, ge=1, le=30, description="frames in a row that must show a new object, as surely, before it is reported")
-    keep_s: float = Field(0.7, ge=0, le=10, description="for how long an object that is no longer found is kept, where it ought to be")
+    keep_s: float = Field(1.0, ge=0, le=10, description="for how long an object that is no longer found is kept, where it ought to be")
     confidence_s: float = Field(0.15, ge=0, le=10, description="time constant of the filter from scores to confidence; 0: none")
+
+    @property
+    def keeps_score(self) -> float:
+        """From which on a detection keeps a track."""
+        return WEAK * self.start_score
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +123,7 @@ class Tracker:
     def _standing(self, found: Detections) -> Detections:
         """What is found for sure enough to be told of a track, with all that must belong to it."""
         boxes, scores = found.boxes.detach().double().cpu(), found.scores.detach().double().cpu()
-        sure = scores.amax(-1) >= WEAK * self.params.start_score
+        sure = scores.amax(-1) >= self.params.keeps_score
         names = tuple(self.classes[number] for number in scores[sure].argmax(-1).tolist())
         return Detections(standing(boxes[sure], names, self.view), scores[sure])
 

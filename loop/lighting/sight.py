@@ -7,6 +7,7 @@ from typing import get_args
 import torch
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
+from torch.nn.functional import one_hot
 
 from controllers.functions.situation import TrackedObject
 from loop.lighting.known import Known
@@ -14,6 +15,7 @@ from perception.detection.build import detector, own_detections
 from perception.detection.params import AnyParams, OwnDetector, TruthParams
 from perception.detection.protocol import Detections, Detector
 from perception.detection.suppression import overlaps
+from perception.lamps import SHINE, by_lamps
 from perception.placing import placed
 from perception.tracking import Tracker, TrackerParams
 from perception.tracks import Tracks
@@ -57,6 +59,20 @@ class Sight:
         if isinstance(self.params, OwnDetector):
             return own_detections(self.detector, frame, self.params.kind)
         return self.detector.detect(frame[None])[0]
+
+    def follow(self, tracks: Tracks, found: Detections, frame: Tensor, time_s: float) -> Tracks:
+        """The tracks after a frame. Vehicles that are not found in it are kept, though not for sure, where their lamps shine."""
+        present = self.tracker.at(tracks, time_s).present
+        boxes, scores = self.tracker.whole(present), found.scores.detach().double().cpu()
+        shine = torch.tensor([self.tracker.classes[number] in SHINE for number in present.category.tolist()], dtype=torch.bool)
+        sure = found.boxes.detach().double().cpu()[scores.amax(-1) >= self.tracker.params.keeps_score]
+        missed = shine & ~(overlaps(boxes, sure) >= SAME).any(-1)
+        metre = (boxes[missed, 2] - boxes[missed, 0]) / present.size_m[missed, 0]
+        moved = by_lamps(frame, boxes[missed], metre, boxes[~shine])
+        there = moved.isfinite().all(-1)
+        kept = one_hot(present.category[missed][there], len(self.tracker.classes)) * self.tracker.params.keeps_score
+        whole = Detections(torch.cat([found.boxes.detach().double().cpu(), moved[there]]), torch.cat([scores, kept]))
+        return self.tracker.step(tracks, whole, time_s)
 
     def objects(self, tracks: Tracks, time_s: float) -> tuple[TrackedObject, ...]:
         """The tracks as lighting functions are told of them, where they are expected at a time."""

@@ -195,8 +195,9 @@ class LightingSimulation:
         """The tracks after a frame, and what was found in it."""
         if self.sight is None or tracks is None:
             return tracks, None
-        found = self.sight.find(frame / (2**self.scenario.camera.bits - 1), known)
-        tracks = self.sight.tracker.step(tracks, found, time_s)
+        frame = frame / (2**self.scenario.camera.bits - 1)
+        found = self.sight.find(frame, known)
+        tracks = self.sight.follow(tracks, found, frame, time_s)
         boxes, present = self.sight.tracker.boxes(tracks.present), tracks.present
         eyes = illuminance[known.eyes]
         made = recognised(known, boxes, present, found)

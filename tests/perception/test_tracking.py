@@ -69,15 +69,15 @@ def test_a_new_object_is_reported_after_the_frames_that_confirm_it() -> None:
     assert float(shown(5).known.since_s) == pytest.approx(2 / RATE_HZ)
     assert len(shown(1, TrackerParams(confirm_frames=1)).known) == 1
     assert len(shown(2, then=1)) == 0  # what a single miss tells from an object is dropped
-    weak = TRACKER.step(TRACKER.start(), detections(BOX, scores=[[0.29, 0.1, 0, 0]]), 0.0)
+    weak = TRACKER.step(TRACKER.start(), detections(BOX, scores=[[0.49, 0.1, 0, 0]]), 0.0)
     assert len(weak) == 0
 
 
 def test_one_that_is_lost_is_kept_for_a_while_then_told_as_lost_then_forgotten() -> None:
     keep_s = DEFAULTS.keep_s
-    kept = shown(10, then=20)
+    kept = shown(10, then=29)
     assert math.isinf(float(kept.known.until_s)) and bool(kept.known.score.isnan().all())
-    lost = shown(10, then=22)
+    lost = shown(10, then=31)
     assert float(lost.known.until_s) == pytest.approx(9 / RATE_HZ + keep_s, abs=1.1 / RATE_HZ)  # the first frame after it
     later = replace(lost, time_s=lost.time_s)
     assert len(TRACKER.step(later, NOTHING, lost.time_s + 0.9 * LINGER_S)) == 1

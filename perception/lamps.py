@@ -1,0 +1,37 @@
+"""Vehicles by their own lamps, which are all that is seen of one that is kept dark."""
+
+import torch
+from torch import Tensor
+
+from world.tracked import Category
+
+SHINE: frozenset[Category] = frozenset({"car", "truck"})
+BRIGHT = 0.95  # of the largest digital number: what shines into the camera
+ABOVE_M = 0.6  # height of a lamp's middle
+APART = 0.5  # of a box's width: two lamps are no nearer to each other
+AROUND = 0.25  # of a box's width, within which its lamps are looked for at its sides
+
+
+def by_lamps(frame: Tensor, boxes: Tensor, pixels_a_metre: Tensor, others: Tensor) -> Tensor:
+    """Boxes `[n, 4]` px moved to where the bright spots inside them are two headlamps or rear lamps; NaN where there are no such spots.
+
+    The middle of a box goes to the middle of the outermost spots, and its foot below their mean row. frame: `[height, width]`, shares of
+    the largest digital number. pixels_a_metre: `[n]`, at the boxes. others: `[m, 4]` px, in which bright spots are no lamps.
+    """
+    v, u = (each.double().cpu() + 0.5 for each in (frame >= BRIGHT).nonzero().unbind(-1))
+    u, v = (each[~_inside(u, v, others).any(0)] for each in (u, v))
+    if not len(u):
+        return torch.full_like(boxes, torch.nan)
+    width = (boxes[:, 2] - boxes[:, 0])[:, None] * torch.tensor([-AROUND, 0.0, AROUND, 0.0]).double()
+    near = _inside(u, v, boxes + width)
+    first, last = torch.where(near, u, torch.inf).amin(1), torch.where(near, u, -torch.inf).amax(1)
+    across = (first + last) / 2 - (boxes[:, 0] + boxes[:, 2]) / 2
+    down = (near * v).sum(1) / near.sum(1) + ABOVE_M * pixels_a_metre - boxes[:, 3]
+    moved = boxes + torch.stack([across, down, across, down], -1)
+    return torch.where((last - first >= APART * (boxes[:, 2] - boxes[:, 0]))[:, None], moved, torch.nan)
+
+
+def _inside(u: Tensor, v: Tensor, boxes: Tensor) -> Tensor:
+    """`[n, m]`: which points lie in which boxes `[n, 4]`."""
+    left, top, right, bottom = boxes[..., None].unbind(1)
+    return (u > left) & (u < right) & (v > top) & (v < bottom)
