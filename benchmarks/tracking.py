@@ -97,9 +97,9 @@ def followed(roads: list[Road], frames: int, seed: int) -> Kept:
         shown = ~torch.tensor(hidden) & (torch.rand(len(roads), generator=rng) > MISSES)
         scores = 0.1 * torch.rand(len(roads), len(CLASSES), generator=rng, dtype=torch.float64)
         for n, (category, _, _) in enumerate(objects):
-            scores[n, CLASSES.index(category)] = 0.4 + 0.4 * float(torch.rand(1, generator=rng))
+            scores[n, CLASSES.index(category)] = 0.6 + 0.4 * float(torch.rand(1, generator=rng))
         tracks = TRACKER.step(tracks, Detections(boxes[shown], scores[shown]), k / RATE_HZ)
-        judge.look(true, [not each for each in hidden], TRACKER.boxes(tracks.present), tracks.present.number.tolist())
+        judge.look(true, [not each for each in hidden], TRACKER.whole(tracks.present), tracks.present.number.tolist())
     return judge.kept
 
 
