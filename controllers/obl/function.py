@@ -96,12 +96,12 @@ class ObjectBasedParams(SelectionParams):
         return ObjectBasedState(self.ambient.step(state.ambient, doubtful), loops)
 
     def adapted(self, state: ObjectBasedState, now: Situation) -> tuple[Primitives, ...]:
-        """Two primitives for each object: its light, and what of it stays dark."""
+        """For each object its light, and what of it stays dark."""
         parts: list[Primitives] = []
-        for each in self.selected(now):
+        for nearer, each in enumerate(sorted(self.selected(now), key=now.distance_m)):
             share = fade(now.time_s, each.since_s, each.until_s, 0.0, self.fade_out_s)
             if share:
-                parts += self.light.on(each, now.lamps, share * self.lx(state, each), self.priority, self.modules)
+                parts += self.light.on(each, now.lamps, share * self.lx(state, each), self.priority, nearer, self.modules)
         return tuple(parts)
 
     def base_share(self, state: ObjectBasedState) -> float:

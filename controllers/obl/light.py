@@ -1,6 +1,7 @@
 """Light on tracked objects that leaves their heads and windscreens nearly dark: rectangles that face the lamps (T 9.3)."""
 
 import math
+from dataclasses import replace
 from typing import Literal
 
 import torch
@@ -18,6 +19,7 @@ NEAREST_M = 1.0  # what reaches nearer to a lamp is not lit, and no lamp's light
 TEXEL_RAD = 1e-3  # of a light texture: light is interpolated between texels
 SURE = 0.7  # confidence below which any object may be a person
 CELLS = 16  # texels of a stripe
+CORE = 0.5  # share of an object's width, in its middle, that hides what is behind it
 Pattern = Literal["homogeneous", "stripes", "checks"]
 
 
@@ -31,7 +33,7 @@ class ObjectLightParams(Params):
         {"pedestrian": 0.25, "cyclist": 0.25, "motorcycle": 0.3, "car": 0.45, "truck": 0.6},
         description="share of the box's height that stays dark from the top: heads, windscreens and what is behind them",
     )
-    dark_lx: float = Field(0.3, ge=0, description="light there, however bright the rest; of what has no head detectors are less sure")
+    dark_lx: float = Field(0.45, ge=0, description="light there, however bright the rest; of what has no head detectors are less sure")
 
     @field_validator("dark")
     @classmethod
@@ -41,28 +43,35 @@ class ObjectLightParams(Params):
                 raise ValueError(f"{category}: {share:g} is no share of a box's height; give 0 to 1")
         return dark
 
-    def on(self, each: TrackedObject, lamps: Tensor, lx: float, priority: int, modules: tuple[str, ...]) -> tuple[Primitives, ...]:
-        """One primitive that lights the object by lx, and one that beats all others where it stays dark; none beside and behind the lamps.
+    def on(
+        self, each: TrackedObject, lamps: Tensor, lx: float, priority: int, nearer: int, modules: tuple[str, ...]
+    ) -> tuple[Primitives, ...]:
+        """Primitives that light the object by lx and leave a part of it dark; none beside and behind the lamps.
 
-        The latter reaches as far above the box as into it: where a head is dark, detectors' boxes may end below it.
+        nearer: how many objects are. What is dark beats all light but that on the core of nearer objects, which hides it; it reaches as far
+        above the box as into it, since detectors' boxes may end below a dark head.
         """
         length, width, height = each.size_m
         low, high = torch.tensor([[-length / 2, -width / 2, 0.0], [length / 2, width / 2, height]], dtype=torch.float64)
         body = frontal(each.T_world_object, low, high, lamps, self.margin_m, self.margin_m)
         if body is None:
             return ()
+        layer = (MASK - 2 * nearer) * LAYERS
+        core = replace(body, origin=body.origin + (1 - CORE) / 2 * body.d1, d1=CORE * body.d1)
         parts = [
             rectangle(
-                body.origin,
-                body.d1,
-                body.d2,
+                place.origin,
+                place.d1,
+                place.d2,
                 lx,
                 "E_v",
-                normal=body.normal,
-                symbol=self._image(body),
-                priority=priority * LAYERS,
+                normal=place.normal,
+                symbol=self._image(place),
+                forced=forced,
+                priority=at,
                 modules=modules,
             )
+            for place, forced, at in ((body, False, priority * LAYERS), (core, True, layer - LAYERS))
         ]
         share = self.dark.get(each.category, 0.0)
         if each.confidence < SURE:
@@ -72,7 +81,7 @@ class ObjectLightParams(Params):
         eyes = frontal(each.T_world_object, low, high, lamps, self.margin_m, below) if share else None
         if eyes is not None:
             dim = rectangle(
-                eyes.origin, eyes.d1, eyes.d2, self.dark_lx, "E_v", normal=eyes.normal, weight=math.inf, forced=True, priority=MASK * LAYERS
+                eyes.origin, eyes.d1, eyes.d2, self.dark_lx, "E_v", normal=eyes.normal, weight=math.inf, forced=True, priority=layer
             )
             parts.append(dim)
         return tuple(parts)

@@ -89,6 +89,17 @@ def test_the_body_gets_the_setpoint_and_the_head_none(shining, x: float) -> None
     assert shining(DARK, now(each), on_front(each, 0.85, 1.0), share=1.0).max() == 0
 
 
+def test_who_stands_before_a_windscreen_is_lit_and_it_stays_dark_beside(shining) -> None:  # type: ignore[no-untyped-def]
+    """Its torso is before a windscreen 20 m behind; pixels are blurred by 0.4 deg, and half of its width is no core."""
+    near, far = person(x=15.0), car(35.0, 1.0)
+    torso = torch.tensor([[14.8] * 3, [1.0] * 3, [0.9, 1.0, 1.1]], dtype=torch.float64)
+    lit = shining(CONSTANT, now(near), torso)
+    torch.testing.assert_close(shining(CONSTANT, now(far, near), torso), lit, rtol=0.15, atol=0)
+    beside = on_front(far, 1 - ObjectLightParams().dark["car"], 1.0)
+    beside = beside[:, (beside[1] / beside[0] - 1 / 15).abs() > 0.03]
+    assert beside.shape[1] and shining(CONSTANT, now(far, near), beside, share=1.0).max() < 1
+
+
 @settings(deadline=None, max_examples=15)
 @given(x=st.floats(8, 60), y=st.floats(-6, 6), kind=st.sampled_from(["car", "person"]))
 def test_heads_and_windscreens_stay_dark_wherever_the_object_is(shining, x: float, y: float, kind: str) -> None:  # type: ignore[no-untyped-def]
@@ -134,12 +145,13 @@ def test_what_stands_beside_the_lamps_is_left_alone() -> None:
 def test_setpoints_follow_the_class() -> None:
     function = ObjectBasedParams(method="class", setpoints_lx={"pedestrian": 7.0}, setpoint_lx=2.0)
     values = [part.value.item() for part in function.adapted(function.start(), now(person(), car()))]
-    assert values == [7.0, function.light.dark_lx, 2.0, function.light.dark_lx]
+    dark = function.light.dark_lx
+    assert values == [7.0, 7.0, dark, 2.0, 2.0, dark]  # each on the whole and on its core
     assert function.base_share(function.start()) == function.share
     assert function.step(function.start(), now(person())) == function.start()
 
 
-@pytest.mark.parametrize(("confidence", "parts"), [(0.9, 1), (0.5, 2)])
+@pytest.mark.parametrize(("confidence", "parts"), [(0.9, 2), (0.5, 3)])
 def test_who_may_be_no_animal_has_a_dark_head(confidence: float, parts: int) -> None:
     deer = replace(person(), category="animal", confidence=confidence)
     assert len(CONSTANT.adapted(CONSTANT.start(), now(deer))) == parts
@@ -148,12 +160,12 @@ def test_who_may_be_no_animal_has_a_dark_head(confidence: float, parts: int) -> 
 def test_structure_is_light_and_dark_in_cells_of_half_a_period() -> None:
     for pattern, dark in (("stripes", 0.5), ("checks", 0.5)):
         light = ObjectLightParams(pattern=pattern, period_m=0.4, margin_m=0.0)
-        lit = light.on(person(), LAMPS, 10.0, 0, ())[0]
+        lit = light.on(person(), LAMPS, 10.0, 0, 0, ())[0]
         image = lit.image_of(0)
         assert set(image.unique().tolist()) == {0.0, 1.0} and abs(image.mean() - dark) < 0.2
         cell = lit.d1.norm() / image.shape[1] * 16
         assert cell == pytest.approx(0.2, rel=0.2)
-    rows = ObjectLightParams(pattern="stripes").on(person(), LAMPS, 10.0, 0, ())[0].image_of(0)
+    rows = ObjectLightParams(pattern="stripes").on(person(), LAMPS, 10.0, 0, 0, ())[0].image_of(0)
     assert (rows == rows[0]).all() and len(rows) == CELLS  # one row of them, however high the object is
     with pytest.raises(ValidationError, match=r"greater than or equal to 0.05"):
         ObjectLightParams(period_m=0.02)
