@@ -43,6 +43,7 @@ STEPS = 105
 LATE = range(STEPS - 10, STEPS)  # the same of the newcomer
 NEWCOMER = "newcomer"
 LEAST_HEIGHT_PX, LEAST_VISIBLE = 24, 0.5  # of objects that count; as much of them lies in the image
+DAZZLING_LX = 1.0  # on heads and windscreens
 FREE_M = 1.5  # from a newcomer to everybody else
 
 
@@ -124,7 +125,7 @@ def illuminated(scenario: Mapping[str, Any], variants: Mapping[str, Mapping[str,
     for step in range(STEPS):
         for key in (key for key in own if step < COMES or key[0] == OURS):
             states[key], result = simulations[key].step(states[key])
-            runs[key].add(result)
+            runs[key].add(result, shared)
         if step in END or step in LATE:
             view = shared.camera.at(step / shared.scenario.rate_hz)
             known = shared.truth(view)
@@ -213,8 +214,9 @@ class Run:
         self.scores: dict[str, list[float]] = {}
         self.tracked: dict[str, list[int]] = {}  # steps in which a track shows an object
         self.newcomer_lx: list[float | None] = []
+        self.dazzled: list[tuple[int, str, float, bool]] = []  # step, object, lx on its eyes, whether a track shows it
 
-    def add(self, result: LightingResult) -> None:
+    def add(self, result: LightingResult, shared: LightingSimulation) -> None:
         assert result.look is not None
         self.flux_lm.append(round(sum(power.flux_lm for power in result.powers.values()), 2))
         self.watts.append(round(sum(power.watts for power in result.powers.values()), 3))
@@ -224,6 +226,8 @@ class Run:
                 self.tracked.setdefault(name, []).append(result.step)
             if result.step in (LATE if name == NEWCOMER else END):
                 self.scores.setdefault(name, []).append(each.score)
+        if (result.look.eyes_lx_max or 0.0) > DAZZLING_LX:
+            self.dazzled += dazzled(result, shared.truth(shared.camera.at(result.time_s)))
         if result.step >= COMES:
             self.newcomer_lx.append(_rounded(result.objects[NEWCOMER].lx_mean))
 
@@ -238,7 +242,21 @@ class Run:
             "tracked": {name: len(set(judged[name]) & set(self.tracked.get(name, ()))) / len(judged[name]) for name in names},
             "found": {name: self.tracked[name][0] if name in self.tracked else None for name in names},
             "newcomer_lx": self.newcomer_lx,
+            "dazzled": self.dazzled,
         }
+
+
+def dazzled(result: LightingResult, known: Known) -> list[tuple[int, str, float, bool]]:
+    """Whose heads and windscreens get more than DAZZLING_LX in this step, how much, and whether a track shows them."""
+    assert result.look is not None
+    found = []
+    for each in known.objects:
+        pixels = known.pixels[each.object_id - 1]
+        most = float(result.illuminance.flatten()[pixels].where(known.eyes.flatten()[pixels], 0.0).max())
+        if most > DAZZLING_LX:
+            its_track = result.look.recognised[each.name].track
+            found.append((result.step, each.name, round(most, 3), its_track is not None))
+    return found
 
 
 def _rounded(value: float | None) -> float | None:
