@@ -161,8 +161,9 @@ def _summed(images: dict[str, Tensor], ruling: bool, pixels: PixelMajor, default
     else:
         sums = summed(pixels.weight, *finite) | (summed(pixels.full, *infinite) if "forced" in images else {})
     light, forced_light, forced_weight, lit = sums["light"], None, sums.get("forced"), None
-    for name in sums.keys() & {"of_default", "missed"}:
-        light = light + default * sums[name]
+    for name in ("of_default", "missed"):
+        if name in sums:
+            light = light + default * sums[name]
     if forced_weight is not None:
         forced_light = sums.get("forced_light", torch.zeros_like(forced_weight))
         if "forced_of_default" in sums:

@@ -39,11 +39,15 @@ class AmbientLoopParams(Params):
     def sure(self, confidence: float) -> bool:
         return confidence >= self.doubtful + self.margin
 
-    def step(self, ambient: Ambient, confidences: Collection[float]) -> Ambient:
-        """After one more frame. confidences: now, of all objects in sight that have ever been found for sure."""
-        weakest, rested = min(confidences, default=1.0), ambient.rested + 1
-        if weakest < self.doubtful and ambient.share < 1 and rested >= (self.patience if ambient.risen else 1):
+    def step(self, ambient: Ambient, confidences: Collection[float], exhausted: Collection[float]) -> Ambient:
+        """After one more frame. confidences: now, of all objects in sight that have ever been found for sure.
+
+        exhausted: of those among them that their own light brings no further; for these alone the base beam rises.
+        """
+        rested = ambient.rested + 1
+        if min(exhausted, default=1.0) < self.doubtful and ambient.share < 1 and rested >= (self.patience if ambient.risen else 1):
             return Ambient(min(self.rise * ambient.share, 1.0), risen=True)
-        if self.sure(weakest) and ambient.share > self.least and rested >= (self.patience if ambient.risen else self.fall_frames):
+        sure = all(self.sure(confidence) for confidence in confidences)
+        if sure and ambient.share > self.least and rested >= (self.patience if ambient.risen else self.fall_frames):
             return Ambient(max(self.fall * ambient.share, self.least))
         return replace(ambient, rested=rested)

@@ -7,6 +7,7 @@ from typing import Self
 from torch import Tensor
 
 from controllers.functions.situation import TrackedObject
+from controllers.obl.light import NEAREST_M
 
 ALIKE = 1.5  # factor up to which two heights may be those of the same object
 
@@ -24,7 +25,8 @@ class Apparent:
         """lamps: `[L, 3]` m."""
         x, y, _ = (each.T_world_object[:3, 3].double() - lamps.double().mean(0)).tolist()
         _, width, height = each.size_m
-        return cls(math.atan2(y, x), width / math.hypot(x, y), height / math.hypot(x, y))
+        distance_m = max(math.hypot(x, y), NEAREST_M)
+        return cls(math.atan2(y, x), width / distance_m, height / distance_m)
 
     def same(self, other: "Apparent") -> bool:
         """Whether it is where the other is, by no more than the width of the larger, and about as high."""

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from pydantic import Field, field_validator
@@ -79,21 +79,18 @@ class ObjectBasedParams(SelectionParams):
             if each.until_s <= now.time_s:
                 loops |= {} if old is None else {each.name: old}
             elif each.since_s <= now.time_s:
-                old = old or next((state.loops[name] for name in missed if at.same(seen[name])), None)
+                old = old or next((replace(state.loops[name], scores=()) for name in missed if at.same(seen[name])), None)
                 if old is None:
                     loops[each.name] = self.loop.start(each, at.height_rad)
                 else:
                     loops[each.name] = self.loop.step(old, each, at.height_rad) if _in_sight(each, now) else old
-        doubtful = [
-            loop.recent
+        known = [
+            loop
             for each in now.objects
-            if (loop := loops.get(each.name))
-            and self.loop.exhausted(loop)
-            and each.until_s > now.time_s
-            and self.ambient.sure(loop.peak)
-            and _in_sight(each, now)
+            if (loop := loops.get(each.name)) and each.until_s > now.time_s and self.ambient.sure(loop.peak) and _in_sight(each, now)
         ]
-        return ObjectBasedState(self.ambient.step(state.ambient, doubtful), loops)
+        doubtful = [loop.recent for loop in known if self.loop.exhausted(loop)]
+        return ObjectBasedState(self.ambient.step(state.ambient, [loop.recent for loop in known], doubtful), loops)
 
     def adapted(self, state: ObjectBasedState, now: Situation) -> tuple[Primitives, ...]:
         """For each object its light, and what of it stays dark."""
@@ -114,7 +111,7 @@ class ObjectBasedParams(SelectionParams):
         if self.method == "class":
             return self.setpoints_lx.get(each.category, self.setpoint_lx)
         loop = state.loops.get(each.name)
-        return self.loop.start(each, 1.0).lx if loop is None else loop.lx
+        return self.loop.first_lx if loop is None else loop.lx
 
 
 def _in_sight(each: TrackedObject, now: Situation) -> bool:

@@ -1,7 +1,6 @@
 """Light on tracked objects that leaves their heads and windscreens nearly dark: rectangles that face the lamps (T 9.3)."""
 
 import math
-from dataclasses import replace
 from typing import Literal
 
 import torch
@@ -19,7 +18,7 @@ NEAREST_M = 1.0  # what reaches nearer to a lamp is not lit, and no lamp's light
 TEXEL_RAD = 1e-3  # of a light texture: light is interpolated between texels
 SURE = 0.7  # confidence below which any object may be a person
 CELLS = 16  # texels of a stripe
-CORE = 0.5  # share of an object's width, in its middle, that hides what is behind it
+CORE_M = 0.3  # width of what hides, in the middle of an object that is found, all that is behind it
 Pattern = Literal["homogeneous", "stripes", "checks"]
 
 
@@ -56,23 +55,19 @@ class ObjectLightParams(Params):
         body = frontal(each.T_world_object, low, high, lamps, self.margin_m, self.margin_m)
         if body is None:
             return ()
-        layer = (MASK - 2 * nearer) * LAYERS
-        core = replace(body, origin=body.origin + (1 - CORE) / 2 * body.d1, d1=CORE * body.d1)
+        layer, facing = (MASK - 2 * nearer) * LAYERS, body.normal
+        image = self._image(body)
         parts = [
-            rectangle(
-                place.origin,
-                place.d1,
-                place.d2,
-                lx,
-                "E_v",
-                normal=place.normal,
-                symbol=self._image(place),
-                forced=forced,
-                priority=at,
-                modules=modules,
-            )
-            for place, forced, at in ((body, False, priority * LAYERS), (core, True, layer - LAYERS))
+            rectangle(body.origin, body.d1, body.d2, lx, "E_v", normal=facing, symbol=image, priority=priority * LAYERS, modules=modules)
         ]
+        if image is None and not math.isnan(each.score):
+            across, down = min(1.0, CORE_M / float(body.d1.norm())), 1 - self.margin_m / float(body.d2.norm())
+            core = body.origin + (1 - across) / 2 * body.d1
+            parts.append(
+                rectangle(
+                    core, across * body.d1, down * body.d2, lx, "E_v", normal=facing, forced=True, priority=layer - LAYERS, modules=modules
+                )
+            )
         share = self.dark.get(each.category, 0.0)
         if each.confidence < SURE:
             share = max(share, self.dark.get("pedestrian", 0.0))

@@ -43,7 +43,9 @@ class ObjectLoopParams(Params):
     )
     frames: int = Field(6, ge=1, le=100, description="frames that are averaged at each step")
     watch_frames: int = Field(15, ge=1, le=300, description="the same once settled")
-    drop: float = Field(0.15, gt=0, le=1, description="so much less confidence than expected begins a search up to the brightest light")
+    drop: float = Field(
+        0.1, gt=0, le=1, description="so much less or more confidence than expected begins a search up to the brightest light"
+    )
     change: float = Field(
         1.5,
         gt=1,
@@ -51,14 +53,19 @@ class ObjectLoopParams(Params):
     )
     around: float = Field(2.0, gt=1, description="up to so many times the setpoint, and down to such a part of it")
 
+    @property
+    def first_lx(self) -> float:
+        """What a new object gets."""
+        return self.search.next((), self.search.bounds_lx).lx
+
     def start(self, each: TrackedObject, height_rad: float) -> ObjectLoop:
         """The loop of a new object."""
-        bounds_lx = self.search.bounds_lx
-        return ObjectLoop(self.search.next((), bounds_lx).lx, bounds_lx, each.category, height_rad, recent=_found(each))
+        return ObjectLoop(self.first_lx, self.search.bounds_lx, each.category, height_rad, recent=_found(each))
 
     def exhausted(self, loop: ObjectLoop) -> bool:
-        """Whether it has settled at the brightest light, so that nothing but the base beam can give more."""
-        return loop.settled and loop.lx >= self.search.bounds_lx[1]
+        """Whether only the base beam can do more: settled at the brightest light, or after a search up to that, which brought no more."""
+        most = self.search.bounds_lx[1]
+        return loop.settled and (loop.lx >= most or (loop.bounds_lx[1] >= most and loop.recent > loop.expected - self.drop))
 
     def step(self, loop: ObjectLoop, each: TrackedObject, height_rad: float) -> ObjectLoop:
         """After one more frame of the object in the light that the loop asked for."""
@@ -71,11 +78,11 @@ class ObjectLoopParams(Params):
         if loop.settled:
             low, high = sorted((height_rad, loop.height_rad))
             changed = each.category != loop.category or high > self.change * low
-            dropped = mean < loop.expected - self.drop
-            if not changed and not dropped:
+            other = abs(mean - loop.expected) > self.drop
+            if not changed and not other:
                 return replace(loop, expected=loop.expected + FOLLOWING * (mean - loop.expected))
             least, most = self.search.bounds_lx
-            bounds_lx = max(loop.lx / self.around, least), most if dropped else min(loop.lx * self.around, most)
+            bounds_lx = max(loop.lx / self.around, least), most if other else min(loop.lx * self.around, most)
             loop = replace(loop, bounds_lx=bounds_lx, category=each.category, height_rad=height_rad, trials=())
         trials = (*loop.trials, Trial(loop.lx, mean))
         following = self.search.next(trials, loop.bounds_lx)

@@ -12,11 +12,16 @@ from controllers.obl.ambient import Ambient, AmbientLoopParams
 PARAMS = AmbientLoopParams()
 
 
+def doubted(ambient: Ambient, *confidences: float) -> Ambient:
+    """A step for objects that only the base beam can help."""
+    return PARAMS.step(ambient, confidences, confidences)
+
+
 def followed(needed: float, steps: int) -> list[Ambient]:
     """States of a loop around an object that is found for sure from a share `needed` on, doubtfully from half of that on."""
     ambient, states = Ambient(1.0), []
     for _ in range(steps):
-        ambient = PARAMS.step(ambient, [0.7 if ambient.share >= needed else 0.35 if ambient.share >= needed / 2 else 0.1])
+        ambient = doubted(ambient, 0.7 if ambient.share >= needed else 0.35 if ambient.share >= needed / 2 else 0.1)
         states.append(ambient)
     return states
 
@@ -24,7 +29,7 @@ def followed(needed: float, steps: int) -> list[Ambient]:
 def test_with_nothing_in_doubt_it_falls_to_the_least_within_a_second() -> None:
     shares = [each.share for each in followed(0.0, 30)]
     assert shares == sorted(shares, reverse=True) and shares[-1] == PARAMS.least
-    assert [PARAMS.step(Ambient(0.5, rested=k), ()).share for k in (0, 2, 3)] == [0.5, 0.5, 0.25]
+    assert [PARAMS.step(Ambient(0.5, rested=k), (), ()).share for k in (0, 2, 3)] == [0.5, 0.5, 0.25]
 
 
 @settings(deadline=None)
@@ -40,23 +45,27 @@ def test_it_keeps_what_it_found_detectable_and_does_not_hunt(needed: float) -> N
 
 
 def test_it_rises_at_once_and_waits_between_two_steps() -> None:
-    first = PARAMS.step(Ambient(0.05, rested=1), [0.1, 0.9])
+    first = doubted(Ambient(0.05, rested=1), 0.1, 0.9)
     assert first.share == 0.1
     ambient, shares = first, []
     for _ in range(PARAMS.patience):
-        ambient = PARAMS.step(ambient, [0.1])
+        ambient = doubted(ambient, 0.1)
         shares.append(ambient.share)
     assert shares == [0.1] * (PARAMS.patience - 1) + [0.2]
 
 
+def test_for_who_may_be_helped_otherwise_it_waits() -> None:
+    assert PARAMS.step(Ambient(0.5, rested=9), [0.1, 0.9], [0.9]) == Ambient(0.5, rested=10)
+
+
 def test_it_is_never_more_than_the_whole_beam() -> None:
-    assert PARAMS.step(Ambient(0.8), [0.0]).share == 1.0 == PARAMS.step(Ambient(1.0), [0.0]).share
+    assert doubted(Ambient(0.8), 0.0).share == 1.0 == doubted(Ambient(1.0), 0.0).share
 
 
 def test_after_a_loss_it_stays_up_for_a_while_and_falls_again() -> None:
     ambient, shares = Ambient(0.05, rested=10), []
     for k in range(400):
-        ambient = PARAMS.step(ambient, [0.1 if 5 <= k < 12 else 0.8])
+        ambient = doubted(ambient, 0.1 if 5 <= k < 12 else 0.8)
         shares.append(ambient.share)
     assert set(shares[:5]) == {0.05} and set(shares[5 : 5 + PARAMS.patience]) == {0.1} and set(shares[5 + PARAMS.patience + 20 :]) == {0.05}
 
@@ -72,5 +81,5 @@ def test_the_share_stays_between_the_least_and_all(first: float, least: float, c
     params = AmbientLoopParams(first=max(first, least), least=least)
     ambient = Ambient(params.first)
     for confidence in confidences:
-        ambient = params.step(ambient, [confidence])
+        ambient = params.step(ambient, [confidence], [confidence])
         assert least <= ambient.share <= 1

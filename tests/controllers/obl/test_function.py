@@ -90,14 +90,16 @@ def test_the_body_gets_the_setpoint_and_the_head_none(shining, x: float) -> None
 
 
 def test_who_stands_before_a_windscreen_is_lit_and_it_stays_dark_beside(shining) -> None:  # type: ignore[no-untyped-def]
-    """Its torso is before a windscreen 20 m behind; pixels are blurred by 0.4 deg, and half of its width is no core."""
+    """Its torso is before a windscreen 20 m behind; pixels are blurred by 0.4 deg, 0.1 m there, and the core is 0.3 m wide."""
     near, far = person(x=15.0), car(35.0, 1.0)
     torso = torch.tensor([[14.8] * 3, [1.0] * 3, [0.9, 1.0, 1.1]], dtype=torch.float64)
     lit = shining(CONSTANT, now(near), torso)
-    torch.testing.assert_close(shining(CONSTANT, now(far, near), torso), lit, rtol=0.15, atol=0)
+    torch.testing.assert_close(shining(CONSTANT, now(far, near), torso), lit, rtol=0.2, atol=0)
     beside = on_front(far, 1 - ObjectLightParams().dark["car"], 1.0)
     beside = beside[:, (beside[1] / beside[0] - 1 / 15).abs() > 0.03]
     assert beside.shape[1] and shining(CONSTANT, now(far, near), beside, share=1.0).max() < 1
+    gone = replace(near, score=math.nan)  # nobody may stand there any more
+    assert shining(CONSTANT, now(far, gone), on_front(far, 0.7, 1.0), share=1.0).max() < 1
 
 
 @settings(deadline=None, max_examples=15)
@@ -105,7 +107,7 @@ def test_who_stands_before_a_windscreen_is_lit_and_it_stays_dark_beside(shining)
 def test_heads_and_windscreens_stay_dark_wherever_the_object_is(shining, x: float, y: float, kind: str) -> None:  # type: ignore[no-untyped-def]
     """Over a beam of full light, all around the upper part of the box: `dark_lx`, or zero, not little, where that is asked for."""
     each = car(x, y) if kind == "car" else person(x=x, y=y)
-    eyes = on_front(each, 1 - ObjectLightParams().dark[each.category], 1.0)
+    eyes = on_front(each, 1 - 0.8 * ObjectLightParams().dark[each.category], 1.0)  # the rest is for the pixels' blur
     assert shining(DARK, now(each), eyes, share=1.0).max() == 0
     assert shining(CONSTANT, now(each), eyes, share=1.0).max() < 1
 
