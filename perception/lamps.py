@@ -9,6 +9,7 @@ SHINE: frozenset[Category] = frozenset({"car", "truck"})
 BRIGHT = 0.95  # of the largest digital number: what shines into the camera
 ABOVE_M = 0.6  # height of a lamp's middle
 APART = 0.5  # of a box's width: two lamps are no nearer to each other
+BETWEEN = 0.1  # of a box's width, to both sides of their middle, where nothing shines: else it is one light
 AROUND = 0.25  # of a box's width, within which its lamps are looked for at its sides
 
 
@@ -22,13 +23,15 @@ def by_lamps(frame: Tensor, boxes: Tensor, pixels_a_metre: Tensor, others: Tenso
     u, v = (each[~_inside(u, v, others).any(0)] for each in (u, v))
     if not len(u):
         return torch.full_like(boxes, torch.nan)
-    width = (boxes[:, 2] - boxes[:, 0])[:, None] * torch.tensor([-AROUND, 0.0, AROUND, 0.0]).double()
-    near = _inside(u, v, boxes + width)
+    width = boxes[:, 2] - boxes[:, 0]
+    near = _inside(u, v, boxes + width[:, None] * torch.tensor([-AROUND, 0.0, AROUND, 0.0]).double())
     first, last = torch.where(near, u, torch.inf).amin(1), torch.where(near, u, -torch.inf).amax(1)
-    across = (first + last) / 2 - (boxes[:, 0] + boxes[:, 2]) / 2
+    middle = (first + last) / 2
+    two = (last - first >= APART * width) & ~(near & ((u - middle[:, None]).abs() < BETWEEN * width[:, None])).any(1)
+    across = middle - (boxes[:, 0] + boxes[:, 2]) / 2
     down = (near * v).sum(1) / near.sum(1) + ABOVE_M * pixels_a_metre - boxes[:, 3]
     moved = boxes + torch.stack([across, down, across, down], -1)
-    return torch.where((last - first >= APART * (boxes[:, 2] - boxes[:, 0]))[:, None], moved, torch.nan)
+    return torch.where(two[:, None], moved, torch.nan)
 
 
 def _inside(u: Tensor, v: Tensor, boxes: Tensor) -> Tensor:

@@ -68,9 +68,9 @@ class Sight:
         sure = found.boxes.detach().double().cpu()[scores.amax(-1) >= self.tracker.params.keeps_score]
         missed = shine & ~(overlaps(boxes, sure) >= SAME).any(-1)
         metre = (boxes[missed, 2] - boxes[missed, 0]) / present.size_m[missed, 0]
-        moved = by_lamps(frame, boxes[missed], metre, boxes[~shine])
+        moved = by_lamps(frame, boxes[missed], metre, boxes[~missed])
         there = moved.isfinite().all(-1)
-        kept = one_hot(present.category[missed][there], len(self.tracker.classes)) * self.tracker.params.keeps_score
+        kept = one_hot(present.category[missed][there], len(self.tracker.classes)).double() * self.tracker.params.keeps_score
         whole = Detections(torch.cat([found.boxes.detach().double().cpu(), moved[there]]), torch.cat([scores, kept]))
         return self.tracker.step(tracks, whole, time_s)
 

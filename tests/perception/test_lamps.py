@@ -33,4 +33,6 @@ def test_without_lamps_there_is_nothing_to_say() -> None:
     assert bool(by_lamps(frame((105, 118), (130, 118)), BOX, metre, BOX).isnan().all())  # somebody who is lit
     assert bool(by_lamps(frame((112, 118), (124, 118)), BOX, metre, NOBODY).isnan().all())  # of somebody else, farther away
     assert bool(by_lamps(frame((105, 118)), BOX, metre, NOBODY).isnan().all())  # one says little of where the car is
+    wide = frame(*((u, 118) for u in range(104, 134)))
+    assert bool(by_lamps(wide, BOX, metre, NOBODY).isnan().all())  # one light, not two
     assert by_lamps(frame((118, 115)), NOBODY, metre[:0], NOBODY).shape == (0, 4)
