@@ -45,7 +45,18 @@ def _measured(run: Mapping[str, Any], full: Mapping[str, float], lamps: Mapping[
         "never_found": sum(run["found"][name] is None for name in seen),
         "settle_s": settle_step(flux[:COMES], SETTLED * lamps[LOW]["flux_lm"]) / RATE_HZ,
         "eyes_lx": max(eyes, default=None),
+        **_dazzled(run),
         **({"newcomer": full.get(NEWCOMER, 0.0) >= FOUND, "newcomer_s": newcomer_s(run)} if run["newcomer_lx"] else {}),
+    }
+
+
+def _dazzled(run: Mapping[str, Any]) -> Row:
+    """Share of the frames after the first second with more than 1 lx on heads or windscreens, and with that on those that a track shows."""
+    frames = len(run["flux_lm"]) - SECOND
+    late = [(step, is_tracked) for step, _, _, is_tracked in run["dazzled"] if step >= SECOND]
+    return {
+        "dazzled": len({step for step, _ in late}) / frames,
+        "dazzled_tracked": len({step for step, is_tracked in late if is_tracked}) / frames,
     }
 
 
@@ -72,7 +83,7 @@ def newcomer_s(run: Mapping[str, Any]) -> float | None:
     found = run["found"].get(NEWCOMER)
     lx = [0.0 if value is None else value for value in run["newcomer_lx"]]
     enough = float(np.mean(lx[-len(LATE) :])) / 2
-    lit = [k for k in range(len(lx)) if found is not None and k + COMES > found and lx[k] >= enough]
+    lit = [k for k in range(len(lx)) if found is not None and k + COMES > found and lx[k] >= enough > 0]
     return lit[0] / RATE_HZ if lit else None
 
 
@@ -99,7 +110,7 @@ class Measured:
     light: Sequence[Row]
     zones: Sequence[Row]
     tracks: Sequence[Row]
-    detector: Sequence[tuple[str, str, float, bool]] | None
+    detector: Sequence[tuple[str, str, float | None, bool]] | None
 
     def ours(self, moving: bool | None = None) -> list[Row]:
         return [row for row in self.light if row["variant"] == OURS and moving in (None, row["moving"])]

@@ -77,6 +77,11 @@ def _objects(rows: Sequence[Row], key: str) -> str:
     return _percent(sum(row[key] for row in rows) / objects) if objects else "—"
 
 
+def _dazzled(rows: Sequence[Row]) -> str:
+    found = [row for row in rows if "dazzled" in row]
+    return f"{np.mean([row['dazzled'] for row in found]):.1%} ({np.mean([row['dazzled_tracked'] for row in found]):.1%})" if found else "—"
+
+
 def _newcomer(rows: Sequence[Row]) -> str:
     times = newcomers(rows)
     return f"{np.median(times):.2f} s ({np.mean(np.array(times) <= 0.5):.0%})" if times else "—"
@@ -92,6 +97,7 @@ COLUMNS: dict[str, Callable[[Sequence[Row]], str]] = {
     "greatest loss, median (90 % quantile)": lambda rows: f"{_number(quantile(rows, 'gap', 0.5))} ({_number(quantile(rows, 'gap', 0.9))})",
     "runs with one lost": lambda rows: _percent(share(row["lost"] > 0 if "lost" in row else None for row in rows)),
     "never found": lambda rows: _objects(rows, "never_found"),
+    "heads above 1 lx, frames (of tracked objects)": _dazzled,
     "settled, median": lambda rows: _number(quantile(rows, "settle_s", 0.5), " s"),
     "newcomer lit, median (within 0.5 s)": _newcomer,
 }
@@ -145,7 +151,8 @@ def detector(measured: Measured) -> str:
         return "No report of its training is here."
     lines = ["| | goal | measured | |", "| --- | --- | ---: | --- |"]
     lines += [
-        f"| {what} | {limit} | {value:g} | {'reached' if reached else '**missed**'} |" for what, limit, value, reached in measured.detector
+        f"| {what} | {limit} | {'—' if value is None else f'{value:g}'} | {'reached' if reached else '**missed**'} |"
+        for what, limit, value, reached in measured.detector
     ]
     return "\n".join(lines)
 

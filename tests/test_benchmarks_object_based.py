@@ -26,7 +26,7 @@ def goals(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 def run(flux_lm: list[float], scores: dict[str, float], **other: Any) -> dict[str, Any]:
     names = {"tracked": dict.fromkeys(scores, 1.0), "found": dict.fromkeys(scores, 2)}
-    base = {"watts": [10.0] * 105, "eyes_lx": [5.0] * 30 + [0.4] * 75, "newcomer_lx": [0.0] * 30}
+    base = {"watts": [10.0] * 105, "eyes_lx": [5.0] * 30 + [0.4] * 75, "newcomer_lx": [0.0] * 30, "dazzled": []}
     return {"flux_lm": flux_lm, "scores": scores, **names, **base, **other}
 
 
@@ -49,6 +49,13 @@ def test_light_is_saved_against_beams_and_kept_against_full_light(goals: Any) ->
     assert measured(goals, own, {"a": 0.2, "b": 0.27, "faint": 0.2})["kept"] is None
 
 
+def test_frames_that_dazzle_count_once_and_after_the_first_second(goals: Any) -> None:
+    late = [(40, "a", 2.0, True), (40, "b", 3.0, False), (41, "b", 3.0, False)]
+    own = run([40.0] * 105, {"a": 0.6}, dazzled=[(5, "a", 2.0, True), *late])
+    found = measured(goals, own, {"a": 0.6})
+    assert (found["dazzled"], found["dazzled_tracked"]) == (2 / 75, 1 / 75)
+
+
 def test_what_is_lost_had_been_found(goals: Any) -> None:
     own = run([40.0] * 105, {"a": 0.0, "b": 0.0}, tracked={"a": 0.4, "b": 0.0}, found={"a": 5, "b": None})
     found = measured(goals, own, {"a": 0.6, "b": 0.55})
@@ -68,6 +75,7 @@ def test_a_newcomer_is_lit_once_it_is_known_and_gets_half_of_its_light(goals: An
     assert goals.newcomer_s({"found": {"newcomer": come + 2}, "newcomer_lx": lx}) == pytest.approx(4 / 30)
     assert goals.newcomer_s({"found": {"newcomer": come + 6}, "newcomer_lx": lx}) == pytest.approx(7 / 30), "light there by chance is none"
     assert goals.newcomer_s({"found": {"newcomer": None}, "newcomer_lx": lx}) is None
+    assert goals.newcomer_s({"found": {"newcomer": come + 2}, "newcomer_lx": [0.0] * 30}) is None, "no light is not half of none"
 
 
 def test_zones_count_the_steps_until_they_stay(goals: Any) -> None:
