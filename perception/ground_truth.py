@@ -65,7 +65,8 @@ def part_mask(surfaces: GBuffer, triangles: Triangles, names: Collection[str]) -
     bodies = {placed.object_id: placed.body.parts for placed in triangles.placed if placed.body.parts}
     if surfaces.part is None or not bodies:
         return torch.zeros_like(surfaces.object_id, dtype=torch.bool)
-    meant = torch.zeros(max(bodies) + 2, max(map(len, bodies.values())), dtype=torch.bool)  # the last row is that of no object, -1
+    rows = max(placed.object_id for placed in triangles.placed) + 2  # the last is that of no object, -1
+    meant = torch.zeros(rows, max(map(len, bodies.values())), dtype=torch.bool)
     for object_id, parts in bodies.items():
         meant[object_id, : len(parts)] = torch.tensor([part.name in names for part in parts])
     return meant.to(surfaces.part.device)[surfaces.object_id.long(), surfaces.part.long()]

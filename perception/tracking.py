@@ -35,13 +35,15 @@ FOLLOWS_S = 1.0  # time constant of sizes
 RESTS_S = 1.0  # in which the rate of what is seen in part falls, since a part says little of it
 WEAK = 0.5  # of the score that starts a track: what scores less does not keep one
 LINGER_S = 2.0  # for which a lost track is still told, so that what is drawn about it can fade
-SURER = 2.0  # as sure of another class as of its own, and a track changes class
+SURER = 2.0  # times as sure of another class as of its own: a track changes class
 
 
 class TrackerParams(Params):
     """How detections become objects that keep their identity."""
 
-    start_score: float = Field(0.5, ge=0, le=1, description="score from which on a detection may be a new object, which half of it keeps")
+    start_score: float = Field(
+        0.5, gt=0, le=1, description="score from which on a detection may be a new object; half of it keeps a known one"
+    )
     confirm_frames: int = Field(3, ge=1, le=30, description="frames in a row that must show a new object, as surely, before it is reported")
     keep_s: float = Field(1.0, ge=0, le=10, description="for how long an object that is no longer found is kept, where it ought to be")
     confidence_s: float = Field(0.15, ge=0, le=10, description="time constant of the filter from scores to confidence; 0: none")
@@ -91,13 +93,13 @@ class Tracker:
         lost = tracks.take(tracks.until_s.isfinite() & (time_s - tracks.until_s < LINGER_S))
         mine, its = self.assigned(alive, found)
         shown = torch.zeros(len(alive), dtype=torch.bool).index_fill(0, mine, True)
-        whole = shown.index_copy(0, mine, ~are_parts(found.boxes[its], self.whole(alive.take(mine))).any(-1))
+        complete = shown.index_copy(0, mine, ~are_parts(found.boxes[its], self.whole(alive.take(mine))).any(-1))
         alive = self._corrected(alive, mine, found.boxes[its], time_s - tracks.time_s)
         score = torch.full_like(alive.score, math.nan).index_copy(0, mine, found.scores[its])
         alive = self._told(alive, shown, score, time_s, time_s - tracks.time_s)
         left = torch.ones(len(found), dtype=torch.bool).index_fill(0, its, False) & (found.scores.amax(-1) >= self.params.start_score)
         known = alive.since_s.isfinite()[:, None] & alike(self.classes)[alive.category][:, found.scores.argmax(-1)]
-        left &= ~(known & belonging(found.boxes, self.whole(alive), whole)).any(0)
+        left &= ~(known & belonging(found.boxes, self.whole(alive), complete)).any(0)
         alive = alive.take(shown | alive.since_s.isfinite())
         started = self._started(tracks.following, Detections(found.boxes[left], found.scores[left]), time_s)
         lost = replace(lost, score=torch.full_like(lost.score, math.nan))

@@ -7,7 +7,7 @@ from torch import Tensor
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """All tracks after a frame; n of them, C classes.
+    """All tracks after a frame, at time_s; n of them, C classes. following: the number that the next new one gets.
 
     number: `[n]`, the identity. mean: `[n, 2, 2]`, u and v of the foot in px and their rates a second. covariance: `[n, 2, 2, 2]`.
     size_m: `[n, 2]`, width and height. frames: `[n]` that showed it. since_s, seen_s, until_s: `[n]`, when it was confirmed, last found and

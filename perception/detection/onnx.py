@@ -19,7 +19,7 @@ GREY = 114  # around a frame that is fitted in, as in training
 
 
 class OnnxDetector:
-    """See `Detector`. A class's score is the largest of those numbers that mean it."""
+    """See `Detector`. A class's score is the largest of those numbers that mean it. Boxes whose numbers are not finite are left out."""
 
     def __init__(self, params: OnnxParams) -> None:
         """Raises LuxloopError where the file is missing, or none that OpenCV can run."""
@@ -47,6 +47,8 @@ class OnnxDetector:
         picture = np.full((rows, columns), GREY, np.uint8)
         picture[y : y + size[1], x : x + size[0]] = cv2.resize(coded(frame, params.gamma), size, interpolation=cv2.INTER_AREA)
         boxes, scores = self._boxes(self._run(np.repeat(picture[None, None].astype(np.float32) / 255, params.channels, 1)))
+        finite = boxes.isfinite().all(1) & scores.isfinite().all(1)
+        boxes, scores = boxes[finite], scores[finite]
         boxes = (boxes - torch.tensor([x, y, x, y])) / scale
         boxes = torch.minimum(boxes.clamp(min=0), torch.tensor([width, height, width, height]).float())
         best = scores.amax(1) if len(scores) else scores.new_zeros(0)

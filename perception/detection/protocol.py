@@ -11,7 +11,7 @@ from world.tracked import Category
 
 @dataclass(frozen=True)
 class Detections:
-    """What is found in one frame, the surest first.
+    """What is found in one frame; detectors give the surest first, trackers take any order.
 
     boxes: `[n, 4]` px, left, top, right, bottom, of what is seen and what is hidden. scores: `[n, C]` in 0..1, one for each class of the
     detector.

@@ -1,5 +1,7 @@
 """Boxes, shares and parts against what can be counted: each object rendered alone, and corners projected one by one."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -81,3 +83,11 @@ def test_heads_and_windscreens_are_found_by_their_names() -> None:
     assert (surfaces.normal[0][glass] < 0).all() and (surfaces.normal[2][glass] > 0.3).all()
     boxes = seen(wall(8.0, 0.0, 1.0))
     assert not part_mask(*boxes, EYES).any()
+
+
+def test_bodies_without_parts_have_no_heads_whatever_their_numbers() -> None:
+    plain = [replace(wall(14.0, y, 1.0), parts=()) for y in (-3.0, 3.0)]
+    surfaces, triangles = seen(someone(12.0), *plain)
+    assert {1, 2, 3} <= set(surfaces.object_id.unique().tolist())
+    mask = part_mask(surfaces, triangles, EYES)
+    assert mask.any() and (surfaces.object_id[mask] == 1).all()

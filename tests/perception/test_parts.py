@@ -20,7 +20,7 @@ def upright(x: float, width_m: float, height_m: float) -> torch.Tensor:
 
 @given(st.floats(7, 60), st.floats(1.05, 2.0))
 def test_whoever_stands_on_the_road_is_left_alone(x: float, height_m: float) -> None:
-    """Between the least and the greatest height; 1 % is the difference between heights on the road and rows of a camera that looks down."""
+    """Between the least and the greatest height, but for 2 %: rows of a camera that looks down are no heights on the road."""
     box = upright(x, 0.6, height_m)
     torch.testing.assert_close(standing(box, ("pedestrian",), VIEW), box)
 

@@ -6,6 +6,7 @@ from dataclasses import fields, replace
 
 import pytest
 import torch
+from pydantic import ValidationError
 
 from benchmarks.tracking import CLASSES, RATE_HZ, SCENES, SIZES, TRACKER, VIEW, Judge, followed, seen
 from perception.detection.protocol import Detections
@@ -16,21 +17,11 @@ from perception.tracks import EACH, Tracks
 DEFAULTS = TRACKER.params
 
 
-CLOSE = {"two pedestrians cross 0.2 m apart", "a car overtakes a cyclist"}
-
-
-@pytest.mark.parametrize("name", sorted(set(SCENES) - CLOSE))
+@pytest.mark.parametrize("name", SCENES)
 def test_nobody_changes_identity(name: str) -> None:
     for seed in range(3):
         kept = followed(SCENES[name], 110, seed)
         assert all(len(numbers) == 1 for numbers in kept.numbers) and kept.switches == 0, f"{name}, seed {seed}: {kept}"
-
-
-@pytest.mark.parametrize("name", sorted(CLOSE))
-def test_who_passes_closely_seldom_changes_identity(name: str) -> None:
-    """Of 20 runs 2 and 1 have a switch: by those rates five runs have more than two in one of 100 draws of the noise."""
-    switches = [followed(SCENES[name], 110, seed).switches for seed in range(5)]
-    assert sum(count > 0 for count in switches) <= 2, switches
 
 
 def test_an_occlusion_of_ten_frames_is_one() -> None:
@@ -231,6 +222,19 @@ def test_a_weak_detection_does_not_move_a_track() -> None:
     moved, missed = (TRACKER.step(tracks, each, 10 / RATE_HZ) for each in (weak, NOTHING))
     torch.testing.assert_close(moved.mean, missed.mean)
     assert bool(moved.score.isnan().all())
+
+
+def test_half_the_score_that_starts_a_track_keeps_it_and_starts_none() -> None:
+    tracks, half = shown(10), detections(BOX, scores=[[0.5 * DEFAULTS.start_score + 0.01, 0.0, 0.0, 0.0]])
+    assert len(TRACKER.step(TRACKER.start(), half, 0.0)) == 0
+    for k in range(10, 100):
+        tracks = TRACKER.step(tracks, half, k / RATE_HZ)
+    assert tracks.number.tolist() == [1] and float(tracks.seen_s) == 99 / RATE_HZ and bool(tracks.until_s.isinf().all())
+
+
+def test_a_score_of_nothing_starts_no_track() -> None:
+    with pytest.raises(ValidationError, match="greater than 0"):
+        TrackerParams(start_score=0)
 
 
 def test_a_class_changes_only_where_the_detector_is_much_surer() -> None:

@@ -106,6 +106,16 @@ def test_numbers_of_one_class_are_taken_together(tmp_path: Path) -> None:
     assert found.detect(torch.rand(1, 320, 320))[0].scores.tolist() == [[pytest.approx(0.9)], [pytest.approx(0.7)]]
 
 
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+@pytest.mark.parametrize("number", [0, 2, 4])  # of what it says: the middle, the width, a score
+def test_what_is_not_finite_is_left_out(number: int, wrong: float, tmp_path: Path) -> None:
+    numbers = np.array(LAYOUTS["yolov8"])
+    numbers[number, 0] = wrong
+    detector = OnnxDetector(OnnxParams(file=says(numbers, (640, 640), tmp_path / "says.onnx"), classes={0: "pedestrian", 1: "animal"}))
+    (found,) = detector.detect(torch.rand(1, 160, 320))
+    assert found.boxes.tolist() == [pytest.approx([145, 15, 155, 25])] and found.scores[0].tolist() == pytest.approx([0.2, 0.7])
+
+
 def test_what_does_not_fit_is_said_in_a_sentence(tmp_path: Path) -> None:
     with pytest.raises(LuxloopError, match=r"detector.file: .*none.onnx: there is no such file"):
         OnnxDetector(OnnxParams(file=str(tmp_path / "none.onnx")))

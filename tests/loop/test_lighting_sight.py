@@ -1,0 +1,47 @@
+"""The car's sight keeps vehicles of which it sees but the lamps."""
+
+import pytest
+import torch
+
+from loop.lighting.sight import Sight
+from perception.camera import CameraParams, camera_view
+from perception.detection.params import TruthParams
+from perception.detection.protocol import Detections
+from perception.lamps import ABOVE_M
+from perception.tracking import TrackerParams
+
+VIEW = camera_view(CameraParams(width_px=640, height_px=360, pitch_deg=1.5, oversampling=1))
+RATE_HZ, FOUND, ALL = 30.0, 5, 40  # frames with the car's box, and in all
+
+
+@pytest.mark.parametrize(
+    ("start_score", "lamps", "score"),
+    [*((start, 2, 0.0) for start in (0.3, 0.45, 0.5, 0.7, 0.9)), (0.5, 1, 0.0), (0.5, 0, 0.0), (0.5, 0, 0.6)],
+)
+def test_a_dark_car_is_kept_while_both_lamps_shine(start_score: float, lamps: int, score: float) -> None:
+    """score: of what the detector goes on to find, as a share of what starts a track."""
+    sight = Sight.prepare(TruthParams(), TrackerParams(start_score=start_score), VIEW, torch.device("cpu"))
+    classes, tracker = sight.tracker.classes, sight.tracker
+    corners = torch.tensor([[20.0, 0.9, 1.5], [20.0, -0.9, 0.0]], dtype=torch.float64).T
+    box = VIEW.project(corners)[0].T.reshape(1, 4)
+    frame = torch.full((VIEW.height, VIEW.width), 0.01)
+    metre = float(box[0, 2] - box[0, 0]) / 1.8
+    row = round(float(box[0, 3]) - ABOVE_M * metre)
+    for middle in (round(float(box[0, 0]) + 0.2 * metre), round(float(box[0, 2]) - 0.2 * metre))[:lamps]:
+        frame[row - 1 : row + 2, middle - 1 : middle + 2] = 1.0
+
+    def seen(value: float) -> Detections:
+        scores = torch.zeros(1, len(classes))
+        scores[0, classes.index("car")] = value
+        return Detections(box.float(), scores)
+
+    tracks = tracker.start()
+    for k in range(ALL):
+        tracks = sight.follow(tracks, seen(1.0 if k < FOUND else score * start_score), frame, k / RATE_HZ)
+    kept = tracks.present
+    assert kept.number.tolist() == ([1] if lamps == 2 or score >= 0.5 else [])
+    if lamps == 2:
+        torch.testing.assert_close(
+            tracker.boxes(kept), box, rtol=0, atol=2.0
+        )  # px; lamps are whole ones, and so is what they say of the foot
+        assert float(kept.score.max()) == tracker.params.keeps_score
