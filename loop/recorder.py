@@ -1,6 +1,7 @@
 """Recordings: a directory with a manifest, a row a step, and a summary, readable at whatever moment the process dies."""
 
 import os
+import tempfile
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
@@ -23,6 +24,8 @@ from world.errors import LuxloopError
 Result = TypeVar("Result")
 
 TRAJECTORY, SUMMARY, REPORT, VIDEO = "trajectory.parquet", "summary.json", "report.png", "video.mp4"
+FILES = (TRAJECTORY, SUMMARY, REPORT, VIDEO, MANIFEST)
+PARTS_OF_FILES = tuple(f".{name}.part" for name in FILES)
 REST = 10  # times what a write takes pass between two: recording costs a tenth at most, and a kill the last 50 ms or so
 
 LATER = ("z_m",)  # columns that recordings of older versions lack
@@ -134,21 +137,19 @@ def write_table(file: Path, table: pa.Table) -> None:
 class TableRecorder(ABC, Generic[Result]):
     """Records a run into a directory; use it in a `with` statement and `add` every step.
 
-    Leaving the block finishes the recording, as interrupted where an exception (Ctrl-C too) ended it, and writes the summary.
+    The first step begins the recording: until then the directory stays as it is, also where it holds an older one. Leaving the block
+    finishes it, as interrupted where an exception (Ctrl-C too) ended it, and writes the summary.
     """
 
     def __init__(self, directory: Path, manifest: Manifest, schema: pa.Schema) -> None:
-        """Make the directory, replace a recording that is there, write the manifest.
-
-        Raises LuxloopError if the directory holds something else, or cannot be written.
-        """
+        """Raises LuxloopError if the directory holds something else than a recording, or cannot be written."""
         self.directory, self.manifest = directory, manifest
         self._written = schema.empty_table()
         self._fresh: list[dict[str, Any]] = []
         self._next_write_s = 0.0
+        self._begun = False
         with self._writing():
-            _clear(directory)
-            self.manifest.write(directory)
+            _refuse(directory)
 
     @abstractmethod
     def row(self, result: Result) -> dict[str, Any]:
@@ -164,6 +165,8 @@ class TableRecorder(ABC, Generic[Result]):
     def add(self, result: Result) -> dict[str, Any]:
         """Record a step; returns its row. Raises LuxloopError if the directory can no longer be written."""
         added = self.row(result)
+        if not self._begun:
+            self._begin()
         self._fresh.append(added)
         if time.perf_counter() >= self._next_write_s:
             self._write_trajectory()
@@ -177,11 +180,22 @@ class TableRecorder(ABC, Generic[Result]):
         return self._written
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if not self._begun:
+            return
         self._write_trajectory()
         with self._writing():
             write_json(self.directory / SUMMARY, self.summary())
             self.manifest = self.manifest.model_copy(update={"status": "complete" if kind is None else "interrupted"})
             self.manifest.write(self.directory)
+
+    def _begin(self) -> None:
+        """Make the directory, remove an old recording, its manifest last, and write the new one's."""
+        with self._writing():
+            self.directory.mkdir(parents=True, exist_ok=True)
+            for name in (*PARTS_OF_FILES, *FILES):
+                (self.directory / name).unlink(missing_ok=True)
+            self.manifest.write(self.directory)
+        self._begun = True
 
     def _write_trajectory(self) -> None:
         start = time.thread_time()  # a busy machine makes writes last, but not rarer
@@ -214,17 +228,14 @@ class Recorder(TableRecorder[StepResult]):
         return summary_of(self.simulation, self.table())
 
 
-def _clear(directory: Path) -> None:
-    """Make the directory, or remove an old recording's files from it, its manifest last."""
-    directory.mkdir(parents=True, exist_ok=True)
-    names = (TRAJECTORY, SUMMARY, REPORT, VIDEO, MANIFEST)
-    parts = {f".{name}.part" for name in names}
-    if {path.name for path in directory.iterdir()} - parts:
+def _refuse(directory: Path) -> None:
+    """Raises LuxloopError where the directory holds something else than a recording, OSError where it cannot be written."""
+    with tempfile.TemporaryFile(dir=next(each for each in (directory, *directory.parents) if each.exists())):
+        pass
+    if directory.exists() and {path.name for path in directory.iterdir()} - set(PARTS_OF_FILES):
         try:
             Manifest.read(directory)
         except LuxloopError as error:
             raise LuxloopError(
                 f"{directory}: holds files that are no recording of this luxloop; give an empty or a new directory"
             ) from error
-    for name in (*parts, *names):
-        (directory / name).unlink(missing_ok=True)

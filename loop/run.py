@@ -37,7 +37,7 @@ def run(
     """Run a scenario of either kind into a directory (`luxloop replay` reads it) and return its summary.
 
     on_step: called after every step. Ctrl-C ends the recording, reports on the steps so far and goes on as KeyboardInterrupt.
-    Raises LuxloopError, before anything is written, where the scenario cannot run.
+    Raises LuxloopError where the scenario cannot run; nothing is written before the first step is done.
     """
     directory = Path(directory)
     if isinstance(scenario, LightingScenario):
@@ -48,11 +48,12 @@ def run(
     try:
         with recorder, ExitStack() as stack:
             size = (scenario.camera.width_px, scenario.camera.height_px)
-            film = stack.enter_context(VideoWriter(directory / VIDEO, VIDEO_FPS, size)) if video else None
+            film: VideoWriter | None = None
             for result in simulation.run():
                 recorder.add(result)
                 gathered.add(result)
-                if film is not None:
+                if video:
+                    film = film or stack.enter_context(VideoWriter(directory / VIDEO, VIDEO_FPS, size))
                     film.add(frame_picture(result, simulation))
                 on_step(result)
     finally:

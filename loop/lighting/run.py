@@ -39,11 +39,12 @@ def run_lighting(
     try:
         with recorder, ExitStack() as stack:
             size = (scenario.camera.width_px, scenario.camera.height_px)
-            film = stack.enter_context(VideoWriter(directory / VIDEO, VIDEO_FPS, size)) if video else None
+            film: VideoWriter | None = None
             for result in simulation.run():
                 recorder.add(result)
                 moments = {step: each for step, each in moments.items() if step in kept} | {result.step: result}
-                if film is not None:
+                if video:
+                    film = film or stack.enter_context(VideoWriter(directory / VIDEO, VIDEO_FPS, size))
                     white = white_of(result.luminance, scenario.camera) if white is None else white
                     film.add(frame_picture(result, simulation, white))
                 on_step(result)

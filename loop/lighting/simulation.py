@@ -164,7 +164,8 @@ class LightingSimulation:
         """All steps of the scenario."""
         state = self.start()
         for _ in range(self.scenario.steps):
-            state, result = self.step(state)
+            with located(self.scenario.source):
+                state, result = self.step(state)
             yield result
 
     def masked(self, each: TrackedObject, now: Situation) -> bool:

@@ -186,7 +186,9 @@ class Numpy:
         return [Detections(np.zeros((1, 4)), np.zeros((1, 1)))] * len(frames)  # type: ignore[arg-type]
 
 
-def test_what_ones_own_detector_gives_wrong_ends_a_run_in_a_sentence() -> None:
-    simulation = LightingSimulation.prepare(scenario(detector={"kind": f"{__name__}:Numpy"}, objects=[]))
-    with pytest.raises(LuxloopError, match=r"detector.kind: .*Numpy: detect fails \(AttributeError.*it must give one Detections a frame"):
-        simulation.step(simulation.start())
+def test_what_ones_own_detector_gives_wrong_ends_a_run_in_a_sentence_and_leaves_nothing(tmp_path: Path) -> None:
+    wrong = scenario(detector={"kind": f"{__name__}:Numpy"}, objects=[])
+    said = r"closed: detector.kind: .*Numpy: detect fails \(AttributeError.*it must give one Detections a frame"
+    with pytest.raises(LuxloopError, match=said):
+        run(wrong, tmp_path / "runs" / "closed")
+    assert list(tmp_path.iterdir()) == []
