@@ -10,7 +10,7 @@ from matplotlib.figure import SubFigure
 
 from loop.lighting.compared import compared
 from loop.lighting.simulation import LightingSimulation
-from loop.lighting.summary import START_UP_S, eyes_lx, lost_steps, zones_of
+from loop.lighting.summary import START_UP_S, eyes_lx, lost_steps, steps_of_nothing, zones_of
 from loop.report import FOUR, headed
 from loop.summary import column
 
@@ -75,7 +75,8 @@ def _confidences(axes: Axes, table: pa.Table, objects: Sequence[str]) -> None:
         label = name if not gone else f"{name}, lost in {gone} steps"
         axes.plot(column(table, "time_s"), column(table, f"object.{name}.confidence"), color=colour, label=label)
     axes.set(ylim=(0, 1.02))
-    headed(axes, "Confidence of objects, filtered over frames")
+    nothing = steps_of_nothing(table, objects)
+    headed(axes, "Confidence of objects, filtered over frames" + (f"; a track of nothing in {nothing} steps" if nothing else ""))
 
 
 def _on_objects(axes: Axes, table: pa.Table, objects: Sequence[str], named: bool) -> None:
@@ -85,6 +86,7 @@ def _on_objects(axes: Axes, table: pa.Table, objects: Sequence[str], named: bool
         label = f"{name}: 0 lx throughout" if (seen := most[np.isfinite(most)]).size and not seen.any() else name if named else None
         axes.plot(time_s, mean, marker=_mark(table), color=colour, label=label)
         axes.plot(time_s, most, color=colour, linestyle=":", linewidth=0.9)
+    axes.plot([], [], color="0.5", linestyle=":", linewidth=0.9, label="most on each")
     if "eyes_lx_max" in table.column_names and np.isfinite(column(table, "eyes_lx_max")).any():
         later = eyes_lx(table, START_UP_S)
         told = "" if later is None else f": {later:.2g} lx from {START_UP_S:g} s on"

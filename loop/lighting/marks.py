@@ -1,6 +1,7 @@
 """What is drawn over the camera's picture: the boxes of tracked objects, and with a detector what it found and how sure the car is."""
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import torch
@@ -35,6 +36,19 @@ def marks(result: LightingResult, simulation: LightingSimulation) -> tuple[Mark,
         return tuple(Mark(box_lines(each, simulation.camera.view), each.name in result.masked) for each in there)
     assert simulation.sight is not None
     return (*_found(result.look), *_tracked(result.look, simulation.sight.tracker.classes, result.masked))
+
+
+def readable(marked: Iterable[Mark], character_px: float) -> tuple[Mark, ...]:
+    """The same marks, without the texts that would cover one before them. character_px: how wide one is; it is twice as high."""
+    kept: list[Mark] = []
+    taken: list[tuple[float, float, float]] = []  # left, right, bottom
+    for mark in marked:
+        (left, bottom), right = mark.at, mark.at[0] + character_px * len(mark.text)
+        covers = any(left < other[1] and other[0] < right and abs(bottom - other[2]) < 2 * character_px for other in taken)
+        if mark.text and not covers:
+            taken.append((left, right, bottom))
+        kept.append(replace(mark, text="") if covers else mark)
+    return tuple(kept)
 
 
 def _found(look: Look) -> tuple[Mark, ...]:

@@ -1,6 +1,6 @@
 """A recording of lighting functions in a few numbers."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -64,6 +64,7 @@ def summarise(table: pa.Table, scenario: str, compared_w: Mapping[str, NDArray[n
             else {}
         ),
         **({key: over(key, "mean") for key in LOOKING} | _eyes(table) if "detections" in known else {}),
+        **({"tracks_of_nothing": steps_of_nothing(table, objects)} if "tracks" in known else {}),
         "control_ms_median": float(np.median(column(table, "plan_ms") + column(table, "light_ms"))) if table.num_rows else None,
     }
 
@@ -77,6 +78,16 @@ def lost_steps(table: pa.Table, name: str) -> int:
     """Steps in which an object is in sight and no track shows it, after the first that did."""
     in_sight, tracked = np.isfinite(column(table, f"object.{name}.confidence")), np.isfinite(column(table, f"object.{name}.track"))
     return int((in_sight & ~tracked)[np.argmax(tracked) :].sum()) if tracked.any() else 0
+
+
+def steps_of_nothing(table: pa.Table, objects: Sequence[str]) -> int:
+    """Steps in which there is a track that shows no object, or one that another track shows; objects out of sight keep the one they had."""
+    shown = np.zeros(table.num_rows)
+    for name in objects:
+        in_sight, tracked = np.isfinite(column(table, f"object.{name}.confidence")), np.isfinite(column(table, f"object.{name}.track"))
+        last = np.maximum.accumulate(np.where(in_sight, np.arange(len(shown)), -1))  # step in which it was in sight
+        shown += (last >= 0) & tracked[last]
+    return int((column(table, "tracks") > shown).sum())
 
 
 def eyes_lx(table: pa.Table, from_s: float = 0.0) -> float | None:
@@ -110,12 +121,16 @@ def _energy(table: pa.Table, power_w: NDArray[np.floating]) -> float | None:
 
 
 def _recognised(table: pa.Table, name: str) -> dict[str, Any]:
-    """The confidence at the end, how many tracks showed an object one after the other, and for how long it was in sight, and lost."""
+    """The confidence at the end, and the least since a track first showed an object, how many showed it one after the other, and for how
+    long it was in sight, and lost."""
     confidence = column(table, f"object.{name}.confidence")
     last = confidence[-LAST_STEPS:][np.isfinite(confidence[-LAST_STEPS:])]
     tracks = {number for number in table[f"object.{name}.track"].to_pylist() if number is not None}
+    tracked = np.isfinite(column(table, f"object.{name}.track"))
+    since = confidence[np.argmax(tracked) :] if tracked.any() else confidence[:0]
     return {
         "confidence_final": float(last.mean()) if len(last) else None,
+        "confidence_min": float(np.nanmin(since)) if len(since) else None,
         "tracks": len(tracks),
         "steps_in_sight": int(np.isfinite(confidence).sum()),
         "steps_lost": lost_steps(table, name),
@@ -151,6 +166,11 @@ def shown(values: dict[str, Any], files: str) -> Table:
         rows["found"] = f"{values['detections']:.1f} boxes a step, {values['false_positives']:.2f} of them false"
         if values["eyes_lx_max"] is not None:
             rows["on heads and windscreens"] = _on_eyes(values["eyes_lx_max"], values["eyes_lx_max_after_start_up"])
+    if least := {name: each["confidence_min"] for name, each in values["objects"].items() if each.get("confidence_min") is not None}:
+        told = ", ".join(f"{name} {sure:.2f}" for name, sure in least.items())
+        rows["least confidence"] = f"{told}, each from its first track on"
+    if values.get("tracks_of_nothing"):
+        rows["tracks of nothing"] = f"in {values['tracks_of_nothing']} of {values['steps']} steps a track shows no object of its own"
     for name, each in values["objects"].items():
         if each.get("steps_in_sight") and (each["steps_lost"] or not each["tracks"]):
             word, gone = ("lost", each["steps_lost"]) if each["tracks"] else ("missed", each["steps_in_sight"])

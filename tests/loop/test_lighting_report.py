@@ -15,8 +15,9 @@ from rich.console import Console
 
 from loop.lighting.compared import compared
 from loop.lighting.courses import write_courses
+from loop.lighting.marks import Mark, readable
 from loop.lighting.simulation import LightingSimulation
-from loop.lighting.summary import eyes_lx, lost_steps, shown
+from loop.lighting.summary import eyes_lx, lost_steps, shown, steps_of_nothing
 from loop.report import STYLE
 from loop.run import run
 from loop.scenario import LightingScenario, validate_any
@@ -108,6 +109,28 @@ def test_steps_in_which_somebody_in_sight_is_lost_are_counted() -> None:
     assert lost_steps(table, "car") == 2 and lost_steps(table, "deer") == 0
 
 
+def test_tracks_that_show_nobody_are_counted() -> None:
+    none = None
+    table = pa.table(
+        {
+            # not found yet; found; with a ghost beside it; out of sight, with its track alone; then with a ghost too; its track strays
+            "object.car.confidence": pa.array([0.0, 0.8, 0.8, none, none, 0.0], pa.float64()),
+            "object.car.track": pa.array([none, 1, 1, none, none, none], pa.int64()),
+            "tracks": pa.array([0, 1, 2, 1, 2, 1], pa.int64()),
+        }
+    )
+    assert steps_of_nothing(table, ["car"]) == 3
+    assert steps_of_nothing(table, []) == 5
+    assert steps_of_nothing(table.slice(0, 0), ["car"]) == 0
+
+
+def test_texts_do_not_cover_each_other() -> None:
+    places = {"car 1: 0.90": (100, 50), "left of it": (49, 50), "cyclist 2: 0.80": (150, 55), "below": (150, 62), "": (100, 50)}
+    marked = [Mark((), text=text, at=at) for text, at in places.items()]
+    assert [mark.text for mark in readable(marked, 5.0)] == ["car 1: 0.90", "left of it", "", "below", ""]
+    assert [mark.text for mark in readable(marked, 7.0)] == ["car 1: 0.90", "", "", "", ""]
+
+
 def test_light_on_eyes_is_told_without_the_start_up() -> None:
     table = pa.table({"time_s": [0.0, 0.5, 1.0, 1.5], "eyes_lx_max": pa.array([8.0, 2.0, 0.4, None], pa.float64())})
     assert eyes_lx(table) == 8.0 and eyes_lx(table, 1.0) == 0.4 and eyes_lx(table, 1.2) is None
@@ -124,8 +147,10 @@ def test_whom_the_tracker_loses_is_told(tmp_path: Path) -> None:
     )
     walker = summary["objects"]["walker"]
     assert walker["steps_in_sight"] == 12 and 2 <= walker["steps_lost"] <= 9
+    assert walker["confidence_min"] == 0.0  # in the steps in which it is lost, though not in those before it was found
     console = Console(record=True, width=160)
     console.print(shown(summary, "here"))
     told = console.export_text()
     assert f"no track shows it in {walker['steps_lost']} of the 12 steps in which it is in sight" in told
     assert "lx at most, all within the first 1 s" in told
+    assert "walker 0.00, each from its first track on" in told
