@@ -270,7 +270,8 @@ def _names_objects(function: Any) -> bool:
 AnyScenario = Scenario | LightingScenario
 EXAMPLES: Final[dict[type[AnyScenario], str]] = {
     Scenario: "`luxloop new FILE` writes a complete example; lighting functions come in [lighting] instead of [symbol]",
-    LightingScenario: "`luxloop list` shows examples of all functions, `luxloop new FILE --like path_projection` copies one, say",
+    LightingScenario: "`luxloop list` shows examples of all functions, `luxloop new FILE --like path_projection` copies one, say, and "
+    "`--like obl` one with a detector",
 }
 
 
@@ -326,6 +327,11 @@ def validate_any(data: Mapping[str, Any], source: str) -> AnyScenario:
         raise LuxloopError(
             f"{source}: has both a [symbol] and [lighting]; a scenario is of one kind, take one of the two out (what a lighting "
             "function draws is its own image, as in lighting.functions[0].image)"
+        )
+    if "symbol" in data and (strange := [key for key in data if key in LightingScenario.model_fields and key not in Scenario.model_fields]):
+        raise LuxloopError(
+            f"{source}: {strange[0]}: goes with [lighting], but this is the scenario of a [symbol]; leave it out, or take one with "
+            "lighting functions, such as obl"
         )
     if "controller" in data and "lighting" in data:
         raise LuxloopError(f"{source}: controller: a scenario with [lighting] has no controller; leave it out")
@@ -420,7 +426,7 @@ def _merge(into: dict[str, Any], changes: Mapping[str, Any], within: str = "") -
     there is no such item.
     """
     for key, value in changes.items():
-        old, whole = into.get(key), f"{within}.{key}".strip(".")
+        old, whole = into.get(key), within + key if INDEX.fullmatch(key) else f"{within}.{key}".strip(".")
         if isinstance(old, list) and isinstance(value, dict) and value and all(INDEX.fullmatch(place) for place in value):
             items = {f"[{k}]": item for k, item in enumerate(old)}
             if strange := [place for place in value if place not in items]:
@@ -428,6 +434,11 @@ def _merge(into: dict[str, Any], changes: Mapping[str, Any], within: str = "") -
                 raise LuxloopError(f"{whole}{strange[0]}: {found}; change another, or set all of {whole}")
             _merge(items, value, whole)
             into[key] = list(items.values())
+        elif isinstance(old, list) and isinstance(value, dict):
+            raise LuxloopError(
+                f"{whole}: is a list and has no {next(iter(value), 'table')!r}; write --set '{whole}[0].KEY=VALUE' for its first, "
+                f"--set '{whole}=[...]' for all of it, or change a copy, `luxloop new FILE --like NAME`"
+            )
         elif isinstance(old, dict) and isinstance(value, dict) and all(old.get(tag, new) == new for tag in TAGS if (new := value.get(tag))):
             _merge(old, value, whole)
         else:

@@ -239,9 +239,19 @@ def test_one_key_of_one_item_of_a_list_can_be_set(tmp_path: Path, monkeypatch: p
     assert body == before.lighting.functions[1].model_copy(update={"value": 0.25})
     assert line.animation.rate_hz == 3 and line.width_m == 0.35
     assert [key.position_m[1] for key in now.objects[0].track] == [-4.5, 0]
+    assert load_any("obl", ["lighting.functions[0].method=constant"]).lighting.functions[0].method == "constant"  # type: ignore[union-attr]
     shown = load_any("animated_symbol", ["lighting.functions[0].image=./own.png"])
     assert shown.lighting.functions[0].image == str((tmp_path / "own.png").resolve())
     with pytest.raises(LuxloopError, match=r"^lighting.functions\[2\]: there are 2 functions, numbered from 0"):
         load_any("marker_light", ["lighting.functions[2].value=1"])
     with pytest.raises(LuxloopError, match=r"lighting.functions\[1\].valeu: unknown key; did you mean 'value'"):
         load_any("marker_light", ["lighting.functions[1].valeu=1"])
+    with pytest.raises(LuxloopError, match=r"^lighting.functions: is a list and has no '0'; write --set 'lighting.functions\[0\].KEY"):
+        load_any("marker_light", ["lighting.functions.0.value=1"])
+    with pytest.raises(LuxloopError, match=r"^objects\[0\].track\[7\]: there are \d+ track, numbered from 0"):
+        load_any("marker_light", ["objects[0].track[7].time_s=1"])
+
+
+def test_what_goes_with_lighting_is_told_where_there_is_a_symbol() -> None:
+    with pytest.raises(LuxloopError, match=r"detector: goes with \[lighting\], but this is the scenario of a \[symbol\]; .* such as obl"):
+        load_any("snowflake", ["detector.kind=hog"])
