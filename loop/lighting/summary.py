@@ -157,7 +157,9 @@ def shown(values: dict[str, Any], files: str) -> Table:
     if values["symbol_iou_min"] is not None:
         rows["symbols, to their observers"] = f"IoU {values['symbol_iou_min']:.3f} at least"
     if values["idle_functions"]:
-        rows["without effect"] = f"{', '.join(values['idle_functions'])}: nothing to draw, or nothing that a lamp reaches, in all steps"
+        untracked = "detections" in values and not any(each["tracks"] for each in values["objects"].values())
+        why = f"nothing to draw, or nothing that a lamp reaches, in all steps{'; no object was tracked yet' if untracked else ''}"
+        rows["without effect"] = f"{', '.join(values['idle_functions'])}: {why}"
     if values.get("energy_j") is not None:
         rows["energy"] = _of_energy(values["energy_j"], values["energy_compared_j"])
         if values["base_share_final"] < 1:
