@@ -1,4 +1,5 @@
-"""How good the detectors that are shipped are: `python benchmarks/detectors.py` writes docs/detectors.md with its figures and pictures.
+"""How good the detectors that are shipped are: `python benchmarks/detectors.py` judges them and writes the shipped weights' report,
+and docs/detectors.md with its figures and pictures.
 
 Scenes are those of `luxloop train-detector --out runs/detector`, drawn if they are not there.
 """
@@ -15,7 +16,7 @@ from loop.training.judge import SURE, judge
 from loop.training.light import luminance
 from loop.training.report import confidence_figure, page
 from loop.training.scenes import CAMERA, HELD_OUT, DarkScene, read
-from loop.training.train import drawn
+from loop.training.train import LEAST_SCORE, drawn
 from perception.camera import expose, frame_generator
 from perception.detection.build import WEIGHTS, detector
 from perception.detection.params import HogParams, NetworkParams
@@ -35,8 +36,10 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/detector"), help="folder with the scenes")
     parser.add_argument("--jobs", type=int, help="processes that draw scenes, by default one a core")
     given = parser.parse_args()
-    report = json.loads(REPORT.read_text("utf-8"))
-    rows = drawn(given.out, HELD_OUT, report["scenes"], given.jobs, "scenes held out")
+    stored = json.loads(REPORT.read_text("utf-8"))
+    rows = drawn(given.out, HELD_OUT, stored["scenes"], given.jobs, "scenes held out")
+    report = stored | judge(detector(NetworkParams(threshold=LEAST_SCORE), CPU), rows)
+    REPORT.write_text(json.dumps(report, indent=1, allow_nan=False) + "\n", "utf-8")
     images = ROOT / "docs" / "images"
     confidence_figure(report).savefig(images / "detector-confidence.jpg")
     cv2.imwrite(str(images / "detector-boxes.jpg"), picture(read(rows[SHOWN])), [cv2.IMWRITE_JPEG_QUALITY, 80])

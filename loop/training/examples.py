@@ -48,10 +48,11 @@ def _pair(rows: Sequence[dict[str, Any]], rng: np.random.Generator) -> tuple[tup
     scene = _scene(rows, rng)
     scene = replace(scene, ambient_lx=scene.ambient_lx * float(np.exp(rng.normal(0, 1))))
     exposure = float(np.exp(rng.uniform(-0.25, 0.25)))
-    return _example(scene, full_light(scene, rng), exposure, rng), _example(scene, object_light(scene, rng), exposure, rng)
+    return example(scene, full_light(scene, rng), exposure, rng), example(scene, object_light(scene, rng), exposure, rng)
 
 
-def _example(scene: DarkScene, light: Tensor, exposure: float, rng: np.random.Generator) -> tuple[Tensor, ...]:
+def example(scene: DarkScene, light: Tensor, exposure: float, rng: np.random.Generator) -> tuple[Tensor, ...]:
+    """Frame, heat, counts, boxes and share as of `Examples`, of a scene on which the headlamps' light `[height, width]` lx falls."""
     frame = interpolate(exposure * luminance(scene, light)[None, None], SIZE, mode="bilinear", antialias=True, align_corners=False)[0, 0]
     frame = expose(frame, CAMERA, torch.Generator().manual_seed(int(rng.integers(2**62)))) / (2**CAMERA.bits - 1)
     to_frame = torch.tensor([SIZE[1] / scene.shape[1], SIZE[0] / scene.shape[0]]).repeat(2)

@@ -18,11 +18,11 @@ from perception.detection.protocol import Detections, Detector
 from perception.detection.suppression import overlaps
 
 ILLUMINANCES_LX = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0)
-WELL_LIT_LX = 10.0
+JUDGED_LX = 10.0
 ALONE_LX, AROUND_LX, EDGE_PX = 20.0, 0.1, 2.0  # of object-based light: on objects, beside them, and the scale of the lamps' blur
 FRAMES = 4  # with other noise, of which confidences are averaged for that
 AGREE = 0.05  # confidence that object-based light may take from full light
-SURE = 0.5  # least score of what counts as found: rather right than wrong
+SURE = 0.5  # least score of what counts as found: at JUDGED_LX rather right than wrong, in less light more often right than that
 SCORES = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)  # that might do as well
 BINS = (0.1, 0.3, 0.5, 0.7, 0.9, 1.0)  # of scores, whose boxes are asked how many of them are right
 FOUND_IOU = 0.5
@@ -63,7 +63,7 @@ def judge(detector: Detector, rows: Sequence[Mapping[str, Any]]) -> dict[str, An
             (found,) = detector.detect(frame)
             times_ms.append(1e3 * (time.process_time() - start))
             verdicts[lx].append(verdict(found, scene.objects, labels_of))
-            if lx == WELL_LIT_LX:
+            if lx == JUDGED_LX:
                 asked += boxes_right(found, scene.objects, labels_of)
                 for score, of in by_score.items():
                     of.append(verdict(found, scene.objects, labels_of, score))
@@ -71,7 +71,7 @@ def judge(detector: Detector, rows: Sequence[Mapping[str, Any]]) -> dict[str, An
     return {
         "scenes": len(rows),
         "sure": SURE,
-        "well_lit": _found(verdicts[WELL_LIT_LX]),
+        "well_lit": _found(verdicts[JUDGED_LX]),
         "by_score": [{"score": score, **{key: _found(of)[key] for key in ("recall", "false_a_frame")}} for score, of in by_score.items()],
         "confidence": _confidence(verdicts),
         "right": _right(asked),
@@ -108,7 +108,10 @@ def verdict(found: Detections, objects: Sequence[Labelled], labels_of: Sequence[
 
 
 def boxes_right(found: Detections, objects: Sequence[Labelled], labels_of: Sequence[int]) -> list[tuple[float, bool]]:
-    """Score of each box, and whether it is the surest one on an object of its class; those on what may be found as well are left out."""
+    """Score of each box, and whether it is the surest one on an object of its class, be it one that must or that may be found.
+
+    Others that lie on what may be found are left out.
+    """
     boxes, (scores, columns) = found.boxes.cpu(), found.scores.cpu().max(1)
     overlap = overlaps(boxes, torch.tensor([each.box for each in objects]).view(-1, 4))
     overlap *= torch.tensor([[labels_of[column] == each.label for each in objects] for column in columns.tolist()]).view(overlap.shape)
@@ -142,7 +145,7 @@ def seen(scene: DarkScene, light: Tensor | float, seed: int, number: int) -> Ten
 
 
 def object_based(scene: DarkScene) -> Tensor:
-    """Light on objects alone, as the lighting function of that name gives it by default."""
+    """Light on objects alone, roughly as the lighting function of that name gives it by default: it knows who is nearer, this does not."""
     params = ObjectLightParams()
     return lit_alone(scene, ALONE_LX, AROUND_LX, params.dark, params.dark_lx, EDGE_PX)
 
@@ -178,7 +181,7 @@ def _found(verdicts: Sequence[Verdict]) -> dict[str, Any]:
 
 
 def _right(asked: Sequence[tuple[float, bool]]) -> list[dict[str, Any]]:
-    """Of boxes in light of 10 lx, by their scores: how many, their mean score, and the share that is right."""
+    """Of boxes in light of `JUDGED_LX`, by their scores: how many, their mean score, and the share that is right."""
     rows = []
     for low, high in pairwise(BINS):
         boxes = [(score, right) for score, right in asked if low <= score < high or score == high == BINS[-1]]

@@ -18,9 +18,9 @@ TOP_LX = (0.0, 1.0)  # on heads and windscreens of these
 TOP: Final[Mapping[Category, tuple[float, float]]] = {"pedestrian": (0.12, 0.45), "cyclist": (0.12, 0.45), "car": (0.35, 0.75)}
 
 
-def luminance(scene: DarkScene, lx: Tensor | float, ambient_lx: float | None = None) -> Tensor:
-    """`[height, width]` in cd/m^2 where surfaces that face the headlamps get `lx` from them; ambient_lx: in place of that of the night."""
-    return scene.lamps * lx + scene.own + scene.sky * (scene.ambient_lx if ambient_lx is None else ambient_lx)
+def luminance(scene: DarkScene, lx: Tensor | float) -> Tensor:
+    """`[height, width]` in cd/m^2 where surfaces that face the headlamps get `lx` from them."""
+    return scene.lamps * lx + scene.own + scene.sky * scene.ambient_lx
 
 
 def full_light(scene: DarkScene, rng: np.random.Generator) -> Tensor:
@@ -102,7 +102,7 @@ def _patch(scene: DarkScene, box: tuple[float, float, float, float], soft: float
 
 def lit_share(scene: DarkScene, light: Tensor, lx: float) -> Tensor:
     """Which share of each object of the scene gets so much light or more, `[n]`, of what is seen of it."""
-    ids = scene.object_id.flatten() + 1
-    lit = torch.bincount(ids, (light >= lx).flatten().float(), minlength=512)
-    share = lit / torch.bincount(ids, minlength=512).clamp(min=1)
-    return share[torch.tensor([each.object_id + 1 for each in scene.objects]).long()]
+    ids, its = scene.object_id.flatten() + 1, torch.tensor([each.object_id + 1 for each in scene.objects]).long()
+    rows = 1 + max(its.tolist(), default=0)
+    lit, pixels = torch.bincount(ids, (light >= lx).flatten().float(), rows), torch.bincount(ids, minlength=rows)
+    return lit[its] / pixels[its].clamp(min=1)

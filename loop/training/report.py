@@ -13,7 +13,7 @@ from rich.table import Table
 
 from loop import tables
 from loop.report import FOUR, STYLE
-from loop.training.judge import AGREE, ALONE_LX, AROUND_LX, FOUND_IOU, HEIGHT_PX, VISIBLE
+from loop.training.judge import AGREE, ALONE_LX, AROUND_LX, FOUND_IOU, HEIGHT_PX, JUDGED_LX, VISIBLE
 from loop.training.scenes import CLASSES
 from world.files import whole
 
@@ -28,10 +28,10 @@ def goals(report: Report) -> list[tuple[str, str, float | None, bool]]:
     at = dict(zip(report["confidence"]["lx"], all_, strict=True))
     change = None if at[40.0] is None else round(abs(at[40.0] - at[20.0]), 3)
     asked: list[tuple[str, Literal["≥", "≤"], float, float | None]] = [
-        ("recall at 10 lx", "≥", 0.9, found["recall"]),
-        ("false positives a frame at 10 lx", "≤", 0.3, found["false_a_frame"]),
+        (f"recall at {JUDGED_LX:g} lx", "≥", 0.9, found["recall"]),
+        (f"false positives a frame at {JUDGED_LX:g} lx", "≤", 0.3, found["false_a_frame"]),
         ("median confidence at 0.1 lx", "≤", 0.1, at[0.1]),
-        ("median confidence at 10 lx", "≥", 0.5, at[10.0]),
+        (f"median confidence at {JUDGED_LX:g} lx", "≥", 0.5, at[JUDGED_LX]),
         ("its change from 20 to 40 lx", "≤", 0.05, change),
         (f"objects as sure in object-based light, within {AGREE:g}", "≥", 0.8, report["alone"]["kept"]),
     ]
@@ -62,13 +62,17 @@ def page(report: Report) -> str:
         f"{_told(each['right'])} of {each['boxes']} with {each['from']:g} to {each['to']:g} ({_told(each['score'])} in the mean)"
         for each in report["right"]
     )
+    learnt = training["scenes"] - training["calibrated_on"]
+    asked = f"{training['calibrated_on']} more" if learnt else "the same, since so few leave none for that"
+    minutes = ", ".join(f"{name} {_told(value)} min" for name, value in training.get("minutes", {}).items())
     lx = report["confidence"]["lx"]
     header = f"| median confidence at lx | {' | '.join(f'{each:g}' for each in lx)} |\n| --- |{' ---: |' * len(lx)}"
     medians = "\n".join(
         f"| {name} | {' | '.join(_told(each, '.2f') for each in report['confidence'][name]['median'])} |" for name in ("all", *CLASSES)
     )
-    return f"""Trained on {report["date"]} on {training["scenes"]} scenes, {training["epochs"]} epochs ({training["examples"]} examples), \
-seed {training["seed"]}; judged on {report["scenes"]} others with {found["objects"]} objects, which share no object with them.
+    return f"""Trained on {report["date"]} on {learnt or training["scenes"]} scenes, {training["epochs"]} epochs \
+({training["examples"]} examples), seed {training["seed"]}{f" ({minutes})" if minutes else ""}; calibrated on {asked}; \
+judged on {report["scenes"]} others with {found["objects"]} objects, which share no object with them.
 
 | | goal | measured | reached |
 | --- | --- | ---: | --- |
@@ -80,16 +84,16 @@ Precision is {found["precision"]:g}, the class of what is found is right in {_to
 {by_class}. \
 Recall at false boxes a frame with other scores: {others}. A frame takes {report["ms_a_frame"]:g} ms of processor time.
 
-Scores are shares of boxes that are right (a slope of {training["slope"]:g} and a shift of {training["shift"]:g} of the logits, found on \
-{training["calibrated_on"]} scenes of those to train on that the network had not learnt from). On the scenes held out, at 10 lx, \
-right are {right}.
+Scores are shares of boxes that are right (a slope of {training["slope"]:g} and a shift of {training["shift"]:g} of the logits, found in \
+light of {JUDGED_LX:g} lx and in object-based light). On the scenes held out, at {JUDGED_LX:g} lx, right are {right}.
 
 x lx is light of which every surface that faces the lamps gets x lx, however far away it is: the lamps' intensity grows with the square \
 of the distance. An object's confidence is the best score of its class among boxes on it, 0 where there is none.
 
-Object-based light is {ALONE_LX:g} lx on objects amid {AROUND_LX:g} lx, with heads and windscreens as dark as `object_based` leaves them \
-by default. Of {alone["objects"]} objects that are found in full light of {ALONE_LX:g} lx everywhere the confidence falls by no more than \
-{AGREE:g} in {_told(alone["kept"], ".0%")} ({kept}); its median change is {_told(alone["median_change"], "+g")}.
+Object-based light is {ALONE_LX:g} lx on objects amid {AROUND_LX:g} lx, with heads and windscreens roughly as dark as `object_based` \
+leaves them by default. Of {alone["objects"]} objects that are found in full light of {ALONE_LX:g} lx everywhere the confidence falls \
+by no more than {AGREE:g} in {_told(alone["kept"], ".0%")} ({kept}); its median change is {_told(alone["median_change"], "+g")}. \
+Near 1 the same loss of certainty is a smaller one of confidence: from 0.99 to 0.94 it is as large as from 0.5 to 0.14.
 
 {header}
 {medians}

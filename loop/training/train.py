@@ -2,7 +2,8 @@
 
 import datetime
 import json
-from collections.abc import Sequence
+import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,13 +15,13 @@ from loop.training.calibrate import calibrate
 from loop.training.fit import BATCH, fit
 from loop.training.judge import judge
 from loop.training.report import overview, write_report
-from perception.detection.network import Network, NetworkDetector, save
+from perception.detection.network import NetworkDetector, save
 from perception.detection.params import NetworkParams
 from world.errors import LuxloopError
 from world.files import whole
 
 JOBS, FOLDER = "scenes.jsonl", "scenes"
-LEAST_SCORE = 0.01  # of what is judged
+LEAST_SCORE = 0.01  # of what is asked and judged
 CALIBRATING = 10  # of so many scenes one is left for calibration
 VERSION: Final = digest_of(scenes)
 
@@ -28,38 +29,50 @@ VERSION: Final = digest_of(scenes)
 def train(out: Path, number: int, held_out: int, epochs: int, seed: int, processes: int | None) -> dict[str, Any]:
     """Train on so many scenes, judge on others, write weights and report into a folder; what the report says.
 
-    Raises LuxloopError for numbers that make no sense, scenes that cannot be drawn, or a folder that cannot be written.
+    Raises LuxloopError for numbers that make no sense, scenes that cannot be drawn, a network that has learnt nothing, or a folder that
+    cannot be written.
     """
     for key, value in (("scenes", number), ("held-out", held_out), ("epochs", epochs), ("jobs", 1 if processes is None else processes)):
         if value < 1:
             raise LuxloopError(f"--{key} {value}: nothing can be learnt from that; give 1 or more")
     if seed < 0:
         raise LuxloopError(f"--seed {seed}: a seed is 0 or more")
+    started = time.monotonic()
     seen = drawn(out, scenes.TRAINING, number, processes, "scenes to train on")
     others = drawn(out, scenes.HELD_OUT, held_out, processes, "scenes held out")
+    drew = time.monotonic()
     try:
-        network, training = _learnt(seen, epochs, seed)
-        found = judge(NetworkDetector(network, scenes.CLASSES, LEAST_SCORE, NetworkParams().overlap), others)
+        detector, training = _learnt(seen, epochs, seed)
+        training["minutes"] = {"drawing": round((drew - started) / 60, 1), "training": round((time.monotonic() - drew) / 60, 1)}
+        found = judge(detector, others)
     except OSError as error:
         raise LuxloopError(f"{out}: a scene cannot be read ({error}); remove {out / JOBS}, so that all are drawn again") from error
     report = {"date": datetime.date.today().isoformat(), "training": training, "camera": scenes.CAMERA.model_dump(), **found}
-    with whole(out / "detector.pt") as file:
-        save(network, scenes.CLASSES, file)
-    with whole(out / "report.json") as file:
-        file.write_text(json.dumps(report, indent=1, allow_nan=False) + "\n", "utf-8")
-    write_report(report, out)
+    store(detector, report, out)
     return report
 
 
-def _learnt(rows: Sequence[dict[str, Any]], epochs: int, seed: int) -> tuple[Network, dict[str, Any]]:
+def store(detector: NetworkDetector, report: Mapping[str, Any], out: Path) -> None:
+    """Write weights and report into a folder, the weights last. Raises LuxloopError where that cannot be."""
+    numbers = json.dumps(report, indent=1, allow_nan=False) + "\n"
+    write_report(report, out)
+    with whole(out / "report.json") as file:
+        file.write_text(numbers, "utf-8")
+    with whole(out / "detector.pt") as file:
+        save(detector.network, detector.classes, file)
+
+
+def _learnt(rows: Sequence[dict[str, Any]], epochs: int, seed: int) -> tuple[NetworkDetector, dict[str, Any]]:
     """The network as it is stored, and how it came about. Scenes too few to leave one for that serve to calibrate as well."""
     last = len(rows) // CALIBRATING
     learnt, asked = (rows[:-last], rows[-last:]) if last else (rows, rows)
     steps = -(-epochs * len(learnt) // BATCH)
     with progress("training", steps) as advance:
         network = fit(learnt, steps, seed, lambda _: advance())
-    slope, shift = calibrate(network, asked)
-    return network.half().float(), {
+    detector = NetworkDetector(network, scenes.CLASSES, LEAST_SCORE, NetworkParams().overlap)
+    slope, shift = calibrate(detector, asked)
+    network.half().float()
+    return detector, {
         **{"scenes": len(rows), "epochs": epochs, "examples": steps * BATCH * 2, "seed": seed},
         **{"calibrated_on": len(asked), "slope": round(slope, 3), "shift": round(shift, 3)},
     }

@@ -11,16 +11,18 @@ import torch
 
 from loop import cli
 from loop.training import examples, fit
-from loop.training.calibrate import logistic
+from loop.training.calibrate import calibrate, logistic
 from loop.training.examples import SIZE, Examples, targets
 from loop.training.judge import boxes_right, judge, verdict
 from loop.training.light import WELL_LIT_LX, darkened, full_light, lit_alone, lit_share, luminance, object_light
-from loop.training.report import page
+from loop.training.report import overview, page
 from loop.training.scenes import CAMERA, CLASSES, HELD_OUT, TRAINING, DarkScene, Labelled, draw, read
+from loop.training.train import LEAST_SCORE, store
 from perception.detection.build import WEIGHTS, detector
-from perception.detection.network import STRIDE, Network
+from perception.detection.network import STRIDE, Network, NetworkDetector
 from perception.detection.params import NetworkParams
 from perception.detection.protocol import Detections
+from world.errors import LuxloopError
 
 CPU = torch.device("cpu")
 ROOT = Path(__file__).parents[2]
@@ -147,6 +149,21 @@ def test_examples_come_from_a_seed(row: dict[str, object]) -> None:
     assert torch.equal(first.frames, again.frames) and torch.equal(first.heat, again.heat)
     assert not torch.equal(first.frames, other.frames)
     assert first.frames.shape == (6, *SIZE) and first.frames.min() >= 0 and first.frames.max() <= 1
+    full, alone = first.frames.chunk(2)
+    assert alone.mean() < 0.7 * full.mean()
+    of_full, of_alone = first.boxes.movedim(1, -1).chunk(2)
+    both = (first.share > 0).view(2, 3, *first.share.shape[1:]).all(0)
+    same = (of_full == of_alone).all(-1)[both]
+    assert len(same) and same.float().mean() > 0.8  # but where one of two that overlap is dark
+
+
+def test_what_is_too_dark_is_not_there_and_what_is_dim_does_not_count() -> None:
+    scene = plain(20.0, (50, 20, 90, 100))
+    dark, dim, lit = (examples.example(scene, torch.full(scene.shape, lx), 1.0, np.random.default_rng(0)) for lx in (0.1, 1.0, 10.0))
+    middle = (60 * SIZE[0] // 120 // STRIDE, 70 * SIZE[1] // 200 // STRIDE)
+    counts = [each[2][(0, *middle)] for each in (dark, dim, lit)]
+    assert counts == [1, 0, 1]
+    assert [int((each[1] == 1).sum()) for each in (dark, dim, lit)] == [0, 0, 1] and lit[1][(0, *middle)] > 0.5
 
 
 def test_verdicts_count_what_is_found_missed_and_false() -> None:
@@ -177,21 +194,59 @@ def test_the_page_says_what_the_report_says() -> None:
     assert REPORT.with_suffix(".md").read_text("utf-8").endswith(text)
 
 
-def test_train_detector_writes_weights_that_detect(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_page_tells_how_long_it_took_and_what_it_was_calibrated_on() -> None:
+    report = json.loads(REPORT.read_text("utf-8"))
+    few = report["training"] | {"scenes": 3, "calibrated_on": 3, "minutes": {"drawing": 0.5, "training": 9.5}}
+    text = page(report | {"training": few})
+    assert "on 3 scenes" in text and "(drawing 0.5 min, training 9.5 min); calibrated on the same" in text
+    assert overview(report).row_count == 6
+
+
+def test_a_network_that_has_learnt_nothing_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["train-detector", "--out", str(tmp_path), "--scenes", "1", "--held-out", "1", "--epochs", "16", "--jobs", "1"]
-    assert cli.main(arguments) == cli.OK
-    assert "median confidence at 10 lx" in capsys.readouterr().out
-    report = json.loads((tmp_path / "report.json").read_text("utf-8"))
-    known = {"scenes": 1, "epochs": 16, "examples": 32, "seed": 0, "calibrated_on": 1}
-    assert report["training"].items() >= known.items() and report["scenes"] == 1
-    assert "median confidence" in (tmp_path / "report.md").read_text("utf-8") and (tmp_path / "confidence.jpg").is_file()
-    again = detector(NetworkParams(weights=str(tmp_path / "detector.pt")), CPU)
-    assert again.classes == CLASSES and len(again.detect(torch.rand(2, 64, 96))) == 2
+    assert cli.main(arguments) == cli.WRONG
+    assert "learnt nothing that tells right boxes from wrong ones; give more --scenes or --epochs" in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["scenes", "scenes.jsonl"]
     drawn = sorted((tmp_path / "scenes").iterdir())
     assert [path.stem for path in drawn] == [str(TRAINING), str(HELD_OUT)]
     drawn[0].unlink()
     assert cli.main(arguments) == cli.WRONG
     assert f"remove {tmp_path / 'scenes.jsonl'}" in capsys.readouterr().err
+
+
+def test_weights_and_report_are_stored_whole_or_not_at_all(tmp_path: Path) -> None:
+    ours, report = shipped(), json.loads(REPORT.read_text("utf-8"))
+    with pytest.raises(ValueError, match="JSON"):
+        store(ours, report | {"ms_a_frame": math.nan}, tmp_path)
+    assert not any(tmp_path.iterdir())
+    store(ours, report, tmp_path)
+    assert json.loads((tmp_path / "report.json").read_text("utf-8")) == report
+    assert "median confidence" in (tmp_path / "report.md").read_text("utf-8") and (tmp_path / "confidence.jpg").is_file()
+    again = detector(NetworkParams(weights=str(tmp_path / "detector.pt")), CPU)
+    frames = torch.rand(2, 64, 96)
+    assert again.classes == CLASSES
+    assert all(torch.equal(one.scores, other.scores) for one, other in zip(again.detect(frames), ours.detect(frames), strict=True))
+
+
+def shipped() -> NetworkDetector:
+    found = detector(NetworkParams(threshold=LEAST_SCORE), CPU)
+    assert isinstance(found, NetworkDetector)
+    return found
+
+
+def test_a_wrong_slope_is_calibrated_away(row: dict[str, object]) -> None:
+    ours = shipped()
+    slope, shift = calibrate(ours, [row])
+    ours.network.calibrate(0.5, 0.3)
+    least = 0.5 * (slope * math.log(LEAST_SCORE / (1 - LEAST_SCORE)) + shift) + 0.3
+    same_boxes = replace(ours, threshold=1 / (1 + math.exp(-least)))
+    assert calibrate(same_boxes, [row]) == pytest.approx((2, -0.6), rel=0.05)  # scores near 1 are cut off
+    ours.network.calibrate(50.0, 0.0)  # scores of 1 in single precision
+    assert all(math.isfinite(each) for each in calibrate(ours, [row]))
+    upside_down = shipped()
+    upside_down.network.calibrate(-1.0, 0.0)
+    with pytest.raises(LuxloopError, match="learnt nothing"):
+        calibrate(upside_down, [row])
 
 
 def test_a_logistic_curve_is_found_again() -> None:
