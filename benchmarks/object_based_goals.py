@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 from object_based_cases import BEAMS, COMES, END, FULL, HIGH, LATE, LOW, NEWCOMER, OURS, WORLD
 from object_based_parts import DENSE, FULL_WELLS, TARGET, WITHIN
 
-FOUND = 0.5  # confidence in full light from which on an object counts: what a tracker starts to follow, and what the detector is judged by
+from loop.training.judge import SURE
+
+FOUND = SURE  # confidence in full light from which on an object counts: what the detector is judged by
 NEAR = 0.05  # confidence that may be lost
 KEPT = 0.5  # share of the judged steps in which a track must show an object, or it is lost
 SETTLED = 0.02  # of the low beam's flux, to which flux comes to stay

@@ -71,8 +71,8 @@ class Sight:
         moved = by_lamps(frame, boxes[missed], metre, boxes[~missed])
         there = moved.isfinite().all(-1)
         kept = one_hot(present.category[missed][there], len(self.tracker.classes)).double() * self.tracker.params.keeps_score
-        whole = Detections(torch.cat([found.boxes.detach().double().cpu(), moved[there]]), torch.cat([scores, kept]))
-        return self.tracker.step(tracks, whole, time_s)
+        all_found = Detections(torch.cat([found.boxes.detach().double().cpu(), moved[there]]), torch.cat([scores, kept]))
+        return self.tracker.step(tracks, all_found, time_s)
 
     def objects(self, tracks: Tracks, time_s: float) -> tuple[TrackedObject, ...]:
         """The tracks as lighting functions are told of them, where they are expected at a time."""
