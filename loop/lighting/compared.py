@@ -24,7 +24,7 @@ def compared(simulation: LightingSimulation, table: pa.Table) -> Mapping[str, ND
         low = [module.lamp.beam(LOW)[module.number].to(module.flux) for module in modules]
         found[f"{LOW} beam"] = steps * _watts(simulation, low)
     own = dict.fromkeys(simulation.base(beam) for beam in beams)
-    if set(own) - {*found, "off beam"}:
+    if set(own) - {*found, "base beam off"}:
         plans = (Plan(time_s, BaseBeam(beam), None) for time_s, beam in zip(column(table, "time_s"), beams, strict=True))
         watts = [_watts(simulation, [module.base(plan) for module in modules]) for plan in plans]
         found[next(iter(own)) if len(own) == 1 else "base beam"] = np.array(watts)

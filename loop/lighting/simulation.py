@@ -158,7 +158,8 @@ class LightingSimulation:
     def base(self, beam: str) -> str:
         """What shines below all functions, in words, where the base beam is one of this name."""
         raw = [module.raw is not None for module in self.modules]
-        return "raw utilisations" if all(raw) else f"{beam} beam and raw utilisations" if any(raw) else f"{beam} beam"
+        told = "base beam off" if beam == "off" else f"{beam} beam"
+        return "raw utilisations" if all(raw) else f"{told} and raw utilisations" if any(raw) else told
 
     def run(self) -> Iterator[LightingResult]:
         """All steps of the scenario."""
