@@ -1,6 +1,5 @@
 """What `luxloop optimise-beam` does: search a beam for a scenario's first moment, and leave utilisations that it can play, and figures."""
 
-import json
 import shlex
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,6 +14,7 @@ from loop.lighting.beam_goal import BeamGoal, BeamJudge, Metric
 from loop.lighting.beam_picture import write_picture
 from loop.lighting.beam_search import Found, Lights, alike, begin, descend, sample
 from loop.lighting.simulation import LightingSimulation
+from loop.manifest import write_json
 from loop.progress import progress
 from loop.run import torch_device
 from loop.scenario import LightingScenario, load_any
@@ -125,7 +125,7 @@ def _write(out: Path, judge: BeamJudge, found: Found, beams: Mapping[str, Lights
     with whole(out / RAW) as part:
         part.write_text(f"[lighting]\nfunctions = []\nraw = [\n{''.join(entries)}]\n", "utf-8")
     with whole(out / SUMMARY) as part:
-        part.write_text(json.dumps(summary, indent=2) + "\n", "utf-8")
+        write_json(part, summary)
     write_picture(out / PICTURE, judge, beams, found.losses, summary)
 
 
