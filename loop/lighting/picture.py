@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from loop.lighting.lamps import ShiningModule
-from loop.lighting.marks import marks
+from loop.lighting.marks import marks, readable
 from loop.lighting.result import LightingResult
 from loop.lighting.simulation import LightingSimulation
 from loop.video import Picture, tone_map
@@ -18,6 +18,7 @@ from world.frames import pose_from_degrees
 from world.sources import Source, wall_illuminance
 
 TRACKED_RGB, MASKED_RGB, FOUND_RGB, TEXT_RGB = (90, 220, 120), (255, 170, 40), (110, 130, 160), (235, 235, 235)
+CHARACTER = 0.47  # how wide a character is, of a line's height
 WALL_DEG = (24.0, 8.0, 6.0)  # to each side, down and up, of the wall that the lamps light
 WALL_SHARE = 0.3  # its width, of the picture's
 WALL_M = 25.0
@@ -40,7 +41,7 @@ def frame_picture(result: LightingResult, simulation: LightingSimulation, white:
     picture = tone_map(measured(result, simulation), white)
     height, width = picture.shape[:2]
     line = max(height / 28, 9.0)
-    for mark in marks(result, simulation):
+    for mark in readable(marks(result, simulation), CHARACTER * line):
         colour = FOUND_RGB if mark.faint else MASKED_RGB if mark.masked else TRACKED_RGB
         for a, b in mark.lines:
             cv2.line(picture, a, b, colour, 1, cv2.LINE_AA)

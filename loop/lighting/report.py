@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from loop.headlight_views import BIRDSEYE_X_M, BIRDSEYE_Y_M, birdseye
 from loop.lighting.courses import write_courses
-from loop.lighting.marks import marks
+from loop.lighting.marks import marks, readable
 from loop.lighting.observed import ObservedSymbol
 from loop.lighting.picture import WALL_DEG, measured, wall_light, white_of
 from loop.lighting.result import LightingResult
@@ -31,6 +31,7 @@ INCHES, DPI = (13.0, 8.6), 120
 TALLER_INCHES = 2.2  # with a detector, for two large pictures of the camera
 TRACKED, MASKED, FOUND = "#4fd17a", "#ffaa28", "#6e82a0"
 WALL_COLUMNS = 480
+CHARACTERS = 125  # of marks, side by side, that fill a large picture of the camera
 OBSERVED = 4  # observers' pictures that fit side by side
 FAINTEST_ROAD_LX, BRIGHTEST_ROAD_LX, ROAD_LEVELS_LX = 0.1, 30.0, (1.0, 3.0)  # of the picture from above, and its lines
 AROUND_M = 2.0  # that it shows around the light
@@ -73,9 +74,7 @@ def _cameras(figure: SubFigure, simulation: LightingSimulation, moments: Sequenc
     """With a detector the first and the last picture, as large as each other; else the last one large."""
     white = float(max(white_of(result.luminance, simulation.scenario.camera) for result in moments))
     *before, end = moments
-    found = "" if end.look is None else ", grey detections"
-    told = f"What the camera sees; boxes are tracked objects, orange where a mask keeps them dark{found}"
-    figure.suptitle(told, x=0.02, ha="left", fontsize=9)
+    figure.suptitle(_told_of_boxes(simulation), x=0.02, ha="left", fontsize=9)
     if before and end.look is not None:
         for axes, result in zip(figure.subplots(2, 1), (before[0], end), strict=True):
             _camera(axes, simulation, result, white)
@@ -86,10 +85,21 @@ def _cameras(figure: SubFigure, simulation: LightingSimulation, moments: Sequenc
     _camera(figure.add_subplot(rows[1, :]), simulation, end, white)
 
 
+def _told_of_boxes(simulation: LightingSimulation) -> str:
+    """What the camera's pictures show: colours are named where they occur."""
+    if not simulation.watched and simulation.sight is None:
+        return "What the camera sees"
+    masks = any(function.kind == "glare_free" for function in simulation.scenario.lighting.functions)
+    orange = ", orange where a glare-free mask keeps it dark" if masks else ""
+    if simulation.sight is None:
+        return f"What the camera sees; a green box is an object that functions are told of{orange}"
+    return f"What the camera sees; green: a tracked object and how sure{orange}; grey: found in this frame"
+
+
 def _camera(axes: Axes, simulation: LightingSimulation, result: LightingResult, white: float) -> None:
     image = (measured(result, simulation).cpu().numpy() / white).clip(0, 1) ** 0.5
     axes.imshow(image, cmap=NIGHT, vmin=0, vmax=1, interpolation="antialiased")
-    for mark in marks(result, simulation):
+    for mark in readable(marks(result, simulation), image.shape[1] / CHARACTERS):
         colour = FOUND if mark.faint else MASKED if mark.masked else TRACKED
         for (u0, v0), (u1, v1) in mark.lines:
             axes.plot([u0, u1], [v0, v1], color=colour, linewidth=0.7)
