@@ -177,16 +177,20 @@ PERCENT = "{:.1%}"
 CLIPPED = (
     "at the foot of a white wall, where the low beam's light on the road spills over, pixels are clipped, so the mean is taken for less"
 )
-MASKS = "no matter of setpoints: with 10 lx for all about as much is lost; only full light shows heads, windscreens and surroundings"
-SEARCH = "objects that come nearer, or are found anew, begin their search anew"
+MASKS = (
+    "dark heads and windscreens: most of those who are not kept lose 0.05 to 0.15, and without masks 18 of 19 objects of four other scenes "
+    "were kept, with them 13"
+)
+LOST = "people half hidden by others, or hardly above the score that keeps a track in full light, fall below it with a dark head"
+MOVING = "who moves takes more or less flux all the time, and who was hidden for a while is searched for anew"
 UNSEEN = "what the base beam shows too little of is found late or never"
-SIZES = "boxes that are found too low or too small put masks there as well, until the next frame"
+SIZES = "who has no track is lit by the light on who stands beside, and boxes that are too low, or too small, put masks there as well"
 GOALS = (
-    Goal("Flux saved against the low beam, median, at least 85 %", lambda m: median_saved(m.ours()), 0.85, SEARCH, True, PERCENT),
+    Goal("Flux saved against the low beam, median, at least 85 %", lambda m: median_saved(m.ours()), 0.85, MOVING, True, PERCENT),
     Goal("Every object within 0.05 of full light, at least 80 % of the runs", lambda m: share_kept(m.ours()), 0.80, MASKS, True, PERCENT),
-    Goal("No object lost that full light keeps, at least 98 % of the runs", lambda m: _lossless(m.ours()), 0.98, MASKS, True, PERCENT),
-    Goal("Settled within 2 s, static, 90 % quantile", lambda m: quantile(m.ours(False), "settle_s", 0.9), 2.0, SEARCH, form="{:.2f} s"),
-    Goal("The same: moving", lambda m: quantile(m.ours(True), "settle_s", 0.9), 2.0, SEARCH, form="{:.2f} s"),
+    Goal("No object lost that full light keeps, at least 98 % of the runs", lambda m: _lossless(m.ours()), 0.98, LOST, True, PERCENT),
+    Goal("Settled within 2 s, static, 90 % quantile", lambda m: quantile(m.ours(False), "settle_s", 0.9), 2.0, MOVING, form="{:.2f} s"),
+    Goal("The same: moving", lambda m: quantile(m.ours(True), "settle_s", 0.9), 2.0, MOVING, form="{:.2f} s"),
     Goal("A newcomer lit within 0.5 s, at least 90 %", lambda m: _newcomers(m.ours()), 0.90, UNSEEN, True, PERCENT),
     Goal(
         "Heads and windscreens at most 1 lx after the first second",
