@@ -11,12 +11,14 @@ from matplotlib.figure import Figure
 
 from loop.lighting.beam_goal import BeamJudge
 from loop.lighting.beam_search import Lights
+from loop.lighting.marks import Mark, readable
 from loop.lighting.picture import WALL_DEG, wall_light
 from loop.report import NIGHT, STYLE
 from perception.camera import luminance_of
 from world.files import whole
 
 WALL_COLUMNS = 360
+CHARACTERS = 250  # of marks, side by side, that fill all pictures of the camera
 BRIGHT = 0.995  # quantile of the luminance found that is shown as white
 
 
@@ -28,6 +30,7 @@ def write_picture(file: Path, judge: BeamJudge, beams: Mapping[str, Lights], los
     seen = [luminance_of(image, camera).cpu() for image in images]
     walls = [wall_light(judge.simulation.modules, lights, WALL_COLUMNS).cpu() for lights in beams.values()]
     white = float(torch.quantile(seen[-1].flatten()[::7], BRIGHT)) * 1.3
+    brightest = max(float(wall.max()) for wall in walls)  # one scale, so that the beams can be compared
     side, down, up = WALL_DEG
     with rc_context(STYLE):
         figure = Figure((13.0, 6.4), 110, layout="constrained")
@@ -37,18 +40,19 @@ def write_picture(file: Path, judge: BeamJudge, beams: Mapping[str, Lights], los
             figures = summary["beams"][name]
             axes = figure.add_subplot(grid[0, k])
             axes.imshow((seen[k].numpy() / white).clip(0, 1) ** 0.5, cmap=NIGHT, vmin=0, vmax=1)
-            for (each, score), box in zip(figures["scores"].items(), judge.boxes.tolist(), strict=True):
-                left, top, right, bottom = box
+            named = []
+            for (each, score), (left, top, right, bottom) in zip(figures["scores"].items(), judge.boxes.tolist(), strict=True):
                 axes.plot([left, right, right, left, left], [top, top, bottom, bottom, top], color="#4fd17a", linewidth=0.7)
-                axes.annotate(f"{each} {score:.2f}", (left, top), (0, 2), textcoords="offset points", color="#4fd17a", fontsize=6)
-            axes.set(xticks=[], yticks=[], xlim=(0, camera.width_px), ylim=(camera.height_px, 0))
+                named.append(Mark((), text=f"{each} {score:.2f}", at=(round(left), round(top))))
+            for mark in readable(named, camera.width_px * len(beams) / CHARACTERS):
+                axes.annotate(mark.text, mark.at, (0, 2), textcoords="offset points", color="#4fd17a", fontsize=6, clip_on=True)
+            axes.set(xticks=[], yticks=[], xlim=(-0.5, camera.width_px - 0.5), ylim=(camera.height_px - 0.5, -0.5))
             axes.set_title(f"{name}: {figures['flux_lm']:.0f} lm, mean score {figures['score_mean']:.2f}")
             axes.grid(False)
             wall = figure.add_subplot(grid[1, k])
-            shown = wall.imshow(
-                walls[k].numpy(), cmap="inferno", vmin=0, vmax=float(walls[k].max()), extent=(-side, side, -down, up), aspect="auto"
-            )
-            wall.set(title="Both lamps on a wall at 25 m", ylabel="up in deg" if k == 0 else "")
+            shown = wall.imshow(walls[k].numpy(), cmap="inferno", vmin=0, vmax=brightest, extent=(-side, side, -down, up), aspect="auto")
+            title = f"Both lamps on a wall at 25 m: {float(walls[k].max()):.3g} lx at most"
+            wall.set(title=title, xlabel="to the right in deg", ylabel="up in deg" if k == 0 else "")
             wall.grid(False)
             figure.colorbar(shown, ax=wall, label="lx", pad=0.01)
         course = figure.add_subplot(grid[2, :])
