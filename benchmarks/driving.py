@@ -75,10 +75,8 @@ def parts(simulation: Simulation, step: int) -> dict[str, float]:
     clock = Clock()
     triangles = plant.scene.at(step * plant.period_s, vehicle.T_world_ground)
     found["tiles"] = clock.lap()
-    plant.surfaces.renderer.fragments(triangles, view)
-    found["OpenGL, one view"] = clock.lap()
     surfaces = plant.surfaces.gbuffer(triangles, view)
-    found["G-buffer of it"] = clock.lap() - found["OpenGL, one view"]
+    found["G-buffer, one view"] = clock.lap()
     plant._transports(triangles, surfaces, vehicle.T_world_body)
     found["shadow map and reach"] = clock.lap()
     return found

@@ -15,7 +15,8 @@ from loop.lighting.result import LightingResult
 from loop.lighting.sight import Sight, pairs
 from loop.lighting.simulation import LightingSimulation
 from loop.lighting.view import LitScene
-from loop.scenario import LightingScenario, Override, load_any, validate_any
+from loop.overrides import Override
+from loop.scenario import LightingScenario, load_any, validate_any
 from perception.camera import CameraParams, expose, frame_generator
 from perception.ground_truth import Truth
 from world.traffic.generator import varied

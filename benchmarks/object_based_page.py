@@ -167,7 +167,7 @@ def draw(measured: Measured, runs: Sequence[Mapping[str, Any]], pictures: Pictur
     _flux(grid[1, 0], runs)
     _kept(grid[1, 1], measured)
     _newcomers(grid[1, 2], runs)
-    figure.savefig(file, dpi=110)
+    figure.savefig(file, dpi=90)
     plt.close(figure)
 
 

@@ -9,9 +9,10 @@ import torch
 
 from controllers.symbol import build_controller
 from loop import data
+from loop.overrides import Override
 from loop.recorder import row, table_of
 from loop.run import prepare
-from loop.scenario import Override, Scenario, load, validate
+from loop.scenario import Scenario, load, validate
 from loop.summary import AXES, column, overshoot_percent, settle_step
 
 OFFSET_M = 0.03  # by which the feed-forward's road is too high, and the one that luxloop believes in at a wrong start

@@ -13,7 +13,8 @@ from loop.code import digest_of_code
 from loop.executors import Executor
 from loop.jobs import Job, run
 from loop.manifest import digests
-from loop.scenario import AnyScenario, Scenario, load_any, resolve_paths, validate_any
+from loop.overrides import resolve_paths
+from loop.scenario import AnyScenario, Scenario, load_any, validate_any
 from loop.validation import read_toml, sentence
 from world.errors import LuxloopError
 from world.params import Params

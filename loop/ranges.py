@@ -5,7 +5,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from loop.scenario import INDEX, Scenario, overridden, toml_key, validate
+from loop.overrides import INDEX, overridden, toml_key
+from loop.scenario import Scenario, validate
 from world.errors import LuxloopError, located
 
 Values = Mapping[str, float | int]

@@ -1,16 +1,13 @@
 """Scenario files: a typed, frozen model for each of the two kinds; TOML, `--set key=value` and every other front end edit it alone."""
 
-import copy
 import difflib
 import hashlib
 import json
 import re
-import tomllib
 from collections.abc import Mapping, Sequence
 from datetime import date, time
 from functools import cached_property
 from itertools import pairwise
-from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
@@ -22,6 +19,7 @@ from controllers.symbol import ControllerParams, LuxloopParams
 from controllers.symbol.flat_model import FeatureParams
 from controllers.symbol.projector import SymbolParams
 from loop.disturbances import DisturbanceParams
+from loop.overrides import Override, overridden, resolve_paths
 from loop.shipped import find
 from loop.validation import read_toml, sentence
 from perception.camera import CameraParams
@@ -42,9 +40,6 @@ from world.vehicle import VehicleParams
 
 SCHEMA_VERSION: Final = 1
 PIXEL_CONTROLLERS = ("ssc", "jpo")
-Override = str | Mapping[str, Any]
-INDEX = re.compile(r"\[(\d+)\]")  # of a list's item in --set lighting.functions[0].margin_m=0.5
-TAGS = ("kind", "name")  # keys that tell the variants of a table apart
 
 
 class StartParams(Params):
@@ -354,21 +349,6 @@ def _kind(data: Mapping[str, Any]) -> type[AnyScenario]:
     return LightingScenario if meant else Scenario
 
 
-def overridden(data: Mapping[str, Any], overrides: Sequence[Override]) -> dict[str, Any]:
-    """Plain data of a scenario with other values, of later overrides where several set a key. Raises LuxloopError where one is none."""
-    changes: dict[str, Any] = {}
-    for override in overrides:
-        _merge(changes, _tables(override))
-    changed = copy.deepcopy(dict(data))
-    _merge(changed, changes)
-    return changed
-
-
-def toml_key(key: str) -> str:
-    """A key as TOML has it: items of lists, [0], stand under keys of their own, "[0]"."""
-    return INDEX.sub(r'."[\1]"', key)
-
-
 def _with_defaults(data: dict[str, Any]) -> dict[str, Any]:
     """The same scenario with all defaults in place; data that is none, which overrides may mend, stays as it is."""
     try:
@@ -392,70 +372,3 @@ def _key_of_date(data: Any) -> str:
         if inner := _key_of_date(value):
             return f"{key}.{inner}"
     return ""
-
-
-def _tables(override: Override) -> dict[str, Any]:
-    """The nested tables of an override, its paths absolute. Raises LuxloopError where it is none."""
-    folder, data = Path.cwd(), override
-    if isinstance(data, str):
-        file = Path(data)
-        folder, data = (file.parent, read_toml(file)) if "=" not in data and file.suffix == ".toml" else (folder, _parsed(data))
-    data = copy.deepcopy(dict(data))
-    resolve_paths(data, folder)
-    return data
-
-
-def _parsed(text: str) -> dict[str, Any]:
-    key, equals, value = text.partition("=")
-    if not equals or not key.strip():
-        raise LuxloopError(f"--set {text}: not of the form key=value; write for example --set camera.bits=8, or name a .toml file of keys")
-    key = toml_key(key.strip())
-    try:
-        return tomllib.loads(f"{key} = {value.strip()}")
-    except tomllib.TOMLDecodeError:
-        try:
-            return tomllib.loads(f"{key} = {json.dumps(value.strip())}")
-        except tomllib.TOMLDecodeError as error:
-            raise LuxloopError(f"--set {text}: not understood ({error}); write for example --set camera.bits=8") from error
-
-
-def _merge(into: dict[str, Any], changes: Mapping[str, Any], within: str = "") -> None:
-    """Lay changes over nested tables; a table that becomes another variant, by its `kind` or `name`, starts anew.
-
-    Changes of list items stand under the keys "[0]", "[1]" and so on. within: key of the table, for messages. Raises LuxloopError where
-    there is no such item.
-    """
-    for key, value in changes.items():
-        old, whole = into.get(key), within + key if INDEX.fullmatch(key) else f"{within}.{key}".strip(".")
-        if isinstance(old, list) and isinstance(value, dict) and value and all(INDEX.fullmatch(place) for place in value):
-            items = {f"[{k}]": item for k, item in enumerate(old)}
-            if strange := [place for place in value if place not in items]:
-                found = f"there are {len(items)} {key}, numbered from 0" if items else f"there are no {key}"
-                raise LuxloopError(f"{whole}{strange[0]}: {found}; change another, or set all of {whole}")
-            _merge(items, value, whole)
-            into[key] = list(items.values())
-        elif isinstance(old, list) and isinstance(value, dict):
-            raise LuxloopError(
-                f"{whole}: is a list and has no {next(iter(value), 'table')!r}; write --set '{whole}[0].KEY=VALUE' for its first, "
-                f"--set '{whole}=[...]' for all of it, or change a copy, `luxloop new FILE --like NAME`"
-            )
-        elif isinstance(old, dict) and isinstance(value, dict) and all(old.get(tag, new) == new for tag in TAGS if (new := value.get(tag))):
-            _merge(old, value, whole)
-        else:
-            into[key] = value
-
-
-def resolve_paths(data: dict[str, Any], folder: Path) -> None:
-    """Make paths absolute against the file's folder; names of shipped symbols, of presets and of known data stay names."""
-    objects, lighting = data.get("objects"), data.get("lighting")
-    controller = data.get("controller")
-    believed = controller.get("road") if isinstance(controller, dict) else None
-    functions, raw = (lighting.get(key) if isinstance(lighting, dict) else None for key in ("functions", "raw"))
-    tables = [(data.get("symbol"), "image"), (data.get("road"), "file"), (believed, "file"), (data.get("headlight"), "model")]
-    tables += [(data.get("detector"), key) for key in ("file", "weights")]
-    for items, key in ((objects, "file"), (functions, "image"), (raw, "file")):
-        items = list(items.values()) if isinstance(items, dict) else items
-        tables += [(item, key) for item in items] if isinstance(items, list) else []
-    for table, key in tables:
-        if isinstance(table, dict) and isinstance(table.get(key), str) and any(mark in table[key] for mark in "/\\."):
-            table[key] = str((folder / table[key]).resolve())

@@ -20,8 +20,9 @@ from pydantic import BaseModel
 
 from loop import cli, lamp_description
 from loop.lamp_description import LampDescription
+from loop.overrides import TAGS
 from loop.run import prepare
-from loop.scenario import TAGS, LightingScenario, Scenario, load, validate, validate_any
+from loop.scenario import LightingScenario, Scenario, load, validate, validate_any
 from loop.shipped import shipped
 
 ROOT = Path(__file__).parents[1]

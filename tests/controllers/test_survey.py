@@ -6,8 +6,9 @@ import pytest
 import torch
 
 from controllers.symbol.feedforward import Surveyed
+from loop.overrides import resolve_paths
 from loop.run import prepare
-from loop.scenario import load, resolve_paths
+from loop.scenario import load
 from loop.simulation import Simulation
 from world.errors import LuxloopError
 

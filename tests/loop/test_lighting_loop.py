@@ -153,7 +153,7 @@ def test_scenes_without_objects_and_out_of_sight_are_recorded(tmp_path: Path) ->
         assert [table[f"object.{each['name']}.{key}"].to_pylist() for each in objects for key in LOOKED_AT] == [[None]] * 3 * len(objects)
     summary = run(scenario(objects=[behind], steps=2), tmp_path / "run", video=False)
     assert summary["objects"]["walker"] == {
-        **{"lx_mean": None, "lx_max": None, "confidence_final": None},
+        **{"lx_mean": None, "lx_max": None, "confidence_final": None, "confidence_min": None},
         **{"tracks": 0, "steps_in_sight": 0, "steps_lost": 0},
     }
     console = Console(record=True, width=160)
