@@ -57,7 +57,7 @@ class ZoneParams(Params):
         PidParams(kp=0.7, form="incremental", lower=-5.0, rate_limit=2.0),
         description="the loop, on natural logarithms: of luminance in, of illuminance in lx out; its time is in steps",
     )
-    weight: float = Field(1.0, ge=0, description="how much it counts where a pixel lights more than the zone")
+    weight: float = Field(20.0, ge=0, description="how much it counts where a pixel lights more than the zone; the base beam counts 1")
     priority: int = Field(0, ge=0, le=100, description="of two functions in one place, the higher is drawn")
     modules: tuple[str, ...] = Field((), description="lamps or modules that light it; left out: all")
 

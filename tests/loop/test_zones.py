@@ -52,6 +52,18 @@ def test_zones_settle_within_10_steps_over_all_reflectances(tmp_path: Path) -> N
     assert lx[0] / lx[1] == pytest.approx(4.0, rel=0.2) and lx[1] / lx[2] == pytest.approx(4.0, rel=0.2)
 
 
+@pytest.mark.parametrize(("weight", "most"), [(None, 5), (1.0, None)])
+def test_a_white_wall_in_the_low_beam_settles_as_its_zone_counts_more_than_the_beam(weight: float | None, most: int | None) -> None:
+    zone = {"kind": "zone", "name": "wall", "centre_m": [25, 0, 1.0], "size_m": [0, 1.6, 1.6], "luminance_cd_m2": 0.9}
+    wall = {"kind": "box", "name": "white", "albedo": 0.8, "size_m": [0.2, 2, 2], "track": [{"position_m": [25.1, 0, 0]}]}
+    lighting = {"base": {"beam": "low"}, "functions": [zone | ({} if weight is None else {"weight": weight})]}
+    simulation = LightingSimulation.prepare(scenario([], objects=[wall], lighting=lighting))
+    seen = [result.zones["wall"].luminance or 0.0 for result in simulation.run()]
+    beyond = [step for step, each in enumerate(seen) if abs(each / 0.9 - 1) > 0.05]
+    # with 1 the beam's light at the foot of the wall is more than the zone can take away, and clipped besides
+    assert beyond[-1] < most if most is not None else beyond[-1] == len(seen) - 1
+
+
 def test_a_zone_behind_the_camera_keeps_its_light_and_has_no_luminance(tmp_path: Path) -> None:
     zone = {"kind": "zone", "name": "behind", "centre_m": [-15, 0, 1.0], "size_m": [0, 2, 2], "luminance_cd_m2": 0.6, "start_lx": 2.0}
     summary = run(scenario([zone], steps=2, objects=[]), tmp_path / "zones", video=False)
