@@ -63,7 +63,7 @@ def show(
     view: str | None = None,
     style: str | None = None,
     side: Literal["both", "left", "right"] | None = None,
-    traffic: Literal["right", "left"] | None = None,
+    traffic: Literal["left", "right"] | None = None,
     scenario: str | None = None,
     time_s: float | None = None,
     visibility_m: float | None = None,
@@ -185,7 +185,7 @@ def export(
     out: Path,
     beam: str | None = None,
     side: Literal["left", "right"] = "left",
-    traffic: Literal["right", "left"] = "right",
+    traffic: Literal["left", "right"] = "right",
     step_deg: float = 0.1,
 ) -> None:
     """Write a beam as an IES file (LM-63-2019, type A) that other programs read.
@@ -232,7 +232,7 @@ def check(
     rule: str | None = None,
     side: Literal["left", "right"] = "left",
     aim: bool = False,
-    traffic: Literal["right", "left"] = "right",
+    traffic: Literal["left", "right"] = "right",
 ) -> int:
     """Hold a beam against the test points of UN R149, R112, R123 or FMVSS 108; exit code 1 where it fails.
 

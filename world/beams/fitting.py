@@ -16,7 +16,7 @@ from world.regulation.checking import samples_of
 from world.spmv import Csr, multiply
 from world.texels import bilinear
 
-Traffic = Literal["right", "left"]
+Traffic = Literal["left", "right"]
 EVEN_CD = 500.0  # errors count relative to the light, but not below this
 RIM = 0.1  # of the most light there is: where pixels give less, at the rim of the field, errors count less
 RULE_STEP_DEG = 0.1

@@ -8,7 +8,7 @@ from torch import Tensor
 from world.beams import PATTERNS, fit
 from world.lamp import Lamp
 
-Traffic = Literal["right", "left"]
+Traffic = Literal["left", "right"]
 
 
 class FittedBeams(Mapping[str, tuple[Tensor, ...]]):

@@ -11,7 +11,7 @@ from world.regulation.tables import Point
 
 Intensity = Callable[[Tensor], Tensor]  # directions [3, N] of the lamp frame -> cd [N]
 Verdict = Literal["pass", "fail", "not applicable"]
-Traffic = Literal["right", "left"]
+Traffic = Literal["left", "right"]
 
 
 @dataclass(frozen=True)
