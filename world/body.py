@@ -8,6 +8,7 @@ import torch
 import trimesh
 from scipy.spatial.transform import Rotation, Slerp
 from torch import Tensor
+from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from world.brdf import LAMBERTIAN, Material
 from world.frames import pose
@@ -129,3 +130,10 @@ class Body:
             return torch.from_numpy(np.array(self.mesh.vertex_normals)[np.asarray(self.mesh.faces)])
         a, b, c = self.corners.unbind(1)
         return torch.nn.functional.normalize(torch.linalg.cross(b - a, c - a), dim=-1)[:, None].expand(-1, 3, -1).contiguous()
+
+    @cached_property
+    def intersector(self) -> RayMeshIntersector:
+        """Embree's copy of the mesh. It ends with the body: the mesh's own waits for the garbage collector, and embree ends in a crash with
+        about 1,000 of them at once.
+        """
+        return RayMeshIntersector(self.mesh)

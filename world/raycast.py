@@ -32,9 +32,8 @@ def first_hits(triangles: Triangles, origin: Tensor, directions: Tensor) -> Tens
         rays = torch.nonzero(_near(placed.body.bounds, local_origin, local))[:, 0]
         if not len(rays):
             continue
-        face = torch.from_numpy(
-            placed.body.mesh.ray.intersects_first(local_origin.expand(len(rays), 3).numpy(), local[:, rays].T.numpy())
-        ).long()
+        origins = local_origin.expand(len(rays), 3).numpy()
+        face = torch.from_numpy(placed.body.intersector.intersects_first(origins, local[:, rays].T.numpy())).long()
         hit = face >= 0
         if not placed.body.two_sided:  # from within a closed body, one sees out
             a, b, c = placed.body.corners[face].unbind(1)

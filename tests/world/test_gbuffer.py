@@ -1,3 +1,4 @@
+import gc
 import hashlib
 import subprocess
 import sys
@@ -8,6 +9,7 @@ import pytest
 import torch
 import trimesh
 from torch.nn.functional import max_pool2d
+from trimesh.ray.ray_pyembree import _EmbreeWrap
 
 import world.rasterise
 from tests.world.grids import bumpy, camera, flat, lamp
@@ -18,7 +20,7 @@ from world.gbuffer import GBuffer, gbuffer
 from world.materials import Texture
 from world.objects import BoxParams
 from world.rasterise import NoOpenGL
-from world.raycast import RayCaster
+from world.raycast import RayCaster, first_hits
 from world.scene import Scene
 from world.triangles import Triangles
 from world.view import View
@@ -173,3 +175,22 @@ def test_two_processes_see_the_same_bits():
     root = Path(__file__).parents[2]
     other = subprocess.run([sys.executable, "-c", command], cwd=root, capture_output=True, text=True, check=True)
     assert other.stdout.strip() == fingerprint()
+
+
+def test_embree_forgets_a_body_with_its_last_use() -> None:
+    """It has no room for more than about 1,000, which a run of many scenes reaches before the garbage collector comes."""
+
+    def scenes() -> int:
+        return sum(isinstance(each, _EmbreeWrap) for each in gc.get_objects())
+
+    gc.collect()
+    gc.disable()
+    try:
+        before = scenes()
+        triangles = Scene((box(),)).at(0.0)
+        assert first_hits(triangles, torch.zeros(3).double(), torch.tensor([[14.0], [0.3], [0.5]]).double()) >= 0
+        assert scenes() == before + 1
+        del triangles
+        assert scenes() == before
+    finally:
+        gc.enable()
