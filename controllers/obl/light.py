@@ -47,8 +47,9 @@ class ObjectLightParams(Params):
     ) -> tuple[Primitives, ...]:
         """Primitives that light the object by lx and leave a part of it dark; none beside and behind the lamps.
 
-        nearer: how many objects are. What is dark beats all light but that on the core of nearer objects, which hides it; it reaches as far
-        above the box as into it, since detectors' boxes may end below a dark head.
+        nearer: how many objects are. What is dark beats all light but that on the core of nearer objects, which hides it; animals and the
+        like have none, since much of their box is air. It reaches as far above the box as into it, since detectors' boxes may end below a
+        dark head.
         """
         length, width, height = each.size_m
         low, high = torch.tensor([[-length / 2, -width / 2, 0.0], [length / 2, width / 2, height]], dtype=torch.float64)
@@ -60,7 +61,7 @@ class ObjectLightParams(Params):
         parts = [
             rectangle(body.origin, body.d1, body.d2, lx, "E_v", normal=facing, symbol=image, priority=priority * LAYERS, modules=modules)
         ]
-        if image is None and not math.isnan(each.score):
+        if image is None and each.category in self.dark and not math.isnan(each.score):
             across, down = min(1.0, CORE_M / float(body.d1.norm())), 1 - self.margin_m / float(body.d2.norm())
             core = body.origin + (1 - across) / 2 * body.d1
             parts.append(
