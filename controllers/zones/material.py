@@ -21,6 +21,7 @@ from world.params import Params
 from world.view import View
 
 GROUND = frozenset({"asphalt", "wet_asphalt", "lane_paint"})  # what lies on the road's plane; all else stands on it
+Quantity = Literal["lx", "luminance"]
 Share = Annotated[float, Field(ge=0, le=1)]
 
 
@@ -40,20 +41,34 @@ class MaterialLightParams(Params):
             raise ValueError(f"albedo: nothing is between {self.albedo[0]:g} and {self.albedo[1]:g}; give the smaller one first")
         return self
 
+    @property
+    def quantity(self) -> Quantity:
+        """What is wanted."""
+        return "luminance" if self.lx is None else "lx"
+
+    @property
+    def value(self) -> float:
+        """How much of it, in cd/m^2 or lx."""
+        value = self.luminance_cd_m2 if self.lx is None else self.lx
+        assert value is not None
+        return value
+
     def wanted(self, albedo: Tensor) -> Tensor:
         """Illuminance in lx, in the shape of the albedo."""
-        if self.lx is not None:
-            return torch.full_like(albedo, self.lx)
-        assert self.luminance_cd_m2 is not None
-        return math.pi * self.luminance_cd_m2 / albedo.clamp(min=0.01)
+        if self.quantity == "lx":
+            return torch.full_like(albedo, self.value)
+        return math.pi * self.value / albedo.clamp(min=0.01)
 
 
 @dataclass(frozen=True, eq=False)
 class MaterialState:
-    """What was seen last. lx: `[height, width]`, wanted illuminance, NaN where none is. ground: bool, what lies on the road."""
+    """What was seen last, `[height, width]`. lx: wanted illuminance, NaN where none is. light: which of the lights says so, -1 for none.
+    ground: bool, what lies on the road.
+    """
 
     view: View
     lx: Tensor
+    light: Tensor
     ground: Tensor
 
 
@@ -88,14 +103,14 @@ class MaterialParams(SelectionParams):
         if seen.albedo is None or seen.material is None:
             raise LuxloopError("kind: light by material needs a source of materials beside the camera, which is not there")
         albedo = seen.albedo.float()
-        lx = torch.full_like(albedo, torch.nan)
-        for light in reversed(self.lights):
+        lx, which = torch.full_like(albedo, torch.nan), torch.full_like(seen.material, -1)
+        for number, light in reversed(list(enumerate(self.lights))):
             low, high = light.albedo
             meant = (albedo >= low) & (albedo <= high) & (seen.material >= 0)
             if light.materials:
                 meant &= torch.isin(seen.material, _numbers(seen.materials, light.materials).to(seen.material))
-            lx = torch.where(meant, light.wanted(albedo), lx)
-        return MaterialState(seen.view, lx, torch.isin(seen.material, _numbers(seen.materials, GROUND).to(seen.material)))
+            lx, which = torch.where(meant, light.wanted(albedo), lx), which.masked_fill(meant, number)
+        return MaterialState(seen.view, lx, which, torch.isin(seen.material, _numbers(seen.materials, GROUND).to(seen.material)))
 
     def adapted(self, state: MaterialState | None, now: Situation) -> tuple[Primitives, ...]:
         """A rectangle for each object, upright in its middle and turned to the lamps, and one for the road."""

@@ -44,7 +44,7 @@ def write_picture(file: Path, judge: BeamJudge, beams: Mapping[str, Lights], los
             for (each, score), (left, top, right, bottom) in zip(figures["scores"].items(), judge.boxes.tolist(), strict=True):
                 axes.plot([left, right, right, left, left], [top, top, bottom, bottom, top], color="#4fd17a", linewidth=0.7)
                 named.append(Mark((), text=f"{each} {score:.2f}", at=(round(left), round(top))))
-            for mark in readable(named, camera.width_px * len(beams) / CHARACTERS):
+            for mark in readable(named, camera.width_px * len(beams) / CHARACTERS, camera.width_px):
                 axes.annotate(mark.text, mark.at, (0, 2), textcoords="offset points", color="#4fd17a", fontsize=6, clip_on=True)
             axes.set(xticks=[], yticks=[], xlim=(-0.5, camera.width_px - 0.5), ylim=(camera.height_px - 0.5, -0.5))
             axes.set_title(f"{name}: {figures['flux_lm']:.0f} lm, mean score {figures['score_mean']:.2f}")

@@ -4,11 +4,13 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pyarrow as pa
+import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
 from controllers.functions.base_beams import BaseBeam
 from controllers.planner import Plan
+from loop.lighting.lamps import flux_by_side
 from loop.lighting.simulation import LightingSimulation
 from loop.summary import column
 
@@ -32,10 +34,6 @@ def compared(simulation: LightingSimulation, table: pa.Table) -> Mapping[str, ND
 
 
 def _watts(simulation: LightingSimulation, lights: Sequence[Tensor]) -> float:
-    params, limit = simulation.scenario.headlight, simulation.scenario.lighting.power_limit or 1.0
-    total = 0.0
-    for side in dict.fromkeys(module.side for module in simulation.modules):
-        mine = [(u, module.flux) for module, u in zip(simulation.modules, lights, strict=True) if module.side == side]
-        most = limit * sum(float(flux.sum()) for _, flux in mine)
-        total += params.power_w(min(sum(float((u * flux).sum()) for u, flux in mine), most))
-    return total
+    modules, limit = simulation.modules, simulation.scenario.lighting.power_limit or 1.0
+    given, most = flux_by_side(modules, lights), flux_by_side(modules, [torch.ones_like(module.flux) for module in modules])
+    return sum(simulation.scenario.headlight.power_w(min(lm, limit * most[side])) for side, lm in given.items())

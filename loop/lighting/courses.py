@@ -7,10 +7,11 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.axes import Axes
 from matplotlib.figure import SubFigure
+from matplotlib.ticker import LogFormatter
 
 from loop.lighting.compared import compared
 from loop.lighting.simulation import LightingSimulation
-from loop.lighting.summary import START_UP_S, eyes_lx, lost_steps, steps_of_nothing, zones_of
+from loop.lighting.summary import START_UP_S, UNITS, eyes_lx, lost_steps, materials_of, steps_of_nothing, zones_of
 from loop.report import FOUR, headed
 from loop.summary import column
 
@@ -27,6 +28,8 @@ def write_courses(figure: SubFigure, simulation: LightingSimulation, table: pa.T
         charts[lambda axes: _power(axes, simulation, table)] = 1.1
     if zones := zones_of(table):
         charts[lambda axes: _zones(axes, table, zones)] = 2.0
+    if any(materials_of(table, quantity) for quantity in UNITS):
+        charts[lambda axes: _materials(axes, table)] = 2.0
     objects, looks = list(simulation.watched), simulation.sight is not None
     if objects and looks:
         charts[lambda axes: _confidences(axes, table, objects)] = 1.4
@@ -69,14 +72,28 @@ def _zones(axes: Axes, table: pa.Table, zones: Sequence[str]) -> None:
     headed(axes, "Luminance of zones, and what is wanted (dashed)")
 
 
+def _materials(axes: Axes, table: pa.Table) -> None:
+    asked = [(name, quantity) for quantity in UNITS for name in materials_of(table, quantity)]
+    for (name, quantity), colour, line in zip(asked, cycle(COLOURS), (["-"] * len(COLOURS) + ["--"] * len(COLOURS)), strict=False):
+        values, wanted = (column(table, f"material.{name}.{each}") for each in (quantity, "wanted"))
+        if not wanted[-1]:
+            continue  # dark has no share
+        label = f"{name}: {wanted[-1]:g} {UNITS[quantity]}".replace("^2", "²")
+        axes.plot(column(table, "time_s"), values / wanted, line, marker=_mark(table), color=colour, label=label)
+    axes.axhline(1.0, color="0.5", linewidth=0.9)
+    axes.set(ylabel="of what is wanted", ylim=(0, None))
+    headed(axes, "Light of materials, median, as a share of what is wanted")
+
+
 def _confidences(axes: Axes, table: pa.Table, objects: Sequence[str]) -> None:
     for name, colour in zip(objects, cycle(COLOURS), strict=False):
         gone = lost_steps(table, name)
         label = name if not gone else f"{name}, lost in {gone} steps"
         axes.plot(column(table, "time_s"), column(table, f"object.{name}.confidence"), color=colour, label=label)
     axes.set(ylim=(0, 1.02))
-    nothing = steps_of_nothing(table, objects)
-    headed(axes, "Confidence of objects, filtered over frames" + (f"; a track of nothing in {nothing} steps" if nothing else ""))
+    if nothing := steps_of_nothing(table, objects):
+        axes.plot([], [], " ", label=f"a track of nothing in {nothing} steps")
+    headed(axes, "Confidence of objects, filtered over frames")
 
 
 def _on_objects(axes: Axes, table: pa.Table, objects: Sequence[str], named: bool) -> None:
@@ -92,7 +109,9 @@ def _on_objects(axes: Axes, table: pa.Table, objects: Sequence[str], named: bool
         told = "" if later is None else f": {later:.2g} lx from {START_UP_S:g} s on"
         axes.plot(time_s, column(table, "eyes_lx_max"), color="0.5", linestyle="--", label=f"most on heads and windscreens{told}")
     axes.set(ylabel="lx", yscale="log")
+    axes.yaxis.set_minor_formatter(LogFormatter())
     if axes.dataLim.ymin < FAINTEST_LX:
         axes.set_yscale("symlog", linthresh=FAINTEST_LX)
         axes.set_ylim(bottom=-FAINTEST_LX / 10)
+    axes.yaxis.set_major_formatter(lambda lx, _: f"{lx:g}")
     headed(axes, "The lamps' light on objects, mean and most (dotted)")

@@ -122,6 +122,14 @@ def _raw(scenario: LightingScenario, name: str, headlight: Headlight) -> RawUtil
     return None
 
 
+def flux_by_side(modules: Sequence[ShiningModule], lights: Sequence[Tensor]) -> dict[str, float]:
+    """Flux in lm of each lamp; lights: utilisations `[n_p]`, one a module."""
+    sides = dict.fromkeys((module.side for module in modules), 0.0)
+    for module, u in zip(modules, lights, strict=True):
+        sides[module.side] += float((u * module.flux).sum())
+    return sides
+
+
 def driven(
     modules: Sequence[ShiningModule],
     plan: Plan,

@@ -38,16 +38,21 @@ def marks(result: LightingResult, simulation: LightingSimulation) -> tuple[Mark,
     return (*_found(result.look), *_tracked(result.look, simulation.sight.tracker.classes, result.masked))
 
 
-def readable(marked: Iterable[Mark], character_px: float) -> tuple[Mark, ...]:
-    """The same marks, without the texts that would cover one before them. character_px: how wide one is; it is twice as high."""
+def readable(marked: Iterable[Mark], character_px: float, width_px: int) -> tuple[Mark, ...]:
+    """The same marks with their texts within the image, without those that would cover one before them.
+
+    character_px: how wide one is; it is twice as high.
+    """
     kept: list[Mark] = []
     taken: list[tuple[float, float, float]] = []  # left, right, bottom
     for mark in marked:
-        (left, bottom), right = mark.at, mark.at[0] + character_px * len(mark.text)
+        long = character_px * len(mark.text)
+        left, bottom = max(min(mark.at[0], round(width_px - long)), 0), max(mark.at[1], round(2 * character_px))
+        right = left + long
         covers = any(left < other[1] and other[0] < right and abs(bottom - other[2]) < 2 * character_px for other in taken)
         if mark.text and not covers:
             taken.append((left, right, bottom))
-        kept.append(replace(mark, text="") if covers else mark)
+        kept.append(replace(mark, text="" if covers else mark.text, at=(left, bottom)))
     return tuple(kept)
 
 

@@ -1,7 +1,8 @@
 """What `luxloop optimise-beam` does: search a beam for a scenario's first moment, and leave utilisations that it can play, and figures."""
 
 import shlex
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,6 +14,7 @@ from loop import tables
 from loop.lighting.beam_goal import BeamGoal, BeamJudge, Metric
 from loop.lighting.beam_picture import write_picture
 from loop.lighting.beam_search import Found, Lights, alike, begin, descend, sample
+from loop.lighting.lamps import flux_by_side
 from loop.lighting.simulation import LightingSimulation
 from loop.manifest import write_json
 from loop.progress import progress
@@ -54,21 +56,32 @@ def optimise_beam(
     with located(scenario.source):
         judge = BeamJudge.prepare(simulation, goal, _detector(scenario, goal.metric, simulation.device))
     method = _method(method, judge)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise LuxloopError(f"--out {out}: cannot be made a folder ({error.strerror}); give another one") from error
     start, number = begin(judge), steps or STEPS[method]
     search = descend if method == "gradient" else sample
-    with progress("searching", number) as advance:
+    with _folder(out), progress("searching", number) as advance:
         found = search(judge, start, number, lambda step, loss: advance())
-    flux = [module.flux for module in simulation.modules]
-    lm = float(sum((u * each).sum() for u, each in zip(found.lights, flux, strict=True)))
-    beams = {"before": start, "before, as much flux": alike(start, flux, lm), "found": found.lights}
+    lm = sum(flux_by_side(simulation.modules, found.lights).values())
+    as_dim = alike(start, [module.flux for module in simulation.modules], lm)
+    beams = {"before": start, "before, as much flux": as_dim, "found": found.lights}
     summary = _summary(judge, method, found, beams)
     _write(out, judge, found, beams, summary)
     _tell(summary, shlex.join([name, "--set", *overrides, str(out / RAW)]))
     return summary
+
+
+@contextmanager
+def _folder(out: Path) -> Iterator[None]:
+    """Made before what takes long, and taken away again where that fails and leaves it empty."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise LuxloopError(f"--out {out}: cannot be made a folder ({error.strerror}); give another one") from error
+    try:
+        yield
+    except BaseException:
+        if not any(out.iterdir()):
+            out.rmdir()
+        raise
 
 
 def _detector(scenario: LightingScenario, metric: Metric, device: torch.device) -> Detector | None:
@@ -106,9 +119,8 @@ def _figures(judge: BeamJudge, lights: Lights) -> dict[str, Any]:
     seen = [judge.judged(lights, step) for step in range(FRAMES)]
     scores = torch.stack([each.scores.double().cpu() for each in seen]).mean(0).tolist()
     eyes = judge.known.lit.light(lights)[0][judge.known.eyes]
-    flux = float(sum((u * module.flux).sum() for u, module in zip(lights, judge.simulation.modules, strict=True)))
     return {
-        "flux_lm": flux,
+        "flux_lm": sum(flux_by_side(judge.simulation.modules, lights).values()),
         "scores": dict(zip(judge.masks, scores, strict=True)),
         "score_mean": sum(scores) / len(scores),
         "eyes_lx_max": float(eyes.max()) if len(eyes) else None,

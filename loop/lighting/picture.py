@@ -41,11 +41,11 @@ def frame_picture(result: LightingResult, simulation: LightingSimulation, white:
     picture = tone_map(measured(result, simulation), white)
     height, width = picture.shape[:2]
     line = max(height / 28, 9.0)
-    for mark in readable(marks(result, simulation), CHARACTER * line):
+    for mark in readable(marks(result, simulation), CHARACTER * line, width):
         colour = FOUND_RGB if mark.faint else MASKED_RGB if mark.masked else TRACKED_RGB
         for a, b in mark.lines:
             cv2.line(picture, a, b, colour, 1, cv2.LINE_AA)
-        at = (mark.at[0], max(mark.at[1] - 3, round(line)))
+        at = (mark.at[0], mark.at[1] - 3)
         cv2.putText(picture, mark.text, at, cv2.FONT_HERSHEY_SIMPLEX, line / 38, colour, 1, cv2.LINE_AA)
     wall = wall_light(simulation.modules, result.lights, round(WALL_SHARE * width))
     inset, margin = tone_map(wall, wall.max().clamp(min=1e-6)), max(height // 60, 1)

@@ -7,6 +7,7 @@ from typing import Any
 import pyarrow as pa
 
 from loop.lighting.compared import compared
+from loop.lighting.on_materials import quantities
 from loop.lighting.result import LightingResult
 from loop.lighting.simulation import LightingSimulation
 from loop.lighting.summary import summarise
@@ -64,6 +65,7 @@ ZONE = {
     "luminance": (pa.float64(), "cd/m^2", "mean luminance of its pixels, without the camera's noise; empty out of its sight"),
     "target": (pa.float64(), "cd/m^2", "luminance wanted"),
 }
+MATERIAL = {"lx": ("lx", "illuminance"), "luminance": ("cd/m^2", "luminance")}
 LOOKED_AT = {
     "track": (pa.int64(), "", "number of the track that shows it; empty without one"),
     "confidence": (pa.float64(), "1", "of that track, filtered over frames, 0 without one; empty while the camera sees nothing of it"),
@@ -81,6 +83,12 @@ def schema(simulation: LightingSimulation) -> pa.Schema:
     columns |= {f"object.{name}.{key}": of for name in tracked for key, of in (OBJECT | (LOOKED_AT if looks else {})).items()}
     zones = [function.name for function in simulation.scenario.lighting.functions if function.kind == "zone"]
     columns |= {f"zone.{name}.{key}": of for name in zones for key, of in ZONE.items()}
+    for name, quantity in quantities(simulation.scenario.lighting.functions).items():
+        unit, what = MATERIAL[quantity]
+        columns |= {
+            f"material.{name}.{quantity}": (pa.float64(), unit, f"median {what} of its pixels where it is asked for; empty out of sight"),
+            f"material.{name}.wanted": (pa.float64(), unit, f"{what} wanted"),
+        }
     return pa.schema(pa.field(name, kind, metadata={"unit": unit, "description": text}) for name, (kind, unit, text) in columns.items())
 
 
@@ -106,6 +114,8 @@ def row(result: LightingResult) -> dict[str, Any]:
         values |= {f"object.{name}.{key}": getattr(each, key) for key in OBJECT}
     for name, zone in result.zones.items():
         values |= {f"zone.{name}.{key}": getattr(zone, key) for key in ZONE}
+    for name, material in result.materials.items():
+        values |= {f"material.{name}.{material.quantity}": material.median, f"material.{name}.wanted": material.wanted}
     if (look := result.look) is not None:
         values |= {"detections": len(look.found), "false_positives": look.false_positives, "eyes_lx_max": look.eyes_lx_max}
         values["tracks"] = len(look.tracks)

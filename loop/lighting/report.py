@@ -28,7 +28,7 @@ from world.errors import LuxloopError
 from world.frames import transform
 
 INCHES, DPI = (13.0, 8.6), 120
-TALLER_INCHES = 2.2  # with a detector, for two large pictures of the camera
+TALLER_INCHES = 2.2  # with a detector, for two large pictures of the camera, and with materials, for their chart
 TRACKED, MASKED, FOUND = "#4fd17a", "#ffaa28", "#6e82a0"
 WALL_COLUMNS = 480
 CHARACTERS = 125  # of marks, side by side, that fill a large picture of the camera
@@ -41,13 +41,13 @@ def write_report(file: Path, simulation: LightingSimulation, moments: Sequence[L
     """Draw a run on one page; moments: those to show, the last one is the end. Raises LuxloopError if the file cannot be written."""
     last = moments[-1]
     with rc_context(STYLE):
-        looks = simulation.sight is not None
-        figure = Figure((INCHES[0], INCHES[1] + looks * TALLER_INCHES), DPI, layout="constrained")
+        height = INCHES[1] + (simulation.sight is not None or bool(last.materials)) * TALLER_INCHES
+        figure = Figure((INCHES[0], height), DPI, layout="constrained")
         FigureCanvasAgg(figure)
         figure.suptitle(_title(simulation, last, table), x=0.012, ha="left", fontsize=12, weight="bold")
         left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(7.6, 5.4))[0]
         observed = [(result, symbol) for result in moments for symbol in result.symbols][-OBSERVED:]
-        high = INCHES[1] + looks * TALLER_INCHES - 3.4
+        high = height - 3.4
         heights = (high, 3.4, 1.6) if observed else (high, 3.4)
         top, bottom, *below = left.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
         _cameras(top, simulation, moments)
@@ -90,16 +90,16 @@ def _told_of_boxes(simulation: LightingSimulation) -> str:
     if not simulation.watched and simulation.sight is None:
         return "What the camera sees"
     masks = any(function.kind == "glare_free" for function in simulation.scenario.lighting.functions)
-    orange = ", orange where a glare-free mask keeps it dark" if masks else ""
+    orange = ", orange where a mask keeps it dark" if masks else ""
     if simulation.sight is None:
         return f"What the camera sees; a green box is an object that functions are told of{orange}"
-    return f"What the camera sees; green: a tracked object and how sure{orange}; grey: found in this frame"
+    return f"What the camera sees; green: tracked, and how sure{orange}; grey: found in this frame"
 
 
 def _camera(axes: Axes, simulation: LightingSimulation, result: LightingResult, white: float) -> None:
     image = (measured(result, simulation).cpu().numpy() / white).clip(0, 1) ** 0.5
     axes.imshow(image, cmap=NIGHT, vmin=0, vmax=1, interpolation="antialiased")
-    for mark in readable(marks(result, simulation), image.shape[1] / CHARACTERS):
+    for mark in readable(marks(result, simulation), image.shape[1] / CHARACTERS, image.shape[1]):
         colour = FOUND if mark.faint else MASKED if mark.masked else TRACKED
         for (u0, v0), (u1, v1) in mark.lines:
             axes.plot([u0, u1], [v0, v1], color=colour, linewidth=0.7)

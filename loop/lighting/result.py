@@ -9,21 +9,12 @@ from controllers.functions.situation import Situation
 from controllers.planner import Plan, States
 from loop.lighting.lamps import LampPower
 from loop.lighting.observed import ObservedSymbol
+from loop.lighting.on_materials import OnMaterial
+from loop.lighting.on_objects import OnObject
 from loop.lighting.sight import Recognised
 from loop.lighting.zoned import InZone
 from perception.detection.protocol import Detections
 from perception.tracking import Tracks
-
-
-@dataclass(frozen=True)
-class OnObject:
-    """The lamps' light on what the camera sees of an object: pixels, and lx that are NaN where there are none. masked: it must be dark."""
-
-    pixels: int
-    lx_min: float
-    lx_mean: float
-    lx_max: float
-    masked: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,8 +48,8 @@ class LightingResult:
     now: what was known, and functions: what they had learnt, when the light was planned. masked: names of its objects that must be dark.
     lights: utilisations `[n_p]`, one a module. powers: by the lamps' sides. illuminance: `[height, width]` lx from the lamps alone, and
     luminance: in cd/m^2 with all other light, as the camera sees them. frame: its digital numbers. objects: by name, those that are there
-    and have a category. look: None without a detector. symbols: those that are meant for an observer, from their eyes. zones: by name.
-    timings: ms by part.
+    and have a category. look: None without a detector. symbols: those that are meant for an observer, from their eyes. zones, materials:
+    by name. timings: ms by part.
     """
 
     step: int
@@ -76,6 +67,7 @@ class LightingResult:
     look: Look | None
     symbols: tuple[ObservedSymbol, ...]
     zones: Mapping[str, InZone]
+    materials: Mapping[str, OnMaterial]
     timings: Mapping[str, float]
 
     @property

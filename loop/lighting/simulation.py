@@ -1,6 +1,5 @@
 """Lighting functions at work: at each step the objects are tracked, the functions planned, the lamps driven, and the light looked at."""
 
-import math
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -20,8 +19,10 @@ from loop.lighting.known import Known, categories
 from loop.lighting.lamps import LampPower, ShiningModule, driven, shining_modules
 from loop.lighting.names import check_names
 from loop.lighting.observed import in_white, observed_symbols
-from loop.lighting.result import LightingResult, LightingState, Look, OnObject
-from loop.lighting.sight import Sight, false_positives, name_of, recognised
+from loop.lighting.on_materials import on_materials
+from loop.lighting.on_objects import on_objects, told_as
+from loop.lighting.result import LightingResult, LightingState, Look
+from loop.lighting.sight import Sight, false_positives, recognised
 from loop.lighting.view import LitScene, Looker
 from loop.lighting.zoned import in_zones
 from loop.scenario import DrivingParams, LightingScenario
@@ -117,10 +118,12 @@ class LightingSimulation:
         functions = self.planner.step(state.functions, self._learnt(now, known, frame, tracks)) if self.planner.learns else state.functions
         found = time.perf_counter()
         masked = frozenset(each.name for each in now.objects if self.masked(each, now))
-        objects = self._on_objects(illuminance, known, masked, look)
+        told = told_as(self.watched, None if look is None else look.recognised)
+        objects = on_objects(self.watched, frozenset(told[name] for name in masked & told.keys()), known, illuminance)
         white = in_white(plan)
         symbols = () if white is None else observed_symbols(plan, lights, self._driven(white, time_s)[0], self.camera, time_s)
         zones = in_zones(self.planner.functions, state.functions, luminance, self.camera.view)
+        materials = on_materials(self.planner.functions, functions, now, told, known, illuminance, luminance)
         stop = time.perf_counter()
         taken = {"plan": planned - start, "light": lit - planned, "look": looked - lit + stop - found, "find": found - looked}
         timings = {part: 1e3 * seconds for part, seconds in taken.items()}
@@ -140,6 +143,7 @@ class LightingSimulation:
             look,
             symbols,
             zones,
+            materials,
             timings,
         )
         return LightingState(state.step + 1, tracks, functions), result
@@ -229,16 +233,6 @@ class LightingSimulation:
         occluded = scene_caster(self.scene.at(time_s)) if params.shadow_rays else None
         secondary = [SecondaryRays(self.lights, own, street_lamps, occluded) for own in range(len(self.modules))]
         return driven(self.modules, plan, secondary, params.power_limit, self.scenario.headlight.power_w)
-
-    def _on_objects(self, illuminance: Tensor, known: Known, masked: frozenset[str], look: Look | None) -> Mapping[str, OnObject]:
-        found = {}
-        for name, number in self.watched.items():
-            lx = illuminance.flatten()[known.pixels[number - 1]]
-            low, mean, high = (float(value) for value in (lx.min(), lx.mean(), lx.max())) if len(lx) else [math.nan] * 3
-            track = look.recognised[name].track if look is not None and name in look.recognised else None
-            known_as = name if look is None else "" if track is None else name_of(track)
-            found[name] = OnObject(len(lx), low, mean, high, known_as in masked)
-        return found
 
 
 def driving(course: tuple[DrivingParams, ...], time_s: float) -> DrivingParams:

@@ -9,11 +9,13 @@ from numpy.typing import NDArray
 from rich.markup import escape
 from rich.table import Table
 
+from controllers.zones.material import Quantity
 from loop.summary import column
 
 START_UP_S = 1.0  # in which functions that learn begin with more light than they come to need
 SETTLED = 0.05  # greatest deviation of a zone from its target, as a share of it
 LAST_STEPS = 10  # that a confidence at the end is the mean of
+UNITS: Mapping[Quantity, str] = {"luminance": "cd/m^2", "lx": "lx"}
 LOOKING = ("detections", "false_positives")  # whose means are told
 
 
@@ -54,6 +56,7 @@ def summarise(table: pa.Table, scenario: str, compared_w: Mapping[str, NDArray[n
             for name in objects
         },
         **({"zones": zones} if (zones := _zones(table)) else {}),
+        **({"materials": materials} if (materials := _materials(table)) else {}),
         **(
             {
                 "energy_j": _energy(table, column(table, "power_w")),
@@ -72,6 +75,12 @@ def summarise(table: pa.Table, scenario: str, compared_w: Mapping[str, NDArray[n
 def zones_of(table: pa.Table) -> list[str]:
     """Names of the zones of a recording."""
     return [each.removeprefix("zone.").removesuffix(".target") for each in table.column_names if each.endswith(".target")]
+
+
+def materials_of(table: pa.Table, quantity: Quantity) -> list[str]:
+    """Names of the materials of a recording of which that is wanted."""
+    asked = [each.removeprefix("material.").removesuffix(".wanted") for each in table.column_names if each.endswith(".wanted")]
+    return [name for name in asked if f"material.{name}.{quantity}" in table.column_names]
 
 
 def lost_steps(table: pa.Table, name: str) -> int:
@@ -114,6 +123,17 @@ def _zones(table: pa.Table) -> dict[str, Any]:
     return found
 
 
+def _materials(table: pa.Table) -> dict[str, Any]:
+    """By name: what a material has at the end, None out of sight, and what was wanted."""
+    found = {}
+    for quantity in UNITS:
+        for name in materials_of(table, quantity) if table.num_rows else ():
+            last = float(column(table, f"material.{name}.{quantity}")[-1])
+            wanted = float(column(table, f"material.{name}.wanted")[-1])
+            found[name] = {"quantity": quantity, "median": last if np.isfinite(last) else None, "wanted": wanted}
+    return found
+
+
 def _energy(table: pa.Table, power_w: NDArray[np.floating]) -> float | None:
     """Of all lamps, in J; None of a single step, which has no duration."""
     times = column(table, "time_s")
@@ -132,6 +152,7 @@ def _recognised(table: pa.Table, name: str) -> dict[str, Any]:
         "confidence_final": float(last.mean()) if len(last) else None,
         "confidence_min": float(np.nanmin(since)) if len(since) else None,
         "tracks": len(tracks),
+        "pixels_max": float(np.nanmax(column(table, f"object.{name}.pixels"))) if len(confidence) else None,
         "steps_in_sight": int(np.isfinite(confidence).sum()),
         "steps_lost": lost_steps(table, name),
     }
@@ -154,18 +175,23 @@ def shown(values: dict[str, Any], files: str) -> Table:
     for name, zone in values.get("zones", {}).items():
         when = "not settled" if zone["settled_step"] is None else f"within 5 % from step {zone['settled_step']} on"
         rows[f"zone {name}"] = f"{_number(zone['luminance'], '.3g')} of {zone['target']:.3g} cd/m^2, {when}"
+    for name, each in values.get("materials", {}).items():
+        unit = UNITS[each["quantity"]]
+        got = "out of sight" if each["median"] is None else f"{each['median']:.3g} {unit}, median of its pixels at the end"
+        rows[f"material {name}"] = f"{each['wanted']:.3g} {unit} wanted: {got}"
     if values["symbol_iou_min"] is not None:
         rows["symbols, to their observers"] = f"IoU {values['symbol_iou_min']:.3f} at least"
+    untracked = "detections" in values and not any(each["tracks"] for each in values["objects"].values())
     if values["idle_functions"]:
-        untracked = "detections" in values and not any(each["tracks"] for each in values["objects"].values())
         why = f"nothing to draw, or nothing that a lamp reaches, in all steps{'; no object was tracked yet' if untracked else ''}"
         rows["without effect"] = f"{', '.join(values['idle_functions'])}: {why}"
     if values.get("energy_j") is not None:
         rows["energy"] = _of_energy(values["energy_j"], values["energy_compared_j"])
         if values["base_share_final"] < 1:
-            rows["base beam"] = f"{values['base_share_final']:.1%} of it left at the end"
+            why = "; no object was tracked, so none asked for more" if untracked else ""
+            rows["base beam"] = f"{values['base_share_final']:.1%} of it left at the end{why}"
     if "detections" in values:
-        rows["found"] = f"{values['detections']:.1f} boxes a step, {values['false_positives']:.2f} of them false"
+        rows["found"] = f"{values['detections']:.1f} boxes a step; {values['false_positives']:.2f} a step are sure and show nothing"
         if values["eyes_lx_max"] is not None:
             rows["on heads and windscreens"] = _on_eyes(values["eyes_lx_max"], values["eyes_lx_max_after_start_up"])
     if least := {name: each["confidence_min"] for name, each in values["objects"].items() if each.get("confidence_min") is not None}:
@@ -176,7 +202,8 @@ def shown(values: dict[str, Any], files: str) -> Table:
     for name, each in values["objects"].items():
         if each.get("steps_in_sight") and (each["steps_lost"] or not each["tracks"]):
             word, gone = ("lost", each["steps_lost"]) if each["tracks"] else ("missed", each["steps_in_sight"])
-            rows[f"{word} {name}"] = f"no track shows it in {gone} of the {each['steps_in_sight']} steps in which it is in sight"
+            large = "" if each["tracks"] else f", of {each['pixels_max']:.0f} px at most"
+            rows[f"{word} {name}"] = f"no track shows it in {gone} of the {each['steps_in_sight']} steps in which it is in sight{large}"
     rows["time a step"] = f"{_number(values['control_ms_median'], '.1f')} ms (median) for planning and all lamps"
     rows["files"] = files
     for label, value in rows.items():

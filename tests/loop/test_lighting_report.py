@@ -127,8 +127,13 @@ def test_tracks_that_show_nobody_are_counted() -> None:
 def test_texts_do_not_cover_each_other() -> None:
     places = {"car 1: 0.90": (100, 50), "left of it": (49, 50), "cyclist 2: 0.80": (150, 55), "below": (150, 62), "": (100, 50)}
     marked = [Mark((), text=text, at=at) for text, at in places.items()]
-    assert [mark.text for mark in readable(marked, 5.0)] == ["car 1: 0.90", "left of it", "", "below", ""]
-    assert [mark.text for mark in readable(marked, 7.0)] == ["car 1: 0.90", "", "", "", ""]
+    assert [mark.text for mark in readable(marked, 5.0, 640)] == ["car 1: 0.90", "left of it", "", "below", ""]
+    assert [mark.text for mark in readable(marked, 7.0, 640)] == ["car 1: 0.90", "", "", "", ""]
+
+
+def test_texts_stay_within_the_image() -> None:
+    beyond, above, left = readable([Mark((), text="car 1: 0.90", at=at) for at in ((630, 50), (100, -4), (-20, 100))], 5.0, 640)
+    assert beyond.at == (585, 50) and above.at == (100, 10) and left.at == (0, 100)  # 11 characters of 5 px, 10 px high
 
 
 def test_light_on_eyes_is_told_without_the_start_up() -> None:
@@ -154,3 +159,13 @@ def test_whom_the_tracker_loses_is_told(tmp_path: Path) -> None:
     assert f"no track shows it in {walker['steps_lost']} of the 12 steps in which it is in sight" in told
     assert "lx at most, all within the first 1 s" in told
     assert "walker 0.00, each from its first track on" in told
+
+
+def test_a_run_that_finds_nobody_says_how_small_they_were(tmp_path: Path) -> None:
+    detector = {"kind": "truth", "least_height_px": 1000}
+    summary = run(scenario([HALF], steps=2, objects=[WALKER], detector=detector), tmp_path / "blind", video=False)
+    console = Console(record=True, width=160)
+    console.print(shown(summary | {"base_share_final": 0.5}, "here"))
+    told, pixels = console.export_text(), summary["objects"]["walker"]["pixels_max"]
+    assert pixels > 100 and f"in 2 of the 2 steps in which it is in sight, of {pixels:.0f} px at most" in told
+    assert "50.0% of it left at the end; no object was tracked, so none asked for more" in told

@@ -5,8 +5,10 @@ from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
+from rich.console import Console
 
 from loop.lighting.simulation import LightingSimulation
+from loop.lighting.summary import shown
 from loop.run import run
 from loop.scenario import LightingScenario, validate_any
 from world.errors import LuxloopError
@@ -77,6 +79,34 @@ def test_two_zones_of_one_name_are_refused() -> None:
     zone = {"kind": "zone", "name": "z", "centre_m": [15, 0, 1.0], "size_m": [0, 2, 2], "luminance_cd_m2": 0.6}
     with pytest.raises(LuxloopError, match=r"lighting.functions: there are two zones 'z', but recordings tell zones by name; rename one"):
         scenario([zone, zone | {"centre_m": [15, 3, 1.0]}])
+
+
+def test_materials_are_told_beside_what_was_wanted(tmp_path: Path) -> None:
+    lights = [
+        {"materials": ["lane_paint"], "lx": 8.0},
+        {"materials": ["matt", "skin"], "luminance_cd_m2": 0.2},
+        {"albedo": [0.0, 0.3], "lx": 1.0},
+    ]
+    told = [{**each.model_dump(exclude_none=True), "category": "other"} for each in scenario([]).objects]
+    given = scenario([{"kind": "material", "lights": lights, "road_m": [12, 30]}], objects=told, steps=2)
+    summary = run(given, tmp_path / "materials", video=False)
+    table = pq.read_table(tmp_path / "materials" / "trajectory.parquet")
+    materials = summary["materials"]
+    assert list(materials) == ["matt", "skin", "lane_paint", "albedo 0 to 0.3"]
+    assert {name: each["wanted"] for name, each in materials.items()} == {
+        "matt": 0.2,
+        "skin": 0.2,
+        "lane_paint": 8.0,
+        "albedo 0 to 0.3": 1.0,
+    }
+    # the median wall is clear of borders, and light of the road's picture reaches it not at all; rays are read at texels
+    assert materials["matt"]["median"] == pytest.approx(0.2, rel=0.15) and materials["matt"]["quantity"] == "luminance"
+    assert materials["skin"]["median"] is None
+    assert table["material.albedo 0 to 0.3.lx"].to_pylist()[0] == pytest.approx(0.0, abs=1e-6)  # nothing is drawn before anything is seen
+    assert materials["albedo 0 to 0.3"]["median"] == pytest.approx(1.0, rel=0.3)  # asphalt, with the seams of what stands
+    console = Console(record=True, width=160)
+    console.print(shown(summary, "here"))
+    assert "material skin             0.2 cd/m^2 wanted: out of sight" in console.export_text()
 
 
 def test_paint_gets_its_own_light() -> None:
