@@ -11,6 +11,7 @@ from torch import Tensor
 
 from controllers.planner import Planner
 from loop.lighting.known import Known
+from loop.lighting.lamps import flux_by_side
 from loop.lighting.result import LightingResult
 from loop.lighting.sight import Sight, pairs
 from loop.lighting.simulation import LightingSimulation
@@ -151,9 +152,7 @@ def beam_lights(simulation: LightingSimulation) -> dict[str, tuple[Tensor, ...]]
 
 
 def _given(simulation: LightingSimulation, lights: Sequence[Tensor]) -> dict[str, float]:
-    sides = dict.fromkeys((module.side for module in simulation.modules), 0.0)
-    for module, u in zip(simulation.modules, lights, strict=True):
-        sides[module.side] += float((u * module.flux).sum())
+    sides = flux_by_side(simulation.modules, lights)
     return {"flux_lm": sum(sides.values()), "watts": sum(map(simulation.scenario.headlight.power_w, sides.values()))}
 
 
