@@ -25,6 +25,11 @@ SHOWN = {
     "iou_mean": ("IoU, mean of all steps", True),
     "dark_lx_max": ("on what must be dark, lx", False),
     "symbol_iou_min": ("IoU of symbols, least", True),
+    "flux_lm_mean": ("flux of all lamps, lm", False),
+    "energy_j": ("energy, J", False),
+    "confidence_final_mean": ("confidence at the end", True),
+    "confidence_final_min": ("the same, least of an object", True),
+    "eyes_lx_max_after_start_up": ("on heads and windscreens, lx", False),
 }
 
 

@@ -31,13 +31,19 @@ def figures(scenario: AnyScenario, device: str = "auto") -> dict[str, float | st
     """Run a scenario and give its summary, flat: `centroid_error_x_percent`, `lamps.left.flux_lm_mean`; None where a value does not exist.
 
     A symbol's run has iou_mean (over all steps), residual_percent (how far off the centroid ends, of the symbol's size) and
-    utilisation_mean (of all pixels, over all steps) as well. Times are left out, so that the same scenario gives the same figures.
+    utilisation_mean (of all pixels, over all steps) as well; one of lighting functions flux_lm_mean (of all lamps), and with a detector
+    confidence_final_mean and _min (over the objects in sight at the end). Times are left out, so that the same scenario gives the same
+    figures.
     Raises LuxloopError where the scenario cannot run.
     """
     if isinstance(scenario, LightingScenario):
         lighting = LightingSimulation.prepare(scenario, torch_device(device))
         table = table_of([lighting_row(result) for result in lighting.run()], lighting_schema(lighting))
-        return _flat(summarise_lighting(table, scenario.name, compared(lighting, table)))
+        told = summarise_lighting(table, scenario.name, compared(lighting, table))
+        flux = [each["flux_lm_mean"] for each in told["lamps"].values()]
+        sure = [each["confidence_final"] for each in told["objects"].values() if each.get("confidence_final") is not None]
+        least = {"confidence_final_mean": float(np.mean(sure)), "confidence_final_min": min(sure)} if sure else {}
+        return _flat(told | {"flux_lm_mean": sum(flux)} | least)
     return traced(scenario, device)[0]
 
 

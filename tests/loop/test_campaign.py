@@ -144,6 +144,23 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
         assert said in capsys.readouterr().err
 
 
+def test_patterns_of_light_are_compared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    text = (ROOT / "examples" / "patterns.toml").read_text("utf-8").replace("seeds = [0, 1]", "seeds = [0]")
+    small = 'steps = 6\nrenderer = "raycast"\ndetector.kind = "truth"\ncamera = { width_px = 320, height_px = 180, oversampling = 1 }\n'
+    (tmp_path / "patterns.toml").write_text(f"{text}[set]\n{small}")
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["campaign", "patterns.toml", "--jobs", "1", "--device", "cpu"]) == cli.OK
+    rows = {row["variant"]: row for row in pq.read_table(tmp_path / "runs" / "patterns" / TABLE).to_pylist()}
+    assert list(rows) == ["even", "stripes", "checks"]
+    for row in rows.values():
+        assert row["confidence_final_min"] <= row["confidence_final_mean"] <= 1.0
+        assert row["flux_lm_mean"] == pytest.approx(row["lamps.left.flux_lm_mean"] + row["lamps.right.flux_lm_mean"])
+        assert row["flux_lm_mean"] <= rows["even"]["flux_lm_mean"]  # a half is dark, and the base beam the same for who is always sure
+    assert rows["stripes"]["flux_lm_mean"] < 0.98 * rows["even"]["flux_lm_mean"]
+    told = capsys.readouterr().out
+    assert "flux of all lamps, lm" in told and "confidence at the end" in told
+
+
 @pytest.fixture
 def scheduler(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
     """Address of a scheduler and its two workers, each a process of its own."""
