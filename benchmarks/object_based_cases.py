@@ -23,7 +23,13 @@ from perception.ground_truth import Truth
 from world.traffic.generator import varied
 
 CAMERA = {"width_px": 640, "height_px": 360, "pitch_deg": 1.5, "oversampling": 1, "saturation_e": 2000.0}
-WORLD: dict[str, Any] = {"camera": CAMERA, "headlight": {"model": "ssl-hd-lores"}, "detector": {"kind": "network"}, "rate_hz": 30.0}
+WORLD: dict[str, Any] = {
+    "camera": CAMERA,
+    "headlight": {"model": "ssl-hd-lores"},
+    "ssc": {"a_d": 1.0},
+    "detector": {"kind": "network"},
+    "rate_hz": 30.0,
+}
 FIRST = 2_000_000  # seed of the first scene: the network was trained on scenes from 10,000 on, and judged on those from 1,000,000 on
 OURS = "luxloop"
 SHARE = 0.08  # of the high beam, which is a fifth of the low one's flux

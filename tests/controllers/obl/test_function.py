@@ -19,6 +19,7 @@ from controllers.obl.light import CELLS, NEAREST_M, ObjectLightParams, frontal
 from controllers.primitives import concatenate
 from controllers.secondary import Light, SecondaryRays
 from controllers.ssc import Ssc
+from loop.scenario import load_any
 from perception.tracking import LINGER_S
 from world.frames import inverse, pose_from_degrees, transform
 from world.presets import lamp
@@ -55,7 +56,7 @@ def on_front(each: TrackedObject, low: float, high: float, n: int = 15) -> Tenso
 def shining():  # type: ignore[no-untyped-def]
     """lx of both lamps together at points `[3, N]`, on a plane that faces each; share: of full light, below the function."""
     light = lamp("ssl-hd-lores").modules[0].headlight
-    ssc = Ssc.prepare(light)
+    ssc = Ssc.prepare(light, load_any("obl").ssc)
     lights = tuple((name, Light.of(light, T)) for name, T in zip(("left lores", "right lores"), PLACES, strict=True))
 
     def lx(function: ObjectBasedParams, situation: Situation, points: Tensor, share: float = 0.0) -> Tensor:
@@ -102,12 +103,19 @@ def test_who_stands_before_a_windscreen_is_lit_and_it_stays_dark_beside(shining)
     assert shining(CONSTANT, now(far, gone), on_front(far, 0.7, 1.0), share=1.0).max() < 1
 
 
+@pytest.mark.parametrize(("x", "height"), [(9.0, 1.7), (11.0, 1.9)])
+def test_a_head_at_the_upper_edge_of_the_light_gets_no_more_than_others(shining, x: float, height: float) -> None:  # type: ignore[no-untyped-def]
+    """No pixel above takes a share there: without edge darkening (T 7.5.2) it would get 1.6 times as much. 5 % are the pixels' steps."""
+    each = replace(person(x=x), size_m=(0.4, 0.6, height))
+    assert 0.9 < shining(CONSTANT, now(each), on_front(each, 0.8, 1.0)).max() / CONSTANT.light.dark_lx < 1.05
+
+
 def test_light_on_a_deer_leaves_the_head_behind_its_back_dark(shining) -> None:  # type: ignore[no-untyped-def]
     """It carries its head beside its body, and the air above its back hides nobody."""
     deer = TrackedObject("deer", "animal", pose_from_degrees((8.2, -0.7, 0.0), yaw_deg=90), (1.8, 0.84, 1.3))
     far = person(x=11.7, y=-0.6)
     assert shining(CONSTANT, now(deer, far), on_front(far, 0.85, 1.0)).max() < 1
-    assert shining(CONSTANT, now(deer), on_front(far, 0.85, 1.0)).max() > 5
+    assert shining(CONSTANT, now(deer), on_front(far, 0.85, 1.0)).max() > 2
 
 
 @settings(deadline=None, max_examples=15)
