@@ -7,6 +7,7 @@ from typing import Any
 import torch
 from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from loop.lighting.beam_goal import BeamJudge
@@ -18,6 +19,7 @@ from perception.camera import luminance_of
 from world.files import whole
 
 WALL_COLUMNS = 360
+FAINTEST_LX = 0.1  # on the wall, that is shown as black
 CHARACTERS = 250  # of marks, side by side, that fill all pictures of the camera
 BRIGHT = 0.995  # quantile of the luminance found that is shown as white
 
@@ -30,7 +32,7 @@ def write_picture(file: Path, judge: BeamJudge, beams: Mapping[str, Lights], los
     seen = [luminance_of(image, camera).cpu() for image in images]
     walls = [wall_light(judge.simulation.modules, lights, WALL_COLUMNS).cpu() for lights in beams.values()]
     white = float(torch.quantile(seen[-1].flatten()[::7], BRIGHT)) * 1.3
-    brightest = max(float(wall.max()) for wall in walls)  # one scale, so that the beams can be compared
+    scale = LogNorm(FAINTEST_LX, max(float(wall.max()) for wall in (*walls, torch.ones(1))))  # one for all, so that they can be compared
     side, down, up = WALL_DEG
     with rc_context(STYLE):
         figure = Figure((13.0, 6.4), 110, layout="constrained")
@@ -50,11 +52,12 @@ def write_picture(file: Path, judge: BeamJudge, beams: Mapping[str, Lights], los
             axes.set_title(f"{name}: {figures['flux_lm']:.0f} lm, mean score {figures['score_mean']:.2f}")
             axes.grid(False)
             wall = figure.add_subplot(grid[1, k])
-            shown = wall.imshow(walls[k].numpy(), cmap="inferno", vmin=0, vmax=brightest, extent=(-side, side, -down, up), aspect="auto")
+            light = walls[k].clamp(min=FAINTEST_LX).numpy()
+            shown = wall.imshow(light, cmap="inferno", norm=scale, extent=(-side, side, -down, up), aspect="auto")
             title = f"Both lamps on a wall at 25 m: {float(walls[k].max()):.3g} lx at most"
             wall.set(title=title, xlabel="to the right in deg", ylabel="up in deg" if k == 0 else "")
             wall.grid(False)
-            figure.colorbar(shown, ax=wall, label="lx", pad=0.01)
+            figure.colorbar(shown, ax=wall, label="lx", pad=0.01, format="{x:g}")
         course = figure.add_subplot(grid[2, :])
         course.plot(losses)
         course.set(xlabel="step", title=f"Loss, {summary['method']}, {summary['metric']}")
