@@ -407,7 +407,7 @@ def train_detector(
     out: Path = Path("runs/detector"),
     scenes: int = 600,
     held_out: int = 100,
-    epochs: int = 45,
+    epochs: int = 68,
     seed: int = 0,
     jobs: int | None = None,
 ) -> None:

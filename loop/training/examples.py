@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from loop.training.light import WELL_LIT_LX, full_light, lit_share, luminance, object_light
+from loop.training.light import WELL_LIT_LX, all_light, full_light, lit_share, luminance, object_light
 from loop.training.scenes import CAMERA, CLASSES, DarkScene, read
 from perception.camera import expose
 from perception.detection.network import STRIDE, middles
@@ -17,7 +17,7 @@ from perception.detection.network import STRIDE, middles
 SIZE = (256, 384)  # rows, columns of an example
 LEAST_HEIGHT_PX, LEAST_VISIBLE, LEAST_INSIDE = 16, 0.35, 0.4  # of what must be found; what has less may be
 LEAST_LIT = 0.15  # share of what is seen of it that is well lit
-UNSEEN_LX = 0.2  # what gets nowhere more is not there: who cannot see shall not be sure
+UNSEEN_LX = 0.12  # from all lamps and the sky; what gets more on no such share is not there: who cannot see shall not be sure
 SPREAD = 0.09  # standard deviation of a middle's neighbourhood, as a share of the box
 
 
@@ -56,8 +56,8 @@ def example(scene: DarkScene, light: Tensor, exposure: float, rng: np.random.Gen
     frame = interpolate(exposure * luminance(scene, light)[None, None], SIZE, mode="bilinear", antialias=True, align_corners=False)[0, 0]
     frame = expose(frame, CAMERA, torch.Generator().manual_seed(int(rng.integers(2**62)))) / (2**CAMERA.bits - 1)
     to_frame = torch.tensor([SIZE[1] / scene.shape[1], SIZE[0] / scene.shape[0]]).repeat(2)
-    seen = lit_share(scene, light, UNSEEN_LX) > 0
-    must = lit_share(scene, light, WELL_LIT_LX[0]) >= LEAST_LIT
+    seen = lit_share(scene, all_light(scene, light), UNSEEN_LX) >= LEAST_LIT
+    must = lit_share(scene, light, WELL_LIT_LX) >= LEAST_LIT
     boxes = torch.tensor([each.box for each in scene.objects]).view(-1, 4) * to_frame
     must &= torch.tensor([each.visible >= LEAST_VISIBLE and each.inside >= LEAST_INSIDE for each in scene.objects]).bool()
     must &= boxes[:, 3] - boxes[:, 1] >= LEAST_HEIGHT_PX

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -23,7 +23,7 @@ ALONE_LX, AROUND_LX, EDGE_PX = 20.0, 0.1, 2.0  # of object-based light: on objec
 FRAMES = 4  # with other noise, of which confidences are averaged for that
 AGREE = 0.05  # confidence that object-based light may take from full light
 SURE = 0.5  # least score of what counts as found: at JUDGED_LX rather right than wrong, in less light more often right than that
-SCORES = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)  # that might do as well
+SCORES = (0.2, 0.3, 0.4, SURE, 0.6, 0.7, 0.8)  # that might do as well
 BINS = (0.1, 0.3, 0.5, 0.7, 0.9, 1.0)  # of scores, whose boxes are asked how many of them are right
 FOUND_IOU = 0.5
 HEIGHT_PX, VISIBLE, INSIDE = 24, 0.5, 0.5  # least of what must be found; what has less may be
@@ -47,7 +47,7 @@ def judge(detector: Detector, rows: Sequence[Mapping[str, Any]]) -> dict[str, An
     """What a report says, in numbers, of scenes that `loop.training.scenes.draw` gave the rows of.
 
     x lx is light of which every surface that faces the lamps gets x lx, however far away it is: the intensity grows with the square of
-    the distance. Other light is that of the scene's night.
+    the distance. Confidence against illuminance is judged where there is no other light, all else in that of the scene's night.
     """
     labels_of = [CLASSES.index(name) for name in detector.classes]
     verdicts: dict[float, list[Verdict]] = {lx: [] for lx in ILLUMINANCES_LX}
@@ -56,22 +56,23 @@ def judge(detector: Detector, rows: Sequence[Mapping[str, Any]]) -> dict[str, An
     asked: list[tuple[float, bool]] = []
     times_ms = []
     for row in rows:
-        scene = read(row)
+        scene, seed = read(row), int(row["seed"])
+        alone = replace(scene, own=torch.zeros_like(scene.own), sky=torch.zeros_like(scene.sky))
         for number, lx in enumerate(ILLUMINANCES_LX):
-            frame = seen(scene, lx, int(row["seed"]), number)[None]
+            frame = seen(alone, lx, seed, number)[None]
             start = time.process_time()
             (found,) = detector.detect(frame)
             times_ms.append(1e3 * (time.process_time() - start))
             verdicts[lx].append(verdict(found, scene.objects, labels_of))
-            if lx == JUDGED_LX:
-                asked += boxes_right(found, scene.objects, labels_of)
-                for score, of in by_score.items():
-                    of.append(verdict(found, scene.objects, labels_of, score))
-        agreements += agreement(detector, scene, int(row["seed"]))
+        (found,) = detector.detect(seen(scene, JUDGED_LX, seed, len(ILLUMINANCES_LX))[None])
+        asked += boxes_right(found, scene.objects, labels_of)
+        for score, of in by_score.items():
+            of.append(verdict(found, scene.objects, labels_of, score))
+        agreements += agreement(detector, scene, seed)
     return {
         "scenes": len(rows),
         "sure": SURE,
-        "well_lit": _found(verdicts[JUDGED_LX]),
+        "well_lit": _found(by_score[SURE]),
         "by_score": [{"score": score, **{key: _found(of)[key] for key in ("recall", "false_a_frame")}} for score, of in by_score.items()],
         "confidence": _confidence(verdicts),
         "right": _right(asked),
@@ -134,7 +135,7 @@ def agreement(detector: Detector, scene: DarkScene, seed: int) -> list[tuple[int
         verdicts = [verdict(found, scene.objects, labels_of) for found in detector.detect(frames)]
         return verdicts[0].labels, np.mean([each.confidences for each in verdicts], 0).tolist()
 
-    first = len(ILLUMINANCES_LX)
+    first = len(ILLUMINANCES_LX) + 1
     (labels, full), (_, dark) = means(ALONE_LX, first), means(object_based(scene), first + FRAMES)
     return [each for each in zip(labels, full, dark, strict=True) if each[1] >= SURE]
 

@@ -10,9 +10,11 @@ from torch import Tensor
 from loop.training.scenes import CLASSES, DarkScene, Labelled
 from world.tracked import Category
 
-WELL_LIT_LX = (5.0, 60.0)  # by which a detector is trained
-DARK_LX = (0.02, 0.5)  # around objects that are lit alone
-TOP_LX = (0.0, 1.0)  # on heads and windscreens of these
+WELL_LIT_LX = 5.0  # least by which a detector is trained
+FULL_LX = (WELL_LIT_LX, 150.0)  # of full light, in which much of what is near is as bright as the camera can tell
+DARK_LX = (0.02, 1.0)  # around objects that are lit alone
+OBJECT_LX = (WELL_LIT_LX, 40.0)  # on these
+TOP_LX = (0.2, 1.0)  # on their heads and windscreens
 # share of a box from its top that glare-free light leaves dark: the head, or what is above the bumper, with the lamps' blur and a
 # tracker's errors
 TOP: Final[Mapping[Category, tuple[float, float]]] = {"pedestrian": (0.12, 0.45), "cyclist": (0.12, 0.45), "car": (0.35, 0.75)}
@@ -25,23 +27,23 @@ def luminance(scene: DarkScene, lx: Tensor | float) -> Tensor:
 
 def full_light(scene: DarkScene, rng: np.random.Generator) -> Tensor:
     """Illuminance `[height, width]` in lx of surfaces that face the lamps, as by day or as a beam gives it."""
-    return (_even if rng.random() < 0.6 else _beam)(scene, _between(rng, WELL_LIT_LX), rng)
+    return (_even if rng.random() < 0.6 else _beam)(scene, _between(rng, FULL_LX), rng)
 
 
 def object_light(scene: DarkScene, rng: np.random.Generator) -> Tensor:
     """The same of light on most objects, the tops of most of which stay dark, and on places where there is none."""
     light, (height, width) = (_even if rng.random() < 0.5 else _beam)(scene, _between(rng, DARK_LX), rng), scene.shape
-    lit = [each for each in scene.objects if rng.random() < 0.85] if rng.random() < 0.75 else []
-    for each in lit:
-        u0, v0, u1, v1 = _wider(each, float(rng.uniform(-0.03, 0.25)), float(rng.uniform(-0.03, 0.2)))
-        light = light + _between(rng, WELL_LIT_LX) * _patch(scene, (u0, v0, u1, v1), float(rng.uniform(0.5, 5)))
+    lit = [each for each in scene.objects if rng.random() < 0.9] if rng.random() < 0.85 else []
     for _ in range(int(rng.integers(4))):
         w, h = float(rng.uniform(10, 0.4 * width)), float(rng.uniform(10, 0.5 * height))
         u, v = float(rng.uniform(-w / 2, width)), float(rng.uniform(-h / 2, height))
-        light = light + _between(rng, WELL_LIT_LX) * _patch(scene, (u, v, u + w, v + h), float(rng.uniform(0.5, 5)))
+        light = light + _between(rng, OBJECT_LX) * _patch(scene, (u, v, u + w, v + h), float(rng.uniform(0.5, 5)))
+    for each in lit:
+        around = _wider(each, float(rng.uniform(-0.03, 0.25)), float(rng.uniform(-0.03, 0.2)))
+        light = torch.maximum(light, _between(rng, OBJECT_LX) * _patch(scene, around, float(rng.uniform(0.5, 5))))
     for each in lit:
         share = TOP.get(CLASSES[each.label])
-        if share and rng.random() < 0.8:
+        if share and rng.random() < 0.9:
             light = darkened(scene, light, each, float(rng.uniform(*share)), float(rng.uniform(*TOP_LX)), float(rng.uniform(0.7, 2)))
     return light
 
@@ -98,6 +100,11 @@ def _patch(scene: DarkScene, box: tuple[float, float, float, float], soft: float
     across = torch.sigmoid((u - u0) / soft) * torch.sigmoid((u1 - u) / soft)
     down = torch.sigmoid((v - v0) / soft) * torch.sigmoid((v1 - v) / soft)
     return down[:, None] * across
+
+
+def all_light(scene: DarkScene, lx: Tensor) -> Tensor:
+    """`[height, width]` lx from the headlamps that would make the scene as bright as `lx` from them and all other light do together."""
+    return torch.where(scene.lamps > 0, luminance(scene, lx) / scene.lamps.clamp(min=1e-6), 0)
 
 
 def lit_share(scene: DarkScene, light: Tensor, lx: float) -> Tensor:

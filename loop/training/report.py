@@ -88,7 +88,9 @@ Scores are shares of boxes that are right (a slope of {training["slope"]:g} and 
 light of {JUDGED_LX:g} lx and in object-based light). On the scenes held out, at {JUDGED_LX:g} lx, right are {right}.
 
 x lx is light of which every surface that faces the lamps gets x lx, however far away it is: the lamps' intensity grows with the square \
-of the distance. An object's confidence is the best score of its class among boxes on it, 0 where there is none.
+of the distance. Confidence against illuminance, below, is that of scenes without any other light; all else is of scenes with the light of \
+their night: sky, street lamps, and other cars' lamps. An object's confidence is the best score of its class among boxes on it, 0 where \
+there is none.
 
 Object-based light is {ALONE_LX:g} lx on objects amid {AROUND_LX:g} lx, with heads and windscreens roughly as dark as `object_based` \
 leaves them by default. Of {alone["objects"]} objects that are found in full light of {ALONE_LX:g} lx everywhere the confidence falls \

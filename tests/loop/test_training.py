@@ -84,8 +84,8 @@ def test_the_nearer_object_hides_the_farther_one() -> None:
 def test_the_lit_share_of_an_object_is_of_what_is_seen() -> None:
     scene = plain(20.0, (50, 20, 90, 100))
     light = torch.zeros(scene.shape)
-    light[20:40, 50:90] = WELL_LIT_LX[0]
-    assert lit_share(scene, light, WELL_LIT_LX[0]).tolist() == [0.25]
+    light[20:40, 50:90] = WELL_LIT_LX
+    assert lit_share(scene, light, WELL_LIT_LX).tolist() == [0.25]
     for seed in range(20):
         for kind in (full_light, object_light):
             anything = kind(scene, np.random.default_rng(seed))
@@ -99,7 +99,7 @@ def test_object_based_light_leaves_heads_dark_and_lights_bodies() -> None:
     assert torch.allclose(light[20:37, 50:90], torch.tensor(0.5), atol=0.05)
     assert torch.allclose(light[43:97, 53:87], torch.tensor(20.0), atol=0.1)
     assert torch.allclose(light[:, :35], torch.tensor(0.1)) and torch.allclose(light[:, 110:], torch.tensor(0.1))
-    assert float(lit_share(scene, light, WELL_LIT_LX[0])) == pytest.approx(0.75, abs=2 / 80)  # a row of 80 to both sides
+    assert float(lit_share(scene, light, WELL_LIT_LX)) == pytest.approx(0.75, abs=2 / 80)  # a row of 80 to both sides
     whole = lit_alone(scene, 20.0, 0.1, {}, 0.5, 0.5)
     assert torch.allclose(darkened(scene, whole, scene.objects[0], 0.25, 0.5, 0.5), light)
 
@@ -164,6 +164,10 @@ def test_what_is_too_dark_is_not_there_and_what_is_dim_does_not_count() -> None:
     counts = [each[2][(0, *middle)] for each in (dark, dim, lit)]
     assert counts == [1, 0, 1]
     assert [int((each[1] == 1).sum()) for each in (dark, dim, lit)] == [0, 0, 1] and lit[1][(0, *middle)] > 0.5
+    # as bright by a street lamp as by 1 lx of the headlamps, on one half
+    half = scene.own.clone()
+    half[20:60] = scene.lamps[20:60]
+    assert examples.example(replace(scene, own=half), torch.zeros(scene.shape), 1.0, np.random.default_rng(0))[2][(0, *middle)] == 0
 
 
 def test_verdicts_count_what_is_found_missed_and_false() -> None:
@@ -203,7 +207,21 @@ def test_the_page_tells_how_long_it_took_and_what_it_was_calibrated_on() -> None
 
 
 def test_a_network_that_has_learnt_nothing_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["train-detector", "--out", str(tmp_path), "--scenes", "1", "--held-out", "1", "--epochs", "16", "--jobs", "1"]
+    arguments = [
+        "train-detector",
+        "--out",
+        str(tmp_path),
+        "--scenes",
+        "1",
+        "--held-out",
+        "1",
+        "--epochs",
+        "1",
+        "--seed",
+        "1",
+        "--jobs",
+        "1",
+    ]
     assert cli.main(arguments) == cli.WRONG
     assert "learnt nothing that tells right boxes from wrong ones; give more --scenes or --epochs" in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["scenes", "scenes.jsonl"]
@@ -235,12 +253,13 @@ def shipped() -> NetworkDetector:
 
 
 def test_a_wrong_slope_is_calibrated_away(row: dict[str, object]) -> None:
-    ours = shipped()
+    ours, other = shipped(), shipped()
+    ours.network.calibrate(0.3, 0.0)  # as it was learnt: far from 1, where scores are cut off
+    other.network.calibrate(0.15, 0.1)
+    least = 0.5 * math.log(LEAST_SCORE / (1 - LEAST_SCORE)) + 0.1
     slope, shift = calibrate(ours, [row])
-    ours.network.calibrate(0.5, 0.3)
-    least = 0.5 * (slope * math.log(LEAST_SCORE / (1 - LEAST_SCORE)) + shift) + 0.3
-    same_boxes = replace(ours, threshold=1 / (1 + math.exp(-least)))
-    assert calibrate(same_boxes, [row]) == pytest.approx((2, -0.6), rel=0.05)  # scores near 1 are cut off
+    same_boxes = replace(other, threshold=1 / (1 + math.exp(-least)))
+    assert calibrate(same_boxes, [row]) == pytest.approx((2 * slope, shift - 0.2 * slope), rel=0.01)
     ours.network.calibrate(50.0, 0.0)  # scores of 1 in single precision
     assert all(math.isfinite(each) for each in calibrate(ours, [row]))
     upside_down = shipped()
