@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from controllers.obl.function import ObjectBasedState
 from controllers.planner import Planner
 from loop.lighting.known import Known
 from loop.lighting.lamps import flux_by_side
@@ -221,6 +222,7 @@ class Run:
         self.tracked: dict[str, list[int]] = {}  # steps in which a track shows an object
         self.newcomer_lx: list[float | None] = []
         self.dazzled: list[tuple[int, str, float, bool]] = []  # step, object, lx on its eyes, whether a track shows it
+        self.searches: dict[str, list[int | None]] = {}  # first step of a track's loop, and the first in which it had settled
 
     def add(self, result: LightingResult, shared: LightingSimulation) -> None:
         assert result.look is not None
@@ -232,6 +234,11 @@ class Run:
                 self.tracked.setdefault(name, []).append(result.step)
             if result.step in (LATE if name == NEWCOMER else END):
                 self.scores.setdefault(name, []).append(each.score)
+        for state in (each for each in result.functions if isinstance(each, ObjectBasedState)):
+            for track, loop in state.loops.items():
+                search = self.searches.setdefault(track, [result.step, None])
+                if loop.settled and search[1] is None:
+                    search[1] = result.step
         if (result.look.eyes_lx_max or 0.0) > DAZZLING_LX:
             self.dazzled += dazzled(result, shared.truth(shared.camera.at(result.time_s)))
         if result.step >= COMES:
@@ -249,6 +256,7 @@ class Run:
             "found": {name: self.tracked[name][0] if name in self.tracked else None for name in names},
             "newcomer_lx": self.newcomer_lx,
             "dazzled": self.dazzled,
+            "searches": list(self.searches.values()),
         }
 
 

@@ -32,7 +32,7 @@ class ObjectLightParams(Params):
         {"pedestrian": 0.25, "cyclist": 0.25, "motorcycle": 0.3, "car": 0.45, "truck": 0.6},
         description="share of the box's height that stays dark from the top: heads, windscreens and what is behind them",
     )
-    dark_lx: float = Field(0.45, ge=0, description="light there, however bright the rest; of what has no head detectors are less sure")
+    dark_lx: float = Field(0.6, ge=0, description="light there, however bright the rest; of what has no head detectors are less sure")
 
     @field_validator("dark")
     @classmethod
