@@ -27,6 +27,7 @@ VIEW = camera_view(CameraParams.model_validate(CAMERA))
 RATE_HZ = 30.0
 TRACKER = Tracker(CLASSES, VIEW, TrackerParams())
 SIZES: dict[Category, tuple[float, float]] = {"pedestrian": (0.6, 1.75), "cyclist": (0.7, 1.8), "car": (1.8, 1.5)}
+EDGES = torch.tensor([VIEW.width, VIEW.height] * 2).double()
 NOISE, MISSES, HIDDEN = 0.04, 0.1, 0.6  # of a box's size, of frames, and the share of a box behind another from which on it is not found
 Road = Callable[[float], tuple[Category, float, float]]  # class, x and y in m at a time
 
@@ -73,7 +74,7 @@ class Judge:
 
 
 def seen(objects: list[tuple[Category, float, float]]) -> tuple[Tensor, list[bool]]:
-    """Boxes `[n, 4]` px of upright plates on the road, and which are hidden behind nearer ones."""
+    """Boxes `[n, 4]` px of upright plates on the road, as far as in the image, and which are hidden behind nearer ones or outside."""
     plates = []
     for category, x, y in objects:
         width, height = SIZES[category]
@@ -82,7 +83,9 @@ def seen(objects: list[tuple[Category, float, float]]) -> tuple[Tensor, list[boo
     low, high = torch.maximum(boxes[:, None, :2], boxes[None, :, :2]), torch.minimum(boxes[:, None, 2:], boxes[None, :, 2:])
     covered = (high - low).clamp(min=0).prod(-1) / (boxes[:, 2:] - boxes[:, :2]).prod(-1)[:, None]
     away = torch.tensor([each[1] for each in objects])
-    return boxes, ((covered > HIDDEN) & (away[None] < away[:, None])).any(-1).tolist()
+    inside = torch.minimum(boxes.clamp(min=0), EDGES)
+    outside = (inside[:, 2:] - inside[:, :2]).prod(-1) < (1 - HIDDEN) * (boxes[:, 2:] - boxes[:, :2]).prod(-1)
+    return inside, (((covered > HIDDEN) & (away[None] < away[:, None])).any(-1) | outside).tolist()
 
 
 def followed(roads: list[Road], frames: int, seed: int) -> Kept:
@@ -93,13 +96,14 @@ def followed(roads: list[Road], frames: int, seed: int) -> Kept:
         objects = [road(k / RATE_HZ) for road in roads]
         true, hidden = seen(objects)
         size = (true[:, 2:] - true[:, :2]).prod(-1, keepdim=True).sqrt()
-        boxes = true + NOISE * size * torch.randn(true.shape, generator=rng, dtype=torch.float64)
+        noise = NOISE * size * torch.randn(true.shape, generator=rng, dtype=torch.float64)
+        boxes = torch.where((true <= 0) | (true >= EDGES), true, true + noise)
         shown = ~torch.tensor(hidden) & (torch.rand(len(roads), generator=rng) > MISSES)
         scores = 0.1 * torch.rand(len(roads), len(CLASSES), generator=rng, dtype=torch.float64)
         for n, (category, _, _) in enumerate(objects):
             scores[n, CLASSES.index(category)] = 0.6 + 0.4 * float(torch.rand(1, generator=rng))
         tracks = TRACKER.step(tracks, Detections(boxes[shown], scores[shown]), k / RATE_HZ)
-        judge.look(true, [not each for each in hidden], TRACKER.whole(tracks.present), tracks.present.number.tolist())
+        judge.look(true, [not each for each in hidden], TRACKER.boxes(tracks.present), tracks.present.number.tolist())
     return judge.kept
 
 

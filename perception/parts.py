@@ -21,10 +21,15 @@ WIDTHS_M: Mapping[Category, tuple[float, float]] = {"pedestrian": (0.3, 1.3), "c
 USUAL_HEIGHTS_M: Mapping[Category, float] = {"pedestrian": 1.7, "cyclist": 1.75}
 USUAL_WIDTHS_M: Mapping[Category, float] = {"motorcycle": 0.8, "car": 1.8, "truck": 2.5}
 WHOLE = 0.85  # of the expected width or height: what is smaller is a part
+MEASURED = (0.05, 0.08)  # standard deviation of the foot of a detected box, across and down, in the root of its area
+MISSING = 0.5  # of a part, as a share of what is missing of its width or height
+EDGE_PX = 3.0  # a box that ends so near to the left or the right border is cut off by it
 LEANS = 0.2  # share of the way from there to its own place
 INSIDE = 0.9  # share of a box that lies in a track's, from which on it may be a part of what is tracked
 NEARER = 0.05  # of its height, by which a box may end above what it hides a part of
 ALIKE: tuple[frozenset[Category], ...] = (frozenset({"pedestrian", "cyclist", "motorcycle"}), frozenset({"car", "truck"}))  # by their parts
+
+SOLID: frozenset[Category] = frozenset({"car", "truck"})  # nobody is seen through their boxes
 
 
 def limits_m(classes: tuple[Category, ...]) -> Tensor:
@@ -80,16 +85,47 @@ def are_parts(boxes: Tensor, expected: Tensor) -> Tensor:
     return boxes[..., 2:] - boxes[..., :2] < WHOLE * (expected[..., 2:] - expected[..., :2])
 
 
+def uncut(boxes: Tensor, expected: Tensor, width: int) -> Tensor:
+    """Boxes `[..., 4]` px as wide as expected `[..., 4]` where the left or the right border of an image of that width cuts them off."""
+    left, top, right, bottom = torch.broadcast_tensors(boxes, expected)[0].unbind(-1)
+    wide = expected[..., 2] - expected[..., 0]
+    reaches = torch.where(left <= EDGE_PX, torch.minimum(left, right - wide), left)
+    return torch.stack([reaches, top, torch.where(right >= width - EDGE_PX, torch.maximum(right, left + wide), right), bottom], -1)
+
+
+def spread_of(boxes: Tensor, expected: Tensor) -> Tensor:
+    """`[..., 2]` px^2: variances of the foot that boxes `[..., 4]` tell, which parts of what is expected `[..., 4]` know less well."""
+    whole = (expected[..., 2:] - expected[..., :2]).clamp(min=1)
+    missing = (whole - (boxes[..., 2:] - boxes[..., :2])).clamp(min=0)
+    return torch.tensor(MEASURED).to(whole) ** 2 * whole.prod(-1, keepdim=True) + (MISSING * missing) ** 2
+
+
 def belonging(boxes: Tensor, expected: Tensor, whole: Tensor) -> Tensor:
     """Which boxes `[m, 4]` may be parts of what is expected `[n, 4]`, `[n, m]` bool: those inside.
 
     Not so where that is seen whole, `[n]` bool, and the box ends as low as it, or lower: that is somebody before it.
     """
     ours, theirs = expected[:, None], boxes[None]
-    common = (torch.minimum(ours[..., 2:], theirs[..., 2:]) - torch.maximum(ours[..., :2], theirs[..., :2])).clamp(min=0).prod(-1)
-    inside = common > INSIDE * (theirs[..., 2:] - theirs[..., :2]).prod(-1)
+    inside = _common(ours, theirs) > INSIDE * _area(theirs)
     before = theirs[..., 3] > ours[..., 3] - NEARER * (ours[..., 3] - ours[..., 1])
     return inside & ~(whole[:, None] & before)
+
+
+def hiding(boxes: Tensor, expected: Tensor, whole: Tensor) -> Tensor:
+    """Which boxes `[m, 4]` would hide what is expected `[n, 4]`, although that is seen whole, `[n]` bool: `[n, m]` bool.
+
+    So do boxes that are too large, around the lamps of a car in the dark.
+    """
+    ours, theirs = expected[:, None], boxes[None]
+    return whole[:, None] & (_common(ours, theirs) > INSIDE * _area(ours)) & (theirs[..., 3] > ours[..., 3])
+
+
+def _common(some: Tensor, others: Tensor) -> Tensor:
+    return (torch.minimum(some[..., 2:], others[..., 2:]) - torch.maximum(some[..., :2], others[..., :2])).clamp(min=0).prod(-1)
+
+
+def _area(boxes: Tensor) -> Tensor:
+    return (boxes[..., 2:] - boxes[..., :2]).prod(-1)
 
 
 def alike(classes: tuple[Category, ...]) -> Tensor:

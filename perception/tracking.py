@@ -17,14 +17,13 @@ from torch import Tensor
 
 from perception.detection.protocol import Detections
 from perception.detection.suppression import overlaps
-from perception.parts import alike, are_parts, belonging, completed, limits_m, standing
+from perception.parts import MEASURED, SOLID, alike, are_parts, belonging, completed, hiding, limits_m, spread_of, standing, uncut
 from perception.placing import nearness
 from perception.tracks import EACH, Tracks
 from world.params import Params
 from world.tracked import Category
 from world.view import View
 
-MEASURED = 0.05  # standard deviation of the foot of a detected box, in sizes
 STARTS = (4.0, 0.5)  # of a new track's rates, in sizes a second: 4 m/s across for a pedestrian's size, less up and down
 CHANGES = (1.0, 0.3)  # of how rates change, in sizes and the root of a second
 GATE = 4.0  # standard deviations, in u and in v, beyond which a detection is no track's
@@ -32,8 +31,9 @@ FARTHEST = 2.0  # sizes, the same
 OTHER_CLASS = 0.5  # cost of a detection that is nothing like the track's class
 LARGEST_COST = 1.8  # a track rather stays without a detection; the overlap costs 1 at most
 FOLLOWS_S = 1.0  # time constant of sizes
-RESTS_S = 1.0  # in which the rate of what is seen in part falls, since a part says little of it
 WEAK = 0.5  # of the score that starts a track: what scores less does not keep one
+KEPT = 2.0  # times as long as it has been found a track is kept unseen
+BOTH = 0.5  # overlap with a track that has no box, from which on another's box may be both's
 LINGER_S = 2.0  # for which a lost track is still told, so that what is drawn about it can fade
 SURER = 2.0  # times as sure of another class as of its own: a track changes class
 
@@ -93,13 +93,18 @@ class Tracker:
         lost = tracks.take(tracks.until_s.isfinite() & (time_s - tracks.until_s < LINGER_S))
         mine, its = self.assigned(alive, found)
         shown = torch.zeros(len(alive), dtype=torch.bool).index_fill(0, mine, True)
-        complete = shown.index_copy(0, mine, ~are_parts(found.boxes[its], self.whole(alive.take(mine))).any(-1))
-        alive = self._corrected(alive, mine, found.boxes[its], time_s - tracks.time_s)
+        expected = self.whole(alive)
+        boxes = uncut(found.boxes[its], expected[mine], self.view.width)
+        complete = shown.index_copy(0, mine, ~are_parts(boxes, expected[mine]).any(-1))
+        own = ~(overlaps(expected[~shown & alive.since_s.isfinite()], found.boxes[its]) >= BOTH).any(0)
+        alive = self._corrected(alive, mine[own], boxes[own], time_s - tracks.time_s)
         score = torch.full_like(alive.score, math.nan).index_copy(0, mine, found.scores[its])
         alive = self._told(alive, shown, score, time_s, time_s - tracks.time_s)
         left = torch.ones(len(found), dtype=torch.bool).index_fill(0, its, False) & (found.scores.amax(-1) >= self.params.start_score)
         known = alive.since_s.isfinite()[:, None] & alike(self.classes)[alive.category][:, found.scores.argmax(-1)]
-        left &= ~(known & belonging(found.boxes, self.whole(alive), complete)).any(0)
+        solid = torch.tensor([each in SOLID for each in self.classes])[found.scores.argmax(-1)]
+        no_more = belonging(found.boxes, self.whole(alive), complete) | solid & hiding(found.boxes, self.whole(alive), complete)
+        left &= ~(known & no_more).any(0)
         alive = alive.take(shown | alive.since_s.isfinite())
         started = self._started(tracks.following, Detections(found.boxes[left], found.scores[left]), time_s)
         lost = replace(lost, score=torch.full_like(lost.score, math.nan))
@@ -111,11 +116,13 @@ class Tracker:
         if not len(tracks) or not len(found):
             return torch.zeros(0, dtype=torch.int64), torch.zeros(0, dtype=torch.int64)
         expected, px = self.whole(tracks), self._px(tracks)[:, None]
-        off = _foot(completed(found.boxes[None], expected[:, None])) - tracks.mean[:, None, :, 0]
-        spread = tracks.covariance[:, None, :, 0, 0] + (MEASURED * px[..., None]) ** 2
-        far = (_foot(found.boxes) - tracks.mean[:, None, :, 0]).norm(dim=-1) / px
+        boxes = uncut(found.boxes[None], expected[:, None], self.view.width)
+        off = _foot(completed(boxes, expected[:, None])) - tracks.mean[:, None, :, 0]
+        spread = tracks.covariance[:, None, :, 0, 0] + spread_of(boxes, expected[:, None])
+        far = (_foot(boxes) - tracks.mean[:, None, :, 0]).norm(dim=-1) / px
         likeness = found.scores[:, tracks.category].T / found.scores.amax(-1).clamp(min=1e-9)
-        cost = 1 - overlaps(expected, found.boxes) + far + OTHER_CLASS * (1 - likeness)
+        trusted = (found.scores.amax(-1) / self.params.start_score).clamp(max=1)
+        cost = (1 - overlaps(expected, found.boxes) + far + OTHER_CLASS * (1 - likeness)) / trusted
         impossible = (off**2 > GATE**2 * spread).any(-1) | (far > FARTHEST)
         cost = torch.where(impossible, LARGEST_COST, cost.clamp(max=LARGEST_COST))
         rows, columns = (torch.from_numpy(each) for each in linear_sum_assignment(cost.numpy()))
@@ -134,11 +141,10 @@ class Tracker:
         some = tracks.take(which)
         expected = self.whole(some)
         off = _foot(completed(boxes, expected)) - some.mean[..., 0]
-        spread = some.covariance[..., 0, 0] + (MEASURED * self._px(some)[:, None]) ** 2
+        spread = some.covariance[..., 0, 0] + spread_of(boxes, expected)
         gain = some.covariance[..., 0] / spread[..., None]
         covariance = some.covariance - gain[..., :, None] * gain[..., None, :] * spread[..., None, None]
-        rest = torch.where(are_parts(boxes, expected), math.exp(-dt / RESTS_S), 1.0)
-        mean = torch.stack([some.mean[..., 0], rest * some.mean[..., 1]], -1) + gain * off[..., None]
+        mean = some.mean + gain * off[..., None]
         measured = self._size_m(boxes, mean[..., 0])
         settled = (some.frames >= self.params.confirm_frames)[:, None]
         follows = torch.where(settled, _share(dt, FOLLOWS_S), 1 / (some.frames[:, None] + 1))
@@ -159,7 +165,8 @@ class Tracker:
             confidence.amax(-1) > torch.where(tracks.since_s.isfinite(), SURER, 1.0) * own, confidence.argmax(-1), tracks.category
         )
         likely = (frames >= self.params.confirm_frames) & (confidence.amax(-1) >= self.params.start_score)
-        gone = ~shown & (time_s - tracks.seen_s > self.params.keep_s)
+        away = (tracks.mean[:, 0, 0] - self.view.width / 2).abs() > self.view.width / 2
+        gone = ~shown & (away | (time_s - tracks.seen_s > (KEPT * dt * frames).clamp(max=self.params.keep_s)))
         return replace(
             tracks,
             frames=frames,
@@ -174,7 +181,7 @@ class Tracker:
     def _started(self, following: int, found: Detections, time_s: float) -> Tracks:
         n, at = len(found), _foot(found.boxes)
         px = (found.boxes[:, 2:] - found.boxes[:, :2]).clamp(min=1).prod(-1).sqrt()
-        deviations = torch.tensor([[MEASURED, STARTS[0]], [MEASURED, STARTS[1]]], dtype=torch.float64)
+        deviations = torch.tensor([MEASURED, STARTS], dtype=torch.float64).T
         now, never = (torch.full((n,), each, dtype=torch.float64) for each in (time_s, math.inf))
         return Tracks(
             time_s,

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from perception.camera import CameraParams, camera_view
-from perception.parts import HEIGHTS_M, LEANS, USUAL_HEIGHTS_M, belonging, completed, standing
+from perception.parts import HEIGHTS_M, LEANS, MEASURED, MISSING, USUAL_HEIGHTS_M, belonging, completed, hiding, spread_of, standing, uncut
 from perception.placing import placed
 
 VIEW = camera_view(CameraParams(width_px=640, height_px=360, pitch_deg=1.5))
@@ -78,3 +78,23 @@ def test_what_is_inside_belongs_to_it_unless_it_is_before_what_is_seen_whole() -
     boxes = torch.tensor([[105.0, 130, 135, 199], [105.0, 130, 135, 190], [125.0, 130, 155, 199]]).double()
     wanted = torch.tensor([[True, True, False], [False, True, False]])
     assert torch.equal(belonging(boxes, expected, torch.tensor([False, True])), wanted)
+
+
+def test_what_the_border_cuts_off_is_as_wide_as_expected() -> None:
+    expected = torch.tensor([[100.0, 100, 140, 200]]).double()
+    boxes = torch.tensor([[[0.0, 90, 25, 190]], [[620.0, 90, 640, 190]], [[300.0, 90, 325, 190]], [[0.0, 90, 60, 190]]]).double()
+    wanted = torch.tensor([[-15.0, 90, 25, 190], [620.0, 90, 660, 190], [300.0, 90, 325, 190], [0.0, 90, 60, 190]]).double()
+    torch.testing.assert_close(uncut(boxes, expected, 640)[:, 0], wanted)
+
+
+def test_the_more_is_missing_the_less_a_part_says() -> None:
+    expected = torch.tensor([[100.0, 100, 140, 200]]).double()
+    boxes = torch.tensor([[100.0, 100, 140, 200], [90.0, 90, 160, 220], [100.0, 150, 110, 200]]).double()
+    noise, missing = torch.tensor(MEASURED).double() * 4000**0.5, MISSING * torch.tensor([30.0, 50.0]).double()
+    torch.testing.assert_close(spread_of(boxes, expected).sqrt(), torch.stack([noise, noise, (noise**2 + missing**2).sqrt()]))
+
+
+def test_nobody_is_before_what_is_seen_whole() -> None:
+    expected = torch.tensor([[100.0, 100, 140, 140], [100.0, 100, 140, 140]]).double()
+    boxes = torch.tensor([[80.0, 80, 160, 170], [80.0, 80, 160, 130], [120.0, 80, 200, 170]]).double()
+    assert torch.equal(hiding(boxes, expected, torch.tensor([True, False])), torch.tensor([[True, False, False], [False] * 3]))
