@@ -32,7 +32,7 @@ class LowerParams(Params):
 
     kind: Literal["lower"] = "lower"
     bright_lx: float = Field(20.0, gt=0, description="what a new object gets at once; it shows what full light would bring")
-    least_lx: float = Field(1.0, gt=0, description="it gets hardly less than this")
+    least_lx: float = Field(2.0, gt=0, description="it gets hardly less than this")
     ratio: float = Field(1.5, gt=1, description="when the least that is enough is so close to the greatest that is not, the search ends")
     tolerance: float = Field(0.02, ge=0, le=1, description="confidence that may be lost against the best")
     confirm: int = Field(2, ge=1, le=10, description="so often has an illuminance to prove enough before it is kept")

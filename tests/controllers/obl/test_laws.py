@@ -94,7 +94,7 @@ def test_a_bright_light_that_dazzles_the_detector_is_left() -> None:
 
 def test_an_object_that_gains_nothing_gets_least() -> None:
     last = followed(ObjectLoopParams(), lambda lx: 0.6)[-1]
-    assert last.settled and last.lx <= 1.5
+    assert last.settled and last.lx <= 2.0 * 1.5  # least_lx, and a step of `ratio`
 
 
 def test_an_object_that_gains_to_the_end_stays_bright() -> None:
@@ -125,7 +125,7 @@ def test_an_illuminance_is_confirmed_before_it_is_kept() -> None:
 def again(params: ObjectLoopParams, curve: Curve, each: TrackedObject = PERSON, high: float = HIGH) -> list[ObjectLoop]:
     """States of one that has settled at a knee of 4 lx, once all is as given."""
     loop, states = followed(params, Knee(4.0))[-1], []
-    assert loop.settled and 4 <= loop.lx < 7
+    assert loop.settled and 3.4 <= loop.lx < 7  # the tolerance is a fifth of an octave
     for _ in range(4 * STEPS):
         loop = params.step(loop, replace(each, score=curve(loop.lx)), high)
         states.append(loop)
