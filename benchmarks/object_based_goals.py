@@ -46,6 +46,7 @@ def _measured(run: Mapping[str, Any], full: Mapping[str, float], lamps: Mapping[
         "lost": sum(run["found"][name] is not None and run["tracked"][name] < KEPT for name in seen),
         "never_found": sum(run["found"][name] is None for name in seen),
         "settle_s": settle_step(flux[:COMES], SETTLED * lamps[LOW]["flux_lm"]) / RATE_HZ,
+        "searches_s": searches_s(run),
         "eyes_lx": max(eyes, default=None),
         **_dazzled(run),
         **({"newcomer": full.get(NEWCOMER, 0.0) >= FOUND, "newcomer_s": newcomer_s(run)} if run["newcomer_lx"] else {}),
@@ -78,6 +79,12 @@ def settle_step(flux: NDArray[np.float64], within: float) -> int:
     """First step from which on the flux is that close to its mean over END."""
     away = np.flatnonzero(np.abs(flux - flux[END.start : END.stop].mean()) > within)
     return int(away[-1]) + 1 if len(away) else 0
+
+
+def searches_s(run: Mapping[str, Any]) -> list[float]:
+    """How long the loops of those who are found in the first half second have searched until they first settled; infinite: to the end."""
+    early = [(first, settled) for first, settled in run["searches"] if first < SECOND / 2]
+    return [float("inf") if settled is None else (settled - first) / RATE_HZ for first, settled in early]
 
 
 def newcomer_s(run: Mapping[str, Any]) -> float | None:
@@ -151,6 +158,12 @@ def share_kept(rows: Sequence[Row]) -> float | None:
     return share(row["kept"] for row in rows)
 
 
+def _searched(rows: Sequence[Row]) -> float | None:
+    """90 % quantile over all objects of all runs; infinite values are no numbers to interpolate between."""
+    found = [time_s for row in rows for time_s in row["searches_s"]]
+    return float(np.quantile(found, 0.9, method="higher")) if found else None
+
+
 def newcomers(rows: Sequence[Row]) -> list[float]:
     """Times in s of those that full light shows; infinite: never lit."""
     return [float("inf") if row["newcomer_s"] is None else row["newcomer_s"] for row in rows if row.get("newcomer")]
@@ -180,6 +193,7 @@ MASKS = (
 )
 LOST = "people half hidden by others, or hardly above the score that keeps a track in full light, fall below it with a dark head"
 MOVING = "who moves takes more or less flux all the time, and who was hidden for a while is searched for anew"
+SEARCH = "tracks that end before their search does"
 UNSEEN = "what the base beam shows too little of is found late or never"
 SIZES = "who has no track is lit by the light on who stands beside, and boxes that are too low, or too small, put masks there as well"
 GOALS = (
@@ -188,6 +202,7 @@ GOALS = (
     Goal("No object lost that full light keeps, at least 98 % of the runs", lambda m: _lossless(m.ours()), 0.98, LOST, True, PERCENT),
     Goal("Settled within 2 s, static, 90 % quantile", lambda m: quantile(m.ours(False), "settle_s", 0.9), 2.0, MOVING, form="{:.2f} s"),
     Goal("The same: moving", lambda m: quantile(m.ours(True), "settle_s", 0.9), 2.0, MOVING, form="{:.2f} s"),
+    Goal("An object's search has ended within 2 s, 90 % quantile", lambda m: _searched(m.ours()), 2.0, SEARCH, form="{:.2f} s"),
     Goal("A newcomer lit within 0.5 s, at least 90 %", lambda m: _newcomers(m.ours()), 0.90, UNSEEN, True, PERCENT),
     Goal(
         "Heads and windscreens at most 1 lx after the first second",

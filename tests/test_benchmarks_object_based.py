@@ -1,5 +1,6 @@
 """The table of object-based lighting: scenes that nobody learnt from, measures that follow from runs, a page that says what was missed."""
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ def goals(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 def run(flux_lm: list[float], scores: dict[str, float], **other: Any) -> dict[str, Any]:
     names = {"tracked": dict.fromkeys(scores, 1.0), "found": dict.fromkeys(scores, 2)}
-    base = {"watts": [10.0] * 105, "eyes_lx": [5.0] * 30 + [0.4] * 75, "newcomer_lx": [0.0] * 30, "dazzled": []}
+    base = {"watts": [10.0] * 105, "eyes_lx": [5.0] * 30 + [0.4] * 75, "newcomer_lx": [0.0] * 30, "dazzled": [], "searches": []}
     return {"flux_lm": flux_lm, "scores": scores, **names, **base, **other}
 
 
@@ -69,6 +70,14 @@ def test_flux_has_settled_when_it_stays_near_its_end(goals: Any) -> None:
     assert goals.settle_step(np.full(75, 3.0), 1.0) == 0
 
 
+def test_searches_are_those_of_who_is_found_early(goals: Any) -> None:
+    found = goals.searches_s({"searches": [[2, 32], [3, None], [40, 50]]})
+    assert found == [1.0, math.inf]
+    row = {"variant": "luxloop", "moving": False, "searches_s": found}
+    assert goals._searched([row] * 20) == math.inf
+    assert goals._searched([row | {"searches_s": [1.0] * 19}, row]) == 1.0  # one of 21 is less than a tenth
+
+
 def test_a_newcomer_is_lit_once_it_is_known_and_gets_half_of_its_light(goals: Any) -> None:
     lx = [0.1] * 3 + [4.0] + [9.0] * 26
     come = goals.COMES
@@ -106,7 +115,7 @@ def test_goals_are_missed_where_only_one_of_both_is_reached(goals: Any) -> None:
     import object_based_page
 
     rows = [{"variant": "luxloop", "moving": k % 2 == 1, "objects": 1, "saved_low": 0.99, "kept": False, "lost": 1} for k in range(4)]
-    rows = [row | {"settle_s": 1.0, "newcomer": False, "newcomer_s": None, "eyes_lx": None} for row in rows]
+    rows = [row | {"settle_s": 1.0, "newcomer": False, "newcomer_s": None, "eyes_lx": None, "searches_s": []} for row in rows]
     page = object_based_page.goals(goals.Measured(rows, [], [], None))
     assert "at least 85 % | 99.0% | reached" in page and "of the runs | 0.0% | **missed**" in page
     assert "newcomer lit within 0.5 s, at least 90 % | — | not measured" in page
