@@ -81,10 +81,10 @@ def settle_step(flux: NDArray[np.float64], within: float) -> int:
     return int(away[-1]) + 1 if len(away) else 0
 
 
-def searches_s(run: Mapping[str, Any]) -> list[float]:
-    """How long the loops of those who are found in the first half second have searched until they first settled; infinite: to the end."""
+def searches_s(run: Mapping[str, Any]) -> list[float | None]:
+    """How long the loops of tracks of the first half second searched until they first settled; None: never."""
     early = [(first, settled) for first, settled in run["searches"] if first < SECOND / 2]
-    return [float("inf") if settled is None else (settled - first) / RATE_HZ for first, settled in early]
+    return [None if settled is None else (settled - first) / RATE_HZ for first, settled in early]
 
 
 def newcomer_s(run: Mapping[str, Any]) -> float | None:
@@ -159,8 +159,8 @@ def share_kept(rows: Sequence[Row]) -> float | None:
 
 
 def _searched(rows: Sequence[Row]) -> float | None:
-    """90 % quantile over all objects of all runs; infinite values are no numbers to interpolate between."""
-    found = [time_s for row in rows for time_s in row["searches_s"]]
+    """90 % quantile over all tracks of all runs; infinite where they never settle, which is no number to interpolate between."""
+    found = [float("inf") if time_s is None else time_s for row in rows for time_s in row["searches_s"]]
     return float(np.quantile(found, 0.9, method="higher")) if found else None
 
 
@@ -202,7 +202,7 @@ GOALS = (
     Goal("No object lost that full light keeps, at least 98 % of the runs", lambda m: _lossless(m.ours()), 0.98, LOST, True, PERCENT),
     Goal("Settled within 2 s, static, 90 % quantile", lambda m: quantile(m.ours(False), "settle_s", 0.9), 2.0, MOVING, form="{:.2f} s"),
     Goal("The same: moving", lambda m: quantile(m.ours(True), "settle_s", 0.9), 2.0, MOVING, form="{:.2f} s"),
-    Goal("An object's search has ended within 2 s, 90 % quantile", lambda m: _searched(m.ours()), 2.0, SEARCH, form="{:.2f} s"),
+    Goal("A track's search for its light has ended within 2 s, 90 % quantile", lambda m: _searched(m.ours()), 2.0, SEARCH, form="{:.2f} s"),
     Goal("A newcomer lit within 0.5 s, at least 90 %", lambda m: _newcomers(m.ours()), 0.90, UNSEEN, True, PERCENT),
     Goal(
         "Heads and windscreens at most 1 lx after the first second",

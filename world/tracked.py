@@ -16,6 +16,7 @@ from world.params import Params
 PATH_STEP_M = 0.5  # between the poses along a curve
 
 Category = Literal["car", "truck", "motorcycle", "cyclist", "pedestrian", "animal", "sign", "other"]
+ROAD_USERS: frozenset[Category] = frozenset({"pedestrian", "cyclist", "motorcycle", "car", "truck"})  # who may be dazzled
 
 
 class KeyframeParams(Params):

@@ -12,7 +12,7 @@ from controllers.functions.situation import LAYERS, MASK, TrackedObject
 from controllers.primitives import Primitives, rectangle
 from world.frames import transform
 from world.params import Params
-from world.tracked import Category
+from world.tracked import ROAD_USERS, Category
 
 NEAREST_M = 1.0  # what reaches nearer to a lamp is not lit, and no lamp's light falls on heads there
 TEXEL_RAD = 1e-3  # of a light texture: light is interpolated between texels
@@ -32,7 +32,9 @@ class ObjectLightParams(Params):
         {"pedestrian": 0.25, "cyclist": 0.25, "motorcycle": 0.3, "car": 0.45, "truck": 0.6},
         description="share of the box's height that stays dark from the top: heads, windscreens and what is behind them",
     )
-    dark_lx: float = Field(0.6, ge=0, description="light there, however bright the rest; of what has no head detectors are less sure")
+    dark_lx: float = Field(
+        0.6, ge=0, description="light there, however bright the rest, by `ssc.a_d` = 1; detectors are less sure of what has no head"
+    )
 
     @field_validator("dark")
     @classmethod
@@ -47,8 +49,8 @@ class ObjectLightParams(Params):
     ) -> tuple[Primitives, ...]:
         """Primitives that light the object by lx and leave a part of it dark; none beside and behind the lamps.
 
-        nearer: how many objects are. What is dark beats all light but that on the core of nearer objects, which hides it; animals and the
-        like have none, since much of their box is air. It reaches as far above the box as into it, since detectors' boxes may end below a
+        nearer: how many objects are. What is dark beats all light but that on the core of nearer objects, which hides it; only road users
+        have one, since much of an animal's box is air. It reaches as far above the box as into it, since detectors' boxes may end below a
         dark head.
         """
         length, width, height = each.size_m
@@ -61,7 +63,7 @@ class ObjectLightParams(Params):
         parts = [
             rectangle(body.origin, body.d1, body.d2, lx, "E_v", normal=facing, symbol=image, priority=priority * LAYERS, modules=modules)
         ]
-        if image is None and each.category in self.dark and not math.isnan(each.score):
+        if image is None and each.category in ROAD_USERS and not math.isnan(each.score):
             across, down = min(1.0, CORE_M / float(body.d1.norm())), 1 - self.margin_m / float(body.d2.norm())
             core = body.origin + (1 - across) / 2 * body.d1
             parts.append(

@@ -14,10 +14,8 @@ from perception.detection.protocol import Detections
 from perception.ground_truth import Box, Truth, ground_truth, part_mask
 from perception.materials import material_picture
 from world.materials import MaterialName
-from world.tracked import Category
+from world.tracked import ROAD_USERS, Category
 from world.traffic.making import EYES
-
-ROAD_USERS: frozenset[Category] = frozenset({"pedestrian", "cyclist", "motorcycle", "car", "truck"})
 
 
 def categories(scenario: LightingScenario) -> tuple[Category | None, ...]:

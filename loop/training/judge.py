@@ -47,34 +47,37 @@ def judge(detector: Detector, rows: Sequence[Mapping[str, Any]]) -> dict[str, An
     """What a report says, in numbers, of scenes that `loop.training.scenes.draw` gave the rows of.
 
     x lx is light of which every surface that faces the lamps gets x lx, however far away it is: the intensity grows with the square of
-    the distance. Confidence against illuminance is judged where there is no other light, all else in that of the scene's night.
+    the distance. Confidence against illuminance is judged without any other light, and with that of the scene's night, as all else is.
     """
     labels_of = [CLASSES.index(name) for name in detector.classes]
-    verdicts: dict[float, list[Verdict]] = {lx: [] for lx in ILLUMINANCES_LX}
+    in_darkness: dict[float, list[Verdict]] = {lx: [] for lx in ILLUMINANCES_LX}
+    at_night: dict[float, list[Verdict]] = {lx: [] for lx in ILLUMINANCES_LX}
     by_score: dict[float, list[Verdict]] = {score: [] for score in SCORES}
     agreements: list[tuple[int, float, float]] = []
     asked: list[tuple[float, bool]] = []
     times_ms = []
     for row in rows:
         scene, seed = read(row), int(row["seed"])
-        alone = replace(scene, own=torch.zeros_like(scene.own), sky=torch.zeros_like(scene.sky))
+        dark = replace(scene, own=torch.zeros_like(scene.own), sky=torch.zeros_like(scene.sky))
         for number, lx in enumerate(ILLUMINANCES_LX):
-            frame = seen(alone, lx, seed, number)[None]
+            frames = torch.stack([seen(each, lx, seed, number) for each in (dark, scene)])
             start = time.process_time()
-            (found,) = detector.detect(frame)
-            times_ms.append(1e3 * (time.process_time() - start))
-            verdicts[lx].append(verdict(found, scene.objects, labels_of))
-        (found,) = detector.detect(seen(scene, JUDGED_LX, seed, len(ILLUMINANCES_LX))[None])
-        asked += boxes_right(found, scene.objects, labels_of)
-        for score, of in by_score.items():
-            of.append(verdict(found, scene.objects, labels_of, score))
+            alone, found = detector.detect(frames)
+            times_ms.append(1e3 * (time.process_time() - start) / len(frames))
+            in_darkness[lx].append(verdict(alone, scene.objects, labels_of))
+            at_night[lx].append(verdict(found, scene.objects, labels_of))
+            if lx == JUDGED_LX:
+                asked += boxes_right(found, scene.objects, labels_of)
+                for score, of in by_score.items():
+                    of.append(verdict(found, scene.objects, labels_of, score))
         agreements += agreement(detector, scene, seed)
     return {
         "scenes": len(rows),
         "sure": SURE,
         "well_lit": _found(by_score[SURE]),
         "by_score": [{"score": score, **{key: _found(of)[key] for key in ("recall", "false_a_frame")}} for score, of in by_score.items()],
-        "confidence": _confidence(verdicts),
+        "confidence": _confidence(in_darkness),
+        "confidence_at_night": _confidence(at_night),
         "right": _right(asked),
         "alone": _alone(agreements),
         "ms_a_frame": round(float(np.median(times_ms)), 1),
@@ -135,7 +138,7 @@ def agreement(detector: Detector, scene: DarkScene, seed: int) -> list[tuple[int
         verdicts = [verdict(found, scene.objects, labels_of) for found in detector.detect(frames)]
         return verdicts[0].labels, np.mean([each.confidences for each in verdicts], 0).tolist()
 
-    first = len(ILLUMINANCES_LX) + 1
+    first = len(ILLUMINANCES_LX)
     (labels, full), (_, dark) = means(ALONE_LX, first), means(object_based(scene), first + FRAMES)
     return [each for each in zip(labels, full, dark, strict=True) if each[1] >= SURE]
 

@@ -17,7 +17,7 @@ from loop.training.judge import boxes_right, judge, verdict
 from loop.training.light import WELL_LIT_LX, darkened, full_light, lit_alone, lit_share, luminance, object_light
 from loop.training.report import overview, page
 from loop.training.scenes import CAMERA, CLASSES, HELD_OUT, TRAINING, DarkScene, Labelled, draw, read
-from loop.training.train import LEAST_SCORE, store
+from loop.training.train import LEAST_SCORE, drawn, store
 from perception.detection.build import WEIGHTS, detector
 from perception.detection.network import STRIDE, Network, NetworkDetector
 from perception.detection.params import NetworkParams
@@ -207,27 +207,19 @@ def test_the_page_tells_how_long_it_took_and_what_it_was_calibrated_on() -> None
 
 
 def test_a_network_that_has_learnt_nothing_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = [
-        "train-detector",
-        "--out",
-        str(tmp_path),
-        "--scenes",
-        "1",
-        "--held-out",
-        "1",
-        "--epochs",
-        "1",
-        "--seed",
-        "1",
-        "--jobs",
-        "1",
-    ]
+    """From a scene with nobody in it nothing can be learnt."""
+    drawn(tmp_path, TRAINING, 1, 1, "scene")
+    jobs = [json.loads(line) for line in (tmp_path / "scenes.jsonl").read_text("utf-8").splitlines()]
+    jobs[0]["result"]["objects"] = []
+    (tmp_path / "scenes.jsonl").write_text(json.dumps(jobs[0]) + "\n", "utf-8")
+    numbers = {"scenes": 1, "held-out": 1, "epochs": 1, "jobs": 1}
+    arguments = ["train-detector", "--out", str(tmp_path), *(str(each) for key, n in numbers.items() for each in (f"--{key}", n))]
     assert cli.main(arguments) == cli.WRONG
     assert "learnt nothing that tells right boxes from wrong ones; give more --scenes or --epochs" in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["scenes", "scenes.jsonl"]
-    drawn = sorted((tmp_path / "scenes").iterdir())
-    assert [path.stem for path in drawn] == [str(TRAINING), str(HELD_OUT)]
-    drawn[0].unlink()
+    files = sorted((tmp_path / "scenes").iterdir())
+    assert [path.stem for path in files] == [str(TRAINING), str(HELD_OUT)]
+    files[0].unlink()
     assert cli.main(arguments) == cli.WRONG
     assert f"remove {tmp_path / 'scenes.jsonl'}" in capsys.readouterr().err
 
