@@ -23,6 +23,7 @@ from object_based_parts import agreement, pair_jobs, track_jobs, tracked, zone_j
 
 from loop.code import digest_of_code
 from loop.jobs import Job, Results, digest_of, run
+from loop.lighting.lamps import flux_by_side
 from loop.lighting.simulation import LightingSimulation
 from loop.training.report import goals as detector_goals
 from perception.camera import expose, frame_generator
@@ -104,7 +105,7 @@ def example() -> object_based_page.Pictures:
     for name, each in lights.items():
         frame = expose(view.light(each)[1] + view.base, camera, frame_generator(0, COMES, 0)) / (2**camera.bits - 1)
         found = sight.find(frame, simulation.truth(view))
-        flux = sum(float((u * module.flux).sum()) for u, module in zip(each, simulation.modules, strict=True))
+        flux = sum(flux_by_side(simulation.modules, each).values())
         pictures[f"{name}: {flux:.0f} lm"] = (frame.numpy(), found.boxes.tolist(), found.scores.amax(-1).tolist())
     return pictures
 

@@ -5,8 +5,8 @@ from types import MappingProxyType
 
 from world.errors import LuxloopError
 from world.lamp import Lamp
-from world.presets.beams import Traffic
 from world.regulation import Result, aim, check, rule_set
+from world.regulation.results import Traffic
 
 RULE_OF_BEAM: Mapping[str, str] = MappingProxyType(
     {"low": "r149-passing-c", "adverse": "r149-passing-c", "motorway": "r149-passing-c", "town": "r149-passing-v", "high": "r149-driving-b"}

@@ -23,7 +23,8 @@ from world.lamp import Lamp
 from world.params import Params
 from world.photometry.distribution import Array
 from world.pixel_sources import SUFFIXES, FileSource
-from world.presets.beams import FittedBeams, Traffic
+from world.presets.beams import FittedBeams
+from world.regulation.results import Traffic
 
 Side = Literal["left", "right"]
 Progress = Callable[[str, int, int], None]

@@ -32,7 +32,7 @@ def write_picture(file: Path, judge: BeamJudge, beams: Mapping[str, Lights], los
     seen = [luminance_of(image, camera).cpu() for image in images]
     walls = [wall_light(judge.simulation.modules, lights, WALL_COLUMNS).cpu() for lights in beams.values()]
     white = float(torch.quantile(seen[-1].flatten()[::7], BRIGHT)) * 1.3
-    scale = LogNorm(FAINTEST_LX, max(float(wall.max()) for wall in (*walls, torch.ones(1))))  # one for all, so that they can be compared
+    scale = LogNorm(FAINTEST_LX, max(1.0, *(float(wall.max()) for wall in walls)))  # one for all, so that they can be compared
     side, down, up = WALL_DEG
     with rc_context(STYLE):
         figure = Figure((13.0, 6.4), 110, layout="constrained")

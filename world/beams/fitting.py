@@ -1,7 +1,5 @@
 """Utilisations that come closest to a pattern, all modules of a lamp together, and within the limits that the pattern is to keep."""
 
-from typing import Literal
-
 import numpy as np
 import scipy.sparse as sp
 import torch
@@ -13,10 +11,10 @@ from world.headlight import Headlight
 from world.lamp import Lamp, Module, direction
 from world.regulation import Requirement, rule_set
 from world.regulation.checking import samples_of
+from world.regulation.results import Traffic
 from world.spmv import Csr, multiply
 from world.texels import bilinear
 
-Traffic = Literal["left", "right"]
 EVEN_CD = 500.0  # errors count relative to the light, but not below this
 RIM = 0.1  # of the most light there is: where pixels give less, at the rim of the field, errors count less
 RULE_STEP_DEG = 0.1

@@ -1,14 +1,12 @@
 """Beams of a preset, each fitted to its pixels when it is first asked for."""
 
 from collections.abc import Iterator, Mapping
-from typing import Literal
 
 from torch import Tensor
 
 from world.beams import PATTERNS, fit
 from world.lamp import Lamp
-
-Traffic = Literal["left", "right"]
+from world.regulation.results import Traffic
 
 
 class FittedBeams(Mapping[str, tuple[Tensor, ...]]):
