@@ -60,18 +60,19 @@ def optimise_beam(
     search = descend if method == "gradient" else sample
     with _folder(out), progress("searching", number) as advance:
         found = search(judge, start, number, lambda step, loss: advance())
-    lm = sum(flux_by_side(simulation.modules, found.lights).values())
-    as_dim = alike(start, [module.flux for module in simulation.modules], lm)
-    beams = {"before": start, "before, as much flux": as_dim, "found": found.lights}
-    summary = _summary(judge, method, found, beams)
-    _write(out, judge, found, beams, summary)
+        lm = sum(flux_by_side(simulation.modules, found.lights).values())
+        as_dim = alike(start, [module.flux for module in simulation.modules], lm)
+        beams = {"before": start, "before, as much flux": as_dim, "found": found.lights}
+        summary = _summary(judge, method, found, beams)
+        _write(out, judge, found, beams, summary)
     _tell(summary, shlex.join([name, "--set", *overrides, str(out / RAW)]))
     return summary
 
 
 @contextmanager
 def _folder(out: Path) -> Iterator[None]:
-    """Made before what takes long, and taken away again where that fails and leaves it empty."""
+    """Made before what takes long, and taken away again where it is new and that fails and leaves it empty."""
+    new = not out.exists()
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -79,7 +80,7 @@ def _folder(out: Path) -> Iterator[None]:
     try:
         yield
     except BaseException:
-        if not any(out.iterdir()):
+        if new and not any(out.iterdir()):
             out.rmdir()
         raise
 

@@ -107,7 +107,8 @@ def test_what_cannot_be_optimised_is_told(arguments: list[str], complaint: str, 
     assert re.search(complaint, capsys.readouterr().err)
 
 
-def test_a_search_that_fails_leaves_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("there", [False, True])
+def test_a_search_that_fails_leaves_no_folder_but_one_that_was_there(there: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "detects_never.py").write_text(
         "class Detector:\n    classes = ('pedestrian',)\n\n    def __init__(self, device):\n        pass\n\n"
@@ -119,9 +120,11 @@ def test_a_search_that_fails_leaves_no_folder(tmp_path: Path, monkeypatch: pytes
         'base = { beam = "low" }\n[detector]\nkind = "detects_never:Detector"\n[[objects]]\nkind = "pedestrian"\nname = "eva"\n'
         "track = [{ position_m = [14, 0.5, 0] }]\n"
     )
+    if there:
+        out.mkdir()
     with pytest.raises(RuntimeError, match="never"):
         cli.main(["optimise-beam", str(file), "--method", "sampling", "--steps", "1", "--out", str(out), "--device", "cpu"])
-    assert not out.exists()
+    assert out.exists() == there
 
 
 def test_only_the_network_has_a_gradient_and_somebody_must_be_there() -> None:
