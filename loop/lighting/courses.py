@@ -1,7 +1,7 @@
 """What of lighting functions is drawn over time: flux, electrical power, luminance of zones, confidence, and light on objects."""
 
 from collections.abc import Callable, Sequence
-from itertools import cycle
+from itertools import cycle, product
 
 import numpy as np
 import pyarrow as pa
@@ -74,7 +74,7 @@ def _zones(axes: Axes, table: pa.Table, zones: Sequence[str]) -> None:
 
 def _materials(axes: Axes, table: pa.Table) -> None:
     asked = [(name, quantity) for quantity in UNITS for name in materials_of(table, quantity)]
-    for (name, quantity), colour, line in zip(asked, cycle(COLOURS), (["-"] * len(COLOURS) + ["--"] * len(COLOURS)), strict=False):
+    for (name, quantity), (line, colour) in zip(asked, cycle(product(("-", "--", ":"), COLOURS)), strict=False):
         values, wanted = (column(table, f"material.{name}.{each}") for each in (quantity, "wanted"))
         if not wanted[-1]:
             continue  # dark has no share

@@ -1,12 +1,15 @@
 """What is drawn over the camera's picture: the boxes of tracked objects, and with a detector what it found and how sure the car is."""
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import combinations
 
 import torch
+from torch import Tensor
 
 from controllers.functions.situation import TrackedObject
+from controllers.zones.zone import ZoneParams
 from loop.lighting.result import LightingResult, Look
 from loop.lighting.sight import name_of
 from loop.lighting.simulation import LightingSimulation
@@ -15,6 +18,7 @@ from world.tracked import Category
 from world.view import View
 
 Point = tuple[int, int]
+LINES = 3  # at which a text may stand, each above the other
 EDGES = [(a, b) for a, b in combinations(range(8), 2) if bin(a ^ b).count("1") == 1]  # corners whose bits are x, y, z
 
 
@@ -30,16 +34,18 @@ class Mark:
 
 
 def marks(result: LightingResult, simulation: LightingSimulation) -> tuple[Mark, ...]:
-    """Boxes on the road of what a perfect tracker tells; with a detector those in the image, of tracks after the frame."""
+    """Zones, and boxes on the road of what a perfect tracker tells; with a detector those in the image, of tracks after the frame."""
+    view = simulation.camera.view
+    zones = tuple(_zone(each, view) for each in simulation.scenario.lighting.functions if isinstance(each, ZoneParams))
     if result.look is None:
         there = (each for each in result.now.objects if each.since_s <= result.time_s < each.until_s)
-        return tuple(Mark(box_lines(each, simulation.camera.view), each.name in result.masked) for each in there)
+        return (*zones, *(Mark(_around(each, view), each.name in result.masked) for each in there))
     assert simulation.sight is not None
-    return (*_found(result.look), *_tracked(result.look, simulation.sight.tracker.classes, result.masked))
+    return (*zones, *_found(result.look), *_tracked(result.look, simulation.sight.tracker.classes, result.masked))
 
 
 def readable(marked: Iterable[Mark], character_px: float, width_px: int) -> tuple[Mark, ...]:
-    """The same marks with their texts within the image, without those that would cover one before them.
+    """The same marks with their texts within the image, up to two lines higher where they would cover one before them, or else without.
 
     character_px: how wide one is; it is twice as high.
     """
@@ -47,13 +53,21 @@ def readable(marked: Iterable[Mark], character_px: float, width_px: int) -> tupl
     taken: list[tuple[float, float, float]] = []  # left, right, bottom
     for mark in marked:
         long = character_px * len(mark.text)
-        left, bottom = max(min(mark.at[0], round(width_px - long)), 0), max(mark.at[1], round(2 * character_px))
-        right = left + long
-        covers = any(left < other[1] and other[0] < right and abs(bottom - other[2]) < 2 * character_px for other in taken)
-        if mark.text and not covers:
-            taken.append((left, right, bottom))
-        kept.append(replace(mark, text="" if covers else mark.text, at=(left, bottom)))
+        left, high = max(min(mark.at[0], round(width_px - long)), 0), math.ceil(2 * character_px)
+        beside = [other for *sides, other in taken if left < sides[1] and sides[0] < left + long]
+        places = (max(mark.at[1] - higher * high, high) for higher in range(LINES))
+        bottom = next((place for place in places if all(abs(place - other) >= high for other in beside)), None)
+        if mark.text and bottom is not None:
+            taken.append((left, left + long, bottom))
+        kept.append(replace(mark, text="") if bottom is None else replace(mark, at=(left, bottom)))
     return tuple(kept)
+
+
+def _zone(zone: ZoneParams, view: View) -> Mark:
+    lines = _edges(*zone.box, view)
+    points = [point for line in lines for point in line]
+    at = (min(u for u, _ in points), min(v for _, v in points)) if points else (0, 0)
+    return Mark(lines, text=zone.name if points else "", at=at)
 
 
 def _found(look: Look) -> tuple[Mark, ...]:
@@ -76,12 +90,16 @@ def _outline(box: list[float]) -> tuple[tuple[Point, Point], ...]:
     return tuple((corners[k], corners[(k + 1) % 4]) for k in range(4))
 
 
-def box_lines(each: TrackedObject, view: View) -> tuple[tuple[Point, Point], ...]:
-    """Edges of a box in a view; none where it reaches behind the eye."""
+def _around(each: TrackedObject, view: View) -> tuple[tuple[Point, Point], ...]:
     length, width, height = each.size_m
+    high = torch.tensor([length / 2, width / 2, height], dtype=torch.float64)
+    return _edges(each.T_world_object.double(), high * torch.tensor([-1, -1, 0]), high, view)
+
+
+def _edges(T_world_box: Tensor, low: Tensor, high: Tensor, view: View) -> tuple[tuple[Point, Point], ...]:
+    """Of a box in a view, low and high `[3]` m opposite corners in its frame; none where it reaches behind the eye."""
     bits = torch.tensor([[k & 1, k >> 1 & 1, k >> 2 & 1] for k in range(8)], dtype=torch.float64).T
-    corners = torch.tensor([[length], [width], [height]]) * (bits - torch.tensor([[0.5], [0.5], [0.0]]))
-    uv, depth = view.project(transform(each.T_world_object.double(), corners.double()))
+    uv, depth = view.project(transform(T_world_box, low[:, None] + (high - low)[:, None] * bits))
     if (depth <= 0).any():
         return ()
     points = [(round(u), round(v)) for u, v in uv.T.tolist()]

@@ -23,7 +23,7 @@ class OnMaterial:
 
 
 def quantities(functions: Sequence[Any]) -> Mapping[str, Quantity]:
-    """What is asked for, by name of the material, or range of albedo."""
+    """What is asked for, by name of the material, or range of albedo; of several lights that share it the first is told alone."""
     found: dict[str, Quantity] = {}
     for light in (light for function in functions if isinstance(function, MaterialParams) for light in function.lights):
         for label, _ in _named(light):
@@ -42,6 +42,7 @@ def on_materials(
 ) -> Mapping[str, OnMaterial]:
     """All that have a quantity, where their function asks for it: on objects that it selects, and on its part of the road.
 
+    Of several lights of one label the first is told alone, as in `quantities`.
     states: once the view has been seen. told: ids of objects by their names in the situation. illuminance, luminance: `[height, width]`.
     """
     found: dict[str, OnMaterial] = {}

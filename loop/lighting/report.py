@@ -87,13 +87,15 @@ def _cameras(figure: SubFigure, simulation: LightingSimulation, moments: Sequenc
 
 def _told_of_boxes(simulation: LightingSimulation) -> str:
     """What the camera's pictures show: colours are named where they occur."""
+    kinds = {function.kind for function in simulation.scenario.lighting.functions}
+    zones = "; with its name: a zone" if "zone" in kinds else ""
     if not simulation.watched and simulation.sight is None:
-        return "What the camera sees"
-    masks = any(function.kind == "glare_free" for function in simulation.scenario.lighting.functions)
+        return f"What the camera sees{zones}"
+    masks = "glare_free" in kinds
     orange = ", orange where a mask keeps it dark" if masks else ""
     if simulation.sight is None:
-        return f"What the camera sees; a green box is an object that functions are told of{orange}"
-    return f"What the camera sees; green: tracked, and how sure{orange}; grey: found in this frame"
+        return f"What the camera sees; a green box is an object that functions are told of{orange}{zones}"
+    return f"What the camera sees; green: tracked, and how sure{orange}; grey: found in this frame{zones}"
 
 
 def _camera(axes: Axes, simulation: LightingSimulation, result: LightingResult, white: float) -> None:

@@ -61,6 +61,7 @@ def summarise(table: pa.Table, scenario: str, compared_w: Mapping[str, NDArray[n
             {
                 "energy_j": _energy(table, column(table, "power_w")),
                 "energy_compared_j": {name: _energy(table, watts) for name, watts in compared_w.items()},
+                "base_share_first": float(column(table, "base_share")[0]),
                 "base_share_final": float(column(table, "base_share")[-1]),
             }
             if "power_w" in known and table.num_rows
@@ -177,18 +178,21 @@ def shown(values: dict[str, Any], files: str) -> Table:
         rows[f"zone {name}"] = f"{_number(zone['luminance'], '.3g')} of {zone['target']:.3g} cd/m^2, {when}"
     for name, each in values.get("materials", {}).items():
         unit = UNITS[each["quantity"]]
-        got = "out of sight" if each["median"] is None else f"{each['median']:.3g} {unit}, median of its pixels at the end"
+        share = f" ({each['median'] / each['wanted']:.0%} of it)" if each["median"] is not None and each["wanted"] else ""
+        got = "out of sight" if each["median"] is None else f"{each['median']:.3g} {unit}{share}, median of its pixels at the end"
         rows[f"material {name}"] = f"{each['wanted']:.3g} {unit} wanted: {got}"
     if values["symbol_iou_min"] is not None:
         rows["symbols, to their observers"] = f"IoU {values['symbol_iou_min']:.3f} at least"
-    untracked = "detections" in values and not any(each["tracks"] for each in values["objects"].values())
+    objects = values["objects"].values()
+    untracked = "detections" in values and bool(objects) and not any(each["tracks"] for each in objects)
     if values["idle_functions"]:
         why = f"nothing to draw, or nothing that a lamp reaches, in all steps{'; no object was tracked yet' if untracked else ''}"
         rows["without effect"] = f"{', '.join(values['idle_functions'])}: {why}"
     if values.get("energy_j") is not None:
         rows["energy"] = _of_energy(values["energy_j"], values["energy_compared_j"])
         if values["base_share_final"] < 1:
-            why = "; no object was tracked, so none asked for more" if untracked else ""
+            learnt = values["base_share_final"] < values["base_share_first"]
+            why = "; no object was tracked, so none asked for more" if untracked and learnt else ""
             rows["base beam"] = f"{values['base_share_final']:.1%} of it left at the end{why}"
     if "detections" in values:
         rows["found"] = f"{values['detections']:.1f} boxes a step; {values['false_positives']:.2f} a step are sure and show nothing"

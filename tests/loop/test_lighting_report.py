@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from loop.lighting.compared import compared
-from loop.lighting.courses import write_courses
+from loop.lighting.courses import _materials, write_courses
 from loop.lighting.marks import Mark, readable
 from loop.lighting.simulation import LightingSimulation
 from loop.lighting.summary import eyes_lx, lost_steps, shown, steps_of_nothing
@@ -63,6 +63,15 @@ def test_every_chart_is_there_and_no_legend_lies_over_one(tmp_path: Path) -> Non
         assert legend is not None
         around, chart = legend.get_window_extent(), axes.get_window_extent()
         assert around.y0 >= chart.y1 and around.x1 <= figure.bbox.x1 and around.y1 <= figure.bbox.y1
+
+
+def test_every_material_has_a_line_that_no_other_has() -> None:
+    names = [f"material {number}" for number in range(20)]  # more than there are colours and full and dashed lines
+    columns = {f"material.{name}.{key}": [0.5, 1.0] for name in names for key in ("lx", "wanted")}
+    axes = Figure().subplots()
+    _materials(axes, pa.table({"time_s": [0.0, 0.1], **columns}))
+    styles = {(line.get_color(), line.get_linestyle()) for line in axes.get_lines()[:-1]}  # the last is the one at 1
+    assert len(styles) == 20
 
 
 def _title(axes: Axes) -> str:
@@ -127,8 +136,10 @@ def test_tracks_that_show_nobody_are_counted() -> None:
 def test_texts_do_not_cover_each_other() -> None:
     places = {"car 1: 0.90": (100, 50), "left of it": (49, 50), "cyclist 2: 0.80": (150, 55), "below": (150, 62), "": (100, 50)}
     marked = [Mark((), text=text, at=at) for text, at in places.items()]
-    assert [mark.text for mark in readable(marked, 5.0, 640)] == ["car 1: 0.90", "left of it", "", "below", ""]
-    assert [mark.text for mark in readable(marked, 7.0, 640)] == ["car 1: 0.90", "", "", "", ""]
+    found = readable(marked, 5.0, 640)
+    assert [mark.text for mark in found] == list(places) and [mark.at[1] for mark in found[:4]] == [50, 50, 35, 62]  # 10 px high
+    crowd = readable([Mark((), text=name, at=(100, 50)) for name in "abcd"], 5.0, 640)
+    assert [(mark.text, mark.at[1]) for mark in crowd[:3]] == [("a", 50), ("b", 40), ("c", 30)] and crowd[3].text == ""
 
 
 def test_texts_stay_within_the_image() -> None:
@@ -162,10 +173,16 @@ def test_whom_the_tracker_loses_is_told(tmp_path: Path) -> None:
 
 
 def test_a_run_that_finds_nobody_says_how_small_they_were(tmp_path: Path) -> None:
-    detector = {"kind": "truth", "least_height_px": 1000}
-    summary = run(scenario([HALF], steps=2, objects=[WALKER], detector=detector), tmp_path / "blind", video=False)
-    console = Console(record=True, width=160)
-    console.print(shown(summary | {"base_share_final": 0.5}, "here"))
-    told, pixels = console.export_text(), summary["objects"]["walker"]["pixels_max"]
-    assert pixels > 100 and f"in 2 of the 2 steps in which it is in sight, of {pixels:.0f} px at most" in told
-    assert "50.0% of it left at the end; no object was tracked, so none asked for more" in told
+    falls = {"kind": "object_based", "ambient": {"fall_frames": 1}}
+    told = {}
+    for case, function, objects in (("falls", falls, [WALKER]), ("constant", HALF, [WALKER]), ("nobody", falls, [])):
+        detector = {"kind": "truth", "least_height_px": 1000}
+        summary = run(scenario([function], steps=2, objects=objects, detector=detector), tmp_path / case, video=False)
+        console = Console(record=True, width=160)
+        console.print(shown(summary, "here"))
+        told[case] = console.export_text()
+        if objects:
+            pixels = summary["objects"]["walker"]["pixels_max"]
+            assert pixels > 100 and f"in 2 of the 2 steps in which it is in sight, of {pixels:.0f} px at most" in told[case]
+    assert "50.0% of it left at the end; no object was tracked, so none asked for more" in told["falls"]
+    assert all("50.0% of it left at the end" in told[case] and "none asked" not in told[case] for case in ("constant", "nobody"))

@@ -7,6 +7,8 @@ import pyarrow.parquet as pq
 import pytest
 from rich.console import Console
 
+from controllers.zones.zone import ZoneParams, region_of
+from loop.lighting.marks import marks
 from loop.lighting.simulation import LightingSimulation
 from loop.lighting.summary import shown
 from loop.run import run
@@ -75,6 +77,22 @@ def test_a_zone_behind_the_camera_keeps_its_light_and_has_no_luminance(tmp_path:
     assert table["zone.behind.lx"].to_pylist() == pytest.approx([2.0, 2.0])
 
 
+def test_zones_are_drawn_where_the_camera_sees_them() -> None:
+    zone = {"kind": "zone", "name": "ahead", "centre_m": [15, 0, 1.0], "size_m": [0, 1.6, 1.6], "luminance_cd_m2": 0.6}
+    simulation = LightingSimulation.prepare(scenario([zone, zone | {"name": "behind", "centre_m": [-15, 0, 1.0]}], objects=[]))
+    _, result = simulation.step(simulation.start())
+    ahead, behind = marks(result, simulation)
+    assert ahead.text == "ahead" and not behind.lines and not behind.text
+    function = simulation.scenario.lighting.functions[0]
+    assert isinstance(function, ZoneParams)
+    rows, columns = (index.tolist() for index in region_of(function, simulation.camera.view).nonzero(as_tuple=True))
+    drawn = [point for line in ahead.lines for point in line]
+    # corners are rounded to pixels, whose centres the region counts
+    for values, inside in zip(zip(*drawn, strict=True), (columns, rows), strict=True):
+        assert min(values) == pytest.approx(min(inside), abs=1) and max(values) == pytest.approx(max(inside), abs=1)
+    assert ahead.at == tuple(min(values) for values in zip(*drawn, strict=True))
+
+
 def test_two_zones_of_one_name_are_refused() -> None:
     zone = {"kind": "zone", "name": "z", "centre_m": [15, 0, 1.0], "size_m": [0, 2, 2], "luminance_cd_m2": 0.6}
     with pytest.raises(LuxloopError, match=r"lighting.functions: there are two zones 'z', but recordings tell zones by name; rename one"):
@@ -105,7 +123,8 @@ def test_materials_are_told_beside_what_was_wanted(tmp_path: Path) -> None:
     assert table["material.albedo 0 to 0.3.lx"].to_pylist()[0] == pytest.approx(0.0, abs=1e-6)  # nothing is drawn before anything is seen
     assert materials["albedo 0 to 0.3"]["median"] == pytest.approx(1.0, rel=0.3)  # asphalt, with the seams of what stands
     console = Console(record=True, width=160)
-    console.print(shown(summary, "here"))
+    console.print(shown(summary | {"materials": materials | {"matt": materials["matt"] | {"median": 0.1}}}, "here"))
+    assert "0.2 cd/m^2 wanted: 0.1 cd/m^2 (50% of it), median" in console.export_text(clear=False)
     assert "material skin             0.2 cd/m^2 wanted: out of sight" in console.export_text()
 
 
