@@ -28,7 +28,6 @@ LEANS = 0.2  # share of the way from there to its own place
 INSIDE = 0.9  # share of a box that lies in a track's, from which on it may be a part of what is tracked
 NEARER = 0.05  # of its height, by which a box may end above what it hides a part of
 ALIKE: tuple[frozenset[Category], ...] = (frozenset({"pedestrian", "cyclist", "motorcycle"}), frozenset({"car", "truck"}))  # by their parts
-
 SOLID: frozenset[Category] = frozenset({"car", "truck"})  # nobody is seen through their boxes
 
 
@@ -86,11 +85,16 @@ def are_parts(boxes: Tensor, expected: Tensor) -> Tensor:
 
 
 def uncut(boxes: Tensor, expected: Tensor, width: int) -> Tensor:
-    """Boxes `[..., 4]` px as wide as expected `[..., 4]` where the left or the right border of an image of that width cuts them off."""
+    """Boxes `[..., 4]` px as wide as expected `[..., 4]` where the left or the right border of an image of that width cuts them off.
+
+    Where both do, nothing tells how wide it is, nor where: those are left as they are.
+    """
     left, top, right, bottom = torch.broadcast_tensors(boxes, expected)[0].unbind(-1)
     wide = expected[..., 2] - expected[..., 0]
-    reaches = torch.where(left <= EDGE_PX, torch.minimum(left, right - wide), left)
-    return torch.stack([reaches, top, torch.where(right >= width - EDGE_PX, torch.maximum(right, left + wide), right), bottom], -1)
+    cut_left, cut_right = left <= EDGE_PX, right >= width - EDGE_PX
+    low = torch.where(cut_left & ~cut_right, torch.minimum(left, right - wide), left)
+    high = torch.where(cut_right & ~cut_left, torch.maximum(right, left + wide), right)
+    return torch.stack([low, top, high, bottom], -1)
 
 
 def spread_of(boxes: Tensor, expected: Tensor) -> Tensor:

@@ -32,8 +32,8 @@ OTHER_CLASS = 0.5  # cost of a detection that is nothing like the track's class
 LARGEST_COST = 1.8  # a track rather stays without a detection; the overlap costs 1 at most
 FOLLOWS_S = 1.0  # time constant of sizes
 WEAK = 0.5  # of the score that starts a track: what scores less does not keep one
-KEPT = 2.0  # times as long as it has been found a track is kept unseen
-BOTH = 0.5  # overlap with a track that has no box, from which on another's box may be both's
+KEPT = 2.0  # times as long as it has been found a track is kept unseen at most
+BOTH = 0.5  # IoU with a track that has no box, from which on another's box may be both's
 LINGER_S = 2.0  # for which a lost track is still told, so that what is drawn about it can fade
 SURER = 2.0  # times as sure of another class as of its own: a track changes class
 
@@ -45,7 +45,12 @@ class TrackerParams(Params):
         0.5, gt=0, le=1, description="score from which on a detection may be a new object; half of it keeps a known one"
     )
     confirm_frames: int = Field(3, ge=1, le=30, description="frames in a row that must show a new object, as surely, before it is reported")
-    keep_s: float = Field(1.0, ge=0, le=10, description="for how long an object that is no longer found is kept, where it ought to be")
+    keep_s: float = Field(
+        1.0,
+        ge=0,
+        le=10,
+        description="for how long one that is not found is kept where it ought to be, but at most twice as long as it was found",
+    )
     confidence_s: float = Field(0.15, ge=0, le=10, description="time constant of the filter from scores to confidence; 0: none")
 
     @property
@@ -165,8 +170,10 @@ class Tracker:
             confidence.amax(-1) > torch.where(tracks.since_s.isfinite(), SURER, 1.0) * own, confidence.argmax(-1), tracks.category
         )
         likely = (frames >= self.params.confirm_frames) & (confidence.amax(-1) >= self.params.start_score)
-        away = (tracks.mean[:, 0, 0] - self.view.width / 2).abs() > self.view.width / 2
-        gone = ~shown & (away | (time_s - tracks.seen_s > (KEPT * dt * frames).clamp(max=self.params.keep_s)))
+        whole = self.whole(tracks)
+        away = (whole[:, 2] < 0) | (whole[:, 0] > self.view.width)
+        kept_s = (KEPT * dt * frames.double()).clamp(max=self.params.keep_s)
+        gone = ~shown & (away | (time_s - tracks.seen_s > kept_s + dt / 2))  # half a frame, for times that are rounded
         return replace(
             tracks,
             frames=frames,

@@ -85,6 +85,8 @@ def test_what_the_border_cuts_off_is_as_wide_as_expected() -> None:
     boxes = torch.tensor([[[0.0, 90, 25, 190]], [[620.0, 90, 640, 190]], [[300.0, 90, 325, 190]], [[0.0, 90, 60, 190]]]).double()
     wanted = torch.tensor([[-15.0, 90, 25, 190], [620.0, 90, 660, 190], [300.0, 90, 325, 190], [0.0, 90, 60, 190]]).double()
     torch.testing.assert_close(uncut(boxes, expected, 640)[:, 0], wanted)
+    both = torch.tensor([[0.0, 90, 640, 300]]).double()
+    assert torch.equal(uncut(both, torch.tensor([[-3.0, 90, 642, 300]]).double(), 640), both)  # no size is made of two guesses
 
 
 def test_the_more_is_missing_the_less_a_part_says() -> None:

@@ -10,9 +10,9 @@ from pydantic import ValidationError
 
 from benchmarks.tracking import CLASSES, RATE_HZ, SCENES, SIZES, TRACKER, VIEW, Judge, followed, seen
 from perception.detection.protocol import Detections
-from perception.parts import WIDTHS_M
 from perception.tracking import LINGER_S, Tracker, TrackerParams
-from perception.tracks import EACH, Tracks
+from perception.tracks import EACH
+from tests.perception.tracked import BOX, NOTHING, detections, shown
 
 DEFAULTS = TRACKER.params
 
@@ -27,32 +27,6 @@ def test_nobody_changes_identity(name: str) -> None:
 def test_an_occlusion_of_ten_frames_is_one() -> None:
     hidden = sum(seen([road(k / RATE_HZ) for road in SCENES["ten frames behind a car"]])[1][1] for k in range(55))
     assert hidden >= 10
-
-
-def detections(*boxes: tuple[float, float, float, float], scores: list[list[float]] | None = None) -> Detections:
-    given = scores or [[0.8, 0.1, 0.05, 0.0]] * len(boxes)
-    return Detections(torch.tensor(boxes, dtype=torch.float32).view(-1, 4), torch.tensor(given).view(-1, len(CLASSES)))
-
-
-BOX = (300.0, 126.0, 340.0, 226.0)  # of a pedestrian of 1.75 m
-CHILD = (0.45, 1.2)  # m
-NOTHING = Detections(torch.zeros(0, 4), torch.zeros(0, len(CLASSES)))
-
-
-def plate(x: float, y: float, width_m: float, height_m: float) -> tuple[float, float, float, float]:
-    """Its box, upright on the road."""
-    corners = torch.tensor([[x, y + width_m / 2, height_m], [x, y - width_m / 2, 0.0]], dtype=torch.float64).T
-    left, top, right, bottom = VIEW.project(corners)[0].T.flatten().tolist()
-    return left, top, right, bottom
-
-
-def shown(frames: int, params: TrackerParams = DEFAULTS, then: int = 0) -> Tracks:
-    """Tracks after so many frames with one box, then so many with none."""
-    tracker = Tracker(CLASSES, VIEW, params)
-    tracks = tracker.start()
-    for k in range(frames + then):
-        tracks = tracker.step(tracks, detections(BOX) if k < frames else NOTHING, k / RATE_HZ)
-    return tracks
 
 
 def test_a_new_object_is_reported_after_the_frames_that_confirm_it() -> None:
@@ -77,9 +51,11 @@ def test_one_that_is_lost_is_kept_for_a_while_then_told_as_lost_then_forgotten()
     assert sorted(again.number.tolist()) == [1, 2]  # the name of a lost one is not given again
 
 
-@pytest.mark.parametrize("frames", [3, 6])
-def test_one_that_was_hardly_found_is_kept_twice_as_long(frames: int) -> None:
-    assert [len(shown(frames, then=then).present) for then in (2 * frames, 2 * frames + 1)] == [1, 0]
+@pytest.mark.parametrize("rate_hz", [10.0, 25.0, 30.0, 50.0, 100.0])
+def test_one_that_is_not_found_is_kept_twice_as_long_as_it_was_found_and_no_longer_than_keep_s(rate_hz: float) -> None:
+    for frames, keep_s in ((3, 1.0), (4, 10.0), (10, 0.4)):
+        kept, params = min(2 * frames, round(keep_s * rate_hz)), TrackerParams(keep_s=keep_s)
+        assert [len(shown(frames, params, then, rate_hz).present) for then in (kept, kept + 1)] == [1, 0]
 
 
 @pytest.mark.parametrize("time_constant_s", [0.0, 0.15, 1.0])
@@ -149,112 +125,12 @@ def test_tracks_are_a_value() -> None:
     assert all(torch.equal(getattr(after, name), getattr(again, name)) for name in EACH if name != "score")
 
 
-def test_a_size_follows_what_is_seen_and_a_part_does_not_move_what_it_is_of() -> None:
-    tracks = shown(10)
-    before = TRACKER.boxes(tracks)
-    legs = (BOX[0] + 4, BOX[1] + 30, BOX[2] - 4, BOX[3])
-    for k in range(10, 100):
-        if k == 13:
-            # After 0.1 s of the time constant of 1 s a tenth of the way to the logarithm of 0.7, 3.5 % of 100 px
-            assert float((TRACKER.boxes(tracks) - before)[0, 1]) == pytest.approx(3.5, abs=0.5)
-        tracks = TRACKER.step(tracks, detections(legs), k / RATE_HZ)
-    assert tracks.number.tolist() == [1]
-    left, top, right, bottom = (TRACKER.boxes(tracks) - before)[0].tolist()
-    assert top == pytest.approx(30, abs=3) and bottom == pytest.approx(0, abs=1) and left == pytest.approx(-right, abs=1)
-
-
-def walked(k: int, px: float = 4.0) -> tuple[float, float, float, float]:
-    """BOX, moved by so many px a frame."""
-    return BOX[0] + px * k, BOX[1], BOX[2] + px * k, BOX[3]
-
-
-def test_whoever_goes_behind_something_comes_out_on_the_other_side() -> None:
-    """From the 20th frame on less and less is seen, without feet, then nothing, then a part."""
-    tracks = TRACKER.start()
-    for k in range(50):
-        left, top, right, bottom = walked(k - 30)
-        hides = 20 <= k < 45
-        seen_right = min(right, walked(-10)[2]) if hides else right
-        box = (left, top, seen_right, bottom - 20 * hides)
-        tracks = TRACKER.step(tracks, detections(box) if seen_right - left > 10 and k != 45 else NOTHING, k / RATE_HZ)
-        if 28 <= k < 45:
-            assert float(tracks.mean[0, 0, 1]) == pytest.approx(4 * RATE_HZ, rel=0.15)  # 8 parts of which each tells a little less
-    assert tracks.number.tolist() == [1]
-    assert (TRACKER.boxes(tracks)[0] - torch.tensor(walked(19))).abs().max() < 6  # px; 5 % of its height
-
-
 def test_a_weak_box_that_fits_badly_does_not_take_a_track_that_is_not_found() -> None:
     tracks = shown(20, then=5)
     large = (BOX[0] + 5, BOX[1] - 20, BOX[2] + 45, BOX[3] + 18)
     for score, taken in ((0.3, False), (0.9, True)):
         after = TRACKER.step(tracks, detections(large, scores=[[score, 0.0, 0.0, 0.0]]), 25 / RATE_HZ)
         assert bool(after.score[0].isnan().all()) != taken
-
-
-def test_a_box_of_two_who_pass_each_other_moves_neither() -> None:
-    """For eight frames the detector finds the nearer one alone, who lags as strides do."""
-    tracks, other = TRACKER.start(), [each - 3 for each in BOX]
-    for k in range(-25, 25):
-        right = walked(k, 2.5)
-        left = (other[0] - 2.5 * k, other[1], other[2] - 2.5 * k, other[3])
-        apart = abs(k) > 4
-        shared = walked(k - 2, 2.5)
-        tracks = TRACKER.step(tracks, detections(*((right, left) if apart else (shared,))), (k + 25) / RATE_HZ)
-    assert tracks.number.tolist() == [1, 2]
-    wanted = torch.tensor([walked(24, 2.5), (other[0] - 60, other[1], other[2] - 60, other[3])]).double()
-    torch.testing.assert_close(TRACKER.boxes(tracks), wanted, rtol=0, atol=2.0)  # px, half of the noise that is reckoned with
-
-
-@pytest.mark.parametrize("side", [-1, 1])
-def test_whoever_walks_out_of_the_image_is_followed_to_its_border_and_no_longer(side: int) -> None:
-    tracks, found = TRACKER.start(), 0
-    for k in range(90):
-        left, top, right, bottom = plate(12.0, side * (2.0 + 1.4 * k / RATE_HZ), *SIZES["pedestrian"])
-        box = torch.tensor([max(left, 0), top, min(right, VIEW.width), bottom]).double()
-        share = float(box[2] - box[0]) / (right - left)
-        tracks = TRACKER.step(tracks, detections(tuple(box.tolist())) if share > 0.3 else NOTHING, k / RATE_HZ)
-        if k > 2 and share > 0.3:
-            found += share < 0.9
-            whole = torch.tensor([left, top, right, bottom]).double()
-            assert (TRACKER.whole(tracks.present)[0] - whole).abs().max() < 2  # px; exact boxes, a filter that knows no size yet
-        if share < 0:
-            assert len(tracks.present) == 0
-    assert found > 3
-
-
-def test_a_car_around_a_car_that_is_seen_whole_is_none() -> None:
-    far, near = plate(40.0, 2.0, *SIZES["car"]), plate(20.0, 1.0, 3.0, 2.1)
-    sure = [0.0, 0.0, 0.9, 0.0]
-    for both, tracks_then in ((True, 1), (False, 2)):
-        tracks = TRACKER.start()
-        for k in range(10):
-            boxes = [far] if k < 5 else [far, near] if both else [near]
-            tracks = TRACKER.step(tracks, detections(*boxes, scores=[sure] * len(boxes)), k / RATE_HZ)
-        assert len(tracks.present) == tracks_then
-
-
-def test_sizes_are_those_of_the_class() -> None:
-    """What is found may be half of somebody, or of two."""
-    u, foot, metre = 320.0, BOX[3], (BOX[3] - BOX[1]) / 1.755
-    for high, wide, least, most in ((0.6, 0.4, 1.0, 1.1), (1.75, 3.0, 1.7, 1.8), (1.75, 0.1, 1.7, 1.8)):
-        box = (u - wide * metre / 2, foot - high * metre, u + wide * metre / 2, foot)
-        tracks = TRACKER.start()
-        for k in range(5):
-            tracks = TRACKER.step(tracks, detections(box), k / RATE_HZ)
-        width_m, height_m = tracks.size_m[0].tolist()
-        assert WIDTHS_M["pedestrian"][0] <= width_m <= WIDTHS_M["pedestrian"][1] and least <= height_m <= most
-
-
-def test_what_is_expected_too_low_comes_back_to_where_it_is_seen() -> None:
-    """A box that was too large holds all that is found afterwards, which must not keep it where it is."""
-    left, top, right, bottom = plate(20.0, 0.0, *CHILD)
-    tracks = TRACKER.start()
-    for k in range(60):
-        box = (left - 10, top - 15, right + 10, bottom + 20) if k < 5 else (left, top, right, bottom)
-        tracks = TRACKER.step(tracks, detections(box), k / RATE_HZ)
-    assert tracks.number.tolist() == [1]
-    # 2 s are two time constants of the size: a seventh is left of what is too much, 35 px of height
-    assert (TRACKER.boxes(tracks)[0] - torch.tensor([left, top, right, bottom])).abs().max() < 6
 
 
 def test_what_comes_nearer_looks_larger_and_stays_as_large() -> None:
@@ -265,30 +141,6 @@ def test_what_comes_nearer_looks_larger_and_stays_as_large() -> None:
     assert tracks.number.tolist() == [1]
     # A plate of 1.75 m; rows of a camera that looks down by 1.5 deg are 0.1 % farther apart
     assert tracks.size_m[0].tolist() == pytest.approx(SIZES["pedestrian"], rel=0.02)
-
-
-def test_a_part_of_what_is_known_is_nobody_new_but_somebody_of_another_kind_is() -> None:
-    tracks = shown(5)
-    part = (BOX[0] + 5, BOX[1] + 40, BOX[2] - 5, BOX[3] - 5)
-    cyclist, car = [0.1, 0.7, 0.0, 0.0], [0.0, 0.1, 0.7, 0.0]
-    sure = [0.8, 0.1, 0.05, 0.0]
-    assert len(TRACKER.step(tracks, detections(BOX, part, scores=[sure, cyclist]), 5 / RATE_HZ)) == 1
-    assert len(TRACKER.step(tracks, detections(BOX, part, scores=[sure, car]), 5 / RATE_HZ)) == 2
-
-
-def test_a_child_before_an_adult_is_followed_too() -> None:
-    """Its box lies in the adult's, who is found whole; legs alone, and who is behind, are taken for parts."""
-    adult, child, behind = plate(15.0, 0.0, *SIZES["pedestrian"]), plate(14.7, 0.05, *CHILD), plate(17.0, 0.05, *CHILD)
-    assert adult[0] < child[0] and adult[1] < child[1] and child[2] < adult[2] and adult[1] < behind[1] and behind[3] < adult[3]
-    for other, followed_too in ((child, True), (behind, False)):
-        tracks = TRACKER.start()
-        for k in range(20):
-            boxes = [adult] if k < 5 else [adult, other]
-            tracks = TRACKER.step(tracks, detections(*boxes), k / RATE_HZ)
-        assert len(tracks.present) == 1 + followed_too
-        if followed_too:
-            heights = sorted(tracks.size_m[:, 1].tolist())
-            assert heights == pytest.approx([CHILD[1], SIZES["pedestrian"][1]], rel=0.05)
 
 
 def test_a_weak_detection_does_not_move_a_track() -> None:
