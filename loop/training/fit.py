@@ -1,6 +1,7 @@
 """Fits the network to examples."""
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -32,20 +33,24 @@ def fit(rows: Sequence[dict[str, Any]], steps: int, seed: int, on_step: Callable
     averaged = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(min(0.99, 1 - 10 / (steps + 10))), use_buffers=True)
     optimiser = torch.optim.AdamW(network.parameters(), RATE, weight_decay=1e-3)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, total_steps=steps, pct_start=0.15)
-    for _ in range(steps):
-        examples = Examples.drawn(rows, BATCH, rng)
-        # half as precise and twice as fast where the processor has such numbers
-        with torch.autocast("cpu", torch.bfloat16):
-            logits, sides = network(prepared(examples.frames))
-        logits = logits.float()
-        loss = heat_loss(logits, examples) + BOX_WEIGHT * box_loss(sides.float(), examples) + AGREE_WEIGHT * agree_loss(logits, examples)
-        optimiser.zero_grad()
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(network.parameters(), 10.0)
-        optimiser.step()
-        schedule.step()
-        averaged.update_parameters(network)
-        on_step(float(loss.detach()))
+    with ThreadPoolExecutor(1) as ahead:  # so that a second core draws the next examples meanwhile
+        coming = ahead.submit(Examples.drawn, rows, BATCH, rng)
+        for _ in range(steps):
+            examples, coming = coming.result(), ahead.submit(Examples.drawn, rows, BATCH, rng)
+            # half as precise and twice as fast where the processor has such numbers
+            with torch.autocast("cpu", torch.bfloat16):
+                logits, sides = network(prepared(examples.frames))
+            logits = logits.float()
+            loss = (
+                heat_loss(logits, examples) + BOX_WEIGHT * box_loss(sides.float(), examples) + AGREE_WEIGHT * agree_loss(logits, examples)
+            )
+            optimiser.zero_grad()
+            loss.backward()
+            torch.nn.utils.clip_grad_norm_(network.parameters(), 10.0)
+            optimiser.step()
+            schedule.step()
+            averaged.update_parameters(network)
+            on_step(float(loss.detach()))
     network.load_state_dict(averaged.module.state_dict())
     return network.eval()
 
