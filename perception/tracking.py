@@ -108,7 +108,8 @@ class Tracker:
         left = torch.ones(len(found), dtype=torch.bool).index_fill(0, its, False) & (found.scores.amax(-1) >= self.params.start_score)
         known = alive.since_s.isfinite()[:, None] & alike(self.classes)[alive.category][:, found.scores.argmax(-1)]
         solid = torch.tensor([each in SOLID for each in self.classes])[found.scores.argmax(-1)]
-        no_more = belonging(found.boxes, self.whole(alive), complete) | solid & hiding(found.boxes, self.whole(alive), complete)
+        there = self.whole(alive)
+        no_more = belonging(found.boxes, there, complete) | solid & hiding(found.boxes, there, complete)
         left &= ~(known & no_more).any(0)
         alive = alive.take(shown | alive.since_s.isfinite())
         started = self._started(tracks.following, Detections(found.boxes[left], found.scores[left]), time_s)
