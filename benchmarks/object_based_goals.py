@@ -191,13 +191,16 @@ MASKS = (
     "of half of those who are not kept full light is not sure either (below 0.9), and a third have no track; people at 40 m have dark "
     "bodies below a dark head, since pixels are blurred by 0.4 deg"
 )
-LOST = "people half hidden by others, or hardly above the score that keeps a track in full light, fall below it with a dark head"
-MOVING = "who moves takes more or less flux all the time, and who was hidden for a while is searched for anew"
-SEARCH = "tracks of nothing, and of those who are found now and then, end before their search does"
+LOST = (
+    "17 times a pedestrian and 15 times a car; in 13 of these full light is not sure either (below 0.9), and in 10 they are still found, "
+    "but shown by no track of their own"
+)
+MOVING = "who moves takes more or less flux all the time"
+SEARCH = "a tenth of the tracks never settle; of those that do nine in ten have in 1.4 s"
 UNSEEN = "what the base beam shows too little of is found late or never"
 SIZES = (
-    "a dozen people who are placed a third too far away get 1.1 to 1.2 lx (median) in all frames, and who has no track is lit by the light "
-    "on who stands beside"
+    "who is placed 1.4 times as far away as he is, or farther, gets 1.1 lx or more in most frames (four of five looked into), and who has "
+    "no track is lit by the light on who stands beside"
 )
 GOALS = (
     Goal("Flux saved against the low beam, median, at least 85 %", lambda m: median_saved(m.ours()), 0.85, MOVING, True, PERCENT),
