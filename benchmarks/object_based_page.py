@@ -1,5 +1,6 @@
 """docs/object_based_results.md and its picture, from results of benchmarks/object_based.py; the words are in the .md beside it."""
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -58,7 +59,8 @@ def goals(measured: Measured) -> str:
             lines.append(f"| {goal.what} | — | not measured | |")
         else:
             verdict, limited = ("reached", "") if goal.reached(value) else ("**missed**", goal.limited)
-            lines.append(f"| {goal.what} | {goal.form.format(value)} | {verdict} | {limited} |")
+            told = goal.form.format(value) if math.isfinite(value) else "never"
+            lines.append(f"| {goal.what} | {told} | {verdict} | {limited} |")
     return "\n".join(lines)
 
 

@@ -119,6 +119,8 @@ def test_goals_are_missed_where_only_one_of_both_is_reached(goals: Any) -> None:
     page = object_based_page.goals(goals.Measured(rows, [], [], None))
     assert "at least 85 % | 99.0% | reached" in page and "of the runs | 0.0% | **missed**" in page
     assert "newcomer lit within 0.5 s, at least 90 % | — | not measured" in page
+    endless = object_based_page.goals(goals.Measured([row | {"searches_s": [None]} for row in rows], [], [], None))
+    assert "90 % quantile | never | **missed**" in endless
 
 
 def test_scenes_are_others_than_those_of_training_and_newcomers_have_room(goals: Any) -> None:
