@@ -175,8 +175,9 @@ def main() -> None:
     print("| --- | --- | --- | --- | --- | --- |")
     for name, roads in SCENES.items():
         printed(name, [followed(roads, 110, seed) for seed in range(given.seeds)])
+    crowds = range(-(-given.seeds // 2))
     for people in (5, 10, 20):
-        printed(f"{people} pedestrians to and fro for 5 s", [followed(crowd(people, seed), 150, seed) for seed in range(given.seeds // 2)])
+        printed(f"{people} pedestrians to and fro for 5 s", [followed(crowd(people, seed), 150, seed) for seed in crowds])
     if given.scenes:
         printed("random traffic for 2 s, with the network", [traffic(seed, 60) for seed in range(given.scenes)])
 
