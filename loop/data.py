@@ -86,16 +86,17 @@ def locate(name_or_path: str | Path) -> Path:
 def get(name: str, directory: str | Path | None = None, base_url: str | None = None, known: Registry | None = None) -> Fetched:
     """Fetch a registered file unless it is here already; without `directory` it goes where `find` looks.
 
-    `base_url` (or `LUXLOOP_DATA_URL`) is a mirror to ask instead of the file's source. What is fetched must have the registered SHA-256
-    and appears whole or not at all. Raises LuxloopError where there is no connection, no such file or another content.
+    `base_url` (or `LUXLOOP_DATA_URL`) is a mirror to ask instead of the file's source. A file must have the registered SHA-256: what is
+    fetched appears whole or not at all, and what was fetched before and has changed is fetched again. Raises LuxloopError where there is
+    no connection, no such file or another content, in the folder `LUXLOOP_DATA` too, which is the user's own.
     """
     wanted = entry(name, known)
-    here = present(name, known) if directory is None else None
-    if here is not None:
-        return Fetched(here, downloaded=False)
     target = (cache_folder() if directory is None else Path(directory)) / wanted.file
-    if target.is_file() and _sha256(target) == wanted.sha256:
-        return Fetched(target, downloaded=False)
+    here = (present(name, known) if directory is None else None) or target
+    if here.is_file() and _sha256(here) == wanted.sha256:
+        return Fetched(here, downloaded=False)
+    if here != target:
+        raise LuxloopError(f"{here}: is not {name!r} as registered (SHA-256 differs); move it away, then get {name} again")
     mirror = base_url or os.environ.get(MIRROR_VARIABLE)
     _download(wanted, f"{mirror.rstrip('/')}/{wanted.file}" if mirror else wanted.url, target)
     return Fetched(target, downloaded=True)

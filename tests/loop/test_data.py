@@ -100,6 +100,22 @@ def test_another_content_is_refused_and_not_kept(server: str, nothing_at_hand: P
     assert spoilt.read_bytes() == CONTENT
 
 
+def test_what_has_changed_since_it_was_fetched_is_fetched_again(server: str) -> None:
+    path = data.get("setts", known=known(server)).path
+    path.write_bytes(b"spoilt")
+    assert data.get("setts", known=known(server)) == data.Fetched(path, downloaded=True)
+    assert path.read_bytes() == CONTENT
+
+
+def test_a_changed_copy_of_the_users_is_refused_and_left_alone(server: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    copy = tmp_path / "setts.crg"
+    copy.write_bytes(b"mine")
+    monkeypatch.setenv(data.FOLDER_VARIABLE, str(tmp_path))
+    with pytest.raises(LuxloopError, match=r"setts\.crg: is not 'setts' as registered \(SHA-256 differs\); move it away"):
+        data.get("setts", known=known(server))
+    assert copy.read_bytes() == b"mine"
+
+
 def test_what_the_server_lacks(server: str, nothing_at_hand: Path) -> None:
     with pytest.raises(LuxloopError, match=r"none\.crg cannot be had: 404 .* save it by hand as .*none\.crg"):
         data.get("setts", known=known(server, file="roads/none.crg"))

@@ -189,19 +189,26 @@ def test_nan_is_filled_outwards() -> None:
     np.testing.assert_array_equal(modified(crg, {"grid_nan_mode": 1}).z[0], [0, 1, 2, 0])
 
 
-def test_a_file_may_refer_to_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_may_refer_to_another(tmp_path: Path) -> None:
     write_crg(tmp_path / "scan.crg", replace(grid(), modifiers={"scale_z_grid": 3.0, "grid_nan_mode": 2.0}), "KDBI")
     outer = tmp_path / "outer.crg"
-    outer.write_text("$ROAD_CRG_FILE\n $ROADS/sc  ! split\n an.crg\n$ROAD_CRG_MODS\nSCALE_Z_GRID = 2.000000000+e00\n$\n")
-    with pytest.raises(CrgError, match=r"outer.crg: .*\$ROADS, which is not set"):
-        read_crg(outer)
-    monkeypatch.setenv("ROADS", str(tmp_path))
+    outer.write_text("$ROAD_CRG_FILE\n ./sc  ! split\n an.crg\n$ROAD_CRG_MODS\nSCALE_Z_GRID = 2.000000000+e00\n$\n")
     crg = read_crg(outer)
     assert crg.modifiers == {"scale_z_grid": 2.0, "grid_nan_mode": 2.0}
     np.testing.assert_array_equal(crg.z, grid().z)
     outer.write_text("$ROAD_CRG_FILE\nouter.crg\n$\n")
     with pytest.raises(CrgError, match="circle"):
         read_crg(outer)
+
+
+@pytest.mark.parametrize("path", ["$SECRET/scan.crg", "${SECRET}.crg", "/nowhere/$SECRET"])
+def test_a_reference_shows_no_environment_variable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, path: str) -> None:
+    monkeypatch.setenv("SECRET", "hunter2")
+    outer = tmp_path / "outer.crg"
+    outer.write_text(f"$ROAD_CRG_FILE\n {path}\n$\n")
+    with pytest.raises(CrgError, match=r"outer\.crg: .*\$\{?SECRET.*not expanded; write the path out") as caught:
+        read_crg(outer)
+    assert "hunter2" not in str(caught.value)
 
 
 @pytest.mark.parametrize(

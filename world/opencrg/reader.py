@@ -1,8 +1,6 @@
 """Read OpenCRG files of all four data kinds."""
 
 import math
-import os
-import re
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -77,14 +75,12 @@ def _read(path: Path, depth: int) -> Crg:
 def _referenced(header: Header, depth: int) -> Crg:
     lines = header.sections["ROAD_CRG_FILE"]
     named = "".join(text for _, text in lines)
-    expanded = os.path.expandvars(named)
-    unset = re.search(r"\$\{?(\w+)", expanded)
-    if not named or unset:
-        what = f"uses ${unset[1]}, which is not set" if unset else "is empty"
-        raise CrgError(f"{header.path}: the path in $ROAD_CRG_FILE {what}; set it or write the path out")
+    if not named or "$" in named:
+        what = f"is {named!r}, but environment variables are not expanded" if named else "is empty"
+        raise CrgError(f"{header.path}: the path in $ROAD_CRG_FILE {what}; write the path out")
     if depth == 0:
         raise CrgError(f"{header.path}: $ROAD_CRG_FILE refers to itself in a circle; name the file that has the data")
-    target = header.path.parent / expanded
+    target = header.path.parent / named
     if not target.is_file():
         raise CrgError(f"{header.path}: $ROAD_CRG_FILE names {named}, which is not at {target}; correct the path")
     return _read(target, depth - 1)
