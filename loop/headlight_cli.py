@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal
 from cyclopts import App
 
 from loop import tables
+from loop.cli_common import DIFFERS
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
 
 headlight_app = App(name="headlight", help="Lamps and photometric files: facts, pictures, lamp files, and the regulations' test points.")
 PHOTOMETRIC = (".ies", ".ldt")
-DIFFERS = 1
 
 
 @headlight_app.command(name="list")
