@@ -2,6 +2,7 @@
 
 import os
 import re
+import signal
 import sys
 import warnings
 from collections.abc import Sequence
@@ -41,6 +42,7 @@ for command in (schema, doctor, data_app, headlight_app, evaluate, campaign, tun
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command line; returns the exit code. Whatever the user can mend is one sentence on stderr and exit code 2."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends all that Ctrl-C ends, and as well
     warnings.simplefilter("ignore")
     warnings.filterwarnings("default", category=UserWarning)
     warnings.filterwarnings("ignore", message="Sparse CSR tensor support")

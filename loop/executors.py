@@ -2,6 +2,8 @@
 
 import os
 import signal
+import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from typing import Protocol, TypeVar
@@ -15,6 +17,7 @@ from world.errors import LuxloopError
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 CONNECTING_S = 10
+WATCHING_S = 0.5  # between two looks of a worker at whether it has been orphaned
 
 
 class WorkersLostError(LuxloopError):
@@ -47,8 +50,17 @@ def local(processes: int | None = None) -> Executor:
 
 def _begin() -> None:
     """In a worker, before its first task."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the terminal sends Ctrl-C to workers, too; this process ends them
+    for each in (signal.SIGINT, signal.SIGTERM):  # terminals and service managers send them to workers, too; this process ends them
+        signal.signal(each, signal.SIG_IGN)
+    threading.Thread(target=_end_after, args=(os.getppid(),), daemon=True).start()
     process_executor._USE_PSUTIL = False  # else one that keeps 300 MB between tasks is taken for a leak and ended, as simulations do
+
+
+def _end_after(parent: int) -> None:
+    """End once the process that began this one has been killed, which could not end it."""
+    while os.getppid() == parent:
+        time.sleep(WATCHING_S)
+    os._exit(1)
 
 
 def dask(scheduler: str) -> Executor:

@@ -125,22 +125,32 @@ def reason(error: Exception) -> str:
 
 
 def _read(file: Path) -> dict[str, dict[str, Any]]:
-    """Results by identity. A last line without its end was cut off by a kill: it is removed, and its job will be done again."""
+    """Results by identity. A last line that is none, as kills and full disks leave it, is removed, and its job will be done again."""
     try:
         content = file.read_bytes() if file.exists() else b""
-        whole = content.rfind(b"\n") + 1
-        cut = content[whole:]
-        entries = [json.loads(line) for line in content[:whole].splitlines()]
-        results = {entry["id"]: entry["result"] for entry in entries}
-        if not (cut.startswith(_START) or _START.startswith(cut)):
-            raise ValueError("its last line is none of theirs")
-        if cut:
-            os.truncate(file, whole)
+        *lines, last = content.splitlines(keepends=True) or [b""]
+        results = dict(map(_entry, lines))
+        try:
+            identity, result = _entry(last)
+            results[identity] = result
+        except (ValueError, KeyError, TypeError):
+            if not (results or last.startswith(_START) or _START.startswith(last)):
+                raise
+            if last:
+                os.truncate(file, len(content) - len(last))
         return results
     except (ValueError, KeyError, TypeError) as error:
         raise LuxloopError(f"{file}: holds something else than results of jobs ({error}); remove it or give another folder") from error
     except OSError as error:
         raise LuxloopError(f"{file}: cannot be read ({error.strerror}); check its permissions") from error
+
+
+def _entry(line: bytes) -> tuple[str, dict[str, Any]]:
+    """Identity and result of a whole line. Raises ValueError, KeyError or TypeError where it is none."""
+    if not line.endswith(b"\n"):
+        raise ValueError("its last line has no end")
+    entry = json.loads(line)
+    return entry["id"], entry["result"]
 
 
 def _append(file: Path, line: str) -> None:

@@ -108,10 +108,12 @@ def _on_objects(axes: Axes, table: pa.Table, objects: Sequence[str], named: bool
         later = eyes_lx(table, START_UP_S)
         told = "" if later is None else f": {later:.2g} lx from {START_UP_S:g} s on"
         axes.plot(time_s, column(table, "eyes_lx_max"), color="0.5", linestyle="--", label=f"most on heads and windscreens{told}")
-    axes.set(ylabel="lx", yscale="log")
-    axes.yaxis.set_minor_formatter(LogFormatter())
+    axes.set_ylabel("lx")
     if axes.dataLim.ymin < FAINTEST_LX:
         axes.set_yscale("symlog", linthresh=FAINTEST_LX)
         axes.set_ylim(bottom=-FAINTEST_LX / 10)
+    else:
+        axes.set_yscale("log")
+        axes.yaxis.set_minor_formatter(LogFormatter())
     axes.yaxis.set_major_formatter(lambda lx, _: f"{lx:g}")
     headed(axes, "The lamps' light on objects, mean and most (dotted)")

@@ -19,7 +19,7 @@ from world.errors import LuxloopError
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = """
-import sys, time
+import signal, sys, time
 from pathlib import Path
 from loop.jobs import Job, run
 
@@ -30,6 +30,7 @@ def slow(x, log):
     return {"square": x * x}
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as the command line does
     here = Path(__file__).parent
     todo = [Job(f"job {x}", {"x": x, "log": str(here / "log")}) for x in range(6)]
     print([row["square"] for row in run(slow, todo, here / "results.jsonl", version="1", processes=2).rows])
@@ -110,8 +111,10 @@ def test_processes_have_one_thread_and_their_failures_come_back(tmp_path: Path, 
         run(die, numbers(1, 2), tmp_path / "r.jsonl", version="1", processes=2)
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
-def test_a_run_that_is_stopped_goes_on_where_it_was(how: signal.Signals, tmp_path: Path) -> None:
+@pytest.mark.parametrize("workers_too", [True, False])
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_run_that_is_stopped_goes_on_where_it_was(how: signal.Signals, workers_too: bool, tmp_path: Path) -> None:
+    """Terminals and service managers send a signal to workers, too; `kill` and `timeout` do not."""
     script, log, file = tmp_path / "script.py", tmp_path / "log", tmp_path / "results.jsonl"
     script.write_text(SCRIPT)
     env = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -123,10 +126,13 @@ def test_a_run_that_is_stopped_goes_on_where_it_was(how: signal.Signals, tmp_pat
     while len(file.read_text().splitlines() if file.exists() else []) < 3 or len(log.read_text().split()) < 5:
         assert time.monotonic() < deadline and stopped.poll() is None
         time.sleep(0.02)
-    os.killpg(stopped.pid, how)  # as a terminal does it
+    (os.killpg if workers_too else os.kill)(stopped.pid, how)
     _, said = stopped.communicate(timeout=50)  # far less than the minute that a hanging job takes
     assert stopped.returncode != 0
-    if how == signal.SIGINT:
+    while alive(stopped.pid):  # far less than the minute as well
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    if how != signal.SIGKILL:
         assert "3 of 6 jobs are kept" in said
     assert len(file.read_text().splitlines()) == 3
     resumed = subprocess.run([sys.executable, script], env=env, capture_output=True, text=True, timeout=60)
@@ -134,6 +140,15 @@ def test_a_run_that_is_stopped_goes_on_where_it_was(how: signal.Signals, tmp_pat
     started = log.read_text().split()
     assert all(started.count(x) == 1 for x in "012")
     assert all(x in started[5:] for x in "345")
+
+
+def alive(group: int) -> bool:
+    """Whether any process of a group is."""
+    try:
+        os.killpg(group, 0)
+    except ProcessLookupError:
+        return False
+    return True
 
 
 def test_a_line_cut_off_by_a_kill_is_done_again(tmp_path: Path) -> None:
@@ -144,6 +159,18 @@ def test_a_line_cut_off_by_a_kill_is_done_again(tmp_path: Path) -> None:
         file.write_bytes(whole[:end])
         assert [row["square"] for row in run(square, numbers(1, 2), file, version="1", processes=1).rows] == [1, 4]
         assert file.read_bytes() == whole
+
+
+@pytest.mark.parametrize("junk", [b"\0" * 40, b'{"id": "ab\0\0\n', b"\xff\xfe\n", b'{"key": 1}\n', b"[", b"\n"])
+def test_junk_in_the_last_line_costs_that_line(junk: bytes, tmp_path: Path) -> None:
+    log, file = tmp_path / "log", tmp_path / "r.jsonl"
+    run(square, numbers(1, 2, log=str(log)), file, version="1", processes=1)
+    whole = file.read_bytes()
+    for content, again in ((whole + junk, 0), (whole[: whole.index(b"\n") + 1] + junk, 1)):
+        file.write_bytes(content)
+        log.write_text("")
+        assert [row["square"] for row in run(square, numbers(1, 2, log=str(log)), file, version="1", processes=1).rows] == [1, 4]
+        assert file.read_bytes() == whole and len(log.read_text().split()) == again
 
 
 @pytest.mark.parametrize("content", [b"notes\n", b'{"a": 1}\n', b"[1]\n", b"a file of mine"])
