@@ -8,13 +8,13 @@ import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
-from cyclopts import App, CycloptsError, UnusedCliTokensError
+from cyclopts import App, CycloptsError, UnknownCommandError, UnusedCliTokensError
 
 from loop.cli_common import DIFFERS, INTERRUPTED, OK, UNREAD, WRONG, Device, Keys
 from loop.headlight_cli import headlight_app
 from loop.listing_cli import data_app, doctor, list_, schema
 from loop.studies_cli import campaign, evaluate, optimise_beam, train_detector, tune
-from world.errors import LuxloopError
+from world.errors import LuxloopError, did_you_mean
 
 
 def version() -> str:
@@ -73,9 +73,12 @@ def _say(text: str) -> None:
 
 def _complaint(error: CycloptsError) -> str:
     """What is wrong with a command line, in one sentence."""
+    command = " ".join(["luxloop", *(error.command_chain or ())])
     if isinstance(error, UnusedCliTokensError):
-        command = " ".join(["luxloop", *(error.command_chain or ())])
         return f"{' '.join(error.unused_tokens or ())}: is not expected here; see `{command} --help`"
+    if isinstance(error, UnknownCommandError) and error.app and error.unused_tokens:
+        name = error.unused_tokens[0]
+        return f"there is no command {name!r}; {did_you_mean(name, error.app, f'`{command} --help` shows all')}"
     text = str(error)
     sentences = re.split(r"\.\s+", text.strip().rstrip("."))
     return "; ".join([sentences[0], *(f"{part[:1].lower()}{part[1:]}" for part in sentences[1:])])

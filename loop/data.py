@@ -1,6 +1,5 @@
 """Third-party roads and light distributions: named in a registry, found on this machine or fetched from their public source."""
 
-import difflib
 import os
 import tempfile
 import tomllib
@@ -10,7 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import Literal
 
-from world.errors import LuxloopError
+from world.errors import LuxloopError, did_you_mean
 
 FOLDER_VARIABLE = "LUXLOOP_DATA"  # folder with copies at hand
 MIRROR_VARIABLE = "LUXLOOP_DATA_URL"  # address that has the files under the registry's paths, in place of their sources
@@ -54,9 +53,7 @@ def entry(name: str, known: Registry | None = None) -> DataFile:
     known = registry() if known is None else known
     if name in known:
         return known[name]
-    nearest = difflib.get_close_matches(name, known, 1) or [each for each in known if each.lower() == name.lower()]
-    hint = f"did you mean {nearest[0]!r}?" if nearest else "see `luxloop data list`"
-    raise LuxloopError(f"there is no data file {name!r}; {hint}")
+    raise LuxloopError(f"there is no data file {name!r}; {did_you_mean(name, known, '`luxloop data list` shows all')}")
 
 
 def present(name: str, known: Registry | None = None) -> Path | None:

@@ -1,10 +1,9 @@
 """The scenarios that come with luxloop, by name. Light to import, so that `luxloop list` answers at once."""
 
-import difflib
 from importlib.resources import files
 from pathlib import Path
 
-from world.errors import LuxloopError
+from world.errors import LuxloopError, did_you_mean
 
 
 def shipped() -> dict[str, Path]:
@@ -24,8 +23,7 @@ def named(name: str, kind: str) -> Path:
         return known[name]
     if "/" in name or "." in name:
         return Path(name)
-    nearest = difflib.get_close_matches(name, known, 1)
-    hint = f"did you mean {nearest[0]!r}?" if nearest else f"shipped are {', '.join(known)}; a file or folder is given by its path"
+    hint = did_you_mean(name, known, f"shipped are {', '.join(known)}; a file or folder is given by its path")
     raise LuxloopError(f"there are no {kind} {name!r}; {hint}")
 
 
@@ -41,6 +39,5 @@ def find(name: str) -> Path:
         raise LuxloopError(f"{name} is a folder; give a scenario file in it, whose name ends in .toml")
     if path.suffix == ".toml":
         raise LuxloopError(f"scenario file {name} does not exist; check the path, or write one with `luxloop new {name}`")
-    nearest = difflib.get_close_matches(name, known, 1)
-    hint = f"did you mean {nearest[0]!r}?" if nearest else "`luxloop list` shows what there is, a file's name ends in .toml"
+    hint = did_you_mean(name, known, "`luxloop list` shows all shipped ones, and a file's name ends in .toml")
     raise LuxloopError(f"there is no scenario {name!r}; {hint}")

@@ -1,6 +1,5 @@
 """TOML files read, and pydantic's errors told in one sentence that names the key and the remedy."""
 
-import difflib
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
@@ -70,8 +69,7 @@ def _what(detail: Any, fields: dict[str, Any], example: str) -> str:
         return f"there is no {context['tag']!r}; {did_you_mean(context['tag'], _quoted(context['expected_tags']))}"
     if kind == "literal_error":
         expected = context["expected"].replace(" or ", ", ")
-        near = difflib.get_close_matches(str(given), _quoted(expected), 1, 0.5)
-        return f"{_shown(given)} is not possible; {f'did you mean {near[0]!r}?' if near else f'give one of {expected}'}"
+        return f"{_shown(given)} is not possible; {did_you_mean(str(given), _quoted(expected), f'give one of {expected}')}"
     if kind in WANTED:
         quotes = "; the shell took its quotes, put all of key=value into single ones" if str(given).startswith("[") else ""
         return f"{_shown(given)} is not {WANTED[kind]}{quotes}"

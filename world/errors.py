@@ -4,6 +4,8 @@ import difflib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
+NEAR = 0.7  # share of the letters that two near names have in common, in the same order
+
 
 class LuxloopError(ValueError):
     """Bad input; the message is one sentence that names the file, the key or line, and the remedy."""
@@ -18,8 +20,9 @@ def located(place: str) -> Iterator[None]:
         raise LuxloopError(f"{place}: {error}") from error
 
 
-def did_you_mean(given: str, known: Iterable[str]) -> str:
-    """The nearest of the known names, or all of them."""
-    known = list(known)
-    nearest = difflib.get_close_matches(given, known, 1, 0.5)
-    return f"did you mean {nearest[0]!r}?" if nearest else f"known are {', '.join(known)}"
+def did_you_mean(given: str, known: Iterable[str], otherwise: str = "") -> str:
+    """The known name that is near the given one, else `otherwise`, by default all known names. One wrong letter is always near."""
+    names = {name.lower(): name for name in known}
+    letters = max(len(given), 2)
+    near = difflib.get_close_matches(given.lower(), names, 1, min(NEAR, (letters - 1) / letters))
+    return f"did you mean {names[near[0]]!r}?" if near else otherwise or f"known are {', '.join(names.values())}"

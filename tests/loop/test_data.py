@@ -139,7 +139,7 @@ def test_names(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
         data.find("belgian_blocks")
     with pytest.raises(LuxloopError, match="did you mean 'Barber'"):
         data.find("barber")
-    with pytest.raises(LuxloopError, match="see `luxloop data list`"):
+    with pytest.raises(LuxloopError, match="`luxloop data list` shows all"):
         data.find("xyzzy")
     assert data.locate("roads/own.crg") == Path("roads/own.crg")
     with pytest.raises(LuxloopError, match="luxloop data get belgian_block"):

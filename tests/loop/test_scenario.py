@@ -45,7 +45,7 @@ BROKEN = {
     "unknown road": (GOOD + '[road]\nkind = "bumpz"', ["road.kind", "'bumpz'", "'bumps'"]),
     "road without kind": (GOOD + "[road]\nseed = 1", ["road.kind", "missing"]),
     "unknown controller": (GOOD + '[controller]\nname = "thesis_pdi"', ["controller.name", "'thesis_pid'"]),
-    "unknown object": (GOOD + BOX.replace('"box"', '"bocks"'), ["objects[0].kind", "'bocks'", "'box'"]),
+    "unknown object": (GOOD + BOX.replace('"box"', '"bocks"'), ["objects[0].kind", "'bocks'", "known are box"]),
     "unknown lamp": (GOOD + '[headlight]\nlamps = ["lefft"]', ["headlight.lamps[0]", "'left'"]),
     "one lamp twice": (GOOD + '[headlight]\nlamps = ["left", "left"]', ["headlight.lamps", "once"]),
     "one module twice": (GOOD + '[headlight]\nmodules = ["hires", "hires"]', ["headlight.modules", "once"]),

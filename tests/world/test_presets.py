@@ -121,10 +121,10 @@ def test_the_outer_edges_are_bluish_and_the_middle_is_white() -> None:
 
 
 def test_an_unknown_lamp_or_side_is_named_with_what_there_is() -> None:
-    with pytest.raises(
-        LuxloopError, match=r"no lamp 'ssl-hd-lowres', did you mean 'ssl-hd-lores'\? The lamps are idealised-332x1024, hd84"
-    ):
+    with pytest.raises(LuxloopError, match=r"no lamp 'ssl-hd-lowres'; did you mean 'ssl-hd-lores'\?"):
         lamp("ssl-hd-lowres")
+    with pytest.raises(LuxloopError, match="no lamp 'halogen'; known are idealised-332x1024, hd84"):
+        lamp("halogen")
     with pytest.raises(LuxloopError, match=r"side is 'left' or 'right', not 'top'"):
         lamp("hd84", "top")  # type: ignore[arg-type]
     with pytest.raises(LuxloopError, match="no coloured edges"):

@@ -1,13 +1,12 @@
 """The light that a lamp should give, as a formula of direction: five beams by name, for traffic on the right."""
 
-import difflib
 import math
 
 import torch
 from pydantic import Field
 from torch import Tensor
 
-from world.errors import LuxloopError
+from world.errors import LuxloopError, did_you_mean
 from world.params import Params
 
 SHOULDER_SLOPE = math.tan(math.radians(15.0))
@@ -133,6 +132,4 @@ def pattern(name: str) -> Pattern:
     """A beam's pattern by name. Raises LuxloopError that names the nearest one."""
     if name in PATTERNS:
         return PATTERNS[name]
-    near = difflib.get_close_matches(name, PATTERNS, 1)
-    hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(PATTERNS)}"
-    raise LuxloopError(f"there is no beam {name!r}; {hint}")
+    raise LuxloopError(f"there is no beam {name!r}; {did_you_mean(name, PATTERNS)}")

@@ -1,13 +1,12 @@
 """Lamps that come with luxloop; what is published of each and what is guessed stands in its notes and beside its numbers."""
 
-import difflib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import lru_cache
 from types import MappingProxyType
 from typing import Literal
 
-from world.errors import LuxloopError
+from world.errors import LuxloopError, did_you_mean
 from world.headlight import Headlight
 from world.lamp import Lamp, Module
 from world.presets import dmd, hd84, ideal, ssl_hd
@@ -51,8 +50,7 @@ def lamp(name: str, side: Literal["left", "right"] = "left", chromatic_shift: fl
     blue larger than red, 0 for one colour. Raises: LuxloopError for an unknown name or side.
     """
     if name not in _LAMPS:
-        near = difflib.get_close_matches(name, NAMES, n=1, cutoff=0.4)
-        raise LuxloopError(f"there is no lamp {name!r}{f', did you mean {near[0]!r}' if near else ''}? The lamps are {', '.join(NAMES)}")
+        raise LuxloopError(f"there is no lamp {name!r}; {did_you_mean(name, NAMES)}")
     if side not in ("left", "right"):
         raise LuxloopError(f"a lamp's side is 'left' or 'right', not {side!r}")
     build, notes = _LAMPS[name]

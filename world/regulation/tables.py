@@ -1,6 +1,5 @@
 """The limits themselves: sets of requirements on a beam, read from the tables beside this file."""
 
-import difflib
 import tomllib
 from functools import cache
 from pathlib import Path
@@ -8,7 +7,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from world.errors import LuxloopError
+from world.errors import LuxloopError, did_you_mean
 from world.params import Params
 
 Point = tuple[float, float]
@@ -70,12 +69,11 @@ def sets() -> dict[str, RuleSet]:
 
 
 def rule_set(set_id: str) -> RuleSet:
-    """The set of this id, whatever its case. Raises LuxloopError that names those that have the word in them, or the nearest ones."""
+    """The set of this id, whatever its case. Raises LuxloopError that names those that have the word in them, or the nearest one."""
     wanted = set_id.lower().replace("_", "-").replace(" ", "-")
     known = sets() | {each.also: each for each in sets().values() if each.also}
     if wanted in known:
         return known[wanted]
     alike = sorted(name for name in known if wanted in name) if wanted else []
-    near = alike or difflib.get_close_matches(wanted, known, 3, 0.5)
-    names = ", ".join(near or sorted(sets()))
-    raise LuxloopError(f"there is no rule {set_id!r}; {'did you mean' if near else 'there are'} {names}")
+    hint = f"did you mean {', '.join(alike)}?" if alike else did_you_mean(wanted, sorted(known))
+    raise LuxloopError(f"there is no rule {set_id!r}; {hint}")

@@ -1,6 +1,5 @@
 """What all objects made from a seed have: parts by name, each of a material, whose reflectance can be set."""
 
-import difflib
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
@@ -8,7 +7,7 @@ import torch
 from pydantic import Field
 
 from world.body import Body, Part, PoseTrack, Spotlight
-from world.errors import LuxloopError
+from world.errors import LuxloopError, did_you_mean
 from world.materials import MaterialName
 from world.params import Params
 from world.shapes import Piece, joined
@@ -31,9 +30,7 @@ def check_parts(owner: str, given: Iterable[str], names: Sequence[str]) -> None:
     """Raises LuxloopError where an object is given a part that it has not."""
     for name in given:
         if name not in names:
-            nearest = difflib.get_close_matches(name, names, 1)
-            hint = f"did you mean {nearest[0]!r}?" if nearest else f"it has {', '.join(names)}"
-            raise LuxloopError(f"object {owner!r}: parts: there is no part {name!r}; {hint}")
+            raise LuxloopError(f"object {owner!r}: parts: there is no part {name!r}; {did_you_mean(name, names)}")
 
 
 class MadeParams(TrackedParams):

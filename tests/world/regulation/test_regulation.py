@@ -94,9 +94,9 @@ def test_limits_that_refer_to_others_name_them_and_zones_are_polygons() -> None:
 
 
 def test_an_unknown_rule_names_its_neighbours() -> None:
-    with pytest.raises(LuxloopError, match=r"'r149-passing-x'.*did you mean r149-passing"):
+    with pytest.raises(LuxloopError, match=r"'r149-passing-x'.*did you mean 'r149-passing"):
         rule_set("r149-passing-x")
-    with pytest.raises(LuxloopError, match="there are fmvss108-lb1m"):
+    with pytest.raises(LuxloopError, match="known are fmvss108-lb1m, "):
         rule_set("gb4599")
 
 

@@ -186,5 +186,5 @@ def test_what_does_not_fit_is_named(name: str) -> None:
 def test_unknown_formats_are_named() -> None:
     with pytest.raises(LuxloopError, match="no sparse format 'windw'; did you mean 'window'"):
         build(matrix(BY_HAND), "windw")
-    with pytest.raises(LuxloopError, match="take one of coo, csr"):
+    with pytest.raises(LuxloopError, match="known are coo, csr"):
         build(matrix(BY_HAND), "?")
