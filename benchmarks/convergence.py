@@ -82,7 +82,7 @@ def document(rows: list[dict[str, Any]]) -> str:
         "",
         "Made by `python benchmarks/convergence.py`; seed 0, 40 steps, camera 1280 x 720. Each symbol starts where its shipped",
         "scenario does, rolled by 5 deg and pitched by -2 deg. *Settle* is the step from which centroid, length and shear stay near",
-        "their final values (`summary.json`), or — if they never do within the run. *Error* is the centroid's, along / across, in % of",
+        "their final values (`summary.json`), or — if they never do, or off the target. *Error* is the centroid's, along / across, in % of",
         "the symbol's length / width. *Open* is the flat-road primitive at the target without control.",
         "",
         "Goals on the first four roads: settle within 20 steps in the raw image and within 15 in the bird's-eye view, overshoot at most",

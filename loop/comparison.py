@@ -8,7 +8,7 @@ import pyarrow as pa
 
 from controllers.symbol.flat_model import FeatureParams
 from loop.recorder import CENTROIDS, COLUMNS, ERRORS, LATER
-from loop.summary import settle_step
+from loop.summary import steady_step
 
 SHEAR = (0.005, "a quarter of what counts as settled")
 # Largest difference between two machines that is no difference in behaviour, and why. Timings are excepted, all else is exact.
@@ -33,7 +33,7 @@ TOLERANCES: dict[str, tuple[float, str]] = {
 }
 CENTROID_PX = (0.1, "a tenth of a pixel of the raw image")
 CENTROID_M = (0.001, "a millimetre, as the pose's")
-SETTLE_STEPS = 1  # a symbol that settles at the border of 2 % may do so a step sooner or later
+STEADY_STEPS = 1  # a symbol at the border of 2 % may come to rest a step sooner or later
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def compare(recorded: pa.Table, replayed: pa.Table, within: dict[str, tuple[floa
             first, worst = int(outside[0]), int(apart.argmax())
             values = recorded[name][first].as_py(), replayed[name][first].as_py()
             found.append(Difference(name, tolerance, first, *values, float(apart[worst]), worst))
-    return (*found, *_settling(recorded, replayed, SETTLE_STEPS if within else 0))
+    return (*found, *_coming_to_rest(recorded, replayed, STEADY_STEPS if within else 0))
 
 
 def _distance(a: pa.ChunkedArray, b: pa.ChunkedArray) -> np.ndarray:
@@ -90,9 +90,9 @@ def _distance(a: pa.ChunkedArray, b: pa.ChunkedArray) -> np.ndarray:
     return np.where(np.isnan(a_values) & np.isnan(b_values), 0.0, np.where(np.isnan(apart), np.inf, apart))
 
 
-def _settling(recorded: pa.Table, replayed: pa.Table, tolerance: int) -> Iterator[Difference]:
-    a, b = settle_step(recorded), settle_step(replayed)
+def _coming_to_rest(recorded: pa.Table, replayed: pa.Table, tolerance: int) -> Iterator[Difference]:
+    a, b = steady_step(recorded), steady_step(replayed)
     apart = 0.0 if a == b else float("inf") if a is None or b is None else float(abs(a - b))
     if apart > tolerance:
         first = min(step for step in (a, b) if step is not None)
-        yield Difference("settle_step", tolerance, first, a, b, apart, first)
+        yield Difference("steady_step", tolerance, first, a, b, apart, first)

@@ -104,7 +104,8 @@ def write_report(file: Path, simulation: Simulation, gathered: Gathered, table: 
 
 
 def _title(simulation: Simulation, summary: dict[str, Any]) -> str:
-    settled = "not settled" if summary["settle_step"] is None else f"settled at step {summary['settle_step']}"
+    unsettled = summary["unsettled"]
+    settled = f"settled at step {summary['settle_step']}" if unsettled is None else f"not settled: {unsettled.replace('_', ' ')}"
     x, y = (_number(value, ".1f") for value in summary["centroid_error_percent"])
     lost = f"  ·  {summary['lost_steps']} steps lost" if summary["lost_steps"] else ""
     return (

@@ -1,4 +1,4 @@
-"""A recording in a few numbers: when the symbol settled, how far it overshot, how well it lies in the end."""
+"""A recording in a few numbers: whether and when the symbol settled, how far it overshot, how well it lies in the end."""
 
 import math
 from typing import Any
@@ -6,14 +6,16 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-FINAL = 10  # steps whose mean is the final value, and for which a settled symbol has to stay
-SETTLED = {  # how far from the final value a settled symbol may be: 2 % of its size and length, 0.02 of shear
+FINAL = 10  # steps whose mean is the final value, and for which a symbol at rest has to stay
+END = 5  # steps whose mean error of the centroid is that at the end
+STEADY = {  # how far from the final value a symbol at rest may be: 2 % of its size and length, 0.02 of shear
     "centroid_error_x_percent": 2.0,
     "centroid_error_y_percent": 2.0,
     "length": 0.02,
     "shear": 0.02,
 }
 AXES = ("centroid_error_x_percent", "centroid_error_y_percent")
+OFF_PERCENT = 5.0  # a symbol that ends further from the target has not settled there
 LEAST_START_PERCENT = 5.0  # an axis that starts nearer to the target says nothing about overshoot
 
 
@@ -21,6 +23,7 @@ def summarise(table: pa.Table, scenario: str, controller: str, iou_open: float) 
     """Summary of a recording's table, ready for JSON: None where a value does not exist.
 
     iou_open: what the judge says of the open loop at the last step. centroid_error_percent: [x, y], signed, mean of the last five steps.
+    unsettled: why there is no settle_step (`unsettled`).
     """
     seen = table.num_rows > 0
     return {
@@ -28,8 +31,10 @@ def summarise(table: pa.Table, scenario: str, controller: str, iou_open: float) 
         "controller": controller,
         "steps": table.num_rows,
         "settle_step": settle_step(table),
+        "unsettled": unsettled(table),
+        "steady_step": steady_step(table),
         "overshoot_percent": overshoot_percent(table),
-        "centroid_error_percent": [_number(column(table, axis)[-5:].mean()) if seen else None for axis in AXES],
+        "centroid_error_percent": [_number(error) for error in final_error_percent(table)],
         "iou_open": _number(iou_open),
         "iou_final": _number(column(table, "iou")[-1]) if seen else None,
         "ssim_final": _number(column(table, "ssim")[-1]) if seen else None,
@@ -39,14 +44,42 @@ def summarise(table: pa.Table, scenario: str, controller: str, iou_open: float) 
 
 
 def settle_step(table: pa.Table) -> int | None:
+    """The step from which on the symbol is steady (`steady_step`); None where it has not settled on the target (`unsettled`)."""
+    return steady_step(table) if unsettled(table) is None else None
+
+
+def unsettled(table: pa.Table) -> str | None:
+    """Why the symbol has not settled on the target; None where it has.
+
+    too_short: fewer than ten steps. lost: not seen in most of the last ten; no_frame: as most of their frames were missing. moving: lit,
+    but not steady. off_target: nothing lit at the target, or more than 5 % of the symbol's length or width off (mean of the last five
+    steps).
+    """
+    if table.num_rows < FINAL:
+        return "too_short"
+    losses = table["loss"][-FINAL:].to_pylist()
+    if 2 * losses.count("") < FINAL:
+        return "no_frame" if 2 * losses.count("no_frame") > FINAL else "lost"
+    error = final_error_percent(table)
+    if np.isfinite(error).all() and steady_step(table) is None:
+        return "moving"
+    return None if (np.abs(error) <= OFF_PERCENT).all() else "off_target"
+
+
+def final_error_percent(table: pa.Table) -> np.ndarray:
+    """Error of the centroid `[2]` along x and y, signed, in % of the symbol's length and width; NaN where the last steps are not lit."""
+    return np.array([column(table, axis)[-END:].mean() if table.num_rows else math.nan for axis in AXES])
+
+
+def steady_step(table: pa.Table) -> int | None:
     """The first step from which, for at least ten steps and to the end, centroid, length and shear stay near their mean of the last ten.
 
-    None if there is none. A step at which nothing was lit is not near.
+    None if there is none. A step at which nothing was lit is not near. Where the symbol lies does not matter.
     """
     if table.num_rows < FINAL:
         return None
     near = np.ones(table.num_rows, dtype=bool)
-    for name, tolerance in SETTLED.items():
+    for name, tolerance in STEADY.items():
         values = column(table, name)
         near &= np.abs(values - values[-FINAL:].mean()) <= tolerance
     strays = np.flatnonzero(~near)

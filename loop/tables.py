@@ -74,14 +74,11 @@ def findings(checks: "Sequence[Check]") -> Table:
 
 def summary(values: dict[str, Any], files: str) -> Table:
     """The closing table of a run."""
-    from loop.summary import FINAL
-
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     x, y = values["centroid_error_percent"]
-    steps, settled = values["steps"], values["settle_step"]
-    never = "not settled" if steps >= FINAL else f"fewer than {FINAL} steps cannot tell"
+    settled = values["settle_step"]
     rows = {
-        "settle step": f"{settled} of {steps}" if settled is not None else never,
+        "settle step": f"{settled} of {values['steps']}" if settled is not None else "not settled",
         "centroid error": f"{_number(x, '.2f')} % along, {_number(y, '.2f')} % across",
         "IoU, open loop → final": f"{_number(values['iou_open'], '.3f')} → {_number(values['iou_final'], '.3f')}",
         "overshoot": f"{_number(values['overshoot_percent'], '.1f')} %" if values["overshoot_percent"] is not None else "–",
@@ -89,13 +86,38 @@ def summary(values: dict[str, Any], files: str) -> Table:
         "time a step": f"{_number(values['step_ms_median'], '.1f')} ms (median)",
         "files": files,
     }
-    if steps and values["lost_steps"] == steps:
-        rows["note"] = "the camera never saw the symbol, so nothing was controlled"
+    if values["unsettled"] is not None:
+        rows["note"] = _why_unsettled(values)
     elif values["controller"] != "open" and (values["iou_final"] or 0.0) < (values["iou_open"] or 0.0):
         rows["note"] = "the symbol lies worse than without control"
     for label, value in rows.items():
         table.add_row(f"[bold]{label}[/]", escape(value))
     return table
+
+
+def _why_unsettled(values: dict[str, Any]) -> str:
+    """Why the symbol has not settled on its target, and the key that helps."""
+    from loop.summary import FINAL
+
+    off = [abs(error) for error in values["centroid_error_percent"] if error is not None]
+    match values["unsettled"]:
+        case "too_short":
+            return f"fewer than {FINAL} steps cannot tell whether the symbol settles; raise steps"
+        case "no_frame":
+            return f"most frames of the last {FINAL} steps are missing; lower camera.drop_probability, or take disturbances.drops out"
+        case "moving":
+            return "the symbol still moves at the end; raise steps, unless it is the car or an object that moves"
+        case "lost":
+            what = f"the camera lost the symbol in {values['lost_steps']} of {values['steps']} steps and at the end"
+        case _:
+            what = f"the symbol lies {max(off):.0f} % of its size off its target" if off else "no light of the symbol reaches its target"
+    match values["controller"]:
+        case "luxloop":
+            return f"{what}; lower symbol.x_m, as the road moves a nearer symbol less"
+        case "feedforward":
+            return f"{what}; give the road as it is in controller.road, or measure it with controller.survey = true"
+        case _:
+            return f'{what}; controller.name = "luxloop" draws it for the road that it finds'
 
 
 def differences(found: "Sequence[Difference]") -> Table:

@@ -18,7 +18,7 @@ from loop.recorder import COLUMNS, SCHEMA, Recorder, row, table_of
 from loop.replay import load, replay, to_csv
 from loop.scenario import Scenario
 from loop.simulation import Simulation, StepResult
-from loop.summary import settle_step
+from loop.summary import steady_step
 from world.errors import LuxloopError
 
 PAGE = Path(__file__).parents[2] / "docs" / "recordings.md"
@@ -158,7 +158,7 @@ def test_empty_tolerances_ask_for_the_same_bits(table: pa.Table) -> None:
     assert [(d.column, d.first_step) for d in compare(table, changed(table, "c_u", values), {})] == [("c_u", 7)]
 
 
-def test_settle_step_may_shift_by_one(table: pa.Table) -> None:
+def test_steady_step_may_shift_by_one(table: pa.Table) -> None:
     def settling(step: int | None) -> pa.Table:
         k = np.arange(30)
         long = pa.concat_tables([table.slice(0, 1)] * 30)
@@ -166,12 +166,12 @@ def test_settle_step_may_shift_by_one(table: pa.Table) -> None:
         at_rest["centroid_error_x_percent"] = np.where(k < (30 if step is None else step), 9.0 * (-1.0) ** k, 0.0)
         for name, values in at_rest.items():
             long = changed(long, name, values)
-        assert settle_step(long) == step
+        assert steady_step(long) == step
         return long
 
     def differing(a: int | None, b: int | None) -> list[tuple[float, float | str | None, float | str | None]]:
         found = compare(settling(a), settling(b), RAW)
-        return [(d.largest, d.recorded, d.replayed) for d in found if d.column == "settle_step"]
+        return [(d.largest, d.recorded, d.replayed) for d in found if d.column == "steady_step"]
 
     assert differing(10, 11) == []
     assert differing(10, 12) == [(2, 10, 12)]
@@ -192,7 +192,7 @@ def test_documentation_has_the_tolerances() -> None:
     documented = {
         name: (float(number), why) for name, number, why in re.findall(r"^\| `(\w+)` \| ([\d.e-]+)(?: \S+)? \| (.*?) \|$", table, re.M)
     }
-    assert documented.pop("settle_step")[0] == 1
+    assert documented.pop("steady_step")[0] == 1
     assert documented == TOLERANCES
 
 

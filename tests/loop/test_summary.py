@@ -2,6 +2,8 @@
 
 import json
 import math
+import re
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -9,7 +11,9 @@ import pyarrow as pa
 import pytest
 
 from loop.recorder import COLUMNS, table_of
-from loop.summary import overshoot_percent, settle_step, summarise
+from loop.scenario import load
+from loop.summary import overshoot_percent, settle_step, steady_step, summarise, unsettled
+from loop.tables import summary as summary_table
 
 
 def table(steps: int = 40, loss: list[str] | None = None, **columns: Any) -> pa.Table:
@@ -25,7 +29,7 @@ def decay(start: float, ratio: float, steps: int = 40) -> np.ndarray:
 
 def test_first_order_decay_settles_when_it_enters_two_percent() -> None:
     # 40 * 0.7^k <= 2 from k = ln(20) / ln(1 / 0.7) = 8.4 on; the final value is 40 * 0.7^30 = 1e-3, too little to matter
-    assert settle_step(table(centroid_error_x_percent=decay(40, 0.7))) == 9
+    assert steady_step(table(centroid_error_x_percent=decay(40, 0.7))) == 9
     assert overshoot_percent(table(centroid_error_x_percent=decay(40, 0.7))) == pytest.approx(0, abs=1e-3)
 
 
@@ -36,7 +40,7 @@ def test_oscillation_overshoots_by_its_damping() -> None:
     swinging = table(80, centroid_error_y_percent=wave)
     assert overshoot_percent(swinging) == pytest.approx(-100 * wave.min() / 50, abs=1e-3)
     within = [step for step in range(80) if (np.abs(wave[step:]) <= 2).all()]
-    assert settle_step(swinging) == within[0]
+    assert steady_step(swinging) == within[0]
 
 
 def test_overshoot_is_the_largest_of_the_axes_that_start_far_off() -> None:
@@ -54,8 +58,8 @@ def test_overshoot_is_measured_from_the_final_value() -> None:
 
 
 def test_a_step_settles_at_once() -> None:
-    assert settle_step(table(centroid_error_x_percent=np.where(np.arange(40) < 7, 30.0, 1.0))) == 7
-    assert settle_step(table()) == 0
+    assert steady_step(table(centroid_error_x_percent=np.where(np.arange(40) < 7, 30.0, 1.0))) == 7
+    assert steady_step(table()) == 0
 
 
 @pytest.mark.parametrize(
@@ -64,27 +68,79 @@ def test_a_step_settles_at_once() -> None:
 )
 def test_every_quantity_has_to_stay_within_its_band(column: str, rest: float, outside: float) -> None:
     values = np.where(np.arange(40) == 12, outside, rest)
-    assert settle_step(table(**{column: values})) == 13
+    assert steady_step(table(**{column: values})) == 13
     inside = np.where(np.arange(40) == 12, rest + 0.95 * (outside - rest), rest)
-    assert settle_step(table(**{column: inside})) == 0
+    assert steady_step(table(**{column: inside})) == 0
 
 
 def test_never_settling() -> None:
-    assert settle_step(table(centroid_error_x_percent=10 * np.sin(np.arange(40)))) is None
+    assert steady_step(table(centroid_error_x_percent=10 * np.sin(np.arange(40)))) is None
     late = np.where(np.arange(40) < 31, 5.0, 0.0)  # at rest for the last nine steps only
-    assert settle_step(table(centroid_error_x_percent=late)) is None
+    assert steady_step(table(centroid_error_x_percent=late)) is None
 
 
 def test_ten_steps_are_needed() -> None:
-    assert settle_step(table(9)) is None
-    assert settle_step(table(10)) == 0
+    assert steady_step(table(9)) is None
+    assert steady_step(table(10)) == 0
 
 
 def test_what_is_not_lit_is_not_settled() -> None:
     dark = np.where(np.arange(40) == 20, np.nan, 0.0)
-    assert settle_step(table(centroid_error_x_percent=dark)) == 21
+    assert steady_step(table(centroid_error_x_percent=dark)) == 21
     dark_at_the_end = np.where(np.arange(40) == 39, np.nan, 0.0)
-    assert settle_step(table(centroid_error_x_percent=dark_at_the_end)) is None
+    assert steady_step(table(centroid_error_x_percent=dark_at_the_end)) is None
+
+
+HALF_LOST = [""] * 30 + ["too_small", ""] * 5
+LATE_FRAMES = ["no_frame"] * 3 + [""] * 7
+OFF = "centroid_error_y_percent"
+
+
+@pytest.mark.parametrize(
+    ("recorded", "why"),
+    [
+        (table(), None),
+        (table(9), "too_short"),
+        (table(loss=HALF_LOST), None),
+        (table(loss=[*HALF_LOST[:-1], "nothing"]), "lost"),
+        (table(loss=[""] * 34 + ["no_frame"] * 6), "no_frame"),
+        (table(10, loss=LATE_FRAMES), None),
+        (table(**{OFF: decay(40, 0.7) + 4.9}), None),
+        (table(**{OFF: decay(40, 0.7) - 5.1}), "off_target"),
+        (table(**{OFF: math.nan}), "off_target"),
+        (table(**{OFF: 10 * np.sin(np.arange(40))}), "moving"),
+    ],
+)
+def test_only_a_symbol_that_is_seen_on_its_target_has_settled(recorded: pa.Table, why: str | None) -> None:
+    assert unsettled(recorded) == why
+    assert settle_step(recorded) == (steady_step(recorded) if why is None else None)
+
+
+def test_a_lost_symbol_is_steady_but_has_not_settled() -> None:
+    summary = summarise(table(loss=["too_small"] * 40, iou=0.0), "name", "luxloop", 0.0)
+    assert (summary["settle_step"], summary["unsettled"], summary["steady_step"]) == (None, "lost", 0)
+
+
+@pytest.mark.parametrize("controller", ["open", "thesis_pid", "feedforward", "luxloop"])
+@pytest.mark.parametrize(
+    "recorded",
+    [
+        table(9),
+        table(loss=["nothing"] * 40),
+        table(loss=["no_frame"] * 40),
+        table(**{OFF: 12.0}),
+        table(**{OFF: np.arange(40)}),
+        table(**{OFF: math.nan}),
+    ],
+)
+def test_the_closing_table_says_what_went_wrong_and_names_keys_that_exist(recorded: pa.Table, controller: str) -> None:
+    values = summarise(recorded, "name", controller, 0.0)
+    (note,) = (cell for cell in summary_table(values, "runs/name").columns[1].cells if ";" in str(cell))
+    keys = re.findall(r"\b(?:camera|controller|disturbances|symbol)\.[a-z_]+|\bsteps$|\bsteps(?=,)", str(note))
+    scenario = load("snowflake", ["controller={name='feedforward'}"] if "controller.survey" in keys else [])
+    assert keys
+    for key in keys:
+        attrgetter(key)(scenario)
 
 
 def test_summary_has_every_field() -> None:
@@ -101,6 +157,8 @@ def test_summary_has_every_field() -> None:
         "controller": "thesis_pid",
         "steps": 40,
         "settle_step": None,
+        "unsettled": "moving",
+        "steady_step": None,
         "overshoot_percent": pytest.approx(100 * 4.5 / 37),  # the final value, -2.5, is passed by the last step's 2
         "centroid_error_percent": [0.0, 0.0],
         "iou_open": 0.25,
@@ -117,7 +175,7 @@ def test_nothing_seen_is_null_in_json(steps: int) -> None:
     summary = summarise(table(steps, **dict.fromkeys(numbers, math.nan)), "name", "open", math.nan)
     written = json.loads(json.dumps(summary, allow_nan=False))
     assert written["steps"] == steps
-    assert [written[key] for key in ("settle_step", "overshoot_percent", "iou_open", "iou_final", "ssim_final", "step_ms_median")] == [
-        None
-    ] * 6
+    assert [
+        written[key] for key in ("settle_step", "steady_step", "overshoot_percent", "iou_open", "iou_final", "ssim_final", "step_ms_median")
+    ] == [None] * 7
     assert written["centroid_error_percent"] == [None, None]
