@@ -15,11 +15,18 @@ import resvg_py
 import torch
 from torch import Tensor
 
+from controllers.svg import self_contained
+from world.budget import afford
 from world.errors import LuxloopError
+from world.files import content, reading
+from world.images import decoded
 
 DRAWN_PX = 512  # longer side of what is drawn from an SVG, and the largest of a video: finer than a lamp can show
 FOLDER_HZ = 25.0  # rate of pictures that do not say one
-LONGEST_VIDEO = 3000  # frames: 512 x 512 of them take 0.8 GB
+FRAME_BYTES = 2  # of a video's pixel: a grey level, and once more while frames are joined
+DECODED_BYTES = 16  # of a pixel of the frame at work, in the video's own size
+# What is opened: no playlists, which name other files.
+CONTAINERS = {"protocol_whitelist": "file", "format_whitelist": "mov,mp4,matroska,webm,avi,gif"}
 DRAWINGS = (".svg", ".svgz")
 PICTURES = (".png", ".bmp", ".jpg", ".jpeg", ".tif", ".tiff", ".webp")
 VIDEOS = (".mp4", ".mkv", ".avi", ".mov", ".webm", ".gif")
@@ -95,11 +102,18 @@ def load_still(path: Path) -> Tensor:
 
 def picture(path: Path) -> Tensor:
     """Grey image `[h, w]` float32 in 0..1 of a picture of 8 or 16 bits."""
-    return torch.from_numpy(_grey(np.fromfile(path, np.uint8), path))
+    return torch.from_numpy(_grey(_content(path), path))
 
 
-def _grey(coded: np.ndarray, path: Path) -> np.ndarray:
-    image = cv2.imdecode(coded, cv2.IMREAD_UNCHANGED) if coded.size else None
+def _content(path: Path) -> bytes:
+    try:
+        return content(path)
+    except OSError as error:
+        raise LuxloopError(f"symbol {path} cannot be read ({error.strerror}): check the path and its permissions") from error
+
+
+def _grey(coded: bytes, path: Path) -> np.ndarray:
+    image = decoded(coded, f"symbol {path}")
     if image is None or image.dtype.kind != "u":
         raise LuxloopError(f"symbol {path} cannot be read as a picture of 8 or 16 bits: save it as an 8-bit PNG")
     grey = image.astype(np.float32) / (2 ** (8 * image.itemsize) - 1)
@@ -112,14 +126,12 @@ def _grey(coded: np.ndarray, path: Path) -> np.ndarray:
 def _drawn(path: Path) -> Tensor:
     """An SVG, drawn so that its longer side has DRAWN_PX."""
     try:
-        rough = _grey(np.frombuffer(resvg_py.svg_to_bytes(svg_path=str(path)), np.uint8), path)
-        side = {"height" if rough.shape[0] > rough.shape[1] else "width": DRAWN_PX}
-        coded = resvg_py.svg_to_bytes(svg_path=str(path), **side)  # type: ignore[arg-type]
+        coded = resvg_py.svg_to_bytes(svg_string=self_contained(_content(path)), width=DRAWN_PX, height=DRAWN_PX)
     except ValueError as error:
         raise LuxloopError(
             f"symbol {path} is no SVG that can be drawn ({error}): export it again as plain SVG, or save it as a PNG"
         ) from error
-    return torch.from_numpy(_grey(np.frombuffer(coded, np.uint8), path))
+    return torch.from_numpy(_grey(coded, path))
 
 
 def _sequence(folder: Path) -> Tensor:
@@ -137,19 +149,18 @@ def _sequence(folder: Path) -> Tensor:
 def video(path: Path, largest_px: int | None = DRAWN_PX) -> tuple[Tensor, float]:
     """All frames of a video `[n, h, w]` uint8, shrunk to a largest side unless that is None, and their rate in Hz."""
     frames: list[Tensor] = []
-    try:
-        with av.open(str(path)) as container:
-            stream = container.streams.video[0]
-            rate_hz = float(stream.average_rate or 25)
-            for frame in container.decode(stream):
-                if len(frames) == LONGEST_VIDEO:
-                    raise LuxloopError(f"video {path} has more than {LONGEST_VIDEO} frames: cut it to the part that shall be shown")
-                shrink = 1.0 if largest_px is None else min(1.0, largest_px / max(frame.width, frame.height))
-                width, height = (max(round(side * shrink), 1) for side in (frame.width, frame.height))
-                rgb = frame.to_ndarray(width=width, height=height, format="rgb24")  # full range: a video's own black may be 16 of 255
-                frames.append(torch.from_numpy(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)))
-    except (av.FFmpegError, IndexError, OSError) as error:
-        raise LuxloopError(f"video {path} cannot be read ({error}): convert it to H.264 in an .mp4 file") from error
+    sound = reading(path, "is no video that can be read", "convert it to H.264 in an .mp4 file")
+    with sound, av.open(str(path), options=CONTAINERS) as container:
+        stream = container.streams.video[0]
+        afford(f"video {path}: a frame", DECODED_BYTES * stream.width * stream.height, "shrink it")
+        rate_hz = float(stream.average_rate or 25)
+        for frame in container.decode(stream):
+            shrink = 1.0 if largest_px is None else min(1.0, largest_px / max(frame.width, frame.height))
+            width, height = (max(round(side * shrink), 1) for side in (frame.width, frame.height))
+            n_bytes = FRAME_BYTES * width * height * (len(frames) + 1)
+            afford(f"video {path}: its frames", n_bytes, "cut it to the part that shall be shown")
+            rgb = frame.to_ndarray(width=width, height=height, format="rgb24")  # full range: a video's own black may be 16 of 255
+            frames.append(torch.from_numpy(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)))
     if not frames:
         raise LuxloopError(f"video {path} has no frames: export it again")
     return torch.stack(frames), rate_hz

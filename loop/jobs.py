@@ -18,6 +18,7 @@ from typing import Any
 
 from loop.executors import Executor, WorkersLostError, local
 from loop.progress import progress
+from loop.validation import parsed_json
 from world.errors import LuxloopError
 
 Values = Mapping[str, Any]  # what JSON can hold, by name
@@ -149,7 +150,7 @@ def _entry(line: bytes) -> tuple[str, dict[str, Any]]:
     """Identity and result of a whole line. Raises ValueError, KeyError or TypeError where it is none."""
     if not line.endswith(b"\n"):
         raise ValueError("its last line has no end")
-    entry = json.loads(line)
+    entry = parsed_json(line)
     return entry["id"], entry["result"]
 
 

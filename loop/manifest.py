@@ -21,9 +21,9 @@ from loop.scenario import AnyScenario, Scenario
 from loop.shipped import named
 from loop.sources import sources_of
 from loop.utilisations import sequence_files
-from loop.validation import sentence
+from loop.validation import parsed_json, sentence
 from world.errors import LuxloopError
-from world.files import files_at
+from world.files import content, files_at, reading
 from world.objects import MeshParams
 from world.params import Params
 from world.roads import OpenCrgRoad
@@ -77,24 +77,20 @@ class Manifest(Params):
     def read(cls, directory: Path) -> "Manifest":
         """The manifest of a recording. Raises LuxloopError where there is none that this luxloop understands."""
         file = directory / FILE
-        try:
-            content = json.loads(file.read_text("utf-8"))
-        except ValueError as error:
-            raise LuxloopError(f"{file}: damaged, not valid JSON ({error}); record the run again") from error
-        except (FileNotFoundError, NotADirectoryError) as error:
+        if not file.is_file():
             kind = f"holds no recording ({FILE} is missing)" if directory.is_dir() else "is not a directory"
-            raise LuxloopError(f"{directory}: {kind}; give a directory that `luxloop run` wrote") from error
-        except OSError as error:
-            raise LuxloopError(f"{file}: cannot be read ({error.strerror}); check its permissions") from error
-        if not isinstance(content, dict) or content.get("format") != cls.model_fields["format"].default:
+            raise LuxloopError(f"{directory}: {kind}; give a directory that `luxloop run` wrote")
+        with reading(file, "damaged, not valid JSON", "record the run again"):
+            stored = parsed_json(content(file))
+        if not isinstance(stored, dict) or stored.get("format") != cls.model_fields["format"].default:
             raise LuxloopError(f"{file}: not the manifest of a recording; give a directory that `luxloop run` wrote")
-        if content.get("format_version") != FORMAT_VERSION:
+        if stored.get("format_version") != FORMAT_VERSION:
             raise LuxloopError(
-                f"{file}: format_version: {content.get('format_version')!r} is not understood, this luxloop reads {FORMAT_VERSION}; "
+                f"{file}: format_version: {stored.get('format_version')!r} is not understood, this luxloop reads {FORMAT_VERSION}; "
                 "use the luxloop that wrote it"
             )
         try:
-            return cls.model_validate(content)
+            return cls.model_validate(stored)
         except ValidationError as error:
             raise LuxloopError(f"{file}: damaged, {sentence(error, cls, '`luxloop run` writes it')}; record the run again") from error
 

@@ -3,12 +3,11 @@
 import copy
 import json
 import re
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from loop.validation import read_toml
+from loop.validation import parsed_toml, read_toml
 from world.errors import LuxloopError
 
 Override = str | Mapping[str, Any]
@@ -48,11 +47,11 @@ def _parsed(text: str) -> dict[str, Any]:
         raise LuxloopError(f"--set {text}: not of the form key=value; write for example --set camera.bits=8, or name a .toml file of keys")
     key = toml_key(key.strip())
     try:
-        return tomllib.loads(f"{key} = {value.strip()}")
-    except tomllib.TOMLDecodeError:
+        return parsed_toml(f"{key} = {value.strip()}")
+    except ValueError:
         try:
-            return tomllib.loads(f"{key} = {json.dumps(value.strip())}")
-        except tomllib.TOMLDecodeError as error:
+            return parsed_toml(f"{key} = {json.dumps(value.strip())}")
+        except ValueError as error:
             raise LuxloopError(f"--set {text}: not understood ({error}); write for example --set camera.bits=8") from error
 
 

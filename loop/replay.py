@@ -15,7 +15,11 @@ from loop.manifest import Manifest
 from loop.recorder import COLUMNS, LATER, SCHEMA, TRAJECTORY, row, table_of
 from loop.scenario import Scenario, validate
 from loop.simulation import Simulation, StepResult
+from world.budget import afford
 from world.errors import LuxloopError
+from world.files import reading
+
+BYTES_A_VALUE = 16  # of a table while it is read, however well it was compressed
 
 
 @dataclass(frozen=True)
@@ -50,12 +54,17 @@ def load(directory: Path) -> Recording:
 
 def read_parquet(file: Path) -> pa.Table:
     """Read a recording's table of steps. Raises LuxloopError where it is missing or damaged."""
-    try:
-        return pq.read_table(file)
-    except FileNotFoundError as error:
-        raise LuxloopError(f"{file}: is missing, no step was recorded; record the run again") from error
-    except (pa.ArrowException, OSError) as error:
-        raise LuxloopError(f"{file}: damaged, not readable as Parquet ({_first_line(error)}); record the run again") from error
+    if not file.is_file():
+        raise LuxloopError(f"{file}: is missing, no step was recorded; record the run again")
+    with reading(file, "damaged, not readable as Parquet", "record the run again"), pq.ParquetFile(file) as stored:
+        afford(f"{file}: its table", BYTES_A_VALUE * stored.metadata.num_rows * stored.metadata.num_columns, "record the run again")
+        afford(f"{file}: its table", _declared(stored.metadata), "record the run again")
+        return stored.read()
+
+
+def _declared(metadata: pq.FileMetaData) -> int:
+    """Bytes of all columns before they were compressed."""
+    return sum(metadata.row_group(k).total_byte_size for k in range(metadata.num_row_groups))
 
 
 def read_table(file: Path) -> pa.Table:

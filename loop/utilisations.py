@@ -11,12 +11,15 @@ import torch
 from torch import Tensor
 
 from controllers.symbols import FOLDER_HZ, VIDEOS, frame_at, video
+from world.arrays import read_npy, read_npz
+from world.budget import afford
 from world.errors import LuxloopError
-from world.files import UNREADABLE
+from world.files import content, reading
+from world.images import decoded
 from world.photometry.distribution import Array
 from world.pixel_tables import separators
 
-MOST = 500_000_000  # utilisations of a sequence: 2 GB
+BYTES_A_VALUE = 8  # of a sequence: single precision, and its frames beside it until they are joined
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,10 +45,7 @@ def read_sequence(path: Path, rows: int, columns: int, rate_hz: float | None = N
     for file, part in zip(sequence_files(path), parts, strict=True):
         frames.append(_on_grid(file, part, rows, columns).astype(np.float32))
         n_values += frames[-1].size
-        if n_values > MOST:
-            raise LuxloopError(
-                f"{path}: holds more than {MOST // (rows * columns)} frames of this module; cut it to the part that shall be shown"
-            )
+        afford(f"{path}: its frames", BYTES_A_VALUE * n_values, "cut it to the part that shall be shown")
     return RawUtilisation(torch.from_numpy(np.concatenate(frames)), rate_hz or own_hz, repeat)
 
 
@@ -82,12 +82,8 @@ def read_utilisation(path: Path, rows: int, columns: int) -> Array:
 def _read(path: Path) -> Array:
     if path.suffix.lower() not in READERS:
         raise LuxloopError(f"{path}: utilisations are {', '.join(READERS)} files and videos; save them as one of these")
-    try:
+    with reading(path, "holds no utilisations", "save numbers from 0 to 1"):
         return READERS[path.suffix.lower()](path)
-    except OSError as error:
-        raise LuxloopError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
-    except UNREADABLE as error:
-        raise LuxloopError(f"{path}: holds no utilisations ({error}); save numbers from 0 to 1") from error
 
 
 def _on_grid(path: Path, given: Array, rows: int, columns: int) -> Array:
@@ -113,6 +109,7 @@ def _video(path: Path) -> tuple[float, Iterable[Array]]:
     if not path.is_file():
         raise LuxloopError(f"{path}: there is no such video; check the path")
     images, rate_hz = video(path, None)
+    afford(f"{path}: its frames", 2 * BYTES_A_VALUE * images.numel(), "cut it to the part that shall be shown")
     return rate_hz, [images.numpy() / 255]
 
 
@@ -121,15 +118,14 @@ def _size(given: Array) -> str:
 
 
 def _npy(path: Path) -> Array:
-    with path.open("rb") as stream:
-        return _numbers(np.lib.format.read_array(stream, allow_pickle=False))
+    return _numbers(read_npy(path))
 
 
 def _npz(path: Path) -> Array:
-    with np.load(path, allow_pickle=False) as arrays:
-        if len(arrays.files) != 1:
-            raise ValueError(f"{len(arrays.files)} arrays in place of one")
-        return _numbers(arrays[arrays.files[0]])
+    arrays = list(read_npz(path).values())
+    if len(arrays) != 1:
+        raise ValueError(f"{len(arrays)} arrays in place of one")
+    return _numbers(arrays[0])
 
 
 def _numbers(given: Array) -> Array:
@@ -147,8 +143,7 @@ def _csv(path: Path) -> Array:
 
 
 def _png(path: Path) -> Array:
-    data = np.frombuffer(path.read_bytes(), np.uint8)
-    image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH) if len(data) else None
+    image = decoded(content(path), str(path), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
     if image is None:
         raise ValueError("no picture")
     return np.asarray(image, np.float64) / (65535 if image.dtype == np.uint16 else 255)

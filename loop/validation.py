@@ -1,13 +1,15 @@
 """TOML files read, and pydantic's errors told in one sentence that names the key and the remedy."""
 
+import json
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
 from world.errors import LuxloopError, did_you_mean
+from world.files import content, reading
 from world.plugin import OWN
 
 WANTED = {
@@ -22,18 +24,47 @@ WANTED = {
 TABLE_ERRORS = ("model_type", "model_attributes_type", "dict_type")
 KEY_ITSELF = "[key]"  # how pydantic calls a key that is none, after it
 SHOWN_CHARACTERS = 60
+DEEPEST = 50  # levels of tables and lists in a file; a scenario has up to six
 
 
 def read_toml(path: Path) -> dict[str, Any]:
     """The tables of a TOML file. Raises LuxloopError that names the file and the remedy."""
+    with reading(path, "not valid TOML", "texts need quotes, tables a [header]"):
+        data = content(path)
+        try:
+            return parsed_toml(data.decode("utf-8-sig"))
+        except UnicodeDecodeError as error:
+            raise LuxloopError(f"{path}: byte {error.start} is not UTF-8, so this is no text that can be read; save it as UTF-8") from error
+
+
+def parsed_toml(text: str) -> dict[str, Any]:
+    """The tables of a text. Raises ValueError with the reason where it is no TOML, or none that can be worked with."""
+    return _workable(lambda: tomllib.loads(text))
+
+
+def parsed_json(text: str | bytes) -> Any:
+    """The value of a text. Raises ValueError with the reason where it is no JSON, or none that can be worked with."""
+    return _workable(lambda: json.loads(text))
+
+
+def _workable(parse: Callable[[], Any]) -> Any:
     try:
-        return tomllib.loads(path.read_text("utf-8-sig"))
-    except UnicodeDecodeError as error:
-        raise LuxloopError(f"{path}: byte {error.start} is not UTF-8, so this is no text that can be read; save it as UTF-8") from error
-    except tomllib.TOMLDecodeError as error:
-        raise LuxloopError(f"{path}: not valid TOML: {error}; texts need quotes, tables a [header]") from error
-    except OSError as error:
-        raise LuxloopError(f"{path}: cannot be read ({error.strerror}); check its path and permissions") from error
+        value = parse()
+    except RecursionError as error:
+        raise ValueError(f"it is nested deeper than {DEEPEST} levels") from error
+    if reason := _unworkable(value, DEEPEST):
+        raise ValueError(reason)
+    return value
+
+
+def _unworkable(value: Any, levels: int) -> str:
+    """Why plain data cannot be worked with, empty where it can: all that walks through tables recurs, and integers have 64 bits."""
+    if isinstance(value, int) and value.bit_length() > 64:
+        return "an integer has more than 64 bits"
+    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    if inner and not levels:
+        return f"it is nested deeper than {DEEPEST} levels"
+    return next(filter(None, (_unworkable(each, levels - 1) for each in inner)), "")
 
 
 def sentence(error: ValidationError, model: type[BaseModel], example: str) -> str:

@@ -1,14 +1,29 @@
 """The one error that users cause, which the command line turns into a sentence and exit code 2, and what helps to word it."""
 
 import difflib
+import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from typing import Final
+
+LONGEST_WORD: Final = 200  # characters: what is longer is input
+LONGEST_MESSAGE: Final = 1000
 
 NEAR = 0.7  # share of the letters that two near names have in common, in the same order
 
 
 class LuxloopError(ValueError):
-    """Bad input; the message is one sentence that names the file, the key or line, and the remedy."""
+    """Bad input; the message is one sentence that names the file, the key or line, and the remedy. Long input in it is cut short."""
+
+    def __init__(self, message: str) -> None:
+        words = re.sub(rf"\S{{{LONGEST_WORD},}}", lambda word: _short(word[0], LONGEST_WORD), message)
+        super().__init__(_short(words, LONGEST_MESSAGE))
+
+
+def _short(text: str, longest: int) -> str:
+    """Both ends of a text, since a path or a sentence begins with the place and ends with what it is about."""
+    half = (longest - 3) // 2
+    return text if len(text) <= longest else f"{text[:half]}...{text[-half:]}"
 
 
 @contextmanager

@@ -1,20 +1,38 @@
-"""Files that appear whole or not at all, and what NumPy says of files that are damaged or something else."""
+"""Files of others, read with one sentence where they cannot be, and files that appear whole or not at all."""
 
+import errno
 import os
-import zipfile
-import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
+from world.budget import afford
 from world.errors import LuxloopError
 
-# What reading a .npy or .npz raises beside OSError.
-UNREADABLE: Final = (
-    *(zipfile.BadZipFile, zlib.error, ValueError, KeyError, EOFError, NotImplementedError, RuntimeError, OverflowError),
-    *(SyntaxError, TypeError),
-)
+BYTES_A_BYTE: Final = 8  # of a file while it is read: its bytes, its text, its numbers
+
+
+def content(path: Path) -> bytes:
+    """All bytes of a regular file. Raises OSError for anything else, such as a device, and LuxloopError for one beyond the budget."""
+    if not path.is_file():
+        path.stat()  # raises for what is not there
+        raise OSError(errno.EINVAL, "it is a folder" if path.is_dir() else "it is no regular file")
+    afford(f"{path}: reading it", BYTES_A_BYTE * path.stat().st_size, "cut it down to the part that is needed")
+    return path.read_bytes()
+
+
+@contextmanager
+def reading(path: Path, otherwise: str, remedy: str) -> Iterator[None]:
+    """Turn whatever a reader raises on a file that is damaged or something else into `path: otherwise (reason); remedy`."""
+    try:
+        yield
+    except LuxloopError:
+        raise
+    except OSError as error:
+        raise LuxloopError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
+    except Exception as error:  # readers raise whatever their formats provoke
+        raise LuxloopError(f"{path}: {otherwise} ({str(error).strip() or type(error).__name__}); {remedy}") from error
 
 
 def files_at(path: Path) -> list[Path]:

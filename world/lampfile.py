@@ -16,8 +16,10 @@ import torch
 from pydantic import ConfigDict, Field, ValidationError, model_validator
 from torch import Tensor
 
+from world.arrays import Arrays, read_npz
+from world.budget import afford
 from world.errors import LuxloopError
-from world.files import UNREADABLE, whole
+from world.files import reading, whole
 from world.headlight import Headlight
 from world.lamp import Lamp, Module
 from world.params import Params
@@ -27,9 +29,8 @@ FORMAT: Final = "luxloop lamp"
 VERSION: Final = 1
 ALWAYS = ("full", "off")  # beams of every lamp
 LEVEL = 1  # of compression: a lamp shrinks to a half or a quarter; level 6 saves another 10 to 30 % and takes up to five times as long
+BYTES_A_PLACE = 16  # of a pixel or texel: of the matrix' row, of textures and utilisations
 RIGID = 1e-6  # so much may a rotation differ from one
-
-Arrays = dict[str, np.ndarray[Any, Any]]
 
 
 class ModuleHeader(Params):
@@ -108,19 +109,9 @@ def save(path: Path, lamp: Lamp) -> None:
 
 def load(path: Path) -> Lamp:
     """Read a lamp. Raises LuxloopError where the file is missing, foreign, newer than this luxloop or damaged."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            header = _header(path, archive)
-            arrays = {name: _array(archive, name) for name in archive.namelist() if name != "header.npy"}
-        return _lamp(header, arrays)
-    except OSError as error:
-        raise LuxloopError(f"{path}: cannot be read ({error.strerror}); check the path") from error
-    except LuxloopError:
-        raise
-    except UNREADABLE as error:
-        raise LuxloopError(
-            f"{path}: damaged, or no lamp file of luxloop ({error}); build it again with `luxloop headlight build`"
-        ) from error
+    with reading(path, "damaged, or no lamp file of luxloop", "build it again with `luxloop headlight build`"):
+        arrays = read_npz(path)
+        return _lamp(_header(path, arrays), arrays)
 
 
 def _header_of(lamp: Lamp) -> Header:
@@ -165,14 +156,10 @@ def _luxloop_version() -> str:
         return "not installed"
 
 
-def _array(archive: zipfile.ZipFile, name: str) -> np.ndarray[Any, Any]:
-    return np.lib.format.read_array(io.BytesIO(archive.read(name)), allow_pickle=False)  # type: ignore[no-any-return]
-
-
-def _header(path: Path, archive: zipfile.ZipFile) -> Header:
-    if "header.npy" not in archive.namelist():
+def _header(path: Path, arrays: Arrays) -> Header:
+    if "header" not in arrays:
         raise LuxloopError(f"{path}: no lamp file of luxloop, for it has no header; give a file that `luxloop headlight build` wrote")
-    text = _array(archive, "header.npy").tobytes()
+    text = arrays["header"].tobytes()
     try:
         stamp = _Stamp.model_validate_json(text)
         if stamp.version > VERSION:
@@ -203,14 +190,13 @@ def _lamp(header: Header, arrays: Arrays) -> Lamp:
 
 def _module(header: ModuleHeader, prefix: str, arrays: Arrays) -> Module:
     n_pixels, n_texels = header.pixel_rows * header.pixel_cols, header.rows * header.cols
+    afford(f"module {header.name!r}", BYTES_A_PLACE * (n_pixels + n_texels), "give it fewer pixels or a coarser texture")
     indptr = _tensor(arrays, f"{prefix}_indptr", (n_texels + 1,), np.int32, lambda a: a[0] == 0 and (np.diff(a) >= 0).all())
     nnz = int(indptr[-1])
     indices = _tensor(arrays, f"{prefix}_indices", (nnz,), np.int32, lambda a: ((a >= 0) & (a < n_pixels)).all())
     values = _tensor(arrays, f"{prefix}_values", (nnz,), np.float32, lambda a: np.isfinite(a).all() and (a >= 0).all())
     chroma = (
-        _tensor(arrays, f"{prefix}_chroma", (3, nnz), np.float32, lambda a: np.isfinite(a).all())
-        if f"{prefix}_chroma.npy" in arrays
-        else None
+        _tensor(arrays, f"{prefix}_chroma", (3, nnz), np.float32, lambda a: np.isfinite(a).all()) if f"{prefix}_chroma" in arrays else None
     )
     pose = _tensor(arrays, f"{prefix}_pose", (4, 4), np.float64, _rigid)
     grid = header.model_dump(exclude={"name", "headlight", "swivel_deg", "level_deg"})
@@ -233,7 +219,7 @@ def _share(array: np.ndarray[Any, Any]) -> np.bool_:
 
 
 def _tensor(arrays: Arrays, name: str, shape: tuple[int, ...], dtype: type, valid: Callable[[np.ndarray[Any, Any]], Any]) -> Tensor:
-    array = arrays[f"{name}.npy"]
+    array = arrays[name]
     if array.shape != shape or array.dtype != dtype or not valid(array):
         raise ValueError(f"{name} is not what the header says")
     return torch.from_numpy(array)

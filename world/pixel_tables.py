@@ -9,8 +9,9 @@ import pyarrow as pa
 import pyarrow.csv
 from numpy.typing import NDArray
 
+from world.arrays import read_npz
 from world.errors import LuxloopError
-from world.files import UNREADABLE
+from world.files import reading
 from world.headlight import LUMINANCE
 from world.photometry.distribution import EDGE_DEG, Array, Distribution
 from world.pixels import Pixel, PixelArray
@@ -40,14 +41,8 @@ def read_table(path: Path, rows: int | None = None, columns: int | None = None) 
 
 
 def _read_npz(path: Path, rows: int | None, columns: int | None) -> PixelArray:
-    try:
-        archive = np.load(path, allow_pickle=False)
-        if not isinstance(archive, np.lib.npyio.NpzFile):
-            raise ValueError("it is a single array")
-        with archive:
-            arrays = {name: archive[name] for name in archive.files}
-    except UNREADABLE as error:
-        raise LuxloopError(f"{path}: is no readable .npz file ({error}); save it with numpy.savez") from error
+    with reading(path, "is no readable .npz file", "save it with numpy.savez"):
+        arrays = read_npz(path)
     for name in ("candela", *ANGLES):
         if name not in arrays:
             raise LuxloopError(

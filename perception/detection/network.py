@@ -1,11 +1,11 @@
 """A small convolutional network that finds middles of objects, and how far their boxes reach from there (CenterNet, Zhou et al. 2019)."""
 
 import math
-import pickle
+import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import torch
 from torch import Tensor, nn
@@ -13,7 +13,8 @@ from torch.nn.functional import interpolate, max_pool2d
 
 from perception.detection.protocol import Detections
 from perception.detection.suppression import suppressed
-from world.errors import LuxloopError
+from world.budget import afford
+from world.files import reading
 from world.tracked import Category
 
 STRIDE = 8  # px of the frame a cell of what the network gives
@@ -113,15 +114,19 @@ class NetworkDetector:
 
 def load(file: Path, device: torch.device) -> tuple[Network, tuple[Category, ...]]:
     """The network of a file that `save` wrote, ready to detect, and its classes. Raises LuxloopError where it is none."""
-    try:
+    with reading(file, "holds no weights of this network", "take a file that `luxloop train-detector` wrote"):
+        with zipfile.ZipFile(file) as archive:
+            afford(f"{file}: its weights", 2 * sum(entry.file_size for entry in archive.infolist()), "train them anew")
         stored = torch.load(file, map_location=device, weights_only=True)
+        if not isinstance(stored, dict):
+            raise ValueError("it holds no table of weights")
         classes = tuple(stored["classes"])
+        if not classes or len(set(classes)) < len(classes) or not set(classes) <= set(get_args(Category)):
+            raise ValueError(f"its classes are not some of {', '.join(get_args(Category))}")
         network = Network(len(classes))
         network.load_state_dict(stored["weights"])
-    except OSError as error:
-        raise LuxloopError(f"{file}: cannot be read ({error.strerror}); check the path") from error
-    except (RuntimeError, KeyError, TypeError, EOFError, pickle.UnpicklingError) as error:
-        raise LuxloopError(f"{file}: holds no weights of this network; take a file that `luxloop train-detector` wrote") from error
+        if not all(each.isfinite().all() for each in network.state_dict().values()):
+            raise ValueError("some of its weights are not finite")
     return network.to(device).eval(), classes
 
 

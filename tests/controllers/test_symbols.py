@@ -125,3 +125,40 @@ def test_missing_files_and_bad_folders(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "1.png"), np.ones((2, 3), np.uint8))
     with pytest.raises(LuxloopError, match=r"1\.png is of another size than 0\.png \(2 x 2 and 3 x 2 px\)"):
         load(tmp_path)
+
+
+INSIDE = '<svg xmlns="http://www.w3.org/2000/svg" xmlns:x="http://www.w3.org/1999/xlink" viewBox="0 0 40 20">{}{}</svg>'
+RECTANGLE = '<rect id="r" x="10" width="20" height="10" fill="white"/>'
+
+
+@pytest.mark.parametrize(
+    ("extra", "words"),
+    [
+        ('<image x:href="/dev/zero" width="9" height="9"/>', "outside of itself"),
+        ('<image href="https://example.org/a.png" width="9" height="9"/>', "outside of itself"),
+        ('<image href="data:image/png;base64,AAAA" width="9" height="9"/>', "outside of itself"),
+        ('<rect fill="url( file:///a.svg#b )" width="9" height="9"/>', "outside of itself"),
+        ("<style>@import 'a.css';</style>", "outside of itself"),
+        ("<g>" * 3000 + "</g>" * 3000, "nested deeper"),
+    ],
+)
+def test_an_svg_stands_for_itself(extra: str, words: str, tmp_path: Path) -> None:
+    file = tmp_path / "a.svg"
+    file.write_text(INSIDE.format(RECTANGLE, extra))
+    with pytest.raises(LuxloopError, match=words):
+        load_still(file)
+    file.write_text('<!DOCTYPE svg [<!ENTITY lol "lol">]>' + INSIDE.format(RECTANGLE, ""))
+    with pytest.raises(LuxloopError, match="entity 'lol'"):
+        load_still(file)
+    file.write_text(INSIDE.format(RECTANGLE, '<use x:href="#r"/><a href="https://example.org"/>'))
+    assert load_still(file).any()
+
+
+@pytest.mark.parametrize(("width", "height", "shape"), [(40_000, 40_000, (512, 512)), (40_000, 80, (2, 512)), (8, 40_000, (512, 1))])
+def test_an_svg_of_any_size_is_drawn_alike(width: int, height: int, shape: tuple[int, int], tmp_path: Path) -> None:
+    file = tmp_path / "a.svg"
+    file.write_text(f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}"><rect {SIZE} fill="white"/></svg>')
+    assert load_still(file).shape == shape
+
+
+SIZE = 'width="40000" height="40000"'

@@ -15,7 +15,7 @@ import pytest
 from controllers.symbol.flat_model import FeatureParams
 from loop.comparison import CENTROID_M, CENTROID_PX, SHEAR, TOLERANCES, compare, tolerances
 from loop.recorder import COLUMNS, SCHEMA, Recorder, row, table_of
-from loop.replay import load, replay, to_csv
+from loop.replay import load, read_parquet, replay, to_csv
 from loop.scenario import Scenario
 from loop.simulation import Simulation, StepResult
 from loop.summary import steady_step
@@ -273,3 +273,18 @@ def test_csv_has_every_value(recording: Path, tmp_path: Path, table: pa.Table) -
 def test_csv_that_cannot_be_written_is_told(recorded: Path, tmp_path: Path) -> None:
     with pytest.raises(LuxloopError, match=r"out\.csv: cannot be written \(.*\); name another file"):
         to_csv(recorded, tmp_path / "no" / "out.csv")
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, '{"format": ' + "[" * 300 + "]" * 300 + "}", '{"seed": ' + "9" * 5000 + "}", "\xff\0"])
+def test_manifests_beyond_all_reason_are_told_in_a_sentence(text: str, tmp_path: Path) -> None:
+    (tmp_path / "manifest.json").write_text(text, "latin-1")
+    with pytest.raises(LuxloopError, match="damaged, not valid JSON"):
+        load(tmp_path)
+
+
+def test_a_table_that_unpacks_to_more_than_the_budget_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "a.parquet"
+    pq.write_table(pa.table({f"c{k}": pa.repeat(0.0, 1_000_000) for k in range(200)}), file)
+    assert file.stat().st_size < 1e6
+    with pytest.raises(LuxloopError, match=r"its table would take at least 3.2 GB"):
+        read_parquet(file)

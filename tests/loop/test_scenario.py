@@ -255,3 +255,14 @@ def test_one_key_of_one_item_of_a_list_can_be_set(tmp_path: Path, monkeypatch: p
 def test_what_goes_with_lighting_is_told_where_there_is_a_symbol() -> None:
     with pytest.raises(LuxloopError, match=r"detector: goes with \[lighting\], but this is the scenario of a \[symbol\]; .* such as obl"):
         load_any("snowflake", ["detector.kind=hog"])
+
+
+DEEP, LONG = "[" * 3000 + "]" * 3000, "9" * 5000
+
+
+@pytest.mark.parametrize("text", [f"steps = {DEEP}", f"steps = {LONG}", f"steps = 0x{LONG}", f"{'a.' * 3000}a = 1", f"['{'x' * 9999}']"])
+def test_files_beyond_all_reason_are_told_in_a_sentence(text: str, file: Path) -> None:
+    file.write_text(text)
+    assert len(failure(file)) < 1000
+    with pytest.raises(LuxloopError):
+        load_any("flat", [text])

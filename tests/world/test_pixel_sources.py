@@ -224,7 +224,7 @@ HEAD = "pixel,horizontal_deg,vertical_deg,candela\n"
         (npz(horizontal_deg=1.0), "must be lists of angles"),
         (npz(horizontal_deg=H[:, None]), "must be lists of angles"),
         (npz(candela=np.ones((0, 13, 25))), "candela must not be empty"),
-        (single_array, "no readable .npz file (it is a single array)"),
+        (single_array, "no readable .npz file (File is not a zip file)"),
         (csv(HEAD), "has a first line only"),
         (csv(HEAD.replace("vertical_deg", "candela") + "0,1,1,1\n"), "two columns candela"),
         (csv(HEAD + "0,1,1,2020-01-01\n"), "no table of numbers"),

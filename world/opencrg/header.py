@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from world.files import content
 from world.opencrg.crg import KINDS, CrgError
 
 _END = re.compile(rb"^\$\$[^\n]*(?:\n|\Z)", re.MULTILINE)
@@ -49,11 +50,11 @@ class Channels:
 
 def read_header(path: Path) -> Header:
     try:
-        content = path.read_bytes()
+        data = content(path)
     except OSError as error:
         raise CrgError(f"{path}: cannot be read ({error.strerror}); check the path") from error
-    end = _END.search(content)
-    text = content[: end.start() if end else len(content)].decode("latin-1")
+    end = _END.search(data)
+    text = data[: end.start() if end else len(data)].decode("latin-1")
     sections: dict[str, list[tuple[int, str]]] = {}
     name = ""
     lines = text.splitlines() if "$ROAD_CRG" in text.upper() else []
@@ -67,7 +68,7 @@ def read_header(path: Path) -> Header:
             sections[name].append((number, line.partition("!")[0].strip()))
     if "ROAD_CRG_FILE" not in sections and not (end and "ROAD_CRG" in sections):
         raise CrgError(f"{path}: is not an OpenCRG file (no $ROAD_CRG header that ends in a $$$$ line); give a .crg file")
-    return Header(path, sections, len(lines) + 1, content[end.end() :] if end else b"")
+    return Header(path, sections, len(lines) + 1, data[end.end() :] if end else b"")
 
 
 def read_channels(header: Header) -> Channels:

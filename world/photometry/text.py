@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from world.errors import LuxloopError
+from world.files import content
 
 LARGEST = 1e15  # no number of photometry comes near it, and products of a few stay finite
 
@@ -18,7 +19,7 @@ class PhotometryError(LuxloopError):
 def load(path: Path) -> str:
     """Text of a file with \\n at line ends: UTF-8, else Latin-1. Raises PhotometryError where it cannot be read, is empty or binary."""
     try:
-        data = path.read_bytes()
+        data = content(path)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise PhotometryError(f"{path}: cannot be read ({reason}); check the path") from error

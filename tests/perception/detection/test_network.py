@@ -1,6 +1,10 @@
 """luxloop's own network with the weights that are shipped."""
 
+import io
+import zipfile
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -95,3 +99,45 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
     torch.save({"classes": ["car"], "weights": {"head": torch.zeros(1)}}, other)
     with pytest.raises(LuxloopError, match="holds no weights"):
         detector(NetworkParams(weights=str(other)), torch.device("cpu"))
+
+
+def stored(value: Any) -> bytes:
+    buffer = io.BytesIO()
+    torch.save(value, buffer)
+    return buffer.getvalue()
+
+
+def unpacking(value: bytes) -> bytes:
+    """An archive of next to nothing that unpacks to 2 GB."""
+    buffer = io.BytesIO(value)
+    with zipfile.ZipFile(buffer, "a", zipfile.ZIP_DEFLATED) as archive, archive.open("archive/data/0", "w", force_zip64=True) as entry:
+        for _ in range(20):
+            entry.write(bytes(100_000_000))
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (lambda: stored(torch.zeros(3)), "holds no weights"),
+        (lambda: stored({"classes": ["martian"], "weights": {}}), "its classes are not some of"),
+        (lambda: stored({"classes": [], "weights": {}}), "its classes are not some of"),
+        (lambda: stored({"classes": 5, "weights": {}}), "holds no weights"),
+        (lambda: b"no archive", "holds no weights"),
+        (lambda: unpacking(stored({})), "its weights would take"),
+    ],
+)
+def test_weights_of_something_else_are_told_in_a_sentence(given: Callable[[], bytes], words: str, tmp_path: Path) -> None:
+    file = tmp_path / "a.pt"
+    file.write_bytes(given())
+    with pytest.raises(LuxloopError, match=words):
+        load(file, torch.device("cpu"))
+
+
+def test_weights_that_are_not_finite_are_refused(tmp_path: Path) -> None:
+    network = Network(1)
+    with torch.no_grad():
+        network.head.weight[0] = float("nan")
+    save(network, ("car",), tmp_path / "a.pt")
+    with pytest.raises(LuxloopError, match="not finite"):
+        load(tmp_path / "a.pt", torch.device("cpu"))

@@ -1,0 +1,58 @@
+"""NumPy files of others: what a header declares is checked before it is allocated, and objects are refused, since a pickle runs code."""
+
+import math
+import zipfile
+from pathlib import Path
+from typing import IO, Any, Final
+
+import numpy as np
+from numpy.lib import format as npy
+
+from world.budget import afford
+
+BYTES_A_NUMBER: Final = 16  # readers turn most numbers into float64, and copy them once
+REMEDY: Final = "save fewer numbers in it"
+_HEADERS: Final = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
+
+Arrays = dict[str, np.ndarray[Any, Any]]
+
+
+def read_npy(path: Path) -> np.ndarray[Any, Any]:
+    """The array of a .npy. Raises LuxloopError where it needs more memory than the budget, and what damaged files provoke in NumPy."""
+    with path.open("rb") as stream:
+        afford(f"{path}: its array", BYTES_A_NUMBER * _declared(stream, path.stat().st_size), REMEDY)
+        return _array(stream)
+
+
+def read_npz(path: Path) -> Arrays:
+    """The arrays of a .npz by name, `.npy` left out. Raises as `read_npy` does."""
+    with zipfile.ZipFile(path) as archive:
+        members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
+        afford(f"{path}: its entries", sum(info.file_size for info in members.values()), REMEDY)
+        declared = 0
+        for info in members.values():
+            with archive.open(info) as stream:
+                declared += _declared(stream, info.file_size)
+        afford(f"{path}: its arrays", BYTES_A_NUMBER * declared, REMEDY)
+        arrays: Arrays = {}
+        for name, info in members.items():
+            with archive.open(info) as stream:
+                arrays[name] = _array(stream)
+        return arrays
+
+
+def _declared(stream: IO[bytes], n_bytes: int) -> int:
+    """How many numbers the header of an array says there are. Raises ValueError where they do not fit into the bytes of the stream."""
+    version = npy.read_magic(stream)
+    if version not in _HEADERS:
+        raise ValueError(f"an array of format version {version}")
+    shape, _, dtype = _HEADERS[version](stream)
+    count = math.prod(shape)
+    if count * dtype.itemsize > n_bytes:
+        raise ValueError("an array that is longer than its file")
+    stream.seek(0)
+    return count
+
+
+def _array(stream: IO[bytes]) -> np.ndarray[Any, Any]:
+    return npy.read_array(stream, allow_pickle=False)  # type: ignore[no-any-return]
