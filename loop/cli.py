@@ -13,6 +13,7 @@ from cyclopts import App, CycloptsError, UnknownCommandError, UnusedCliTokensErr
 from loop.cli_common import DIFFERS, INTERRUPTED, OK, UNREAD, WRONG, Device, Keys
 from loop.headlight_cli import headlight_app
 from loop.listing_cli import data_app, doctor, list_, schema
+from loop.shipped import copied, examples, original
 from loop.studies_cli import campaign, evaluate, optimise_beam, train_detector, tune
 from world.errors import LuxloopError, did_you_mean
 
@@ -85,25 +86,34 @@ def _complaint(error: CycloptsError) -> str:
 
 
 @app.command
-def new(file: Path, /, *, like: str | None = None, traffic: int | None = None) -> None:
-    """Write a scenario file, ready to run: a commented one of a symbol with all common keys, or a copy of a shipped one of either kind.
+def new(file: Path | None = None, /, *, like: str | None = None, traffic: int | None = None) -> None:
+    """Write a scenario file, ready to run: a commented one of a symbol with all common keys, or a copy of a shipped one or of an example.
 
     Parameters
     ----------
     file
-        File to write, such as my.toml; one that exists is left alone.
+        File to write, such as my.toml, by default named like what is copied; one that exists is left alone.
     like
-        Shipped scenario to copy (see `luxloop list`), such as gfhb for lighting functions.
+        Shipped scenario or example to copy (see `luxloop list` and `luxloop list examples`), such as gfhb for lighting functions.
     traffic
         Seed of a night with traffic, its road and light, to write in place of it.
     """
-    from loop.template import copied, night, template
-
     if like is not None and traffic is not None:
         raise LuxloopError("--like copies a scenario and --traffic draws one; give one of the two")
     if traffic is not None and traffic < 0:
         raise LuxloopError(f"--traffic {traffic}: a seed is a whole number from 0 on")
-    text = night(file.stem, traffic) if traffic is not None else template(file.stem) if like is None else copied(file.stem, like)
+    if like is not None:
+        source = original(like)
+        file = file or Path(source.name)
+        if file.suffix != source.suffix:
+            raise LuxloopError(f"{file}: --like {like} copies a {source.suffix} file; give its copy the same ending")
+        text = copied(source, file.stem)
+    elif file is not None:
+        from loop.template import night, template
+
+        text = template(file.stem) if traffic is None else night(file.stem, traffic)
+    else:
+        raise LuxloopError("luxloop new: lacks a file to write, such as my.toml; --like NAME alone copies under the same name")
     try:
         with file.open("x", encoding="utf-8") as stream:
             stream.write(text)
@@ -111,7 +121,7 @@ def new(file: Path, /, *, like: str | None = None, traffic: int | None = None) -
         raise LuxloopError(f"{file}: exists already; name another file, or remove it first") from error
     except OSError as error:
         raise LuxloopError(f"{file}: cannot be written ({error.strerror}); check its folder") from error
-    print(f"{file} written; run it with: luxloop run {file}")
+    print(f"{file} written; {'its first lines tell how to use it' if like in examples() else f'run it with: luxloop run {file}'}")
 
 
 @app.command

@@ -1,19 +1,34 @@
 """The commands that show what luxloop has and what this machine has: list, schema, doctor, data."""
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal
 
 from cyclopts import App
 
 from loop import tables
-from loop.cli_common import DIFFERS, OK
+from loop.cli_common import DIFFERS, OK, Json
+from loop.listing import Kind, listing
 
 data_app = App(name="data", help="Measured roads and light distributions from their public sources.")
 
 
-def list_() -> None:
-    """Show the scenarios that come with luxloop, and what data they lack."""
-    tables.show(tables.scenarios())
+def list_(kind: Kind = "scenarios", /, *, json: Json = False) -> None:
+    """Show what comes with luxloop: scenarios with the data that they lack, or the parts that a scenario may name.
+
+    Parameters
+    ----------
+    kind
+        What to show.
+    json
+        Print a list of objects with the keys name and description; those of scenarios have uses (controller or kinds of lighting functions)
+        and lacks (name of a data file, or null), too.
+    """
+    found = listing(kind)
+    if json:
+        tables.show_json(found)
+    else:
+        tables.show(tables.listed(kind, found))
 
 
 def schema(*, kind: Literal["symbol", "lighting"] | None = None) -> None:
@@ -24,22 +39,29 @@ def schema(*, kind: Literal["symbol", "lighting"] | None = None) -> None:
     kind
         Scenarios that have a table of this name; by default both kinds.
     """
-    import json
-
     from pydantic import TypeAdapter
 
     from loop.scenario import AnyScenario, LightingScenario, Scenario
 
     models: dict[str | None, Any] = {"symbol": Scenario, "lighting": LightingScenario, None: AnyScenario}
-    print(json.dumps(TypeAdapter(models[kind]).json_schema(), indent=2))
+    tables.show_json(TypeAdapter(models[kind]).json_schema())
 
 
-def doctor() -> int:
-    """Look at what luxloop needs on this machine, and name the command that mends what is missing."""
+def doctor(*, json: Json = False) -> int:
+    """Look at what luxloop needs on this machine, and name the command that mends what is missing; exit code 1 where something failed.
+
+    Parameters
+    ----------
+    json
+        Print an object with the keys ok and checks, which are a list of objects with the keys name, status, found and remedy.
+    """
     from loop.doctor import all_good, checks
 
     found = checks()
-    tables.show(tables.findings(found))
+    if json:
+        tables.show_json({"ok": all_good(found), "checks": [asdict(check) for check in found]})
+    else:
+        tables.show(tables.findings(found))
     return OK if all_good(found) else DIFFERS
 
 

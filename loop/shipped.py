@@ -1,5 +1,7 @@
-"""The scenarios that come with luxloop, by name. Light to import, so that `luxloop list` answers at once."""
+"""The scenarios and examples that come with luxloop, by name. Light to import, so that `luxloop list` answers at once."""
 
+import json
+import re
 from importlib.resources import files
 from pathlib import Path
 
@@ -9,6 +11,11 @@ from world.errors import LuxloopError, did_you_mean
 def shipped() -> dict[str, Path]:
     """Scenario files that come with luxloop, by name."""
     return {path.stem: path for path in sorted(Path(str(files("scenarios"))).glob("*.toml"))}
+
+
+def examples() -> dict[str, Path]:
+    """Campaign files, a lamp's description and programs that come with luxloop, by the name of the file."""
+    return {path.name: path for path in sorted(Path(str(files("scenarios") / "examples")).glob("*.*"))}
 
 
 def shipped_files(kind: str) -> dict[str, Path]:
@@ -25,6 +32,23 @@ def named(name: str, kind: str) -> Path:
         return Path(name)
     hint = did_you_mean(name, known, f"shipped are {', '.join(known)}; a file or folder is given by its path")
     raise LuxloopError(f"there are no {kind} {name!r}; {hint}")
+
+
+def original(like: str) -> Path:
+    """The file of a shipped scenario or example, to copy. Raises LuxloopError with the nearest name."""
+    known = shipped() | examples()
+    if like not in known:
+        hint = did_you_mean(like, known, "`luxloop list` and `luxloop list examples` show all")
+        raise LuxloopError(f"--like {like}: there is no shipped scenario or example of this name; {hint}")
+    return known[like]
+
+
+def copied(source: Path, name: str) -> str:
+    """The text of a shipped file; a scenario gets another name."""
+    text = source.read_text("utf-8")
+    if source != shipped().get(source.stem):
+        return text
+    return re.sub(r"^name = .*$", lambda _: f"name = {json.dumps(name, ensure_ascii=False)}", text, count=1, flags=re.MULTILINE)
 
 
 def find(name: str) -> Path:

@@ -1,7 +1,7 @@
 """The tables that the command line shows."""
 
+import json
 import sys
-import tomllib
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -10,14 +10,13 @@ from rich.markup import escape
 from rich.table import Table
 
 from loop import data
-from loop.shipped import shipped
+from loop.listing import USES, Kind
 
 if TYPE_CHECKING:  # these import torch
     from loop.comparison import Difference
     from loop.doctor import Check
 
 WIDE = 160  # columns where there is no terminal to fit into
-DEFAULT_CONTROLLER = "luxloop"  # of scenarios that name none, whose model imports torch
 COLOURS = {"ok": "green", "warn": "yellow", "fail": "red"}
 
 
@@ -32,26 +31,21 @@ def show(table: Table) -> None:
     console().print(table)
 
 
-def scenarios() -> Table:
-    """Shipped scenarios; read without validation, which the tests have done."""
-    table = plain("scenario", "controller or functions", "what is to be seen")
-    for name, file in shipped().items():
-        content = tomllib.loads(file.read_text("utf-8"))
-        road = content.get("road", {}).get("file", "")
-        lacking = road in data.registry() and data.present(road) is None
-        remedy = f"\n[yellow]needs {road}: luxloop data get {road}[/]" if lacking else ""
-        table.add_row(f"[bold]{name}[/]", _at_work(content), escape(content["description"]) + remedy)
+def show_json(value: Any) -> None:
+    """Print what a program reads."""
+    print(json.dumps(value, indent=2, ensure_ascii=False))
+
+
+def listed(kind: Kind, found: Sequence[dict[str, Any]]) -> Table:
+    """What `loop.listing` found of a kind."""
+    scenarios = kind == "scenarios"
+    table = plain(kind.removesuffix("s"), *(["controller or functions"] if scenarios else []), "what it is")
+    table.caption, table.caption_justify = escape(USES[kind]), "left"
+    for row in found:
+        remedy = f"\n[yellow]needs {row['lacks']}: luxloop data get {row['lacks']}[/]" if row.get("lacks") else ""
+        uses = [", ".join(row["uses"])] if scenarios else []
+        table.add_row(f"[bold]{row['name']}[/]", *uses, escape(row["description"]) + remedy)
     return table
-
-
-def _at_work(content: dict[str, Any]) -> str:
-    """The controller of a symbol, or the kinds of lighting functions, the base beam where there are none."""
-    if "lighting" not in content:
-        return str(content.get("controller", {}).get("name", DEFAULT_CONTROLLER))
-    lighting = content["lighting"]
-    raw = ["raw utilisations"] if "raw" in lighting else []
-    kinds = dict.fromkeys([*raw, *(function["kind"] for function in lighting.get("functions", ()))])
-    return ", ".join(kinds) or f"{lighting['base']['beam']} beam"
 
 
 def data_files() -> Table:

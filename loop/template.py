@@ -1,7 +1,6 @@
-"""The text of `luxloop new`: a scenario file that runs, with every common key and what it means, made from the model itself, or a copy."""
+"""The text of `luxloop new`: a scenario file that runs, with every common key and what it means, made from the model itself."""
 
 import json
-import re
 from typing import Any, Literal, cast, get_args, get_origin
 
 from pydantic import BaseModel
@@ -9,9 +8,8 @@ from pydantic.fields import FieldInfo
 
 from controllers.symbol import CONTROLLERS, LuxloopParams
 from loop.scenario import Scenario
-from loop.shipped import shipped, shipped_files
+from loop.shipped import shipped_files
 from perception.extraction import ExtractionParams
-from world.errors import LuxloopError, did_you_mean
 from world.roads import Mixed, RoadParams
 from world.traffic.generator import varied
 
@@ -62,14 +60,6 @@ def template(name: str) -> str:
         else:
             keys.append(_line(key, field, chosen.get(key)))
     return HEAD + "\n".join(keys) + "\n\n" + "\n\n".join(tables) + "\n" + TAIL
-
-
-def copied(name: str, like: str) -> str:
-    """The text of a shipped scenario under another name. Raises LuxloopError where there is none like that."""
-    known = shipped()
-    if like not in known:
-        raise LuxloopError(f"--like {like}: there is no shipped scenario of this name; {did_you_mean(like, known)}")
-    return re.sub(r"^name = .*$", lambda _: f"name = {_toml(name)}", known[like].read_text("utf-8"), count=1, flags=re.MULTILINE)
 
 
 def night(name: str, seed: int) -> str:

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import tomllib
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -43,14 +44,29 @@ def test_wheel_holds_every_file_of_the_packages(wheel: Path) -> None:
     assert any(name.endswith("licenses/LICENSE") for name in shipped)
 
 
-def test_main_job_runs_from_the_wheel(wheel: Path, tmp_path: Path) -> None:
-    site = tmp_path / "site"
+@pytest.fixture(scope="module")
+def luxloop(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """Run a command line with what the wheel holds, away from the checkout; gives the folder that it ran in."""
+    site, folder = tmp_path_factory.mktemp("site"), tmp_path_factory.mktemp("work")
     zipfile.ZipFile(wheel).extractall(site)
     program = "import sys, loop.cli; assert loop.cli.__file__.startswith(sys.argv.pop(1)); sys.exit(loop.cli.main())"
-    arguments = ["run", "snowflake", "--steps", "2", "--no-video", "--out", str(tmp_path / "out")]
-    environment = {**os.environ, "PYTHONPATH": str(site)}
-    subprocess.run([sys.executable, "-c", program, str(site), *arguments], cwd=tmp_path, env=environment, check=True)
-    assert (tmp_path / "out" / "summary.json").is_file()
+
+    def run(*arguments: str) -> Path:
+        environment = {**os.environ, "PYTHONPATH": str(site)}
+        subprocess.run([sys.executable, "-c", program, str(site), *arguments], cwd=folder, env=environment, check=True)
+        return folder
+
+    return run
+
+
+def test_main_job_runs_from_the_wheel(luxloop: Callable[..., Path]) -> None:
+    folder = luxloop("run", "snowflake", "--steps", "2", "--no-video", "--out", "out")
+    assert (folder / "out" / "summary.json").is_file()
+
+
+@pytest.mark.parametrize(("like", "file"), [("gfhb", "gfhb.toml"), ("lamp.toml", "lamp.toml"), ("tune_gains.py", "tune_gains.py")])
+def test_what_the_documentation_names_is_copied_from_the_wheel(luxloop: Callable[..., Path], like: str, file: str) -> None:
+    assert (luxloop("new", "--like", like) / file).stat().st_size > 100
 
 
 def test_constraints_meet_what_the_project_asks_for() -> None:

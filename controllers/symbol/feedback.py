@@ -34,13 +34,13 @@ class FeedbackParams(StagedParams):
 
 
 class GaussNewtonParams(FeedbackParams):
-    """Gauss-Newton steps on the four features."""
+    """Gauss-Newton steps on four features of the symbol: the whole Jacobian in place of four gains."""
 
     name: Literal["gauss_newton"] = "gauss_newton"
 
 
 class ModelReferenceParams(FeedbackParams):
-    """An internal model of latency and field of view."""
+    """Compares with what a flat road would show of the same light, so that latency does not matter to it."""
 
     name: Literal["model_reference"] = "model_reference"
 

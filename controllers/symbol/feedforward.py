@@ -28,7 +28,7 @@ HIGHEST_M, LAYERS = 0.3, 121  # heights between which a given road may be, and h
 
 
 class FeedforwardParams(Params):
-    """The road as it is believed to be; what the camera sees is not used, or only in the survey at the beginning."""
+    """Draws for the road that is given, or that a survey at the beginning measures. What the camera sees later is not used."""
 
     name: Literal["feedforward"] = "feedforward"
     road: RoadParams = Field(Flat(), description="the road's shape, with the keys of [road]")

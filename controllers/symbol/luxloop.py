@@ -31,7 +31,7 @@ PITCH_RAD = 5e-4  # usual error of a pitch that is foretold
 
 
 class LuxloopParams(Params):
-    """Heights from registration; the open loop where they explain nothing."""
+    """Finds the road's heights from how the symbol lies on it, and draws for that road. Where they explain nothing it is the open loop."""
 
     name: Literal["luxloop"] = "luxloop"
     cell_m: tuple[float, float] = Field((0.2, 0.15), description="distance of heights on the assumed road, along and across")

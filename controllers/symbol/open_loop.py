@@ -11,7 +11,7 @@ from world.params import Params
 
 
 class OpenLoopParams(Params):
-    """No control; the start pose is ignored."""
+    """No control: what lies straight at the target on a flat road is shown for ever. The start pose is ignored."""
 
     name: Literal["open"] = "open"
 

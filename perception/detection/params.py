@@ -71,7 +71,7 @@ class OwnDetector(Params):
 
 
 class TruthParams(Params):
-    """What the scene is known to hold, however dark it is; the classes are those of the objects, and parked cars are cars."""
+    """Every object that the scene holds, however dark it is. The classes are those of the objects, and parked cars are cars."""
 
     kind: Literal["truth"] = "truth"
     least_height_px: float = Field(12.0, ge=0, description="of what is found")

@@ -56,7 +56,7 @@ def test_a_grid_and_a_list_become_runs_with_their_scenarios(tmp_path: Path) -> N
 
 
 def test_the_example_is_what_the_docs_show() -> None:
-    example = ROOT / "examples" / "night.toml"
+    example = ROOT / "scenarios" / "examples" / "night.toml"
     assert len(read(example)) == 17
     (shown,) = re.findall(r"^```\n(scenarios.*?)^```", (ROOT / "docs" / "campaigns.md").read_text(), re.M | re.S)
     assert tomllib.loads(shown) == tomllib.loads(example.read_text())
@@ -145,7 +145,7 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
 
 
 def test_patterns_of_light_are_compared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    text = (ROOT / "examples" / "patterns.toml").read_text("utf-8").replace("seeds = [0, 1]", "seeds = [0]")
+    text = (ROOT / "scenarios" / "examples" / "patterns.toml").read_text("utf-8").replace("seeds = [0, 1]", "seeds = [0]")
     small = 'steps = 6\nrenderer = "raycast"\ndetector.kind = "truth"\ncamera = { width_px = 320, height_px = 180, oversampling = 1 }\n'
     (tmp_path / "patterns.toml").write_text(f"{text}[set]\n{small}")
     monkeypatch.chdir(tmp_path)

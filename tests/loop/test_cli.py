@@ -16,9 +16,10 @@ import pandas as pd
 import pytest
 import torch
 
-from loop import cli, data, tables
+from loop import cli, data, listing, tables
 from loop.doctor import Check
 from loop.scenario import Scenario, load, load_any, validate
+from loop.shipped import examples, shipped
 from loop.simulation import Simulation
 from world.errors import LuxloopError
 from world.opencrg import Crg, write_crg
@@ -62,6 +63,34 @@ def assert_one_sentence(error: str) -> None:
     assert error.startswith("error: ")
     assert error.count("\n") == 1 and error.endswith("\n")
     assert "Traceback" not in error and not re.search(r"\.\s+[A-Z]", error)
+
+
+@pytest.mark.parametrize(
+    ("kind", "some"),
+    [
+        ("scenarios", ["snowflake", "gfhb"]),
+        ("controllers", ["luxloop", "open", "thesis_pid"]),
+        ("roads", ["flat", "opencrg"]),
+        ("symbols", ["chevrons"]),
+        ("detectors", ["network", "truth"]),
+        ("lamps", ["ssl-hd"]),
+        ("examples", ["night.toml", "tune_gains.py"]),
+    ],
+)
+def test_each_kind_is_listed_for_people_and_for_programs(lux: Lux, kind: str, some: list[str]) -> None:
+    code, out, _ = lux("list", kind)
+    assert code == 0 and all(name in out for name in some)
+    code, out, _ = lux("list", kind, "--json")
+    listed = {each["name"]: each for each in json.loads(out)}
+    assert code == 0 and set(some) <= set(listed) and "package.module:Name" not in listed
+    keys = {"name", "description", "uses", "lacks"} if kind == "scenarios" else {"name", "description"}
+    assert all(set(each) == keys and each["description"] for each in listed.values())
+
+
+def test_lists_that_need_no_model_import_no_torch() -> None:
+    listing = "for kind in ('scenarios', 'symbols', 'examples'): cli.main(['list', kind])"
+    program = f"import sys\nfrom loop import cli\n{listing}\nassert 'torch' not in sys.modules"
+    subprocess.run([sys.executable, "-c", program], check=True, stdout=subprocess.DEVNULL)
 
 
 def test_help_and_version(lux: Lux) -> None:
@@ -196,10 +225,39 @@ def test_schema_is_json(lux: Lux) -> None:
     assert {each["$ref"] for each in both["anyOf"]} == {"#/$defs/Scenario", "#/$defs/LightingScenario"}
 
 
-@pytest.mark.parametrize("like", ["gfhb", "curb", "raw_utilisations"])
+@pytest.mark.parametrize("like", shipped())
 def test_new_scenario_like_a_shipped_one_differs_in_its_name_alone(lux: Lux, like: str) -> None:
     assert lux("new", "my.toml", "--like", like)[0] == 0
     assert load_any("my.toml").model_copy(update={"name": like}) == load_any(like)
+
+
+@pytest.mark.parametrize("like", examples())
+def test_every_example_can_be_copied_from_where_luxloop_is_installed(lux: Lux, like: str) -> None:
+    code, out, _ = lux("new", "--like", like)
+    assert code == 0 and "first lines" in out
+    assert Path(like).read_text("utf-8") == examples()[like].read_text("utf-8")
+
+
+def test_new_names_the_copy_like_the_original_unless_told_otherwise(lux: Lux) -> None:
+    assert lux("new", "--like", "curb")[0] == 0
+    assert load_any("curb.toml") == load_any("curb")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ("new", "such as my.toml"),
+        ("new my.toml --like tune_gains.py", "same ending"),
+        ("new --like nothing_like_it", "`luxloop list examples`"),
+        ("new --like tune_gain.py", "did you mean 'tune_gains.py'?"),
+    ],
+)
+def test_new_that_cannot_be_is_refused(lux: Lux, tmp_path: Path, arguments: str, said: str) -> None:
+    before = set(tmp_path.iterdir())
+    code, _, error = lux(*arguments.split())
+    assert code == cli.WRONG and said in error
+    assert_one_sentence(error)
+    assert set(tmp_path.iterdir()) == before
 
 
 def test_new_scenario_like_none_is_refused_and_nothing_written(lux: Lux, tmp_path: Path) -> None:
@@ -238,7 +296,7 @@ def test_list_names_missing_data_and_how_to_get_it(lux: Lux, tmp_path: Path, mon
 
 
 def test_list_knows_the_controller_that_applies_where_none_is_named() -> None:
-    assert validate({"name": "bare", "symbol": {"image": "snowflake"}}, "bare").controller.name == tables.DEFAULT_CONTROLLER
+    assert validate({"name": "bare", "symbol": {"image": "snowflake"}}, "bare").controller.name == listing.DEFAULT_CONTROLLER
 
 
 def test_data_commands(lux: Lux, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

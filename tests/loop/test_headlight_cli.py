@@ -18,7 +18,7 @@ from world.lampfile import save
 from world.photometry import read
 from world.presets import idealised
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "lamp.toml"
+EXAMPLE = Path(__file__).parents[2] / "scenarios" / "examples" / "lamp.toml"
 Lux = Callable[[str], tuple[int, str, str]]
 
 

@@ -18,7 +18,7 @@ from world.photometry import lm63
 from world.photometry.distribution import Distribution
 
 ROOT = Path(__file__).parents[2]
-EXAMPLE, PAGE = ROOT / "examples" / "lamp.toml", ROOT / "docs" / "lampfiles.md"
+EXAMPLE, PAGE = ROOT / "scenarios" / "examples" / "lamp.toml", ROOT / "docs" / "lampfiles.md"
 MATRIX = """
 name = "small"
 [[module]]

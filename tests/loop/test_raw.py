@@ -127,8 +127,8 @@ def test_paths_are_those_beside_the_file_and_every_frame_is_an_input(written: di
 
 
 def test_the_shipped_sequence_is_what_its_program_draws(tmp_path: Path) -> None:
-    from examples.draw_utilisations import draw
     from loop.shipped import shipped_files
+    from scenarios.examples.draw_utilisations import draw
 
     draw(tmp_path)
     shipped = shipped_files("utilisations")["curtain"]

@@ -1,4 +1,4 @@
-"""Pictures of the lighting functions: `python examples/lighting_functions.py [FOLDER] [NAME ...]`, by default all into the current folder.
+"""Pictures of the lighting functions: `python lighting_functions.py [FOLDER] [NAME ...]`, by default all into the current folder.
 
 Each is a table of functions as scenario files have it, the objects that a tracker reports, and the same objects as boxes on the road.
 """

@@ -1,4 +1,4 @@
-"""Tune thesis_pid on a scenario by random search: `python examples/tune_gains.py snowflake --trials 20`.
+"""Tune thesis_pid on a scenario by random search: `python tune_gains.py snowflake --trials 20`.
 
 The scenario is made ready once; a trial only exchanges the controller. What counts is the mean over all steps of 1 - IoU, as the judge
 sees it: slow is bad, and so is a symbol that ends up distorted.

@@ -1,4 +1,4 @@
-"""The pictures and times of docs/traffic.md: `python examples/traffic.py pictures`."""
+"""The pictures and times of docs/traffic.md: `python traffic.py pictures`."""
 
 import sys
 import time

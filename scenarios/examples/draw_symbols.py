@@ -1,4 +1,4 @@
-"""Draw the four shipped symbols: `python examples/draw_symbols.py [FOLDER]`, by default into scenarios/symbols.
+"""Draw the four shipped symbols: `python draw_symbols.py [FOLDER]`, by default into the current folder.
 
 A symbol lies on the road 2 m wide and 4 m long, so an image has 128 pixels a metre; row 0 is the far end, white is light.
 Each is designed in the unit square (x right, y towards the driver) and then stretched to twice its width in length, as painted road
@@ -111,8 +111,7 @@ SYMBOLS: list[Callable[[Canvas], None]] = [snowflake, chevrons, warning_triangle
 
 
 def main() -> None:
-    default = Path(__file__).parents[1] / "scenarios" / "symbols"
-    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else default
+    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path()
     folder.mkdir(parents=True, exist_ok=True)
     for draw in SYMBOLS:
         canvas = Canvas()

@@ -1,4 +1,4 @@
-"""Draw the shipped raw utilisations: `python examples/draw_utilisations.py [FOLDER]`, by default into scenarios/utilisations.
+"""Draw the shipped raw utilisations: `python draw_utilisations.py [FOLDER]`, by default into the current folder.
 
 "curtain" is a greeting for two modules of 64 x 256 pixels, 25 frames at 10 Hz: a curtain of light opens from the middle, chevrons run
 outward, and what is left is a soft field of light. A frame is a grey picture with a value a pixel, white is full utilisation.
@@ -37,4 +37,4 @@ def draw(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    draw(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parents[1] / "scenarios" / "utilisations")
+    draw(Path(sys.argv[1]) if len(sys.argv) > 1 else Path())

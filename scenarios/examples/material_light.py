@@ -1,4 +1,4 @@
-"""How near light by material comes to what is wanted: `python examples/material_light.py [LAMP]`, of the scenario `materials`."""
+"""How near light by material comes to what is wanted: `python material_light.py [LAMP]`, of the scenario `materials`."""
 
 import sys
 
