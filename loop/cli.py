@@ -39,6 +39,7 @@ app = App(
 app.command(list_, name="list")
 for command in (schema, doctor, data_app, headlight_app, evaluate, campaign, tune, optimise_beam, train_detector):
     app.command(command)
+app.register_install_completion_command(help="Install the completion of commands and options for bash, zsh or fish.")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -30,7 +30,7 @@ class PidTuning(Params):
 
 
 class ThesisPidParams(StagedParams):
-    """Four PIDs with the gains of T 9.4.3. Limits keep the primitive from turning edge-on, which it does at atan(h/x) = 2.5 deg nose-down."""
+    """Four PIDs with the gains of T 9.4.3. Limits keep the primitive from turning edge-on, as at atan(h/x) = 2.5 deg nose-down."""
 
     name: Literal["thesis_pid"] = "thesis_pid"
     position: PidTuning = Field(PidTuning(kp=0.75, ki=0.5, kd=0.26, tracking_steps=1.1), description="gains of the x and y loops")
