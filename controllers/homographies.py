@@ -17,18 +17,21 @@ from controllers.primitives import Primitives
 from controllers.windows import NEAREST_M
 from world.texels import TexelGrid
 
+ROUNDINGS = 4  # by which a plane may be off; what was measured in thousands of random scenes stays below one
+
 
 @dataclass(frozen=True)
 class Homographies:
     """Primitives as a headlight sees them: `[..., P, 3]`, to be multiplied with rays [1, y, z], and `[..., P]`.
 
     n, uv `[..., P, 2, 3]`: d.n and twice u d.n and v d.n, turned so that `qn`, q.n, is positive; where that is
-    zero they are such that nothing hits. middle: q; normal: as given. mask: a zero
+    zero they are such that nothing hits. position: `[3]` m, of the headlight in the world. middle: q; normal: as given. mask: a zero
     setpoint of infinite weight. corners: `[..., P, 4, 3]` m. sight: as n and uv, for where a primitive's observer sees a hit in the
     flying symbol; None where there are no observers. What only masks and rivals need is made when it is asked for.
     """
 
     grid: TexelGrid
+    position: Tensor
     n: Tensor
     uv: Tensor
     qn: Tensor
@@ -62,6 +65,16 @@ class Homographies:
         return 1 / x.amax(-1), 1 / x.amin(-1)
 
     @cached_property
+    def rounding(self) -> Tensor:
+        """By which share of the distance a hit may be off: the farthest coordinate's rounding, over the lamp's distance from the plane.
+
+        Edges that are nearly parallel count as a plane that is as much nearer, which their cross product rounds as badly.
+        """
+        farthest = self.corners.norm(dim=-1).amax(-1) + self.position.norm()
+        sides = (self.corners[..., 1:3, :] - self.corners[..., :1, :]).norm(dim=-1).prod(-1)
+        return (ROUNDINGS * torch.finfo(self.qn.dtype).eps * farthest * sides / self.qn).detach()
+
+    @cached_property
     def outline(self) -> tuple[Tensor, Tensor]:
         """Least and greatest row and column of the projected corners, `[..., P, 2]`, infinite where one lies behind the lamp."""
         x, y, z = self.corners.unbind(-1)
@@ -89,4 +102,4 @@ def homographies(primitives: Primitives, grid: TexelGrid, T_world_headlight: Ten
         eyes = (across, torch.stack(edges, -2))
     mask = (primitives.value == 0) & primitives.weight.isinf()
     corners = torch.stack([origin, origin + d1, origin + d2, origin + d1 + d2], -2).detach()
-    return Homographies(grid, n, uv, qn, q, normal, mask, corners, eyes)
+    return Homographies(grid, position, n, uv, qn, q, normal, mask, corners, eyes)

@@ -37,6 +37,8 @@ class Band:
     def touched(cls, pixels: PixelMajor, w: Window) -> "Band":
         """For the rows of a window."""
         grid = pixels.grid
+        if w.empty:
+            return cls(slice(0, 0), slice(0, 0))
         if (w.row_start, w.row_stop) == (0, grid.rows):
             return cls(slice(0, grid.n_pixels), slice(0, grid.rows))
         first = min(int(pixels.pixel_first[w.row_start : w.row_stop].min()), grid.n_pixels)

@@ -28,12 +28,10 @@ def reduce_setpoints(
     without a hit counts with `I_m,ij u_def,j` and weight 1. dark: the default is zero.
     """
     batch = tuple(asked.value.shape[:-2] if isinstance(asked, Setpoints) else asked.primitives.value.shape[:-1])
-    if asked.window.empty:
-        return default.expand(*batch, -1), slice(0, 0)
     place = Band.touched(pixels, asked.window)
     band = place.pixels
     if band.stop == band.start:
-        return default.expand(*batch, -1), band
+        return default.expand(*batch, -1).clone(), band
     if not (params.sharpening or params.corrections):
         return _mapped_and_reduced(asked, pixels, params, default, dark, place, batch), band
     wanted = asked = asked if isinstance(asked, Setpoints) else asked.setpoints()
@@ -70,8 +68,8 @@ def _same_for_all_pixels(asked: Setpoints | Casting, pixels: PixelMajor, params:
     if params.upper_cd is not None or params.lower_cd or (params.a_x and params.exclusion == "printed"):
         return False
     if U_REL in asked.quantities and not dark:
-        value = asked.value if isinstance(asked, Setpoints) else asked.primitives.value
-        if value.device.type != "cpu" or bool(value.max() > 1) or params.sharpening or params.corrections:
+        shares = asked.shares
+        if shares.device.type != "cpu" or bool(shares.max() > 1) or params.sharpening or params.corrections:
             return False  # to know whether a share is more than one, a device would have to be waited for
     return pixels.potential is None or not {I_V, E_V} & set(asked.quantities)
 
@@ -85,7 +83,7 @@ def _reduced(sums: Sums, pixels: PixelMajor, params: MrpcParams, default: Tensor
     if idle is not None:
         u = u + default * idle
     if sums.lit is not None:
-        on = sums.lit >= params.a_ac * pixels.reached[band]
+        on = sums.lit >= pixels.least_lit[band]
         u = u * (on if idle is None else on | idle)
     if sums.weight is not None and sums.ruled_from is not None:
         u = u * (sums.weight < sums.ruled_from).to(u)

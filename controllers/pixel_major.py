@@ -1,7 +1,9 @@
 """A headlight matrix turned around for MRPC: everything that does not depend on a step's setpoints, made once (T 7.4)."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from fractions import Fraction
 
 import torch
 from torch import Tensor
@@ -22,10 +24,11 @@ class PixelMajor:
     entries: `[n_p, n_t]`, I_m,ij. full: the same with `I_m^a_r / sum_i I_m^a_r`, rows add up to one. kept: `[nnz]`, weights `I_m^a_r` of
     entries that are neither excluded nor left out by the sampling, a pixel's adding up to one. weight: `[n_p, n_t]`, those that are not
     zero. share: `[n_t]`, what takes an intensity to the utilisation of all pixels of its texel; potential: `[nnz]`, the factor by which an
-    entry's differs, None where it is one. total: `[n_t]`, cd with all pixels full. darkening: `[n_t]` (7.4.2). reached: `[n_p]`, number
-    of texels; idle: `[n_p]`, pixels without an entry that counts, None if there are none. ones: the pattern of entries. peak: `[n_p]`,
-    greatest I_m,ij. spread: standard deviation of a pixel's light in rows and columns, 0 where unused. pixel_first, pixel_last:
-    `[rows]`, pixels with a texel in that texture row. row_first, row_last: `[n_p]`, texture rows of that pixel.
+    entry's differs, None where it is one. total: `[n_t]`, cd with all pixels full. darkening: `[n_t]` (7.4.2). least_lit: `[n_p]`, how many
+    of a pixel's setpoints have to be lit for its share to be a_ac. idle: `[n_p]`, pixels without an entry that counts, None if there are
+    none. ones: the pattern of entries. peak: `[n_p]`, greatest I_m,ij. spread: standard deviation of a pixel's light in rows and columns, 0
+    where unused. pixel_first, pixel_last: `[rows]`, pixels with a texel in that texture row. row_first, row_last: `[n_p]`, texture rows of
+    that pixel.
     """
 
     grid: Headlight
@@ -37,7 +40,7 @@ class PixelMajor:
     potential: Tensor | None
     total: Tensor
     darkening: Tensor | None
-    reached: Tensor
+    least_lit: Tensor
     idle: Tensor | None
     ones: Csr
     peak: Tensor
@@ -75,6 +78,9 @@ def pixel_major(headlight: Headlight, params: MrpcParams) -> PixelMajor:
     if params.a_d is not None:
         darkening = (total / (total[total > 0].mean() * params.a_d)).clamp(max=1)
     rows, reached = texel // headlight.cols, of_pixels(torch.ones_like(I_m), "sum")
+    # In whole numbers, since no product of floats tells 7 of 25 texels from a share of 0.28; str gives the decimal that was written.
+    sizes, size_of_pixel = reached.unique(return_inverse=True)
+    least_lit = reached.new_tensor([math.ceil(Fraction(str(params.a_ac)) * int(size)) for size in sizes.tolist()])[size_of_pixel]
     return PixelMajor(
         headlight,
         entries,
@@ -85,7 +91,7 @@ def pixel_major(headlight: Headlight, params: MrpcParams) -> PixelMajor:
         potential,
         total,
         darkening,
-        reached,
+        least_lit,
         idle if bool(idle.any()) else None,
         entries.with_values(torch.ones_like(I_m)),
         peak,

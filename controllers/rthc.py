@@ -4,6 +4,7 @@ Primitives are painted one after the other, each over the rays that it wins from
 cost ten times as much as sums, so masks are images of zeros and ones, and painting is blending.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,13 +18,12 @@ from controllers.homographies import Homographies, homographies
 from controllers.primitives import E_V, HEAVIEST, U_ABS, U_REL, Primitives
 from controllers.secondary import SecondaryRays
 from controllers.windows import NOWHERE, SLACK, Window, union, whole
+from world.errors import LuxloopError
 from world.texels import TexelGrid
 
-COPLANAR = 1e-4  # of the distance: what lies closer together counts as one plane, whatever the dtype rounds
 PARALLEL = 1e-6  # of the cosine: a given normal that is that of the edges
 GRAZING = 1e-12  # least d.n by which a symbol is read, m^2: no ray that hits has less, and what others read stays finite
 OPAQUE = 0.5  # least opacity of an image that stops a ray
-STEEP = 1e30  # takes whatever is not rounded to zero beyond one
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,11 @@ class Setpoints:
     def portion(self, image: Tensor | None, *codes: int) -> Tensor | float:
         """One where a ray has one of these quantities: `in_cd` or `relative`, or a number where all rays are alike."""
         return float(self.quantities[0] in codes) if image is None else image
+
+    @property
+    def shares(self) -> Tensor:
+        """Setpoints of u_rel, zero where a ray has another quantity."""
+        return self.value * self.portion(self.relative, U_REL)
 
     @property
     def hit(self) -> Tensor:
@@ -99,6 +104,7 @@ def trace(
     setpoint of infinite weight, is hit by all rays within one texel of its outline, since light is interpolated between them. A symbol for
     an observer is read where he sees the hit (T 7.2.2); secondary: what else the hits are asked (nothing).
     Differentiable in the primitives (not across their edges).
+    Raises LuxloopError for values that are not finite, where the host knows them.
     """
     return Casting.prepare(primitives, grid, T_world_headlight, windows, secondary).setpoints()
 
@@ -149,12 +155,15 @@ class Casting:
         secondary: SecondaryRays | None = None,
     ) -> "Casting":
         """As for `trace`."""
+        known = primitives.value.device.type == "cpu"
+        if known and not math.isfinite(primitives.value.sum().item()):
+            raise LuxloopError("a primitive's value is infinite or not a number; give a finite one, in cd, in lx or as a share")
         seen = homographies(primitives, grid, T_world_headlight)
         nobody: list[bool | None] = [None] * len(primitives)
         front, is_mask = (nobody, nobody) if windows is None else (_from_the_front(seen), [*masks(primitives)])
         windows = [whole(grid)] * len(primitives) if windows is None else windows
         windows = [NOWHERE if seen_from is False else window for window, seen_from in zip(windows, front, strict=True)]
-        known, infinite = primitives.weight.device.type == "cpu", primitives.weight.isinf()
+        infinite = primitives.weight.isinf()
         unit, finite = known and bool(((primitives.weight == 1) | infinite).all()), known and not bool(infinite.any())
         of_each = (tuple(windows), union(windows), tuple(is_mask), tuple(front))
         return cls(primitives, grid, T_world_headlight, secondary, seen, *of_each, unit, finite)
@@ -163,6 +172,11 @@ class Casting:
     def quantities(self) -> tuple[int, ...]:
         """Codes that may occur, at least one."""
         return tuple(sorted(set(self.primitives.quantity.tolist()))) or (U_ABS,)
+
+    @property
+    def shares(self) -> Tensor:
+        """Setpoints of u_rel `[..., n]` at symbol value 1."""
+        return self.primitives.value[..., self.primitives.quantity == U_REL]
 
     @property
     def masking(self) -> bool:
@@ -181,7 +195,7 @@ class Casting:
         infinite = weight.isinf()
         finite, forced = torch.where(infinite, 0.0, weight.clamp(max=HEAVIEST)), infinite.to(weight)
         rays = _Rays(self.seen, *self.grid.tangents(weight.dtype, weight.device), any(mask is not False for mask in self.is_mask))
-        nearest: Tensor | None = None  # 1/x of the nearest hits of a class
+        nearest: Tensor | None = None  # 1/x of the nearest hits of a class, rounded down
         for painted in paint_classes(self.primitives):
             rivals = {p: any(windows[p].meets(windows[k]) for k in painted if k != p) for p in painted}
             if any(rivals.values()):
@@ -297,8 +311,8 @@ def _from_the_front(seen: Homographies) -> list[bool | None]:
 
 
 def _step(a: Tensor) -> Tensor:
-    """One where a >= 0, else zero."""
-    return torch.rsub(a, 1, alpha=-STEEP).clamp_(0, 1)
+    """One where a >= 0, else zero, in the memory of a."""
+    return a.ge_(0)
 
 
 def _inside(n: Tensor, uv: Tensor, wider: Tensor | None = None) -> Tensor:
@@ -324,12 +338,13 @@ def _hit(rays: _Rays, seen: Homographies, p: int, mask: bool | None, front: bool
 
 
 def _won(hit: Tensor, rays: _Rays, seen: Homographies, p: int, mask: bool | None, window: Window, nearest: Tensor) -> Tensor:
-    """The part of a hit that no nearer one of its class is before; nearest, 1/x of those so far, learns of it."""
+    """The part of a hit that no nearer one of its class is before; nearest, the 1/x that those so far have at least, learns of it."""
     closeness = rays.closeness.on(p, window).detach()
     if mask is not False:  # beyond its outline it is no nearer or farther than its corners
         closeness = _between_corners(closeness, seen, p)
-    hit = hit * _step(torch.sub(closeness, nearest, alpha=1 / (1 + COPLANAR)))
-    torch.maximum(nearest, closeness.mul_(hit), out=nearest)
+    rounding = seen.rounding[..., p, None, None]
+    hit = hit * _step(closeness * (1 + rounding) - nearest)
+    torch.maximum(nearest, closeness.mul_(hit * (1 - rounding)), out=nearest)
     return hit
 
 

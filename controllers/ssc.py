@@ -9,7 +9,7 @@ from torch import Tensor
 
 from controllers.mrpc import MrpcParams, PixelMajor, pixel_major, reduce_setpoints
 from controllers.primitives import Primitives
-from controllers.rthc import Casting, masks
+from controllers.rthc import Casting, Setpoints, masks
 from controllers.secondary import SecondaryRays
 from controllers.windows import projected_windows
 from world.headlight import Headlight
@@ -66,13 +66,31 @@ class Ssc:
         return cls(headlight, pixel_major(headlight, params), params, default)
 
     def utilisation(self, primitives: Primitives, T_world_headlight: Tensor, secondary: SecondaryRays | None = None) -> Utilisation:
-        """A single scene on the CPU touches only the projected rectangle and its band of pixels; batches and accelerators take all rays."""
-        banded = primitives.origin.ndim == 2 and primitives.origin.device.type == "cpu"
-        windows = projected_windows(primitives, self.headlight, T_world_headlight, masks(primitives)) if banded else None
-        casting = Casting.prepare(primitives, self.headlight, T_world_headlight, windows, secondary)
-        u, band = reduce_setpoints(casting, self.pixels, self.params, self.default, self.dark)
-        return Utilisation(u, band if banded and self.dark else None)
+        """A single scene on the CPU touches only the projected rectangle and its band of pixels; batches and accelerators take all rays.
+
+        Raises LuxloopError for values of primitives that are not finite, where the host knows them.
+        """
+        u, band = self.reduced(self.casting(primitives, T_world_headlight, secondary))
+        return Utilisation(u, band if _on_host(primitives) and self.dark else None)
+
+    def casting(self, primitives: Primitives, T_world_headlight: Tensor, secondary: SecondaryRays | None = None) -> Casting:
+        """Rays about to be cast at primitives, which are converted to the dtype of the headlight."""
+        if primitives.origin.dtype != self.default.dtype:
+            primitives = primitives.to(self.default.dtype)
+        windows = None
+        if _on_host(primitives):
+            windows = projected_windows(primitives, self.headlight, T_world_headlight, masks(primitives))
+        return Casting.prepare(primitives, self.headlight, T_world_headlight, windows, secondary)
+
+    def reduced(self, asked: Setpoints | Casting) -> tuple[Tensor, slice]:
+        """Utilisation `[..., n_p]` and the band of pixels that may differ from the default, see `reduce_setpoints`."""
+        return reduce_setpoints(asked, self.pixels, self.params, self.default, self.dark)
 
     def over(self, default: Tensor) -> "Ssc":
         """The same tables over another base pattern `[n_p]`: a morphed one, for the second pass."""
         return replace(self, default=default.to(self.default))
+
+
+def _on_host(primitives: Primitives) -> bool:
+    """Whether it is a single scene that the host knows, so that its windows cost nothing to look at."""
+    return primitives.origin.ndim == 2 and primitives.origin.device.type == "cpu"

@@ -131,6 +131,9 @@ def test_an_empty_window_leaves_the_default() -> None:
     u, band = reduced(nothing, lamp, MrpcParams(), default)
     assert torch.equal(u, default.expand(2, -1))
     assert band == slice(0, 0)
+    u.mul_(0.5)
+    assert torch.equal(u, base_pattern(0).expand(2, -1) / 2), "rows of their own"
+    assert torch.equal(default, base_pattern(0))
 
 
 def test_rows_without_pixels_leave_the_default() -> None:
@@ -142,6 +145,8 @@ def test_rows_without_pixels_leave_the_default() -> None:
     u, band = reduced(below, lamp, MrpcParams(), default)
     assert torch.equal(u, default)
     assert band.start == band.stop
+    u.zero_()
+    assert torch.equal(default, base_pattern(0))
 
 
 @pytest.mark.parametrize(("quantity", "a_m"), [("I_v", 1.0), ("I_v", 0.5), ("u_rel", 1.0), ("u_abs", 1.0)])
@@ -269,6 +274,21 @@ def test_a_pixel_with_too_few_lit_setpoints_is_off(a_ac: float, lit: bool) -> No
     for params in (MrpcParams(a_ac=a_ac), MrpcParams(a_ac=a_ac, upper_cd=100)):
         u, _ = reduced(asked(0, 0, 0.5, 0.5), one_pixel([1.0, 1.0, 1.0, 1.0]), params, torch.zeros(1, dtype=torch.float64))
         assert u.item() == (0.25 if lit else 0)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("bounds", [{}, {"upper_cd": 100.0}], ids=["products", "entries"])
+@pytest.mark.parametrize("texels", [25, 100])
+def test_only_a_smaller_share_than_the_decimal_is_off(texels: int, bounds: dict[str, float], dtype: torch.dtype) -> None:
+    """7 of 25 lit setpoints are a share of 0.28, which they are not in floating point."""
+    lamp = one_pixel([1.0] * texels)
+    lamp = replace(lamp, matrix=lamp.matrix.to(dtype))
+    value = torch.ones(texels + 1, texels, dtype=dtype).tril(-1)[:, None]  # 0, 1, 2, ... lit ones
+    setpoints = Setpoints(value, torch.ones_like(value), Window(0, 1, 0, texels), (I_V,))
+    for percent in range(0, 100, 100 // texels):
+        u, _ = reduced(setpoints, lamp, MrpcParams(a_ac=float(f"0.{percent:02}"), **bounds), torch.zeros(1, dtype=dtype))
+        least = max(percent * texels // 100, 1)
+        assert u[:, 0].nonzero()[0].item() == least, f"a_ac 0.{percent:02}"
 
 
 def test_smaller_pixels_are_asked_for_more() -> None:

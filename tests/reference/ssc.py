@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from fractions import Fraction
 
 import numpy as np
 from numpy.typing import NDArray
@@ -154,7 +155,7 @@ def _beats(new: tuple[float, ...], old: tuple[float, ...]) -> bool:
     """Forced, then priority among forced, then the nearer; in one plane priority, then the later."""
     if new[:2] != old[:2]:
         return new[:2] > old[:2]
-    if abs(new[2] - old[2]) <= 1e-4 * min(-new[2], -old[2]):
+    if abs(new[2] - old[2]) <= 1e-9 * min(-new[2], -old[2]):
         return new[3:] > old[3:]
     return new[2] > old[2]
 
@@ -188,7 +189,7 @@ def _masked_at(origin: Array, d1: Array, d2: Array, normal: Array, headlight: He
 def map_reduce(I_m: Array, rays: list[Ray], params: MrpcParams, u_def: Array, cols: int) -> tuple[Array, NDArray[np.bool_]]:
     """Utilisation `[n_p]` from a dense headlight matrix `[n_t, n_p]` and the rays of its texels, (7.4.1) to (7.4.5).
 
-    Also which pixels have an entry so near to a threshold that a rounding may decide. cols: the texture's columns.
+    Also which pixels have an entry so near to the threshold a_x that a rounding may decide. cols: the texture's columns.
     """
     n_t, n_p = I_m.shape
     u, close = u_def.copy(), np.zeros(n_p, dtype=bool)
@@ -217,12 +218,11 @@ def map_reduce(I_m: Array, rays: list[Ray], params: MrpcParams, u_def: Array, co
                 if tested < limit or (params.exclusion == "printed" and tested == limit):
                     weight = 0.0
             finite.append((weight * term[0], term[1]))
-        close[j] |= bool(abs(lit - params.a_ac * len(texels)) < 1e-5 and params.a_ac > 0)
         if infinite:
             u[j] = sum(c * each for c, each in infinite) / sum(c for c, _ in infinite)
         elif sum(c for c, _ in finite) > 0:
             u[j] = sum(c * each for c, each in finite) / sum(c for c, _ in finite)
-            if lit < params.a_ac * len(texels):
+            if Fraction(lit, len(texels)) < Fraction(str(params.a_ac)):
                 u[j] = 0.0
         u[j] = min(max(u[j], 0.0), 1.0)
     return u, close
