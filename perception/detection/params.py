@@ -4,6 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, Tag
 
+from perception.detection.yolo import Layout
 from world import plugin
 from world.params import Params
 from world.plugin import OWN, known_or_own
@@ -19,7 +20,9 @@ COCO: dict[int, Category] = {
     7: "truck",
     **dict.fromkeys(range(14, 24), "animal"),
 }
-Side = Annotated[int, Field(ge=1, le=8192)]  # px
+COCO_CLASSES = 80
+MOST_PX = 8192
+Side = Annotated[int, Field(ge=1, le=MOST_PX)]  # px
 
 
 class FoundParams(Params):
@@ -55,7 +58,7 @@ class OnnxParams(CodedParams):
 
     kind: Literal["onnx"] = "onnx"
     file: str = Field(min_length=1, description="the ONNX file")
-    layout: Literal["yolov5", "yolov8", "yolov10"] = Field("yolov8", description="what it gives, as the networks of that name do")
+    layout: Layout = Field("yolov8", description="what it gives, as the networks of that name do")
     input_px: tuple[Side, Side] = Field((640, 640), description="width and height that it takes; frames are fitted in")
     channels: Literal[1, 3] = Field(3, description="that it takes; all are the same grey")
     classes: dict[Annotated[int, Field(ge=0)], Category] | None = Field(

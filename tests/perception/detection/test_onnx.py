@@ -116,20 +116,13 @@ def test_what_is_not_finite_is_left_out(number: int, wrong: float, tmp_path: Pat
     assert found.boxes.tolist() == [pytest.approx([145, 15, 155, 25])] and found.scores[0].tolist() == pytest.approx([0.2, 0.7])
 
 
-def test_what_does_not_fit_is_said_in_a_sentence(tmp_path: Path) -> None:
+def test_what_is_no_network_is_said_in_a_sentence(tmp_path: Path) -> None:
     with pytest.raises(LuxloopError, match=r"detector.file: .*none.onnx: there is no such file"):
         OnnxDetector(OnnxParams(file=str(tmp_path / "none.onnx")))
     broken = tmp_path / "broken.onnx"
     broken.write_bytes(b"no network")
-    with pytest.raises(LuxloopError, match=r"broken.onnx: OpenCV cannot read it"):
+    with pytest.raises(LuxloopError, match=r"broken.onnx: is no sound ONNX file"):
         OnnxDetector(OnnxParams(file=str(broken)))
-    frame, file = torch.rand(1, 64, 64), says(LAYOUTS["yolov8"], (64, 64), tmp_path / "says.onnx")
-    with pytest.raises(LuxloopError, match=r"detector.classes: .* has 2 classes, counted from 0, so there is no 23"):
-        OnnxDetector(OnnxParams(file=file, input_px=(64, 64))).detect(frame)
-    with pytest.raises(LuxloopError, match=r"detector.layout: yolov10 gives 1 x boxes x 6 numbers, but .*says.onnx gives 1 x 6 x 2"):
-        OnnxDetector(OnnxParams(file=file, input_px=(64, 64), layout="yolov10")).detect(frame)
-    with pytest.raises(LuxloopError, match=r"OpenCV cannot run it on 3 x 48 x 48 numbers .*set detector.input_px and detector.channels"):
-        OnnxDetector(OnnxParams(file=file, input_px=(48, 48))).detect(frame)
 
 
 @pytest.mark.parametrize("wrong", [{"input_px": (0, 640)}, {"input_px": (640, -1)}, {"classes": {-1: "car"}}])

@@ -1,0 +1,117 @@
+"""ONNX files of the user's own, looked through before OpenCV, which trusts them, opens them."""
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+
+from perception.detection.params import MOST_PX, OnnxParams
+from world.errors import LuxloopError
+
+if TYPE_CHECKING:
+    import onnx
+
+MOST_NUMBERS = 1 << 28  # between two layers: 1 GiB
+FLOATS = ("float32", "float16")  # OpenCV converts to the second itself
+
+
+def opened(params: OnnxParams) -> cv2.dnn.Net:
+    """The network of a file.
+
+    Raises LuxloopError where the file is missing, damaged, or none that OpenCV can read; where it has not one input and one output; and
+    where the input is not of floating-point numbers, 1 x channels x height x width, as the parameters say.
+    """
+    if not Path(params.file).is_file():
+        raise LuxloopError(f"detector.file: {params.file}: there is no such file; check the path")
+    _check(_sound(params.file), params)
+    try:
+        # the classic engine gives outputs in another order
+        return cv2.dnn.readNetFromONNX(params.file, cv2.dnn.ENGINE_NEW)
+    except cv2.error as error:
+        raise LuxloopError(f"detector.file: {params.file}: OpenCV cannot read it ({said(error)}); export it anew") from error
+
+
+def said(error: Exception) -> str:
+    """An error of a library in a line."""
+    return " ".join(str(getattr(error, "err", None) or error).split())[:200]
+
+
+def by(sizes: tuple[int | str, ...]) -> str:
+    """Sizes in words."""
+    return " x ".join(map(str, sizes))
+
+
+def _sound(file: str) -> "onnx.ModelProto":
+    """The model in a file; OpenCV crashes at tensors that hold less than they declare."""
+    import onnx
+    from google.protobuf.message import DecodeError
+
+    try:
+        onnx.checker.check_model(file)
+        return onnx.load(file, load_external_data=False)
+    except (OSError, DecodeError, UnicodeDecodeError, onnx.checker.ValidationError) as error:
+        raise LuxloopError(f"detector.file: {file}: is no sound ONNX file ({said(error)}); export it anew") from error
+
+
+def _check(model: "onnx.ModelProto", params: OnnxParams) -> None:
+    where, weights = f"detector.file: {params.file}", {tensor.name for tensor in model.graph.initializer}
+    inputs = [each for each in model.graph.input if each.name not in weights]
+    told = ", ".join(map(_told, inputs))
+    if len(inputs) != 1:
+        raise LuxloopError(f"{where}: has {len(inputs)} inputs: {told}; export it with one, the picture")
+    if len(model.graph.output) != 1:
+        outputs = ", ".join(map(_told, model.graph.output))
+        raise LuxloopError(f"{where}: has {len(model.graph.output)} outputs: {outputs}; export it with one that holds boxes and scores")
+    shape = inputs[0].type.tensor_type.shape
+    sizes = _sizes(inputs[0])
+    pictures_last = sizes[3:] in ((1,), (3,)) and sizes[1] not in (1, 3)
+    if _number_type(inputs[0]) not in FLOATS or len(sizes) != 4 or pictures_last:
+        raise LuxloopError(f"{where}: takes {told}; export it for float32 numbers of 0..1, 1 x channels x height x width (NCHW)")
+    wanted = (1, params.channels, *reversed(params.input_px))
+    batch, channels, height, width = (given if isinstance(size, str) else size for size, given in zip(sizes, wanted, strict=True))
+    if batch != 1:
+        raise LuxloopError(f"{where}: takes {batch} pictures at once, {told}; export it for a batch of 1")
+    if channels != params.channels:
+        remedy = f"set detector.channels = {channels}" if channels in (1, 3) else "export it for 1 or 3"
+        raise LuxloopError(f"{where}: takes pictures of {channels} channels and not {params.channels}, {told}; {remedy}")
+    if (width, height) != params.input_px:
+        fits = max(width, height) <= MOST_PX
+        remedy = f"set detector.input_px = [{width}, {height}]" if fits else f"export it for {MOST_PX} x {MOST_PX} px at most"
+        raise LuxloopError(f"{where}: takes pictures of {width} x {height} px and not {by(params.input_px)}; {remedy}")
+    for dimension, size in zip(shape.dim, wanted, strict=True):
+        dimension.dim_value = size
+    if (most := _most_numbers(model, where)) > MOST_NUMBERS:
+        raise LuxloopError(
+            f"{where}: has {most / 1e6:,.0f} million numbers between two layers for pictures of {by(params.input_px)} px, more than the "
+            f"{MOST_NUMBERS / 1e6:,.0f} million that memory bears; export a smaller network, or one for smaller pictures"
+        )
+
+
+def _most_numbers(model: "onnx.ModelProto", where: str) -> int:
+    """In what one layer gives, as far as its shape follows from that of the input; open sizes count as 0."""
+    from onnx.shape_inference import InferenceError, infer_shapes
+
+    try:
+        graph = infer_shapes(model, data_prop=True).graph
+    except (InferenceError, UnicodeDecodeError) as error:
+        raise LuxloopError(f"{where}: its layers do not fit each other ({said(error)}); export it anew") from error
+    shapes = (each.type.tensor_type.shape.dim for each in (*graph.value_info, *graph.output))
+    return max((math.prod(size.dim_value for size in shape) for shape in shapes), default=0)
+
+
+def _told(value: "onnx.ValueInfoProto") -> str:
+    return f"{value.name} ({_number_type(value)} {by(_sizes(value))})"
+
+
+def _sizes(value: "onnx.ValueInfoProto") -> tuple[int | str, ...]:
+    """Those that the file leaves open are texts."""
+    dimensions = value.type.tensor_type.shape.dim
+    return tuple(each.dim_value if each.HasField("dim_value") else each.dim_param or "?" for each in dimensions)
+
+
+def _number_type(value: "onnx.ValueInfoProto") -> str:
+    import onnx
+
+    names: dict[int, str] = {number: name.lower() for name, number in onnx.TensorProto.DataType.items()}
+    return {"float": "float32"}.get(name := names[value.type.tensor_type.elem_type], name)

@@ -1,0 +1,216 @@
+"""ONNX files that luxloop does not read as they are: exported for real, refused with what was found and what to do."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import pytest
+import torch
+from onnx import TensorProto, helper, numpy_helper
+from torch import Tensor, nn
+
+from perception.detection.onnx import OnnxDetector
+from perception.detection.params import OnnxParams
+from world.errors import LuxloopError
+
+SIZE = 64  # px, of which a stride of 8 makes 64 boxes
+
+
+class Tiny(nn.Module):
+    """A convolution that gives what a YOLO gives: `[B, numbers, boxes]`, boxes of up to 64 px first."""
+
+    def __init__(self, numbers: int, px: float = SIZE, logits: bool = False, channels: int = 3) -> None:
+        super().__init__()
+        self.patches = nn.Conv2d(channels, numbers, 8, 8)
+        self.px, self.logits = px, logits
+
+    def forward(self, pictures: Tensor) -> Tensor:
+        raw = self.patches(pictures).flatten(2)
+        boxes, scores = raw[:, :4].sigmoid() * self.px, raw[:, 4:]
+        return torch.cat([boxes, scores if self.logits else scores.sigmoid()], 1)
+
+
+class YoloV5(Tiny):
+    def forward(self, pictures: Tensor) -> Tensor:
+        return super().forward(pictures).transpose(1, 2)
+
+
+class YoloV10(Tiny):
+    def forward(self, pictures: Tensor) -> Tensor:
+        found = super().forward(pictures).transpose(1, 2)
+        numbers = (found[..., 5:] * 80).floor()
+        return torch.cat([found[..., :2], found[..., :4].sum(-1, keepdim=True).expand(-1, -1, 2), found[..., 4:5], numbers], -1)
+
+
+class Grid(Tiny):
+    def forward(self, pictures: Tensor) -> Tensor:
+        return self.patches(pictures)
+
+
+class ChannelsLast(Tiny):
+    def forward(self, pictures: Tensor) -> Tensor:
+        return super().forward(pictures.permute(0, 3, 1, 2).float() / 255)
+
+
+class Bytes(Tiny):
+    def forward(self, pictures: Tensor) -> Tensor:
+        return super().forward(pictures.float() / 255)
+
+
+class TwoInputs(Tiny):
+    def forward(self, pictures: Tensor, scale: Tensor) -> Tensor:
+        return super().forward(pictures) * scale
+
+
+class TwoOutputs(Tiny):
+    def forward(self, pictures: Tensor) -> tuple[Tensor, Tensor]:
+        return super().forward(pictures).split((4, 80), 1)
+
+
+PICTURE = torch.zeros(1, 3, SIZE, SIZE)
+OURS = {0: "pedestrian", 1: "car"}
+REFUSED: dict[str, tuple[nn.Module, tuple[Tensor, ...], dict[str, Any], str]] = {
+    "yolov8 as yolov5": (
+        Tiny(84),
+        (PICTURE,),
+        {"layout": "yolov5"},
+        r"layout: .* gives 1 x 84 x 64 numbers, which cannot be yolov5: scores reach from .* and not within 0..1; "
+        r'set detector.layout = "yolov8"$',
+    ),
+    "yolov5 as yolov8": (YoloV5(85), (PICTURE,), {}, r'layout: .* cannot be yolov8: scores reach .*; set detector.layout = "yolov5"$'),
+    "yolov8 as yolov10": (
+        Tiny(84),
+        (PICTURE,),
+        {"layout": "yolov10"},
+        r'layout: .* cannot be yolov10: each box has 64 numbers; set detector.layout = "yolov8"$',
+    ),
+    "yolov10 as yolov8": (YoloV10(6), (PICTURE,), {}, r'layout: .* cannot be yolov8: scores .*; set detector.layout = "yolov10"$'),
+    "yolov10 as yolov5": (
+        YoloV10(6),
+        (PICTURE,),
+        {"layout": "yolov5", "classes": {0: "pedestrian"}},
+        r'layout: .* cannot be yolov5: the sixth number .* classes of yolov10 are; set detector.layout = "yolov10"$',
+    ),
+    "yolov5 of one class as yolov10": (
+        YoloV5(6),
+        (PICTURE,),
+        {"layout": "yolov10", "classes": {0: "pedestrian"}},
+        r"layout: .* cannot be yolov10: the sixth number .* is no class's number; set detector.layout = \"yolov5\"$",
+    ),
+    "before the sigmoid": (
+        Tiny(84, logits=True),
+        (PICTURE,),
+        {},
+        r"layout: .*: scores reach from -.*; export it with boxes in px and scores of 0..1",
+    ),
+    "boxes as shares": (
+        Tiny(84, px=1.0),
+        (PICTURE,),
+        {},
+        r"layout: .*: boxes reach to .* shares of the picture and not px; export it with boxes in px",
+    ),
+    "before the boxes are made": (
+        Grid(255),
+        (PICTURE,),
+        {},
+        r"layout: .* 1 x 255 x 8 x 8 numbers, .* there must be three dimensions.*; export it",
+    ),
+    "classes of one's own": (
+        Tiny(6),
+        (PICTURE,),
+        {},
+        r"classes: .* 1 x 6 x 64 numbers, 2 classes as yolov8, and not the 80 of COCO; set detector.classes$",
+    ),
+    "classes that it lacks": (
+        Tiny(6),
+        (PICTURE,),
+        {"classes": {2: "car"}},
+        r"classes: .* 2 classes as yolov8, counted from 0, so there is no 2; correct detector.classes$",
+    ),
+    "channels last": (
+        ChannelsLast(84),
+        (torch.zeros(1, SIZE, SIZE, 3),),
+        {},
+        r"file: .* takes .*float32 1 x 64 x 64 x 3.*; export it .* \(NCHW\)$",
+    ),
+    "bytes, channels last": (
+        ChannelsLast(84),
+        (torch.zeros(1, SIZE, SIZE, 3, dtype=torch.uint8),),
+        {},
+        r"file: .* takes .*uint8 1 x 64 x 64 x 3.*; export it for float32 numbers of 0..1",
+    ),
+    "bytes": (Bytes(84), (PICTURE.byte(),), {}, r"file: .* takes .*uint8 1 x 3 x 64 x 64.*; export it for float32 numbers of 0..1"),
+    "two inputs": (
+        TwoInputs(84),
+        (PICTURE, torch.ones(1)),
+        {},
+        r"file: .* has 2 inputs: .*64 x 64\), .*\(float32 1\); export it with one",
+    ),
+    "two outputs": (TwoOutputs(84), (PICTURE,), {}, r"file: .* has 2 outputs: .*1 x 4 x 64.*, .*1 x 80 x 64.*; export it with one"),
+    "batch of 4": (Tiny(84), (PICTURE.repeat(4, 1, 1, 1),), {}, r"file: .* takes 4 pictures at once.*; export it for a batch of 1$"),
+    "grey": (Tiny(84, channels=1), (PICTURE[:, :1],), {}, r"file: .* 1 channels and not 3.*; set detector.channels = 1$"),
+    "four channels": (Tiny(84, channels=4), (PICTURE[:, [0, 1, 2, 0]],), {}, r"file: .* 4 channels and not 3.*; export it for 1 or 3$"),
+    "another size, which OpenCV would make fit": (
+        Tiny(84),
+        (torch.zeros(1, 3, 32, 96),),
+        {},
+        r"file: .* takes pictures of 96 x 32 px and not 64 x 64; set detector.input_px = \[96, 32\]$",
+    ),
+}
+
+
+def export(module: nn.Module, inputs: tuple[Tensor, ...], file: Path, **options: Any) -> str:
+    torch.manual_seed(0)
+    torch.onnx.export(module.eval(), inputs, file, external_data=False, verbose=False, **options)
+    return str(file)
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_is_read_wrongly_is_refused_when_it_is_loaded(case: str, tmp_path: Path) -> None:
+    module, inputs, params, message = REFUSED[case]
+    file = export(module, inputs, tmp_path / "network.onnx")
+    with pytest.raises(LuxloopError, match=r"^detector\." + message):
+        OnnxDetector(OnnxParams(file=file, **{"input_px": (SIZE, SIZE), **params}))
+
+
+def test_batches_and_sizes_left_open_and_half_precision_are_taken(tmp_path: Path) -> None:
+    auto = torch.export.Dim.AUTO
+    shapes = ({0: auto, 2: auto, 3: auto},)
+    left_open = export(Tiny(84), (torch.zeros(2, 3, 64, 96),), tmp_path / "open.onnx", dynamic_shapes=shapes)
+    half = export(Tiny(84).half(), (PICTURE.half(),), tmp_path / "half.onnx")
+    for file, size in ((left_open, (64, 32)), (left_open, (128, 64)), (half, (SIZE, SIZE))):
+        assert OnnxDetector(OnnxParams(file=file, input_px=size)).detect(torch.rand(1, 48, 64))[0].scores.shape[1] == 6
+
+
+def test_scores_that_leave_their_range_in_a_later_frame_are_refused(tmp_path: Path) -> None:
+    """Logits of a network that says no to what it was loaded with."""
+
+    class Late(nn.Module):
+        def forward(self, pictures: Tensor) -> Tensor:
+            return torch.cat([pictures.new_full((1, 4, 5), 20.0), pictures.amin((1, 2, 3)).mul(5).view(1, 1, 1).expand(1, 1, 5)], 1)
+
+    late = OnnxDetector(OnnxParams(file=export(Late(), (PICTURE,), tmp_path / "late.onnx"), input_px=(SIZE, SIZE), classes={0: "car"}))
+    assert len(late.detect(torch.zeros(1, 32, 32))[0]) == 0
+    with pytest.raises(LuxloopError, match=r"scores reach from 5 to 5 and not within 0..1"):
+        late.detect(torch.ones(1, 32, 32))
+
+
+def written(nodes: list[onnx.NodeProto], tensors: list[TensorProto], file: Path) -> str:
+    """A network from x, a picture, to y."""
+    ends = [[helper.make_tensor_value_info(name, TensorProto.FLOAT, (1, 3, SIZE, SIZE))] for name in "xy"]
+    graph = helper.make_graph(nodes, "g", *ends, tensors)
+    onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9), file)
+    return str(file)
+
+
+def test_sizes_that_are_only_declared_fill_no_memory(tmp_path: Path) -> None:
+    """OpenCV crashes at weights that are not there, and takes 40 GB for numbers that a layer makes of nothing."""
+    weights = TensorProto(name="w", data_type=TensorProto.FLOAT, dims=(30_000, 30_000), raw_data=b"0000")
+    add = helper.make_node("Add", ["x", "w"], ["y"])
+    with pytest.raises(LuxloopError, match=r"is no sound ONNX file \(.*size \(4 bytes\) is too small.*\); export it anew"):
+        OnnxDetector(OnnxParams(file=written([add], [weights], tmp_path / "weights.onnx"), input_px=(SIZE, SIZE)))
+    nodes = [helper.make_node("ReduceSum", ["x"], ["d"], keepdims=0), helper.make_node("Expand", ["d", "sides"], ["w"]), add]
+    sides = numpy_helper.from_array(np.array([100_000, 100_000]), "sides")
+    with pytest.raises(LuxloopError, match=r"has 10,000 million numbers between two layers .* more than the 268 million"):
+        OnnxDetector(OnnxParams(file=written(nodes, [sides], tmp_path / "made.onnx"), input_px=(SIZE, SIZE)))
