@@ -10,7 +10,8 @@ from pathlib import Path
 
 from cyclopts import App, CycloptsError, UnknownCommandError, UnusedCliTokensError
 
-from loop.cli_common import DIFFERS, INTERRUPTED, OK, UNREAD, WRONG, Device, Keys
+from loop import tables
+from loop.cli_common import DIFFERS, INTERRUPTED, OK, UNREAD, WRONG, Device, Json, Keys, with_controller
 from loop.headlight_cli import headlight_app
 from loop.listing_cli import data_app, doctor, list_, schema
 from loop.shipped import copied, examples, original
@@ -126,20 +127,34 @@ def new(file: Path | None = None, /, *, like: str | None = None, traffic: int | 
 
 
 @app.command
-def check(name: str, /, *, set: Keys = None) -> None:
+def check(name: str, /, *, controller: str | None = None, set: Keys = None, json: Json = False) -> None:
     """Validate a scenario and everything that it names: symbol, road, meshes, whether lamps and camera reach the target.
 
     Parameters
     ----------
     name
         Scenario file, or name of a shipped scenario.
+    controller
+        Controller to take instead, with its defaults (see `luxloop list controllers`).
     set
         Keys to change, as key=value in TOML syntax, such as headlight.model=mylamp.npz.
+    json
+        Print an object: scenario, ok, and what was found; where something is wrong, error has the sentence.
     """
     from loop.run import check as check_scenario
+    from loop.run import in_words
     from loop.scenario import load_any
 
-    print(f"{name}: ok ({check_scenario(load_any(name, set or []))})")
+    try:
+        found = check_scenario(load_any(name, set or [], **with_controller(controller)))
+    except LuxloopError as error:
+        if json:
+            tables.show_json({"scenario": name, "ok": False, "error": str(error)})
+        raise
+    if json:
+        tables.show_json({"scenario": name, "ok": True, **found})
+    else:
+        print(f"{name}: ok ({in_words(found)})")
 
 
 @app.command
@@ -170,7 +185,7 @@ def run(
     steps
         Control steps.
     controller
-        Controller to take instead, with its defaults.
+        Controller to take instead, with its defaults (see `luxloop list controllers`).
     device
         Where to compute; auto takes CUDA where there is any.
     video
@@ -178,8 +193,7 @@ def run(
     """
     from loop.commands import run_scenario
 
-    values = {"seed": seed, "steps": steps, "controller": None if controller is None else {"name": controller}}
-    given = {key: value for key, value in values.items() if value is not None}
+    given = {key: value for key, value in {"seed": seed, "steps": steps}.items() if value is not None} | with_controller(controller)
     run_scenario(name, out or Path("runs") / Path(name).stem, set or [], given, device, video)
 
 

@@ -1,6 +1,6 @@
 """What several commands share: exit codes and options."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -9,3 +9,8 @@ OK, DIFFERS, UNREAD, WRONG, INTERRUPTED = 0, 1, 1, 2, 130
 Keys = Annotated[list[str] | None, Parameter(consume_multiple=True, negative=())]
 Json = Annotated[bool, Parameter(negative=())]
 Device = Literal["auto", "cpu", "cuda"]
+
+
+def with_controller(name: str | None) -> dict[str, Any]:
+    """The key of a scenario that `--controller` changes: another controller with its defaults."""
+    return {} if name is None else {"controller": {"name": name}}

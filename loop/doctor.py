@@ -40,7 +40,7 @@ def checks() -> list[Check]:
         ray_caster_check(),
         device_check(),
         video_check(),
-        data_check(os.environ),
+        data_check(),
         folder_check(Path.cwd()),
     ]
 
@@ -150,18 +150,15 @@ def video_check() -> Check:
 
 
 @_failing_with("data", "unset LUXLOOP_DATA")
-def data_check(environment: Mapping[str, str]) -> Check:
-    """Road scans and photometric files at hand, in the folder that `LUXLOOP_DATA` names or among what was downloaded."""
-    import pooch
+def data_check() -> Check:
+    """Road scans and photometric files of the registry, in the folder that `LUXLOOP_DATA` names or among what was fetched."""
+    from loop import data
 
-    given = environment.get("LUXLOOP_DATA")
-    if given and not Path(given).is_dir():
-        raise NotADirectoryError(f"LUXLOOP_DATA names {given}, which is not a folder")
-    folder = Path(given or pooch.os_cache("luxloop"))
-    count = sum(file.suffix.lower() in {".crg", ".ies", ".ldt"} for file in folder.rglob("*"))
-    if count == 0:
-        return Check("data", "warn", f"nothing in {folder}: scenarios on measured roads cannot run", "luxloop data get all")
-    return Check("data", "ok", f"{count} road and photometric files in {folder}")
+    rows, own = data.rows(), os.environ.get(data.FOLDER_VARIABLE)
+    here = sum(row.path is not None for row in rows)
+    looked = f"{data.FOLDER_VARIABLE} is {own or 'not set'}, fetched files lie in {data.cache_folder()}"
+    found = f"{here} of {len(rows)} road and photometric files; {looked}"
+    return Check("data", "ok", found) if here else Check("data", "warn", f"{found}; measured roads cannot be run", "luxloop data get all")
 
 
 @_failing_with("working folder", "cd ~  # or give luxloop run --out a folder that you may write to")

@@ -117,18 +117,34 @@ def _pixels_there(simulation: Simulation) -> str:
     )
 
 
-def check(scenario: AnyScenario, device: str = "auto") -> str:
-    """Build everything that a scenario names, and say in a line what it is. Raises LuxloopError where it cannot run."""
-    if isinstance(scenario, LightingScenario):
-        simulation = LightingSimulation.prepare(scenario, torch_device(device))
-        number = Counter(function.kind for function in scenario.lighting.functions)
-        kinds = ", ".join(kind if count == 1 else f"{count} x {kind}" for kind, count in number.items()) or "none"
-        finder = "no detector" if scenario.detector is None else f"detector {scenario.detector.kind}"
-        beam = simulation.base(scenario.lighting.base.beam)
-        seen = f"{len(scenario.all_objects)} objects, {finder}"
-        return f"{scenario.steps} steps, road {scenario.road.kind}, {beam}, functions {kinds}, {seen}"
-    prepare(scenario, device)
-    return f"{scenario.steps} steps, road {scenario.road.kind}, controller {scenario.controller.name}"
+def check(scenario: AnyScenario, device: str = "auto") -> dict[str, Any]:
+    """Build everything that a scenario names, and return what it is; `in_words` says it. Raises LuxloopError where it cannot run.
+
+    `steps` and `road`; of a symbol's scenario also `controller`, of others `base` (what shines below all functions), `functions` (their
+    kinds), `objects` (their number) and `detector` (None where there is none).
+    """
+    facts: dict[str, Any] = {"steps": scenario.steps, "road": scenario.road.kind}
+    if isinstance(scenario, Scenario):
+        prepare(scenario, device)
+        return facts | {"controller": scenario.controller.name}
+    simulation = LightingSimulation.prepare(scenario, torch_device(device))
+    return facts | {
+        "base": simulation.base(scenario.lighting.base.beam),
+        "functions": [function.kind for function in scenario.lighting.functions],
+        "objects": len(scenario.all_objects),
+        "detector": None if scenario.detector is None else scenario.detector.kind,
+    }
+
+
+def in_words(facts: dict[str, Any]) -> str:
+    """What `check` found, in a line."""
+    start = f"{facts['steps']} steps, road {facts['road']}"
+    if "controller" in facts:
+        return f"{start}, controller {facts['controller']}"
+    number = Counter(facts["functions"])
+    kinds = ", ".join(kind if count == 1 else f"{count} x {kind}" for kind, count in number.items()) or "none"
+    finder = "no detector" if facts["detector"] is None else f"detector {facts['detector']}"
+    return f"{start}, {facts['base']}, functions {kinds}, {facts['objects']} objects, {finder}"
 
 
 def _in_the_image(symbol: SymbolParams, camera: CameraParams) -> bool:

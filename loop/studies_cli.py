@@ -69,6 +69,7 @@ def tune(
     trials: int = 50,
     seeds: int = 1,
     seed: int = 0,
+    controller: str | None = None,
     set: Keys = None,
     out: Path | None = None,
     jobs: int | None = None,
@@ -91,6 +92,8 @@ def tune(
         Runs of each scenario a trial, which differ in their noise.
     seed
         Seed of the search.
+    controller
+        Controller to take in all scenarios, with its defaults (see `luxloop list controllers`).
     set
         Keys to change in all scenarios, as key=value in TOML syntax, or a TOML file of them.
     out
@@ -104,7 +107,7 @@ def tune(
     """
     from loop.tune_report import do_tune
 
-    do_tune(names, key or [], objective, trials, seeds, seed, set or [], out, jobs, device, gradient)
+    do_tune(names, key or [], objective, trials, seeds, seed, controller, set or [], out, jobs, device, gradient)
 
 
 def optimise_beam(

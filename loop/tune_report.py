@@ -10,6 +10,7 @@ from optuna.importance import PedAnovaImportanceEvaluator, get_param_importances
 from optuna.trial import TrialState
 
 from loop import objective, ranges, tables
+from loop.cli_common import with_controller
 from loop.executors import local
 from loop.gradient import tune_by_gradient
 from loop.run import torch_device
@@ -28,6 +29,7 @@ def do_tune(
     trials: int,
     seeds: int,
     seed: int,
+    controller: str | None,
     overrides: Sequence[str],
     out: Path | None,
     processes: int | None,
@@ -40,7 +42,7 @@ def do_tune(
     for name, value in (("--trials", trials), ("--seeds", seeds), ("--jobs", processes or 1)):
         if value < 1:
             raise LuxloopError(f"{name}: {value} is too few; give 1 or more")
-    scenarios = tuple(load(name, overrides) for name in names)
+    scenarios = tuple(load(name, overrides, **with_controller(controller)) for name in names)
     found = tuple(ranges.parse(key, scenarios) for key in keys)
     task = Task(scenarios, found, objective.parse(goal), seeds, seed, str(torch_device(device)))
     folder = out or Path("runs") / f"tune-{scenarios[0].name}"
@@ -55,7 +57,8 @@ def do_tune(
     if failed := _failed(tuned):
         print(failed.strip())
     if values:
-        print(f"{folder / BEST} and {folder / REPORT} written; run it with: luxloop run {names[0]} --set {folder / BEST}")
+        taken = "" if controller is None else f" --controller {controller}"
+        print(f"{folder / BEST} and {folder / REPORT} written; run it with: luxloop run {names[0]}{taken} --set {folder / BEST}")
     else:
         print(f"no trial is better than what was given; {folder / REPORT} written")
     return tuned

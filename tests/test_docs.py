@@ -32,6 +32,7 @@ SCENARIOS = ROOT / "docs" / "scenarios.md"
 EXEMPT = {
     r"make (demo|test)\b": "sets up an environment, and would run this test inside itself",
     r"\. \.venv/bin/activate": "the test runs in an environment already",
+    r"python3 -m venv|pip install": "tests/test_packaging.py installs",
     r"(\.venv/bin/)?python benchmarks/": "takes minutes, and has tests of its own",
     r"luxloop (evaluate|campaign|optimise-beam|train-detector)\b": "takes minutes, and has tests of its own",
 }

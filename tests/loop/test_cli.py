@@ -87,6 +87,36 @@ def test_each_kind_is_listed_for_people_and_for_programs(lux: Lux, kind: str, so
     assert all(set(each) == keys and each["description"] for each in listed.values())
 
 
+def test_check_and_tune_take_a_controller(lux: Lux) -> None:
+    assert "controller thesis_pid)" in lux("check", "small.toml", "--controller", "thesis_pid")[1]
+    code, _, error = lux("check", "small.toml", "--controller", "thesis_pdi")
+    assert code == cli.WRONG and "did you mean 'thesis_pid'?" in error
+    tuned = ("tune", "small.toml", "--key", "controller.position.kp=0.1:1", "--trials", "2", "--jobs", "1", "--device", "cpu")
+    code, _, error = lux(*tuned)
+    assert code == cli.WRONG and "controller.position" in error, "luxloop, the default, has no such key"
+    code, out, _ = lux(*tuned, "--controller", "thesis_pid")
+    assert code == 0 and ("--controller thesis_pid --set" in out or "no trial is better" in out)
+
+
+def test_check_for_programs_says_what_was_found_and_what_is_wrong(lux: Lux) -> None:
+    code, out, _ = lux("check", "small.toml", "--json")
+    assert code == 0
+    assert json.loads(out) == {"scenario": "small.toml", "ok": True, "steps": 3, "road": "flat", "controller": "luxloop"}
+    code, out, _ = lux("check", "gfhb", "--json", "--set", "headlight.model=hd84", "renderer=raycast")
+    found = json.loads(out)
+    assert code == 0 and found["functions"] == ["glare_free"] and found["objects"] == 5 and found["detector"] is None
+    code, out, error = lux("check", "small.toml", "--json", "--set", "camera.bitz=8")
+    found = json.loads(out)
+    assert code == cli.WRONG and found["ok"] is False and error == f"error: {found['error']}\n"
+
+
+def test_doctor_for_programs(lux: Lux) -> None:
+    code, out, _ = lux("doctor", "--json")
+    found = json.loads(out)
+    assert code == (0 if found["ok"] else 1)
+    assert all(set(check) == {"name", "status", "found", "remedy"} for check in found["checks"]) and len(found["checks"]) > 10
+
+
 def test_lists_that_need_no_model_import_no_torch() -> None:
     listing = "for kind in ('scenarios', 'symbols', 'examples'): cli.main(['list', kind])"
     program = f"import sys\nfrom loop import cli\n{listing}\nassert 'torch' not in sys.modules"

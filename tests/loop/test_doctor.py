@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from loop import doctor
+from loop import data, doctor
 
 
 def test_every_check_reports_and_mends() -> None:
@@ -82,14 +82,19 @@ def test_broken_library_is_a_finding(monkeypatch: pytest.MonkeyPatch) -> None:
     assert check.status == "fail" and "av" in check.found and "pip install" in check.remedy
 
 
-def test_data_folders(tmp_path: Path) -> None:
-    nowhere = doctor.data_check({"LUXLOOP_DATA": str(tmp_path / "nowhere")})
+def test_data_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(data, "cache_folder", lambda: tmp_path / "fetched")
+    monkeypatch.delenv("LUXLOOP_DATA", raising=False)
+    unset = doctor.data_check()
+    assert unset.status == "warn" and unset.remedy == "luxloop data get all"
+    assert f"LUXLOOP_DATA is not set, fetched files lie in {tmp_path / 'fetched'}" in unset.found
+    (tmp_path / "belgian_block.crg").touch()
+    monkeypatch.setenv("LUXLOOP_DATA", str(tmp_path))
+    found = doctor.data_check()
+    assert found.status == "ok" and found.found.startswith("1 of ") and f"LUXLOOP_DATA is {tmp_path}," in found.found
+    monkeypatch.setenv("LUXLOOP_DATA", str(tmp_path / "nowhere"))
+    nowhere = doctor.data_check()
     assert nowhere.status == "fail" and "nowhere" in nowhere.found and nowhere.remedy == "unset LUXLOOP_DATA"
-    empty = doctor.data_check({"LUXLOOP_DATA": str(tmp_path)})
-    assert empty.status == "warn" and empty.remedy == "luxloop data get all"
-    (tmp_path / "roads").mkdir()
-    (tmp_path / "roads" / "track.crg").touch()
-    assert doctor.data_check({"LUXLOOP_DATA": str(tmp_path)}) == doctor.Check("data", "ok", f"1 road and photometric files in {tmp_path}")
 
 
 def test_folder_that_cannot_be_written_to(tmp_path: Path) -> None:

@@ -39,7 +39,9 @@ def png(width: int, height: int) -> bytes:
 
 def test_what_fits_is_afforded_and_what_does_not_is_named_with_its_remedy() -> None:
     afford("the scene", BUDGET_BYTES, "make it smaller")
-    with pytest.raises(LuxloopError, match=r"^the scene would take at least 6 GB of memory, more than the budget of 3 GB; make it smaller$"):
+    with pytest.raises(
+        LuxloopError, match=r"^the scene would take at least 6 GB of memory, more than the budget of 3 GB; make it smaller$"
+    ):
         afford("the scene", 2 * BUDGET_BYTES, "make it smaller")
     with pytest.raises(LuxloopError):
         afford("a size of 5,000 digits", 10**4999, "make it smaller")  # which no float holds
