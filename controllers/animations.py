@@ -33,7 +33,7 @@ class RunningLightParams(Params):
     """A bright band runs over the symbol, again and again."""
 
     kind: Literal["running_light"] = "running_light"
-    period_s: float = Field(1.0, gt=0, description="time from one end to the other")
+    period_s: float = Field(1.0, gt=0, le=1e6, description="time from one end to the other")
     length: float = Field(0.3, gt=0, le=1, description="the band's length, as a share of the symbol's")
     rest: float = Field(0.0, ge=0, le=1, description="what is left of the symbol beside the band")
     direction: Direction = Field("away", description="where it runs: `away` from the driver, `towards` the driver, `left` or `right`")
@@ -49,8 +49,8 @@ class WipeParams(Params):
     """The symbol is drawn from one end to the other, then held; it starts over."""
 
     kind: Literal["wipe"] = "wipe"
-    draw_s: float = Field(0.8, gt=0, description="time to draw it")
-    hold_s: float = Field(0.7, ge=0, description="time to hold it")
+    draw_s: float = Field(0.8, gt=0, le=1e6, description="time to draw it")
+    hold_s: float = Field(0.7, ge=0, le=1e6, description="time to hold it")
     softness: float = Field(0.05, gt=0, le=1, description="length of the soft front, as a share of the symbol's")
     direction: Direction = Field("away", description="where its front moves: `away` from the driver, `towards`, `left` or `right`")
 

@@ -20,10 +20,12 @@ class MrpcParams(Params):
         "capability", description="what a_x looks at: what a pixel can give at a texel, or the setpoint as (7.4.3) prints it"
     )
     a_ac: float = Field(0.0, ge=0, le=1, description="activation: a pixel with a smaller share of lit setpoints is off")
-    a_d: float | None = Field(None, gt=0, description="edge darkening: dims setpoints where the lamp gives less than a_d times its mean")
-    lower_cd: float = Field(0.0, ge=0, description="least intensity that a pixel is asked for at a texel that a primitive covers")
+    a_d: float | None = Field(
+        None, gt=0, le=1e6, description="edge darkening: dims setpoints where the lamp gives less than a_d times its mean"
+    )
+    lower_cd: float = Field(0.0, ge=0, le=1e9, description="least intensity that a pixel is asked for at a texel that a primitive covers")
     upper_cd: float | None = Field(
-        None, gt=0, description="greatest intensity that a pixel is asked for at a texel that a primitive covers"
+        None, gt=0, le=1e9, description="greatest intensity that a pixel is asked for at a texel that a primitive covers"
     )
     mapping: Literal["potentiated", "direct", "maximal"] = Field(
         "potentiated",

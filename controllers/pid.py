@@ -22,15 +22,15 @@ Form = Literal["position", "incremental"]
 class PidParams(Params):
     """One loop as a scenario file writes it; what is left out is unlimited or off."""
 
-    kp: float = Field(0.0, description="proportional gain")
-    ki: float = Field(0.0, description="integral gain, per unit of time")
-    kd: float = Field(0.0, description="derivative gain, in units of time")
-    derivative_time: float = Field(0.0, ge=0, description="time constant of the derivative's low-pass filter, 0 for none")
-    lower: float | None = Field(None, description="smallest output")
-    upper: float | None = Field(None, description="largest output")
-    rate_limit: float | None = Field(None, gt=0, description="largest change of the output per unit of time")
+    kp: float = Field(0.0, ge=-1e6, le=1e6, description="proportional gain")
+    ki: float = Field(0.0, ge=-1e6, le=1e6, description="integral gain, per unit of time")
+    kd: float = Field(0.0, ge=-1e6, le=1e6, description="derivative gain, in units of time")
+    derivative_time: float = Field(0.0, ge=0, le=1e6, description="time constant of the derivative's low-pass filter, 0 for none")
+    lower: float | None = Field(None, ge=-1e9, le=1e9, description="smallest output")
+    upper: float | None = Field(None, ge=-1e9, le=1e9, description="largest output")
+    rate_limit: float | None = Field(None, gt=0, le=1e6, description="largest change of the output per unit of time")
     tracking_time: float | None = Field(
-        None, gt=0, description="time constant of the back-calculation that unwinds the integral at a limit"
+        None, gt=0, le=1e6, description="time constant of the back-calculation that unwinds the integral at a limit"
     )
     form: Form = Field("position", description="whether the PID sum is the output (position) or the output's rate of change (incremental)")
 

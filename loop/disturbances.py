@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -15,8 +15,8 @@ FRAMES = ("on", "off")
 class Spell(Params):
     """The steps over which something holds."""
 
-    from_step: int = Field(0, ge=0, description="first step")
-    until_step: int | None = Field(None, gt=0, description="step at which it is over; left out: never")
+    from_step: int = Field(0, ge=0, le=1_000_000, description="first step")
+    until_step: int | None = Field(None, gt=0, le=1_000_000, description="step at which it is over; left out: never")
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
@@ -89,8 +89,10 @@ class WearParams(Params):
     dead: float = Field(0.0, ge=0, le=1, description="share of pixels that are dead")
     aged: float = Field(0.0, ge=0, le=1, description="share of pixels that have aged")
     aged_factor: float = Field(0.5, ge=0, le=1, description="light that an aged pixel has left")
-    dead_pixels: tuple[int, ...] = Field((), description="numbers of pixels that are dead in each module, row by row from the upper left")
-    seed: int = Field(0, ge=0, description="seed of which pixels these are")
+    dead_pixels: tuple[Annotated[int, Field(ge=0, lt=2**31)], ...] = Field(
+        (), description="numbers of pixels that are dead in each module, row by row from the upper left"
+    )
+    seed: int = Field(0, ge=0, lt=2**63, description="seed of which pixels these are")
 
     @model_validator(mode="after")
     def _at_most_all(self) -> Self:

@@ -11,13 +11,14 @@ import torch
 from pydantic import Field, model_validator
 
 from world import presets
+from world.budget import afford
 from world.errors import LuxloopError
 from world.frames import pose_from_degrees
 from world.headlight import Headlight
 from world.lamp import Module
 from world.overlap import Method, OverlapErrors, errors, reduce, standard_use_cases, strongest
 from world.parametric import BlurredRectangles, GaussianPixels
-from world.params import Params
+from world.params import Degrees, Params
 from world.photometry.distribution import Array
 from world.pixel_sources import FileSource, FolderSource, TableSource
 from world.pixels import CUTOFF, TEXELS_A_PIXEL, Assembled, PixelArray, affordable, assemble, border_share, default_grid, describe
@@ -27,6 +28,7 @@ from world.texels import LARGEST_ANGLE_DEG, TexelGrid
 
 DARK_CD = 1e-3  # no lamp is so dim, but what rounding leaves of a model far away
 STILL_SHINES = 0.05  # of its peak: a measurement that ends there was cut off
+BYTES_A_TEXEL = 32  # of a texture while it is made
 SIGMAS = 3.5  # of a Gaussian that a default texture holds: all but 0.2 % of the peak
 
 Progress = Callable[[int, int], None]
@@ -78,14 +80,16 @@ class TextureParams(Params):
         grid = TexelGrid.from_degrees(1, 1, *borders)
         rows = math.ceil((grid.top - grid.bottom) / (default.top - default.bottom) * default.rows)
         cols = math.ceil((grid.left - grid.right) / (default.left - default.right) * default.cols)
-        return replace(grid, rows=self.rows or rows, cols=self.columns or cols)
+        rows, cols = self.rows or rows, self.columns or cols
+        afford(f"texture: {rows} x {cols} texels", BYTES_A_TEXEL * rows * cols, "give fewer rows and columns")
+        return replace(grid, rows=rows, cols=cols)
 
 
 class OverlapParams(Params):
     """Fewer pixels a texel (T 5.2)."""
 
-    keep: int | None = Field(None, ge=1, description="pixels that stay at each texel, the strongest; left out: all")
-    bound_cd: float = Field(0.0, ge=0, description="luminous intensity below which a pixel's light at a texel is dropped")
+    keep: int | None = Field(None, ge=1, le=1_000_000, description="pixels that stay at each texel, the strongest; left out: all")
+    bound_cd: float = Field(0.0, ge=0, le=1e9, description="luminous intensity below which a pixel's light at a texel is dropped")
     method: Method = Field(
         "proportional",
         description="the dropped light is lost, shared in proportion by what stays, or shared so that use cases change least: all on, "
@@ -119,10 +123,12 @@ class ModuleParams(Params):
     cutoff: float = Field(CUTOFF, ge=0, lt=1, description="share of a pixel's peak below which its measured light is dropped")
     overlap: OverlapParams | None = Field(None, description="fewer pixels a texel; left out: all")
     mount: MountParams | None = Field(None, description="where it sits in the lamp; left out: at its origin, or as the preset")
-    swivel_deg: tuple[float, float] | None = Field(
+    swivel_deg: tuple[Degrees, Degrees] | None = Field(
         None, description="range of turns to the left (bending); left out: fixed, or as the preset"
     )
-    level_deg: tuple[float, float] | None = Field(None, description="range of turns down (levelling); left out: fixed, or as the preset")
+    level_deg: tuple[Degrees, Degrees] | None = Field(
+        None, description="range of turns down (levelling); left out: fixed, or as the preset"
+    )
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

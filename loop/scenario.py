@@ -97,7 +97,7 @@ class WorldScenario(Params):
     name: str = Field(min_length=1, max_length=80, description="name, for tables and reports")
     description: str = Field("", description="what is to be seen, in a sentence")
     steps: int = Field(40, ge=1, le=100_000, description="control steps")
-    rate_hz: float = Field(30.0, gt=0, le=1000, description="control rate")
+    rate_hz: float = Field(30.0, ge=0.1, le=1000, description="control rate")
     seed: int = Field(0, ge=0, lt=2**63, description="seed of all noise")
     road: RoadParams = Field(Flat(), description="the road's shape")
     surface: RoadSurfaceParams = Field(RoadSurfaceParams(), description="the road's albedo")
@@ -202,8 +202,10 @@ class CarLampsParams(HeadlightParams):
     )
     lamps: tuple[Literal["left", "right"], ...] = Field(("left", "right"), min_length=1, description="lamps that shine")
     modules: tuple[str, ...] | None = Field(None, min_length=1, description="their modules that shine; left out: all")
-    standby_w: float = Field(5.0, ge=0, description="electrical power of a lamp that is dark: its electronics and fan")
-    efficacy_lm_w: float = Field(40.0, gt=0, description="luminous flux that leaves a lamp for each watt that its light sources take")
+    standby_w: float = Field(5.0, ge=0, le=1e6, description="electrical power of a lamp that is dark: its electronics and fan")
+    efficacy_lm_w: float = Field(
+        40.0, gt=0, le=1000, description="luminous flux that leaves a lamp for each watt that its light sources take"
+    )
 
     def power_w(self, flux_lm: float) -> float:
         """Electrical power of one lamp that gives so much light."""
@@ -213,7 +215,7 @@ class CarLampsParams(HeadlightParams):
 class DrivingParams(Params):
     """What lighting functions are told of the car from one time on; in the simulation it stands still."""
 
-    time_s: float = Field(0.0, ge=0, description="time from which on this holds; speed and curvature change evenly until the next")
+    time_s: float = Field(0.0, ge=0, le=1e6, description="time from which on this holds; speed and curvature change evenly until the next")
     speed_m_s: float = Field(0.0, ge=0, le=100, description="speed")
     curvature_1_m: float = Field(0.0, ge=-0.2, le=0.2, description="curvature of the car's course, to the left positive")
     wet: bool = Field(False, description="whether it rains")

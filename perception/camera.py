@@ -10,24 +10,27 @@ the noise in the dark.
 """
 
 import math
-from typing import Literal
+from typing import Final, Literal, Self
 
 import numpy as np
 import torch
-from pydantic import Field
+from pydantic import Field, model_validator
 from torch import Tensor
 
+from world.budget import afford
 from world.frames import R_ISO_OPENCV, pose, pose_from_degrees
 from world.params import Params
 from world.view import View
+
+BYTES_A_SAMPLE: Final = 350  # of a frame, with the G-buffer and all that shading makes of it: measured
 
 
 class CameraParams(Params):
     """Pose in the vehicle frame (x forward, y left, z up), optics, sensor, and what delays or loses frames on the way."""
 
-    x_m: float = Field(-1.6, description="position ahead of the lamps")
-    y_m: float = Field(0.0, description="position to the left of the middle line")
-    z_m: float = Field(1.35, ge=0, description="height above the assumed road plane")
+    x_m: float = Field(-1.6, ge=-10_000, le=10_000, description="position ahead of the lamps")
+    y_m: float = Field(0.0, ge=-10_000, le=10_000, description="position to the left of the middle line")
+    z_m: float = Field(1.35, ge=0, le=10_000, description="height above the assumed road plane")
     roll_deg: float = Field(0.0, ge=-180, le=180, description="rotation about the forward axis, right side down")
     pitch_deg: float = Field(3.0, ge=-90, le=90, description="rotation about the left axis, nose down")
     yaw_deg: float = Field(0.0, ge=-180, le=180, description="rotation about the upward axis, to the left")
@@ -45,16 +48,25 @@ class CameraParams(Params):
         description="samples over a pixel's height: on the road a pixel is many times as long as wide, and it integrates light",
     )
 
-    exposure_s: float = Field(0.015, gt=0, le=1, description="exposure time of a frame; on and off frames must fit into one control step")
-    sensitivity_e_per_cd_s_m2: float = Field(50_000.0, gt=0, description="electrons for each cd/m^2 and second of exposure")
-    saturation_e: float = Field(1_000.0, gt=0, description="electrons at the largest digital number")
-    read_noise_e: float = Field(2.0, gt=0, description="standard deviation of the read noise in electrons")
+    exposure_s: float = Field(
+        0.015, ge=1e-6, le=1, description="exposure time of a frame; on and off frames must fit into one control step"
+    )
+    sensitivity_e_per_cd_s_m2: float = Field(50_000.0, gt=0, le=1e6, description="electrons for each cd/m^2 and second of exposure")
+    saturation_e: float = Field(1_000.0, gt=0, le=1e6, description="electrons at the largest digital number")
+    read_noise_e: float = Field(2.0, gt=0, le=1e6, description="standard deviation of the read noise in electrons")
     bits: Literal[8, 10, 12] = Field(12, description="bits of a digital number")
     gamma: float = Field(1.0, ge=1, le=3, description="the code is the 1/gamma-th power of the light; 1 is linear")
     noise: bool = Field(True, description="whether frames have shot and read noise")
 
     latency_steps: int = Field(0, ge=0, le=10, description="control steps by which the controller sees frames late")
     drop_probability: float = Field(0.0, ge=0, lt=1, description="probability that a step's frames are lost")
+
+    @model_validator(mode="after")
+    def _affordable(self) -> Self:
+        samples = self.width_px * self.height_px * self.oversampling
+        size = f"{self.width_px} x {self.height_px} px of {self.oversampling} samples"
+        afford(size, BYTES_A_SAMPLE * samples, "lower oversampling, or width_px and height_px")
+        return self
 
 
 def camera_view(params: CameraParams, oversampling: int = 1) -> View:

@@ -32,11 +32,15 @@ class Loss(IntEnum):
 class SearchParams(Params):
     """What is told from noise and glare, and where it is looked for."""
 
-    threshold_sigma: float = Field(5.0, gt=0, description="least difference on - off, in standard deviations of the noise without a symbol")
-    footprint_margin_m: float = Field(0.15, ge=0, description="unevenness of the road that the predicted footprint allows for, up and down")
+    threshold_sigma: float = Field(
+        5.0, gt=0, le=1e6, description="least difference on - off, in standard deviations of the noise without a symbol"
+    )
+    footprint_margin_m: float = Field(
+        0.15, ge=0, le=10_000, description="unevenness of the road that the predicted footprint allows for, up and down"
+    )
     nothing_below: float = Field(0.08, ge=0, lt=1, description="share of the expected area below which there is no symbol at all")
     area_low: float = Field(0.45, ge=0, lt=1, description="least share of the expected area that is taken for the symbol")
-    area_high: float = Field(1.9, gt=1, description="largest multiple of the expected area that is taken for the symbol")
+    area_high: float = Field(1.9, gt=1, le=1e6, description="largest multiple of the expected area that is taken for the symbol")
 
 
 class ExtractionParams(SearchParams):

@@ -1,24 +1,27 @@
 """Light sources that shine into the camera: their image, and the veil that scattered light lays over all of it."""
 
 import math
+from typing import Annotated
 
 import torch
 from pydantic import Field
 from torch import Tensor
 
-from world.params import Params
+from world.params import Metres, Params
 from world.view import View
 
 # Disability glare (Stiles & Holladay, CIE 31-1976): 10 cd/m^2 of veil at 1 deg from a source of 1 lx at the eye
 EYE_DEG2 = 10.0
 BLOOM_DEG = 0.1  # within it the veil is even: the formula would grow without bound
 
+Speed = Annotated[float, Field(ge=-200, le=200)]
+
 
 class OncomingParams(Params):
     """One oncoming headlamp: a source that faces the camera. It is seen, but lights nothing, and nothing hides it."""
 
-    position_m: tuple[float, float, float] = Field(description="where it is at the scenario's start, in the world")
-    velocity_m_s: tuple[float, float, float] = Field((0.0, 0.0, 0.0), description="how it moves from there")
+    position_m: tuple[Metres, Metres, Metres] = Field(description="where it is at the scenario's start, in the world")
+    velocity_m_s: tuple[Speed, Speed, Speed] = Field((0.0, 0.0, 0.0), description="how it moves from there")
     intensity_cd: float = Field(500.0, gt=0, le=500_000, description="luminous intensity towards the camera")
     diameter_m: float = Field(0.15, gt=0, le=1, description="diameter of what shines")
     veil: float = Field(

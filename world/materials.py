@@ -99,7 +99,7 @@ class RoadSurfaceParams(Params):
     beads: bool = Field(False, description="Let glass beads in the markings send light back to where it comes from")
     wet: float = Field(0.0, ge=0, le=1, description="Share of the road under a film of water: darker, glossy, its beads drowned")
     lane_width_m: float = Field(3.5, gt=1, le=10, description="Distance of the two lines; the lane's middle is y = 0")
-    seed: int = Field(0, ge=0, description="Seed of grain and patches")
+    seed: int = Field(0, ge=0, lt=2**63, description="Seed of grain and patches")
 
     @property
     def ground(self) -> Material:

@@ -21,6 +21,7 @@ from world.traffic.roadside import ClutterParams, TrafficSignParams
 
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 AXES = np.eye(3)
+Side = Annotated[float, Field(gt=0, le=1000)]
 
 
 class SolidParams(TrackedParams):
@@ -41,9 +42,7 @@ class BoxParams(SolidParams):
     """A box; its origin is the centre of its bottom face."""
 
     kind: Literal["box"] = "box"
-    size_m: tuple[Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)]] = Field(
-        description="Length (x), width (y), height (z)"
-    )
+    size_m: tuple[Side, Side, Side] = Field(description="Length (x), width (y), height (z)")
 
     def build(self) -> Body:
         box = trimesh.creation.box(self.size_m)
@@ -56,7 +55,7 @@ class MeshParams(SolidParams):
 
     kind: Literal["mesh"] = "mesh"
     file: Path = Field(description="Mesh file: .obj, .ply, .stl, .glb or what else trimesh reads")
-    scale: float = Field(1.0, gt=0, description="Metres a unit of the file")
+    scale: float = Field(1.0, gt=0, le=1e6, description="Metres a unit of the file")
     forward: Axis = Field("x", description="The file's axis that points ahead")
     up: Axis = Field("z", description="The file's axis that points up; y in .glb and in most .obj files")
     smooth: bool = Field(False, description="Interpolate normals over the faces, for rounded bodies")

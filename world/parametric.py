@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from scipy.special import ndtr
 
-from world.errors import LuxloopError
+from world.budget import afford
 from world.params import Params
 from world.texels import TexelGrid
 
@@ -21,7 +21,7 @@ Matrix = tuple[sp.csr_array, int, int]
 Spacing = Literal["angle", "tangent"]
 
 MOST_PIXELS = 4096  # along a side
-MOST_ENTRIES = 200_000_000  # of a headlight matrix: several GB while it is made
+BYTES_AN_ENTRY = 15  # of a headlight matrix while it is made
 BRIGHTEST_CD = 1e9  # of a pixel
 SHARP_DEG = 1e-6  # a blur that no texture shows: as none
 
@@ -154,12 +154,9 @@ def _ramp(x: Floats, blur: float) -> Floats:
 
 
 def affordable_entries(entries: float) -> None:
-    """Raises LuxloopError where a headlight matrix would have more entries than memory bears."""
-    if entries > MOST_ENTRIES:
-        raise LuxloopError(
-            f"its pixels light {entries / 1e6:,.0f} million texels in all, more than the {MOST_ENTRIES / 1e6:g} million that memory bears; "
-            "give texture.rows and texture.columns for a coarser texture, cut off more faint light, or let pixels overlap less"
-        )
+    """Raises LuxloopError where a headlight matrix would have more entries than the memory's budget bears."""
+    remedy = "give texture.rows and texture.columns for a coarser texture, cut off more faint light, or let pixels overlap less"
+    afford(f"its {entries / 1e6:,.0f} million texels that pixels light", BYTES_AN_ENTRY * entries, remedy)
 
 
 def _product(vertical: Floats, horizontal: Floats, peak: Floats, cut: float) -> sp.csr_array:

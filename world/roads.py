@@ -9,6 +9,7 @@ from pydantic import Field, Tag, field_validator
 
 from world.iso8608 import roughness
 from world.ownroad import OwnRoad
+from world.params import Metres
 from world.plugin import OWN, known_or_own
 from world.roadbase import Floats, MeshGrid, Road, RoadModel, ahead, smoothstep
 from world.scanroad import OpenCrgRoad
@@ -52,8 +53,8 @@ class Grade(RoadModel):
     kind: Literal["grade"] = "grade"
     grade_percent: float = Field(default=1.5, ge=-20.0, le=20.0, description="rise ahead of start_x_m")
     crossfall_percent: float = Field(default=2.0, ge=-10.0, le=10.0, description="rise to the left, about the vehicle's middle line")
-    start_x_m: float = Field(default=13.0, description="where the grade begins to change")
-    curve_m: float = Field(default=4.0, gt=0.0, description="length of the vertical curve in which it changes")
+    start_x_m: float = Field(default=13.0, ge=-10_000, le=10_000, description="where the grade begins to change")
+    curve_m: float = Field(default=4.0, gt=0.0, le=10_000, description="length of the vertical curve in which it changes")
 
     def z(self, x: ArrayLike, y: ArrayLike) -> Floats:
         x, y = _plane(x, y)
@@ -69,7 +70,7 @@ class Bumps(RoadModel):
     kind: Literal["bumps"] = "bumps"
     lowest_m: float = Field(default=-0.02, ge=-0.5, le=0.0, description="lowest height around the symbol (x 12 to 22 m, y -2 to 2 m)")
     highest_m: float = Field(default=0.05, ge=0.0, le=0.5, description="highest height around the symbol")
-    seed: int = Field(default=1, ge=0, description="seed of the bumps")
+    seed: int = Field(default=1, ge=0, lt=2**63, description="seed of the bumps")
 
     def z(self, x: ArrayLike, y: ArrayLike) -> Floats:
         x, y = _plane(x, y)
@@ -99,7 +100,7 @@ class SpeedBump(RoadModel):
     """A bump across the whole road, cosine-shaped along it."""
 
     kind: Literal["speed_bump"] = "speed_bump"
-    x_m: float = Field(default=17.0, ge=3.0, description="distance of its middle")
+    x_m: float = Field(default=17.0, ge=3.0, le=10_000, description="distance of its middle")
     height_m: float = Field(default=0.08, gt=0.0, le=0.5, description="height of its middle")
     length_m: float = Field(default=1.0, gt=0.1, le=10.0, description="length along the road")
 
@@ -113,7 +114,9 @@ class Curb(RoadModel):
     """A step to a pavement on the left that runs along the road, from 6 m ahead on."""
 
     kind: Literal["curb"] = "curb"
-    y_m: float = Field(default=0.5, description="where the step is; half a metre from the middle a symbol 2 m wide straddles it")
+    y_m: float = Field(
+        default=0.5, ge=-10_000, le=10_000, description="where the step is; half a metre from the middle a symbol 2 m wide straddles it"
+    )
     height_m: float = Field(default=0.10, ge=-0.5, le=0.5, description="height of the pavement; negative: a road edge that drops")
     ramp_m: float = Field(default=0.03, gt=0.0, le=1.0, description="width of the step's face: a height cannot be vertical")
 
@@ -129,11 +132,11 @@ class Pothole(RoadModel):
     """A round hole with a flat bottom and soft edges."""
 
     kind: Literal["pothole"] = "pothole"
-    x_m: float = Field(default=17.0, ge=3.0, description="distance of its centre")
-    y_m: float = Field(default=0.3, description="distance of its centre to the left of the vehicle's middle")
+    x_m: float = Field(default=17.0, ge=3.0, le=10_000, description="distance of its centre")
+    y_m: float = Field(default=0.3, ge=-10_000, le=10_000, description="distance of its centre to the left of the vehicle's middle")
     diameter_m: float = Field(default=0.9, gt=0.1, le=3.0, description="diameter at the road's surface")
     depth_m: float = Field(default=0.06, gt=0.0, le=0.5, description="depth")
-    edge_m: float = Field(default=0.15, gt=0.0, description="width of the edge")
+    edge_m: float = Field(default=0.15, gt=0.0, le=10_000, description="width of the edge")
 
     def z(self, x: ArrayLike, y: ArrayLike) -> Floats:
         x, y = _plane(x, y)
@@ -146,7 +149,7 @@ class Iso8608(RoadModel):
 
     kind: Literal["iso8608"] = "iso8608"
     roughness_class: RoughnessClass = Field(default="B", description="A (very good) to E (very poor)")
-    seed: int = Field(default=1, ge=0, description="seed of the surface")
+    seed: int = Field(default=1, ge=0, lt=2**63, description="seed of the surface")
 
     def z(self, x: ArrayLike, y: ArrayLike) -> Floats:
         return ahead(x) * roughness(self.roughness_class, self.seed, x, y)
@@ -161,13 +164,15 @@ class Mixed(RoadModel):
     kind: Literal["mixed"] = "mixed"
     grade_percent: float = Field(default=1.2, ge=-5.0, le=5.0, description="rise ahead, from 13 m on")
     crossfall_percent: float = Field(default=2.5, ge=-5.0, le=5.0, description="rise to the left")
-    bumps_m: tuple[float, float] = Field(default=(-0.015, 0.025), description="lowest and highest of the smooth bumps around the symbol")
+    bumps_m: tuple[Metres, Metres] = Field(default=(-0.015, 0.025), description="lowest and highest of the smooth bumps around the symbol")
     roughness_class: RoughnessClass = Field(default="B", description="ISO 8608 class of the roughness on top")
-    curb_y_m: float = Field(default=4.0, gt=1.5, description="distance of the kerbs to both sides")
+    curb_y_m: float = Field(default=4.0, gt=1.5, le=10_000, description="distance of the kerbs to both sides")
     curb_height_m: float = Field(default=0.10, ge=0.0, le=0.3, description="height of the kerbs")
-    table_x_m: float = Field(default=45.0, ge=25.0, description="where the speed table begins")
+    table_x_m: float = Field(default=45.0, ge=25.0, le=10_000, description="where the speed table begins")
     table_height_m: float = Field(default=0.08, ge=0.0, le=0.3, description="height of the speed table")
-    seed: int = Field(default=12, ge=0, description="seed of bumps and roughness; the default keeps the symbol within the lamp's field")
+    seed: int = Field(
+        default=12, ge=0, lt=2**63, description="seed of bumps and roughness; the default keeps the symbol within the lamp's field"
+    )
 
     @field_validator("bumps_m")
     @classmethod

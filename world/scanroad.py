@@ -27,11 +27,22 @@ class OpenCrgRoad(RoadModel):
 
     kind: Literal["opencrg"] = "opencrg"
     file: str = Field(description="OpenCRG file: a path, relative to the scenario file, or a name from `luxloop data list`")
-    u_m: float | None = Field(default=None, description="place along the scan that lies at at_x_m, in the file's u; default: its middle")
-    v_m: float = Field(default=0.0, description="place across the scan that lies at at_y_m, positive to the left of its reference line")
-    at_x_m: float = Field(default=17.0, description="distance ahead of the lamps at which the place lies")
-    at_y_m: float = Field(default=0.0, description="distance to the left of the vehicle's middle at which the place lies")
-    blend_m: float = Field(default=3.0, gt=0.0, description="length over which the border of the scan fades into the plane z = 0")
+    u_m: float | None = Field(
+        default=None, ge=-1e6, le=1e6, description="place along the scan that lies at at_x_m, in the file's u; default: its middle"
+    )
+    v_m: float = Field(
+        default=0.0,
+        ge=-10_000,
+        le=10_000,
+        description="place across the scan that lies at at_y_m, positive to the left of its reference line",
+    )
+    at_x_m: float = Field(default=17.0, ge=-10_000, le=10_000, description="distance ahead of the lamps at which the place lies")
+    at_y_m: float = Field(
+        default=0.0, ge=-10_000, le=10_000, description="distance to the left of the vehicle's middle at which the place lies"
+    )
+    blend_m: float = Field(
+        default=3.0, gt=0.0, le=10_000, description="length over which the border of the scan fades into the plane z = 0"
+    )
 
     def z(self, x: ArrayLike, y: ArrayLike) -> Floats:
         """Height in m over the plane that the vehicle stands on. Raises LuxloopError where file or place do not fit."""

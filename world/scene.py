@@ -9,7 +9,7 @@ from torch import Tensor
 from world.body import Body, PoseTrack, Spotlight
 from world.figure import Figure
 from world.frames import transform
-from world.params import Params
+from world.params import Metres, Params
 from world.roadtiles import RoadTiles
 from world.triangles import Placed, Triangles
 
@@ -22,8 +22,8 @@ Key = tuple[tuple[int, tuple[float, ...]], ...]
 class StreetLamp(Params):
     """A point light that shines equally into all directions, without shadows."""
 
-    position_m: tuple[float, float, float] = Field(description="Where it hangs in the world (x forward, y left, z up)")
-    intensity_cd: float = Field(gt=0, description="Luminous intensity into every direction")
+    position_m: tuple[Metres, Metres, Metres] = Field(description="Where it hangs in the world (x forward, y left, z up)")
+    intensity_cd: float = Field(gt=0, le=1e9, description="Luminous intensity into every direction")
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,8 +18,8 @@ class SpotParams(Params):
     """A region of the road whose albedo or material differs; where spots overlap the last one lies on top."""
 
     shape: Literal["ellipse", "rectangle"] = Field("ellipse", description="outline")
-    x_m: float = Field(description="centre ahead in the world")
-    y_m: float = Field(0.0, description="centre to the left")
+    x_m: float = Field(ge=-10_000, le=10_000, description="centre ahead in the world")
+    y_m: float = Field(0.0, ge=-10_000, le=10_000, description="centre to the left")
     length_m: float = Field(1.0, gt=0, le=200, description="extent along x before it is turned")
     width_m: float = Field(1.0, gt=0, le=200, description="extent along y before it is turned")
     yaw_deg: float = Field(0.0, ge=-180, le=180, description="turn to the left")

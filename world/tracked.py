@@ -11,7 +11,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from world.body import PoseTrack
 from world.frames import pose_from_degrees
-from world.params import Params
+from world.params import Metres, Params
 
 PATH_STEP_M = 0.5  # between the poses along a curve
 
@@ -22,8 +22,8 @@ ROAD_USERS: frozenset[Category] = frozenset({"pedestrian", "cyclist", "motorcycl
 class KeyframeParams(Params):
     """Where an object is at one time."""
 
-    time_s: float = Field(0.0, description="Time since the scenario's start")
-    position_m: tuple[float, float, float] = Field(description="Object's origin in the world (x forward, y left, z up)")
+    time_s: float = Field(0.0, ge=-1e6, le=1e6, description="Time since the scenario's start")
+    position_m: tuple[Metres, Metres, Metres] = Field(description="Object's origin in the world (x forward, y left, z up)")
     roll_deg: float = Field(0.0, ge=-180, le=180, description="About the x axis, positive: right side down")
     pitch_deg: float = Field(0.0, ge=-90, le=90, description="About the y axis, positive: nose down")
     yaw_deg: float = Field(0.0, ge=-180, le=180, description="About the z axis, positive: to the left")
@@ -32,11 +32,13 @@ class KeyframeParams(Params):
 class WayParams(Params):
     """A way at a constant speed, on which the object looks ahead."""
 
-    points_m: tuple[tuple[float, float, float], ...] = Field(
+    points_m: tuple[tuple[Metres, Metres, Metres], ...] = Field(
         min_length=2, description="Points of the way in the world, with a curve through them"
     )
     speed_m_s: float = Field(gt=0, le=70, description="Speed")
-    start_s: float = Field(0.0, description="Time at the first point; before, and after the last point, the object stands still")
+    start_s: float = Field(
+        0.0, ge=-1e6, le=1e6, description="Time at the first point; before, and after the last point, the object stands still"
+    )
 
     @model_validator(mode="after")
     def _leads_on(self) -> Self:
@@ -66,8 +68,8 @@ class TrackedParams(Params):
     track: tuple[KeyframeParams, ...] = Field((), description="Poses in ascending time; one keyframe: the object stands still")
     path: WayParams | None = Field(None, description="A way at a constant speed, in place of a track")
     on_road: bool = Field(False, description="Count heights from the road's surface under the object's origin, in place of z = 0")
-    appears_s: float | None = Field(None, description="Time of appearing; left out: there from the start")
-    vanishes_s: float | None = Field(None, description="Time of vanishing; left out: there to the end")
+    appears_s: float | None = Field(None, ge=-1e6, le=1e6, description="Time of appearing; left out: there from the start")
+    vanishes_s: float | None = Field(None, ge=-1e6, le=1e6, description="Time of vanishing; left out: there to the end")
 
     @model_validator(mode="after")
     def _somewhere_in_order(self) -> Self:

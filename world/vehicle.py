@@ -16,6 +16,7 @@ from pydantic import Field, model_validator
 from scipy.signal import cont2discrete, lfilter, lfilter_zi
 from torch import Tensor
 
+from world.budget import afford
 from world.frames import pose, rotation
 from world.params import Params
 from world.roadbase import Floats, Road
@@ -25,11 +26,13 @@ COLUMNS: Final = (
     *("heave_m", "roll_rad", "pitch_rad", "heave_rate_m_s", "roll_rate_rad_s", "pitch_rate_rad_s"),
 )
 
+BYTES_A_MOMENT: Final = 500  # of the integrated motion: all columns, and as many while they are made
+
 
 class CourseParams(Params):
     """What the driver does at a time; in between speed and curvature change evenly, outside they hold."""
 
-    time_s: float = Field(0.0, ge=0, description="time of this entry")
+    time_s: float = Field(0.0, ge=0, le=1e6, description="time of this entry")
     speed_m_s: float = Field(ge=0, le=100, description="speed of the rear axle")
     curvature_1_m: float = Field(
         0.0, ge=-0.2, le=0.2, description="curvature of the rear axle's path, to the left positive: tan(steering angle) / wheelbase"
@@ -143,6 +146,7 @@ def drive(params: VehicleParams, road: Road, duration_s: float) -> Motion:
     as linear systems do whose inputs change linearly in each interval.
     """
     dt = 1 / params.simulation_hz
+    afford(f"vehicle: a drive of {duration_s:.3g} s", BYTES_A_MOMENT * duration_s / dt, "take fewer steps, or raise rate_hz")
     t: Floats = np.arange(math.ceil(duration_s / dt) + 2, dtype=np.float64) * dt
     knots = np.array([[each.time_s, each.speed_m_s, each.curvature_1_m] for each in params.course])
     speed, curvature = (np.interp(t, knots[:, 0], column) for column in knots.T[1:])

@@ -22,7 +22,7 @@ CLEARANCE = 0.8  # share of the gap between a box and a lamp beside it that a ma
 class SoftZoneParams(Params):
     """A larger box that is dimmed only."""
 
-    margin_m: float = Field(gt=0, description="how much larger it is to each side than the mask")
+    margin_m: float = Field(gt=0, le=10_000, description="how much larger it is to each side than the mask")
     u_rel: float = Field(ge=0, le=1, description="what is left of the base beam in it")
 
 
@@ -30,9 +30,9 @@ class GlareFreeParams(SelectionParams):
     """No light on other road users."""
 
     kind: Literal["glare_free"] = "glare_free"
-    margin_m: float = Field(0.2, ge=0, description="safety margin around the box, except below its foot")
+    margin_m: float = Field(0.2, ge=0, le=10_000, description="safety margin around the box, except below its foot")
     margin_deg: float = Field(0.2, ge=0, le=5, description="the same as an angle seen from the lamps, in addition")
-    fade_in_s: float = Field(0.0, ge=0, description="time to go dark for a new object; 0 goes dark at once, which is safe")
+    fade_in_s: float = Field(0.0, ge=0, le=1e6, description="time to go dark for a new object; 0 goes dark at once, which is safe")
     fade_out_s: float = Field(0.6, ge=0, le=LINGER_S, description="time to become bright again behind an object that is gone")
     soft_zones: tuple[SoftZoneParams, ...] = Field((), max_length=LAYERS - 1, description="dimmed boxes around the mask, inner ones first")
 

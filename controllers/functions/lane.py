@@ -18,8 +18,8 @@ STRAIGHT_1_M = 1e-5  # a curve that turns less leaves its tangent by 2 cm in 60 
 class Stretch(Drawn):
     """What is drawn on the road from one distance to another."""
 
-    near_m: float
-    far_m: float
+    near_m: float = Field(ge=-10_000, le=10_000)
+    far_m: float = Field(ge=-10_000, le=10_000)
 
     @model_validator(mode="after")
     def _far_is_beyond_near(self) -> Self:
@@ -33,11 +33,11 @@ class LaneParams(Stretch):
 
     kind: Literal["lane"] = "lane"
     style: Literal["carpet", "lines"] = Field("carpet", description="`carpet` fills the lane, `lines` marks its borders")
-    lane_width_m: float = Field(2.6, gt=0, description="width of the carpet, or between the middles of the lines")
-    line_width_m: float = Field(0.2, gt=0, description="width of a line")
-    near_m: float = Field(6.0, gt=0, description="where it begins, ahead of the car")
-    far_m: float = Field(40.0, gt=0, description="where it ends; in a tight bend after a quarter turn")
-    y_m: float = Field(0.0, description="middle of the lane at the car, to the left")
+    lane_width_m: float = Field(2.6, gt=0, le=10_000, description="width of the carpet, or between the middles of the lines")
+    line_width_m: float = Field(0.2, gt=0, le=10_000, description="width of a line")
+    near_m: float = Field(6.0, gt=0, le=10_000, description="where it begins, ahead of the car")
+    far_m: float = Field(40.0, gt=0, le=10_000, description="where it ends; in a tight bend after a quarter turn")
+    y_m: float = Field(0.0, ge=-10_000, le=10_000, description="middle of the lane at the car, to the left")
     texel_m: float = Field(0.1, gt=0, le=1, description="resolution of the drawing in a bend")
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
@@ -58,10 +58,12 @@ class WidthParams(Stretch):
     """Two lines as far apart as the car is wide, for narrow passages."""
 
     kind: Literal["width"] = "width"
-    vehicle_width_m: float = Field(2.1, gt=0, description="between the outer edges of the lines: the car's width with its mirrors")
-    line_width_m: float = Field(0.15, gt=0, description="width of a line")
-    near_m: float = Field(5.0, gt=0, description="where the lines begin, ahead of the car")
-    far_m: float = Field(25.0, gt=0, description="where they end")
+    vehicle_width_m: float = Field(
+        2.1, gt=0, le=10_000, description="between the outer edges of the lines: the car's width with its mirrors"
+    )
+    line_width_m: float = Field(0.15, gt=0, le=10_000, description="width of a line")
+    near_m: float = Field(5.0, gt=0, le=10_000, description="where the lines begin, ahead of the car")
+    far_m: float = Field(25.0, gt=0, le=10_000, description="where they end")
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
         if not self.active(now.time_s):

@@ -22,11 +22,11 @@ class MarkerParams(Drawn, SelectionParams):
     kind: Literal["marker"] = "marker"
     categories: tuple[Category, ...] = Field(("pedestrian", "animal"), min_length=1, description="classes of objects meant")
     target: Literal["road", "body"] = Field("road", description="`road`: a line that leads to it; `body`: light on it")
-    width_m: float = Field(0.25, gt=0, description="width of the line")
-    near_m: float = Field(8.0, gt=0, description="where the line begins, ahead of the lamps")
-    gap_m: float = Field(0.5, ge=0, description="how far before the object it ends")
+    width_m: float = Field(0.25, gt=0, le=10_000, description="width of the line")
+    near_m: float = Field(8.0, gt=0, le=10_000, description="where the line begins, ahead of the lamps")
+    gap_m: float = Field(0.5, ge=0, le=10_000, description="how far before the object it ends")
     up_to: float = Field(0.6, gt=0, le=1, description="share of the body's height that is lit, from the foot, so that it does not dazzle")
-    surround_m: float = Field(0.0, ge=0, description="how far beside the line the base beam is dimmed, for contrast")
+    surround_m: float = Field(0.0, ge=0, le=10_000, description="how far beside the line the base beam is dimmed, for contrast")
     surround_u_rel: float = Field(0.3, ge=0, le=1, description="what is left of the base beam there")
     animation: AnimationParams | None = Field(None, description="how it changes with time; left out: it stands still")
 

@@ -14,6 +14,7 @@ from controllers.functions.bezier import closest, derivative, length_at, point
 from controllers.functions.geometry import Place, on_road
 from controllers.functions.situation import Drawn, Situation
 from controllers.primitives import Primitives
+from world.params import Metres
 
 Point = tuple[float, float]
 MOST_TEXELS = 1e7  # of a drawing: 250 m x 100 m at 5 cm
@@ -23,14 +24,14 @@ class PathParams(Drawn):
     """A Bezier curve on the road, drawn as a band or with a symbol that is repeated and bent along it."""
 
     kind: Literal["path"] = "path"
-    control_m: tuple[Point, ...] = Field(
+    control_m: tuple[tuple[Metres, Metres], ...] = Field(
         min_length=2, max_length=12, description="control points, x ahead and y left, from the car outward"
     )
-    width_m: float = Field(1.0, gt=0, description="width of the band")
+    width_m: float = Field(1.0, gt=0, le=10_000, description="width of the band")
     image: str | None = Field(None, description="symbol that is bent along the curve, its far end ahead; left out: an even band")
-    image_length_m: float = Field(3.0, gt=0, description="length of one such symbol along the curve")
-    image_pitch_m: float = Field(4.0, gt=0, description="from one symbol to the next")
-    speed_m_s: float = Field(0.0, description="how fast the symbols run along the curve")
+    image_length_m: float = Field(3.0, gt=0, le=10_000, description="length of one such symbol along the curve")
+    image_pitch_m: float = Field(4.0, gt=0, le=10_000, description="from one symbol to the next")
+    speed_m_s: float = Field(0.0, ge=-200, le=200, description="how fast the symbols run along the curve")
     texel_m: float = Field(0.05, gt=0, le=1, description="resolution of the drawing")
 
     @model_validator(mode="after")

@@ -16,10 +16,10 @@ class SignParams(SelectionParams):
     kind: Literal["sign"] = "sign"
     categories: tuple[Category, ...] = Field(("sign",), min_length=1, description="classes of objects meant")
     quantity: Literal["E_v", "u_abs", "u_rel"] = Field("u_rel", description="u_rel: a share of the base beam; E_v: lx on the sign")
-    value: float = Field(0.2, ge=0, description="setpoint")
-    weight: float = Field(1.0, ge=0, description="how much it counts where a pixel lights more than the sign")
+    value: float = Field(0.2, ge=0, le=1e9, description="setpoint")
+    weight: float = Field(1.0, ge=0, le=1e6, description="how much it counts where a pixel lights more than the sign")
     priority: int = Field(50, ge=0, le=100, description="of two functions in one place, the higher is drawn")
-    margin_m: float = Field(0.1, ge=0, description="how much larger than the sign the primitive is, to each side")
+    margin_m: float = Field(0.1, ge=0, le=10_000, description="how much larger than the sign the primitive is, to each side")
 
     @model_validator(mode="after")
     def _share_of_a_pixel(self) -> Self:

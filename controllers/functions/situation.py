@@ -118,8 +118,8 @@ class SelectionParams(Params):
         ("car", "truck", "motorcycle", "cyclist"), min_length=1, description="classes of objects meant"
     )
     names: tuple[str, ...] | None = Field(None, description="only objects of these names; left out: all of the classes")
-    nearer_than_m: float = Field(200.0, gt=0, description="only objects nearer than this")
-    farther_than_m: float = Field(0.0, ge=0, description="only objects at least this far away")
+    nearer_than_m: float = Field(200.0, gt=0, le=10_000, description="only objects nearer than this")
+    farther_than_m: float = Field(0.0, ge=0, le=10_000, description="only objects at least this far away")
 
     @model_validator(mode="after")
     def _some_distance_is_meant(self) -> Self:
@@ -174,14 +174,14 @@ class Drawn(Params):
     """What all functions that draw light have."""
 
     quantity: Literal["I_v", "E_v", "u_abs", "u_rel"] = Field("u_abs", description="I_v in cd, E_v in lx, u_abs or u_rel as a share")
-    value: float = Field(1.0, ge=0, description="setpoint of white; black is 0, or for u_rel 1, which leaves the base beam")
-    weight: float = Field(1.0, ge=0, description="how much it counts where a pixel lights more than it")
+    value: float = Field(1.0, ge=0, le=1e9, description="setpoint of white; black is 0, or for u_rel 1, which leaves the base beam")
+    weight: float = Field(1.0, ge=0, le=1e6, description="how much it counts where a pixel lights more than it")
     priority: int = Field(0, ge=0, le=100, description="of two functions in one place on the road, the higher is drawn")
     forced: bool = Field(False, description="drawn even behind other primitives, masks excepted")
     modules: tuple[str, ...] = Field((), description="lamps or modules that draw it; left out: all")
     share: bool = Field(True, description="what draws it gives its cd or lx together; false: each gives the whole")
-    start_s: float | None = Field(None, description="drawn from this time on; left out: from the beginning")
-    stop_s: float | None = Field(None, description="drawn until this time; left out: to the end")
+    start_s: float | None = Field(None, ge=-1e6, le=1e6, description="drawn from this time on; left out: from the beginning")
+    stop_s: float | None = Field(None, ge=-1e6, le=1e6, description="drawn until this time; left out: to the end")
 
     @model_validator(mode="after")
     def _stops_after_its_start(self) -> Self:

@@ -14,7 +14,7 @@ from controllers.observer import drawing_rectangle
 from controllers.primitives import Observer, Primitives
 from world.errors import LuxloopError
 from world.frames import transform
-from world.params import Params
+from world.params import Metres, Params
 
 DRIVER_M = (-1.6, 0.35, 1.3)  # the driver's eye, seen from the car
 
@@ -33,12 +33,12 @@ class ConditionParams(SelectionParams):
 class ObserverParams(Params):
     """For whom the symbol shall look like a picture that hangs upright in the air, turned to them."""
 
-    eye_m: tuple[float, float, float] = Field(DRIVER_M, description="the eye, seen from the car (x ahead, y left, z up): the driver's")
+    eye_m: tuple[Metres, Metres, Metres] = Field(DRIVER_M, description="the eye, seen from the car (x ahead, y left, z up): the driver's")
     name: str | None = Field(None, description="instead: the tracked object that looks")
-    eye_height_m: float = Field(1.5, gt=0, description="height of the tracked object's eye above its foot")
-    centre_m: tuple[float, float, float] = Field((12.0, 0.0, 0.5), description="middle of the picture, seen from the car")
-    width_m: float = Field(2.0, gt=0, description="width of the picture")
-    height_m: float = Field(0.6, gt=0, description="height of the picture")
+    eye_height_m: float = Field(1.5, gt=0, le=10_000, description="height of the tracked object's eye above its foot")
+    centre_m: tuple[Metres, Metres, Metres] = Field((12.0, 0.0, 0.5), description="middle of the picture, seen from the car")
+    width_m: float = Field(2.0, gt=0, le=10_000, description="width of the picture")
+    height_m: float = Field(0.6, gt=0, le=10_000, description="height of the picture")
 
     @model_validator(mode="after")
     def _one_observer(self) -> Self:
@@ -71,11 +71,11 @@ class SymbolFunctionParams(Drawn):
 
     kind: Literal["symbol"] = "symbol"
     image: str = Field(description="name of a shipped symbol, or path of a picture, SVG, video or folder of pictures")
-    x_m: float = Field(17.0, gt=0, description="centre ahead of the car")
-    y_m: float = Field(0.0, description="centre to the left")
+    x_m: float = Field(17.0, gt=0, le=10_000, description="centre ahead of the car")
+    y_m: float = Field(0.0, ge=-10_000, le=10_000, description="centre to the left")
     yaw_deg: float = Field(0.0, ge=-180, le=180, description="turn to the left")
-    width_m: float = Field(2.0, gt=0, description="extent across")
-    length_m: float = Field(4.0, gt=0, description="extent along")
+    width_m: float = Field(2.0, gt=0, le=10_000, description="extent across")
+    length_m: float = Field(4.0, gt=0, le=10_000, description="extent along")
     animation: AnimationParams | None = Field(None, description="how it changes with time; left out: as the image does")
     when: ConditionParams | None = Field(None, description="drawn only while such an object is there")
     unless: ConditionParams | None = Field(None, description="not drawn while such an object is there")

@@ -25,8 +25,8 @@ class AmbientLoopParams(Params):
     least: float = Field(0.05, gt=0, le=1, description="never less than this share of the base beam, for what nobody has found yet")
     fall: float = Field(0.5, gt=0, lt=1, description="factor of a step down, when every object is found for sure")
     fall_frames: int = Field(4, ge=1, le=300, description="frames before a step down")
-    rise: float = Field(2.0, gt=1, description="factor of a step up, when one is doubtful that its own light brings no further")
-    patience: int = Field(60, ge=1, description="frames after a step up without another step")
+    rise: float = Field(2.0, gt=1, le=1e6, description="factor of a step up, when one is doubtful that its own light brings no further")
+    patience: int = Field(60, ge=1, le=1_000_000, description="frames after a step up without another step")
     doubtful: float = Field(0.2, ge=0, le=1, description="confidence below which an object that has had more may get lost")
     margin: float = Field(0.1, ge=0, le=1, description="above that, for sure")
 

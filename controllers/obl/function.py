@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
@@ -42,8 +42,10 @@ class ObjectBasedParams(SelectionParams):
     ambient: AmbientLoopParams = Field(AmbientLoopParams(), description="the loop of the base beam, of `confidence`")
     loop: ObjectLoopParams = Field(ObjectLoopParams(), description="the loop of each object, of `confidence`")
     share: float = Field(0.2, ge=0, le=1, description="of the base beam, of `class` and `constant`")
-    setpoint_lx: float = Field(10.0, ge=0, description="on each object, of `constant`; of `class` where none is given for its class")
-    setpoints_lx: dict[Category, float] = Field(
+    setpoint_lx: float = Field(
+        10.0, ge=0, le=1e6, description="on each object, of `constant`; of `class` where none is given for its class"
+    )
+    setpoints_lx: dict[Category, Annotated[float, Field(ge=0, le=1e6)]] = Field(
         {"pedestrian": 10.0, "cyclist": 10.0, "animal": 15.0, "car": 3.0, "truck": 3.0, "motorcycle": 5.0},
         description="on objects by their class, of `class`",
     )

@@ -31,9 +31,11 @@ class LowerParams(Params):
     """Bright at once, then down by bisection as long as the confidence stays."""
 
     kind: Literal["lower"] = "lower"
-    bright_lx: float = Field(20.0, gt=0, description="what a new object gets at once; it shows what full light would bring")
-    least_lx: float = Field(2.0, gt=0, description="it gets hardly less than this")
-    ratio: float = Field(1.5, gt=1, description="when the least that is enough is so close to the greatest that is not, the search ends")
+    bright_lx: float = Field(20.0, gt=0, le=1e6, description="what a new object gets at once; it shows what full light would bring")
+    least_lx: float = Field(2.0, gt=0, le=1e6, description="it gets hardly less than this")
+    ratio: float = Field(
+        1.5, gt=1, le=1e6, description="when the least that is enough is so close to the greatest that is not, the search ends"
+    )
     tolerance: float = Field(0.02, ge=0, le=1, description="confidence that may be lost against the best")
     confirm: int = Field(2, ge=1, le=10, description="so often has an illuminance to prove enough before it is kept")
 
@@ -67,9 +69,9 @@ class RaiseParams(Params):
     """Step by step up until the confidence stays, or falls (T 9.3)."""
 
     kind: Literal["raise"] = "raise"
-    first_lx: float = Field(1.0, gt=0, description="what a new object gets")
-    factor: float = Field(2.0, gt=1, description="from step to step")
-    most_lx: float = Field(40.0, gt=0, description="it gets no more than this")
+    first_lx: float = Field(1.0, gt=0, le=1e6, description="what a new object gets")
+    factor: float = Field(2.0, gt=1, le=1e6, description="from step to step")
+    most_lx: float = Field(40.0, gt=0, le=1e6, description="it gets no more than this")
     gain: float = Field(0.04, ge=0, le=1, description="a step that brings less confidence is a sign of the plateau")
     patience: int = Field(2, ge=1, le=10, description="so many such steps end the search")
 

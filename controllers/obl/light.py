@@ -1,7 +1,7 @@
 """Light on tracked objects that leaves their heads and windscreens nearly dark: rectangles that face the lamps (T 9.3)."""
 
 import math
-from typing import Literal
+from typing import Annotated, Literal
 
 import torch
 from pydantic import Field, field_validator
@@ -27,13 +27,15 @@ class ObjectLightParams(Params):
 
     pattern: Pattern = Field("homogeneous", description="structured light, `stripes` (upright) or `checks`, shows edges with less flux")
     period_m: float = Field(0.5, ge=0.05, le=5, description="of the structure, on the object")
-    margin_m: float = Field(0.1, ge=0, description="light beyond the box, to all sides; below the foot it shows where it meets the road")
-    dark: dict[Category, float] = Field(
+    margin_m: float = Field(
+        0.1, ge=0, le=10_000, description="light beyond the box, to all sides; below the foot it shows where it meets the road"
+    )
+    dark: dict[Category, Annotated[float, Field(ge=0, le=1)]] = Field(
         {"pedestrian": 0.25, "cyclist": 0.25, "motorcycle": 0.3, "car": 0.45, "truck": 0.6},
         description="share of the box's height that stays dark from the top: heads, windscreens and what is behind them",
     )
     dark_lx: float = Field(
-        0.6, ge=0, description="light there, however bright the rest, by `ssc.a_d` = 1; detectors are less sure of what has no head"
+        0.6, ge=0, le=1e6, description="light there, however bright the rest, by `ssc.a_d` = 1; detectors are less sure of what has no head"
     )
 
     @field_validator("dark")

@@ -49,9 +49,10 @@ class ObjectLoopParams(Params):
     change: float = Field(
         1.5,
         gt=1,
+        le=1e6,
         description="an apparent height that has changed by this factor begins a search around the setpoint, as another class does",
     )
-    around: float = Field(2.0, gt=1, description="up to so many times the setpoint, and down to such a part of it")
+    around: float = Field(2.0, gt=1, le=1e6, description="up to so many times the setpoint, and down to such a part of it")
 
     @property
     def first_lx(self) -> float:

@@ -19,6 +19,7 @@ from controllers.symbol.observer import Observer
 from controllers.symbol.protocol import Look
 from controllers.symbol.stages import StagedParams
 from perception.extraction import Loss
+from world.params import Degrees, Metres
 
 
 class FeedbackParams(StagedParams):
@@ -26,11 +27,15 @@ class FeedbackParams(StagedParams):
 
     dof: Literal["z", "x"] = Field("z", description="what shifts the symbol along the road: height or place of its rectangle")
     gain: float = Field(0.7, gt=0, le=1, description="share of a correction that a step makes")
-    shift_range_m: tuple[float, float] = Field((-9.0, 23.0), description="limits of the correction along x, or of what a height amounts to")
-    y_range_m: tuple[float, float] = Field((-6.0, 6.0), description="limits of the correction of y")
-    roll_range_deg: tuple[float, float] = Field((-7.0, 7.0), description="limits of the correction of roll")
-    pitch_range_deg: tuple[float, float] = Field((-4.0, 2.2), description="limits of the correction of pitch, nose down positive")
-    losses_to_reset: int = Field(2, ge=1, description="consecutive failed extractions after which the flat-road primitive is shown again")
+    shift_range_m: tuple[Metres, Metres] = Field(
+        (-9.0, 23.0), description="limits of the correction along x, or of what a height amounts to"
+    )
+    y_range_m: tuple[Metres, Metres] = Field((-6.0, 6.0), description="limits of the correction of y")
+    roll_range_deg: tuple[Degrees, Degrees] = Field((-7.0, 7.0), description="limits of the correction of roll")
+    pitch_range_deg: tuple[Degrees, Degrees] = Field((-4.0, 2.2), description="limits of the correction of pitch, nose down positive")
+    losses_to_reset: int = Field(
+        2, ge=1, le=1_000_000, description="consecutive failed extractions after which the flat-road primitive is shown again"
+    )
 
 
 class GaussNewtonParams(FeedbackParams):

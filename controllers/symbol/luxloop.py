@@ -1,7 +1,7 @@
 """luxloop: finds the road's heights from how the symbol lies on it, and draws for that road where that explains what is seen."""
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Annotated, Literal
 
 import torch
 from pydantic import Field
@@ -29,17 +29,24 @@ SEEN_BY = 0.05  # of the usual illuminance a node, with which its brightness is 
 ROAD_M = 4e-3  # how well a track's height is known at best
 PITCH_RAD = 5e-4  # usual error of a pitch that is foretold
 
+Cell = Annotated[float, Field(ge=0.02, le=10)]
+Reach = Annotated[float, Field(ge=0, le=20)]
+
 
 class LuxloopParams(Params):
     """Finds the road's heights from how the symbol lies on it, and draws for that road. Where they explain nothing it is the open loop."""
 
     name: Literal["luxloop"] = "luxloop"
-    cell_m: tuple[float, float] = Field((0.2, 0.15), description="distance of heights on the assumed road, along and across")
-    beyond_m: tuple[float, float, float] = Field((1.2, 1.5, 0.6), description="how far heights go beyond the symbol: near, far, sides")
+    cell_m: tuple[Cell, Cell] = Field((0.2, 0.15), description="distance of heights on the assumed road, along and across")
+    beyond_m: tuple[Reach, Reach, Reach] = Field((1.2, 1.5, 0.6), description="how far heights go beyond the symbol: near, far, sides")
     highest_m: float = Field(0.14, gt=0, le=0.3, description="largest height, up or down, that is looked for")
     memory: float = Field(0.6, ge=0, lt=1, description="share of what is known that a step on the move keeps; the rest may have changed")
-    evidence: float = Field(0.0025, ge=0, description="share of the symbol that heights have to explain beyond what the flat road does")
-    sweep_above: float = Field(0.01, ge=0, description="share of the symbol that may stay unexplained before all heights are tried anew")
+    evidence: float = Field(
+        0.0025, ge=0, le=1e6, description="share of the symbol that heights have to explain beyond what the flat road does"
+    )
+    sweep_above: float = Field(
+        0.01, ge=0, le=1e6, description="share of the symbol that may stay unexplained before all heights are tried anew"
+    )
     start_height_m: float = Field(
         0.0, ge=-0.3, le=0.3, description="height that the whole road is taken to have at first; 0: nothing is known"
     )

@@ -30,7 +30,9 @@ class SymbolParams(Params):
     quantity: Quantity = Field(
         "u_abs", description="unit of the setpoint: I_v in cd, E_v in lx, u_abs as a share, u_rel as a multiple of the base beam"
     )
-    value: float = Field(1.0, gt=0, description="setpoint of a white pixel of the image; all but u_rel share it evenly among their modules")
+    value: float = Field(
+        1.0, gt=0, le=1e9, description="setpoint of a white pixel of the image; all but u_rel share it evenly among their modules"
+    )
 
     @model_validator(mode="after")
     def _a_share_is_at_most_one(self) -> Self:

@@ -18,7 +18,9 @@ from world.params import Params
 class SupervisorParams(Params):
     """When a controller is given the charge, and when it loses it."""
 
-    grace_steps: int = Field(8, ge=1, description="looks at the controller's symbol, after which it has to lie better than the open loop's")
+    grace_steps: int = Field(
+        8, ge=1, le=1_000_000, description="looks at the controller's symbol, after which it has to lie better than the open loop's"
+    )
     explained: float = Field(
         0.3, ge=0, le=1, description="share of the residual that registration explains at least; of obstacles it is less"
     )

@@ -17,16 +17,18 @@ from controllers.symbol.drawing import Drawing
 from controllers.symbol.protocol import Look
 from controllers.symbol.stages import StagedParams
 from perception.extraction import Loss
-from world.params import Params
+from world.params import Degrees, Metres, Params
 
 
 class PidTuning(Params):
     """Gains of one kind of loop."""
 
-    kp: float = Field(description="proportional gain")
-    ki: float = Field(description="integral gain a step")
-    kd: float = Field(description="derivative gain in steps")
-    tracking_steps: float | None = Field(None, gt=0, description="time constant of the anti-windup's back-calculation, none if left out")
+    kp: float = Field(ge=-1e6, le=1e6, description="proportional gain")
+    ki: float = Field(ge=-1e6, le=1e6, description="integral gain a step")
+    kd: float = Field(ge=-1e6, le=1e6, description="derivative gain in steps")
+    tracking_steps: float | None = Field(
+        None, gt=0, le=1e6, description="time constant of the anti-windup's back-calculation, none if left out"
+    )
 
 
 class ThesisPidParams(StagedParams):
@@ -35,15 +37,17 @@ class ThesisPidParams(StagedParams):
     name: Literal["thesis_pid"] = "thesis_pid"
     position: PidTuning = Field(PidTuning(kp=0.75, ki=0.5, kd=0.26, tracking_steps=1.1), description="gains of the x and y loops")
     rotation: PidTuning = Field(PidTuning(kp=0.5, ki=0.1, kd=0.1, tracking_steps=1.3), description="gains of the roll and pitch loops")
-    x_range_m: tuple[float, float] = Field((8.0, 40.0), description="limits of the primitive's x")
-    y_range_m: tuple[float, float] = Field((-6.0, 6.0), description="limits of the primitive's y")
-    roll_range_deg: tuple[float, float] = Field((-7.0, 7.0), description="limits of the primitive's roll")
-    pitch_range_deg: tuple[float, float] = Field((-4.0, 2.2), description="limits of the primitive's pitch, nose down positive")
-    x_rate_m: float = Field(1.5, gt=0, description="largest move along x a step")
-    y_rate_m: float = Field(0.9, gt=0, description="largest move along y a step")
-    roll_rate_deg: float = Field(2.4, gt=0, description="largest turn in roll a step")
-    pitch_rate_deg: float = Field(1.35, gt=0, description="largest turn in pitch a step")
-    losses_to_reset: int = Field(2, ge=1, description="consecutive failed extractions after which the flat-road primitive is shown again")
+    x_range_m: tuple[Metres, Metres] = Field((8.0, 40.0), description="limits of the primitive's x")
+    y_range_m: tuple[Metres, Metres] = Field((-6.0, 6.0), description="limits of the primitive's y")
+    roll_range_deg: tuple[Degrees, Degrees] = Field((-7.0, 7.0), description="limits of the primitive's roll")
+    pitch_range_deg: tuple[Degrees, Degrees] = Field((-4.0, 2.2), description="limits of the primitive's pitch, nose down positive")
+    x_rate_m: float = Field(1.5, gt=0, le=10_000, description="largest move along x a step")
+    y_rate_m: float = Field(0.9, gt=0, le=10_000, description="largest move along y a step")
+    roll_rate_deg: float = Field(2.4, gt=0, le=180, description="largest turn in roll a step")
+    pitch_rate_deg: float = Field(1.35, gt=0, le=180, description="largest turn in pitch a step")
+    losses_to_reset: int = Field(
+        2, ge=1, le=1_000_000, description="consecutive failed extractions after which the flat-road primitive is shown again"
+    )
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from controllers.functions.situation import LAYERS, Category, SelectionParams, S
 from controllers.primitives import Observer, Primitives, rectangle
 from world.errors import LuxloopError
 from world.materials import MaterialName
-from world.params import Params
+from world.params import Metres, Params
 from world.view import View
 
 GROUND = frozenset({"asphalt", "wet_asphalt", "lane_paint"})  # what lies on the road's plane; all else stands on it
@@ -30,8 +30,10 @@ class MaterialLightParams(Params):
 
     materials: tuple[MaterialName, ...] = Field((), description="names of materials; left out: whatever has such an albedo")
     albedo: tuple[Share, Share] = Field((0.0, 1.0), description="from and to which albedo")
-    lx: float | None = Field(None, ge=0, description="illuminance wanted; give this or luminance_cd_m2")
-    luminance_cd_m2: float | None = Field(None, ge=0, description="luminance wanted, of a diffuse surface of the albedo that is seen")
+    lx: float | None = Field(None, ge=0, le=1e6, description="illuminance wanted; give this or luminance_cd_m2")
+    luminance_cd_m2: float | None = Field(
+        None, ge=0, le=1e9, description="luminance wanted, of a diffuse surface of the albedo that is seen"
+    )
 
     @model_validator(mode="after")
     def _one_quantity(self) -> Self:
@@ -80,9 +82,11 @@ class MaterialParams(SelectionParams):
     lights: tuple[MaterialLightParams, ...] = Field(
         min_length=1, description="lights of materials; where several are meant the first counts"
     )
-    road_m: tuple[float, float] | None = Field((5.0, 60.0), description="where the road is lit so, from and to; none: nowhere")
-    road_width_m: float = Field(16.0, gt=0, description="how wide, about the middle of the car")
-    margin_m: float = Field(0.2, ge=0, description="how much larger than an object's box its rectangle is, to each side but its foot")
+    road_m: tuple[Metres, Metres] | None = Field((5.0, 60.0), description="where the road is lit so, from and to; none: nowhere")
+    road_width_m: float = Field(16.0, gt=0, le=10_000, description="how wide, about the middle of the car")
+    margin_m: float = Field(
+        0.2, ge=0, le=10_000, description="how much larger than an object's box its rectangle is, to each side but its foot"
+    )
     priority: int = Field(0, ge=0, le=100, description="of two functions in one place, the higher is drawn")
     modules: tuple[str, ...] = Field((), description="lamps or modules that draw it; left out: all")
 

@@ -20,7 +20,7 @@ from controllers.pid import PidGains, PidParams, PidState, pid_gains, pid_reset,
 from controllers.primitives import Primitives, meant, rectangle
 from perception.regions import box_region
 from world.frames import pose_from_degrees
-from world.params import Params
+from world.params import Metres, Params
 from world.view import View
 
 DARKEST = 0.01  # of the target: what is measured darker counts as this, so that black is not infinitely far from it
@@ -46,18 +46,20 @@ class ZoneParams(Params):
 
     kind: Literal["zone"] = "zone"
     name: str = Field(min_length=1, description="name of the zone, for recordings")
-    centre_m: tuple[float, float, float] = Field(description="its middle in the world (x forward, y left, z up)")
-    size_m: tuple[float, float, float] = Field(description="length, width and height of a box; a rectangle where one of them is 0")
+    centre_m: tuple[Metres, Metres, Metres] = Field(description="its middle in the world (x forward, y left, z up)")
+    size_m: tuple[Metres, Metres, Metres] = Field(description="length, width and height of a box; a rectangle where one of them is 0")
     roll_deg: float = Field(0.0, ge=-180, le=180, description="rotation about its length, right side down")
     pitch_deg: float = Field(0.0, ge=-90, le=90, description="rotation about its width, nose down")
     yaw_deg: float = Field(0.0, ge=-180, le=180, description="rotation about the upward axis, to the left")
-    luminance_cd_m2: float = Field(gt=0, description="target: mean luminance of the zone in the camera's image")
-    start_lx: float = Field(1.0, gt=0, description="illuminance before the camera has seen it")
+    luminance_cd_m2: float = Field(gt=0, le=1e9, description="target: mean luminance of the zone in the camera's image")
+    start_lx: float = Field(1.0, gt=0, le=1e6, description="illuminance before the camera has seen it")
     pid: PidParams = Field(
         PidParams(kp=0.7, form="incremental", lower=-5.0, rate_limit=2.0),
         description="the loop, on natural logarithms: of luminance in, of illuminance in lx out; its time is in steps",
     )
-    weight: float = Field(20.0, ge=0, description="how much it counts where a pixel lights more than the zone; the base beam counts 1")
+    weight: float = Field(
+        20.0, ge=0, le=1e6, description="how much it counts where a pixel lights more than the zone; the base beam counts 1"
+    )
     priority: int = Field(0, ge=0, le=100, description="of two functions in one place, the higher is drawn")
     modules: tuple[str, ...] = Field((), description="lamps or modules that light it; left out: all")
 

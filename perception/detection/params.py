@@ -61,7 +61,7 @@ class OnnxParams(CodedParams):
     layout: Layout = Field("yolov8", description="what it gives, as the networks of that name do")
     input_px: tuple[Side, Side] = Field((640, 640), description="width and height that it takes; frames are fitted in")
     channels: Literal[1, 3] = Field(3, description="that it takes; all are the same grey")
-    classes: dict[Annotated[int, Field(ge=0)], Category] | None = Field(
+    classes: dict[Annotated[int, Field(ge=0, le=1_000_000)], Category] | None = Field(
         None, min_length=1, description="what its classes are here, by their numbers, others count as nothing; left out: those of COCO"
     )
 
@@ -77,7 +77,7 @@ class TruthParams(Params):
     """Every object that the scene holds, however dark it is. The classes are those of the objects, and parked cars are cars."""
 
     kind: Literal["truth"] = "truth"
-    least_height_px: float = Field(12.0, ge=0, description="of what is found")
+    least_height_px: float = Field(12.0, ge=0, le=1e6, description="of what is found")
     least_visible: float = Field(0.3, ge=0, le=1, description="share of an object that nothing hides, of what is found")
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from world import parametric
+from world import budget
 from world.errors import LuxloopError
 from world.photometry import files, lm63
 from world.photometry.distribution import Aim, Distribution, angles_of, directions_of
@@ -182,7 +182,7 @@ def test_a_measurement_tells_what_it_cuts_off() -> None:
 
 
 def test_a_matrix_beyond_all_memory_is_refused_early(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(parametric, "MOST_ENTRIES", 10_000)
+    monkeypatch.setattr(budget, "BUDGET_BYTES", 150_000)
     seen = []
     with pytest.raises(LuxloopError, match="coarser texture"):
         assemble(PixelArray([Pixel(gaussian())] * 100, 10, 10), GRID, on_progress=lambda done, of: seen.append(done))
