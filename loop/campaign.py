@@ -17,6 +17,7 @@ from loop.overrides import resolve_paths
 from loop.scenario import AnyScenario, Scenario, load_any, validate_any
 from loop.validation import read_toml, sentence
 from world.errors import LuxloopError
+from world.folders import output_folder
 from world.params import Params
 
 JOBS, TABLE = "jobs.jsonl", "runs.parquet"
@@ -99,20 +100,24 @@ def read(file: Path) -> list[Run]:
 
 
 def run_campaign(file: Path, out: Path, *, device: str = "cpu", processes: int | None = None, executor: Executor | None = None) -> Campaign:
-    """Do the runs that `out` does not hold yet, and write the table of all. Raises what `read` and `loop.jobs.run` raise."""
+    """Do the runs that `out` does not hold yet, and write the table of all.
+
+    Raises what `read`, `loop.jobs.run` and `world.folders.output_folder` raise.
+    """
     runs = read(file)
     jobs = [
         Job(each.key, {"scenario": each.scenario.model_dump(mode="json"), "inputs": digests(each.scenario), "device": device})
         for each in runs
     ]
-    results = run(figures_of, jobs, out / JOBS, version=digest_of_code(), processes=processes, executor=executor, title="runs")
-    found = {row.pop("key"): row for row in results.rows}
-    rows = [
-        {"key": each.key, **each.row, **_figures(found.get(each.key, {})), "error": results.failures.get(each.key, "")} for each in runs
-    ]
-    columns = list(dict.fromkeys(name for row in rows for name in row))
-    results = type(results)([{name: row.get(name) for name in columns} for row in rows], results.failures)
-    results.write(out / TABLE)
+    with output_folder(out):
+        results = run(figures_of, jobs, out / JOBS, version=digest_of_code(), processes=processes, executor=executor, title="runs")
+        found = {row.pop("key"): row for row in results.rows}
+        rows = [
+            {"key": each.key, **each.row, **_figures(found.get(each.key, {})), "error": results.failures.get(each.key, "")} for each in runs
+        ]
+        columns = list(dict.fromkeys(name for row in rows for name in row))
+        results = type(results)([{name: row.get(name) for name in columns} for row in rows], results.failures)
+        results.write(out / TABLE)
     return Campaign(file.stem, results.rows)
 
 

@@ -13,6 +13,7 @@ from loop.campaign import TABLE, Campaign, Row, run_campaign
 from loop.executors import dask, local
 from loop.run import torch_device
 from world.errors import LuxloopError
+from world.files import whole
 
 REPORT, PICTURE = "report.md", "report.png"
 # figure: (what it is, whether more is better)
@@ -52,11 +53,9 @@ def do_campaign(file: Path, out: Path | None, processes: int | None, scheduler: 
 
 def write_report(campaign: Campaign, out: Path) -> None:
     """Write page and picture into a folder. Raises LuxloopError where that cannot be written."""
-    try:
-        _draw(campaign, out / PICTURE)
-        (out / REPORT).write_text(page(campaign), "utf-8")
-    except OSError as error:
-        raise LuxloopError(f"{out}: the report cannot be written ({error.strerror}); give another folder with --out") from error
+    _draw(campaign, out / PICTURE)
+    with whole(out / REPORT) as part:
+        part.write_text(page(campaign), "utf-8")
 
 
 def overview(campaign: Campaign) -> Table:
@@ -123,5 +122,6 @@ def _draw(campaign: Campaign, file: Path) -> None:
         axes.grid(alpha=0.3)
     panels[0, 0].legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     panels[-1, 0].set_xticks(range(len(scenarios)), scenarios, rotation=30, ha="right", fontsize=8)
-    figure.savefig(file, dpi=110)
+    with whole(file) as part:
+        figure.savefig(part, dpi=110, format="png")
     plt.close(figure)

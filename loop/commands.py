@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,7 @@ def run_scenario(name: str, out: Path, overrides: Sequence[str], values: dict[st
     scenario = load_any(name, overrides, **values)
     _one_thread()
     done = 0
+    writing = f"{scenario.name}: writing report{' and video' if video else ''}"
 
     with progress(scenario.name, scenario.steps) as advance:
 
@@ -40,7 +42,7 @@ def run_scenario(name: str, out: Path, overrides: Sequence[str], values: dict[st
             advance()
 
         try:
-            summary = run(scenario, out, device=device, video=video, on_step=on_step)
+            summary = run(scenario, out, device=device, video=video, on_step=on_step, on_end=partial(advance, 0, writing))
         except KeyboardInterrupt as error:
             raise KeyboardInterrupt(f"{done} of {scenario.steps} steps are kept in {out}" if done else "nothing was recorded") from error
     table = shown if isinstance(scenario, LightingScenario) else tables.summary

@@ -11,6 +11,7 @@ from controllers.tuning import OPTIONS, THESIS
 from loop import evaluate_jobs as work
 from loop.jobs import Job, Results, run
 from loop.rectangles import QUICK, RECTANGLES, Rectangle
+from world.folders import output_folder
 
 LAMPS = ("hd84", "ssl-hd-lores")
 JOBS, SETPOINTS, TABLES, SENSITIVITY = "jobs.jsonl", "setpoints.parquet", "tables.parquet", "sensitivity.parquet"
@@ -61,7 +62,8 @@ def evaluate(
     """Compute what `out` does not hold yet, and leave three Parquet files in it.
 
     quick: 45 rectangles evenly spread over all five degrees of freedom, and coarser sensitivities; else 1,215. processes: by default one a
-    core. setpoints, grid: other rectangles, another number of steps of a parameter. Raises what `loop.jobs.run` raises.
+    core. setpoints, grid: other rectangles, another number of steps of a parameter. Raises what `loop.jobs.run` and
+    `world.folders.output_folder` raise.
     """
     chosen = setpoints or (QUICK if quick else RECTANGLES)
     parts: dict[str, tuple[Callable[..., Row], list[Job]]] = {
@@ -71,12 +73,13 @@ def evaluate(
     }
     version = work.version()
     results = {}
-    for file, (function, jobs) in parts.items():
-        results[file] = run(function, jobs, out / JOBS, version=version, processes=processes, title=file.removesuffix(".parquet"))
-        if results[file].rows:
-            results[file].write(out / file)
-        else:
-            (out / file).unlink(missing_ok=True)  # it is none of this evaluation's
+    with output_folder(out):
+        for file, (function, jobs) in parts.items():
+            results[file] = run(function, jobs, out / JOBS, version=version, processes=processes, title=file.removesuffix(".parquet"))
+            if results[file].rows:
+                results[file].write(out / file)
+            else:
+                (out / file).unlink(missing_ok=True)  # it is none of this evaluation's
     return _evaluation(results)
 
 

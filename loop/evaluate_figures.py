@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from loop.evaluate import FIXED_A_M, Evaluation, Row
 from loop.evaluate_jobs import headlight, light_of
 from loop.rectangles import SETPOINT_CD, Rectangle
+from world.files import whole
 
 DPI = 100
 MARKERS = ("o", "^", "s", "D", "v", "P", "X", "*")
@@ -27,7 +28,8 @@ def draw(evaluation: Evaluation, folder: Path, prefix: str = "") -> list[Path]:
     for name in evaluation.lamps:
         for kind, figure in _figures(evaluation.of(name), name):
             files.append(folder / f"{prefix}{kind}-{name}.png")
-            figure.savefig(files[-1], dpi=DPI)
+            with whole(files[-1]) as part:
+                figure.savefig(part, dpi=DPI, format="png")
             plt.close(figure)
     return files
 

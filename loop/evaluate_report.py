@@ -8,6 +8,7 @@ from rich.table import Table
 from loop import evaluate_figures, tables
 from loop.evaluate import LAMPS, ROWS, Evaluation, evaluate, summary
 from world.errors import LuxloopError
+from world.files import whole
 
 REPORT, FIGURES = "report.md", "figures"
 
@@ -75,9 +76,10 @@ def write_report(evaluation: Evaluation, out: Path) -> None:
     """Draw the figures and write the page into a folder. Raises LuxloopError where that cannot be written."""
     try:
         evaluate_figures.draw(evaluation, out / FIGURES)
-        (out / REPORT).write_text("# Evaluation\n\n" + page(evaluation, f"{FIGURES}/"), "utf-8")
     except OSError as error:
-        raise LuxloopError(f"{out}: the report cannot be written ({error.strerror}); give another folder with --out") from error
+        raise LuxloopError(f"{out / FIGURES}: cannot be made a folder ({error.strerror}); give another folder with --out") from error
+    with whole(out / REPORT) as part:
+        part.write_text("# Evaluation\n\n" + page(evaluation, f"{FIGURES}/"), "utf-8")
 
 
 def overview(evaluation: Evaluation) -> Table:

@@ -23,7 +23,11 @@ from loop.sources import sources_of
 from loop.utilisations import sequence_files
 from loop.validation import parsed_json, sentence
 from world.errors import LuxloopError
+<<<<<<< HEAD
 from world.files import content, files_at, reading
+=======
+from world.files import files_at, whole
+>>>>>>> bc1b5f2 (Hold output folders by a lock, mark runs that failed, write every result whole, and name the first cause)
 from world.objects import MeshParams
 from world.params import Params
 from world.roads import OpenCrgRoad
@@ -45,7 +49,9 @@ class Manifest(Params):
 
     format: Literal["luxloop recording"] = Field(default="luxloop recording", description="tells recordings from other directories")
     format_version: Literal[1] = Field(default=FORMAT_VERSION, description="version of the recording's files")
-    status: Literal["running", "complete", "interrupted"] = Field(default="running", description="running for ever: the process was killed")
+    status: Literal["running", "complete", "interrupted", "failed"] = Field(
+        default="running", description="running for ever: the process was killed"
+    )
     scenario: dict[str, Any] = Field(description="the scenario with all defaults and --set options")
     scenario_sha256: str = Field(description="digest of the scenario as JSON with sorted keys")
     seed: int = Field(description="seed of all noise")
@@ -98,6 +104,19 @@ class Manifest(Params):
         """Write to the recording's directory, whole or not at all."""
         write_json(directory / FILE, self.model_dump(mode="json"))
 
+    def ended(self, status: str, directory: Path) -> "Manifest":
+        """The same with another status, and written so. Raises LuxloopError where that cannot be."""
+        manifest = self.model_copy(update={"status": status})
+        manifest.write(directory)
+        return manifest
+
+    def fail(self, directory: Path) -> None:
+        """Write into the file of this manifest that the run has failed: in place, for a full disk has no room for another file."""
+        here = f'"status": "{self.status}"'.encode()
+        with (directory / FILE).open("r+b") as stream:
+            stream.seek(stream.read().index(here))
+            stream.write(b'"status": "failed"'.ljust(len(here)))
+
     def changes(self, now: "Manifest") -> Iterator[str]:
         """What is no longer as it was when this was recorded, a sentence each."""
         text = json.dumps(self.scenario, sort_keys=True)
@@ -115,10 +134,9 @@ class Manifest(Params):
 
 
 def write_json(file: Path, value: Any) -> None:
-    """Write JSON, whole or not at all; a number that is not finite is a ValueError."""
-    part = file.with_name(f".{file.name}.part")
-    part.write_text(json.dumps(value, indent=2, allow_nan=False) + "\n", "utf-8")
-    os.replace(part, file)
+    """Write JSON, whole or not at all; a number that is not finite is a ValueError. Raises LuxloopError where it cannot be written."""
+    with whole(file) as part:
+        part.write_text(json.dumps(value, indent=2, allow_nan=False) + "\n", "utf-8")
 
 
 def input_files(scenario: AnyScenario) -> Iterator[tuple[str, Path]]:

@@ -1,8 +1,9 @@
 """A progress bar on stderr where somebody looks at it, else a line now and then."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Protocol
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -11,8 +12,14 @@ from loop import tables
 LINE_S = 30.0  # between two lines at least
 
 
+class Advance(Protocol):
+    """Called after every step, or after none to say what goes on instead."""
+
+    def __call__(self, steps: int = 1, now: str | None = None) -> None: ...
+
+
 @contextmanager
-def progress(title: str, total: int, done: int = 0) -> Iterator[Callable[[], None]]:
+def progress(title: str, total: int, done: int = 0) -> Iterator[Advance]:
     """Call what it gives after every step; `done` of the total are done already."""
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     console = tables.console(stderr=True)
@@ -22,13 +29,13 @@ def progress(title: str, total: int, done: int = 0) -> Iterator[Callable[[], Non
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(title, total=total, completed=done)
 
-        def advance() -> None:
+        def advance(steps: int = 1, now: str | None = None) -> None:
             nonlocal done, told
-            done += 1
-            bar.advance(task)
-            now = time.monotonic()
-            if not console.is_terminal and now - told >= LINE_S:
-                told = now
-                console.print(f"{title}: {done} of {total} done after {now - start:.0f} s", markup=False)
+            done += steps
+            bar.update(task, advance=steps, description=now or title)
+            time_s = time.monotonic()
+            if not console.is_terminal and time_s - told >= LINE_S:
+                told = time_s
+                console.print(f"{title}: {done} of {total} done after {time_s - start:.0f} s", markup=False)
 
         yield advance

@@ -1,11 +1,10 @@
 """Recordings: a directory with a manifest, a row a step, and a summary, readable at whatever moment the process dies."""
 
-import os
 import tempfile
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Generic, Self, TypeVar
@@ -20,12 +19,13 @@ from loop.simulation import Simulation, StepResult
 from loop.summary import summarise
 from perception.extraction import Loss
 from world.errors import LuxloopError
+from world.files import whole
 
 Result = TypeVar("Result")
+Report = Callable[[pa.Table, dict[str, Any]], None]  # draws what the table and the summary of a run say
 
 TRAJECTORY, SUMMARY, REPORT, VIDEO = "trajectory.parquet", "summary.json", "report.png", "video.mp4"
 FILES = (TRAJECTORY, SUMMARY, REPORT, VIDEO, MANIFEST)
-PARTS_OF_FILES = tuple(f".{name}.part" for name in FILES)
 REST = 10  # times what a write takes pass between two: recording costs a tenth at most, and a kill the last 50 ms or so
 
 LATER = ("z_m",)  # columns that recordings of older versions lack
@@ -128,22 +128,26 @@ def summary_of(simulation: Simulation, table: pa.Table) -> dict[str, Any]:
 
 
 def write_table(file: Path, table: pa.Table) -> None:
-    """Write Parquet, whole or not at all."""
-    part = file.with_name(f".{file.name}.part")
-    pq.write_table(table, part, use_dictionary=False)
-    os.replace(part, file)
+    """Write Parquet, whole or not at all. Raises LuxloopError where it cannot be written."""
+    with whole(file) as part:
+        pq.write_table(table, part, use_dictionary=False)
+
+
+def no_report(table: pa.Table, summary: dict[str, Any]) -> None:
+    """For recordings without a report."""
 
 
 class TableRecorder(ABC, Generic[Result]):
     """Records a run into a directory; use it in a `with` statement and `add` every step.
 
     The first step begins the recording: until then the directory stays as it is, also where it holds an older one. Leaving the block
-    finishes it, as interrupted where an exception (Ctrl-C too) ended it, and writes the summary.
+    finishes it, as interrupted after Ctrl-C and as failed after an error, and writes summary and report. Where that fails after an error,
+    the first error is raised.
     """
 
-    def __init__(self, directory: Path, manifest: Manifest, schema: pa.Schema) -> None:
+    def __init__(self, directory: Path, manifest: Manifest, schema: pa.Schema, report: Report) -> None:
         """Raises LuxloopError if the directory holds something else than a recording, or cannot be written."""
-        self.directory, self.manifest = directory, manifest
+        self.directory, self.manifest, self._report = directory, manifest, report
         self._written = schema.empty_table()
         self._fresh: list[dict[str, Any]] = []
         self._next_write_s = 0.0
@@ -182,25 +186,31 @@ class TableRecorder(ABC, Generic[Result]):
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         if not self._begun:
             return
-        self._write_trajectory()
-        with self._writing():
-            write_json(self.directory / SUMMARY, self.summary())
-            self.manifest = self.manifest.model_copy(update={"status": "complete" if kind is None else "interrupted"})
-            self.manifest.write(self.directory)
+        ended = "complete" if error is None else "failed" if isinstance(error, Exception) else "interrupted"
+        try:
+            self._write_trajectory()
+            summary = self.summary()
+            write_json(self.directory / SUMMARY, summary)
+            self.manifest = self.manifest.ended(ended, self.directory)
+            self._report(self.table(), summary)
+        except Exception:
+            with suppress(OSError):
+                self.manifest.fail(self.directory)
+            if ended != "failed":  # else the first error is raised
+                raise
 
     def _begin(self) -> None:
         """Make the directory, remove an old recording, its manifest last, and write the new one's."""
         with self._writing():
             self.directory.mkdir(parents=True, exist_ok=True)
-            for name in (*PARTS_OF_FILES, *FILES):
+            for name in FILES:
                 (self.directory / name).unlink(missing_ok=True)
             self.manifest.write(self.directory)
         self._begun = True
 
     def _write_trajectory(self) -> None:
         start = time.thread_time()  # a busy machine makes writes last, but not rarer
-        with self._writing():
-            write_table(self.directory / TRAJECTORY, self.table())
+        write_table(self.directory / TRAJECTORY, self.table())
         self._next_write_s = time.perf_counter() + REST * (time.thread_time() - start)
 
     @contextmanager
@@ -215,10 +225,10 @@ class TableRecorder(ABC, Generic[Result]):
 class Recorder(TableRecorder[StepResult]):
     """Records the run of a closed loop."""
 
-    def __init__(self, directory: Path, simulation: Simulation) -> None:
+    def __init__(self, directory: Path, simulation: Simulation, report: Report = no_report) -> None:
         """Raises LuxloopError as any recorder does, and if an input file cannot be read."""
         self.simulation = simulation
-        super().__init__(directory, Manifest.of(simulation.scenario, simulation.world.source.name, simulation.device), SCHEMA)
+        super().__init__(directory, Manifest.of(simulation.scenario, simulation.world.source.name, simulation.device), SCHEMA, report)
 
     def row(self, result: StepResult) -> dict[str, Any]:
         return row(result)
@@ -232,7 +242,7 @@ def _refuse(directory: Path) -> None:
     """Raises LuxloopError where the directory holds something else than a recording, OSError where it cannot be written."""
     with tempfile.TemporaryFile(dir=next(each for each in (directory, *directory.parents) if each.exists())):
         pass
-    if directory.exists() and {path.name for path in directory.iterdir()} - set(PARTS_OF_FILES):
+    if directory.exists() and any(directory.iterdir()):
         try:
             Manifest.read(directory)
         except LuxloopError as error:

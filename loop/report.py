@@ -24,7 +24,7 @@ from perception.birdseye import rectify
 from perception.camera import luminance_of
 from perception.extraction import Crop, Loss
 from perception.judge import THRESHOLD
-from world.errors import LuxloopError
+from world.files import whole
 
 Lights = tuple[Utilisation, ...]
 Image = NDArray[np.floating]
@@ -97,10 +97,8 @@ def write_report(file: Path, simulation: Simulation, gathered: Gathered, table: 
         plane, beam = bottom.subfigures(1, 2, squeeze=False, width_ratios=(3.5, 4.2))[0]
         _birds_eye_views(plane, simulation, open_lights, last)
         _beam_patterns(beam, simulation, last.lights)
-        try:
-            figure.savefig(file)
-        except OSError as error:
-            raise LuxloopError(f"{file}: cannot be written ({error.strerror}); give another directory") from error
+        with whole(file) as part:
+            figure.savefig(part, format="png")
 
 
 def _title(simulation: Simulation, summary: dict[str, Any]) -> str:

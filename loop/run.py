@@ -7,6 +7,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
 import torch
 
 from controllers.symbol.projector import DrawingModule, SymbolParams
@@ -21,6 +22,7 @@ from loop.truth import true_camera
 from loop.video import VideoWriter, frame_picture
 from perception.camera import CameraParams, camera_view, saturation_luminance
 from world.errors import LuxloopError, located
+from world.folders import output_folder
 
 VIDEO_FPS = 10  # slower than the loop, so that the eye can follow its steps
 LEAST_PX = 4  # of the target in either direction; quadrants need two pixels each
@@ -33,34 +35,36 @@ def run(
     device: str = "auto",
     video: bool = True,
     on_step: Callable[[StepResult | LightingResult], None] = lambda result: None,
+    on_end: Callable[[], None] = lambda: None,
 ) -> dict[str, Any]:
     """Run a scenario of either kind into a directory (`luxloop replay` reads it) and return its summary.
 
-    on_step: called after every step. Ctrl-C ends the recording, reports on the steps so far and goes on as KeyboardInterrupt.
-    Raises LuxloopError where the scenario cannot run; nothing is written before the first step is done.
+    on_step: called after every step. on_end: called before video and report are finished, which takes seconds. Ctrl-C ends the recording,
+    reports on the steps so far and goes on as KeyboardInterrupt.
+    Raises LuxloopError where the scenario cannot run, or another process writes into the directory; nothing is written before the first
+    step is done.
     """
     directory = Path(directory)
-    if isinstance(scenario, LightingScenario):
-        return run_lighting(scenario, directory, torch_device(device), video, on_step)
-    simulation = prepare(scenario, device)
-    gathered = Gathered(scenario.steps)
-    recorder = Recorder(directory, simulation)
-    try:
-        with recorder, ExitStack() as stack:
-            size = (scenario.camera.width_px, scenario.camera.height_px)
-            film: VideoWriter | None = None
+    with output_folder(directory):
+        if isinstance(scenario, LightingScenario):
+            return run_lighting(scenario, directory, torch_device(device), video, on_step, on_end)
+        simulation = prepare(scenario, device)
+        gathered = Gathered(scenario.steps)
+
+        def report(table: pa.Table, summary: dict[str, Any]) -> None:
+            write_report(directory / REPORT, simulation, gathered, table, summary)
+
+        size = (scenario.camera.width_px, scenario.camera.height_px)
+        with Recorder(directory, simulation, report) as recorder, ExitStack() as stack:
+            film = stack.enter_context(VideoWriter(directory / VIDEO, VIDEO_FPS, size)) if video else None
+            stack.callback(on_end)
             for result in simulation.run():
                 recorder.add(result)
                 gathered.add(result)
-                if video:
-                    film = film or stack.enter_context(VideoWriter(directory / VIDEO, VIDEO_FPS, size))
+                if film is not None:
                     film.add(frame_picture(result, simulation))
                 on_step(result)
-    finally:
-        summary = recorder.summary()
-        if gathered.last is not None:
-            write_report(directory / REPORT, simulation, gathered, recorder.table(), summary)
-    return summary
+    return recorder.summary()
 
 
 def prepare(scenario: Scenario, device: str = "auto") -> Simulation:

@@ -15,8 +15,10 @@ from loop.executors import local
 from loop.gradient import tune_by_gradient
 from loop.run import torch_device
 from loop.scenario import load
-from loop.tune import FINISHED, Task, Tuned, tune
+from loop.tune import FINISHED, STUDY, Task, Tuned, tune
 from world.errors import LuxloopError
+from world.files import whole
+from world.folders import turn
 
 BEST, REPORT, PICTURE = "best.toml", "report.md", "report.png"
 LEAST_FOR_IMPORTANCES = 10  # trials
@@ -66,17 +68,19 @@ def do_tune(
 
 def write(tuned: Tuned, out: Path) -> None:
     """Write the best values, the page and its picture into a folder. Raises LuxloopError where that cannot be."""
-    values, cost = tuned.best
-    head = f"# {tuned.task.objective} of {', '.join(each.name for each in tuned.task.scenarios)}: {tuned.given_cost:.4g} -> {cost:.4g}\n"
-    try:
+    with turn(out / STUDY):  # so that of processes that share a study the last one that writes has all trials
+        values, cost = tuned.best
+        head = (
+            f"# {tuned.task.objective} of {', '.join(each.name for each in tuned.task.scenarios)}: {tuned.given_cost:.4g} -> {cost:.4g}\n"
+        )
         if values:
-            (out / BEST).write_text(head + ranges.overlay(values), "utf-8")
+            with whole(out / BEST) as part:
+                part.write_text(head + ranges.overlay(values), "utf-8")
         else:
             (out / BEST).unlink(missing_ok=True)
         _draw(tuned, out / PICTURE)
-        (out / REPORT).write_text(page(tuned), "utf-8")
-    except OSError as error:
-        raise LuxloopError(f"{out}: the report cannot be written ({error.strerror}); give another folder with --out") from error
+        with whole(out / REPORT) as part:
+            part.write_text(page(tuned), "utf-8")
 
 
 def page(tuned: Tuned) -> str:
@@ -147,7 +151,8 @@ def _draw(tuned: Tuned, file: Path) -> None:
             axes.plot(values[each.key], cost, "*", ms=11, color="tab:orange")
         axes.set_xscale("log" if each.log else "linear")
         axes.set_xlabel(each.key, fontsize=8)
-    figure.savefig(file, dpi=110)
+    with whole(file) as part:
+        figure.savefig(part, dpi=110, format="png")
     plt.close(figure)
 
 

@@ -18,6 +18,7 @@ from loop.simulation import Simulation, StepResult
 from perception.birdseye import rectify
 from perception.camera import luminance_of
 from world.errors import LuxloopError
+from world.files import after, part_of
 
 Picture = np.ndarray  # [H, W, 3] uint8, RGB
 
@@ -64,7 +65,7 @@ class VideoWriter:
     def __init__(self, path: Path, fps: float, size: tuple[int, int]) -> None:
         """size: width and height in px. Raises LuxloopError where the file cannot be written."""
         self.path = path
-        self._part = path.with_name(f".{path.name}.part")
+        self._part = part_of(path)
         with self._writing():
             self._file = self._part.open("wb")
         self._container = av.open(self._file, "w", format="mp4")
@@ -84,20 +85,21 @@ class VideoWriter:
             self._container.mux(self._stream.encode(av.VideoFrame.from_ndarray(even, format="rgb24")))
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        with self._writing():
-            self._container.mux(self._stream.encode(None))
-            self._container.close()
-            self._file.close()
-            if self._part.stat().st_size:
-                os.replace(self._part, self.path)
-            else:
-                self._part.unlink()
+        try:
+            with after(error), self._writing():
+                self._container.mux(self._stream.encode(None))
+                self._container.close()
+                self._file.close()
+                if self._part.stat().st_size:
+                    os.replace(self._part, self.path)
+        finally:
+            self._part.unlink(missing_ok=True)
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
         try:
             yield
-        except OSError as error:
+        except (OSError, av.FFmpegError) as error:
             raise LuxloopError(f"{self.path}: cannot be written ({error.strerror or error}); name another file or directory") from error
 
 

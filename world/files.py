@@ -10,6 +10,7 @@ from typing import Final
 from world.budget import afford
 from world.errors import LuxloopError
 
+<<<<<<< HEAD
 BYTES_A_BYTE: Final = 8  # of a file while it is read: its bytes, its text, its numbers
 
 
@@ -33,6 +34,15 @@ def reading(path: Path, otherwise: str, remedy: str) -> Iterator[None]:
         raise LuxloopError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
     except Exception as error:  # readers raise whatever their formats provoke
         raise LuxloopError(f"{path}: {otherwise} ({str(error).strip() or type(error).__name__}); {remedy}") from error
+=======
+PARTS: Final = ".*.[0-9]*.part"  # pattern of the names of what is half-written
+
+# What reading a .npy or .npz raises beside OSError.
+UNREADABLE: Final = (
+    *(zipfile.BadZipFile, zlib.error, ValueError, KeyError, EOFError, NotImplementedError, RuntimeError, OverflowError),
+    *(SyntaxError, TypeError),
+)
+>>>>>>> bc1b5f2 (Hold output folders by a lock, mark runs that failed, write every result whole, and name the first cause)
 
 
 def files_at(path: Path) -> list[Path]:
@@ -48,12 +58,28 @@ def whole(path: Path) -> Iterator[Path]:
     """
     if path.is_dir():
         raise LuxloopError(f"{path}: cannot be written, for it is a folder; name a file in it")
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    part = part_of(path)
     try:
         yield part
         os.replace(part, path)
     except OSError as error:
-        raise LuxloopError(f"{path}: cannot be written ({error.strerror}); check the folder and its permissions") from error
+        reason = os.strerror(error.errno) if error.errno else error  # Arrow's errors have texts of their own
+        raise LuxloopError(f"{path}: cannot be written ({reason}); check the folder, its permissions and the room left") from error
     finally:
         if os.path.lexists(part):  # no folder, no part, and no second error
             part.unlink()
+
+
+def part_of(path: Path) -> Path:
+    """Where a file is written until it is whole."""
+    return path.with_name(f".{path.name}.{os.getpid()}.part")
+
+
+@contextmanager
+def after(error: BaseException | None) -> Iterator[None]:
+    """What is left to write after a block that may have failed: then that error counts, and none of this one. Ctrl-C is no failure."""
+    try:
+        yield
+    except LuxloopError:
+        if not isinstance(error, Exception):
+            raise

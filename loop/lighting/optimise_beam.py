@@ -1,8 +1,7 @@
 """What `luxloop optimise-beam` does: search a beam for a scenario's first moment, and leave utilisations that it can play, and figures."""
 
 import shlex
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -27,6 +26,7 @@ from perception.detection.params import NetworkParams, TruthParams
 from perception.detection.protocol import Detector
 from world.errors import LuxloopError, located
 from world.files import whole
+from world.folders import output_folder
 
 Method = Literal["auto", "gradient", "sampling"]
 STEPS: Mapping[str, int] = {"gradient": 80, "sampling": 150}
@@ -58,7 +58,7 @@ def optimise_beam(
     method = _method(method, judge)
     start, number = begin(judge), steps or STEPS[method]
     search = descend if method == "gradient" else sample
-    with _folder(out), progress("searching", number) as advance:
+    with output_folder(out), progress("searching", number) as advance:
         found = search(judge, start, number, lambda step, loss: advance())
         lm = sum(flux_by_side(simulation.modules, found.lights).values())
         as_dim = alike(start, [module.flux for module in simulation.modules], lm)
@@ -67,22 +67,6 @@ def optimise_beam(
         _write(out, judge, found, beams, summary)
     _tell(summary, shlex.join([name, "--set", *overrides, str(out / RAW)]))
     return summary
-
-
-@contextmanager
-def _folder(out: Path) -> Iterator[None]:
-    """Made before what takes long, and taken away again where it is new and that fails and leaves it empty."""
-    new = not out.exists()
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise LuxloopError(f"--out {out}: cannot be made a folder ({error.strerror}); give another one") from error
-    try:
-        yield
-    except BaseException:
-        if new and not any(out.iterdir()):
-            out.rmdir()
-        raise
 
 
 def _detector(scenario: LightingScenario, metric: Metric, device: torch.device) -> Detector | None:
@@ -137,8 +121,7 @@ def _write(out: Path, judge: BeamJudge, found: Found, beams: Mapping[str, Lights
         entries.append(f'  {{ file = "./{file.name}", modules = ["{module.name}"] }},\n')
     with whole(out / RAW) as part:
         part.write_text(f"[lighting]\nfunctions = []\nraw = [\n{''.join(entries)}]\n", "utf-8")
-    with whole(out / SUMMARY) as part:
-        write_json(part, summary)
+    write_json(out / SUMMARY, summary)
     write_picture(out / PICTURE, judge, beams, found.losses, summary)
 
 

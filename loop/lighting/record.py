@@ -12,7 +12,7 @@ from loop.lighting.result import LightingResult
 from loop.lighting.simulation import LightingSimulation
 from loop.lighting.summary import summarise
 from loop.manifest import Manifest
-from loop.recorder import TableRecorder
+from loop.recorder import Report, TableRecorder, no_report
 
 # name: (type, unit, description); lamps and objects have columns of their own.
 STEP = {
@@ -127,12 +127,12 @@ def row(result: LightingResult) -> dict[str, Any]:
 class LightingRecorder(TableRecorder[LightingResult]):
     """Records a run of lighting functions."""
 
-    def __init__(self, directory: Path, simulation: LightingSimulation) -> None:
+    def __init__(self, directory: Path, simulation: LightingSimulation, report: Report = no_report) -> None:
         """Raises LuxloopError as any recorder does, and if an input file cannot be read."""
         self.simulation = simulation
         self.idle = set(range(len(simulation.scenario.lighting.functions)))
         manifest = Manifest.of(simulation.scenario, simulation.camera.source.name, simulation.device)
-        super().__init__(directory, manifest, schema(simulation))
+        super().__init__(directory, manifest, schema(simulation), report)
 
     def row(self, result: LightingResult) -> dict[str, Any]:
         if self.idle:

@@ -24,7 +24,7 @@ from loop.lighting.simulation import LightingSimulation
 from loop.lighting.view import Looker
 from loop.report import NIGHT, STYLE
 from loop.summary import column
-from world.errors import LuxloopError
+from world.files import whole
 from world.frames import transform
 
 INCHES, DPI = (13.0, 8.6), 120
@@ -57,10 +57,8 @@ def write_report(file: Path, simulation: LightingSimulation, moments: Sequence[L
         courses, walls = right.subfigures(2, 1, squeeze=False, height_ratios=(high, 3.4))[:, 0]
         write_courses(courses, simulation, table)
         _walls(walls, simulation, last)
-        try:
-            figure.savefig(file)
-        except OSError as error:
-            raise LuxloopError(f"{file}: cannot be written ({error.strerror}); give another directory") from error
+        with whole(file) as part:
+            figure.savefig(part, format="png")
 
 
 def _title(simulation: LightingSimulation, last: LightingResult, table: pa.Table) -> str:

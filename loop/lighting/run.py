@@ -5,6 +5,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
 import torch
 from torch import Tensor
 
@@ -27,29 +28,28 @@ def run_lighting(
     device: torch.device,
     video: bool = True,
     on_step: Callable[[LightingResult], None] = lambda result: None,
+    on_end: Callable[[], None] = lambda: None,
 ) -> dict[str, Any]:
-    """Run a scenario into a directory and return its summary, as `loop.run.run` does."""
+    """Run a scenario into a directory that is this process's own and return its summary, as `loop.run.run` does."""
     simulation = LightingSimulation.prepare(scenario, device)
-    recorder = LightingRecorder(directory, simulation)
     moments: dict[int, LightingResult] = {}  # first, between, and the last so far
     white: Tensor | None = None
     # the last step that tracks do not light
     first = 0 if scenario.detector is None else min(scenario.tracker.confirm_frames, scenario.steps) - 1
     kept = {first + k * (scenario.steps - 1 - first) // (MOMENTS - 1) for k in range(MOMENTS)}
-    try:
-        with recorder, ExitStack() as stack:
-            size = (scenario.camera.width_px, scenario.camera.height_px)
-            film: VideoWriter | None = None
-            for result in simulation.run():
-                recorder.add(result)
-                moments = {step: each for step, each in moments.items() if step in kept} | {result.step: result}
-                if video:
-                    film = film or stack.enter_context(VideoWriter(directory / VIDEO, VIDEO_FPS, size))
-                    white = white_of(result.luminance, scenario.camera) if white is None else white
-                    film.add(frame_picture(result, simulation, white))
-                on_step(result)
-    finally:
-        summary = recorder.summary()
-        if moments:
-            write_report(directory / REPORT, simulation, list(moments.values())[-MOMENTS:], recorder.table())
-    return summary
+
+    def report(table: pa.Table, summary: dict[str, Any]) -> None:
+        write_report(directory / REPORT, simulation, list(moments.values())[-MOMENTS:], table)
+
+    size = (scenario.camera.width_px, scenario.camera.height_px)
+    with LightingRecorder(directory, simulation, report) as recorder, ExitStack() as stack:
+        film = stack.enter_context(VideoWriter(directory / VIDEO, VIDEO_FPS, size)) if video else None
+        stack.callback(on_end)
+        for result in simulation.run():
+            recorder.add(result)
+            moments = {step: each for step, each in moments.items() if step in kept} | {result.step: result}
+            if film is not None:
+                white = white_of(result.luminance, scenario.camera) if white is None else white
+                film.add(frame_picture(result, simulation, white))
+            on_step(result)
+    return recorder.summary()

@@ -19,6 +19,7 @@ from perception.ground_truth import ground_truth
 from world.ambient import ambient_luminance
 from world.body import Body
 from world.face_source import face_source
+from world.files import whole
 from world.frames import pose_from_degrees
 from world.gbuffer import GBuffer
 from world.headlight import Headlight
@@ -121,7 +122,7 @@ def _still_seen(scene: DarkScene, object_id: Tensor) -> tuple[Labelled, ...]:
 
 
 def draw(seed: int, folder: str) -> dict[str, Any]:
-    """Draw the scene of a seed into `folder/SEED.npy`; what is in it. Raises OSError where that cannot be written."""
+    """Draw the scene of a seed into `folder/SEED.npy`; what is in it. Raises LuxloopError where that cannot be written."""
     scenario = _scenario(seed)
     ground, source = _road(_road_seed(seed))
     scene = Scene((ground, *(item.build() for item in scenario.all_objects)), 0.0, scenario.light.street_lamps)
@@ -135,7 +136,8 @@ def draw(seed: int, folder: str) -> dict[str, Any]:
     sky = torch.where(here, surfaces.albedo * (1 + surfaces.normal[2]) / (2 * math.pi), 0)
     layers = torch.stack([_sent_back(surfaces, triangles, source, distance), distance, dark, sky, surfaces.object_id.float()])
     Path(folder).mkdir(parents=True, exist_ok=True)
-    np.save(_file(folder, seed), layers.clamp(max=LARGEST).half().numpy())
+    with whole(_file(folder, seed)) as part, part.open("wb") as stream:
+        np.save(stream, layers.clamp(max=LARGEST).half().numpy())
     # parked cars are cars, too, whatever a tracker is told
     names = ["car" if item.kind == "car" else item.category for item in scenario.all_objects]
     objects = [

@@ -19,8 +19,9 @@ from perception.detection.network import NetworkDetector, save
 from perception.detection.params import NetworkParams
 from world.errors import LuxloopError
 from world.files import whole
+from world.folders import output_folder
 
-JOBS, FOLDER = "scenes.jsonl", "scenes"
+JOBS, FOLDER, WEIGHTS = "scenes.jsonl", "scenes", "detector.pt"
 LEAST_SCORE = 0.01  # of what is asked and judged
 CALIBRATING = 10  # of so many scenes one is left for calibration
 VERSION: Final = digest_of(scenes)
@@ -37,28 +38,36 @@ def train(out: Path, number: int, held_out: int, epochs: int, seed: int, process
             raise LuxloopError(f"--{key} {value}: nothing can be learnt from that; give 1 or more")
     if seed < 0:
         raise LuxloopError(f"--seed {seed}: a seed is 0 or more")
-    started = time.monotonic()
-    seen = drawn(out, scenes.TRAINING, number, processes, "scenes to train on")
-    others = drawn(out, scenes.HELD_OUT, held_out, processes, "scenes held out")
-    drew = time.monotonic()
-    try:
-        detector, training = _learnt(seen, epochs, seed)
-        training["minutes"] = {"drawing": round((drew - started) / 60, 1), "training": round((time.monotonic() - drew) / 60, 1)}
-        found = judge(detector, others)
-    except OSError as error:
-        raise LuxloopError(f"{out}: a scene cannot be read ({error}); remove {out / JOBS}, so that all are drawn again") from error
-    report = {"date": datetime.date.today().isoformat(), "training": training, "camera": scenes.CAMERA.model_dump(), **found}
-    store(detector, report, out)
+    with output_folder(out), output_folder(out / FOLDER):
+        started = time.monotonic()
+        seen = drawn(out, scenes.TRAINING, number, processes, "scenes to train on")
+        others = drawn(out, scenes.HELD_OUT, held_out, processes, "scenes held out")
+        drew = time.monotonic()
+        try:
+            detector, training = _learnt(seen, epochs, seed)
+            training["minutes"] = {"drawing": round((drew - started) / 60, 1), "training": round((time.monotonic() - drew) / 60, 1)}
+            found = judge(detector, others)
+        except OSError as error:
+            raise LuxloopError(f"{out}: a scene cannot be read ({error}); remove {out / JOBS}, so that all are drawn again") from error
+        except KeyboardInterrupt as error:
+            kept = f"all scenes are kept in {out}, the same command trains from its start"
+            raise KeyboardInterrupt(kept) from error
+        report = {"date": datetime.date.today().isoformat(), "training": training, "camera": scenes.CAMERA.model_dump(), **found}
+        store(detector, report, out)
     return report
 
 
 def store(detector: NetworkDetector, report: Mapping[str, Any], out: Path) -> None:
-    """Write weights and report into a folder, the weights last. Raises LuxloopError where that cannot be."""
+    """Write weights and report into a folder, the weights last, so that a report beside weights is theirs.
+
+    Raises LuxloopError where that cannot be.
+    """
+    (out / WEIGHTS).unlink(missing_ok=True)
     numbers = json.dumps(report, indent=1, allow_nan=False) + "\n"
     write_report(report, out)
     with whole(out / "report.json") as file:
         file.write_text(numbers, "utf-8")
-    with whole(out / "detector.pt") as file:
+    with whole(out / WEIGHTS) as file:
         save(detector.network, detector.classes, file)
 
 
@@ -93,4 +102,4 @@ def train_detector(out: Path, number: int, held_out: int, epochs: int, seed: int
     """Train and show how good the network has become."""
     report = train(out, number, held_out, epochs, seed, processes)
     tables.show(overview(report))
-    print(f"{out / 'detector.pt'} and {out / 'report.md'} written")
+    print(f"{out / WEIGHTS} and {out / 'report.md'} written")

@@ -1,5 +1,6 @@
 """A small convolutional network that finds middles of objects, and how far their boxes reach from there (CenterNet, Zhou et al. 2019)."""
 
+import io
 import math
 import zipfile
 from collections.abc import Mapping, Sequence
@@ -134,4 +135,6 @@ def save(network: Network, classes: Sequence[Category], file: Path) -> None:
     """Write weights in half precision, with what they find."""
     weights: Mapping[str, Any] = network.state_dict()
     halves = {name: each.half() if each.is_floating_point() else each for name, each in weights.items()}
-    torch.save({"classes": list(classes), "weights": halves}, file)
+    content = io.BytesIO()  # torch itself would say of a full disk only that it has failed
+    torch.save({"classes": list(classes), "weights": halves}, content)
+    file.write_bytes(content.getvalue())

@@ -1,0 +1,87 @@
+"""Folders that commands write into: held by one process alone, or shared by several.
+
+The locks are the kernel's, so that they end with a process however it ends and leave no file behind.
+"""
+
+import fcntl
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from world.errors import LuxloopError
+from world.files import PARTS
+
+
+@contextmanager
+def output_folder(folder: Path) -> Iterator[None]:
+    """A folder that this process alone writes into, made where it is missing and removed again where it is new and stays empty.
+
+    What writers that were killed left half-written in it is removed. Raises LuxloopError where another process writes into it, or it
+    cannot be made.
+    """
+    with _opened(folder) as descriptor:
+        if not _locked(descriptor, fcntl.LOCK_EX):
+            raise _in_use(folder)
+        for part in folder.glob(PARTS):
+            part.unlink(missing_ok=True)
+        yield
+
+
+@contextmanager
+def shared_folder(folder: Path, journal: Path, mend: Callable[[], None]) -> Iterator[None]:
+    """A folder that several processes write into, who take turns with the journal in it.
+
+    mend: called where no other process is at work in the folder: what the journal says to be under way was then cut off by a kill.
+    Raises LuxloopError where a process has the folder for itself, or it cannot be made.
+    """
+    with _opened(folder) as descriptor:
+        if not _locked(descriptor, fcntl.LOCK_SH):  # before a journal is made in it
+            raise _in_use(folder)
+        fcntl.flock(descriptor, fcntl.LOCK_UN)  # those who wait for their turn are not at work
+        with turn(journal):
+            if _locked(descriptor, fcntl.LOCK_EX):
+                mend()
+            if not _locked(descriptor, fcntl.LOCK_SH):
+                raise _in_use(folder)
+        yield
+
+
+@contextmanager
+def turn(file: Path) -> Iterator[None]:
+    """A block that one process after the other enters; the file is made where it is missing. Raises OSError where it cannot be."""
+    descriptor = os.open(file, os.O_RDWR | os.O_CREAT, 0o666)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+@contextmanager
+def _opened(folder: Path) -> Iterator[int]:
+    try:
+        new = [each for each in (folder, *folder.parents) if not each.exists()]
+        folder.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(folder, os.O_RDONLY)
+    except OSError as error:
+        raise LuxloopError(f"{folder}: cannot be written ({error.strerror}); give another folder with --out") from error
+    try:
+        yield descriptor
+    finally:
+        with suppress(OSError):  # not empty
+            for each in new:
+                each.rmdir()
+        os.close(descriptor)
+
+
+def _locked(descriptor: int, how: int) -> bool:
+    try:
+        fcntl.flock(descriptor, how | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def _in_use(folder: Path) -> LuxloopError:
+    return LuxloopError(f"{folder}: another process writes into it; wait until that ends, or give another folder with --out")
