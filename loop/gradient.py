@@ -18,9 +18,11 @@ from loop.progress import progress
 from loop.ranges import Range
 from loop.run import prepare
 from loop.simulation import Simulation
-from loop.tune import FAILURES, TRACES, Task, Trace, Tuned, failed, finished, keeping, opened, ran
+from loop.study import STUDY, finished, keeping, study_in
+from loop.tune import FAILURES, TRACES, Task, Trace, Tuned, begun, failed, ran
 from perception.extraction import ExtractionParams
 from world.errors import LuxloopError
+from world.folders import turn
 
 STARTS, DRAWS = 24, 3  # descents at once, each through so many kinds of noise
 STEPS, RATE = 120, 0.15  # of Adam, in logits of the ranges
@@ -52,18 +54,21 @@ def tune_by_gradient(task: Task, out: Path, iterations: int, execute: Executor) 
             )
         simulations.append(prepare(scenario, task.device))
         check(simulations[-1], [each.key for each in task.ranges])
-    study, space = opened(task, out, execute)
-    done = finished(study)
-    with (
-        keeping(out, lambda: f"{finished(study)} of {iterations} iterations"),
-        progress("iterations", iterations, min(done, iterations)) as advance,
-    ):
-        for _ in range(done, iterations):
-            values = descend(task, simulations, _before(task, study))
-            costs, traces = ran(task, task.runs(values), execute)
-            kept = {TRACES: traces, FAILURES: failed(traces)}
-            study.add_trial(create_trial(params=values, distributions=space, value=float(np.mean(costs)), user_attrs=kept))
-            advance()
+    with study_in(out, task.digest) as study, keeping(out, lambda: f"{finished(study)} of {iterations} iterations"):
+        shown = finished(study)
+        with progress("iterations", iterations, min(shown, iterations)) as advance:
+            while True:
+                with turn(out / STUDY):  # each iteration learns from all before, so that processes take turns
+                    space = begun(study, task, out, execute)
+                    if finished(study) >= iterations:
+                        break
+                    values = descend(task, simulations, _before(task, study))
+                    costs, traces = ran(task, task.runs(values), execute)
+                    kept = {TRACES: traces, FAILURES: failed(traces)}
+                    study.add_trial(create_trial(params=values, distributions=space, value=float(np.mean(costs)), user_attrs=kept))
+                done = finished(study)
+                advance(done - shown)
+                shown = done
     return Tuned(task, study.user_attrs["given_cost"], study)
 
 

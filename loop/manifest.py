@@ -23,11 +23,7 @@ from loop.sources import sources_of
 from loop.utilisations import sequence_files
 from loop.validation import parsed_json, sentence
 from world.errors import LuxloopError
-<<<<<<< HEAD
-from world.files import content, files_at, reading
-=======
-from world.files import files_at, whole
->>>>>>> bc1b5f2 (Hold output folders by a lock, mark runs that failed, write every result whole, and name the first cause)
+from world.files import content, files_at, reading, whole
 from world.objects import MeshParams
 from world.params import Params
 from world.roads import OpenCrgRoad

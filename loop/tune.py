@@ -2,9 +2,7 @@
 
 import hashlib
 import json
-import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from operator import itemgetter
@@ -14,8 +12,6 @@ from typing import Any, cast
 import numpy as np
 import optuna
 from optuna.distributions import BaseDistribution, FloatDistribution, IntDistribution
-from optuna.storages import JournalStorage
-from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState, create_trial
 
 from loop.campaign import checked
@@ -28,13 +24,14 @@ from loop.objective import Objective
 from loop.progress import progress
 from loop.ranges import Range, Values, changed, value_of
 from loop.scenario import Scenario
+from loop.study import FINISHED, STUDY, finished, keeping, study_in
 from world.errors import LuxloopError
+from world.folders import turn
 
-STUDY, FAILURES = "study.log", "failures"
+FAILURES = "failures"
 TRACES = "traces"  # of what has been run and may be learned from
-FINISHED = (TrialState.COMPLETE, TrialState.PRUNED)
 APART = 1_000_003  # between the seeds of two searches' first trials, so that they share none
-STARTUP = 8  # trials at random before the sampler learns, and before any is pruned
+STARTUP = 8  # trials at random before the sampler learns
 Runs = list[tuple[dict[str, Any], dict[str, str], str]]
 Trace = list[list[Any]] | str  # of a run: poses, errors and whether seen (`loop.batch.Rollout`), or why it failed
 
@@ -107,31 +104,37 @@ class Tuned:
 def tune(task: Task, out: Path, trials: int, execute: Executor) -> Tuned:
     """Go on with the study in a folder until it has so many trials. What is there is kept whatever happens.
 
-    Raises LuxloopError where the folder holds another study or cannot be written; KeyboardInterrupt that says what is kept.
+    Processes that do so in one folder share the trials. Raises LuxloopError where the folder holds another study or cannot be written;
+    KeyboardInterrupt that says what is kept.
     """
-    study, space = opened(task, out, execute)
-    done = finished(study)
-    with keeping(out, lambda: f"{finished(study)} of {trials} trials"), progress("trials", trials, min(done, trials)) as advance:
-        for number in range(done, trials):
-            # Seeded by the trial: a study that was interrupted goes on as it would have.
-            seed = (task.seed * APART + number) % 2**32
-            study.sampler = optuna.samplers.TPESampler(seed=seed, n_startup_trials=STARTUP, multivariate=True)
-            _try(study, study.ask(space), task, execute)
-            advance()
+    with study_in(out, task.digest) as study, keeping(out, lambda: f"{finished(study)} of {trials} trials"):
+        shown = finished(study)
+        with progress("trials", trials, min(shown, trials)) as advance:
+            with turn(out / STUDY):
+                space = begun(study, task, out, execute)
+            while (trial := _asked(study, space, task, out, trials)) is not None:
+                try:
+                    _try(study, trial, task, execute)
+                except BaseException:
+                    with suppress(OSError):
+                        study.tell(trial, state=TrialState.FAIL, skip_if_finished=True)  # so that another process does it
+                    raise
+                done = finished(study)  # others do some, too
+                advance(done - shown)
+                shown = done
     return Tuned(task, study.user_attrs["given_cost"], study)
 
 
-@contextmanager
-def keeping(out: Path, what: Callable[[], str]) -> Iterator[None]:
-    """Says, where a study in a folder is interrupted, what of it is kept."""
-    try:
-        yield
-    except KeyboardInterrupt as error:
-        raise KeyboardInterrupt(f"{what()} are kept in {out / STUDY}, the same command goes on from there") from error
-
-
-def finished(study: optuna.Study) -> int:
-    return len(study.get_trials(deepcopy=False, states=FINISHED))
+def _asked(study: optuna.Study, space: dict[str, BaseDistribution], task: Task, out: Path, trials: int) -> optuna.Trial | None:
+    """The next trial of a study of so many; none where all are finished or under way."""
+    with turn(out / STUDY):
+        number = len(study.get_trials(deepcopy=False, states=(*FINISHED, TrialState.RUNNING)))
+        if number >= trials:
+            return None
+        # Seeded by the trial: a study that was interrupted goes on as it would have.
+        seed = (task.seed * APART + number) % 2**32
+        study.sampler = optuna.samplers.TPESampler(seed=seed, n_startup_trials=STARTUP, multivariate=True)
+        return study.ask(space)
 
 
 def _try(study: optuna.Study, trial: optuna.Trial, task: Task, execute: Executor) -> None:
@@ -178,16 +181,12 @@ def _distribution(each: Range) -> BaseDistribution:
     return FloatDistribution(each.low, each.high, each.log)
 
 
-def opened(task: Task, out: Path, execute: Executor) -> tuple[optuna.Study, dict[str, BaseDistribution]]:
-    """The study in a folder, which knows what the given values cost and their traces, and its space. Raises what `tune` raises.
+def begun(study: optuna.Study, task: Task, out: Path, execute: Executor) -> dict[str, BaseDistribution]:
+    """The study's space; before, what the given values cost and their traces are found where the study does not know them.
 
     Its first trial is of the given values where all scenarios have them and they lie in the ranges: the search learns from them.
+    Raises LuxloopError where all runs with them fail.
     """
-    optuna.logging.set_verbosity(optuna.logging.ERROR)
-    warnings.filterwarnings("ignore", category=optuna.exceptions.ExperimentalWarning)
-    study = _stored(task, out)
-    for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):  # cut off by a kill
-        study.tell(trial.number, state=TrialState.FAIL)
     if "given_cost" not in study.user_attrs:
         costs, traces = ran(task, task.runs({}), execute)
         if len(reasons := failed(traces)) == len(costs):
@@ -198,7 +197,7 @@ def opened(task: Task, out: Path, execute: Executor) -> tuple[optuna.Study, dict
     space = {each.key: _distribution(each) for each in task.ranges}
     if not study.get_trials(deepcopy=False) and all(_within(each, task.given[each.key]) for each in task.ranges):
         study.add_trial(create_trial(params=task.given, distributions=space, value=study.user_attrs["given_cost"]))
-    return study, space
+    return space
 
 
 def _within(each: Range, value: float | int | None) -> bool:
@@ -208,19 +207,3 @@ def _within(each: Range, value: float | int | None) -> bool:
 def mean_cost(task: Task, values: Values, execute: Executor) -> float:
     """Mean cost of all runs with some values."""
     return float(np.mean(ran(task, task.runs(values), execute)[0]))
-
-
-def _stored(task: Task, out: Path) -> optuna.Study:
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        storage = JournalStorage(JournalFileBackend(str(out / STUDY)))
-        pruner = optuna.pruners.MedianPruner(n_startup_trials=STARTUP)
-        study = optuna.create_study(storage=storage, study_name="tune", pruner=pruner, load_if_exists=True)
-    except OSError as error:
-        raise LuxloopError(f"{out}: cannot be written ({error.strerror}); give another folder with --out") from error
-    except (ValueError, KeyError) as error:
-        raise LuxloopError(f"{out / STUDY}: holds something else than a study ({error}); give another folder with --out") from error
-    if study.user_attrs.setdefault("task", task.digest) != task.digest:
-        raise LuxloopError(f"{out}: holds a study of other settings or of another luxloop; give another folder with --out, or remove it")
-    study.set_user_attr("task", task.digest)
-    return study

@@ -15,7 +15,8 @@ from loop.executors import local
 from loop.gradient import tune_by_gradient
 from loop.run import torch_device
 from loop.scenario import load
-from loop.tune import FINISHED, STUDY, Task, Tuned, tune
+from loop.study import FINISHED, STUDY
+from loop.tune import Task, Tuned, tune
 from world.errors import LuxloopError
 from world.files import whole
 from world.folders import turn

@@ -10,7 +10,7 @@ from typing import Final
 from world.budget import afford
 from world.errors import LuxloopError
 
-<<<<<<< HEAD
+PARTS: Final = ".*.[0-9]*.part"  # pattern of the names of what is half-written
 BYTES_A_BYTE: Final = 8  # of a file while it is read: its bytes, its text, its numbers
 
 
@@ -34,15 +34,6 @@ def reading(path: Path, otherwise: str, remedy: str) -> Iterator[None]:
         raise LuxloopError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
     except Exception as error:  # readers raise whatever their formats provoke
         raise LuxloopError(f"{path}: {otherwise} ({str(error).strip() or type(error).__name__}); {remedy}") from error
-=======
-PARTS: Final = ".*.[0-9]*.part"  # pattern of the names of what is half-written
-
-# What reading a .npy or .npz raises beside OSError.
-UNREADABLE: Final = (
-    *(zipfile.BadZipFile, zlib.error, ValueError, KeyError, EOFError, NotImplementedError, RuntimeError, OverflowError),
-    *(SyntaxError, TypeError),
-)
->>>>>>> bc1b5f2 (Hold output folders by a lock, mark runs that failed, write every result whole, and name the first cause)
 
 
 def files_at(path: Path) -> list[Path]:

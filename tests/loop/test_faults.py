@@ -15,8 +15,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import optuna
 import pyarrow.parquet as pq
 import pytest
+from optuna.storages import JournalStorage
+from optuna.storages.journal import JournalFileBackend
+from optuna.trial import TrialState
+
+from loop.study import FINISHED, STUDY
 
 ROOT = Path(__file__).parents[2]
 SMALL = """
@@ -140,3 +146,73 @@ def test_one_run_has_a_folder_for_itself_until_it_is_killed(folder: Path) -> Non
     code, said = ended(start(folder, "run", "small.toml", "--out", "out", "--steps", "1", "--no-video"))
     assert (code, said) == (0, "")
     assert status(folder / "out") == "complete" and not half_written(folder)
+
+
+TUNE = ("tune", "small.toml", "--key", "controller.position.kp=0.1:2", "--objective", "iou", "--jobs", "1", "--out", "out")
+QUICK = ("--set", "steps=3", "controller.name=thesis_pid")
+
+
+def study(folder: Path) -> optuna.Study:
+    storage = JournalStorage(JournalFileBackend(str(folder / "out" / STUDY)))
+    return optuna.load_study(study_name="tune", storage=storage)
+
+
+def test_two_tunes_share_the_trials_asked_for(folder: Path) -> None:
+    both = [start(folder, *TUNE, "--trials", "9", *QUICK, stdout=subprocess.DEVNULL) for _ in range(2)]
+    assert [ended(each)[0] for each in both] == [0, 0]
+    trials = study(folder).trials
+    assert [trial.state in FINISHED for trial in trials] == [True] * 9
+    assert len({trial.params["controller.position.kp"] for trial in trials}) == 9
+    assert "9 trials" in (folder / "out" / "report.md").read_text()
+
+
+def test_a_tune_that_was_killed_goes_on_at_once(folder: Path) -> None:
+    """From a journal that is locked, a trial that never ends and a line that was cut off."""
+    killed = start(folder, *TUNE, "--trials", "1000", *QUICK)
+    wait_for(folder / "out" / STUDY, killed)
+    while (folder / "out" / STUDY).read_bytes().count(b"\n") < 12:
+        time.sleep(0.02)
+    code, said = ended(start(folder, "run", "small.toml", "--out", "out"))
+    assert code == 2 and "another process writes into it" in said
+    killed.kill()
+    killed.communicate()
+    (folder / "out" / f"{STUDY}.lock").unlink(missing_ok=True)
+    (folder / "out" / f"{STUDY}.lock").symlink_to(STUDY)
+    with (folder / "out" / STUDY).open("ab") as stream:
+        stream.write(b'{"op_code":8,"worker')
+    done = (folder / "out" / STUDY).read_bytes()
+    code, said = ended(start(folder, *TUNE, "--trials", "12", *QUICK, stdout=subprocess.DEVNULL))
+    assert code == 0 and " of 12 done before" in said
+    assert (folder / "out" / STUDY).read_bytes().startswith(done[: done.rindex(b"\n") + 1])
+    assert sum(trial.state in FINISHED for trial in study(folder).trials) >= 12
+    assert not any(trial.state == TrialState.RUNNING for trial in study(folder).trials)
+
+
+@pytest.mark.slow
+def test_training_that_is_stopped_leaves_nothing_half_done(folder: Path) -> None:
+    def train(epochs: str) -> "subprocess.Popen[str]":
+        options = ("--out", "out", "--scenes", "2", "--held-out", "1", "--jobs", "1", "--epochs", epochs)
+        return start(folder, "train-detector", *options, stdout=subprocess.DEVNULL)
+
+    out = folder / "out"
+    drawing = train("1000000")
+    wait_for(out / "scenes.jsonl", drawing)
+    drawing.send_signal(signal.SIGTERM)
+    code, said = ended(drawing)
+    assert code == 130 and re.search(r"interrupted: . of . scenes [a-z ]+ are kept in out/scenes.jsonl, the same command goes on", said)
+    for how in (signal.SIGINT, signal.SIGKILL):
+        training = train("1000000")
+        while (out / "scenes.jsonl").read_bytes().count(b"\n") < 3:
+            time.sleep(0.02)
+        time.sleep(15)  # until it trains
+        assert "out: another process writes into it" in ended(train("1"))[1]
+        training.send_signal(how)
+        code, said = ended(training)
+        if how == signal.SIGINT:
+            assert code == 130 and said.endswith("interrupted: all scenes are kept in out, the same command trains from its start\n")
+        assert {file.name for file in out.iterdir()} == {"scenes.jsonl", "scenes"} and not half_written(out)
+    before = {file: file.stat().st_mtime_ns for file in (out / "scenes").iterdir()}
+    assert len(before) == 3
+    assert ended(train("1"))[0] == 0
+    assert (out / "detector.pt").exists() and (out / "report.json").exists() and not half_written(out)
+    assert {file: file.stat().st_mtime_ns for file in (out / "scenes").iterdir()} == before
