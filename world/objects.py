@@ -21,6 +21,8 @@ from world.traffic.roadside import ClutterParams, TrafficSignParams
 
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 AXES = np.eye(3)
+MESHES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
+FARTHEST_M = 10_000
 Side = Annotated[float, Field(gt=0, le=1000)]
 
 
@@ -54,7 +56,7 @@ class MeshParams(SolidParams):
     """A mesh from a file, whose origin it keeps."""
 
     kind: Literal["mesh"] = "mesh"
-    file: Path = Field(description="Mesh file: .obj, .ply, .stl, .glb or what else trimesh reads")
+    file: Path = Field(description="Mesh file: .obj, .ply, .stl, .off, .glb or .gltf")
     scale: float = Field(1.0, gt=0, le=1e6, description="Metres a unit of the file")
     forward: Axis = Field("x", description="The file's axis that points ahead")
     up: Axis = Field("z", description="The file's axis that points up; y in .glb and in most .obj files")
@@ -78,6 +80,8 @@ class MeshParams(SolidParams):
         turn = np.eye(4)
         turn[:3, :3] = [ahead, np.cross(up, ahead), up]
         mesh.apply_scale(self.scale).apply_transform(turn)
+        if (reach := np.abs(mesh.vertices).max()) > FARTHEST_M:
+            raise LuxloopError(f"{self.file}: reaches {reach:.3g} m from its origin; set the object's scale, the metres a unit of the file")
         of_face = torch.arange(len(nodes)).repeat_interleave(torch.tensor([len(node.faces) for node in nodes.values()]))
         return Body(
             self.name,
@@ -100,6 +104,8 @@ def _read_nodes(file: Path) -> Mapping[str, trimesh.Trimesh]:
     """The meshes of a file in its frame, by the names of its nodes."""
     if not file.is_file():
         raise LuxloopError(f"{file}: there is no such mesh file; correct the object's key 'file'")
+    if file.suffix.lower() not in MESHES:  # archives and documents that trimesh reads as well may hold anything
+        raise LuxloopError(f"{file}: meshes are {', '.join(MESHES)} files; export it as one of them")
     try:
         found = trimesh.load_scene(file, split_objects=True).dump()
     except Exception as error:  # trimesh's readers raise whatever their formats provoke

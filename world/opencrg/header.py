@@ -8,6 +8,7 @@ from pathlib import Path
 from world.files import content
 from world.opencrg.crg import KINDS, CrgError
 
+LARGEST = 1e9  # no number of a road's header is larger, so that products of a few stay finite
 _END = re.compile(rb"^\$\$[^\n]*(?:\n|\Z)", re.MULTILINE)
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?")
 
@@ -34,7 +35,10 @@ class Header:
             number = _NUMBER.match(value.strip())
             if number is None:
                 raise CrgError(f"{self.path}, line {line}: {key.strip()} = {value.strip()!r} is not a number; correct the header")
-            yield key.strip().lower(), float(number[0].replace("D", "E").replace("d", "e"))
+            found = float(number[0].replace("D", "E").replace("d", "e"))
+            if abs(found) > LARGEST:
+                raise CrgError(f"{self.path}, line {line}: {key.strip()} = {found:g} is too large for a road; correct the header")
+            yield key.strip().lower(), found
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from world.opencrg.crg import KINDS, TEXT_WIDTH, Crg, CrgError
+from world.opencrg.crg import FINEST_M, KINDS, TEXT_WIDTH, Crg, CrgError
 from world.opencrg.header import Channels, Header, read_channels, read_header
 
 HIGHEST_ELEVATION_M = 1e4  # no road is higher; binary data read out of step is, almost surely
@@ -37,7 +37,7 @@ def _read(path: Path, depth: int) -> Crg:
     channels = read_channels(header)
     road = header.numbers("ROAD_CRG")
     step = road.get("reference_line_increment")
-    if step is None or step <= 0:
+    if step is None or step < FINEST_M:
         raise CrgError(f"{path}: $ROAD_CRG needs REFERENCE_LINE_INCREMENT, the positive step in u in metres (is {step}); add it")
     rows = None
     if "reference_line_end_u" in road:

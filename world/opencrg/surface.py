@@ -7,10 +7,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
-from world.opencrg.crg import Crg
+from world.opencrg.crg import FINEST_M, Crg, CrgError
 
 Floats = NDArray[np.float64]
 NO_VALUE, ZERO, KEEP, REPEAT, MIRROR = range(5)
+FARTHEST_M, STEEPEST = 1e8, 100.0  # no place and no slope of a road is farther out or steeper
 ROUNDING = 1e-9  # of a step, by which what lies at an end may seem to lie beyond it
 
 
@@ -22,6 +23,7 @@ class CrgSurface:
     """
 
     def __init__(self, crg: Crg) -> None:
+        """Raises CrgError where the grid is not that of a road."""
         self.crg = crg
         self.u_start, self.u_step, self.u_end = crg.u_start, crg.u_step, crg.u_end
         n = len(crg.z)
@@ -35,8 +37,22 @@ class CrgSurface:
         self.points: Floats = _integrated(start, steps, end, mixing)  # [n, 2]
         self.heights = self._line_heights(mixing)  # [n]
         self.banking = np.full(n, crg.line("start_b")) if crg.banking is None else crg.banking
+        self._check()
         # A track that closes keeps the gap between its end and its start as a straight piece.
         self._gap = self._closing_gap()
+
+    def _check(self) -> None:
+        """Raises CrgError where the numbers of a file, or what its modifiers make of them, are no road that can be computed with."""
+        across, along = np.diff(self.crg.v), np.diff(self.points, axis=0)
+        sound = {
+            "steps between points of the grid": FINEST_M <= self.u_step <= FARTHEST_M and across.min() >= FINEST_M,
+            "places": (np.abs(self.points) <= FARTHEST_M).all() and np.abs(self.crg.v).max() <= FARTHEST_M,
+            "heights": (np.abs(self.heights) <= FARTHEST_M).all() and not (np.abs(self.crg.z) > FARTHEST_M).any(),
+            "bankings": (np.abs(self.banking) <= STEEPEST).all(),
+            "turns of the reference line": (_dot(along[1:], along[:-1]) > 0).all(),
+        }
+        if wrong := [name for name, is_sound in sound.items() if not is_sound]:
+            raise CrgError(f"{self.crg.source}: its {wrong[0]} are not those of a road; correct $ROAD_CRG and $ROAD_CRG_MODS")
 
     def _line_heights(self, mixing: Floats) -> Floats:
         crg, n = self.crg, len(self.crg.z)
