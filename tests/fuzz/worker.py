@@ -35,6 +35,8 @@ def attempt(kind: Kind, sound: dict[str, bytes], rng: random.Random, folder: Pat
         kind.read(file)
     except LuxloopError as error:
         message = str(error)
+        if isinstance(error.__cause__, MemoryError):
+            return traceback.format_exc()
         return "" if message and len(message) <= LONGEST_MESSAGE else f"a message of {len(message)} characters"
     except Exception:
         return traceback.format_exc()

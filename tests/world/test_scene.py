@@ -116,6 +116,8 @@ def test_an_open_mesh_is_two_sided(tmp_path):
         ("nan.obj", b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"),
         ("beyond.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n"),
         ("picture.png", b"\x89PNG"),
+        ("archive.zip", b"PK"),
+        ("huge.obj", b"v 0 0 0\nv 1e300 0 0\nv 0 1 0\nf 1 2 3\n"),
     ],
 )
 def test_a_bad_mesh_file_is_one_clear_error(tmp_path, name, content):
