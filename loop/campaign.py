@@ -1,6 +1,7 @@
 """What `luxloop campaign` does: a grid or list of runs from one TOML file into one table, resumable, on this machine or on many."""
 
 import json
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -20,6 +21,7 @@ from world.errors import LuxloopError
 from world.folders import output_folder
 from world.params import Params
 
+MOST_RUNS = 100_000
 JOBS, TABLE = "jobs.jsonl", "runs.parquet"
 Row = dict[str, Any]
 
@@ -90,6 +92,9 @@ def read(file: Path) -> list[Run]:
         raise LuxloopError(f"{file}: {sentence(error, CampaignParams, 'docs/campaigns.md has an example')}") from error
     except TypeError as error:
         raise LuxloopError(f"{file}: holds a date or a time, which has no meaning here; write a text in quotes") from error
+    n_runs = math.prod(map(len, (params.scenarios, params.controllers or [0], params.variants or [0], params.seeds))) + len(params.runs)
+    if n_runs > MOST_RUNS:
+        raise LuxloopError(f"{file}: names {n_runs:,} runs, more than {MOST_RUNS:,}; split it into several campaigns")
     runs = dict[str, Run]()
     for each in (_run(file, params, one) for one in _all(params)):
         if runs.setdefault(each.key, each).scenario.digest != each.scenario.digest:

@@ -46,7 +46,10 @@ def _declared(stream: IO[bytes], n_bytes: int) -> int:
     version = npy.read_magic(stream)
     if version not in _HEADERS:
         raise ValueError(f"an array of format version {version}")
-    shape, _, dtype = _HEADERS[version](stream)
+    try:
+        shape, _, dtype = _HEADERS[version](stream)
+    except MemoryError as error:  # what Python's parser says of brackets in brackets
+        raise ValueError("a header that is nested too deep") from error
     count = math.prod(shape)
     if count * dtype.itemsize > n_bytes:
         raise ValueError("an array that is longer than its file")

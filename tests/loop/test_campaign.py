@@ -199,3 +199,10 @@ def test_a_worker_killed_midway_costs_no_run(scheduler: tuple[str, list[subproce
     assert not far.failures
     assert far == run_campaign(file, tmp_path / "near", processes=1)
     assert len((tmp_path / "far" / JOBS).read_text().splitlines()) == 8
+
+
+def test_a_grid_beyond_all_reason_is_refused_before_its_runs_are_read(tmp_path: Path) -> None:
+    file = tmp_path / "c.toml"
+    file.write_text(f'scenarios = ["flat", "snowflake"]\nseeds = {list(range(60_000))}\n')
+    with pytest.raises(LuxloopError, match="names 120,000 runs, more than 100,000; split it"):
+        read(file)

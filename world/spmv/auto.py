@@ -151,7 +151,7 @@ def processor() -> str:
 def _remembered(cache: Path) -> dict[str, object]:
     try:
         content = json.loads(cache.read_text("utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return {}
     return content if isinstance(content, dict) else {}
 
