@@ -23,7 +23,8 @@ def progress(title: str, total: int, done: int = 0) -> Iterator[Advance]:
     """Call what it gives after every step; `done` of the total are done already."""
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     console = tables.console(stderr=True)
-    start = told = time.monotonic()
+    start, before = time.monotonic(), done
+    told = start
     if done and not console.is_terminal:
         console.print(f"{title}: {done} of {total} done before", markup=False)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
@@ -36,6 +37,7 @@ def progress(title: str, total: int, done: int = 0) -> Iterator[Advance]:
             time_s = time.monotonic()
             if not console.is_terminal and time_s - told >= LINE_S:
                 told = time_s
-                console.print(f"{title}: {done} of {total} done after {time_s - start:.0f} s", markup=False)
+                left = (total - done) / max(done - before, 1) * (time_s - start)
+                console.print(f"{title}: {done} of {total} done after {time_s - start:.0f} s, about {left:.0f} s left", markup=False)
 
         yield advance

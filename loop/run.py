@@ -103,21 +103,22 @@ def _prepare(scenario: Scenario, device: str) -> Simulation:
 
 
 def _pixels_there(simulation: Simulation) -> str:
-    """How large the finest pixels are at the target, and how large the symbol: coarse pixels draw no symbol."""
+    """How large the finest pixels are, and how large the symbol, seen from the lamp: coarse pixels draw no symbol."""
 
     def size_deg(module: DrawingModule) -> tuple[float, float]:
         light = module.pixel_controller.headlight
-        angles = ((light.left - light.right) / light.pixel_cols, (light.top - light.bottom) / light.pixel_rows)
-        return math.degrees(angles[0]), math.degrees(angles[1])
+        left, right, bottom, top = (math.degrees(math.atan(tangent)) for tangent in (light.left, light.right, light.bottom, light.top))
+        return (left - right) / light.pixel_cols, (top - bottom) / light.pixel_rows
 
     symbol, module = simulation.scenario.symbol, min(simulation.projector.modules, key=lambda each: math.prod(size_deg(each)))
     across, down = size_deg(module)
     height = max(float(module.T_world_headlight[2, 3]), 0.1)  # a mount may put it below the road
-    distance = math.hypot(symbol.x_m, symbol.y_m, height)
-    width, length = math.radians(across) * distance, math.radians(down) * distance**2 / height
+    distance, half = math.hypot(symbol.x_m, symbol.y_m), 0.5 * symbol.length_m
+    width_deg = math.degrees(2 * math.atan2(0.5 * symbol.width_m, distance))
+    length_deg = math.degrees(math.atan2(height, distance - half) - math.atan2(height, distance + half))
     return (
-        f"a pixel of {module.name} spans about {across:.2g} x {down:.2g} deg, there {100 * width:.0f} cm across and "
-        f"{100 * length:.0f} cm along the road, and the symbol {100 * symbol.width_m:.0f} x {100 * symbol.length_m:.0f} cm"
+        f"a pixel of {module.name} spans about {across:.2g} x {down:.2g} deg across and down, and the symbol "
+        f"{width_deg:.2g} x {length_deg:.2g} deg seen from the lamp"
     )
 
 

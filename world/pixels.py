@@ -10,9 +10,9 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
+from world.budget import BUDGET_BYTES, afford
 from world.errors import LuxloopError
 from world.headlight import LUMINANCE
-from world.parametric import affordable_entries
 from world.photometry.distribution import EDGE_DEG, Aim, Array, Distribution, directions_of
 from world.photometry.texture import PROBES, Window, light_texture, squared_error
 from world.texels import LARGEST_ANGLE_DEG, TexelGrid
@@ -20,7 +20,10 @@ from world.texels import LARGEST_ANGLE_DEG, TexelGrid
 CUTOFF = 1e-4  # share of a pixel's peak below which its light is left out: fewer entries, and next to nothing is lost
 MOST_TEXELS = 2048  # along a side, unless a user wants more
 TEXELS_A_PIXEL = 4  # along a side at least, since symbols need rays between pixels
-ENOUGH_TO_TELL = 0.1  # of all pixels: what these take up tells what all will
+SAMPLED = 8  # pixels, evenly spread, that tell how many texels all will light
+BYTES_AN_ENTRY = 64  # of the matrix while it is assembled and sorted
+AFFORDABLE = 0.8  # of the budget, that a remedy aims at: other pixels may be wider than those sampled
+MOST_CUTOFF = 0.1  # that is proposed: a pixel without more of its light would be another
 FEWEST_PROBES = 1024  # directions in which a pixel is compared with its source, where there are many
 AZIMUTHS_DEG = 15.0  # in which a distribution about an axis is looked at
 
@@ -72,7 +75,8 @@ def assemble(
     Each is a light texture of its own (see world.photometry.texture), but for the texels that it cannot light.
     on_progress: called with the pixels done and their number.
 
-    Raises: LuxloopError where the texture sees no light at all, or all pixels together need more memory than there may be.
+    Raises: LuxloopError where the texture sees no light at all, or, before the work, where all pixels together would need more memory than
+    there may be.
     """
 
     def light_of(distribution: Distribution, turn: Array | None) -> tuple[NDArray[np.intp], Array]:
@@ -82,6 +86,7 @@ def assemble(
         texel = (window[0][:, None] * grid.cols + window[1]).ravel()
         return texel, light_texture(distribution, grid, array.aim, turn, window).ravel() if len(texel) else np.empty(0)
 
+    _check_entries([light_of(pixel.distribution, pixel.turn)[1] for pixel in _sampled(array)], array, grid, cutoff)
     probes = max(PROBES // len(array.pixels), FEWEST_PROBES)
     rows: list[NDArray[np.intp]] = []
     values: list[Array] = []
@@ -95,8 +100,7 @@ def assemble(
         total += float(light.sum())
         lost += float(light[~bright].sum())
         entries += int(bright.sum())
-        if number >= ENOUGH_TO_TELL * len(array.pixels):
-            affordable_entries(entries / number * len(array.pixels))
+        afford("its pixels", BYTES_AN_ENTRY * entries, "give a coarser texture")
         rows.append(texel[bright])
         values.append(light[bright])
         if pixel.rgb is not None:
@@ -117,6 +121,35 @@ def assemble(
     matrix.data = np.concatenate(values)[entry]
     rmse_cd = math.sqrt(squares / solid)
     return Assembled(matrix, np.concatenate(chroma, axis=1)[:, entry] if chroma else None, lost / total, rmse_cd, rmse_cd / peak)
+
+
+def _sampled(array: PixelArray) -> list[Pixel]:
+    number = len(array.pixels)
+    return [array.pixels[k] for k in sorted({int((i + 0.5) * number / SAMPLED) for i in range(SAMPLED)})]
+
+
+def _check_entries(lights: Sequence[Array], array: PixelArray, grid: TexelGrid, cutoff: float) -> None:
+    """Estimate the entries of all pixels from the light cd of some at each texel, and refuse too many with sizes that are affordable."""
+    shares = np.concatenate([light / max(light.max(initial=0), np.finfo(float).tiny) for light in lights])
+    each = len(array.pixels) / len(lights)  # that a sample stands for
+    entries, most = each * np.count_nonzero(shares > cutoff), BUDGET_BYTES / BYTES_AN_ENTRY
+    if entries <= most:
+        return
+    most *= AFFORDABLE
+    rows, cols = (int(number * math.sqrt(most / entries)) for number in (grid.rows, grid.cols))
+    faint = float(-np.partition(-shares, int(most / each))[int(most / each)])
+    remedies = [f"texture.rows = {rows} and texture.columns = {cols}"] if rows >= array.rows and cols >= array.columns else []
+    remedies += [f"cutoff = {_rounded_up(faint):g}"] if faint < MOST_CUTOFF else []
+    afford(
+        f"its {len(array.pixels):,} pixels, {entries / grid.n_texels:,.0f} on each of {grid.rows} x {grid.cols} texels by estimate,",
+        BYTES_AN_ENTRY * entries,
+        f"set {' or '.join(remedies)}" if remedies else "give fewer or narrower pixels",
+    )
+
+
+def _rounded_up(share: float) -> float:
+    digit = 10.0 ** math.floor(math.log10(share))
+    return math.ceil(share / digit) * digit
 
 
 def default_grid(array: PixelArray) -> TexelGrid:

@@ -1,6 +1,7 @@
 """From distributions of single pixels to a headlight matrix: exact in angles, true to the source, light neither lost nor made."""
 
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from world import budget
+from world import budget, pixels
 from world.errors import LuxloopError
 from world.photometry import files, lm63
 from world.photometry.distribution import Aim, Distribution, angles_of, directions_of
@@ -181,9 +182,15 @@ def test_a_measurement_tells_what_it_cuts_off() -> None:
     assert border_share(Distribution("A", ANGLES, ANGLES, 0 * cone)) == 0
 
 
-def test_a_matrix_beyond_all_memory_is_refused_early(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(budget, "BUDGET_BYTES", 150_000)
-    seen = []
-    with pytest.raises(LuxloopError, match="coarser texture"):
-        assemble(PixelArray([Pixel(gaussian())] * 100, 10, 10), GRID, on_progress=lambda done, of: seen.append(done))
-    assert seen[-1] < 10
+def test_a_matrix_beyond_all_memory_is_refused_before_the_work_with_values_that_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pixels, "BUDGET_BYTES", 64 * 700_000)
+    monkeypatch.setattr(budget, "BUDGET_BYTES", 64 * 700_000)
+    array, seen = PixelArray([Pixel(gaussian())] * 400, 20, 20), []
+    with pytest.raises(LuxloopError, match=r"its 400 pixels, .* of 60 x 80 texels by estimate, .*; set texture.rows") as refused:
+        assemble(array, GRID, on_progress=lambda done, of: seen.append(done))
+    assert seen == []
+    found = re.search(r"rows = (\d+) and texture.columns = (\d+) or cutoff = ([\d.]+)$", str(refused.value))
+    assert found is not None, refused.value
+    coarser = replace(GRID, rows=int(found[1]), cols=int(found[2]))
+    for few in (assemble(array, coarser), assemble(array, GRID, float(found[3]))):
+        assert 400_000 < few.matrix.nnz <= 700_000
