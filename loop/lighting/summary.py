@@ -16,6 +16,7 @@ START_UP_S = 1.0  # in which functions that learn begin with more light than the
 SETTLED = 0.05  # greatest deviation of a zone from its target, as a share of it
 LAST_STEPS = 10  # that a confidence at the end is the mean of
 UNITS: Mapping[Quantity, str] = {"luminance": "cd/m^2", "lx": "lx"}
+WELL_LIT_LX = 5.0  # from which on detectors are trained to find objects
 LOOKING = ("detections", "false_positives")  # whose means are told
 
 
@@ -196,6 +197,11 @@ def shown(values: dict[str, Any], files: str) -> Table:
             rows["base beam"] = f"{values['base_share_final']:.1%} of it left at the end{why}"
     if "detections" in values:
         rows["found"] = f"{values['detections']:.1f} boxes a step; {values['false_positives']:.2f} a step are sure and show nothing"
+        lit = max((light["lx_max"] for light in values["objects"].values() if light["lx_max"] is not None), default=0.0)
+        if values["detections"] == 0 and lit >= WELL_LIT_LX:
+            rows["found"] = (
+                f"no box in any step, though objects in sight had up to {lit:.3g} lx; correct the keys of [detector], or train it anew"
+            )
         if values["eyes_lx_max"] is not None:
             rows["on heads and windscreens"] = _on_eyes(values["eyes_lx_max"], values["eyes_lx_max_after_start_up"])
     if least := {name: each["confidence_min"] for name, each in values["objects"].items() if each.get("confidence_min") is not None}:
