@@ -78,7 +78,7 @@ def sentence(error: ValidationError, model: type[BaseModel], example: str) -> st
     key, fields = _place(model, detail["loc"])
     if detail["type"].startswith("union_tag") and isinstance(detail["input"], dict):
         key = f"{key}.{_discriminator(detail)}"
-    more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
+    more = f" (and {len(details) - 1} more to mend)" if len(details) > 1 else ""
     return f"{key}: {_what(detail, fields, example)}{more}" if key else f"{_what(detail, fields, example)}{more}"
 
 
