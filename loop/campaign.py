@@ -20,6 +20,7 @@ from loop.validation import read_toml, sentence
 from world.errors import LuxloopError
 from world.folders import output_folder
 from world.params import Params
+from world.plugin import refuse_code
 
 MOST_RUNS = 100_000
 JOBS, TABLE = "jobs.jsonl", "runs.parquet"
@@ -84,8 +85,11 @@ class Campaign:
         return {row["key"]: row["error"] for row in self.rows if row["error"]}
 
 
-def read(file: Path) -> list[Run]:
-    """The runs of a campaign's file. Raises LuxloopError that names the file, the key and the remedy."""
+def read(file: Path, *, allow_code: bool = False) -> list[Run]:
+    """The runs of a campaign's file; allow_code: whether modules that it or its scenarios name may run.
+
+    Raises LuxloopError that names the file, the key and the remedy.
+    """
     try:
         params = CampaignParams.model_validate_json(json.dumps(read_toml(file)), strict=True)
     except ValidationError as error:
@@ -96,7 +100,7 @@ def read(file: Path) -> list[Run]:
     if n_runs > MOST_RUNS:
         raise LuxloopError(f"{file}: names {n_runs:,} runs, more than {MOST_RUNS:,}; split it into several campaigns")
     runs = dict[str, Run]()
-    for each in (_run(file, params, one) for one in _all(params)):
+    for each in (_run(file, params, one, allow_code) for one in _all(params)):
         if runs.setdefault(each.key, each).scenario.digest != each.scenario.digest:
             raise LuxloopError(f"{file}: two different runs are both called {each.key!r}; rename a scenario's file, or give variants")
     if not runs:
@@ -104,12 +108,20 @@ def read(file: Path) -> list[Run]:
     return list(runs.values())
 
 
-def run_campaign(file: Path, out: Path, *, device: str = "cpu", processes: int | None = None, executor: Executor | None = None) -> Campaign:
+def run_campaign(
+    file: Path,
+    out: Path,
+    *,
+    device: str = "cpu",
+    processes: int | None = None,
+    executor: Executor | None = None,
+    allow_code: bool = False,
+) -> Campaign:
     """Do the runs that `out` does not hold yet, and write the table of all.
 
     Raises what `read`, `loop.jobs.run` and `world.folders.output_folder` raise.
     """
-    runs = read(file)
+    runs = read(file, allow_code=allow_code)
     jobs = [
         Job(each.key, {"scenario": each.scenario.model_dump(mode="json"), "inputs": digests(each.scenario), "device": device})
         for each in runs
@@ -165,7 +177,7 @@ def _all(params: CampaignParams) -> Iterator[RunParams]:
     yield from params.runs
 
 
-def _run(file: Path, params: CampaignParams, one: RunParams) -> Run:
+def _run(file: Path, params: CampaignParams, one: RunParams, allow_code: bool) -> Run:
     if one.variant is not None and one.variant not in params.variants:
         raise LuxloopError(f"{file}: runs: there is no variant {one.variant!r}; write its keys below [variants.{one.variant}]")
     changes: Sequence[dict[str, Any]] = [
@@ -178,7 +190,10 @@ def _run(file: Path, params: CampaignParams, one: RunParams) -> Run:
         resolve_paths(each, file.parent)
     beside = file.parent / one.scenario
     try:
-        return Run(one, load_any(str(beside) if beside.is_file() else one.scenario, changes))
+        scenario = load_any(str(beside) if beside.is_file() else one.scenario, changes, allow_code=True)
+        if not allow_code:  # changes are out of a file, too
+            refuse_code(scenario, one.scenario)
+        return Run(one, scenario)
     except LuxloopError as error:
         variant = f" {one.variant}" if one.variant else ""
         raise LuxloopError(f"{file}:{variant} {error}") from error

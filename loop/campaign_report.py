@@ -34,7 +34,7 @@ SHOWN = {
 }
 
 
-def do_campaign(file: Path, out: Path | None, processes: int | None, scheduler: str | None, device: str) -> bool:
+def do_campaign(file: Path, out: Path | None, processes: int | None, scheduler: str | None, device: str, allow_code: bool) -> bool:
     """Run a campaign, write its report, show its table and what failed; whether nothing failed."""
     if processes is not None and processes < 1:
         raise LuxloopError(f"--jobs: {processes} processes can do nothing; give 1 or more")
@@ -42,7 +42,7 @@ def do_campaign(file: Path, out: Path | None, processes: int | None, scheduler: 
         raise LuxloopError("--jobs: is for this machine, but --scheduler has workers of its own; give one of the two")
     folder = out or Path("runs") / file.stem
     executor = local(processes) if scheduler is None else dask(scheduler)
-    campaign = run_campaign(file, folder, device=str(torch_device(device)), executor=executor)
+    campaign = run_campaign(file, folder, device=str(torch_device(device)), executor=executor, allow_code=allow_code)
     for key, reason in campaign.failures.items():
         tables.console(stderr=True).print(f"failed: {key}: {reason}", markup=False)
     write_report(campaign, folder)

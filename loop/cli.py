@@ -4,6 +4,7 @@ import os
 import re
 import signal
 import sys
+import traceback
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,12 +12,14 @@ from pathlib import Path
 from cyclopts import App, CycloptsError, UnknownCommandError, UnusedCliTokensError
 
 from loop import tables
-from loop.cli_common import DIFFERS, INTERRUPTED, OK, UNREAD, WRONG, Device, Json, Keys, with_controller
+from loop.cli_common import DIFFERS, INTERRUPTED, OK, UNREAD, WRONG, AllowCode, Device, Json, Keys, with_controller
 from loop.headlight_cli import headlight_app
 from loop.listing_cli import data_app, doctor, list_, schema
 from loop.shipped import copied, examples, original
 from loop.studies_cli import campaign, evaluate, optimise_beam, train_detector, tune
 from world.errors import LuxloopError, did_you_mean
+
+DEBUG = "--debug"
 
 
 def version() -> str:
@@ -33,7 +36,7 @@ app = App(
     name="luxloop",
     version=version,
     help="Closed loops around HD matrix headlights: what the camera sees of a projected symbol controls the light.",
-    help_epilogue="The first run: luxloop run snowflake",
+    help_epilogue="The first run: luxloop run snowflake. With --debug, any command shows the traceback of an error.",
     version_flags=["--version"],
     suppress_keyboard_interrupt=False,
 )
@@ -50,12 +53,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     warnings.filterwarnings("default", category=UserWarning)
     warnings.filterwarnings("ignore", message="Sparse CSR tensor support")
     warnings.showwarning = lambda message, *_: _say(f"warning: {message}")
+    tokens = sys.argv[1:] if arguments is None else list(arguments)
     try:
-        tokens = sys.argv[1:] if arguments is None else list(arguments)
-        code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value", verbose=False)
+        code = app(
+            [token for token in tokens if token != DEBUG],
+            exit_on_error=False,
+            print_error=False,
+            result_action="return_value",
+            verbose=False,
+        )
         sys.stdout.flush()
         return int(code or OK)
     except LuxloopError as error:
+        if DEBUG in tokens:
+            traceback.print_exception(error)
         _say(f"error: {error}")
         return WRONG
     except CycloptsError as error:
@@ -127,7 +138,7 @@ def new(file: Path | None = None, /, *, like: str | None = None, traffic: int | 
 
 
 @app.command
-def check(name: str, /, *, controller: str | None = None, set: Keys = None, json: Json = False) -> None:
+def check(name: str, /, *, controller: str | None = None, set: Keys = None, json: Json = False, allow_code: AllowCode = False) -> None:
     """Validate a scenario and everything that it names: symbol, road, meshes, whether lamps and camera reach the target.
 
     Parameters
@@ -146,7 +157,7 @@ def check(name: str, /, *, controller: str | None = None, set: Keys = None, json
     from loop.scenario import load_any
 
     try:
-        found = check_scenario(load_any(name, set or [], **with_controller(controller)))
+        found = check_scenario(load_any(name, set or [], allow_code=allow_code, **with_controller(controller)))
     except LuxloopError as error:
         if json:
             tables.show_json({"scenario": name, "ok": False, "error": str(error)})
@@ -169,6 +180,7 @@ def run(
     controller: str | None = None,
     device: Device = "auto",
     video: bool = True,
+    allow_code: AllowCode = False,
 ) -> None:
     """Run a scenario and record it: manifest, trajectory, summary, report and video.
 
@@ -194,11 +206,11 @@ def run(
     from loop.commands import run_scenario
 
     given = {key: value for key, value in {"seed": seed, "steps": steps}.items() if value is not None} | with_controller(controller)
-    run_scenario(name, out or Path("runs") / Path(name).stem, set or [], given, device, video)
+    run_scenario(name, out or Path("runs") / Path(name).stem, set or [], given, device, video, allow_code)
 
 
 @app.command
-def replay(directory: Path, /, *, compare: bool | None = None, csv: Path | None = None) -> int:
+def replay(directory: Path, /, *, compare: bool | None = None, csv: Path | None = None, allow_code: AllowCode = False) -> int:
     """Run a recorded scenario again and hold it against the recording; exit code 1 where they differ.
 
     Parameters
@@ -217,7 +229,7 @@ def replay(directory: Path, /, *, compare: bool | None = None, csv: Path | None 
         to_csv(directory, csv)
         print(f"{csv} written")
     if compare or (compare is None and csv is None):
-        return OK if compare_recording(directory) else DIFFERS
+        return OK if compare_recording(directory, allow_code) else DIFFERS
     return OK
 
 

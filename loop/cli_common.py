@@ -7,6 +7,7 @@ from cyclopts import Parameter
 OK, DIFFERS, UNREAD, WRONG, INTERRUPTED = 0, 1, 1, 2, 130
 
 Keys = Annotated[list[str] | None, Parameter(consume_multiple=True, negative=())]
+AllowCode = Annotated[bool, Parameter(negative=(), help="Run Python modules that files name; for files and modules that you trust.")]
 Json = Annotated[bool, Parameter(negative=())]
 Device = Literal["auto", "cpu", "cuda"]
 

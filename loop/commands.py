@@ -27,9 +27,11 @@ def _one_thread() -> None:
         torch.set_num_threads(1)
 
 
-def run_scenario(name: str, out: Path, overrides: Sequence[str], values: dict[str, Any], device: str, video: bool) -> None:
+def run_scenario(
+    name: str, out: Path, overrides: Sequence[str], values: dict[str, Any], device: str, video: bool, allow_code: bool
+) -> None:
     """Run, and say how it went and where the files lie. Raises KeyboardInterrupt that says what was kept."""
-    scenario = load_any(name, overrides, **values)
+    scenario = load_any(name, overrides, allow_code=allow_code, **values)
     _one_thread()
     done = 0
     writing = f"{scenario.name}: writing report{' and video' if video else ''}"
@@ -49,13 +51,13 @@ def run_scenario(name: str, out: Path, overrides: Sequence[str], values: dict[st
     tables.show(table(summary, str(out)))
 
 
-def compare_recording(directory: Path) -> bool:
+def compare_recording(directory: Path, allow_code: bool) -> bool:
     """Run a recording again, show how the two differ, return whether they agree."""
     manifest = Manifest.read(directory)
     again: Callable[..., Comparison] = replay_lighting if "lighting" in manifest.scenario else replay
     _one_thread()
     with progress(str(manifest.scenario.get("name")), read_parquet(directory / TRAJECTORY).num_rows) as advance:
-        comparison = again(directory, on_step=lambda result: advance())
+        comparison = again(directory, on_step=lambda result: advance(), allow_code=allow_code)
     console = tables.console()
     for note in comparison.notes:
         console.print(f"note: {note}", markup=False)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 from cyclopts import App
 
 from loop import tables
-from loop.cli_common import DIFFERS
+from loop.cli_common import DIFFERS, AllowCode
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -68,6 +68,7 @@ def show(
     time_s: float | None = None,
     visibility_m: float | None = None,
     out: Path | None = None,
+    allow_code: AllowCode = False,
 ) -> None:
     """Draw a lamp's light, or a photometric file.
 
@@ -131,7 +132,7 @@ def show(
         sides: tuple[Literal["left", "right"], ...] = ("left", "right") if side is None or side == "both" else (side,)
         lamps: dict[str, Lamp] = {each: for_traffic(load_lamp(lamp, each), traffic or "right") for each in sides}
         target = out or Path("-".join([stem, *([beam] if beam else []), *([style] if style else []), view or "overview"]) + ".png")
-        world, shown = None if scenario is None else load_any(scenario), beam or lamps[sides[0]].default_beam
+        world, shown = None if scenario is None else load_any(scenario, allow_code=allow_code), beam or lamps[sides[0]].default_beam
         pattern: str | Mapping[str, Sequence[Tensor]] = shown
         if isinstance(world, LightingScenario) and beam is None:
             if traffic is not None:

@@ -5,7 +5,6 @@ import hashlib
 import json
 import os
 import platform
-import re
 from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
@@ -26,6 +25,7 @@ from world.errors import LuxloopError
 from world.files import content, files_at, reading, whole
 from world.objects import MeshParams
 from world.params import Params
+from world.plugin import named as named_parts
 from world.roads import OpenCrgRoad
 
 FILE = "manifest.json"
@@ -157,8 +157,8 @@ def input_files(scenario: AnyScenario) -> Iterator[tuple[str, Path]]:
             yield key, Path(data.locate(road.file))
     for file in lamp_files(scenario.headlight.model):
         yield f"headlight.model {os.path.relpath(file, Path(scenario.headlight.model).parent)}", file
-    for module in re.findall(r'"(\w+(?:\.\w+)*):\w+"', scenario.model_dump_json()):
-        yield from ((f"module {name}", file) for name, file in sources_of(module).items())
+    for _, part in named_parts(scenario):
+        yield from ((f"module {name}", file) for name, file in sources_of(part.module, part.folder).items())
     for i, item in enumerate(scenario.objects):
         if isinstance(item, MeshParams):
             yield f"objects[{i}].file", item.file

@@ -3,11 +3,12 @@
 import copy
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from loop.validation import parsed_toml, read_toml
+from world import plugin
 from world.errors import LuxloopError
 
 Override = str | Mapping[str, Any]
@@ -19,10 +20,19 @@ def overridden(data: Mapping[str, Any], overrides: Sequence[Override]) -> dict[s
     """Plain data of a scenario with other values, of later overrides where several set a key. Raises LuxloopError where one is none."""
     changes: dict[str, Any] = {}
     for override in overrides:
-        _merge(changes, _tables(override))
+        _merge(changes, tables(override))
     changed = copy.deepcopy(dict(data))
     _merge(changed, changes)
     return changed
+
+
+def texts(data: Any) -> Iterator[str]:
+    """All texts in plain data, keys excepted."""
+    if isinstance(data, str):
+        yield data
+    elif isinstance(data, Mapping | list | tuple):
+        for each in data.values() if isinstance(data, Mapping) else data:
+            yield from texts(each)
 
 
 def toml_key(key: str) -> str:
@@ -30,12 +40,16 @@ def toml_key(key: str) -> str:
     return INDEX.sub(r'."[\1]"', key)
 
 
-def _tables(override: Override) -> dict[str, Any]:
+def is_file(override: Override) -> bool:
+    """Whether an override is the path of a TOML file of keys."""
+    return isinstance(override, str) and "=" not in override and Path(override).suffix == ".toml"
+
+
+def tables(override: Override) -> dict[str, Any]:
     """The nested tables of an override, its paths absolute. Raises LuxloopError where it is none."""
     folder, data = Path.cwd(), override
     if isinstance(data, str):
-        file = Path(data)
-        folder, data = (file.parent, read_toml(file)) if "=" not in data and file.suffix == ".toml" else (folder, _parsed(data))
+        folder, data = (Path(data).parent, read_toml(Path(data))) if is_file(data) else (folder, _parsed(data))
     data = copy.deepcopy(dict(data))
     resolve_paths(data, folder)
     return data
@@ -82,7 +96,7 @@ def _merge(into: dict[str, Any], changes: Mapping[str, Any], within: str = "") -
 
 
 def resolve_paths(data: dict[str, Any], folder: Path) -> None:
-    """Make paths absolute against the file's folder; names of shipped symbols, of presets and of known data stay names."""
+    """Make paths absolute against the file's folder, those of modules that lie there too; names of what is shipped or known stay names."""
     objects, lighting = data.get("objects"), data.get("lighting")
     controller = data.get("controller")
     believed = controller.get("road") if isinstance(controller, dict) else None
@@ -95,3 +109,7 @@ def resolve_paths(data: dict[str, Any], folder: Path) -> None:
     for table, key in tables:
         if isinstance(table, dict) and isinstance(table.get(key), str) and any(mark in table[key] for mark in "/\\."):
             table[key] = str((folder / table[key]).resolve())
+    parts = [(data.get(key), "kind") for key in ("road", "extraction", "detector")]
+    for table, key in [*parts, (believed, "kind"), (controller, "name"), (data, "pixel_controller")]:
+        if isinstance(table, dict) and isinstance(table.get(key), str):
+            table[key] = plugin.beside(table[key], folder)

@@ -1,5 +1,7 @@
 """Pixel controllers by name: what a scenario turns primitives into utilisations with."""
 
+from typing import cast
+
 from torch import Tensor
 
 from controllers.jpo import Jpo
@@ -7,7 +9,7 @@ from controllers.ssc import PixelController, Ssc
 from loop.scenario import WorldScenario
 from world.errors import LuxloopError
 from world.headlight import Headlight
-from world.plugin import load
+from world.plugin import Guarded, Name, load, running
 
 
 def pixel_controller(scenario: WorldScenario, headlight: Headlight, default: Tensor | None = None) -> PixelController:
@@ -22,15 +24,15 @@ def pixel_controller(scenario: WorldScenario, headlight: Headlight, default: Ten
         case "jpo":
             return Jpo(Ssc.prepare(headlight, scenario.ssc, default), scenario.jpo)
         case name:
-            own = _own(name, headlight)
+            own = _own(Name(name), headlight)
             return own if default is None else own.over(default)
 
 
-def _own(name: str, headlight: Headlight) -> PixelController:
-    found = load(name, "pixel_controller")
-    made = found.prepare(headlight) if hasattr(found, "prepare") else found
-    lacking = [part for part in ("prepare", "headlight", "default", "utilisation", "over") if not hasattr(made, part)]
-    if lacking:
-        raise LuxloopError(f"pixel_controller: {name} has no {lacking[0]!r}; write one as docs/python.md has it")
-    controller: PixelController = made
-    return controller
+def _own(name: Name, headlight: Headlight) -> PixelController:
+    key = "pixel_controller"
+    made_by = load(name, key, ("prepare", "utilisation", "over"))
+    with running(name, key, "prepare"):
+        made = made_by.prepare(headlight)
+    if lacking := [part for part in ("headlight", "default", "utilisation", "over") if not hasattr(made, part)]:
+        raise LuxloopError(f"{key}: {name} has no {lacking[0]!r}; write one as docs/python.md has it")
+    return cast(PixelController, Guarded(made, name, key))

@@ -11,13 +11,14 @@ import pyarrow.parquet as pq
 import torch
 
 from loop.comparison import Difference, compare, tolerances
-from loop.manifest import Manifest
+from loop.manifest import FILE, Manifest
 from loop.recorder import COLUMNS, LATER, SCHEMA, TRAJECTORY, row, table_of
 from loop.scenario import Scenario, validate
 from loop.simulation import Simulation, StepResult
 from world.budget import afford
 from world.errors import LuxloopError
 from world.files import reading
+from world.plugin import refuse_code
 
 BYTES_A_VALUE = 16  # of a table while it is read, however well it was compressed
 
@@ -81,17 +82,24 @@ def read_table(file: Path) -> pa.Table:
 
 
 def replay(
-    directory: Path, device: torch.device | str | None = None, on_step: Callable[[StepResult], None] = lambda result: None
+    directory: Path,
+    device: torch.device | str | None = None,
+    on_step: Callable[[StepResult], None] = lambda result: None,
+    *,
+    allow_code: bool = False,
 ) -> Comparison:
     """Run the scenario of a recording again, for as many steps as it has, and compare.
 
-    device: that of the recording if None, or the CPU where there is no such device. on_step: called after every step.
+    device: that of the recording if None, or the CPU where there is no such device. on_step: called after every step. allow_code: whether
+    modules that the manifest names may run.
     Raises LuxloopError where the recording is damaged or an input file is missing.
     """
     recording = load(directory)
     manifest, scenario, steps = recording.manifest, recording.scenario, recording.table.num_rows
     if steps == 0:
         raise LuxloopError(f"{directory / TRAJECTORY}: holds no step; record the run again")
+    if not allow_code:
+        refuse_code(scenario, str(directory / FILE))
     device = device or (manifest.device if manifest.device == "cpu" or torch.cuda.is_available() else "cpu")
     simulation = Simulation.prepare(scenario, device)
     notes = manifest.changes(Manifest.of(scenario, simulation.world.source.name, simulation.device))

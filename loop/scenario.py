@@ -19,7 +19,7 @@ from controllers.symbol import ControllerParams, LuxloopParams
 from controllers.symbol.flat_model import FeatureParams
 from controllers.symbol.projector import SymbolParams
 from loop.disturbances import DisturbanceParams
-from loop.overrides import Override, overridden, resolve_paths
+from loop.overrides import Override, is_file, overridden, resolve_paths, tables, texts
 from loop.shipped import find
 from loop.validation import read_toml, sentence
 from perception.camera import CameraParams
@@ -31,7 +31,7 @@ from world.errors import LuxloopError, did_you_mean
 from world.materials import RoadSurfaceParams
 from world.objects import ObjectParams
 from world.params import Params
-from world.plugin import PATTERN
+from world.plugin import PATTERN, Name, refuse_code
 from world.roads import Flat, RoadParams
 from world.scene import StreetLamp
 from world.spots import SpotParams
@@ -118,7 +118,7 @@ class WorldScenario(Params):
         if name not in PIXEL_CONTROLLERS and not re.fullmatch(PATTERN, name):
             known = did_you_mean(name, PIXEL_CONTROLLERS)
             raise ValueError(f"there is no pixel controller {name!r}; {known} One of your own is given as package.module:Name")
-        return name
+        return name if name in PIXEL_CONTROLLERS else Name(name)
 
     @model_validator(mode="after")
     def _jpo_at_work(self) -> Self:
@@ -272,9 +272,9 @@ EXAMPLES: Final[dict[type[AnyScenario], str]] = {
 }
 
 
-def load(name: str, overrides: Sequence[Override] = (), **values: Any) -> Scenario:
+def load(name: str, overrides: Sequence[Override] = (), *, allow_code: bool = False, **values: Any) -> Scenario:
     """Read the scenario of a symbol, as `load_any` does. Raises LuxloopError for a lighting scenario as well."""
-    return _of_a_symbol(load_any(name, overrides, **values), name)
+    return _of_a_symbol(load_any(name, overrides, allow_code=allow_code, **values), name)
 
 
 def validate(data: Mapping[str, Any], source: str) -> Scenario:
@@ -282,8 +282,10 @@ def validate(data: Mapping[str, Any], source: str) -> Scenario:
     return _of_a_symbol(validate_any(data, source), source)
 
 
-def load_any(name: str, overrides: Sequence[Override] = (), **values: Any) -> AnyScenario:
+def load_any(name: str, overrides: Sequence[Override] = (), *, allow_code: bool = False, **values: Any) -> AnyScenario:
     """Read a scenario by shipped name or path; values are top-level keys, overrides on top of them.
+
+    allow_code: whether modules that a file names may run; those named in values and in overrides that are no files always may.
 
     An override is `key.sub=value` or `list[0].sub=value` in TOML syntax, the path of a TOML file of such keys, or nested tables; it changes
     single keys of tables that have defaults, too. Raises LuxloopError that names the file, the key and the remedy.
@@ -291,19 +293,23 @@ def load_any(name: str, overrides: Sequence[Override] = (), **values: Any) -> An
     path = find(name)
     data = read_toml(path)
     resolve_paths(data, path.parent)
-    data.update(values)
+    data.update(tables(values))
     if overrides:
         data = overridden(_with_defaults(data), overrides)
     given = [
         *(f"{key}={value['name'] if isinstance(value, dict) and 'name' in value else value}" for key, value in values.items()),
         *(override for override in overrides if isinstance(override, str)),
     ]
-    return validate_any(data, f"{path} with {' '.join(given)}" if given else str(path))
+    scenario = validate_any(data, f"{path} with {' '.join(given)}" if given else str(path))
+    if not allow_code:
+        refuse_code(scenario, scenario.source, typed=set(texts([tables(each) for each in (values, *overrides) if not is_file(each)])))
+    return scenario
 
 
 def validate_any(data: Mapping[str, Any], source: str) -> AnyScenario:
     """Check a scenario given as plain data; its table [symbol] or [lighting] tells the kinds apart.
 
+    Modules that it names may run: it is for data of the caller's own, and for what `load_any` has let pass.
     Raises LuxloopError that names the source, the key and the remedy.
     """
     version = data.get("schema_version", SCHEMA_VERSION)

@@ -10,21 +10,21 @@ from importlib.util import resolve_name
 from pathlib import Path
 
 from world.errors import LuxloopError
+from world.plugin import PACKAGE, file_of
 
 OURS = ("world", "perception", "controllers", "loop", "scenarios")  # which have a version of their own
-PACKAGE = "__init__.py"
 PYTHONS_OWN = Path(sysconfig.get_path("stdlib"))
 INSTALLED = {Path(site.getusersitepackages()), *(Path(sysconfig.get_path(kind)) for kind in ("purelib", "platlib"))}
 
 
-def sources_of(module: str) -> dict[str, Path]:
+def sources_of(module: str, folder: Path | None = None) -> dict[str, Path]:
     """Files by module, without running any: the module, the packages around it, and all that these import, at their heads or in functions.
 
-    Followed is what lies in the folder in which Python finds the module; of an installed one, its own package. Empty where there is no
-    such module, or it is Python's own. Raises LuxloopError where a file is not Python.
+    Followed is what lies in the folder, by default that in which Python finds the module; of an installed one, its own package. Empty where
+    there is no such module, or it is Python's own. Raises LuxloopError where a file is not Python.
     """
     top = module.partition(".")[0]
-    folder = _folder_of(top)
+    folder = folder or _folder_of(top)
     if folder in (None, PYTHONS_OWN) or top in OURS:
         return {}
     only_its_own = folder in INSTALLED
@@ -35,7 +35,7 @@ def sources_of(module: str) -> dict[str, Path]:
         start = name.partition(".")[0]
         if name in found or start in OURS or (only_its_own and start != top):
             continue
-        file = _file(folder, name)
+        file = file_of(folder, name)
         if file is not None:
             found[name] = file
             waiting += _imported(file, name if file.name == PACKAGE else name.rpartition(".")[0])
@@ -50,11 +50,6 @@ def _folder_of(top: str) -> Path | None:
         return None
     within = list(spec.submodule_search_locations or ())
     return Path(within[0]).parent if within else Path(spec.origin or "").parent
-
-
-def _file(folder: Path, name: str) -> Path | None:
-    path = folder.joinpath(*name.split("."))
-    return next((file for file in (path / PACKAGE, path.with_name(f"{path.name}.py")) if file.is_file()), None)
 
 
 def _imported(file: Path, package: str) -> Iterator[str]:

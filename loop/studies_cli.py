@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Literal
 
-from loop.cli_common import DIFFERS, OK, Device, Keys
+from loop.cli_common import DIFFERS, OK, AllowCode, Device, Keys
 
 
 def evaluate(
@@ -39,6 +39,7 @@ def campaign(
     jobs: int | None = None,
     scheduler: str | None = None,
     device: Device = "auto",
+    allow_code: AllowCode = False,
 ) -> int:
     """Run a grid of scenarios, controllers, variants and seeds into one table with a report; exit code 1 if runs failed.
 
@@ -57,7 +58,7 @@ def campaign(
     """
     from loop.campaign_report import do_campaign
 
-    return OK if do_campaign(file, out, jobs, scheduler, device) else DIFFERS
+    return OK if do_campaign(file, out, jobs, scheduler, device, allow_code) else DIFFERS
 
 
 def tune(
@@ -75,6 +76,7 @@ def tune(
     jobs: int | None = None,
     device: Device = "auto",
     gradient: bool = False,
+    allow_code: AllowCode = False,
 ) -> None:
     """Look for better values of a scenario's keys, such as a controller's gains; what is best becomes a file for --set.
 
@@ -107,7 +109,7 @@ def tune(
     """
     from loop.tune_report import do_tune
 
-    do_tune(names, key or [], objective, trials, seeds, seed, controller, set or [], out, jobs, device, gradient)
+    do_tune(names, key or [], objective, trials, seeds, seed, controller, set or [], out, jobs, device, gradient, allow_code)
 
 
 def optimise_beam(
@@ -123,6 +125,7 @@ def optimise_beam(
     set: Keys = None,
     out: Path | None = None,
     device: Device = "auto",
+    allow_code: AllowCode = False,
 ) -> None:
     """Look for the utilisation of every pixel by which objects are detected best with little light, at a scenario's first moment.
 
@@ -152,7 +155,7 @@ def optimise_beam(
     from loop.lighting.optimise_beam import optimise_beam
 
     goal = {"metric": metric, "energy": energy, "unevenness": unevenness, "glare": glare}
-    optimise_beam(name, set or [], goal, method, steps, out or Path("runs") / f"beam-{Path(name).stem}", device)
+    optimise_beam(name, set or [], goal, method, steps, out or Path("runs") / f"beam-{Path(name).stem}", device, allow_code)
 
 
 def train_detector(

@@ -38,6 +38,7 @@ def do_tune(
     processes: int | None,
     device: str,
     gradient: bool,
+    allow_code: bool,
 ) -> Tuned:
     """Tune, write what is best and a report, and say it. Raises LuxloopError before anything runs where something makes no sense."""
     if not keys:
@@ -45,7 +46,7 @@ def do_tune(
     for name, value in (("--trials", trials), ("--seeds", seeds), ("--jobs", processes or 1)):
         if value < 1:
             raise LuxloopError(f"{name}: {value} is too few; give 1 or more")
-    scenarios = tuple(load(name, overrides, **with_controller(controller)) for name in names)
+    scenarios = tuple(load(name, overrides, allow_code=allow_code, **with_controller(controller)) for name in names)
     found = tuple(ranges.parse(key, scenarios) for key in keys)
     task = Task(scenarios, found, objective.parse(goal), seeds, seed, str(torch_device(device)))
     folder = out or Path("runs") / f"tune-{scenarios[0].name}"

@@ -53,9 +53,9 @@ class ExtractionParams(SearchParams):
 
 
 class OwnExtractionParams(SearchParams):
-    """`Name(**options)` of a module that Python finds makes the extractor, whose `symbol_image(contrast, limit)` is that of this module."""
+    """`Name(**options)` of a module of the user's own makes the extractor, whose `symbol_image(contrast, limit)` is that of this module."""
 
-    kind: str = Field(pattern=plugin.PATTERN, description="module and class or function, as package.module:Name")
+    kind: plugin.OwnName
     options: dict[str, Any] = Field({}, description="keyword arguments of Name")
 
     @cached_property

@@ -19,13 +19,14 @@ from pydantic import BaseModel
 
 from loop import cli, lamp_description
 from loop.lamp_description import LampDescription
+from loop.lighting.simulation import LightingSimulation
 from loop.overrides import TAGS
 from loop.run import prepare
-from loop.scenario import LightingScenario, Scenario, load, validate, validate_any
+from loop.scenario import LightingScenario, Scenario, load, load_any, validate, validate_any
 from loop.shipped import shipped
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", *sorted((ROOT / "docs").glob("*.md"))]
 SCENARIOS = ROOT / "docs" / "scenarios.md"
 
 # What is not run here, and why.
@@ -103,16 +104,22 @@ def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     exec(compile(code, str(page), "exec"), {"__name__": "docs"})
 
 
-OWN_PART = re.compile(r"^```python\n((?:(?!```).*\n)*)```\n\nSaved as `(\w+)\.py`(?:.*\n)*?```toml\n((?:(?!```).*\n)*)```", re.M)
+OWN_PART = re.compile(
+    r"^```python\n((?:(?!```).*\n)*)```\n\nSaved as `(\w+)\.py`(?:.*\n)*?```toml(?: lighting)?\n((?:(?!```).*\n)*)```", re.M
+)
 OWN_PARTS = [pytest.param(*found, id=found[1]) for page in PAGES for found in OWN_PART.findall(page.read_text("utf-8"))]
 
 
 @pytest.mark.parametrize(("code", "module", "tables"), OWN_PARTS)
 def test_parts_of_ones_own_run(code: str, module: str, tables: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "path", [*sys.path])
     (tmp_path / f"{module}.py").write_text(code)
-    monkeypatch.syspath_prepend(tmp_path)
+    (keys := tmp_path / "keys.toml").write_text(tables)
     assert f'"{module}:' in tables
-    scenario = load("flat", [tomllib.loads(tables)], steps=12, camera={"width_px": 640, "height_px": 360, "oversampling": 2})
+    if "[lighting]" in tables:
+        assert len(list(LightingSimulation.prepare(load_any("gfhb", [str(keys), "steps=2"], allow_code=True), "cpu").run())) == 2
+        return
+    scenario = load("flat", [str(keys)], steps=12, camera={"width_px": 640, "height_px": 360, "oversampling": 2}, allow_code=True)
     *_, last = prepare(scenario, "cpu").run()
     assert last.verdict.iou > 0.7, "each of them brings the symbol to its place, or leaves it there"
 

@@ -13,9 +13,9 @@ from world.roadbase import Floats, MeshGrid, Road, RoadModel
 
 
 class OwnRoad(RoadModel):
-    """`Name(**options)` of a module that Python finds makes the road, a `Road`."""
+    """`Name(**options)` of a module of the user's own makes the road, a `Road`."""
 
-    kind: str = Field(pattern=plugin.PATTERN, description="module and class or function, as package.module:Name")
+    kind: plugin.OwnName
     options: dict[str, Any] = Field({}, description="keyword arguments of Name")
 
     @cached_property
@@ -27,7 +27,7 @@ class OwnRoad(RoadModel):
         """Its heights. Raises LuxloopError where these are not numbers, one a place, and finite."""
         x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
         places = np.broadcast_shapes(x.shape, y.shape)
-        heights = np.asarray(self._asked("z", x, y))
+        heights = np.asarray(self.road.z(x, y))
         if heights.dtype.kind not in "fiu" or not np.isfinite(heights).all():
             raise LuxloopError(f"road.kind: {self.kind}: z gives what is no finite number; give a height in m everywhere")
         try:
@@ -37,14 +37,7 @@ class OwnRoad(RoadModel):
 
     def grid(self) -> MeshGrid:
         """Its mesh. Raises LuxloopError where it gives none."""
-        grid = self._asked("grid")
+        grid = self.road.grid()
         if not isinstance(grid, MeshGrid):
             raise LuxloopError(f"road.kind: {self.kind}: grid gives {type(grid).__name__}; give a world.roadbase.MeshGrid")
         return grid
-
-    def _asked(self, method: str, *arguments: Floats) -> Any:
-        asked = getattr(self.road, method)
-        try:
-            return asked(*arguments)
-        except Exception as error:
-            raise LuxloopError(f"road.kind: {self.kind}: {method} fails ({plugin.in_a_line(error)}); mend it") from error

@@ -1,16 +1,54 @@
-"""Parts of the user's own, which a scenario names by `package.module:Name`."""
+"""Parts of the user's own, which a scenario names by `package.module:Name`: found, trusted, made, and their errors put in a sentence."""
 
-from collections.abc import Callable, Mapping, Sequence
+import re
+import sys
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import wraps
 from importlib import import_module
+from importlib.machinery import PathFinder
 from inspect import Parameter, signature
-from typing import Any, Final
+from pathlib import Path
+from traceback import extract_tb
+from typing import Annotated, Any, Final
 
-from pydantic import Discriminator, ValidationError
+from pydantic import BaseModel, Discriminator, Field, GetCoreSchemaHandler, ValidationError
+from pydantic_core.core_schema import CoreSchema, no_info_after_validator_function, str_schema
 
 from world.errors import LuxloopError, did_you_mean
 
 OWN: Final = "package.module:Name"
-PATTERN: Final = r"^[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*$"
+PATTERN: Final = r"^(.*/)?[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*$"
+PACKAGE: Final = "__init__.py"
+
+
+class Name(str):
+    """`package.module:Name` in a scenario; `folder/package.module:Name` where the module lies in that folder.
+
+    Only what has this type is imported, and `refuse_code` finds all of this type.
+    """
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return no_info_after_validator_function(cls, str_schema(pattern=PATTERN))
+
+    @property
+    def folder(self) -> Path | None:
+        """None where the module is one that Python finds."""
+        folder, slash, _ = self.rpartition("/")
+        return Path(folder or slash) if slash else None
+
+    @property
+    def module(self) -> str:
+        return self.rpartition("/")[2].partition(":")[0]
+
+    @property
+    def attribute(self) -> str:
+        return self.rpartition(":")[2]
+
+
+OwnName = Annotated[Name, Field(description="module and class, as package.module:Name")]
 
 
 def known_or_own(key: str, default: str | None = None) -> Discriminator:
@@ -24,43 +62,140 @@ def known_or_own(key: str, default: str | None = None) -> Discriminator:
     return Discriminator(tag)
 
 
-def load(name: str, key: str) -> Any:
-    """What `package.module:Name` means; key: that of the scenario which names it, for messages.
+def file_of(folder: Path, module: str) -> Path | None:
+    """The file of a module in a folder, None where it has none there."""
+    path = folder.joinpath(*module.split("."))
+    return next((file for file in (path / PACKAGE, path.with_name(f"{path.name}.py")) if file.is_file()), None)
 
-    Raises LuxloopError where there is no such module, it fails while it is imported, or it has no such name.
+
+def beside(text: str, folder: Path) -> str:
+    """A name with an absolute folder if its module lies in the folder, or its own folder is relative to that; other texts as they are."""
+    if not re.fullmatch(PATTERN, text):
+        return text
+    name = Name(text)
+    place = (folder / (name.folder or "")).resolve()
+    found = name.folder is not None or file_of(place, name.module) is not None
+    return f"{place}/{name.module}:{name.attribute}" if found else text
+
+
+def named(params: Any, key: str = "") -> Iterator[tuple[str, Name]]:
+    """All modules of the user's own in a model, and the keys that name them."""
+    if isinstance(params, Name):
+        yield key, params
+    elif isinstance(params, BaseModel):
+        for field, value in params:
+            yield from named(value, f"{key}.{field}".strip("."))
+    elif isinstance(params, tuple):
+        for k, value in enumerate(params):
+            yield from named(value, f"{key}[{k}]")
+
+
+def refuse_code(params: BaseModel, source: str, typed: Collection[str] = ()) -> None:
+    """Raises LuxloopError where a model that was read from a file names a module, for a file must not run code unless the user says so.
+
+    source: the file, for the message. typed: names that the user gave beside the file, which are trusted.
+    """
+    for key, name in named(params):
+        if name not in typed:
+            raise LuxloopError(
+                f"{source}: {key}: {name} would run the module {name.module}; "
+                "give --allow-code (in Python allow_code=True) if you trust the file and the module"
+            )
+
+
+def load(name: Name, key: str, methods: Sequence[str]) -> Any:
+    """The class that `package.module:Name` means; key: that of the scenario which names it, for messages.
+
+    The name's folder stays on the path that Python searches, since a module may import from beside itself whenever it runs; at the end,
+    so that nothing in it takes the place of another module.
+
+    Raises LuxloopError where there is no such module, it fails while it is imported, it has no such class, or that lacks a method.
     """
     where = f"{key}: {name}"
-    module_name, _, attribute = name.partition(":")
-    try:
-        module = import_module(module_name)
-    except ImportError as error:
-        raise LuxloopError(f"{where}: {error}; run where Python finds it, or set PYTHONPATH to its folder") from error
-    except Exception as error:
-        raise LuxloopError(f"{where}: {module_name} fails while it is imported ({in_a_line(error)}); mend it") from error
-    try:
-        return getattr(module, attribute)
-    except AttributeError as error:
-        raise LuxloopError(f"{where}: module {module_name} has no {attribute}; name a class or a function of it") from error
+    if name.folder is not None and str(name.folder) not in sys.path:
+        sys.path.append(str(name.folder))
+    with running(name, key, f"importing {name.module}"):
+        try:
+            module = import_module(name.module)
+        except ModuleNotFoundError as error:
+            if error.name is None or not f"{name.module}.".startswith(f"{error.name}."):
+                raise
+            remedy = "put it beside the scenario, run where Python finds it, or set PYTHONPATH to its folder"
+            raise LuxloopError(f"{where}: {error}; {remedy}") from error
+    file = None if name.folder is None else file_of(name.folder, name.module)
+    if file is not None and file.resolve() != Path(str(module.__file__)).resolve():
+        raise LuxloopError(f"{where}: Python knows another module of this name, {module.__file__}; rename {file}")
+    found = getattr(module, name.attribute, None)
+    if not isinstance(found, type):
+        what = f"module {name.module} has no {name.attribute}" if found is None else f"{name.attribute} is no class"
+        raise LuxloopError(f"{where}: {what}; name a class of it")
+    if missing := [method for method in methods if not callable(getattr(found, method, None))]:
+        raise LuxloopError(f"{where}: has no method {missing[0]}; it needs {', '.join(methods)}")
+    return found
 
 
-def make(name: str, key: str, given: Mapping[str, Any], options: Mapping[str, Any], methods: Sequence[str]) -> Any:
-    """`Name(*given, **options)`, which must have all of the methods; given: what luxloop hands over, by what messages call it.
+def make(name: Name, key: str, given: Mapping[str, Any], options: Mapping[str, Any], methods: Sequence[str]) -> Any:
+    """`Name(*given, **options)`, which has all of the methods; given: what luxloop hands over, by what messages call it.
 
     key: that of the scenario which names it; `options` stands beside it. Raises what `load` does, and LuxloopError where an option is not
-    one that it takes or is missing, it cannot be made, or lacks a method.
+    one that it takes or is missing, or it cannot be made.
     """
-    where, table = f"{key}: {name}", f"{key.rpartition('.')[0]}.options"
-    made_by = load(name, key)
+    table = f"{key.rpartition('.')[0]}.options"
+    made_by = load(name, key, methods)
     _fitting(made_by, name, table, tuple(given.values()), options)
+    with running(name, key, f"__init__ with {' and '.join([*(f'the {each}' for each in given), table])}"):
+        return Guarded(made_by(*given.values(), **options), name, key)
+
+
+@dataclass(frozen=True)
+class Guarded:
+    """A part of the user's own that raises LuxloopError with file and line where one of its methods fails."""
+
+    part: Any
+    name: Name
+    key: str
+
+    def __getattr__(self, attribute: str) -> Any:
+        if attribute.startswith("__"):  # what copy and pickle ask of a value that has no part yet
+            raise AttributeError(attribute)
+        found = getattr(self.part, attribute)
+        return self._guarded(found) if callable(found) else found
+
+    def _guarded(self, method: Callable[..., Any]) -> Callable[..., Any]:
+        @wraps(method)
+        def call(*arguments: Any, **keywords: Any) -> Any:
+            with running(self.name, self.key, method.__name__):
+                result = method(*arguments, **keywords)
+            return Guarded(result, self.name, self.key) if isinstance(result, type(self.part)) else result
+
+        return call
+
+
+@contextmanager
+def running(name: Name, key: str, what: str) -> Iterator[None]:
+    """Says of whatever the user's own code raises which line of it did. Raises LuxloopError."""
     try:
-        made = made_by(*given.values(), **options)
+        yield
+    except LuxloopError:
+        raise
     except Exception as error:
-        what = " and ".join([*(f"the {each}" for each in given), table])
-        raise LuxloopError(f"{where}: cannot be made with {what} ({in_a_line(error)})") from error
-    missing = [method for method in methods if not callable(getattr(made, method, None))]
-    if missing:
-        raise LuxloopError(f"{where}: has no method {missing[0]}; it needs {', '.join(methods)}")
-    return made
+        raise LuxloopError(f"{key}: {name}: {what} fails{_place(error, name)} ({in_a_line(error)}); mend it") from error
+
+
+def _place(error: Exception, name: Name) -> str:
+    """File and line of the innermost call in the module's package, or in the files beside the module; empty where there is none."""
+    top = name.module.partition(".")[0]
+    path = None if name.folder is None else [str(name.folder)]
+    spec = getattr(sys.modules.get(top), "__spec__", None) or PathFinder.find_spec(top, path)
+    if spec is None:
+        return ""
+    packages = [Path(folder) for folder in spec.submodule_search_locations or ()]
+    folder = Path(spec.origin).parent if spec.origin and not packages else None
+    for frame in reversed(extract_tb(error.__traceback__)):
+        file = Path(frame.filename)
+        if file.parent == folder or any(file.is_relative_to(package) for package in packages):
+            return f" at {file}, line {frame.lineno}"
+    return ""
 
 
 def _fitting(made_by: Callable[..., Any], name: str, table: str, given: Sequence[Any], options: Mapping[str, Any]) -> None:

@@ -13,9 +13,9 @@ METHODS = ("start", "drawing", "step")
 
 
 class OwnParams(StagedParams):
-    """`Name(observer, **options)` of a module that Python finds makes the controller."""
+    """`Name(observer, **options)` of a module of the user's own makes the controller."""
 
-    name: str = Field(pattern=plugin.PATTERN, description="module and class or function, as package.module:Name")
+    name: plugin.OwnName
     options: dict[str, Any] = Field({}, description="keyword arguments of Name, beside the observer")
 
 

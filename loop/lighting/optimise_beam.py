@@ -35,7 +35,7 @@ RAW, PICTURE, SUMMARY = "raw.toml", "beam.png", "beam.json"
 
 
 def optimise_beam(
-    name: str, overrides: list[str], weights: Mapping[str, Any], method: Method, steps: int | None, out: Path, device: str
+    name: str, overrides: list[str], weights: Mapping[str, Any], method: Method, steps: int | None, out: Path, device: str, allow_code: bool
 ) -> dict[str, Any]:
     """Search, write and tell; what was found in numbers. weights: of a `BeamGoal`.
 
@@ -46,7 +46,7 @@ def optimise_beam(
         goal = BeamGoal(**weights)
     except ValidationError as error:
         raise LuxloopError(f"--{sentence(error, BeamGoal, '')}") from error
-    scenario = load_any(name, overrides)
+    scenario = load_any(name, overrides, allow_code=allow_code)
     if not isinstance(scenario, LightingScenario):
         raise LuxloopError(f"{name}: has a [symbol]; a beam is optimised for a scenario with [lighting]")
     if steps is not None and steps < 1:

@@ -12,18 +12,20 @@ from loop.comparison import Difference
 from loop.lighting.record import row, schema
 from loop.lighting.result import LightingResult
 from loop.lighting.simulation import LightingSimulation
-from loop.manifest import Manifest
+from loop.manifest import FILE, Manifest
 from loop.recorder import TRAJECTORY, table_of
 from loop.replay import Comparison, read_parquet
 from loop.scenario import LightingScenario, validate_any
 from world.errors import LuxloopError
+from world.plugin import refuse_code
 
 TOLERANCE = 2e-3  # of a column's largest value: a pixel at the border of a shadow moves a mean of hundreds of pixels by so much
 
 
-def replay(directory: Path, on_step: Callable[[LightingResult], None] = lambda result: None) -> Comparison:
+def replay(directory: Path, on_step: Callable[[LightingResult], None] = lambda result: None, *, allow_code: bool = False) -> Comparison:
     """Run the scenario of a recording again, for as many steps as it has, and compare.
 
+    allow_code: whether modules that the manifest names may run.
     Raises LuxloopError where the recording is damaged or an input file is missing.
     """
     manifest = Manifest.read(directory)
@@ -31,6 +33,8 @@ def replay(directory: Path, on_step: Callable[[LightingResult], None] = lambda r
     recorded = read_parquet(directory / TRAJECTORY)
     if not isinstance(scenario, LightingScenario) or recorded.num_rows == 0:
         raise LuxloopError(f"{directory / TRAJECTORY}: holds no step of lighting functions; record the run again")
+    if not allow_code:
+        refuse_code(scenario, str(directory / FILE))
     device = manifest.device if manifest.device == "cpu" or torch.cuda.is_available() else "cpu"
     simulation = LightingSimulation.prepare(scenario, device)
     columns = schema(simulation)

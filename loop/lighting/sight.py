@@ -11,8 +11,8 @@ from torch.nn.functional import one_hot
 
 from controllers.functions.situation import TrackedObject
 from loop.lighting.known import Known
-from perception.detection.build import detector, own_detections
-from perception.detection.params import AnyParams, OwnDetector, TruthParams
+from perception.detection.build import detector
+from perception.detection.params import AnyParams, TruthParams
 from perception.detection.protocol import Detections, Detector
 from perception.detection.suppression import overlaps
 from perception.lamps import SHINE, by_lamps
@@ -56,8 +56,6 @@ class Sight:
         if isinstance(self.params, TruthParams):
             return known.detections(self.params, self.tracker.classes)
         assert self.detector is not None
-        if isinstance(self.params, OwnDetector):
-            return own_detections(self.detector, frame, self.params.kind)
         return self.detector.detect(frame[None])[0]
 
     def follow(self, tracks: Tracks, found: Detections, frame: Tensor, time_s: float) -> Tracks:

@@ -1,8 +1,10 @@
 """The detector that a scenario names."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import cast, get_args
+from typing import get_args
 
 import torch
 from torch import Tensor
@@ -16,6 +18,7 @@ from world import plugin
 from world.errors import LuxloopError, located
 from world.tracked import Category
 
+KEY = "detector.kind"
 GIVES = "give one Detections a frame: finite tensors of boxes [n, 4] and of scores [n, classes]"
 WEIGHTS = "weights/night.pt"  # shipped, with their report beside them
 
@@ -30,12 +33,12 @@ def detector(params: RunParams, device: torch.device) -> Detector:
         case OnnxParams():
             return OnnxDetector(params)
         case OwnDetector():
-            own = plugin.make(params.kind, "detector.kind", {"device": device}, params.options, ["detect"])
+            own = plugin.make(params.kind, KEY, {"device": device}, params.options, ["detect"])
             classes, known = getattr(own, "classes", None), get_args(Category)
             if not isinstance(classes, tuple) or not classes or any(each not in known for each in classes):
                 given = "no classes" if classes is None else f"classes = {classes!r}"
-                raise LuxloopError(f"detector.kind: {params.kind}: has {given}; it needs a tuple of some of {', '.join(known)}")
-            return cast(Detector, own)
+                raise LuxloopError(f"{KEY}: {params.kind}: has {given}; it needs a tuple of some of {', '.join(known)}")
+            return CheckedDetector(own, params.kind)
 
 
 def network_detector(params: NetworkParams, device: torch.device) -> NetworkDetector:
@@ -49,17 +52,29 @@ def network_detector(params: NetworkParams, device: torch.device) -> NetworkDete
     return NetworkDetector(network, classes, params.threshold, params.overlap)
 
 
-def own_detections(own: Detector, frame: Tensor, kind: str) -> Detections:
-    """What the user's own detector finds in a frame `[height, width]`. Raises LuxloopError where it fails, or gives something else."""
-    where, classes = f"detector.kind: {kind}: detect", len(own.classes)
-    try:
-        (found,) = own.detect(frame[None])
-        shapes = tuple(found.boxes.shape), tuple(found.scores.shape)
-        finite = bool(found.boxes.isfinite().all() and found.scores.isfinite().all())
-    except Exception as error:
-        raise LuxloopError(f"{where} fails ({plugin.in_a_line(error)}); it must {GIVES}") from error
-    count = next(iter(shapes[0]), 0)
-    if shapes != ((count, 4), (count, classes)) or not finite:
-        what = f"boxes {list(shapes[0])} and scores {list(shapes[1])}" + ("" if finite else ", some of which are not finite")
-        raise LuxloopError(f"{where} gives {what}; with {classes} classes it must {GIVES}")
-    return found
+@dataclass(frozen=True)
+class CheckedDetector:
+    """The user's own detector, whose detections are checked. kind: its name in the scenario."""
+
+    own: Detector
+    kind: plugin.Name
+
+    @property
+    def classes(self) -> tuple[Category, ...]:
+        return self.own.classes
+
+    def detect(self, frames: Tensor) -> Sequence[Detections]:
+        """Raises LuxloopError where it fails, or gives something else than detections."""
+        found = self.own.detect(frames)
+        with plugin.running(self.kind, KEY, f"reading what detect gives, which must {GIVES},"):
+            shapes = [(tuple(each.boxes.shape), tuple(each.scores.shape)) for each in found]
+            finite = all(bool(each.boxes.isfinite().all() and each.scores.isfinite().all()) for each in found)
+        where, classes = f"{KEY}: {self.kind}: detect", len(self.classes)
+        if len(shapes) != len(frames):
+            raise LuxloopError(f"{where} gives {len(shapes)} for {len(frames)} frames; it must {GIVES}")
+        for boxes, scores in shapes:
+            count = next(iter(boxes), 0)
+            if (boxes, scores) != ((count, 4), (count, classes)) or not finite:
+                what = f"boxes {list(boxes)} and scores {list(scores)}" + ("" if finite else ", some of which are not finite")
+                raise LuxloopError(f"{where} gives {what}; with {classes} classes it must {GIVES}")
+        return found

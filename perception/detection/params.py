@@ -67,9 +67,9 @@ class OnnxParams(CodedParams):
 
 
 class OwnDetector(Params):
-    """`Name(**options)` of a module that Python finds makes the detector."""
+    """`Name(**options)` of a module of the user's own makes the detector."""
 
-    kind: str = Field(pattern=plugin.PATTERN, description="module and class or function, as package.module:Name")
+    kind: plugin.OwnName
     options: dict[str, Any] = Field({}, description="keyword arguments of Name, beside the device")
 
 

@@ -3,6 +3,7 @@
 import json
 import math
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -108,8 +109,11 @@ def test_what_cannot_be_optimised_is_told(arguments: list[str], complaint: str, 
 
 
 @pytest.mark.parametrize("there", [False, True])
-def test_a_search_that_fails_leaves_no_folder_but_one_that_was_there(there: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_search_that_fails_leaves_no_folder_but_one_that_was_there(
+    there: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "detects_never", raising=False)
     (tmp_path / "detects_never.py").write_text(
         "class Detector:\n    classes = ('pedestrian',)\n\n    def __init__(self, device):\n        pass\n\n"
         "    def detect(self, frames):\n        raise RuntimeError('never')\n"
@@ -122,8 +126,10 @@ def test_a_search_that_fails_leaves_no_folder_but_one_that_was_there(there: bool
     )
     if there:
         out.mkdir()
-    with pytest.raises(RuntimeError, match="never"):
-        cli.main(["optimise-beam", str(file), "--method", "sampling", "--steps", "1", "--out", str(out), "--device", "cpu"])
+    given = ["optimise-beam", str(file), "--method", "sampling", "--steps", "1", "--out", str(out), "--device", "cpu"]
+    assert cli.main(given) == cli.WRONG and "--allow-code" in capsys.readouterr().err
+    assert cli.main([*given, "--allow-code"]) == cli.WRONG
+    assert re.search(r"error: .*detects_never:Detector: detect fails at .*\.py, line 8 \(RuntimeError: never\)", capsys.readouterr().err)
     assert out.exists() == there
 
 

@@ -136,7 +136,7 @@ WRONG = {
     "unknown key": ({"pixel_controller": "jpo", "jpo": {"iteration": 5}}, ["jpo.iteration", "'iterations'"]),
     "package that is not there": ({"pixel_controller": "no_such_package:Half"}, ["no_such_package:Half", "No module", "PYTHONPATH"]),
     "class that is not there": ({"pixel_controller": "half_lit:Haalf"}, ["half_lit:Haalf", "no Haalf"]),
-    "no controller": ({"pixel_controller": "half_lit:Unfinished"}, ["half_lit:Unfinished", "'prepare'", "docs/python.md"]),
+    "no controller": ({"pixel_controller": "half_lit:Unfinished"}, ["half_lit:Unfinished", "no method prepare", "utilisation, over"]),
 }
 
 

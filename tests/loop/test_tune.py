@@ -190,10 +190,11 @@ from controllers.symbol.open_loop import OpenLoop
 from world.errors import LuxloopError
 
 
-def frail(observer, weight):
-    if weight > 0.5:
-        raise IndexError("too heavy")
-    return OpenLoop(observer.projector.target)
+class Frail(OpenLoop):
+    def __init__(self, observer, weight):
+        if weight > 0.5:
+            raise IndexError("too heavy")
+        super().__init__(observer.projector.target)
 """
 
 
@@ -202,7 +203,7 @@ def test_failures_of_trials_are_told_and_those_of_all_given_runs_stop(tmp_path: 
     monkeypatch.syspath_prepend(tmp_path)
 
     def weighing(weight: float) -> Task:
-        scenario = load("flat", [*SMALL, f"controller={{ name='frail_controllers:frail', options={{ weight={weight} }} }}"])
+        scenario = load("flat", [*SMALL, f"controller={{ name='frail_controllers:Frail', options={{ weight={weight} }} }}"])
         return Task((scenario,), (ranges.parse("controller.options.weight=0.0:1.0", [scenario]),), objective.parse("iou"))
 
     folder = tmp_path / "study"

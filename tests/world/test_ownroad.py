@@ -18,8 +18,8 @@ import numpy as np
 from world.roadbase import MeshGrid, RoadModel
 from world.roads import SpeedBump
 
-def bump(height_m):
-    return SpeedBump(height_m=height_m)
+class Bump(SpeedBump):
+    pass
 
 class Along(RoadModel):
     "Depends on x alone, as the class says and does."
@@ -59,7 +59,7 @@ def roads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("roads")
 def test_it_lies_and_is_believed_in_as_the_same_road_of_ours() -> None:
     """A speed bump by another name shows and draws bit for bit the same; `luxloop check` would call it by its name."""
-    own = "{kind='own_roads:bump', options={height_m=0.05}}"
+    own = "{kind='own_roads:Bump', options={height_m=0.05}}"
     ours = "{kind='speed_bump', height_m=0.05}"
     runs = []
     for road in (own, ours):
@@ -78,7 +78,7 @@ def test_it_lies_and_is_believed_in_as_the_same_road_of_ours() -> None:
 def test_heights_are_one_a_place() -> None:
     x, y = np.linspace(0, 3, 4)[:, None], np.linspace(-1, 1, 3)
     np.testing.assert_array_equal(OwnRoad(kind="own_roads:Along", options={"rise": 0.5}).z(x, y), np.broadcast_to(0.5 * x, (4, 3)))
-    own, bump = OwnRoad(kind="own_roads:bump", options={"height_m": 0.08}), SpeedBump()
+    own, bump = OwnRoad(kind="own_roads:Bump", options={"height_m": 0.08}), SpeedBump()
     np.testing.assert_array_equal(own.z(17.0, [0, 1]), bump.z(17.0, [0, 1]))
     assert own.grid() == bump.grid()
 

@@ -1,5 +1,7 @@
 """Parts of the user's own are found by name, and what is wrong with them is said in one sentence."""
 
+import copy
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -17,20 +19,34 @@ class Part:
     def work(self):
         pass
 
-def part(a, share):
-    return Part(a, share)
+class Shared(Part):
+    def __init__(self, a, share):
+        super().__init__(a, share)
 
-def part_with_any(*everything, **more):
-    return Part(more["c"])
+class Any(Part):
+    def __init__(self, *everything, **more):
+        super().__init__(more["c"])
 
-def bare(a, /):
-    return Part(a)
+class Bare(Part):
+    def __init__(self, a, /):
+        super().__init__(a)
 
-def part_of_file(a, file):
-    return open(file)
+class OfFile(Part):
+    def __init__(self, a, file):
+        open(file)
 
-def part_of_shapes(a):
+class OfShapes(Part):
+    def __init__(self, a):
+        helper()
+
+def helper():
     raise RuntimeError("shapes do not fit:\\n  2 and 3")
+
+class Failing(Part):
+    def work(self):
+        helper()
+    def over(self):
+        return Failing(4)
 """
 
 
@@ -38,6 +54,8 @@ class Checked(Params):
     """Options that are checked."""
 
     share: float = Field(gt=0)
+
+    def work(self) -> None: ...
 
 
 @pytest.fixture
@@ -49,11 +67,9 @@ def parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("parts")
-def test_classes_and_functions_make_a_part() -> None:
-    for name in ("own_parts:Part", "own_parts:part"):
-        made = plugin.make(name, "road.kind", {"place": 3}, {"share": 0.25}, ("work",))
-        assert (made.a, made.share) == (3, 0.25)
-    assert plugin.load("math:tau", "road.kind") > 6
+def test_a_class_makes_a_part() -> None:
+    made = plugin.make(plugin.Name("own_parts:Part"), "road.kind", {"place": 3}, {"share": 0.25}, ("work",))
+    assert (made.a, made.share) == (3, 0.25)
 
 
 @pytest.mark.usefixtures("parts")
@@ -61,17 +77,22 @@ def test_classes_and_functions_make_a_part() -> None:
     ("name", "options", "words"),
     [
         ("no_such_parts:Part", {}, ["No module named 'no_such_parts'", "PYTHONPATH"]),
-        ("broken_parts:Part", {}, ["broken_parts fails", "ZeroDivisionError"]),
-        ("half_written_parts:Part", {}, ["half_written_parts fails", "SyntaxError", "line 1"]),
+        ("broken_parts:Part", {}, ["importing broken_parts fails at ", "broken_parts.py, line 1 (ZeroDivisionError"]),
+        ("half_written_parts:Part", {}, ["importing half_written_parts fails", "SyntaxError", "line 1"]),
         ("own_parts:Port", {}, ["own_parts has no Port"]),
-        ("own_parts:part_of_file", {"file": "no.csv"}, ["road.options (FileNotFoundError: ", "no.csv"]),
-        ("own_parts:part_of_shapes", {}, ["(RuntimeError: shapes do not fit: 2 and 3)"]),
+        ("own_parts:helper", {}, ["helper is no class"]),
+        (
+            "own_parts:OfFile",
+            {"file": "no.csv"},
+            ["the place and road.options fails at ", "own_parts.py, line 22 (FileNotFoundError: ", "no.csv"],
+        ),
+        ("own_parts:OfShapes", {}, ["own_parts.py, line 29 (RuntimeError: shapes do not fit: 2 and 3)"]),
         ("own_parts:Part", {}, ["no method rest", "work, rest"]),
     ],
 )
 def test_what_is_wrong_is_said_in_a_sentence(name: str, options: dict[str, Any], words: list[str]) -> None:
     with pytest.raises(LuxloopError) as error:
-        plugin.make(name, "road.kind", {"place": 3}, options, ("work", "rest"))
+        plugin.make(plugin.Name(name), "road.kind", {"place": 3}, options, ("work", "rest") if name.endswith(":Part") else ("work",))
     message = str(error.value)
     assert message.startswith(f"road.kind: {name}: ") and all(word in message for word in words), message
 
@@ -82,11 +103,11 @@ def test_what_is_wrong_is_said_in_a_sentence(name: str, options: dict[str, Any],
     [
         ("own_parts:Part", {"shore": 1}, "road.options.shore: own_parts:Part has no option of this name; did you mean 'share'?"),
         ("own_parts:Part", {"a": 1}, "road.options.a: own_parts:Part has no option of this name; known are share"),  # 'a' is the place
-        ("own_parts:part", {}, "road.options.share: is missing, and own_parts:part has no default for it; add it"),
+        ("own_parts:Shared", {}, "road.options.share: is missing, and own_parts:Shared has no default for it; add it"),
         (
-            "own_parts:bare",
+            "own_parts:Bare",
             {"b": 1},
-            "road.options.b: own_parts:bare has no option of this name; leave it out, for it takes none",
+            "road.options.b: own_parts:Bare has no option of this name; leave it out, for it takes none",
         ),
         (f"{__name__}:Checked", {"Share": 1}, f"road.options.Share: {__name__}:Checked has no option of this name; did you mean 'share'?"),
     ],
@@ -94,15 +115,53 @@ def test_what_is_wrong_is_said_in_a_sentence(name: str, options: dict[str, Any],
 def test_a_wrong_option_is_named_by_its_key(name: str, options: dict[str, Any], message: str) -> None:
     given = {} if name.endswith("Checked") else {"place": 3}
     with pytest.raises(LuxloopError) as error:
-        plugin.make(name, "road.kind", given, options, ("work",))
+        plugin.make(plugin.Name(name), "road.kind", given, options, ("work",))
     assert str(error.value) == message
 
 
 @pytest.mark.usefixtures("parts")
 def test_what_takes_any_option_gets_them_all() -> None:
-    assert plugin.make("own_parts:part_with_any", "road.kind", {"place": 3}, {"c": 4}, ("work",)).a == 4
+    assert plugin.make(plugin.Name("own_parts:Any"), "road.kind", {"place": 3}, {"c": 4}, ("work",)).a == 4
 
 
 def test_options_that_a_model_refuses_are_told_in_one_line() -> None:
-    with pytest.raises(LuxloopError, match=r"road\.options \(share: Input should be greater than 0\)$"):
-        plugin.make(f"{__name__}:Checked", "road.kind", {}, {"share": -1}, ())
+    with pytest.raises(LuxloopError, match=r"road\.options fails \(share: Input should be greater than 0\); mend it$"):
+        plugin.make(plugin.Name(f"{__name__}:Checked"), "road.kind", {}, {"share": -1}, ())
+
+
+@pytest.mark.usefixtures("parts")
+def test_a_method_that_fails_is_said_as_init_is() -> None:
+    made = plugin.make(plugin.Name("own_parts:Failing"), "road.kind", {"place": 3}, {}, ("work",))
+    with pytest.raises(LuxloopError, match=r"^road\.kind: own_parts:Failing: work fails at .*own_parts\.py, line 29 \(RuntimeError: "):
+        made.work()
+    again = made.over()
+    assert again.a == 4 and isinstance(again.__class__, type)
+    with pytest.raises(LuxloopError, match="work fails at"):
+        again.work()
+    assert copy.copy(made).a == 3
+
+
+def test_what_is_no_such_class_is_not_called(tmp_path: Path) -> None:
+    mark = tmp_path / "mark"
+    for name, said in (("subprocess:Popen", "no method work"), ("os:system", "is no class"), ("math:tau", "is no class")):
+        with pytest.raises(LuxloopError, match=said):
+            plugin.make(plugin.Name(name), "road.kind", {"command": f"touch {mark}"}, {"shell": True}, ("work",))
+    assert not mark.exists()
+
+
+def test_a_folder_goes_to_the_end_of_the_path_and_hides_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "own_part_in_two_folders.py").write_text("class Part:\n    def work(self):\n        return __file__\n")
+    (tmp_path / "a" / "json.py").write_text("class Part:\n    def work(self):\n        pass\n")
+    name = plugin.beside("own_part_in_two_folders:Part", tmp_path / "a")
+    assert (
+        name == f"{tmp_path}/a/own_part_in_two_folders:Part"
+        and plugin.beside("own_parts_elsewhere:Part", tmp_path) == "own_parts_elsewhere:Part"
+    )
+    assert plugin.make(plugin.Name(name), "road.kind", {}, {}, ("work",)).work() == f"{tmp_path}/a/own_part_in_two_folders.py"
+    assert sys.path[-1] == str(tmp_path / "a")
+    for other in ("../b/own_part_in_two_folders:Part", "json:Part"):
+        with pytest.raises(LuxloopError, match=r"Python knows another module of this name, .*\.py; rename /"):
+            plugin.load(plugin.Name(plugin.beside(other, tmp_path / "a")), "road.kind", ("work",))

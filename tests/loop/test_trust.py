@@ -1,0 +1,193 @@
+"""A file runs no code unless the user says so, whichever file it is; what the user types is trusted."""
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from loop import campaign, cli
+from loop.executors import local
+from loop.lighting.replay import replay as replay_lighting
+from loop.manifest import FILE, Manifest, digests
+from loop.replay import replay
+from loop.run import run
+from loop.scenario import load, load_any
+from world import plugin
+from world.errors import LuxloopError
+
+MINE = """
+from pathlib import Path
+
+Path(__file__).with_name("mark").touch()
+
+from controllers.symbol.drawing import Drawing
+from perception import extraction
+from world.roads import Flat
+
+class Road(Flat):
+    pass
+
+class Looks:
+    def symbol_image(self, contrast, limit):
+        return extraction.symbol_image(contrast, limit, extraction.ExtractionParams())
+
+class Stays:
+    def __init__(self, observer, fails=False):
+        self.fails = fails
+    def start(self, pose):
+        return pose
+    def drawing(self, state):
+        return Drawing(state)
+    def step(self, state, look):
+        return 1 / 0 if self.fails else state
+"""
+SMALL = 'renderer = "raycast"\nsteps = 1\ncamera = { width_px = 160, height_px = 90, oversampling = 1 }\nheadlight = { model = "hd84" }\n'
+SYMBOL = f'name = "mine"\n{SMALL}symbol = {{ image = "snowflake", width_m = 4.0, length_m = 8.0 }}\n'
+LIGHTING = f'name = "mine"\n{SMALL}lighting = {{}}\n'
+NAMING = {
+    "road.kind": SYMBOL + 'road = { kind = "mine:Road" }',
+    "controller.name": SYMBOL + 'controller = { name = "mine:Stays" }',
+    "controller.road.kind": SYMBOL + 'controller = { name = "feedforward", road = { kind = "mine:Road" } }',
+    "extraction.kind": SYMBOL + 'extraction = { kind = "mine:Looks" }',
+    "pixel_controller": SYMBOL + 'pixel_controller = "mine:Stays"',
+    "detector.kind": LIGHTING + 'detector = { kind = "mine:Looks" }',
+}
+
+
+@pytest.fixture(autouse=True)
+def mine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with scenarios and their module, which leaves a mark where it runs; the user is elsewhere."""
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.delitem(sys.modules, "mine", raising=False)
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    (folder / "mine.py").write_text(MINE)
+    (folder / "plain.toml").write_text(SYMBOL)
+    monkeypatch.chdir(tmp_path)
+    return folder
+
+
+def ran(folder: Path) -> bool:
+    return (folder / "mark").exists()
+
+
+@pytest.mark.parametrize(("key", "text"), NAMING.items(), ids=NAMING)
+def test_a_scenario_runs_no_code_unless_that_is_allowed(key: str, text: str, mine: Path) -> None:
+    (file := mine / "scenario.toml").write_text(text)
+    with pytest.raises(LuxloopError) as caught:
+        load_any(str(file))
+    for part in (f"{file}: {key}: ", "the module mine;", "--allow-code", "allow_code=True"):
+        assert part in str(caught.value), caught.value
+    scenario = load_any(str(file), allow_code=True)
+    ((found, name),) = plugin.named(scenario)
+    assert (found, name.folder, name.module) == (key, mine, "mine")
+    assert digests(scenario)["module mine"] and not ran(mine), "even so, nothing runs before it is needed"
+
+
+@pytest.mark.parametrize("key", NAMING)
+def test_what_is_typed_or_given_in_python_is_the_users_own(key: str, mine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`--controller` comes in values; the module is found where the user is."""
+    monkeypatch.chdir(mine)
+    base = "gfhb" if key == "detector.kind" else "flat"
+    name = NAMING[key].rpartition("mine:")[2].partition('"')[0]
+    sets = [f"{key}=mine:{name}"]
+    if key == "controller.road.kind":
+        sets = [f"controller={{ name='feedforward', road={{ kind='mine:{name}' }} }}"]
+    assert [each for _, each in plugin.named(load_any(base, sets))] == [f"{mine}/mine:{name}"]
+    if key == "controller.name":
+        assert load(base, controller={"name": f"mine:{name}"}).controller.name == f"{mine}/mine:{name}"
+    (mine / "keys.toml").write_text("[road]\nkind = 'mine:Road'\n")
+    with pytest.raises(LuxloopError, match=r"road\.kind: .*--allow-code"):
+        load_any(base, ["keys.toml"])
+    assert load_any(base, ["keys.toml"], allow_code=True).road.kind == f"{mine}/mine:Road"
+
+
+def test_a_name_in_a_file_stays_untrusted_beside_what_is_typed(mine: Path) -> None:
+    (file := mine / "scenario.toml").write_text(NAMING["extraction.kind"])
+    with pytest.raises(LuxloopError, match=r"extraction\.kind: .*--allow-code"):
+        load_any(str(file), ["road.kind=bumps", "extraction.area_low=0.3"])
+    assert load(str(file), ["extraction.kind=differential"]).extraction.kind == "differential"
+
+
+def recorded(mine: Path, text: str, **changes: Any) -> Path:
+    """A recording whose manifest was edited."""
+    (mine / "plain.toml").write_text(text)
+    scenario = load_any(str(mine / "plain.toml"))
+    run(scenario, mine / "run", device="cpu", video=False)
+    manifest = json.loads((mine / "run" / FILE).read_text())
+    manifest["scenario"] |= changes
+    (mine / "run" / FILE).write_text(json.dumps(manifest))
+    return mine / "run"
+
+
+@pytest.mark.parametrize(
+    ("text", "again", "changes"),
+    [
+        (SYMBOL, replay, {"extraction": {"kind": "{}/mine:Looks"}}),
+        (LIGHTING, replay_lighting, {"road": {"kind": "{}/mine:Road"}}),
+    ],
+)
+def test_an_edited_manifest_runs_no_code(
+    text: str, again: Callable[..., Any], changes: dict[str, Any], mine: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ((table, named),) = changes.items()
+    directory = recorded(mine, text, **{table: {key: value.format(mine) for key, value in named.items()}})
+    with pytest.raises(LuxloopError, match=rf"manifest\.json: {table}\.kind: .*the module mine;.*--allow-code"):
+        again(directory)
+    assert cli.main(["replay", str(directory)]) == cli.WRONG and not ran(mine)
+    assert again(directory, allow_code=True).agrees and ran(mine), "the manifest knows where the module was"
+    assert "the scenario in the manifest was edited" in " ".join(Manifest.read(directory).changes(Manifest.read(directory)))
+
+
+def test_a_campaign_names_code_as_a_scenario_does(mine: Path) -> None:
+    for text in ('controllers = ["mine:Stays"]', "[set.road]\nkind = 'mine:Road'", "[variants.a]\nroad.kind = 'mine:Road'"):
+        (file := mine / "campaign.toml").write_text(f'scenarios = ["plain.toml"]\n{text}\n')
+        with pytest.raises(LuxloopError, match=r"the module mine;.*--allow-code"):
+            campaign.read(file)
+        (one,) = campaign.read(file, allow_code=True)
+        job = campaign.checked(one.scenario.model_dump(mode="json"), digests(one.scenario))
+        assert [name.folder for _, name in plugin.named(job)] == [mine], "workers have the decision with the name"
+    (mine / "plain.toml").write_text(NAMING["road.kind"])
+    file.write_text('scenarios = ["plain.toml"]\n')
+    with pytest.raises(LuxloopError, match=r"plain\.toml: road\.kind: .*--allow-code"):
+        campaign.read(file)
+    assert not ran(mine)
+
+
+@pytest.mark.slow
+def test_workers_run_what_the_campaign_may(mine: Path) -> None:
+    (file := mine / "campaign.toml").write_text('scenarios = ["plain.toml"]\nseeds = [0, 1]\n[set.extraction]\nkind = "mine:Looks"\n')
+    done = campaign.run_campaign(file, mine / "out", executor=local(2), allow_code=True)
+    assert not done.failures and ran(mine)
+    assert "mine" not in sys.modules, "it ran in workers"
+
+
+def test_commands_take_the_flag(mine: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (file := mine / "scenario.toml").write_text(NAMING["road.kind"])
+    (mine / "campaign.toml").write_text('scenarios = ["scenario.toml"]\n')
+    for command in (
+        ["check", str(file)],
+        ["run", str(file)],
+        ["tune", str(file), "--key", "light.ambient_lx=0:1"],
+        ["campaign", str(mine / "campaign.toml")],
+        ["optimise-beam", str(file)],
+        ["headlight", "show", "hd84", "--scenario", str(file)],
+    ):
+        assert cli.main(command) == cli.WRONG and "--allow-code" in capsys.readouterr().err, command
+        assert not ran(mine) and not Path("runs").exists(), command
+    assert cli.main(["check", str(file), "--allow-code"]) == cli.OK and ran(mine)
+
+
+def test_a_step_that_fails_says_where_and_debug_shows_how(mine: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (file := mine / "scenario.toml").write_text(SYMBOL + 'controller = { name = "mine:Stays", options = { fails = true } }')
+    line = 1 + MINE.splitlines().index("        return 1 / 0 if self.fails else state")
+    command = ["run", str(file), "--allow-code", "--no-video", "--device", "cpu"]
+    assert cli.main(command) == cli.WRONG
+    told = capsys.readouterr().err.splitlines()[-1]
+    assert told.endswith(f"mine:Stays: step fails at {mine}/mine.py, line {line} (ZeroDivisionError: division by zero); mend it"), told
+    assert cli.main(["--debug", *command]) == cli.WRONG
+    shown = capsys.readouterr().err
+    assert "Traceback" in shown and f'File "{mine}/mine.py", line {line}, in step' in shown and told in shown
