@@ -70,8 +70,8 @@ def test_a_detector_of_ones_own_is_made_with_its_options(tmp_path: Path, monkeyp
     frames[0, 30, 40] = 0.5
     (found,) = own.detect(frames)
     assert found.boxes.tolist() == [[35, 25, 45, 35]] and found.scores.tolist() == [[0.5]]
-    with pytest.raises(LuxloopError, match=r"detector\.options\.sise: .*did you mean 'size_px'"):
-        detector(OwnDetector(kind="own_detector_of_a_test:Brightest", options={"sise": 10}), CPU)
+    with pytest.raises(LuxloopError, match=r"detector\.options\.sise_px: .*did you mean 'size_px'"):
+        detector(OwnDetector(kind="own_detector_of_a_test:Brightest", options={"sise_px": 10}), CPU)
 
 
 class Given:
