@@ -15,14 +15,13 @@ from scipy.ndimage import map_coordinates, maximum_filter, uniform_filter
 
 from controllers.symbol.drawing import Drawing
 from controllers.symbol.flat_model import PAIRED
-from loop.plant import SHADOW_MAP
 from loop.simulation import Simulation
 from perception.camera import camera_view
 from perception.extraction import NEIGHBOURHOOD, WHOLLY_LIT
 from world.flatroad import flat_road
 from world.gbuffer import GBuffer, gbuffer
 from world.rasterise import FAR_M, GL_OPENCV, NEAR_M
-from world.shadow import shadow_map, visible
+from world.raycast import sees
 
 Floats = NDArray[np.float32]
 Lap = Callable[[str], None]
@@ -127,8 +126,7 @@ class Baseline:
 
         triangles, view = plant.scene.at(0.0), camera_view(self.camera, self.camera.oversampling)
         surfaces = gbuffer(triangles, view, plant.source.face_ids(triangles, view))
-        shadow = shadow_map(triangles, self.headlight.view(lamp.T_world_headlight, *SHADOW_MAP), plant.source)
-        self.surfaces = Surfaces.of(surfaces, visible(shadow, surfaces.position.flatten(1)).numpy())
+        self.surfaces = Surfaces.of(surfaces, sees(triangles, lamp.T_world_headlight[:3, 3], surfaces.position.flatten(1)).numpy())
         self.flat = Surfaces.of(flat_road(view, simulation.scenario.surface.albedo))
         self.base = plant.lit(0.0).base.numpy()
         self.limit = self.model.limit.numpy()

@@ -14,10 +14,10 @@ from torch.nn.functional import grid_sample
 from controllers.primitives import U_ABS, Primitives, meant
 from world.frames import inverse
 from world.headlight import Headlight
-from world.raycast import first_hits
+from world.raycast import sees
 from world.scene import StreetLamp
 from world.texels import TexelGrid
-from world.triangles import Triangles, depths
+from world.triangles import Triangles
 
 Caster = Callable[[Tensor, Tensor], Tensor]  # (points [3, N], target [3]) -> [N] bool: something lies between them
 
@@ -32,10 +32,7 @@ def scene_caster(triangles: Triangles, skip: Collection[int] = (0,)) -> Caster:
     casting = Triangles(tuple(placed for placed in triangles.placed if placed.object_id not in skip))
 
     def occluded(points: Tensor, target: Tensor) -> Tensor:
-        origin, directions = target.double().cpu(), points.double().cpu() - target.double().cpu()[:, None]
-        face = first_hits(casting, origin, directions)
-        length = directions.square().sum(0).sqrt()
-        return (depths(casting, face, origin, directions) * length < length - BIAS_M).to(points.device)
+        return ~sees(casting, target, points, BIAS_M)
 
     return occluded
 

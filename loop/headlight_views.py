@@ -122,19 +122,20 @@ class Road:
         Raises LuxloopError where the scenario names what is not there.
         """
         surfaces = gbuffer(self._triangles, view, self._face_source.face_ids(self._triangles, view))
-        shadows = None if self._throws_none else [self._shadow(source) for source in car.sources]
         extinction = air.extinction_per_m if air else 0.0
-        illuminance, luminance = surface_light(surfaces, car.sources, shadows, extinction)
+        illuminance, luminance = surface_light(surfaces, car.sources, self._shades, extinction)
         others = self._scene.spotlights_at(0.0)
         luminance = luminance + ambient_luminance(surfaces, self._scene.ambient_lx, self._scene.street_lamps, others)
         if air:
+            shadows = None if self._shades is None else [self._shadow(source) for source in car.sources]
             luminance = _through_air(luminance, surfaces, view, car.sources, air, shadows, self._scene.ambient_lx)
         total = np.where(surfaces.object_id.numpy() < 0, np.nan, grey(picture(illuminance)))
         return Seen(view, surfaces, total, picture(luminance))
 
     @property
-    def _throws_none(self) -> bool:
-        return self.scenario.road.kind == "flat" and not self.scenario.all_objects
+    def _shades(self) -> Triangles | None:
+        """What may throw a shadow."""
+        return None if self.scenario.road.kind == "flat" and not self.scenario.all_objects else self._triangles
 
     def _shadow(self, source: Source) -> ShadowMap:
         if source not in self._shadows:

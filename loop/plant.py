@@ -26,8 +26,6 @@ from world.triangles import Triangles
 from world.vehicle import STANDING, Motion
 from world.view import View
 
-SHADOW_MAP = (1024, 664)  # width, height in px: about 6 cm of road at 17 m
-QUICK_SHADOW_MAP = (512, 332)
 KEPT_VIEWS = 4  # on and off frame, before and after a change
 
 Frames = tuple[Tensor, Tensor]
@@ -153,9 +151,7 @@ class SimulatedPlant:
         for module in self.modules:
             headlight = module.headlight
             T_world_headlight = T_world_body.to(module.T_world_headlight) @ module.T_world_headlight
-            lamp_view = headlight.view(T_world_headlight, *(QUICK_SHADOW_MAP if self.moving else SHADOW_MAP))
-            shadow = self.surfaces.shadow_map(triangles, lamp_view).to(self.device)
-            reached = reach(surfaces, headlight, T_world_headlight, shadow)
+            reached = reach(surfaces, headlight, T_world_headlight, triangles)
             fold = DirectTransport.of if self.moving else transport
             folded.append(fold(reached, headlight, width, samples))
         return tuple(folded)

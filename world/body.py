@@ -124,6 +124,13 @@ class Body:
         return torch.stack(self.corners.flatten(0, 1).aminmax(dim=0))
 
     @cached_property
+    def planes(self) -> Tensor:
+        """Planes `n x = c` of the faces in the body frame, `[F, 4]` float64: n, out of the side that is seen, in m^2, and c in m^3."""
+        a, b, c = self.corners.unbind(1)
+        normal = torch.linalg.cross(b - a, c - a)
+        return torch.cat([normal, (normal * a).sum(-1, keepdim=True)], -1)
+
+    @cached_property
     def corner_normals(self) -> Tensor:
         """Unit normals at the corners in the body frame, `[F, 3 corners, 3]` float64; vertex normals are weighted by angle."""
         if self.smooth:

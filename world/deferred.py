@@ -50,35 +50,30 @@ class DeferredRenderer:
 
     def fragments(self, triangles: Triangles, view: View) -> Fragments:
         """Draw the triangles as `view` sees them."""
-        depth, number, x, y = self._image(triangles.placed, view, 4).permute(2, 0, 1).contiguous()
+        depth, number, x, y = self._image(triangles.placed, view).permute(2, 0, 1).contiguous()
         hit = number.abs()
         z = (hit.clamp(max=1) - x * x - y * y).clamp(min=0).sqrt() * -number.sign()
         code = hit.int()
         return Fragments(depth, torch.stack([x, y, z]), code // MOST_PARTS - 1, code % MOST_PARTS)
 
-    def depth(self, triangles: Triangles, view: View) -> Tensor:
-        """Depth `[height, width]` float32 in m along the optical axis, infinite where there is nothing."""
-        depth = self._image(triangles.placed, view, 1)[:, :, 0]
-        return torch.where(depth > 0, depth, torch.inf)
-
-    def _image(self, placed: tuple[Placed, ...], view: View, channels: int) -> Tensor:
-        """`[height, width, channels]`, depth first, zero where there is nothing."""
-        numbers = (view.width, view.height, view.fx, view.fy, view.cx, view.cy, *view.T_world_view.flatten().tolist(), channels)
+    def _image(self, placed: tuple[Placed, ...], view: View) -> Tensor:
+        """`[height, width, 4]`, depth first, zero where there is nothing."""
+        numbers = (view.width, view.height, view.fx, view.fy, view.cx, view.cy, *view.T_world_view.flatten().tolist())
         last, image = self._still.pop(numbers, ((), None))
         still = tuple(each for each in last if each in placed)
         if still and (image is None or len(still) < len(last)):
-            image = self._draw(still, view, channels)
+            image = self._draw(still, view)
         moved = tuple(each for each in placed if each not in still)
         if len(self._still) == KEPT:
             del self._still[next(iter(self._still))]  # which was looked at longest ago
         self._still[numbers] = (still, image) if still else (placed, None)
         if image is None or not still:
-            return self._draw(placed, view, channels)
-        over = self._draw(moved, view, channels)
+            return self._draw(placed, view)
+        over = self._draw(moved, view)
         depth, behind = over[..., :1], image[..., :1]
         return torch.where((depth > 0) & ((behind == 0) | (depth < behind)), over, image)
 
-    def _draw(self, bodies: Sequence[Placed], view: View, channels: int) -> Tensor:
+    def _draw(self, bodies: Sequence[Placed], view: View) -> Tensor:
         from OpenGL import GL
 
         context()._platform.make_current()
@@ -109,7 +104,7 @@ class DeferredRenderer:
         GL.glBindVertexArray(0)
         GL.glUseProgram(0)
         GL.glFrontFace(GL.GL_CCW)  # which pyrender takes for granted
-        return _read(view, channels)
+        return _read(view)
 
     def _array_of(self, body: Body) -> tuple[int, int]:
         """A body's vertex array and its number of corners, uploaded at the first time and deleted with the body."""
@@ -163,13 +158,13 @@ def _projection(view: View) -> np.ndarray:
     return P
 
 
-def _read(view: View, channels: int) -> Tensor:
-    """`[height, width, channels]` float32, of one or of four."""
+def _read(view: View) -> Tensor:
+    """`[height, width, 4]` float32."""
     from OpenGL import GL
 
-    pixels = np.empty((view.height, view.width, channels), np.float32)
+    pixels = np.empty((view.height, view.width, 4), np.float32)
     GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, _framebuffer()[0])
-    GL.glReadPixels(0, 0, view.width, view.height, GL.GL_RED if channels == 1 else GL.GL_RGBA, GL.GL_FLOAT, pixels)
+    GL.glReadPixels(0, 0, view.width, view.height, GL.GL_RGBA, GL.GL_FLOAT, pixels)
     GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, 0)
     return torch.from_numpy(pixels)
 

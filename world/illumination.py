@@ -14,17 +14,18 @@ from world.brdf import luminance_factor
 from world.frames import inverse, transform, unit
 from world.gbuffer import GBuffer
 from world.headlight import Headlight
-from world.shadow import ShadowMap, visible
+from world.raycast import sees
 from world.spmv import Csr, multiply, row_of_entries, segment_bounds
 from world.texels import bilinear
+from world.triangles import Triangles
 
 
 @dataclass(frozen=True)
 class LitSurface:
-    """The part of a G-buffer that a lamp can reach, M pixels in image order.
+    """The part of a G-buffer that the light of a lamp reaches, M pixels in image order.
 
     index: `[M]` int64, flat image index. texel: `[4, M]` int64 and weight: `[4, M]`, bilinear neighbours in the light texture.
-    factor: `[M]`, cos / d^2 in 1/m^2, zero in shadow. luminance_factor: `[M]`, albedo of the Lambertian surface that would look as bright.
+    factor: `[M]`, cos / d^2 in 1/m^2. luminance_factor: `[M]`, albedo of the Lambertian surface that would look as bright.
     """
 
     index: Tensor
@@ -34,9 +35,10 @@ class LitSurface:
     luminance_factor: Tensor
 
 
-def reach(gbuffer: GBuffer, headlight: Headlight, T_world_headlight: Tensor, shadow: ShadowMap | None = None) -> LitSurface:
+def reach(gbuffer: GBuffer, headlight: Headlight, T_world_headlight: Tensor, triangles: Triangles | None = None) -> LitSurface:
     """Find what of a G-buffer the lamp at `T_world_headlight` `[4, 4]` can light, and with which geometry.
 
+    triangles: what may throw shadows, by a ray from the lamp to each point; nothing does where it is None.
     The light texture is interpolated bilinearly, clamped within its outer half texel and zero beyond its border.
     """
     position, normal = gbuffer.position.flatten(1), gbuffer.normal.flatten(1)
@@ -49,10 +51,9 @@ def reach(gbuffer: GBuffer, headlight: Headlight, T_world_headlight: Tensor, sha
     inside = (x > 0) & (row >= 0) & (row <= headlight.rows) & (col >= 0) & (col <= headlight.cols)
     index = torch.nonzero(inside & (cos > 0) & (gbuffer.object_id.flatten() >= 0))[:, 0]
     factor = cos[index] / d2[index]
-    if shadow is not None:
-        factor = factor * visible(shadow, position[:, index])
-    lit = factor > 0
-    index, factor = index[lit], factor[lit]
+    if triangles is not None:
+        lit = sees(triangles, T_world_headlight[:3, 3], position[:, index])
+        index, factor = index[lit], factor[lit]
     texel, weight = bilinear(headlight, row[index], col[index])
     return LitSurface(index, texel, weight, factor, _luminance_factor(gbuffer, index, away[:, index]))
 

@@ -10,7 +10,7 @@ from world.gbuffer import GBuffer
 from world.headlight import Headlight
 from world.illumination import illuminance, luminance, reach
 from world.lamp import Lamp, direction
-from world.shadow import ShadowMap
+from world.triangles import Triangles
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,18 +59,18 @@ def wall_illuminance(lit: Sequence[Source], T_world_wall: Tensor, h_deg: Tensor,
 
 
 def surface_light(
-    gbuffer: GBuffer, lit: Sequence[Source], shadows: Sequence[ShadowMap] | None = None, extinction_per_m: float = 0.0
+    gbuffer: GBuffer, lit: Sequence[Source], triangles: Triangles | None = None, extinction_per_m: float = 0.0
 ) -> tuple[Tensor, Tensor]:
     """Illuminance in lx and luminance in cd/m^2 of what a view sees, `[..., height, width]`, from all sources together.
 
-    Leading dimensions are the textures'. shadows: one a source; without them nothing throws a shadow. extinction_per_m: of the air
-    that the light comes through.
+    Leading dimensions are the textures'. triangles: what may throw shadows. extinction_per_m: of the air that the light
+    comes through.
     """
     batch = lit[0].texture.shape[:-2] if lit else ()
     arriving = gbuffer.albedo.new_zeros(*batch, gbuffer.albedo.numel())
     leaving = torch.zeros_like(arriving)
-    for i, source in enumerate(lit):
-        surface = reach(gbuffer, source.headlight, source.T_world_source, shadows[i] if shadows else None)
+    for source in lit:
+        surface = reach(gbuffer, source.headlight, source.T_world_source, triangles)
         light, shine = illuminance(surface, source.texture), luminance(surface, source.texture)
         if extinction_per_m:
             away = gbuffer.position.flatten(1)[:, surface.index] - source.T_world_source[:3, 3:].to(gbuffer.position)

@@ -10,7 +10,6 @@ from world.deferred import DeferredRenderer
 from world.face_source import FaceSource
 from world.gbuffer import Finish, GBuffer, gbuffer, reflection
 from world.rasterise import Rasteriser
-from world.shadow import ShadowMap, padded, shadow_map
 from world.triangles import Placed, Triangles
 from world.view import View
 
@@ -22,10 +21,6 @@ class SurfaceSource(Protocol):
         """Surfaces at the centres of the view's pixels."""
         ...
 
-    def shadow_map(self, triangles: Triangles, view: View) -> ShadowMap:
-        """How far the light of a lamp gets that looks through `view`."""
-        ...
-
 
 @dataclass(frozen=True)
 class ExactSurfaces:
@@ -35,9 +30,6 @@ class ExactSurfaces:
 
     def gbuffer(self, triangles: Triangles, view: View) -> GBuffer:
         return gbuffer(triangles, view, self.source.face_ids(triangles, view))
-
-    def shadow_map(self, triangles: Triangles, view: View) -> ShadowMap:
-        return shadow_map(triangles, view, self.source)
 
 
 @dataclass(frozen=True)
@@ -66,10 +58,6 @@ class QuickSurfaces:
         finish = Finish(tuple(numbers), material.view(shape), view.origin) if len(numbers) > 1 else None
         parts = None if part is None else part.view(shape)
         return GBuffer(position.view(3, *shape), normal.view(3, *shape), albedo.view(shape), object_id.view(shape), finish, parts)
-
-    def shadow_map(self, triangles: Triangles, view: View) -> ShadowMap:
-        view = padded(view)
-        return ShadowMap(view, self.renderer.depth(triangles, view))
 
 
 def _one_an_object(triangles: Triangles) -> tuple[Placed, ...]:

@@ -13,11 +13,9 @@ from world.face_source import FaceSource
 from world.gbuffer import GBuffer
 from world.illumination import LitSurface, illuminance, reach
 from world.scene import Key, Scene
-from world.surfaces import SurfaceSource, surface_source
+from world.surfaces import surface_source
 from world.triangles import Triangles
 from world.view import View
-
-SHADOW_MAP = (512, 332)  # width, height in px: a texel is 9 cm wide at 60 m for a lamp that lights 43 deg
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +27,6 @@ class LitScene:
     surfaces: GBuffer
     base: Tensor
     modules: tuple[ShiningModule, ...]
-    source: SurfaceSource
     _reached: dict[int, LitSurface] = field(default_factory=dict, init=False, repr=False)
 
     def light(self, lights: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
@@ -47,9 +44,7 @@ class LitScene:
     def _surface(self, number: int) -> LitSurface:
         if number not in self._reached:
             module = self.modules[number]
-            seen_by_lamp = module.headlight.view(module.T_world_module, *SHADOW_MAP)
-            shadow = self.source.shadow_map(self.triangles, seen_by_lamp).to(self.base.device)
-            self._reached[number] = reach(self.surfaces, module.headlight, module.T_world_module, shadow)
+            self._reached[number] = reach(self.surfaces, module.headlight, module.T_world_module, self.triangles)
         return self._reached[number]
 
 
@@ -71,6 +66,6 @@ class Looker:
                 triangles = self.scene.at(time_s)
                 surfaces = self.surfaces.gbuffer(triangles, self.view).to(self.device)
                 base = ambient_luminance(surfaces, self.scene.ambient_lx, self.scene.street_lamps, self.scene.spotlights_at(time_s))
-                self._key, self._lit = key, LitScene(self.view, triangles, surfaces, base, self.modules, self.surfaces)
+                self._key, self._lit = key, LitScene(self.view, triangles, surfaces, base, self.modules)
             self._time_s = time_s
         return self._lit

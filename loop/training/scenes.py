@@ -38,7 +38,6 @@ TRAINING, HELD_OUT = 10_000, 1_000_000  # first seeds of scenes, which share no 
 ROADS = 8  # that scenes share, those held out among themselves
 LARGEST = 6e4  # half precision ends there
 MOMENTS_S = 4.0  # a scene is drawn at one moment of its first seconds
-SHADOW_MAP = (800, 600)
 LAYERS = ("lamps", "distance", "own", "sky", "object_id")
 
 
@@ -134,7 +133,7 @@ def draw(seed: int, folder: str) -> dict[str, Any]:
     distance = torch.where(here, away.norm(dim=0), torch.inf)
     dark = ambient_luminance(surfaces, 0.0, scene.street_lamps, scene.spotlights_at(time_s))
     sky = torch.where(here, surfaces.albedo * (1 + surfaces.normal[2]) / (2 * math.pi), 0)
-    layers = torch.stack([_sent_back(surfaces, triangles, source, distance), distance, dark, sky, surfaces.object_id.float()])
+    layers = torch.stack([_sent_back(surfaces, triangles, distance), distance, dark, sky, surfaces.object_id.float()])
     Path(folder).mkdir(parents=True, exist_ok=True)
     with whole(_file(folder, seed)) as part, part.open("wb") as stream:
         np.save(stream, layers.clamp(max=LARGEST).half().numpy())
@@ -197,14 +196,14 @@ def _lamp() -> Headlight:
     return Headlight(rows=2, cols=2, left=0.4, right=-0.4, bottom=-0.3, top=0.3, name="even", matrix=matrix, pixel_rows=1, pixel_cols=1)
 
 
-def _sent_back(surfaces: GBuffer, triangles: Triangles, source: SurfaceSource, distance: Tensor) -> Tensor:
+def _sent_back(surfaces: GBuffer, triangles: Triangles, distance: Tensor) -> Tensor:
     """Luminance in cd/m^2 for each lx on a surface that faces the lamps."""
     found = torch.zeros(distance.numel())
     lamp = _lamp()
     texture = lamp.light_texture(torch.ones(1))
     for place in LAMPS_M:
         T_world_lamp = pose_from_degrees(place)
-        surface = reach(surfaces, lamp, T_world_lamp, source.shadow_map(triangles, lamp.view(T_world_lamp, *SHADOW_MAP)))
+        surface = reach(surfaces, lamp, T_world_lamp, triangles)
         found[surface.index] += luminance(surface, texture) / len(LAMPS_M)
     return found.view_as(distance) * torch.where(distance.isfinite(), distance, 0).square()
 

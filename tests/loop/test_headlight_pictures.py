@@ -142,13 +142,13 @@ def test_fog_scatters_the_light_of_the_sky_too(lamps: dict[str, Lamp]) -> None:
     assert near == pytest.approx(clear * through + 1000 / (2 * math.pi) * (1 - through), rel=1e-4)
 
 
-def test_shadow_maps_are_rendered_once_for_all_views(car: LitCar, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_shadow_maps_of_the_air_are_rendered_once_for_all_views(car: LitCar, monkeypatch: pytest.MonkeyPatch) -> None:
     rendered = []
     whole = headlight_views.shadow_map
     monkeypatch.setattr(headlight_views, "shadow_map", lambda *given: rendered.append(given) or whole(*given))
     bumpy = Road(scenario(road={"kind": "speed_bump"}))
     for view in (driver(32), driver(64)):
-        bumpy.look(car, view)
+        bumpy.look(car, view, Medium.fog(100.0))
     assert len(rendered) == 2, "one a lamp"
 
 

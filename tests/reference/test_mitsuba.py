@@ -27,10 +27,8 @@ from world.presets import idealised
 from world.roadmesh import road_mesh
 from world.roads import Bumps, Iso8608, Mixed
 from world.scene import Scene
-from world.shadow import shadow_map
 from world.view import View
 
-SHADOW_MAP = (1024, 664)  # as in the loop
 # Mitsuba's camera looks along z with x to the left and y up.
 MITSUBA_OPENCV = np.diag([-1.0, -1.0, 1.0, 1.0])
 TEXELS = (64, 256)
@@ -158,12 +156,12 @@ SCENES = {
 
 
 def our_illuminance(bodies: list[Body], view: View, utilisation: Tensor) -> tuple[np.ndarray, np.ndarray]:
-    """Illuminance and object ids `[height, width]`, through shadow maps as the loop computes them."""
+    """Illuminance and object ids `[height, width]`, as the loop computes them."""
     triangles, source = Scene(tuple(bodies)).at(0.0), face_source()
     seen = gbuffer(triangles, view, source.face_ids(triangles, view))
     image = torch.zeros(view.height * view.width)
     for T in POSES:
-        lit = reach(seen, LAMP, T, shadow_map(triangles, LAMP.view(T, *SHADOW_MAP), source))
+        lit = reach(seen, LAMP, T, triangles)
         image[lit.index] += illuminance(lit, LAMP.light_texture(utilisation))
     return image.view(view.height, view.width).double().numpy(), seen.object_id.numpy()
 
@@ -184,8 +182,8 @@ def test_two_lamps_project_a_pattern_on_an_uneven_scene(mi: ModuleType, name: st
         return [their_illuminance(mi, shapes, view, [projector(mi, LAMP, LAMP.light_texture(u), T)]) for T in POSES]
 
     expected = sum(theirs(utilisation))
-    # Left out: outlines of bodies, of shadows and of the lamps' fields, two pixels to both sides, where a shadow map's texel or a rounded
-    # ray decides; and what is darker than a hundredth of the bright parts. The edges of the pattern stay in: both sides interpolate it.
+    # Left out: outlines of bodies, of shadows and of the lamps' fields, two pixels to both sides, where a rounded ray decides; and what is
+    # darker than a hundredth of the bright parts. The edges of the pattern stay in: both sides interpolate it.
     edges_away = np.logical_and.reduce([even(object_id), *(even(lamp > 0) for lamp in theirs(torch.ones_like(utilisation)))])
     compared = edges_away & (expected > 0.01 * np.quantile(expected, 0.99))
     assert compared.mean() > 0.1

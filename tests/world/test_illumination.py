@@ -17,9 +17,7 @@ from world.gbuffer import GBuffer
 from world.headlight import Headlight
 from world.illumination import DirectTransport, added_light, illuminance, luminance, reach, transport
 from world.presets import idealised
-from world.raycast import RayCaster
 from world.scene import Scene
-from world.shadow import shadow_map
 from world.spmv import Csr
 from world.view import View
 
@@ -168,12 +166,11 @@ def test_a_box_throws_a_shadow_as_long_as_its_height_asks() -> None:
     box = trimesh.creation.box(bounds=[[8, 0.1, 0], [9, 1.1, 0.5]])
     road = trimesh.Trimesh([[-5, -20, 0], [80, -20, 0], [80, 20, 0], [-5, 20, 0]], [[0, 1, 2], [0, 2, 3]])
     scene = Scene((Body("road", road), Body("box", box)))
-    shadow = shadow_map(scene.at(0.0), LAMP.view(T_LEFT, 640, 320), RayCaster())
     # The ray over the far upper edge falls 0.25 m in 9 m and meets the road at 27 m.
     x = torch.tensor([13.0, 20.0, 26.5, 27.5, 40.0, 20.0])
     y = torch.tensor([0.6, 0.6, 0.6, 0.6, 0.6, 2.5])
     points = surface_at(torch.stack([x, y, torch.zeros(6)]), (0.0, 0.0, 1.0))
-    lit = reach(points, LAMP, T_LEFT, shadow)
+    lit = reach(points, LAMP, T_LEFT, scene.at(0.0))
     assert lit.index.tolist() == [3, 4, 5]
     free = reach(points, LAMP, T_LEFT)
     torch.testing.assert_close(lit.factor, free.factor[3:])

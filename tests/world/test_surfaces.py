@@ -14,9 +14,8 @@ from world.frames import inverse, pose_from_degrees, transform
 from world.materials import RoadSurfaceParams
 from world.objects import BoxParams
 from world.rasterise import NoOpenGL, Rasteriser
-from world.raycast import RayCaster
+from world.raycast import RayCaster, sees
 from world.scene import Scene
-from world.shadow import visible
 from world.surfaces import ExactSurfaces, QuickSurfaces, SurfaceSource, surface_source
 
 SURFACE = RoadSurfaceParams(markings=True, beads=True)
@@ -69,14 +68,14 @@ def test_the_quick_way_sees_what_the_exact_one_sees():
     assert not fast.position[:, nothing].any() and not fast.normal[:, nothing].any() and not fast.albedo[nothing].any()
 
 
-def test_the_quick_way_throws_the_same_shadows():
-    triangles, view, light = scene().at(0.0), camera(), lamp(512, 256)
-    source = ExactSurfaces(RayCaster())
-    surfaces = source.gbuffer(triangles, view)
-    points = surfaces.position[:, surfaces.object_id == 0]
-    exact, fast = (visible(way.shadow_map(triangles, light), points) for way in (source, quick()))
-    assert 0.01 < (~exact).float().mean() < 0.9  # there are shadows
-    assert (exact == fast).float().mean() > 0.998  # outlines, as above
+def test_the_quick_way_finds_the_same_points_in_shadow():
+    triangles, view, lamp_m = scene().at(0.0), camera(), lamp().origin
+    exact, fast = ExactSurfaces(RayCaster()).gbuffer(triangles, view), quick().gbuffer(triangles, view)
+    road = (exact.object_id == 0) & (fast.object_id == 0) & (exact.position[0] > 3)
+    in_light, found = (sees(triangles, lamp_m, each.position[:, road]) for each in (exact, fast))
+    assert 0.01 < (~in_light).float().mean() < 0.9  # there are shadows
+    # where bumps hide each other a ray may meet the next one, as above
+    assert (in_light == found).float().mean() > 0.998
 
 
 def test_a_view_that_moves_sees_what_a_standing_one_sees_of_a_world_that_moves_the_other_way(surfaces):
@@ -100,7 +99,7 @@ def test_what_stands_still_is_seen_the_same_in_every_further_look():
     road, box, sheet = bodies()
     moving = replace(box, track=PoseTrack((0.0, 3.0), torch.stack([pose_from_degrees((x, -3.0 + 6 * (x < 15), 0)) for x in (12.0, 25.0)])))
     going, coming = (replace(sheet, track=replace(sheet.track, **life)) for life in ({"vanishes_s": 1.5}, {"appears_s": 1.5}))
-    world, again, view, light = Scene((road, moving, going, box, coming)), quick(), camera(), lamp(512, 256)
+    world, again, view = Scene((road, moving, going, box, coming)), quick(), camera()
     for t_s in (0.0, 0.5, 1.0, 1.5, 2.0, 2.0, 3.0):
         triangles = world.at(t_s)
         seen, fresh = (way.gbuffer(triangles, view) for way in (again, quick()))
@@ -108,8 +107,6 @@ def test_what_stands_still_is_seen_the_same_in_every_further_look():
         assert same.float().mean() > 0.9999 and set(seen.object_id.unique().tolist()) == set(fresh.object_id.unique().tolist())
         assert torch.equal(seen.position[:, same], fresh.position[:, same]) and torch.equal(seen.normal[:, same], fresh.normal[:, same])
         assert torch.equal(seen.albedo[same], fresh.albedo[same])
-        depth, anew = (way.shadow_map(triangles, light).depth for way in (again, quick()))
-        assert (depth == anew).float().mean() > 0.9999
 
 
 def test_drawing_in_turn_with_pyrender_changes_neither():

@@ -1,0 +1,207 @@
+"""How right shadows are on roads of each kind, beside a second implementation: `python benchmarks/shadows.py`.
+
+Worlds that stand are looked at as `snowflake` does, at 640 x 480, and from above, 5 to 40 m ahead at 2 cm; those that move from the car on
+the road's tiles, with what OpenGL interpolates. Points are drawn at random among those that the lamp would reach if nothing threw a shadow,
+and lit as the loop lights them. What is true is said by a ray to each point of exact surfaces, in float64 (`float64_rays`).
+
+leaked: light on points in shadow that are lit nevertheless. lost: light that points in the light do not get. Both are shares of all light
+without any shadow. wrong: share of the points that are taken for the other. Points whose pixel an outline crosses are left out; outlines is
+their share.
+"""
+
+import argparse
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from bench import Goal, judged, machine, on_one_thread, show_goals
+from float64_rays import hidden
+from rich.table import Table
+from torch import Tensor
+
+from loop import data, tables
+from loop.plant import SimulatedPlant
+from loop.scenario import load
+from loop.simulation import Simulation
+from world.body import Body
+from world.face_source import face_source
+from world.frames import pose, pose_from_degrees
+from world.gbuffer import GBuffer
+from world.headlight import Headlight
+from world.illumination import illuminance, reach
+from world.raycast import TOLERANCE_M, first_hits, sees
+from world.roadmesh import road_mesh
+from world.roads import Bumps, Curb, Flat, Grade, Iso8608, Mixed, OpenCrgRoad, Pothole, Road, SpeedBump
+from world.roadtiles import RoadTiles
+from world.scene import Scene
+from world.surfaces import ExactSurfaces, surface_source
+from world.triangles import Triangles, depths
+from world.view import View
+
+SHAPES: dict[str, Road] = {
+    "flat": Flat(),
+    "grade": Grade(),
+    "bumps": Bumps(),
+    "speed bump": SpeedBump(),
+    "curb": Curb(),
+    "pothole": Pothole(),
+    "mixed": Mixed(),
+    **{f"ISO 8608 {letter}": Iso8608(roughness_class=letter) for letter in "ABCDE"},
+}
+SCANS = {  # the parts in which something is to be seen, m
+    "belgian_block": (731.0, 739.0),
+    "Horstwalde": (95.0, 155.0),
+    "halfround_4in": (45.0, 55.0),
+    "detrended_rms_course_1in": (100.0, 404.0),
+    "Barber": (50.0, 3600.0),
+    "handmade_straight": (3.0, 20.0),
+    "handmade_straight_double": (3.0, 20.0),
+    "handmade_curved": (3.0, 20.0),
+    "handmade_curved_banked_sloped": (3.0, 20.0),
+}
+PLACES = 3  # along each scan, besides its middle
+DRIVEN_M = (0.0, 11.3, 23.9)  # where the car is that drives
+ABOVE_M, CELL_M = 1000.0, 0.02
+
+
+def roads(quick: bool) -> Iterator[tuple[str, str, Road]]:
+    """Name, name of its kind, and the road itself."""
+    rng = np.random.default_rng(14)
+    for name, road in SHAPES.items():
+        if not quick or name == "ISO 8608 E":
+            yield name, name, road
+    for name, part in SCANS.items():
+        for u_m in [None, *np.round(rng.uniform(*part, PLACES), 2).tolist()]:
+            if not quick or (name, u_m) == ("belgian_block", None):
+                yield f"{name} at {u_m or 'its middle'}", name, OpenCrgRoad(file=str(data.locate(name)), u_m=u_m)
+
+
+def from_above() -> View:
+    """5 to 40 m ahead, 5 m to both sides, from so high that all is seen from above."""
+    down = torch.tensor([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]], dtype=torch.float64)
+    eye = torch.tensor([22.5, 0.0, ABOVE_M], dtype=torch.float64)
+    return View(round(10 / CELL_M), round(35 / CELL_M), ABOVE_M / CELL_M, ABOVE_M / CELL_M, 5 / CELL_M, 17.5 / CELL_M, pose(eye, down))
+
+
+def outlined(triangles: Triangles, view: View, lamp_m: Tensor, pixels: Tensor) -> Tensor:
+    """Which pixels `[N]` an outline of a shadow crosses, `[N]` bool: their corners are not all alike."""
+    row, column = pixels // view.width, pixels % view.width
+    T, dark = view.T_world_view, []
+    for down, right in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        x, y = (column + right - view.cx) / view.fx, (row + down - view.cy) / view.fy
+        rays = T[:3, :3] @ torch.stack([x, y, torch.ones_like(x)]).double()
+        face = first_hits(triangles, view.origin, rays)
+        depth = depths(triangles, face, view.origin, rays)
+        dark.append(~sees(triangles, lamp_m, view.origin[:, None] + rays * torch.where(face >= 0, depth, 1.0)))
+    return torch.stack(dark).any(0) != torch.stack(dark).all(0)
+
+
+def measure(
+    triangles: Triangles, view: View, true: GBuffer, found: GBuffer, lamp: Headlight, T_world_lamp: Tensor, n: int
+) -> dict[str, float]:
+    """Figures of one view, true by exact surfaces and found by those of the loop."""
+    texture, n_pixels = lamp.light_texture(torch.ones(lamp.n_pixels)), view.width * view.height
+    reached, lit = reach(true, lamp, T_world_lamp), reach(found, lamp, T_world_lamp, triangles)
+    light = torch.zeros(n_pixels).index_put((reached.index,), illuminance(reached, texture))
+    is_lit = torch.zeros(n_pixels, dtype=torch.bool).index_fill(0, lit.index, True)
+    pixels = reached.index[torch.randperm(len(reached.index), generator=torch.Generator().manual_seed(14))[:n]]
+    points = true.position.flatten(1)[:, pixels]
+    dark = hidden(triangles, lamp.view(T_world_lamp, 1, 1), points, TOLERANCE_M)
+    crossed = outlined(triangles, view, T_world_lamp[:3, 3].double(), pixels)
+    light, is_lit, all_light = light[pixels], is_lit[pixels], float(light[pixels].sum())
+    leaked, lost = dark & is_lit & ~crossed, ~dark & ~is_lit & ~crossed
+    return {
+        "points": len(pixels),
+        "in shadow": float(dark.float().mean()),
+        "leaked": float(light[leaked].sum()) / all_light,
+        "lost": float(light[lost].sum()) / all_light,
+        "wrong": float((leaked | lost).float().mean()),
+        "leaked, outlines in": float(light[dark & is_lit].sum()) / all_light,
+        "outlines": float(crossed.float().mean()),
+    }
+
+
+def standing(road: Road, plant: SimulatedPlant, n: int) -> Iterator[tuple[str, dict[str, float]]]:
+    """Figures of a car that stands on a road, by view."""
+    triangles = Scene((Body("road", road_mesh(road), smooth=True),)).at(0.0)
+    (module,) = plant.modules
+    for name, view in (("camera", plant.view), ("above", from_above())):
+        exact = ExactSurfaces(face_source("raycast")).gbuffer(triangles, view)
+        found = surface_source(plant.source, moving=False).gbuffer(triangles, view)
+        yield name, measure(triangles, view, exact, found, module.headlight, module.T_world_headlight, n)
+
+
+def moving(road: Road, plant: SimulatedPlant, n: int) -> Iterator[tuple[str, dict[str, float]]]:
+    """Figures of a car that drives on a road, by place."""
+    tiles, (module,) = RoadTiles(road, (0.0, 0.0), 0.2, None), plant.modules
+    surfaces = surface_source(plant.source, moving=True)
+    for x_m in DRIVEN_M:
+        T_world_body = pose_from_degrees((x_m, 0.0, float(road.z(x_m, 0.0))))
+        triangles = Scene((tiles,)).at(0.0, T_world_body)  # type: ignore[arg-type]
+        view = replace(plant.view, T_world_view=T_world_body @ plant.view.T_world_view)
+        exact = ExactSurfaces(face_source("raycast")).gbuffer(triangles, view)
+        T_world_lamp = T_world_body @ module.T_world_headlight
+        yield f"{x_m} m", measure(triangles, view, exact, surfaces.gbuffer(triangles, view), module.headlight, T_world_lamp, n)
+
+
+def worst(found: list[dict[str, Any]], way: str) -> Iterator[tuple[str, dict[str, float]]]:
+    """Of each kind of road the worst of its places and views, and the mean share of shadow and outlines."""
+    for kind in dict.fromkeys(each["kind"] for each in found):
+        figures = [each for each in found if each["kind"] == kind and each["way"] == way]
+        if figures:
+            means = {key: float(np.mean([each[key] for each in figures])) for key in ("in shadow", "outlines")}
+            yield kind, {**means, **{key: max(each[key] for each in figures) for key in ("leaked", "lost", "wrong", "leaked, outlines in")}}
+
+
+def table(found: list[dict[str, Any]], way: str) -> Table:
+    """A row a kind of road, in percent."""
+    columns = ("in shadow", "leaked", "lost", "wrong", "leaked, outlines in", "outlines")
+    shown = Table("road", *columns, title=f"worlds that {way}, %", box=None)
+    for column in shown.columns[1:]:
+        column.justify = "right"
+    for kind, figures in worst(found, way):
+        shown.add_row(kind, *(f"{100 * figures[key]:.{2 if key in ('in shadow', 'outlines') else 3}f}" for key in columns))
+    return shown
+
+
+def goals(found: list[dict[str, Any]]) -> list[Goal]:
+    def most(way: str, key: str) -> float:
+        return 100 * max(each[key] for each in found if each["way"] == way)
+
+    limits = (("stand", "leaked", 0.1), ("stand", "wrong", 0.5), ("move", "leaked", 1.0))
+    return [(f"{key} where worlds {way}, %", most(way, key), limit, False) for way, key, limit in limits]
+
+
+def main() -> None:
+    """Measure, show."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", type=Path, help="also write the results here")
+    parser.add_argument("--points", type=int, default=10_000, help="points a view (10000)")
+    parser.add_argument("--quick", action="store_true", help="two roads and 1,000 points, to see that it works")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    console, where = tables.console(), machine("torch", "embreex")
+    console.print(", ".join(f"{key} {value}" for key, value in where.items()), markup=False)
+    n = 1000 if arguments.quick else arguments.points
+    plant = Simulation.prepare(load("snowflake", ("camera.width_px=640", "camera.height_px=480", "camera.oversampling=1"))).world
+    found = [
+        {"road": name, "kind": kind, "way": way, "view": view, **figures}
+        for name, kind, road in roads(arguments.quick)
+        for way, of in (("stand", standing), ("move", moving))
+        for view, figures in of(road, plant, n)
+    ]
+    for way in ("stand", "move"):
+        console.print(table(found, way))
+    verdicts = judged(goals(found))
+    show_goals(console, verdicts)
+    if arguments.json:
+        arguments.json.write_text(json.dumps({"machine": where, "results": found, "goals": verdicts}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    on_one_thread("OMP_NUM_THREADS", "LP_NUM_THREADS")
+    main()
