@@ -12,7 +12,8 @@ from torch import Tensor
 
 from world.body import Body
 from world.errors import LuxloopError
-from world.triangles import Triangles
+from world.raycast import first_hits
+from world.triangles import Triangles, beside
 from world.view import View
 
 NEAR_M, FAR_M = 0.3, 1000.0  # 24 bits of depth between them: 0.7 mm at 60 m
@@ -49,7 +50,7 @@ class Rasteriser:
                 first_ids[node] = [((first + 1) >> shift) & 255 for shift in (0, 8, 16)]
         self._context.viewport_width, self._context.viewport_height = view.width, view.height
         rgb, _ = self._context.render(scene, pyrender.RenderFlags.SEG, first_ids)
-        return torch.from_numpy((rgb @ np.array([1, 1 << 8, 1 << 16])) - 1)
+        return _through_centres(triangles, view, torch.from_numpy((rgb @ np.array([1, 1 << 8, 1 << 16])) - 1))
 
     def _meshes_of(self, body: Body) -> list[Any]:
         if body not in self._meshes:
@@ -59,6 +60,14 @@ class Rasteriser:
                 sides.append(sides[0][:, ::-1])
             self._meshes[body] = [_pyrender_mesh(body.mesh.vertices, faces) for faces in sides]
         return self._meshes[body]
+
+
+def _through_centres(triangles: Triangles, view: View, face_ids: Tensor) -> Tensor:
+    """OpenGL snaps corners to 1/256 px or so: a ray finds the true face `[height, width]` where a pixel's centre lies beside its own."""
+    directions, found = view.rays().flatten(1), face_ids.flatten()
+    missed = beside(triangles, found, view.origin, directions)
+    found[missed] = first_hits(triangles, view.origin, directions[:, missed])
+    return found.view_as(face_ids)
 
 
 def _pyrender_mesh(vertices: np.ndarray, faces: np.ndarray) -> Any:

@@ -68,9 +68,28 @@ def intersect(triangles: Triangles, face_ids: Tensor, origin: Tensor, directions
 
     face_ids: `[N]` int64, -1 = none. origin: `[3]` m, common to all rays. directions: `[3, N]`, any length.
 
-    A rasteriser snaps corners to 1/256 px or so: a ray may pass its face by that much. There the plane is extended, which is right where
-    the neighbour has a similar slope; beyond a tenth of the face (seen edge-on, or tiny) the nearest point of the face counts.
+    A ray may pass its face by rounding. There the plane is extended, which is right where the neighbour has a similar slope; beyond a tenth
+    of the face (seen edge-on, or tiny) the nearest point of the face counts.
     """
+    for hits in _on_planes(triangles, face_ids, origin, directions):
+        beside = torch.nonzero(~(hits.barycentric.amin(0) >= -0.1))[:, 0]
+        if len(beside):
+            held = hits.barycentric[:, beside].nan_to_num(1.0, 1.0, 0.0).clamp(min=0.0)
+            hits.barycentric[:, beside] = held = held / held.sum(0)
+            along = directions[:, hits.pixels[beside]]
+            points = torch.einsum("im,mij->jm", held, hits.placed.corners[hits.faces[beside]] - origin)
+            hits.depth[beside] = (points * along).sum(0) / (along * along).sum(0)
+        yield hits
+
+
+def beside(triangles: Triangles, face_ids: Tensor, origin: Tensor, directions: Tensor) -> Tensor:
+    """Indices of the rays that pass beside their faces `[N]` by more than 1e-4 of them; parameters as of `intersect`."""
+    found = (hits.pixels[~(hits.barycentric.amin(0) >= -1e-4)] for hits in _on_planes(triangles, face_ids, origin, directions))
+    return torch.cat([face_ids.new_empty(0), *found])
+
+
+def _on_planes(triangles: Triangles, face_ids: Tensor, origin: Tensor, directions: Tensor) -> Iterator[Hits]:
+    """Rays on the planes of their faces, which may extend beyond these."""
     for first, placed in triangles.parts():
         pixels = torch.nonzero((face_ids >= first) & (face_ids < first + placed.n_faces))[:, 0]
         if not len(pixels):
@@ -80,8 +99,7 @@ def intersect(triangles: Triangles, face_ids: Tensor, origin: Tensor, directions
         seen[faces] = True
         # A direction d = sum_i w_i corner_i, corners relative to the origin, has w_i = d . edge_i / volume, edge_i being the cross product
         # of the two other corners: w_i are the barycentric coordinates times 1 / depth.
-        corners = placed.corners[seen] - origin
-        a, b, c = corners.unbind(1)
+        a, b, c = (placed.corners[seen] - origin).unbind(1)
         edges = torch.stack([torch.linalg.cross(b, c), torch.linalg.cross(c, a), torch.linalg.cross(a, b)], 1)
         volume = (a * edges[:, 0]).sum(-1)
         compact = (torch.cumsum(seen, 0) - 1)[faces]
@@ -89,15 +107,7 @@ def intersect(triangles: Triangles, face_ids: Tensor, origin: Tensor, directions
         d = directions[:, pixels]
         w = torch.stack([edges[:, i, 0] * d[0] + edges[:, i, 1] * d[1] + edges[:, i, 2] * d[2] for i in range(3)])
         total = w[0] + w[1] + w[2]
-        depth, barycentric = volume / total, w / total
-        beside = torch.nonzero(~(barycentric.amin(0) >= -0.1))[:, 0]
-        if len(beside):
-            held = barycentric[:, beside].nan_to_num(1.0, 1.0, 0.0).clamp(min=0.0)
-            barycentric[:, beside] = held = held / held.sum(0)
-            along = d[:, beside]
-            points = torch.einsum("im,mij->jm", held, corners[compact[beside]])
-            depth[beside] = (points * along).sum(0) / (along * along).sum(0)
-        yield Hits(placed, pixels, faces, depth, barycentric, volume < 0)
+        yield Hits(placed, pixels, faces, volume / total, w / total, volume < 0)
 
 
 def depths(triangles: Triangles, face_ids: Tensor, origin: Tensor, directions: Tensor) -> Tensor:
