@@ -1,7 +1,7 @@
 """How long a control step takes while the world moves, as a multiple of real time: `python benchmarks/driving.py`.
 
 Every step renders two views, for the on and the off frame. Beside the way in which worlds in motion are rendered stands the exact one of
-worlds that stand still, which intersects every ray, makes a finer shadow map and folds the light into a matrix. Both see the same steps in
+worlds that stand still, which intersects every ray and folds the light into a matrix. Both see the same steps in
 turn, with one thread, in process time: so it tells what one core does, however busy the machine is.
 """
 
@@ -78,7 +78,7 @@ def parts(simulation: Simulation, step: int) -> dict[str, float]:
     surfaces = plant.surfaces.gbuffer(triangles, view)
     found["G-buffer, one view"] = clock.lap()
     plant._transports(triangles, surfaces, vehicle.T_world_body)
-    found["shadow map and reach"] = clock.lap()
+    found["shadows and reach"] = clock.lap()
     return found
 
 

@@ -65,7 +65,7 @@ SCANS = {  # the parts in which something is to be seen, m
 }
 PLACES = 3  # along each scan, besides its middle
 DRIVEN_M = (0.0, 11.3, 23.9)  # where the car is that drives
-ABOVE_M, CELL_M = 1000.0, 0.02
+ABOVE_M, CELL_M = 300.0, 0.02
 
 
 def roads(quick: bool) -> Iterator[tuple[str, str, Road]]:

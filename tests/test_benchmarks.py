@@ -62,3 +62,14 @@ def test_the_benchmark_on_the_move_draws_best_for_what_is_true(tmp_path: Path) -
     # both are within half a row of the camera of the same place, which is 0.08 of the symbol
     assert found["true road and pose"] > max(found["luxloop"] - 0.08, found["open"])
     assert found["luxloop below open, worst step"] >= found["open"] - found["luxloop"]
+
+
+def test_the_benchmark_of_shadows_finds_them_where_they_are(tmp_path: Path) -> None:
+    file = tmp_path / "shadows.json"
+    command = [sys.executable, "benchmarks/shadows.py", "--quick", "--json", str(file)]
+    done = subprocess.run(command, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stderr
+    content = json.loads(file.read_text())
+    assert {each["way"] for each in content["results"]} == {"stand", "move"}
+    assert max(each["in shadow"] for each in content["results"]) > 0.05  # class E is in shadow, here and there
+    assert all(goal["passed"] for goal in content["goals"]), content["goals"]
