@@ -28,6 +28,7 @@ __all__ = [
     "Road",
     "RoadParams",
     "SpeedBump",
+    "Step",
 ]
 
 RoughnessClass = Literal["A", "B", "C", "D", "E"]
@@ -128,6 +129,22 @@ class Curb(RoadModel):
         return MeshGrid(y_lines_m=(self.y_m - self.ramp_m / 2, self.y_m + self.ramp_m / 2))
 
 
+class Step(RoadModel):
+    """A step across the whole road, beyond which it goes on level: a raised square, or a terrace below."""
+
+    kind: Literal["step"] = "step"
+    x_m: float = Field(default=12.0, ge=3.0, le=1000.0, description="distance of the middle of its face")
+    height_m: float = Field(default=0.2, ge=-0.5, le=0.5, description="height of the road beyond; negative: it drops")
+    ramp_m: float = Field(default=0.5, gt=0.0, le=5.0, description="length of the step's face along the road")
+
+    def z(self, x: ArrayLike, y: ArrayLike) -> Floats:
+        x, _ = _plane(x, y)
+        return self.height_m * np.clip((x - self.x_m) / self.ramp_m + 0.5, 0.0, 1.0)
+
+    def grid(self) -> MeshGrid:
+        return MeshGrid(x_lines_m=(self.x_m - self.ramp_m / 2, self.x_m + self.ramp_m / 2))
+
+
 class Pothole(RoadModel):
     """A round hole with a flat bottom and soft edges."""
 
@@ -214,6 +231,7 @@ RoadParams = Annotated[
     | Annotated[Bumps, Tag("bumps")]
     | Annotated[SpeedBump, Tag("speed_bump")]
     | Annotated[Curb, Tag("curb")]
+    | Annotated[Step, Tag("step")]
     | Annotated[Pothole, Tag("pothole")]
     | Annotated[Iso8608, Tag("iso8608")]
     | Annotated[Mixed, Tag("mixed")]

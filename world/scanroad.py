@@ -19,7 +19,7 @@ _REACH_M = 10.0
 
 
 class OpenCrgRoad(RoadModel):
-    """A measured road: one point of the scan lies under the symbol, the reference line there points ahead.
+    """A measured road: one point of the scan lies under the symbol, the reference line there points ahead or by a heading to the side.
 
     A scan that reaches under all four wheels is seen as the vehicle standing on it sees it; any other is levelled to its own mean plane.
     Where the scan ends, its border is continued and fades into the plane z = 0. NaN is filled outwards in each cross-section.
@@ -40,6 +40,9 @@ class OpenCrgRoad(RoadModel):
     at_y_m: float = Field(
         default=0.0, ge=-10_000, le=10_000, description="distance to the left of the vehicle's middle at which the place lies"
     )
+    heading_deg: float = Field(
+        default=0.0, ge=-360.0, le=360.0, description="direction that the vehicle looks in, from the scan's there, to the left positive"
+    )
     blend_m: float = Field(
         default=3.0, gt=0.0, le=10_000, description="length over which the border of the scan fades into the plane z = 0"
     )
@@ -52,8 +55,7 @@ class OpenCrgRoad(RoadModel):
         scan = _placed(self)
         crg = scan.surface.crg
         default = MeshGrid()
-        x_m = _overlap(default.x_m, scan.surface.u_start - scan.u + self.at_x_m, scan.surface.u_end - scan.u + self.at_x_m)
-        y_m = _overlap(default.y_m, crg.v[0] - self.v_m + self.at_y_m, crg.v[-1] - self.v_m + self.at_y_m)
+        x_m, y_m = (_overlap(*limits) for limits in zip((default.x_m, default.y_m), scan.extent(), strict=True))
         fine_along, fine_across = crg.u_step <= 0.02, np.diff(crg.v).min() <= 0.02
         # What is coarse across needs few columns, so that lengthwise detail can have them.
         spacing = (0.02 if fine_along else 0.03, 0.02 if fine_across else 0.06 if fine_along else 0.04)
@@ -74,6 +76,15 @@ class _Placed:
         weight = 1.0 - smoothstep(outside_m, 0.0, self.road.blend_m)
         return residual * (weight if self.standing else weight * ahead(x))
 
+    def extent(self) -> Floats:
+        """Least and greatest x and y `[2, 2]` in m of the scan, taken as straight."""
+        v = self.surface.crg.v
+        u, v = np.meshgrid([self.surface.u_start - self.u, self.surface.u_end - self.u], [v[0] - self.road.v_m, v[-1] - self.road.v_m])
+        heading = np.deg2rad(self.road.heading_deg)
+        x = self.road.at_x_m + np.cos(heading) * u + np.sin(heading) * v
+        y = self.road.at_y_m - np.sin(heading) * u + np.cos(heading) * v
+        return np.array([[x.min(), x.max()], [y.min(), y.max()]])
+
     def _residual(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
         """Height over the plane at the nearest grid coordinate of the scan, and the distance to that."""
         u, v = self.surface.uv(*self._file_from_scene(x, y))
@@ -85,7 +96,7 @@ class _Placed:
 
     def _frame(self) -> tuple[float, float, float, float]:
         x, y = self.surface.xy(self.u, self.road.v_m)
-        phi = float(self.surface.phi(self.u))
+        phi = float(self.surface.phi(self.u)) + np.deg2rad(self.road.heading_deg)
         return float(x), float(y), float(np.cos(phi)), float(np.sin(phi))
 
     def _file_from_scene(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
@@ -128,6 +139,6 @@ def _read(road: OpenCrgRoad, path: Path, changed_ns: int) -> _Placed:
     return _Placed(road, surface, u, np.zeros(3), False).levelled()
 
 
-def _overlap(default: tuple[float, float], low: float, high: float) -> tuple[float, float]:
-    low, high = max(default[0], float(low)), min(default[1], float(high))
+def _overlap(default: tuple[float, float], extent: Floats) -> tuple[float, float]:
+    low, high = max(default[0], float(extent[0])), min(default[1], float(extent[1]))
     return (low, high) if high - low > 1.0 else default

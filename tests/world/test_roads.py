@@ -11,10 +11,10 @@ from world.errors import LuxloopError
 from world.iso8608 import GEOMETRIC_MEAN_M3, density, roughness
 from world.opencrg import Crg, write_crg
 from world.roadmesh import GROWTH, SCENE_X_M, SCENE_Y_M, axis, road_mesh
-from world.roads import Bumps, Curb, Flat, Grade, Iso8608, Mixed, OpenCrgRoad, Pothole, Road, RoadParams, SpeedBump
+from world.roads import Bumps, Curb, Flat, Grade, Iso8608, Mixed, OpenCrgRoad, Pothole, Road, RoadParams, SpeedBump, Step
 from world.scanroad import WHEELS_M
 
-KINDS = [Flat(), Grade(), Bumps(), SpeedBump(), Curb(), Pothole(), Iso8608(), Mixed()]
+KINDS = [Flat(), Grade(), Bumps(), SpeedBump(), Curb(), Step(), Pothole(), Iso8608(), Mixed()]
 each_kind = pytest.mark.parametrize("road", KINDS, ids=lambda road: road.kind)
 
 
@@ -69,6 +69,7 @@ def test_heights_are_what_the_keys_say() -> None:
     bump = SpeedBump()
     np.testing.assert_allclose(bump.z([16.5, 16.75, 17.0, 17.5, 30.0], 3.0), [0.0, 0.04, 0.08, 0.0, 0.0], atol=1e-12)
     np.testing.assert_allclose(Curb().z(17.0, [0.484, 0.5, 0.516]), [0.0, 0.05, 0.10])
+    np.testing.assert_allclose(Step(x_m=12, height_m=-0.3, ramp_m=0.5).z([11.74, 12.0, 12.26, 60.0], 2.0), [0.0, -0.15, -0.3, -0.3])
     np.testing.assert_allclose(Pothole().z([17.0, 17.0, 17.5], [0.3, 0.8, 0.3]), [-0.06, 0.0, 0.0])
 
 
@@ -149,6 +150,19 @@ def test_a_place_of_the_scan_lies_under_the_symbol(tmp_path: Path) -> None:
     here, there = OpenCrgRoad(file=path, u_m=733.0), OpenCrgRoad(file=path, u_m=734.5, v_m=0.5, at_x_m=18.0, at_y_m=1.0)
     x, y = np.meshgrid(np.linspace(15, 20, 40), np.linspace(-0.9, 0.9, 20))
     np.testing.assert_allclose(there.z(x - 0.5, y + 0.5), here.z(x, y), atol=1e-9)
+
+
+def test_a_heading_turns_the_scan_about_its_place(tmp_path: Path) -> None:
+    path = str(scan(tmp_path / "short.crg"))
+    straight = OpenCrgRoad(file=path, u_m=736.0, v_m=0.3)
+    x, y = np.meshgrid(np.linspace(15, 19, 40), np.linspace(-1.0, 0.9, 20))
+    for heading_deg in (30.0, 180.0, -100.0):
+        turned = OpenCrgRoad(file=path, u_m=736.0, v_m=0.3, heading_deg=heading_deg)
+        cos, sin = np.cos(np.deg2rad(heading_deg)), np.sin(np.deg2rad(heading_deg))
+        ahead_m, left_m = x - 17, y
+        np.testing.assert_allclose(turned.z(x, y), straight.z(17 + cos * ahead_m - sin * left_m, sin * ahead_m + cos * left_m), atol=1e-9)
+    backwards = OpenCrgRoad(file=path, u_m=732.0, heading_deg=180.0).grid()  # 2 m of the scan lie ahead of its place, 8 m before it
+    np.testing.assert_allclose([backwards.x_m, backwards.y_m], [[9.0, 19.0], [-1.7, 1.7]])
 
 
 def test_a_long_scan_is_seen_from_its_wheels(tmp_path: Path) -> None:
