@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+import pyarrow as pa
 import torch
 
 from controllers.symbol import build_controller
@@ -13,6 +14,7 @@ from loop.overrides import Override
 from loop.recorder import row, table_of
 from loop.run import prepare
 from loop.scenario import Scenario, load, validate
+from loop.simulation import Simulation
 from loop.summary import AXES, column, overshoot_percent, settle_step
 
 OFFSET_M = 0.03  # by which the feed-forward's road is too high, and the one that luxloop believes in at a wrong start
@@ -115,24 +117,35 @@ def cases(seeds: int, quick: bool) -> Iterator[Case]:
 
 
 def trajectories(scenario: Mapping[str, Any], controllers: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """A job: what the judge says of each controller at each step, and when it settled.
-
-    All go through the same world step by step, so each view of it is rendered once, and their frames have the same noise.
-    """
+    """A job: what the judge says of each controller at each step, and when it settled."""
     torch.set_num_threads(1)  # wherever the job runs
-    own = {name: validate({**scenario, "controller": table}, str(scenario["name"])) for name, table in controllers.items()}
-    shared = prepare(next(iter(own.values())), "cpu")
-    runs = [replace(shared, scenario=each, controller=build_controller(each.controller, shared.observer)).run() for each in own.values()]
-    rows: dict[str, list[dict[str, Any]]] = {name: [] for name in own}
-    for results in zip(*runs, strict=True):
-        for name, result in zip(own, results, strict=True):
-            rows[name].append(row(result))
     found = {}
-    for name, table in ((name, table_of(each)) for name, each in rows.items()):
-        judged = {column_name: [_finite(value) for value in column(table, column_name)] for column_name in (*AXES, "iou")}
+    for name, table in side_by_side(*shared(scenario, controllers)).items():
+        judged = {column_name: [finite(value) for value in column(table, column_name)] for column_name in (*AXES, "iou")}
         found[name] = {"settle_step": settle_step(table), "overshoot_percent": overshoot_percent(table), **judged}
     return {"judged": found}
 
 
-def _finite(value: float) -> float | None:
+def shared(scenario: Mapping[str, Any], controllers: Mapping[str, Mapping[str, Any]]) -> tuple[Simulation, dict[str, Scenario]]:
+    """The world of a scenario, which is prepared once, and the scenario with each of the controllers."""
+    own = {name: validate({**scenario, "controller": table}, str(scenario["name"])) for name, table in controllers.items()}
+    return prepare(next(iter(own.values())), "cpu"), own
+
+
+def side_by_side(simulation: Simulation, own: Mapping[str, Scenario]) -> dict[str, pa.Table]:
+    """The steps of each controller as recordings have them.
+
+    All go through the same world step by step, so each view of it is rendered once, and their frames have the same noise.
+    """
+    observer = simulation.observer
+    runs = [replace(simulation, scenario=each, controller=build_controller(each.controller, observer)).run() for each in own.values()]
+    rows: dict[str, list[dict[str, Any]]] = {name: [] for name in own}
+    for results in zip(*runs, strict=True):
+        for name, result in zip(own, results, strict=True):
+            rows[name].append(row(result))
+    return {name: table_of(each) for name, each in rows.items()}
+
+
+def finite(value: float) -> float | None:
+    """To four digits, as JSON can hold it."""
     return round(float(value), 4) if math.isfinite(value) else None

@@ -35,9 +35,14 @@ class Appearance:
     length: Tensor
 
 
+def _step(axis: Tensor) -> Tensor:
+    """Distance of the pixels of an axis `[..., n]`, `[..., 1]`; zero where there are not two."""
+    return (axis[..., 1:2] - axis[..., :1]).sum(-1, keepdim=True)
+
+
 def _halves(axis: Tensor, split: Tensor) -> tuple[Tensor, Tensor]:
     """Share of each pixel before and after the split, by area, and first moment of each share: both `[..., 2, n]`."""
-    step = axis[..., 1:2] - axis[..., 0:1]
+    step = _step(axis)
     before = ((split[..., None] - axis) / step + 0.5).clamp(0, 1)
     after = 1 - before
     centres = torch.stack([axis - step * after / 2, axis + step * before / 2], -2)
@@ -47,7 +52,7 @@ def _halves(axis: Tensor, split: Tensor) -> tuple[Tensor, Tensor]:
 
 def area(image: Tensor, axes: Axes) -> Tensor:
     """Zeroth moment of a symbol image `[..., h, w]`, in units of the axes squared: `[...]`."""
-    pixel = (axes.u[..., 1] - axes.u[..., 0]) * (axes.v[..., 1] - axes.v[..., 0])
+    pixel = (_step(axes.u) * _step(axes.v))[..., 0]
     return image.sum((-2, -1)) * pixel.abs().to(image)
 
 

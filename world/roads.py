@@ -133,7 +133,7 @@ class Step(RoadModel):
     """A step across the whole road, beyond which it goes on level: a raised square, or a terrace below."""
 
     kind: Literal["step"] = "step"
-    x_m: float = Field(default=12.0, ge=3.0, le=1000.0, description="distance of the middle of its face")
+    x_m: float = Field(default=12.0, ge=3.0, le=10_000, description="distance of the middle of its face")
     height_m: float = Field(default=0.2, ge=-0.5, le=0.5, description="height of the road beyond; negative: it drops")
     ramp_m: float = Field(default=0.5, gt=0.0, le=5.0, description="length of the step's face along the road")
 

@@ -165,6 +165,13 @@ def test_an_empty_image_has_no_centre_and_does_not_spoil_the_batch() -> None:
     assert seen.centroids[1].isfinite().all()
 
 
+@pytest.mark.parametrize(("rows", "cols"), [(0, 0), (H, 0), (1, W), (H, 1)])
+def test_a_crop_of_less_than_two_pixels_has_no_centre(rows: int, cols: int) -> None:
+    """Of what a command that leaves the camera's image would show."""
+    seen = appearance(random_symbol()[:rows, :cols], Axes(AXES.u[:cols], AXES.v[:rows]))
+    assert seen.area == 0 and not seen.centroids.isfinite().all()
+
+
 def test_gradient_against_differences() -> None:
     image = (random_symbol()[18:38, 28:56] + 0.1).requires_grad_()
     axes = image_axes(20, 28, like=image)
