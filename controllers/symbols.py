@@ -3,6 +3,7 @@
 Everything that comes from a file is grey, white is light, and transparent parts are dark.
 """
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -80,9 +81,9 @@ def load(path: Path, rate_hz: float | None = None, repeat: bool = True) -> Symbo
 
     rate_hz: images a second; left out: a video's own, 25 for a folder. Raises LuxloopError for what cannot be read or is all black.
     """
-    if path.is_dir():
+    if os.path.isdir(path):
         return _lit(Frames(_sequence(path), rate_hz or FOLDER_HZ, repeat), path)
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise LuxloopError(
             f"symbol {path} does not exist: give the path of a picture, SVG, video or folder, or the name of a shipped symbol"
         )
@@ -95,7 +96,7 @@ def load(path: Path, rate_hz: float | None = None, repeat: bool = True) -> Symbo
 
 def load_still(path: Path) -> Tensor:
     """Image `[h, w]` in 0..1 of a picture or an SVG. Raises LuxloopError for what moves, and as `load` does."""
-    if path.is_dir() or path.suffix.lower() in VIDEOS:
+    if os.path.isdir(path) or path.suffix.lower() in VIDEOS:
         raise LuxloopError(f"symbol {path} moves, but a symbol under control stands still: give a picture or an SVG")
     return load(path).at(0.0)
 

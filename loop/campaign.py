@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -190,7 +191,7 @@ def _run(file: Path, params: CampaignParams, one: RunParams, allow_code: bool) -
         resolve_paths(each, file.parent)
     beside = file.parent / one.scenario
     try:
-        scenario = load_any(str(beside) if beside.is_file() else one.scenario, changes, allow_code=True)
+        scenario = load_any(str(beside) if os.path.isfile(beside) else one.scenario, changes, allow_code=True)
         if not allow_code:  # changes are out of a file, too
             refuse_code(scenario, one.scenario)
         return Run(one, scenario)

@@ -113,7 +113,7 @@ def lamp_files(name: str) -> Iterator[Path]:
     Raises LuxloopError where a description is broken.
     """
     path = Path(name)
-    if name in presets.NAMES or not path.is_file():
+    if name in presets.NAMES or not os.path.isfile(path):
         return
     yield path
     if path.suffix.lower() == ".toml":
@@ -146,7 +146,7 @@ def load_lamp(name: str | Path, side: Side = "left") -> Lamp:
     suffix = path.suffix.lower()
     known = (".npz", ".toml", *SUFFIXES)
     if suffix not in known:
-        hint = "give a file in it" if str(name) and path.is_dir() else did_you_mean(str(name), presets.NAMES)
+        hint = "give a file in it" if str(name) and os.path.isdir(path) else did_you_mean(str(name), presets.NAMES)
         raise LuxloopError(f"there is no lamp {str(name)!r}; {hint} (lamp files end in {', '.join(known)})")
     if not os.path.isfile(path):
         raise LuxloopError(f"lamp file {path} does not exist; check the path, or name one of {', '.join(presets.NAMES)}")

@@ -1,6 +1,7 @@
 """The scenarios and examples that come with luxloop, by name. Light to import, so that `luxloop list` answers at once."""
 
 import json
+import os
 import re
 from importlib.resources import files
 from pathlib import Path
@@ -57,9 +58,9 @@ def find(name: str) -> Path:
     known = shipped()
     if name in known:
         return known[name]
-    if path.is_file():
+    if os.path.isfile(path):
         return path
-    if path.is_dir():
+    if os.path.isdir(path):
         raise LuxloopError(f"{name} is a folder; give a scenario file in it, whose name ends in .toml")
     if path.suffix == ".toml":
         raise LuxloopError(f"scenario file {name} does not exist; check the path, or write one with `luxloop new {name}`")

@@ -1,6 +1,7 @@
 """Utilisations of a module's pixels from files, as other programs write them: one for all times, or a sequence."""
 
 import glob
+import os
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -54,7 +55,7 @@ def sequence_files(path: Path) -> list[Path]:
 
     Raises LuxloopError where there are none.
     """
-    if path.is_dir():
+    if os.path.isdir(path):
         files = sorted(file for file in path.iterdir() if file.suffix.lower() in READERS)
     elif glob.has_magic(str(path)):
         files = sorted(map(Path, glob.glob(str(path))))
@@ -106,7 +107,7 @@ def _on_grid(path: Path, given: Array, rows: int, columns: int) -> Array:
 
 
 def _video(path: Path) -> tuple[float, Iterable[Array]]:
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise LuxloopError(f"{path}: there is no such video; check the path")
     images, rate_hz = video(path, None)
     afford(f"{path}: its frames", 2 * BYTES_A_VALUE * images.numel(), "cut it to the part that shall be shown")

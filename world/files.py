@@ -16,9 +16,9 @@ BYTES_A_BYTE: Final = 8  # of a file while it is read: its bytes, its text, its 
 
 def content(path: Path) -> bytes:
     """All bytes of a regular file. Raises OSError for anything else, such as a device, and LuxloopError for one beyond the budget."""
-    if not path.is_file():
+    if not os.path.isfile(path):
         path.stat()  # raises for what is not there
-        raise OSError(errno.EINVAL, "it is a folder" if path.is_dir() else "it is no regular file")
+        raise OSError(errno.EINVAL, "it is a folder" if os.path.isdir(path) else "it is no regular file")
     afford(f"{path}: reading it", BYTES_A_BYTE * path.stat().st_size, "cut it down to the part that is needed")
     return path.read_bytes()
 
@@ -38,7 +38,7 @@ def reading(path: Path, otherwise: str, remedy: str) -> Iterator[None]:
 
 def files_at(path: Path) -> list[Path]:
     """All files of a folder in the order of their names, or the file itself; none where there is nothing."""
-    return [file for file in (sorted(path.iterdir()) if path.is_dir() else [path]) if file.is_file()]
+    return [file for file in (sorted(path.iterdir()) if os.path.isdir(path) else [path]) if os.path.isfile(file)]
 
 
 @contextmanager
@@ -47,7 +47,7 @@ def whole(path: Path) -> Iterator[Path]:
 
     Raises: LuxloopError where it cannot be written.
     """
-    if path.is_dir():
+    if os.path.isdir(path):
         raise LuxloopError(f"{path}: cannot be written, for it is a folder; name a file in it")
     part = part_of(path)
     try:

@@ -1,5 +1,6 @@
 """Objects that a scenario file may put into the scene: boxes, meshes from files, and what is made from a seed."""
 
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Literal, Self, cast
@@ -102,7 +103,7 @@ ObjectParams = Annotated[
 
 def _read_nodes(file: Path) -> Mapping[str, trimesh.Trimesh]:
     """The meshes of a file in its frame, by the names of its nodes."""
-    if not file.is_file():
+    if not os.path.isfile(file):
         raise LuxloopError(f"{file}: there is no such mesh file; correct the object's key 'file'")
     if file.suffix.lower() not in MESHES:  # archives and documents that trimesh reads as well may hold anything
         raise LuxloopError(f"{file}: meshes are {', '.join(MESHES)} files; export it as one of them")

@@ -1,5 +1,6 @@
 """What a lamp's description may name as the light of a module's pixels: a folder of files, a file, a table (T 5.2)."""
 
+import os
 import re
 from pathlib import Path
 from typing import Literal, Self
@@ -43,7 +44,7 @@ class FolderSource(Params):
 
     def pixels(self) -> PixelArray:
         """Read all files. Raises LuxloopError that names the folder, and the file that is missing, one too many or broken."""
-        if not self.path.is_dir():
+        if not os.path.isdir(self.path):
             raise LuxloopError(f"{self.path}: is no folder; give one that holds a photometric file for each pixel")
         files = sorted((path for path in self.path.iterdir() if path.suffix.lower() in SUFFIXES), key=_natural)
         files = self._in_order(files) if self.pattern is None else self._by_place(files, self.pattern)

@@ -1,5 +1,6 @@
 """A road from an OpenCRG scan, laid under the symbol."""
 
+import os
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -125,7 +126,7 @@ class _Placed:
 
 def _placed(road: OpenCrgRoad) -> _Placed:
     path = Path(road.file)
-    return _read(road, path, path.stat().st_mtime_ns if path.is_file() else 0)
+    return _read(road, path, path.stat().st_mtime_ns if os.path.isfile(path) else 0)
 
 
 @lru_cache(maxsize=8)

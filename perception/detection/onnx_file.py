@@ -1,7 +1,7 @@
 """ONNX files of the user's own, looked through before OpenCV, which trusts them, opens them."""
 
 import math
-from pathlib import Path
+import os
 from typing import TYPE_CHECKING
 
 import cv2
@@ -22,7 +22,7 @@ def opened(params: OnnxParams) -> cv2.dnn.Net:
     Raises LuxloopError where the file is missing, damaged, or none that OpenCV can read; where it has not one input and one output; and
     where the input is not of floating-point numbers, 1 x channels x height x width, as the parameters say.
     """
-    if not Path(params.file).is_file():
+    if not os.path.isfile(params.file):
         raise LuxloopError(f"detector.file: {params.file}: there is no such file; check the path")
     _check(_sound(params.file), params)
     try:

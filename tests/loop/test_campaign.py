@@ -206,3 +206,11 @@ def test_a_grid_beyond_all_reason_is_refused_before_its_runs_are_read(tmp_path: 
     file.write_text(f'scenarios = ["flat", "snowflake"]\nseeds = {list(range(60_000))}\n')
     with pytest.raises(LuxloopError, match="names 120,000 runs, more than 100,000; split it"):
         read(file)
+
+
+def test_a_name_that_no_file_can_have_is_refused_in_a_sentence(tmp_path: Path) -> None:
+    file = tmp_path / "c.toml"
+    for name in ("long " * 2000, "nul\\u0000"):
+        file.write_text(f'scenarios = ["{name}"]')
+        with pytest.raises(LuxloopError, match="there is no scenario"):
+            read(file)

@@ -1,6 +1,7 @@
 """Read OpenCRG files of all four data kinds."""
 
 import math
+import os
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -81,7 +82,7 @@ def _referenced(header: Header, depth: int) -> Crg:
     if depth == 0:
         raise CrgError(f"{header.path}: $ROAD_CRG_FILE refers to itself in a circle; name the file that has the data")
     target = header.path.parent / named
-    if not target.is_file():
+    if not os.path.isfile(target):
         raise CrgError(f"{header.path}: $ROAD_CRG_FILE names {named}, which is not at {target}; correct the path")
     return _read(target, depth - 1)
 

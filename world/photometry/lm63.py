@@ -3,6 +3,7 @@
 Numbers are read as tokens, since files break their lines as they like; what is odd but clear is read with a warning.
 """
 
+import os
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -89,7 +90,7 @@ def _tilt(tilt: str, numbers: Numbers, path: Path, warnings: list[str]) -> Tilt 
         return None
     if tilt != "INCLUDE":
         beside = path.parent / Path(tilt.replace("\\", "/")).name
-        if not beside.name or not beside.is_file():
+        if not beside.name or not os.path.isfile(beside):
             warnings.append(f"TILT file {tilt!r} is not beside it: lamp tilt factors are unknown")
             return None
         numbers = Numbers(beside, load(beside), 1)
