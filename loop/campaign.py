@@ -40,7 +40,7 @@ class RunParams(Params):
 class CampaignParams(Params):
     """A campaign: all combinations of scenarios, controllers, variants and seeds, and single runs beside them."""
 
-    scenarios: tuple[str, ...] = Field((), description="shipped names, or files beside this one")
+    scenarios: tuple[Annotated[str, Field(min_length=1)], ...] = Field((), description="shipped names, or files beside this one")
     controllers: tuple[str, ...] = Field((), description="controllers, with what a scenario says of them; left out: each scenario's own")
     seeds: tuple[Annotated[int, Field(ge=0, lt=2**63)], ...] = Field((0,), min_length=1, description="seeds of all noise")
     set: dict[str, Any] = Field({}, description="keys to change in every scenario, as a scenario file writes them")

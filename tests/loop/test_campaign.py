@@ -210,7 +210,7 @@ def test_a_grid_beyond_all_reason_is_refused_before_its_runs_are_read(tmp_path: 
 
 def test_a_name_that_no_file_can_have_is_refused_in_a_sentence(tmp_path: Path) -> None:
     file = tmp_path / "c.toml"
-    for name in ("long " * 2000, "nul\\u0000"):
+    for name, words in (("long " * 2000, "there is no scenario"), ("nul\\u0000", "there is no scenario"), ("", r"scenarios\[0\]")):
         file.write_text(f'scenarios = ["{name}"]')
-        with pytest.raises(LuxloopError, match="there is no scenario"):
+        with pytest.raises(LuxloopError, match=words):
             read(file)
