@@ -1,5 +1,6 @@
 """Objects that a scenario file may put into the scene: boxes, meshes from files, and what is made from a seed."""
 
+import io
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,6 +13,7 @@ from pydantic import Field, model_validator
 
 from world.body import Body, Part
 from world.errors import LuxloopError
+from world.files import content
 from world.materials import MATERIALS, MaterialName
 from world.tracked import TrackedParams
 from world.traffic.animal import AnimalParams
@@ -108,7 +110,9 @@ def _read_nodes(file: Path) -> Mapping[str, trimesh.Trimesh]:
     if file.suffix.lower() not in MESHES:  # archives and documents that trimesh reads as well may hold anything
         raise LuxloopError(f"{file}: meshes are {', '.join(MESHES)} files; export it as one of them")
     try:
-        found = trimesh.load_scene(file, split_objects=True).dump()
+        data = io.BytesIO(content(file))  # which gives no more bytes than there are, whatever the file declares
+        resolver = trimesh.resolvers.FilePathResolver(str(file))
+        found = trimesh.load_scene(data, file_type=file.suffix[1:].lower(), resolver=resolver, split_objects=True).dump()
     except Exception as error:  # trimesh's readers raise whatever their formats provoke
         raise LuxloopError(f"{file}: not readable as a mesh ({error}); export it again as .obj, .ply, .stl or .glb") from error
     meshes = [mesh for mesh in found if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
