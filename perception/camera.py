@@ -128,7 +128,8 @@ def luminance_of(dn: Tensor, params: CameraParams) -> Tensor:
 def noise_std(luminance: Tensor, params: CameraParams) -> Tensor:
     """Standard deviation in cd/m^2 of one frame's `luminance_of(expose(luminance))`, `[..., H, W]`: shot, read and quantisation noise.
 
-    Clamping, which makes it smaller near black and saturation, is left out; beyond saturation it is the value at saturation.
+    Clamping is left out, which makes it smaller within three standard deviations of black (there 0.58 of this) and of saturation; beyond
+    saturation it is the value at saturation.
     """
     electrons = (luminance * _electrons_per_luminance(params)).clamp_(0, params.saturation_e)
     width: float | Tensor = params.saturation_e / _levels(params)  # of a level, over which the rounding error is uniform

@@ -61,6 +61,17 @@ def test_noise_has_the_mean_and_variance_of_the_law(bits: int, gamma: float, ele
         assert std / PER_ELECTRON == pytest.approx(math.sqrt(electrons + 9), rel=1e-3)  # 12 bits add next to nothing
 
 
+@pytest.mark.parametrize(("electrons", "share", "brighter_dn"), [(0, 0.58, 3.3), (1, 0.73, 2.0), (2, 0.83, 1.2), (4, 0.93, 0.4), (8, 0.99, 0.0)])
+def test_near_black_frames_vary_less_and_are_brighter(electrons: int, share: float, brighter_dn: float) -> None:
+    """The table of docs/camera.md: there is no pedestal that would keep noise below zero."""
+    params = CameraParams()
+    luminance = torch.full((600, 600), electrons * PER_ELECTRON, dtype=torch.float64)
+    dn = expose(luminance, params, frame_generator(1, 0, 0))
+    # 360,000 samples: five standard errors of the deviation are 0.6 %, of the mean 0.1 DN; the table is rounded to half a digit more.
+    assert luminance_of(dn, params).std().item() == pytest.approx(share * noise_std(luminance, params)[0, 0].item(), rel=0.015)
+    assert dn.mean().item() - electrons / params.saturation_e * 4095 == pytest.approx(brighter_dn, abs=0.15)
+
+
 def test_noise_std_without_noise_is_a_uniform_level(device: torch.device) -> None:
     params = CameraParams(bits=8, noise=False)
     level = luminance_of(torch.tensor(1.0), params).item()
