@@ -7,7 +7,6 @@ import argparse
 import platform
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from datetime import date
 from pathlib import Path
 from statistics import median
@@ -21,7 +20,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
 from torch import Tensor  # noqa: E402
 
-from controllers.jpo import Jpo, JpoParams  # noqa: E402
+from controllers.jpo import Jpo  # noqa: E402
 from controllers.jpo_mae import least_error  # noqa: E402
 from controllers.jpo_part import Wanted, wanted  # noqa: E402
 from controllers.jpo_squares import least_squares  # noqa: E402
@@ -55,7 +54,6 @@ GOOD = {
 THIN = MrpcParams(a_x=0.95, a_ac=0.4, corrections=3)  # for the arms of a snowflake, which more a_ac would leave out
 START = "SSC, a_m = a_r = 1"
 BUDGETS = (10, 20, 34, 40, 100)
-PACES_M = (0.01, 0.05)  # of the moving symbol, a step
 T_LAMP = pose_from_degrees((0.0, 0.0, 0.75))
 
 Row = tuple[str, list[float], list[float]]  # a method, its error and its cost in ms of each rectangle
@@ -141,31 +139,6 @@ def on_a_wall(y_m: float, symbol: Tensor) -> Primitives:
     return rectangle(origin, d1, d2, 8000.0, "I_v", normal=torch.tensor([-1.0, 0.0, 0.0]), symbol=symbol)
 
 
-def moving(steps: int) -> str:
-    """A snowflake that moves over a wall: errors of the last half of the steps over those at convergence."""
-    light = lamp("ssl-hd-lores").modules[0].headlight
-    symbol = load_still(symbol_path("snowflake"))
-    reference = Jpo.prepare(light)
-    half = slice(steps // 2, None)
-    lines = ["| cm a step | iterations a step | each step from SSC | from the last step |", "| ---: | ---: | ---: | ---: |"]
-    for pace_m in PACES_M:
-        places = [on_a_wall(pace_m * (step - steps / 2), symbol) for step in range(steps)]
-        goals = [reference.goal(place, T_LAMP) for place in places]
-        best = np.array([float(least_error(light.matrix, goal).error) for goal in goals[half]])
-        for budget in (5, 10, 20, 40):
-            jpo = replace(reference, params=JpoParams(iterations=budget))
-            state = jpo.start()
-            warm: list[float] = []
-            cold: list[float] = []
-            for place, goal in zip(places, goals, strict=True):
-                state, seen = jpo.step(state, place, T_LAMP)
-                for errors, u in ((warm, seen.u), (cold, jpo.utilisation(place, T_LAMP).u)):
-                    errors.append(float((multiply(light.matrix, u) - goal.target).abs().sum()))
-            ratios = " | ".join(f"{np.mean(np.array(errors[half]) / best):.3f}" for errors in (cold, warm))
-            lines.append(f"| {100 * pace_m:.0f} | {budget} | {ratios} |")
-    return "\n".join(lines)
-
-
 def picture(file: Path) -> str:
     """The snowflake of SSC and of joint optimisation, light above and pixels below (T fig. 8.1); returns their errors in words."""
     light = lamp("ssl-hd-lores").modules[0].headlight
@@ -202,12 +175,11 @@ def picture(file: Path) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="three rectangles and four steps, to see that it works")
+    parser.add_argument("--quick", action="store_true", help="three rectangles, to see that it works")
     parser.add_argument("--page", nargs="?", type=Path, const=DOCS, help="write jpo.md and its picture into a folder (docs)")
     chosen = parser.parse_args(arguments)
     began = time.monotonic()
     tables = {name.replace("-", "_"): report(name, 405 if chosen.quick else EVERY) for name in LAMPS}
-    tables["moving"] = moving(4 if chosen.quick else 24)
     for table in tables.values():
         print(table, end="\n\n")
     if chosen.page:

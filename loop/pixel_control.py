@@ -22,7 +22,7 @@ def pixel_controller(scenario: WorldScenario, headlight: Headlight, default: Ten
         case "ssc":
             return Ssc.prepare(headlight, scenario.ssc, default)
         case "jpo":
-            return Jpo(Ssc.prepare(headlight, scenario.ssc, default), scenario.jpo)
+            return Jpo.prepare(headlight, scenario.jpo, default, scenario.ssc)
         case name:
             own = _own(Name(name), headlight)
             return own if default is None else own.over(default)

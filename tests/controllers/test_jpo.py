@@ -1,13 +1,14 @@
-"""Joint pixel optimisation behind the protocol of pixel controllers: from primitives to pixels, step by step."""
+"""Joint pixel optimisation behind the protocol of pixel controllers: from primitives to pixels."""
 
-import itertools
 from dataclasses import replace
 
 import pytest
 import torch
+from torch import Tensor
 
 from controllers.jpo import Jpo, JpoParams
 from controllers.primitives import Primitives, concatenate, rectangle
+from controllers.secondary import Light, SecondaryRays
 from controllers.ssc import Ssc
 from perception.metrics import mae, rmse
 from world.frames import pose_from_degrees
@@ -87,23 +88,6 @@ def test_nothing_in_sight_leaves_the_default(hd84: Headlight, there_is: bool) ->
         torch.testing.assert_close(controller.utilisation(batch, T_LAMP).u, default.expand(2, -1), rtol=0, atol=1e-5)
 
 
-@pytest.mark.parametrize("objective", ["mae", "least_squares"])
-def test_steps_go_on_where_the_last_one_ended(hd84: Headlight, objective: str) -> None:
-    """A scene at rest is solved a few iterations a step."""
-    jpo = Jpo.prepare(hd84, JpoParams(objective=objective, iterations=10))
-    primitives = on_a_wall()
-    texture = jpo.goal(primitives, T_LAMP).target.unflatten(-1, (hd84.rows, hd84.cols))
-    state, error = jpo.start(), mae if objective == "mae" else rmse
-    errors = []
-    for _ in range(25):
-        state, seen = jpo.step(state, primitives, T_LAMP)
-        assert (seen.u == state.u).all()
-        errors.append(float(error(hd84.light_texture(seen.u), texture)))
-    many = Jpo.prepare(hd84, JpoParams(objective=objective, iterations=1000)).utilisation(primitives, T_LAMP).u
-    assert all(later <= earlier + 1e-6 for earlier, later in itertools.pairwise(errors))
-    assert errors[-1] == pytest.approx(float(error(hd84.light_texture(many), texture)), rel=2e-3)
-
-
 def test_a_batch_of_scenes_gives_what_each_gives(hd84: Headlight, device: torch.device) -> None:
     jpo = Jpo.prepare(hd84.to(device), JpoParams(iterations=400))
     places = [2.0, -1.0]
@@ -120,11 +104,31 @@ def test_a_batch_of_scenes_gives_what_each_gives(hd84: Headlight, device: torch.
         weight=one.weight.expand(2, 1),
     ).to(device)
     both = jpo.utilisation(batch, T_LAMP).u
-    state, stepped = jpo.step(jpo.start(), batch, T_LAMP)
-    assert stepped.u.shape == state.u.shape == (2, 84)
+    assert both.shape == (2, 84)
     for k, u in enumerate(alone):
         goal = jpo.goal(on_a_wall(places[k]).to(device), T_LAMP)
-        errors = [(multiply(jpo.headlight.matrix, each) - goal.target).abs().sum() for each in (u, both[k], stepped.u[k])]
+        errors = [(multiply(jpo.headlight.matrix, each) - goal.target).abs().sum() for each in (u, both[k])]
         # An optimum is not unique, its error is.
         torch.testing.assert_close(errors[1], errors[0], rtol=2e-3, atol=0)
-        torch.testing.assert_close(errors[2], errors[0], rtol=2e-3, atol=0)
+
+
+def test_over_another_beam_it_is_as_if_prepared_for_it(hd84: Headlight) -> None:
+    beam = torch.rand(84, generator=torch.Generator().manual_seed(2))
+    moved, anew = Jpo.prepare(hd84).over(beam), Jpo.prepare(hd84, default=beam)
+    assert torch.equal(moved.full, anew.full)
+    primitives = concatenate(on_a_wall(2.5, 0.4, "u_abs"), on_a_wall(-2.5, 1.5, "u_rel"))
+    assert torch.equal(moved.utilisation(primitives, T_LAMP).u, anew.utilisation(primitives, T_LAMP).u)
+
+
+def test_rays_are_cast_once(hd84: Headlight) -> None:
+    """And ask what they hit once: SSC starts from the same setpoints as the optimisation."""
+    asked = []
+
+    def occluded(points: Tensor, target: Tensor) -> Tensor:
+        asked.append(points.shape[-1])
+        return torch.zeros(points.shape[-1], dtype=torch.bool)
+
+    secondary = SecondaryRays((("left", Light.of(hd84, T_LAMP)),), 0, occluded=occluded)
+    for controller in (Ssc.prepare(hd84), Jpo.prepare(hd84, JpoParams(iterations=1))):
+        controller.utilisation(on_a_wall(), T_LAMP, secondary)
+    assert len(asked) == 2

@@ -61,7 +61,9 @@ def test_noise_has_the_mean_and_variance_of_the_law(bits: int, gamma: float, ele
         assert std / PER_ELECTRON == pytest.approx(math.sqrt(electrons + 9), rel=1e-3)  # 12 bits add next to nothing
 
 
-@pytest.mark.parametrize(("electrons", "share", "brighter_dn"), [(0, 0.58, 3.3), (1, 0.73, 2.0), (2, 0.83, 1.2), (4, 0.93, 0.4), (8, 0.99, 0.0)])
+@pytest.mark.parametrize(
+    ("electrons", "share", "brighter_dn"), [(0, 0.58, 3.3), (1, 0.73, 2.0), (2, 0.83, 1.2), (4, 0.93, 0.4), (8, 0.99, 0.0)]
+)
 def test_near_black_frames_vary_less_and_are_brighter(electrons: int, share: float, brighter_dn: float) -> None:
     """The table of docs/camera.md: there is no pedestal that would keep noise below zero."""
     params = CameraParams()
