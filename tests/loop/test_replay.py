@@ -2,8 +2,11 @@
 
 import csv
 import json
+import os
 import re
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +55,16 @@ def edit(file: Path, **changes: Any) -> None:
 def changed(table: pa.Table, name: str, values: Any) -> pa.Table:
     index = table.column_names.index(name)
     return table.set_column(index, SCHEMA.field(name), pa.array(values, SCHEMA.field(name).type, from_pandas=True))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["driving", "obl"])
+def test_a_replay_with_two_threads_is_within_the_tolerances(name: str, tmp_path: Path) -> None:
+    """What docs/recordings.md says of the two scenarios whose bits depend on threads."""
+    for threads, command in (("1", ["run", name, "--steps", "2", "--no-video", "--out", str(tmp_path)]), ("2", ["replay", str(tmp_path)])):
+        environment = {**os.environ, "OMP_NUM_THREADS": threads}
+        done = subprocess.run([sys.executable, "-m", "loop.cli", *command], env=environment, capture_output=True, text=True)
+        assert done.returncode == 0, done.stdout + done.stderr
 
 
 def test_replay_of_an_untouched_recording_agrees(recorded: Path, small_results: list[StepResult]) -> None:
