@@ -36,7 +36,7 @@ def shared_folder(folder: Path, journal: Path, mend: Callable[[], None]) -> Iter
     Raises LuxloopError where a process has the folder for itself, or it cannot be made.
     """
     with _opened(folder) as descriptor:
-        if not _locked(descriptor, fcntl.LOCK_SH):  # before a journal is made in it
+        if not _locked(descriptor, fcntl.LOCK_SH) and not journal.exists():  # before one is made in the folder of something else
             raise _in_use(folder)
         fcntl.flock(descriptor, fcntl.LOCK_UN)  # those who wait for their turn are not at work
         with turn(journal):
