@@ -86,7 +86,10 @@ def _prepare(scenario: Scenario, device: str) -> Simulation:
             raise LuxloopError(
                 f"{where} is nowhere brighter than the {scenario.headlight.beam} beam; raise symbol.value, or name a dimmer beam"
             )
-        raise LuxloopError(f"{where} is out of the lamps' reach; move it, or let another lamp draw it")
+        raise LuxloopError(
+            f"{where} is out of the lamps' reach, or the symbol is too small for their pixels ({_pixels_there(simulation)}); move it, "
+            "draw it larger, or let another lamp draw it"
+        )
     gains = simulation.observer.model.gains
     if not (gains.isfinite() & (gains != 0)).all():
         raise LuxloopError(
@@ -117,8 +120,8 @@ def _pixels_there(simulation: Simulation) -> str:
     width_deg = math.degrees(2 * math.atan2(0.5 * symbol.width_m, distance))
     length_deg = math.degrees(math.atan2(height, distance - half) - math.atan2(height, distance + half))
     return (
-        f"a pixel of {module.name} spans about {across:.2g} x {down:.2g} deg across and down, and the symbol "
-        f"{width_deg:.2g} x {length_deg:.2g} deg seen from the lamp"
+        f"a pixel of {module.name} spans about {across:.3g} x {down:.3g} deg across and down, and the symbol "
+        f"{width_deg:.3g} x {length_deg:.3g} deg seen from the lamp"
     )
 
 

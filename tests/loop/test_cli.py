@@ -188,7 +188,7 @@ def test_did_you_mean(lux: Lux, arguments: str, named: str) -> None:
         ("run small.toml --set camera.yaw_deg=90", ["symbol.x_m = 17", "camera's sight"]),
         ("run small.toml --set symbol.y_m=-9 camera.yaw_deg=-26", ["symbol.y_m = -9", "lamps' reach"]),
         ("run small.toml --set headlight.intensity_cd=1", ["noise", "headlight.intensity_cd"]),
-        ("check small.toml --set headlight.model=hd84", ["noise", "left matrix", "1.7 x 4.4 deg", "200 x 400 cm", "finer pixels"]),
+        ("check small.toml --set headlight.model=hd84", ["noise", "left matrix", "6.73 x 0.6", "finer pixels"]),
         ("check small.toml --set a=1", ["a: unknown key"]),
         ("check mesh.toml", ["none.obj"]),
         ("replay .", ["no recording", "luxloop run"]),
