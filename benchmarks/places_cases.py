@@ -23,17 +23,18 @@ GRADES_PERCENT = (-3, -2, -1, 1, 2, 3, 4)  # from 3 m on, seen at once from the 
 BEGINS_M = (3.0, 8.0, 13.0)
 CURVED_M = 60.0  # length of a crest or sag, unless it gets too steep before
 PLACES = 16  # of each scan
-# Where on a scan: along it from and to, and how far to its sides, in m; so that the vehicle stands on it if it is long enough for that.
+# Where on a scan: along it from and to, and how far to its sides, in m. Long ones begin and end with level stretches, which are left out.
 SCANS = {
     "belgian_block": ((732.0, 738.0), 0.7),
-    "halfround_4in": ((25.0, 75.0), 2.0),
-    "Horstwalde": ((25.0, 225.0), 1.2),
-    "detrended_rms_course_1in": ((25.0, 480.0), 2.0),
+    "halfround_4in": ((44.0, 56.0), 2.0),
+    "Horstwalde": ((85.0, 165.0), 1.2),
+    "detrended_rms_course_1in": ((100.0, 415.0), 2.0),
 }
 HEADING_DEG = 5.0  # to either side, in either direction of the scan
 
 SYMBOLS = ("snowflake", "chevrons", "warning_triangle", "distance_warning")
-TARGETS_M = ((12.0, 0.0), (17.0, 0.0), (25.0, 0.0), (17.0, 1.5), (17.0, -1.5))
+# The lamp's field ends 3.5 degrees down, which is 12.3 m ahead on a flat road: at 14.5 m the whole symbol of 4 m is in it.
+TARGETS_M = ((14.5, 0.0), (17.0, 0.0), (25.0, 0.0), (17.0, 1.5), (17.0, -1.5))
 AT_TARGET = {"x_m": 17.0, "y_m": 0.0, "roll_deg": 0.0, "pitch_deg": 0.0}
 PERIPHERIES = ((13.8 / 17, -1.4), (20.5 / 17, -2.0), (14.2 / 17, 1.6), (21.0 / 17, 2.6))  # x as a multiple of the target's, y from it in m
 LATENCIES = (0, 1, 2, 3)
@@ -94,7 +95,7 @@ def _roads(generator: np.random.Generator) -> Iterator[tuple[str, str, Road]]:
         percent = sign * min(20.0, 100 * CURVED_M / radius)
         road = _grade(percent, 0.0, start) | {"curve_m": abs(percent) / 100 * radius}
         yield "crest or sag", f"{'sag' if sign > 0 else 'crest'} of {radius:g} m from {start:g} m on", road
-    for percent in generator.uniform(-6, 6, 16).round(1).tolist():
+    for percent in np.linspace(-6, 6, 16).round(1).tolist():
         yield "cross-fall", f"cross-fall {percent:+g} %", _grade(0.0, percent, 3.0)
     for height in np.linspace(-0.5, 0.5, 24).round(2).tolist():
         x, ramp = round(generator.uniform(6, 22), 1), round(float(np.exp(generator.uniform(np.log(0.1), np.log(3)))), 2)

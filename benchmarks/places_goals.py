@@ -13,6 +13,7 @@ from loop.summary import AXES
 
 VISIBLE = 0.8  # share of the target's cells that lamp and camera allow at least where goals hold
 LOOKS = 3  # after the first frame, within which a symbol is found
+NOTHING = 0.05  # IoU of a symbol that nobody recognises
 Row = dict[str, Any]
 
 
@@ -101,6 +102,7 @@ GOALS = (
 )
 # What becomes of the symbol where less of it can be seen; the first that is true counts.
 OUTCOMES = {
+    "nothing, nor has the bound": lambda r: r["iou_bound"] < NOTHING,
     "as good as for the true road": lambda r: r["iou"] >= 0.95 * max(r["iou_feedforward"], r["iou_bound"]),
     "better than the open loop": lambda r: r["below_open"] < -0.02,
     "as the open loop": lambda r: r["below_open"] <= 0.02,
