@@ -37,7 +37,13 @@ def machine(*packages: str) -> dict[str, str]:
 def judged(goals: Iterable[Goal]) -> list[dict[str, Any]]:
     """Goals as they are written to files; what was not measured is neither passed nor missed."""
     return [
-        {"goal": name, "value": value, "limit": limit, "at_least": least, "passed": value and (value >= limit if least else value <= limit)}
+        {
+            "goal": name,
+            "value": value,
+            "limit": limit,
+            "at_least": least,
+            "passed": None if value is None else (value >= limit if least else value <= limit),
+        }
         for name, value, limit, least in goals
     ]
 

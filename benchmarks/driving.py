@@ -1,8 +1,8 @@
 """How long a control step takes while the world moves, as a multiple of real time: `python benchmarks/driving.py`.
 
-Every step renders two views, for the on and the off frame. Beside the way in which worlds in motion are rendered stands the exact one of
-worlds that stand still, which intersects every ray and folds the light into a matrix. Both see the same steps in
-turn, with one thread, in process time: so it tells what one core does, however busy the machine is.
+Every step renders two views, for the on and the off frame, and lights that of the on frame. Beside the way in which worlds in motion are
+rendered stands the exact one of worlds that stand still, which intersects every ray and folds the light into a matrix. Both see the same
+steps in turn, with one thread, in process time: so it tells what one core does, however busy the machine is.
 """
 
 import argparse
@@ -24,7 +24,8 @@ from step import machine
 from loop import tables
 from loop.plant import SimulatedPlant
 from loop.scenario import load
-from loop.simulation import Simulation, SimulationState
+from loop.simulation import Simulation, SimulationState, StepResult
+from world.illumination import added_light
 from world.surfaces import ExactSurfaces, QuickSurfaces
 
 BOX = '{ kind = "box", name = "box", size_m = [1, 1, 1], track = [{ position_m = [20, 2, 0] }, { time_s = 2, position_m = [20, -2, 0] }] }'
@@ -64,21 +65,29 @@ def rendered(plant: SimulatedPlant, step: int) -> float:
     return clock.lap()
 
 
-def parts(simulation: Simulation, step: int) -> dict[str, float]:
+def lit(plant: SimulatedPlant, result: StepResult) -> float:
+    """ms to light a step's on view once: where worlds move, this casts the rays of shadows."""
+    clock = Clock()
+    plant.lit(result.time_s).luminance(result.lights)
+    return clock.lap()
+
+
+def parts(simulation: Simulation, result: StepResult) -> dict[str, float]:
     """ms of what the two views consist of."""
     plant, found = simulation.world, {}
     assert isinstance(plant.surfaces, QuickSurfaces), "there is no OpenGL here, so that nothing is rendered the quick way"
-    vehicle = plant.motion.at(step * plant.period_s)
+    vehicle = plant.motion.at(result.time_s)
     view = replace(plant.view, T_world_view=vehicle.T_world_body @ plant.view.T_world_view)
     samples = plant.camera.oversampling
     view = replace(view, height=view.height * samples, fy=view.fy * samples, cy=view.cy * samples)
     clock = Clock()
-    triangles = plant.scene.at(step * plant.period_s, vehicle.T_world_ground)
+    triangles = plant.scene.at(result.time_s, vehicle.T_world_ground)
     found["tiles"] = clock.lap()
     surfaces = plant.surfaces.gbuffer(triangles, view)
     found["G-buffer, one view"] = clock.lap()
-    plant._transports(triangles, surfaces, vehicle.T_world_body)
-    found["shadows and reach"] = clock.lap()
+    transports = plant._transports(triangles, surfaces, vehicle.T_world_body)
+    added_light(transports, result.lights, torch.zeros(plant.view.height, plant.view.width))
+    found["light and shadows"] = clock.lap()
     return found
 
 
@@ -91,13 +100,14 @@ def measure(name: str, overrides: tuple[str, ...], steps: int) -> dict[str, Any]
     shares: list[dict[str, float]] = []
     for step in range(steps + 1):
         clock = Clock()
-        laps["quick"].append(rendered(simulation.world, step))
+        views = rendered(simulation.world, step)
         following, result = simulation.step(state)
         whole = clock.lap()
         simulation.judge(result.lights, result.time_s)
         laps["step"].append(whole - clock.lap())
-        laps["exact"].append(rendered(exact, step))
-        shares.append(parts(simulation, step))
+        laps["quick"].append(views + lit(simulation.world, result))
+        laps["exact"].append(rendered(exact, step) + lit(exact, result))
+        shares.append(parts(simulation, result))
         state = following
     camera = simulation.scenario.camera
     ms = {key: median(lap[1:]) for key, lap in laps.items()}

@@ -151,9 +151,10 @@ class SimulatedPlant:
         for module in self.modules:
             headlight = module.headlight
             T_world_headlight = T_world_body.to(module.T_world_headlight) @ module.T_world_headlight
-            reached = reach(surfaces, headlight, T_world_headlight, triangles)
-            fold = DirectTransport.of if self.moving else transport
-            folded.append(fold(reached, headlight, width, samples))
+            if self.moving:
+                folded.append(DirectTransport.of(surfaces, headlight, T_world_headlight, triangles, width, samples))
+            else:
+                folded.append(transport(reach(surfaces, headlight, T_world_headlight, triangles), headlight, width, samples))
         return tuple(folded)
 
     def exposed(self, luminance: Tensor, base: Tensor, step: int, frame: int) -> Tensor:

@@ -139,27 +139,39 @@ def transport(surface: LitSurface, headlight: Headlight, width: int, oversamplin
 class DirectTransport:
     """The same without a matrix: the light texture is made and sampled each time, which pays where every view is lit a few times only.
 
-    surface: M samples. index: `[M]` int64, flat image index of the camera pixel that takes the mean of `oversampling` samples.
+    surface: M samples, those in shadow included. position: `[3, M]` m, where they are. index: `[M]` int64, flat image index of the camera
+    pixel that takes the mean of `oversampling` samples. triangles: what throws shadows in the light from `lamp_m` `[3]`.
     """
 
     surface: LitSurface
-    headlight: Headlight
+    position: Tensor
     index: Tensor
     oversampling: int
+    headlight: Headlight
+    lamp_m: Tensor
+    triangles: Triangles
 
     @classmethod
-    def of(cls, surface: LitSurface, headlight: Headlight, width: int, oversampling: int = 1) -> "DirectTransport":
-        """Parameters as of `transport`."""
-        return cls(surface, headlight, _camera_pixel(surface.index, width, oversampling), oversampling)
+    def of(
+        cls, gbuffer: GBuffer, headlight: Headlight, T_world_headlight: Tensor, triangles: Triangles, width: int, oversampling: int = 1
+    ) -> "DirectTransport":
+        """Parameters as of `reach` and `transport`."""
+        surface = reach(gbuffer, headlight, T_world_headlight)
+        position, index = gbuffer.position.flatten(1)[:, surface.index], _camera_pixel(surface.index, width, oversampling)
+        return cls(surface, position, index, oversampling, headlight, T_world_headlight[:3, 3], triangles)
 
     def luminance(self, utilisation: Tensor, band: slice | None = None) -> tuple[Tensor, Tensor]:
-        """Luminance `[..., M]` in cd/m^2 that each sample adds to the camera pixel at flat image index `[M]`, the same for several samples.
+        """Luminance `[..., m]` in cd/m^2 that lit samples add to the camera pixel at flat image index `[m]`, equal for several samples.
 
-        utilisation: `[..., n_p]`. band: nothing is lit if it is empty; else it changes nothing.
+        utilisation: `[..., n_p]`. band: nothing is lit if it is empty; else it changes nothing. Rays of shadows are cast only to samples
+        that the light texture lights, so pixellights at zero have no gradient.
         """
         if band is not None and band.stop <= band.start:
             return utilisation.new_zeros(*utilisation.shape[:-1], 0), self.index[:0]
-        return luminance(self.surface, self.headlight.light_texture(utilisation)) / self.oversampling, self.index
+        unshadowed = luminance(self.surface, self.headlight.light_texture(utilisation)) / self.oversampling
+        lit = torch.nonzero(unshadowed.view(-1, len(self.index)).any(0))[:, 0]
+        lit = lit[sees(self.triangles, self.lamp_m, self.position[:, lit])]
+        return unshadowed[..., lit], self.index[lit]
 
 
 def _camera_pixel(index: Tensor, width: int, oversampling: int) -> Tensor:

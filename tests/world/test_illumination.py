@@ -294,13 +294,30 @@ def test_the_assumed_road_is_empty_above_the_horizon() -> None:
 @pytest.mark.parametrize("oversampling", [1, 3])
 def test_the_direct_way_gives_what_the_matrix_gives(device, oversampling):
     view = camera(oversampling=oversampling)
-    surface = reach(flat_road(view, 0.2).to(device), LAMP, T_LEFT.to(device))
-    headlight = LAMP.to(device)
+    road, T_world_lamp, headlight = flat_road(view, 0.2).to(device), T_LEFT.to(device), LAMP.to(device)
+    box = Body("box", trimesh.creation.box(bounds=[[8, 0.1, 0], [9, 1.1, 0.5]]))
+    triangles = Scene((box,)).at(0.0)
     u = torch.rand(3, headlight.n_pixels, generator=torch.Generator().manual_seed(1)).to(device)
+    u[:, : headlight.n_pixels // 2] = 0
     base = torch.zeros(90, 160, device=device)
-    folded = added_light([transport(surface, headlight, view.width, oversampling)], [Light(u)], base)
-    direct = added_light([DirectTransport.of(surface, headlight, view.width, oversampling)], [Light(u)], base)
-    assert folded.max() > 0
-    assert torch.allclose(direct, folded, rtol=1e-5, atol=1e-6 * float(folded.max()))  # sums of float32 in another order
-    dark = DirectTransport.of(surface, headlight, view.width, oversampling).luminance(torch.zeros_like(u), slice(0, 0))
+    lit = reach(road, headlight, T_world_lamp, triangles)
+    direct = DirectTransport.of(road, headlight, T_world_lamp, triangles, view.width, oversampling)
+    expected = added_light([transport(lit, headlight, view.width, oversampling)], [Light(u)], base)
+    image = added_light([direct], [Light(u)], base)
+    assert len(lit.index) < len(direct.index), "nothing is in shadow"
+    assert expected.max() > 0
+    assert torch.allclose(image, expected, rtol=1e-5, atol=1e-6 * float(expected.max()))  # sums of float32 in another order
+    dark = direct.luminance(torch.zeros_like(u), slice(0, 0))
     assert dark[0].shape == (3, 0) and len(dark[1]) == 0
+
+
+def test_the_direct_way_gives_the_lit_samples_of_the_plain_path_to_the_bit():
+    view, triangles = camera(), Scene(()).at(0.0)
+    direct = DirectTransport.of(flat_road(view, 0.2), LAMP, T_LEFT, triangles, view.width)
+    u = torch.zeros(LAMP.n_pixels)
+    u[330] = 1
+    light, index = direct.luminance(u)
+    plain = luminance(direct.surface, LAMP.light_texture(u))
+    assert torch.equal(direct.index[plain > 0], index)
+    assert torch.equal(light, plain[plain > 0])
+    assert 0 < len(index) < len(direct.index) / 10, "what is dark costs no ray"
