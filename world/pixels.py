@@ -21,7 +21,8 @@ CUTOFF = 1e-4  # share of a pixel's peak below which its light is left out: fewe
 MOST_TEXELS = 2048  # along a side, unless a user wants more
 TEXELS_A_PIXEL = 4  # along a side at least, since symbols need rays between pixels
 SAMPLED = 8  # pixels, evenly spread, that tell how many texels all will light
-BYTES_AN_ENTRY = 64  # of the matrix while it is assembled and sorted
+BYTES_AN_ENTRY = 64  # of the matrix while it is assembled and sorted, at the peak
+BYTES_OF_COLOUR = 60  # of an entry besides, where it has one
 AFFORDABLE = 0.8  # of the budget, that a remedy aims at: other pixels may be wider than those sampled
 MOST_CUTOFF = 0.1  # that is proposed: a pixel without more of its light would be another
 FEWEST_PROBES = 1024  # directions in which a pixel is compared with its source, where there are many
@@ -100,8 +101,8 @@ def assemble(
         total += float(light.sum())
         lost += float(light[~bright].sum())
         entries += int(bright.sum())
-        afford("its pixels", BYTES_AN_ENTRY * entries, "give a coarser texture")
-        rows.append(texel[bright])
+        afford("its pixels", _bytes_an_entry(array) * entries, "give a coarser texture")
+        rows.append(texel[bright].astype(np.int32))
         values.append(light[bright])
         if pixel.rgb is not None:
             chroma.append(_chroma(np.stack([_at(texel[bright], *light_of(each, pixel.turn), grid) for each in pixel.rgb])))
@@ -114,7 +115,7 @@ def assemble(
             on_progress(number, len(array.pixels))
     if total == 0:
         raise LuxloopError(f"no pixel shines onto the texture ({describe(grid)}); widen it, or look at `aim`")
-    indptr = np.concatenate([[0], np.cumsum([len(row) for row in rows])])
+    indptr = np.cumsum([0, *map(len, rows)], dtype=np.int32)
     columns = sp.csc_array((np.arange(1.0, indptr[-1] + 1), np.concatenate(rows), indptr), shape=(grid.n_texels, len(array.pixels)))
     matrix = columns.tocsr()
     entry = matrix.data.astype(np.int64) - 1
@@ -132,7 +133,7 @@ def _check_entries(lights: Sequence[Array], array: PixelArray, grid: TexelGrid, 
     """Estimate the entries of all pixels from the light cd of some at each texel, and refuse too many with sizes that are affordable."""
     shares = np.concatenate([light / max(light.max(initial=0), np.finfo(float).tiny) for light in lights])
     each = len(array.pixels) / len(lights)  # that a sample stands for
-    entries, most = each * np.count_nonzero(shares > cutoff), BUDGET_BYTES / BYTES_AN_ENTRY
+    entries, most = each * np.count_nonzero(shares > cutoff), BUDGET_BYTES / _bytes_an_entry(array)
     if entries <= most:
         return
     most *= AFFORDABLE
@@ -142,9 +143,13 @@ def _check_entries(lights: Sequence[Array], array: PixelArray, grid: TexelGrid, 
     remedies += [f"cutoff = {_rounded_up(faint):g}"] if faint < MOST_CUTOFF else []
     afford(
         f"its {len(array.pixels):,} pixels, {entries / grid.n_texels:,.0f} on each of {grid.rows} x {grid.cols} texels by estimate,",
-        BYTES_AN_ENTRY * entries,
+        _bytes_an_entry(array) * entries,
         f"set {' or '.join(remedies)}" if remedies else "give fewer or narrower pixels",
     )
+
+
+def _bytes_an_entry(array: PixelArray) -> int:
+    return BYTES_AN_ENTRY + (BYTES_OF_COLOUR if any(pixel.rgb is not None for pixel in array.pixels) else 0)
 
 
 def _rounded_up(share: float) -> float:

@@ -2,6 +2,7 @@
 
 import math
 import re
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -140,6 +141,19 @@ def test_colour_has_luminance_one_and_follows_the_channels() -> None:
     texels = made.matrix.toarray().ravel()
     lit = np.flatnonzero(texels)
     np.testing.assert_allclose(made.chroma[0] * texels[lit], light_texture(red, GRID).ravel()[lit], atol=0.1)  # as above
+
+
+@pytest.mark.parametrize("coloured", [False, True])
+def test_memory_of_assembly_is_what_the_estimate_says(coloured: bool) -> None:
+    wide = gaussian(angles=np.linspace(-10, 10, 25), sigma_deg=20.0)  # lights all texels
+    array = PixelArray([Pixel(wide, rgb=(wide, wide, wide) if coloured else None)] * 100, 10, 10)
+    assemble(array, replace(GRID, rows=10))  # what is made once does not count
+    tracemalloc.start()
+    made = assemble(array, GRID)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    share = peak / made.matrix.nnz / pixels._bytes_an_entry(array)
+    assert 0.8 < share <= 1.0
 
 
 def test_lamps_that_shine_elsewhere_are_refused() -> None:
