@@ -83,20 +83,22 @@ class OnnxDetector:
             return read(out, layout)
         except ValueError as found:
             forms = "; ".join(f"{name}: {form}" for name, form in LAYOUTS.items())
-            fits = " or ".join(self._others(out))
-            remedy = f"set detector.layout = {fits}" if fits else f"export it with boxes in px and scores of 0..1 ({forms})"
+            remedy = ", or ".join(self._others(out)) or f"export it with boxes in px and scores of 0..1 ({forms})"
             raise LuxloopError(f"detector.layout: {self._gives(out)}, which cannot be {layout}: {found}; {remedy}") from found
 
     def _others(self, out: Tensor) -> list[str]:
-        """Layouts in quotes, other than the one set, that the output may be of."""
+        """What else the output may be, as remedies: of another layout, or of yolov8 with its sides exchanged."""
 
-        def fits(layout: Layout) -> bool:
+        def fits(out: Tensor, layout: Layout) -> bool:
             try:
                 return self._wrong_classes(layout, read(out, layout)[1].shape[1]) is None
             except ValueError:
                 return False
 
-        return [f'"{layout}"' for layout in LAYOUTS if layout != self.params.layout and fits(layout)]
+        found = [f'set detector.layout = "{layout}"' for layout in LAYOUTS if layout != self.params.layout and fits(out, layout)]
+        if out.ndim == 3 and fits(turned := out.transpose(1, 2), "yolov8"):
+            found.append(f'export it as {by(turned.shape)} and set detector.layout = "yolov8" where its boxes have no objectness')
+        return found
 
     def _wrong_classes(self, layout: Layout, number: int) -> str | None:
         """What speaks against that number of classes; those of yolov10 are not known before all are seen."""
@@ -111,7 +113,7 @@ class OnnxDetector:
     def _check_classes(self, out: Tensor, number: int) -> None:
         layout = self.params.layout
         if wrong := self._wrong_classes(layout, number):
-            others = "".join(f", or set detector.layout = {each}" for each in self._others(out))
+            others = "".join(f", or {each}" for each in self._others(out))
             raise LuxloopError(f"detector.classes: {self._gives(out)}, {number} classes as {layout}, {wrong}{others}")
 
     def _gives(self, out: Tensor) -> str:

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 import cv2
 
 from perception.detection.params import MOST_PX, OnnxParams
+from world.budget import afford
 from world.errors import LuxloopError
 
 if TYPE_CHECKING:
     import onnx
 
-MOST_NUMBERS = 1 << 28  # between two layers: 1 GiB
+BYTES_A_NUMBER = 4  # OpenCV computes in single precision
 FLOATS = ("float32", "float16")  # OpenCV converts to the second itself
 
 
@@ -81,11 +82,11 @@ def _check(model: "onnx.ModelProto", params: OnnxParams) -> None:
         raise LuxloopError(f"{where}: takes pictures of {width} x {height} px and not {by(params.input_px)}; {remedy}")
     for dimension, size in zip(shape.dim, wanted, strict=True):
         dimension.dim_value = size
-    if (most := _most_numbers(model, where)) > MOST_NUMBERS:
-        raise LuxloopError(
-            f"{where}: has {most / 1e6:,.0f} million numbers between two layers for pictures of {by(params.input_px)} px, more than the "
-            f"{MOST_NUMBERS / 1e6:,.0f} million that memory bears; export a smaller network, or one for smaller pictures"
-        )
+    afford(
+        f"{where}: the numbers between two of its layers for pictures of {by(params.input_px)} px",
+        BYTES_A_NUMBER * _most_numbers(model, where),
+        "export a smaller network, or one for smaller pictures",
+    )
 
 
 def _most_numbers(model: "onnx.ModelProto", where: str) -> int:

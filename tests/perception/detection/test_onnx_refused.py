@@ -79,6 +79,25 @@ REFUSED: dict[str, tuple[nn.Module, tuple[Tensor, ...], dict[str, Any], str]] = 
         r'set detector.layout = "yolov8"$',
     ),
     "yolov5 as yolov8": (YoloV5(85), (PICTURE,), {}, r'layout: .* cannot be yolov8: scores reach .*; set detector.layout = "yolov5"$'),
+    "yolov8 turned, as yolov5, of COCO": (
+        YoloV5(84),
+        (PICTURE,),
+        {"layout": "yolov5"},
+        r"classes: .* 79 classes as yolov5, and not the 80 of COCO; set detector.classes, or export it as 1 x 84 x 64 and set "
+        r'detector.layout = "yolov8" where its boxes have no objectness$',
+    ),
+    "yolov8 turned, as yolov5, with all of its classes": (
+        YoloV5(6),
+        (PICTURE,),
+        {"layout": "yolov5", "classes": OURS},
+        r"classes: .* 1 classes as yolov5, counted from 0, so there is no 1; correct detector.classes, or export it as 1 x 6 x 64 .*",
+    ),
+    "yolov8 turned, as yolov8": (
+        YoloV5(7),
+        (PICTURE,),
+        {"classes": OURS},
+        r'layout: .* cannot be yolov8: scores .*; set detector.layout = "yolov5", or export it as 1 x 7 x 64 .* no objectness$',
+    ),
     "yolov8 as yolov10": (
         Tiny(84),
         (PICTURE,),
@@ -96,7 +115,7 @@ REFUSED: dict[str, tuple[nn.Module, tuple[Tensor, ...], dict[str, Any], str]] = 
         YoloV5(6),
         (PICTURE,),
         {"layout": "yolov10", "classes": {0: "pedestrian"}},
-        r"layout: .* cannot be yolov10: the sixth number .* is no class's number; set detector.layout = \"yolov5\"$",
+        r"layout: .* cannot be yolov10: the sixth number .* is no class's number; set detector.layout = \"yolov5\", or export it as .*",
     ),
     "before the sigmoid": (
         Tiny(84, logits=True),
@@ -212,5 +231,5 @@ def test_sizes_that_are_only_declared_fill_no_memory(tmp_path: Path) -> None:
         OnnxDetector(OnnxParams(file=written([add], [weights], tmp_path / "weights.onnx"), input_px=(SIZE, SIZE)))
     nodes = [helper.make_node("ReduceSum", ["x"], ["d"], keepdims=0), helper.make_node("Expand", ["d", "sides"], ["w"]), add]
     sides = numpy_helper.from_array(np.array([100_000, 100_000]), "sides")
-    with pytest.raises(LuxloopError, match=r"has 10,000 million numbers between two layers .* more than the 268 million"):
+    with pytest.raises(LuxloopError, match=r"numbers between two of its layers .* at least 40 GB of memory, more than the budget"):
         OnnxDetector(OnnxParams(file=written(nodes, [sides], tmp_path / "made.onnx"), input_px=(SIZE, SIZE)))
