@@ -129,19 +129,34 @@ def check(scenario: AnyScenario, device: str = "auto") -> dict[str, Any]:
     """Build everything that a scenario names, and return what it is; `in_words` says it. Raises LuxloopError where it cannot run.
 
     `steps` and `road`; of a symbol's scenario also `controller`, of others `base` (what shines below all functions), `functions` (their
-    kinds), `objects` (their number) and `detector` (None where there is none).
+    kinds), `objects` (their number) and `detector` (None where there is none). With a detector also the number of `boxes` that it finds in
+    the first frame, and `lx_max`, the most light on objects there (None where none is in sight).
     """
     facts: dict[str, Any] = {"steps": scenario.steps, "road": scenario.road.kind}
     if isinstance(scenario, Scenario):
         prepare(scenario, device)
         return facts | {"controller": scenario.controller.name}
     simulation = LightingSimulation.prepare(scenario, torch_device(device))
-    return facts | {
-        "base": simulation.base(scenario.lighting.base.beam),
-        "functions": [function.kind for function in scenario.lighting.functions],
-        "objects": len(scenario.all_objects),
-        "detector": None if scenario.detector is None else scenario.detector.kind,
-    }
+    return (
+        facts
+        | _first_look(simulation)
+        | {
+            "base": simulation.base(scenario.lighting.base.beam),
+            "functions": [function.kind for function in scenario.lighting.functions],
+            "objects": len(scenario.all_objects),
+            "detector": None if scenario.detector is None else scenario.detector.kind,
+        }
+    )
+
+
+def _first_look(simulation: LightingSimulation) -> dict[str, Any]:
+    if simulation.sight is None:
+        return {}
+    with located(simulation.scenario.source):
+        first = simulation.at(0)
+    assert first.look is not None
+    lit = [each.lx_max for each in first.objects.values() if each.lx_max is not None]
+    return {"boxes": len(first.look.found), "lx_max": max(lit, default=None)}
 
 
 def in_words(facts: dict[str, Any]) -> str:
@@ -151,8 +166,13 @@ def in_words(facts: dict[str, Any]) -> str:
         return f"{start}, controller {facts['controller']}"
     number = Counter(facts["functions"])
     kinds = ", ".join(kind if count == 1 else f"{count} x {kind}" for kind, count in number.items()) or "none"
-    finder = "no detector" if facts["detector"] is None else f"detector {facts['detector']}"
+    finder = "no detector" if facts["detector"] is None else f"detector {facts['detector']} ({_looked(facts)})"
     return f"{start}, {facts['base']}, functions {kinds}, {facts['objects']} objects, {finder}"
+
+
+def _looked(facts: dict[str, Any]) -> str:
+    light = "no object is in sight" if facts["lx_max"] is None else f"objects in sight have up to {facts['lx_max']:.3g} lx"
+    return f"{facts['boxes']} boxes in the first frame, where {light}"
 
 
 def _in_the_image(symbol: SymbolParams, camera: CameraParams) -> bool:

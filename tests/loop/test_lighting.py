@@ -157,7 +157,7 @@ def test_the_command_line_knows_both_kinds(capsys: pytest.CaptureFixture[str]) -
     assert cli.main(["check", "gfhb", "--set", "headlight.model=hd84", "renderer=raycast"]) == cli.OK
     assert "high beam, functions glare_free, 5 objects, no detector" in capsys.readouterr().out
     assert cli.main(["check", "zones", "--set", "detector.kind=truth", "renderer=raycast"]) == cli.OK
-    assert "low beam, functions 4 x zone, 3 objects, detector truth" in capsys.readouterr().out
+    assert "low beam, functions 4 x zone, 3 objects, detector truth (" in capsys.readouterr().out
 
 
 def test_a_symbol_has_no_place_beside_lighting(capsys: pytest.CaptureFixture[str]) -> None:

@@ -19,7 +19,7 @@ from loop.lighting.marks import Mark, readable
 from loop.lighting.simulation import LightingSimulation
 from loop.lighting.summary import eyes_lx, lost_steps, shown, steps_of_nothing
 from loop.report import STYLE
-from loop.run import run
+from loop.run import check, in_words, run
 from loop.scenario import LightingScenario, validate_any
 
 WALKER = {"kind": "pedestrian", "name": "walker", "seed": 3, "track": [{"position_m": [15, -2, 0]}]}
@@ -170,6 +170,14 @@ def test_whom_the_tracker_loses_is_told(tmp_path: Path) -> None:
     assert f"no track shows it in {walker['steps_lost']} of the 12 steps in which it is in sight" in told
     assert "lx at most, all within the first 1 s" in told
     assert "walker 0.00, each from its first track on" in told
+
+
+def test_check_says_how_much_is_found_in_the_first_frame() -> None:
+    some, none = check(scenario([])), check(scenario([], detector={"kind": "truth", "least_height_px": 1000}))
+    assert some["boxes"] == 1 and some["lx_max"] > 5
+    assert f"truth (1 boxes in the first frame, where objects in sight have up to {some['lx_max']:.3g} lx)" in in_words(some)
+    assert none["boxes"] == 0 and none["lx_max"] == some["lx_max"]
+    assert "where no object is in sight" in in_words(check(scenario([], objects=[])))
 
 
 def test_a_run_that_finds_nobody_says_how_small_they_were(tmp_path: Path) -> None:
