@@ -17,10 +17,11 @@ from bench import machine, on_one_thread
 from rich.table import Table
 from torch import Tensor
 
-from controllers.symbol.drawing import Drawing, warp_onto
+from controllers.symbol.drawing import Drawing
 from controllers.symbol.feedforward import relief_of
-from controllers.symbol.luxloop import LuxloopParams, laid, region_of
+from controllers.symbol.luxloop import LuxloopParams, region_of
 from controllers.symbol.observer import Observer
+from controllers.symbol.patch import drawn_on
 from controllers.symbol.protocol import Look
 from loop import tables
 from loop.scenario import load
@@ -83,13 +84,12 @@ class Knowing:
 
     def drawing(self, state: int) -> Drawing:
         projector, now = self.observer.projector, self.motion.at(state * self.period_s)
-        symbol, pose = projector.params, laid(projector.target, inverse(now.T_ground_body))
+        symbol = projector.params
         lamps = torch.stack([module.T_world_headlight[:3, 3].double() for module in projector.modules])
         ends = torch.stack([camera_view(self.observer.camera).origin, *lamps], 1)
         there = transform(now.T_ground_body, ends).T
         relief = relief_of(Ahead(self.road, now.T_world_ground).z, region_of(symbol, *LuxloopParams().beyond_m), there[0])
-        centre = (symbol.x_m, symbol.y_m)
-        return Drawing(*pose, warp_onto(relief, there[1:].float(), centre, symbol.length_m, symbol.width_m))
+        return drawn_on(relief, there[1:].float(), symbol, inverse(now.T_ground_body))
 
     def step(self, state: int, look: Look) -> int:
         return state + 1

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -29,12 +29,16 @@ Lights = tuple[Utilisation, ...]
 
 @dataclass(frozen=True)
 class SimulationState:
-    """step: the step that comes next. controller, plant: their states. shown: in the frames that are under way."""
+    """step: the step that comes next. controller, plant: their states. shown: in the frames that are under way.
+
+    shape: `[4]` of the road on which the symbol was seen last, None for the flat one.
+    """
 
     step: int
     controller: Any
     plant: Any
     shown: tuple[Shown, ...] = ()
+    shape: Tensor | None = None
 
 
 @dataclass(frozen=True)
@@ -135,13 +139,13 @@ class Simulation:
             ego = self.world.ego(state.step)
             shown = (*state.shown, Shown(drawing, lights, ego))
             late = self.scenario.camera.latency_steps
-            seen = self.observer.look(frames, shown[0].drawing, shown[0].lights)
+            seen = self.observer.look(frames, shown[0].drawing, shown[0].lights, state.shape)
         with _timed(timings, "control"):
             controller = self.controller.step(state.controller, Look(seen, frames, shown[0], ego))
         timings["step"] = sum(timings.values())
         with _timed(timings, "judge"):
             verdict = self.judge(lights, time_s)
-        following = replace(state, step=state.step + 1, controller=controller, plant=plant, shown=shown[-late:] if late else ())
+        following = SimulationState(state.step + 1, controller, plant, shown[-late:] if late else (), seen.shape)
         z = torch.zeros_like(drawing.pose[..., 0]) if drawing.z is None else drawing.z
         return following, StepResult(state.step, time_s, drawing.pose, z, lights, frames, seen, verdict, timings)
 

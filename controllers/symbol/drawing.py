@@ -5,14 +5,8 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
-from torch.nn.functional import interpolate
-
-from controllers.symbol.relief import Relief
 
 CELLS = (512, 256)  # of a warped symbol, along and across
-FOLLOWED = 4  # along and across, one of so many cells' light is followed; between them places are interpolated
-BEYOND = (0.4, 0.15)  # of the symbol's length and width, by which a warped symbol's rectangle is larger on every side
-HIGHEST_M = 0.2  # of a road that light is drawn for
 
 
 @dataclass(frozen=True)
@@ -65,21 +59,3 @@ class Drawing:
             if warp is not None and n:
                 warp = Warp(warp.source.flatten(0, n - 1)[k], warp.dimming.flatten(0, n - 1)[k], warp.size_m)
             yield Drawing(pose, z, warp)
-
-
-def warp_onto(relief: Relief, lamps: Tensor, centre: tuple[float, float], length_m: float, width_m: float) -> Warp:
-    """Inverse ray tracing: the eye shall see a symbol about a centre (x, y) of the plane on the relief as it would on the plane.
-
-    lamps: `[m, 3]` m. The light of a cell takes what of the symbol lies where the eye sees that light. What is brighter than the plane
-    would be is dimmed.
-    """
-    size = (length_m * (1 + 2 * BEYOND[0]), width_m * (1 + 2 * BEYOND[1]))
-    rows, cols = (n // FOLLOWED for n in CELLS)
-    along, across = (0.5 - (torch.arange(n, device=relief.heights.device) + 0.5) / n for n in (rows, cols))
-    x, y = (centre[0] + size[0] * along)[:, None].expand(rows, cols), (centre[1] + size[1] * across).expand(rows, cols)
-    seen = torch.stack([torch.stack(relief.seen_from(lamp, x, y, HIGHEST_M)) for lamp in lamps])
-    x_seen, y_seen = seen.unbind(1)
-    brightness = relief.at(relief.brightness, x_seen.flatten(0, 1), y_seen.flatten(0, 1)).view_as(x_seen)
-    source = [2 * (centre[1] - y_seen) / width_m, 2 * (centre[0] - x_seen) / length_m]
-    fine = interpolate(torch.stack([*source, 1 / brightness.clamp(min=1)], 1), scale_factor=FOLLOWED, mode="bilinear")
-    return Warp(fine[:, :2], fine[:, 2], size)

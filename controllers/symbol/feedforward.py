@@ -1,5 +1,6 @@
 """Feed-forward: inverse ray tracing onto a road that is given, right or wrong, or that is surveyed with structured light first."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -8,12 +9,13 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from controllers.symbol.drawing import Drawing, warp_onto
+from controllers.symbol.drawing import Drawing
 from controllers.symbol.luxloop import region_of
 from controllers.symbol.observer import Observer
-from controllers.symbol.projector import Projector
+from controllers.symbol.patch import drawn_on
 from controllers.symbol.protocol import Look
 from controllers.symbol.relief import Relief
+from controllers.symbol.stance import HERE
 from controllers.symbol.survey import Survey, SurveyState
 from perception.birdseye import Region
 from perception.camera import camera_view
@@ -24,7 +26,8 @@ from world.roads import Flat, RoadParams
 
 CELL_M = 0.1
 BEYOND_M = (1.2, 1.5, 0.6)  # how far a road is looked at beyond the symbol: near, far, sides
-HIGHEST_M, LAYERS = 0.3, 121  # heights between which a given road may be, and how many are looked at
+NEAREST_M, FARTHEST_M = 4.0, 60.0  # from the eye, along the road, where lines of sight may meet a given road
+LAYERS, HALVINGS = 200, 12  # places that are looked at along a line of sight, 1.5 % apart, and how often the one at the road is halved
 
 
 class FeedforwardParams(Params):
@@ -42,7 +45,7 @@ class Feedforward:
     def __init__(self, params: FeedforwardParams, observer: Observer) -> None:
         with located("controller"):
             relief = relief_of(params.road.z, region_around(observer), camera_view(observer.camera).origin, params.offset_m)
-        self.drawn = drawn_on(relief, observer.projector)
+        self.drawn = shown_on(relief, observer)
 
     def start(self, pose: Tensor) -> Drawing:
         """The symbol for the given road, whatever the pose `[4]`."""
@@ -69,7 +72,7 @@ class Surveyed:
     """Surveys the road, then draws for it for ever."""
 
     def __init__(self, params: FeedforwardParams, observer: Observer) -> None:
-        self.params, self.projector = params, observer.projector
+        self.params, self.observer = params, observer
         self.survey = Survey(observer, region_around(observer))
 
     def start(self, pose: Tensor) -> SurveyedState:
@@ -89,7 +92,7 @@ class Surveyed:
             return SurveyedState(survey)
         relief = self.survey.relief(survey)
         relief = replace(relief, heights=relief.heights + self.params.offset_m)
-        return SurveyedState(survey, drawn_on(relief, self.projector))
+        return SurveyedState(survey, shown_on(relief, self.observer))
 
 
 def region_around(observer: Observer) -> Region:
@@ -97,29 +100,38 @@ def region_around(observer: Observer) -> Region:
     return region_of(observer.projector.params, *BEYOND_M)
 
 
-def drawn_on(relief: Relief, projector: Projector) -> Drawing:
-    """The symbol for a road."""
-    symbol = projector.params
-    lamps = torch.stack([module.T_world_headlight[:3, 3] for module in projector.modules]).to(relief.heights)
-    warp = warp_onto(relief, lamps, (symbol.x_m, symbol.y_m), symbol.length_m, symbol.width_m)
-    return Drawing(projector.target, warp=warp.to(projector.symbol.device))
+def shown_on(relief: Relief, observer: Observer) -> Drawing:
+    """The symbol for a road, from a standing body."""
+    lamps = torch.stack([module.T_world_headlight[:3, 3] for module in observer.projector.modules])
+    return drawn_on(relief, lamps, observer.projector.params, HERE)
 
 
 def relief_of(z: Callable[[Floats, Floats], Floats], region: Region, eye: Tensor, offset_m: float = 0.0) -> Relief:
-    """A road as an eye at `[3]` m sees it: lines of sight are followed down to the first height below the road's.
+    """A road as an eye at `[3]` m sees it: lines of sight are followed to the first place where they are below the road.
 
-    z: its heights in m at x and y in m (`Road.z`). offset_m: added to them.
+    z: its heights in m at x and y in m (`Road.z`). offset_m: added to them. Lines of sight that meet no road end FARTHEST_M ahead.
     """
     rows, cols = (round((far - near) / CELL_M) for far, near in ((region.x_far_m, region.x_near_m), (region.y_left_m, region.y_right_m)))
     x = region.x_far_m - (torch.arange(rows, dtype=torch.float64)[:, None] + 0.5) * CELL_M
     y = region.y_left_m - (torch.arange(cols, dtype=torch.float64) + 0.5) * CELL_M
-    h = torch.linspace(HIGHEST_M, -HIGHEST_M, LAYERS, dtype=torch.float64)[:, None, None]
-    places = [(point + (eye[axis] - point) * (h / eye[2])).expand(LAYERS, rows, cols) for axis, point in enumerate((x, y))]
-    road = torch.from_numpy(z(*(place.numpy() for place in places))) + offset_m
-    above = road - h
-    first = (above >= 0).to(torch.uint8).argmax(0, keepdim=True).clamp(min=1)
-    under, over = above.gather(0, first), above.gather(0, first - 1)
-    share = (under / (under - over).clamp(min=1e-9)).clamp(0, 1)
-    step = 2 * HIGHEST_M / (LAYERS - 1)
-    heights = (h.expand_as(above).gather(0, first) + share * step)[0]
+    cells = torch.stack([x.expand(rows, cols), y.expand(rows, cols), torch.zeros(rows, cols, dtype=torch.float64)])
+    eye, ways = eye.double(), cells - eye.double()[:, None, None]
+
+    def at(share: Tensor) -> Tensor:  # of the way from the eye to the plane
+        return eye[:, None, None, None] + ways[:, None] * share
+
+    def under(share: Tensor) -> Tensor:
+        point = at(share)
+        return torch.from_numpy(z(point[0].numpy(), point[1].numpy())) + offset_m >= point[2]
+
+    distances = torch.logspace(math.log10(NEAREST_M), math.log10(FARTHEST_M), LAYERS, dtype=torch.float64)
+    shares = distances[:, None, None] / ways[0]
+    first = under(shares).to(torch.uint8).argmax(0, keepdim=True)
+    met = first > 0
+    low, high = (torch.where(met, shares.gather(0, each), shares[-1:]) for each in ((first - 1).clamp(min=0), first))
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        is_under = under(middle)
+        low, high = torch.where(is_under, low, middle), torch.where(is_under, middle, high)
+    heights = at(high)[2, 0]
     return Relief(region, eye.float(), heights.float(), torch.ones(rows, cols))

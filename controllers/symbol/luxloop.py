@@ -7,12 +7,14 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from controllers.symbol.drawing import Drawing, warp_onto
+from controllers.symbol.drawing import Drawing
 from controllers.symbol.memory import Memory
 from controllers.symbol.observer import Observer
+from controllers.symbol.patch import drawn_on, placed
 from controllers.symbol.projector import SymbolParams
 from controllers.symbol.protocol import Look, Shown
 from controllers.symbol.registration import HEIGHT_M, Heights, Registration
+from controllers.symbol.shape import reached
 from controllers.symbol.sight import Sight
 from controllers.symbol.stance import HERE, Stances
 from controllers.symbol.sweep import sweep
@@ -21,11 +23,15 @@ from perception.birdseye import Region
 from perception.camera import camera_view
 from perception.egomotion import Ego
 from world.frames import inverse, transform
+from world.frames import pose as pose_of
 from world.params import Params
 
 LEAST_LIT_PX = 20.0  # fewer lit pixels are no symbol
 HEIGHTS = 57  # that a sweep tries
 SEEN_BY = 0.05  # of the usual illuminance a node, with which its brightness is no longer a guess
+LOW_M = 0.1  # heights up to here are found without an acquired shape
+POOR, SEARCHES = 0.08, 3  # residual above which the whole image is searched again, and how often it is for one road
+FARTHEST = 3.0  # of the way to the plane z = 0: where lines of sight end that meet no acquired road
 ROAD_M = 4e-3  # how well a track's height is known at best
 PITCH_RAD = 5e-4  # usual error of a pitch that is foretold
 
@@ -84,7 +90,7 @@ class Luxloop:
         if self.params.start_height_m == 0:
             return LuxloopState(memory, 0.0, Drawing(pose))
         mean = memory.heights.mean + self.params.start_height_m
-        believed = replace(memory, heights=Heights(mean, torch.eye(len(mean)).to(mean) / HEIGHT_M**2))
+        believed = _believed(memory, mean)
         return LuxloopState(believed, 0.0, self._drawn(believed, Stances()))
 
     def drawing(self, state: LuxloopState) -> Drawing:
@@ -125,15 +131,16 @@ class Luxloop:
 
     def _looked(self, registration: Registration, memory: Memory, frames: tuple[Tensor, Tensor], shown: Shown, stances: Stances) -> Memory:
         """What is known after a look: nothing, where heights do not explain it."""
-        fine, known = registration.sight, memory.heights
-        textures = tuple(
-            module.pixel_controller.headlight.light_texture(light.u - module.pixel_controller.default)
-            for module, light in zip(self.projector.modules, shown.lights, strict=True)
-        )
+        fine = registration.sight
+        textures = self.projector.textures(shown.lights)
+        if stances.still and self._unsure(memory, shown):
+            memory = self._acquired(registration, memory, frames, shown) or self._nothing(registration)
         contrast, limit = fine.observe_symbol(frames, textures)
         seen = fine.symbol(contrast, limit)
+        known = memory.heights
         if float(seen.sum()) * fine.step < LEAST_LIT_PX:
-            return self._nothing(registration)
+            there = fine.symbol(fine.luminance(textures, fine.on_pixels(known.mean)[None])[0], limit) * fine.inside
+            return memory if float(there.sum()) * fine.step < LEAST_LIT_PX else self._nothing(registration)
         limit = limit / fine.on_pixels(memory.brightness)  # of the light that the assumed road would show
         found = [registration.refine(known.mean, known, seen, textures, limit)]
         if float(registration.residual(found[0].mean[None], seen, textures, limit)[0]) > self.params.sweep_above:
@@ -143,28 +150,44 @@ class Luxloop:
         *residuals, before, flat = registration.residual(nodes, seen, textures, limit)
         least, best = min(zip(residuals, found, strict=True), key=lambda each: float(each[0]))
         evidence = 0.0 if bool(known.information.any()) else self.params.evidence
+        if least > POOR and stances.still and memory.searched < SEARCHES:
+            return self._acquired(registration, memory, frames, shown) or replace(memory, searched=SEARCHES)
         if least > flat - evidence:
             return self._nothing(registration)
         information = known.information + best.information
         gain = best.information.trace() / information.trace().clamp(min=1)  # of this look beside all earlier ones
         brightness = _brightness(fine, best.mean, memory.brightness, contrast, seen, textures)
         share = (least / before).nan_to_num(1.0).clamp(max=1) if stances.still else self.params.memory
-        return replace(memory, heights=Heights(best.mean, share * information), brightness=memory.brightness.lerp(brightness, gain))
+        return replace(memory, heights=replace(best, information=share * information), brightness=memory.brightness.lerp(brightness, gain))
+
+    def _unsure(self, memory: Memory, shown: Shown) -> bool:
+        """Whether nothing is known, or a road that was acquired from afar can be acquired anew from light that was drawn for it."""
+        acquired = memory.searched == 1 and shown.drawing.warp is not None
+        return acquired or not bool(memory.heights.information.any())
+
+    def _acquired(self, registration: Registration, memory: Memory, frames: tuple[Tensor, Tensor], shown: Shown) -> Memory | None:
+        """The road that explains where in the whole image the symbol is; None where a road near the plane may, which looks find without."""
+        found = self.observer.acquire(frames, shown.lights)
+        ways = memory.nodes() - memory.eye[:, None]
+        share = reached(found.shape[None], self.projector.params.x_m, memory.eye, ways)[0].clamp(max=FARTHEST)
+        heights = memory.eye[2] * (1 - share)
+        if not found.found or float(heights.abs().max()) < LOW_M:
+            return None
+        return replace(_believed(self._nothing(registration), heights), searched=memory.searched + 1)
 
     def _swept(self, memory: Memory, frames: tuple[Tensor, Tensor], textures: tuple[Tensor, ...], stances: Stances) -> Tensor:
         coarse = self.coarse if stances.still else self._coarse(stances)
         contrast, limit = coarse.observe_symbol(frames, textures)
-        return sweep(coarse, coarse.symbol(contrast, limit), textures, limit / coarse.on_pixels(memory.brightness), self.tried)
+        seen, limit = coarse.symbol(contrast, limit), limit / coarse.on_pixels(memory.brightness)
+        return sweep(coarse, seen, textures, limit, self.tried, memory.heights.base)
 
     def _drawn(self, memory: Memory, stances: Stances) -> Drawing:
         """The symbol for the road as it is known, from where the body will be then."""
-        symbol, target = self.projector.params, self.projector.target
-        pose, z = laid(target, inverse(stances.following))
+        symbol, T_body_ground = self.projector.params, inverse(stances.following)
         if not memory.heights.information.any():
-            return Drawing(pose, z)
-        ends = transform(stances.following, self.ends).T.to(target)
-        relief = memory.moved(stances.until, ends[0]).relief()
-        return Drawing(pose, z, warp_onto(relief, ends[1:], (symbol.x_m, symbol.y_m), symbol.length_m, symbol.width_m))
+            return laid(self.projector.target, T_body_ground)
+        ends = transform(stances.following, self.ends).T.to(memory.eye)
+        return drawn_on(memory.moved(stances.until, ends[0]).relief(), ends[1:], symbol, T_body_ground)
 
     def _nothing(self, registration: Registration) -> Memory:
         """Nothing known of the road."""
@@ -194,14 +217,18 @@ def _previewed(swing: Swing, memory: Memory, time_s: float, ego: Ego) -> Swing:
     return swing.seen(way_m, heights, ROAD_M**2 + 1 / information.clamp(min=1e-3))
 
 
-def laid(target: Tensor, T_body_ground: Tensor) -> tuple[Tensor, Tensor | None]:
-    """Pose `[4]` and height in m of a rectangle for a body, that lies at a target pose on the ground; its yaw of some 1e-4 is left out."""
+def _believed(memory: Memory, heights: Tensor) -> Memory:
+    """A road whose heights `[n]` are taken for granted until something is seen of it."""
+    return replace(memory, heights=Heights(heights, torch.eye(len(heights)).to(heights) / HEIGHT_M**2, heights))
+
+
+def laid(target: Tensor, T_body_ground: Tensor) -> Drawing:
+    """The symbol as it is, for a body, at a target pose `[4]` that lies flat on the ground."""
     if T_body_ground.equal(HERE):
-        return target, None
-    T = T_body_ground
-    centre = transform(T, T.new_tensor([[float(target[0])], [float(target[1])], [0.0]]))[:, 0]
-    angles = torch.stack([torch.atan2(T[2, 1], T[2, 2]), torch.asin(-T[2, 0])])
-    return torch.cat([centre[:2], angles]).to(target), centre[2].to(target)
+        return Drawing(target)
+    centre = T_body_ground.new_tensor([float(target[0]), float(target[1]), 0.0])
+    pose, z = placed(T_body_ground @ pose_of(centre, torch.eye(3).to(centre)))
+    return Drawing(pose.to(target), z.to(target))
 
 
 def _brightness(fine: Sight, heights: Tensor, before: Tensor, contrast: Tensor, seen: Tensor, textures: tuple[Tensor, ...]) -> Tensor:
@@ -210,7 +237,7 @@ def _brightness(fine: Sight, heights: Tensor, before: Tensor, contrast: Tensor, 
     lit = (seen > 0.5) & (expected > 0)
     there, usual = fine.on_nodes(torch.stack([contrast, expected]) * lit)
     guess = SEEN_BY * usual.mean()
-    return (there + guess * before) / (usual + guess)
+    return torch.where(usual + guess > 0, (there + guess * before) / (usual + guess), before)
 
 
 def region_of(symbol: SymbolParams, near_m: float, far_m: float, side_m: float) -> Region:

@@ -13,13 +13,17 @@ from world.frames import inverse, transform
 
 @dataclass(frozen=True)
 class Memory:
-    """Heights and brightness `[n]` at the nodes `[rows, cols]` of a region, by lines of sight of an eye at `[3]` m, in a ground frame."""
+    """Heights and brightness `[n]` at the nodes `[rows, cols]` of a region, by lines of sight of an eye at `[3]` m, in a ground frame.
+
+    searched: how many times the whole image was searched for what is known.
+    """
 
     heights: Heights
     brightness: Tensor
     region: Region
     grid: tuple[int, int]
     eye: Tensor
+    searched: int = 0
 
     def relief(self) -> Relief:
         """The road as the eye sees it."""
@@ -33,14 +37,14 @@ class Memory:
         T = T_before_now.to(eye)
         if eye.equal(self.eye) and T.equal(torch.eye(4).to(T)):
             return self
-        relief, nodes = self.relief(), self._nodes()
+        relief, nodes = self.relief(), self.nodes()
         heights = relief.at(relief.heights, *self._seen_anew(nodes, torch.zeros_like(nodes[0]), eye, T, self.eye))
         for _ in range(2):  # where on the road a line of sight ends is known once its height is
             places = self._seen_anew(nodes, heights.flatten(), eye, T, self.eye)
             heights = relief.at(relief.heights, *places)
-        brightness = relief.at(relief.brightness, *places)
+        brightness, base = (relief.at(values.view(self.grid), *places).flatten() for values in (self.brightness, self.heights.base))
         information = self._carried(self._seen_anew(nodes, self.heights.mean, self.eye, inverse(T), eye))
-        return Memory(Heights(heights.flatten(), information), brightness.flatten(), self.region, self.grid, eye)
+        return replace(self, heights=Heights(heights.flatten(), information, base), brightness=brightness, eye=eye)
 
     def tracks(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
         """Height in m of the road at places `[2, k]` of the ground, and its information in 1/m^2: 0 outside of the region."""
@@ -56,12 +60,12 @@ class Memory:
 
     def levelled(self, pitch_rad: float, pivot_x_m: float) -> "Memory":
         """As it would be, had the body that saw it pitched by so many rad more."""
-        heights = self.heights.mean - pitch_rad * (self._nodes()[0] - pivot_x_m)
-        return replace(self, heights=replace(self.heights, mean=heights))
+        drop, heights = pitch_rad * (self.nodes()[0] - pivot_x_m), self.heights
+        return replace(self, heights=replace(heights, mean=heights.mean - drop, base=heights.base - drop))
 
     def loosened(self, pitch_rad: float, pivot_x_m: float) -> "Memory":
         """With a body whose pitch is uncertain by so many rad: heights may all be higher by as much times their distance (Woodbury)."""
-        L, arm = self.heights.information, self._nodes()[0] - pivot_x_m
+        L, arm = self.heights.information, self.nodes()[0] - pivot_x_m
         pull = L @ arm
         information = L - pull[:, None] * pull / (1 / pitch_rad**2 + arm @ pull)
         return replace(self, heights=replace(self.heights, information=information))
@@ -69,12 +73,12 @@ class Memory:
     def pitched(self, before: "Memory", pivot_x_m: float) -> float | None:
         """By how many rad the body has pitched more than it was taken to, if the road is still as it was known before; None: unknown."""
         known, seen = (each.heights.information.diagonal() for each in (before, self))
-        arm = self._nodes()[0] - pivot_x_m
+        arm = self.nodes()[0] - pivot_x_m
         weight = arm * known * seen / (known + seen).clamp(min=1.0)
         lever = float(weight @ arm)
         return float(weight @ (self.heights.mean - before.heights.mean)) / lever if lever > 0 else None
 
-    def _nodes(self) -> Tensor:
+    def nodes(self) -> Tensor:
         """Places `[3, n]` of the nodes on the plane."""
         r, (rows, cols) = self.region, self.grid
         x = r.x_far_m - (torch.arange(rows).to(self.eye) + 0.5) * ((r.x_far_m - r.x_near_m) / rows)

@@ -1,12 +1,14 @@
 """What a symbol controller sees: frames in, errors of the symbol's four degrees of freedom or the reason for its loss out."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from torch import Tensor
 
 from controllers.ssc import Utilisation
+from controllers.symbol.acquisition import Acquired, Acquisition
 from controllers.symbol.drawing import Drawing
 from controllers.symbol.flat_model import PAIRED, FlatModel
 from controllers.symbol.projector import Projector
@@ -21,7 +23,8 @@ class Seen:
 
     code: `[...]` int64, a `Loss`. errors: `[..., 4]`, e_x, e_y, e_roll, e_pitch in the units of the features. pose_error: `[..., 4]`, the
     same in m and rad of x, y, roll, pitch, each divided by its plant gain. area_ratio: `[...]`, seen to expected. appearance: five
-    centroids and second moments. symbol: `[..., h, w]`, cut from the camera's image at crop.
+    centroids and second moments. symbol: `[..., h, w]`, cut from the camera's image at crop. shape: `[4]` of the road on which it was
+    looked for, see `controllers.symbol.shape`, None for the flat one. acquired: what a search of the whole image found, if there was one.
     """
 
     code: Tensor
@@ -31,29 +34,63 @@ class Seen:
     appearance: Appearance
     symbol: Tensor
     crop: Crop
+    shape: Tensor | None = None
+    acquired: Acquired | None = None
 
 
 @dataclass(frozen=True)
 class Observer:
-    """Extraction in the predicted footprint, gated by the flat model's expectation; errors against the flat model's target."""
+    """Extraction in the predicted footprint, gated by the area that is expected there; errors against the flat model's target.
+
+    A symbol that is not where it is expected is searched for in the whole image.
+    """
 
     projector: Projector
     model: FlatModel
     camera: CameraParams
     params: Extraction
 
-    def look(self, frames: tuple[Tensor, Tensor] | None, drawing: Drawing, lights: Sequence[Utilisation]) -> Seen:
-        """Look at the on and off frames `[..., height, width]` (digital numbers) that show the light of a drawing.
+    @cached_property
+    def acquisition(self) -> Acquisition:
+        """Searches whole images."""
+        return Acquisition.prepare(self.projector, self.camera)
 
-        frames: None where the camera lost them. lights: the utilisations that were shown, one a module.
+    def look(
+        self, frames: tuple[Tensor, Tensor] | None, drawing: Drawing, lights: Sequence[Utilisation], shape: Tensor | None = None
+    ) -> Seen:
+        """Look at the on and off frames `[height, width]` (digital numbers) that show the light of a drawing.
+
+        frames: None where the camera lost them. lights: the utilisations that were shown, one a module. shape: `[4]` of the road that the
+        look before found, None for a flat one. Of a batch `[..., height, width]` nothing is searched for.
         """
-        crop = self.projector.footprint(drawing, self.model.eye.view, self.params.footprint_margin_m)
         if frames is None:
-            return self.lost(drawing.pose, Loss.NO_FRAME)
+            return replace(self.lost(drawing.pose, Loss.NO_FRAME), shape=shape)
+        seen = self._expected(frames, drawing, lights, shape)
+        if seen.code.dim() or seen.code == Loss.SEEN:
+            return seen
+        acquired = self.acquire(frames, lights)
+        if not acquired.found:
+            return replace(seen, acquired=acquired)
+        found = self._expected(frames, drawing, lights, acquired.shape)
+        return replace(found, code=torch.zeros_like(found.code), acquired=acquired) if found.symbol.numel() else seen
+
+    def acquire(self, frames: tuple[Tensor, Tensor], lights: Sequence[Utilisation]) -> Acquired:
+        """Search the whole of on and off frames for lights `[n_p]`, one a module."""
+        on, off = frames
+        symbol = symbol_image(difference(on, off, self.camera), threshold(off, self.camera, self.params), self.params)
+        return self.acquisition.find(symbol, self.projector.textures(lights))
+
+    def _expected(self, frames: tuple[Tensor, Tensor], drawing: Drawing, lights: Sequence[Utilisation], shape: Tensor | None) -> Seen:
+        """Look where a road of this shape shows the light."""
+        crop = self.projector.footprint(drawing, self.model.eye.view, self.params.footprint_margin_m, shape)
         if crop.v_stop - crop.v_start < 2 or crop.u_stop - crop.u_start < 2:
-            return self.lost(drawing.pose, Loss.NOTHING)
+            return replace(self.lost(drawing.pose, Loss.NOTHING), shape=shape)
         on, off = (frame[..., *crop.slices] for frame in frames)
-        return self.compare(on, off, self.model.symbol(lights, crop), crop)
+        seen = self.compare(on, off, self.model.symbol(lights, crop), crop)
+        if shape is None:
+            return seen
+        area, expected = seen.symbol.sum((-2, -1)), self.acquisition.area(shape, self.projector.textures(lights))
+        return replace(seen, code=gate(area, expected, self.params), area_ratio=area / expected, shape=shape)
 
     def compare(self, on: Tensor, off: Tensor, expected_symbol: Tensor, crop: Crop) -> Seen:
         """Look at frames `[..., h, w]` (digital numbers) cut at crop, beside the symbol image that the flat road would show there."""

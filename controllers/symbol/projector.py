@@ -1,7 +1,7 @@
 """The projector draws one symbol with one or several lamp modules: a pose in, utilisations out."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import repeat
 from typing import Self
@@ -14,6 +14,7 @@ from torch import Tensor
 from controllers.primitives import Primitives, Quantity, road_symbol
 from controllers.ssc import PixelController, Utilisation
 from controllers.symbol.drawing import Drawing
+from controllers.symbol.shape import reached
 from perception.extraction import Crop
 from world.params import Params
 from world.view import View
@@ -105,18 +106,27 @@ class Projector:
         images = warped.expand(len(self.modules), -1, -1)
         return [_lifted(self._rectangle(drawing.pose, *drawing.warp.size_m, image), drawing.z) for image in images]
 
-    def footprint(self, drawing: Drawing, view: View, margin_m: float) -> Crop:
-        """Where in a camera's image the light of a drawing can appear if the road is at most margin_m above or below z = 0.
+    def textures(self, lights: Sequence[Utilisation]) -> tuple[Tensor, ...]:
+        """Light textures `[rows, cols]` in cd, one a module, of what lights `[n_p]` add to the base beams."""
+        return tuple(
+            module.pixel_controller.headlight.light_texture(light.u - module.pixel_controller.default)
+            for module, light in zip(self.modules, lights, strict=True)
+        )
 
-        One rectangle for all of a batch. Rays that do not come down within 200 m end there.
+    def footprint(self, drawing: Drawing, view: View, margin_m: float, shape: Tensor | None = None) -> Crop:
+        """Where in a camera's image the light of a drawing can appear if the road is at most margin_m above or below a shape `[4]`.
+
+        shape: of the road, see `controllers.symbol.shape`; default: z = 0. One rectangle for all of a batch. Rays that do not meet the road
+        within 200 m end there.
         """
         size = (self.params.length_m, self.params.width_m) if drawing.warp is None else drawing.warp.size_m
         rectangle = _lifted(self._rectangle(drawing.pose, *size, self.symbol), drawing.z)
         corners = rectangle.corners().detach().reshape(-1, 3).T.cpu().double()
         origins = torch.stack([module.T_world_headlight[:3, 3:] for module in self.modules]).to(corners)
         rays = corners - origins
-        fall = (-rays[:, 2]).clamp(min=1e-6)
-        reach = (origins[:, 2] - corners.new_tensor([[[-margin_m]], [[margin_m]]])).clamp(min=0) / fall
+        middle = corners.new_zeros(4) if shape is None else shape.detach().to(corners)
+        bounds = middle + corners.new_tensor([[-margin_m, 0, 0, 0], [margin_m, 0, 0, 0]])
+        reach = torch.stack([reached(bounds, self.params.x_m, *each) for each in zip(origins[..., 0], rays, strict=True)], 1)
         ends = origins + rays * reach.minimum(200 / rays.norm(dim=1))[:, :, None]
         uv, depth = view.project(ends.transpose(0, 2).reshape(3, -1))
         uv = uv[:, depth > 0.1]

@@ -25,10 +25,11 @@ FREE_M = 0.01  # how far above a free way of light a height may be
 
 @dataclass(frozen=True)
 class Heights:
-    """Heights at nodes: mean `[n]` m and information `[n, n]` 1/m^2 from what was seen so far."""
+    """Heights at nodes: mean `[n]` m and information `[n, n]` 1/m^2 from what was seen so far; without any they are those of base `[n]`."""
 
     mean: Tensor
     information: Tensor
+    base: Tensor
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ class Registration:
         """Zero, and nothing known."""
         n = self.sight.rows * self.sight.cols
         zero = self.slopes.new_zeros(n)
-        return Heights(zero, zero.new_zeros(n, n))
+        return Heights(zero, zero.new_zeros(n, n), zero)
 
     def residual(self, nodes: Tensor, seen: Tensor, textures: tuple[Tensor, ...], limit: Tensor) -> Tensor:
         """What heights `[k, n]` leave unexplained of a symbol image `[h, w]`, as a share of what they predict to be lit: `[k]`."""
@@ -78,11 +79,13 @@ class Registration:
                 scale = 2 * blur[2] * torch.where(error < 0, HIDDEN, 1.0)
                 weight = (1 - (error / scale) ** 2).clamp(min=0) ** 2 * sight.inside * (sight.step / (PIXEL_SIGMA**2 * blur[0] * blur[1]))
                 information = self._squared(weight * slope * slope)
-                force = sight.on_nodes(weight * slope * error) + known.information @ (known.mean - nodes) - nodes / HEIGHT_M**2
+                force = (
+                    sight.on_nodes(weight * slope * error) + known.information @ (known.mean - nodes) + (known.base - nodes) / HEIGHT_M**2
+                )
                 free, above = self._free(sight.on_pixels(nodes), seen)
                 matrix = information + known.information + self._squared(above)
                 force = force + sight.on_nodes(above * (free - sight.on_pixels(nodes)))
-                step = nodes[i] - nodes[j]
+                step = (nodes - known.base)[i] - (nodes - known.base)[j]
                 stiffness = 1 / (self.slopes**2 + step**2 / 4)  # an edge as soon as it is steep: Cauchy
                 force = force.index_add(0, i, -stiffness * step).index_add(0, j, stiffness * step)
                 for a, b, sign in ((i, i, 1), (j, j, 1), (i, j, -1), (j, i, -1)):
@@ -90,7 +93,7 @@ class Registration:
                 matrix.diagonal().add_(1 / HEIGHT_M**2)
                 moved = torch.cholesky_solve(force[:, None], torch.linalg.cholesky(matrix))[:, 0]
                 nodes = nodes + moved.clamp(-LARGEST_STEP_M, LARGEST_STEP_M)
-        return Heights(nodes, information)
+        return Heights(nodes, information, known.base)
 
     def _predicted(self, nodes: Tensor, textures: tuple[Tensor, ...], limit: Tensor, blur: tuple[float, float, float]) -> Tensor:
         luminance = self.sight.luminance(textures, self.sight.on_pixels(nodes))

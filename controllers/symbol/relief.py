@@ -9,6 +9,7 @@ from torch import Tensor
 from perception.birdseye import Region
 
 LAYERS = 33  # heights between which the way of light is interpolated
+LEAST_DROP_M = 0.05  # from the eye to a point that it sees
 
 
 @dataclass(frozen=True)
@@ -31,18 +32,26 @@ class Relief:
         v = 2 * (r.x_far_m - x) / (r.x_far_m - r.x_near_m) - 1
         return remap(values[None, None], u[None], v[None], padding_mode="border", align_corners=False, normalized_coordinates=True)[0, 0]
 
-    def seen_from(self, lamp: Tensor, x: Tensor, y: Tensor, highest_m: float) -> tuple[Tensor, Tensor]:
-        """Where on the plane the eye sees the light that a lamp at `[3]` m sends towards points `[h, w]` of the plane: x and y, `[h, w]`.
+    def points(self, x: Tensor, y: Tensor) -> Tensor:
+        """The road's points `[3, ...]` m behind points of the plane."""
+        x, y = torch.broadcast_tensors(x, y)
+        h, eye = self.at(self.heights, x.reshape(1, -1), y.reshape(1, -1)).view_as(x), self.eye.to(x)
+        place = torch.stack([x, y, torch.zeros_like(x)])
+        return place + (eye.view(3, *(1,) * x.dim()) - place) * (h / eye[2])
 
-        The way of the light is followed from highest_m above the plane to as far below, to the first point under the surface.
+    def seen_from(self, lamp: Tensor, points: Tensor, normal: Tensor, deepest_m: float) -> tuple[Tensor, Tensor]:
+        """Where on the plane the eye sees the light that a lamp at `[3]` m sends towards points `[3, h, w]` m of a patch: x, y, `[h, w]`.
+
+        normal: `[3]`, unit, of the patch. The light is followed from deepest_m above the patch to as far below it, to the first point under
+        the road's surface.
         """
-        lamp, eye = lamp.to(x), self.eye.to(x)
-        h = torch.linspace(highest_m, -highest_m, LAYERS, dtype=x.dtype, device=x.device)[:, None, None]
-        ways = []
-        for axis, point in enumerate((x, y)):
-            lit = point + (lamp[axis] - point) * (h / lamp[2])
-            ways.append(lit + (lit - eye[axis]) * (h / (eye[2] - h)))
-        above = self.at(self.heights, *(way.flatten(0, 1) for way in ways)).view_as(ways[0]) - h
+        lamp, eye = lamp.to(points), self.eye.to(points)
+        over_patch = ((lamp[:, None, None] - points) * normal[:, None, None]).sum(0)  # [h, w] m, the same everywhere
+        h = torch.linspace(deepest_m, -deepest_m, LAYERS, dtype=points.dtype, device=points.device)[:, None, None]
+        x, y, z = (point + (lamp[axis] - point) * (h / over_patch) for axis, point in enumerate(points))  # [layers, h, w]
+        rise = z / (eye[2] - z).clamp(min=LEAST_DROP_M)
+        ways = [x + (x - eye[0]) * rise, y + (y - eye[1]) * rise]
+        above = self.at(self.heights, *(way.flatten(0, 1) for way in ways)).view_as(ways[0]) - z
         above[-1].clamp_(min=0)  # what comes so far down ends there
         under = (above >= 0).to(torch.uint8).argmax(0, keepdim=True)
         over = (under - 1).clamp(min=0)

@@ -11,16 +11,16 @@ PIXEL = 0.4  # of the camera, cost as much as one height step between neighbours
 STEP, JUMP = 0.3, 3.0  # cost of neighbours that differ by one height step, and by more
 
 
-def sweep(sight: Sight, seen: Tensor, textures: tuple[Tensor, ...], limit: Tensor, heights: Tensor) -> Tensor:
-    """Heights in m at the nodes `[n]`, out of `[k]` that are tried, in even steps about zero.
+def sweep(sight: Sight, seen: Tensor, textures: tuple[Tensor, ...], limit: Tensor, heights: Tensor, base: Tensor) -> Tensor:
+    """Heights in m at the nodes `[n]`, out of `[k]` over the base `[n]` that are tried, in even steps about zero.
 
     seen: symbol image `[h, w]`. limit: threshold `[h, w]` cd/m^2. textures: light that was shown, `[rows, cols]` cd a module.
     """
-    tried = heights[:, None, None].expand(-1, *sight.shape)
+    tried = heights[:, None, None] + sight.on_pixels(base)
     lack = seen - sight.symbol(sight.luminance(textures, tried), limit)
     cost = torch.where(lack < 0, (-lack).clamp(max=CAPS[0]), lack.clamp(max=CAPS[1])) * sight.inside
     costs = sight.on_nodes(cost) * (PIXEL * sight.step) + 0.4 * heights.abs()[:, None]
-    return heights[semi_global(costs.T.unflatten(0, (sight.rows, sight.cols))).flatten()]
+    return base + heights[semi_global(costs.T.unflatten(0, (sight.rows, sight.cols))).flatten()]
 
 
 def semi_global(costs: Tensor) -> Tensor:

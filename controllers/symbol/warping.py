@@ -8,12 +8,13 @@ from pydantic import Field
 from torch import Tensor
 
 from controllers.symbol.alignment import Alignment, Kind, Placement
-from controllers.symbol.drawing import BEYOND, CELLS, Drawing, Warp
+from controllers.symbol.drawing import CELLS, Drawing, Warp
 from controllers.symbol.observer import Observer
 from controllers.symbol.protocol import Look, SymbolController
 from perception.extraction import Loss
 from world.params import Params
 
+BEYOND = (0.4, 0.15)  # of the symbol's length and width, by which a warp's rectangle is larger on every side
 LEAST_SHARE = 0.2  # of a placement: after a few that did not help there is nothing more to be had
 
 

@@ -1,5 +1,6 @@
 """Heights from one look, and drawings for them: against closed forms, then in a small closed loop."""
 
+import math
 from copy import copy
 from dataclasses import replace
 from functools import cache
@@ -12,9 +13,13 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from controllers.symbol.drawing import CELLS, FOLLOWED, Drawing, warp_onto
+from controllers.symbol.drawing import CELLS, Drawing, Warp
+from controllers.symbol.patch import FOLLOWED, drawn_on
+from controllers.symbol.projector import SymbolParams
 from controllers.symbol.protocol import Look, Shown
 from controllers.symbol.relief import Relief
+from controllers.symbol.shape import reached
+from controllers.symbol.stance import HERE
 from controllers.symbol.sweep import semi_global, sweep
 from loop.run import prepare
 from loop.scenario import DisturbanceParams, load
@@ -30,6 +35,22 @@ def relief(height: float, brightness: float = 1.0) -> Relief:
     return Relief(REGION, EYE, torch.full((20, 10), height), torch.full((20, 10), brightness))
 
 
+def drawn(road: Relief, lamps: Tensor = LAMP[None]) -> Drawing:
+    return drawn_on(road, lamps, SymbolParams(image="snowflake"), HERE)
+
+
+def warp_of(drawing: Drawing) -> Warp:
+    assert drawing.warp is not None
+    return drawing.warp
+
+
+def on_plane(x: Tensor, y: Tensor) -> Tensor:
+    return torch.stack([x, y, torch.zeros_like(x)])
+
+
+UP = torch.tensor([0.0, 0.0, 1.0])
+
+
 def seen_by_hand(lamp: Tensor, x: Tensor, y: Tensor, height: float) -> Tensor:
     """Where the eye sees light meant for (x, y) on a plane at that height, by similar triangles."""
     ground = torch.stack([x, y])
@@ -40,7 +61,7 @@ def seen_by_hand(lamp: Tensor, x: Tensor, y: Tensor, height: float) -> Tensor:
 @pytest.mark.parametrize("height", [-0.1, 0.0, 0.07])
 def test_light_on_a_raised_plane_is_seen_where_similar_triangles_say(height: float) -> None:
     x, y = torch.meshgrid(torch.linspace(15, 19, 9), torch.linspace(-1, 1, 5), indexing="ij")
-    seen = torch.stack(relief(height).seen_from(LAMP, x, y, 0.2))
+    seen = torch.stack(relief(height).seen_from(LAMP, on_plane(x, y), UP, 0.2))
     # the way of light is straight, but where its layers are seen is not quite linear in height between two of them
     torch.testing.assert_close(seen, seen_by_hand(LAMP, x, y, height), rtol=0, atol=5e-3)
 
@@ -50,36 +71,54 @@ def test_light_falls_on_the_first_thing_in_its_way() -> None:
     heights[40:45] = 0.2  # a wall, seen between 16.5 m and 17 m
     wall = Relief(REGION, EYE, heights, torch.ones(80, 10))
     x = torch.tensor([[16.0, 17.5, 18.5, 20.5]])
-    seen, _ = wall.seen_from(LAMP, x, torch.zeros_like(x), 0.25)
+    seen, _ = wall.seen_from(LAMP, on_plane(x, torch.zeros_like(x)), UP, 0.25)
     assert abs(seen[0, 0] - 16.0) < 0.01, "before the wall"
     assert ((seen[0, 1:3] > 16.4) & (seen[0, 1:3] < 17.1)).all(), "on its face"
 
 
 def test_a_drawing_for_the_plane_is_the_symbol_itself() -> None:
-    warp = warp_onto(relief(0.0, 0.5), LAMP[None], (17.0, 0.0), 4.0, 2.0)
+    drawing = drawn(relief(0.0, 0.5))
+    warp = warp_of(drawing)
     length, width = warp.size_m
     v = (2 * (torch.arange(CELLS[0]) + 0.5) / CELLS[0] - 1) * length / 4
     u = (2 * (torch.arange(CELLS[1]) + 0.5) / CELLS[1] - 1) * width / 2
     # rounding of float32 coordinates of some 20 m, over half of the symbol's width of 1 m
     inner = (slice(FOLLOWED, -FOLLOWED), slice(FOLLOWED, -FOLLOWED))  # at the outermost, dark cells nothing is there to interpolate
+    torch.testing.assert_close(drawing.pose, torch.tensor([17.0, 0.0, 0.0, 0.0]), rtol=0, atol=1e-4)
     torch.testing.assert_close(warp.source[0, 1][inner], v[:, None].expand(CELLS)[inner], rtol=0, atol=1e-4)
     torch.testing.assert_close(warp.source[0, 0][inner], u.expand(CELLS)[inner], rtol=0, atol=1e-4)
     assert (warp.dimming == 1).all(), "what is darker than expected is not dimmed"
-    assert torch.allclose(warp_onto(relief(0.0, 4.0), LAMP[None], (17.0, 0.0), 4.0, 2.0).dimming, torch.tensor(0.25))
+    assert torch.allclose(warp_of(drawn(relief(0.0, 4.0))).dimming, torch.tensor(0.25))
+
+
+@pytest.mark.parametrize("slope", [-0.02, 0.03])
+def test_a_symbol_for_a_slope_is_drawn_on_the_slope(slope: float) -> None:
+    shape = torch.tensor([[slope * 14.0, slope, 0.01, 0.0]])
+    x, y = torch.meshgrid(torch.linspace(20.95, 13.05, 80), torch.linspace(1.95, -1.95, 40), indexing="ij")
+    heights = EYE[2] * (1 - reached(shape, 17.0, EYE, on_plane(x, y) - EYE[:, None, None])[0])
+    drawing = drawn(Relief(REGION, EYE, heights, torch.ones(80, 40)))
+    x, y, roll, pitch = drawing.pose
+    assert drawing.z is not None
+    assert float(drawing.z) == pytest.approx(float(shape[0, 0] + slope * (x - 17) + 0.01 * y), abs=1e-3)  # rounding over 20 m
+    # heights behind lines of sight between cells of 10 cm are interpolated, on a slope they are not quite linear
+    assert float(pitch) == pytest.approx(-math.atan(slope), abs=3e-4)
+    assert float(roll) == pytest.approx(math.atan(0.01), abs=3e-4)
+    u, v = warp_of(drawing).source[0]
+    assert (u.min() < -1) & (u.max() > 1) & (v.min() < -1) & (v.max() > 1), "the patch holds the whole symbol"
 
 
 def test_each_lamp_has_a_drawing_of_its_own() -> None:
     eye, lamps = torch.tensor([-1.6, 0.0, 1.35]), torch.stack([LAMP, LAMP * torch.tensor([1.0, -1.0, 1.0])])
-    bump = Relief(REGION, eye, torch.linspace(0, 0.08, 20)[:, None].expand(20, 10), torch.linspace(1, 2, 20)[:, None].expand(20, 10))
-    warp = warp_onto(bump, lamps, (17.0, 0.0), 4.0, 2.0)
+    wave = 0.03 * (1 + torch.linspace(-6, 6, 20).cos())[:, None].expand(20, 10)
+    warp = warp_of(drawn(Relief(REGION, eye, wave, torch.linspace(1, 2, 20)[:, None].expand(20, 10)), lamps))
     left, right = warp.source
     # rounding of float32 coordinates, as above; what is left for one lamp is right for the other
-    torch.testing.assert_close(right, torch.stack([-left[0], left[1]]).flip(-1), rtol=0, atol=1e-4)
+    torch.testing.assert_close(right, torch.stack([-left[0], left[1]]).flip(-1), rtol=0, atol=2e-4)
     torch.testing.assert_close(warp.dimming[1], warp.dimming[0].flip(-1), rtol=0, atol=1e-4)
-    assert (left[0] - right[0]).abs().max() > 0.1, "5 cm of road move a lamp's light by 4 cm sideways"
+    assert (left[0] - right[0]).abs().max() > 0.04, "3 cm of road over and under the patch move a lamp's light by 2 cm sideways"
     projector = prepare(load("flat", [*SMALL, 'headlight.lamps=["left", "right"]']), "cpu").projector
-    drawn = projector.draw(Drawing(projector.target, warp=warp))
-    for k, light in enumerate(drawn):
+    both = projector.draw(Drawing(projector.target, warp=warp))
+    for k, light in enumerate(both):
         for_all = replace(warp, source=warp.source[k, None], dimming=warp.dimming[k, None])
         assert torch.equal(light.u, projector.draw(Drawing(projector.target, warp=for_all))[k].u)
 
@@ -111,8 +150,8 @@ def test_one_look_tells_how_high_the_road_is(lifted: Simulation) -> None:
     contrast, limit = fine.observe(frames)
     seen = fine.symbol(contrast, limit)
     textures = tuple(m.pixel_controller.headlight.light_texture(light.u) for m, light in zip(projector.modules, lights, strict=True))
-    swept = sweep(fine, seen, textures, limit, controller.tried)
     registration = controller.registration
+    swept = sweep(fine, seen, textures, limit, controller.tried, registration.unknown().base)
     refined = registration.refine(swept, registration.unknown(), seen, textures, limit)
     found, lit = refined.mean, refined.information.diagonal() > 1 / 0.005**2  # known to half a centimetre by themselves
     assert lit.sum() > 50
@@ -194,8 +233,9 @@ def _look(prepared: Simulation, frames: tuple[Tensor, Tensor] | None) -> Look:
 def test_a_batch_of_warped_drawings_equals_singles() -> None:
     prepared = simulation('{kind="flat"}')
     target = prepared.projector.target
-    warps = [warp_onto(relief(height), LAMP[None], (17.0, 0.0), 4.0, 2.0) for height in (0.0, 0.05)]
-    batch = type(warps[0])(torch.stack([w.source for w in warps]), torch.stack([w.dimming for w in warps]), warps[0].size_m)
+    shifted = warp_of(drawn(relief(0.0)))
+    warps = [shifted, replace(shifted, source=shifted.source + 0.05)]
+    batch = Warp(torch.stack([w.source for w in warps]), torch.stack([w.dimming for w in warps]), shifted.size_m)
     (together,) = prepared.projector.draw(Drawing(target.expand(2, 4), warp=batch))
     for light, warp in zip(together.u, warps, strict=True):
         assert torch.equal(light, prepared.projector.draw(Drawing(target, warp=warp))[0].u)

@@ -1,0 +1,103 @@
+"""The road's shape from where in the whole image the symbol is: against closed forms, and in worlds where it is far from its place."""
+
+from functools import cache
+
+import pytest
+import torch
+from torch import Tensor
+
+from controllers.symbol.acquisition import Acquired
+from controllers.symbol.drawing import Drawing
+from controllers.symbol.shape import reached
+from loop.run import prepare
+from loop.scenario import load
+from loop.simulation import Simulation
+from perception.extraction import Loss
+
+SMALL = ["camera={width_px=640, height_px=480}", "start={x_m=17.0, y_m=0.0, roll_deg=0.0, pitch_deg=0.0}", "controller={name='open'}"]
+FLAT = "{kind='flat'}"
+
+
+def grade(percent: float, crossfall: float = 0.0) -> str:
+    return f"{{kind='grade', grade_percent={percent}, crossfall_percent={crossfall}, start_x_m=3.0}}"
+
+
+@cache
+def simulation(road: str, *more: str) -> Simulation:
+    return prepare(load("snowflake", [*SMALL, f"road={road}", *more]), "cpu")
+
+
+def frames_of(prepared: Simulation) -> tuple[Tensor, Tensor]:
+    lights = prepared.projector.light(prepared.projector.target)
+    _, frames = prepared.plant.show(prepared.plant.start(), lights, 0)
+    assert frames is not None
+    return frames
+
+
+def acquired(road: str, *more: str) -> Acquired:
+    prepared = simulation(road, *more)
+    return prepared.observer.acquire(frames_of(prepared), prepared.projector.light(prepared.projector.target))
+
+
+def test_a_ray_meets_the_road_where_the_quadratic_is_solved() -> None:
+    shapes = torch.tensor([[0.2, 0.01, -0.02, 0.002], [-0.3, -0.03, 0.0, 0.0], [0.0, 0.0, 0.0, -0.004]], dtype=torch.float64)
+    origin, rays = torch.tensor([0.0, 0.6, 0.75]).double(), torch.tensor([[1.0, 1.0], [0.01, -0.03], [-0.05, -0.06]]).double()
+    points = origin[:, None, None] + rays[:, None] * reached(shapes, 17.0, origin, rays)
+    x, y, z = points
+    a, b, c, d = shapes.T[..., None]
+    torch.testing.assert_close(z, a + b * (x - 17) + c * y + d * (x - 17) ** 2 / 2, rtol=0, atol=1e-9)  # rounding
+    assert reached(shapes, 17.0, origin, torch.tensor([[1.0], [0.0], [0.05]]).double())[2].isinf().all(), "no way down"
+
+
+@pytest.mark.parametrize(("percent", "crossfall"), [(-2.0, 0.0), (-1.0, 2.0), (1.0, -2.0), (3.0, 0.0), (4.0, 2.0)])
+def test_the_shape_of_a_grade_is_found_where_its_light_is(percent: float, crossfall: float) -> None:
+    prepared, found = simulation(grade(percent, crossfall)), acquired(grade(percent, crossfall))
+    assert found.found
+    lamp = prepared.projector.modules[0].T_world_headlight[:3, 3]
+    way = torch.tensor([[17.0], [0.0], [0.0]]) - lamp[:, None]
+    x, y, z = (lamp[:, None] + way * reached(found.shape[None], 17.0, lamp, way)[0])[:, 0].tolist()
+    # the height at which the middle ray is met: half a camera row is 1 cm of height there
+    assert z == pytest.approx(float(prepared.scenario.road.z(x, y)), abs=0.015)
+
+
+def test_a_flat_road_is_found_to_be_flat() -> None:
+    found = acquired(FLAT)
+    assert not found.found
+    assert found.match > 0.9
+    assert found.match - found.flat < 0.02  # what is tried last are steps of 1 mm and 0.2 per mille
+
+
+@pytest.mark.parametrize(
+    "disturbance",
+    [
+        "disturbances.oncoming=[{position_m=[40, 2, 0.65], intensity_cd=500, frames='on'}]",
+        "disturbances.ambient=[{factor=4, frames='on'}]",
+        "disturbances.noise=[{factor=10}]",
+    ],
+)
+def test_what_is_no_symbol_is_not_taken_for_it(disturbance: str) -> None:
+    prepared = simulation(FLAT, disturbance)
+    nothing = prepared.projector.light(prepared.projector.target)
+    dark = tuple(type(light)(torch.zeros_like(light.u)) for light in nothing)
+    _, frames = prepared.plant.show(prepared.plant.start(), dark, 0)
+    assert frames is not None
+    assert not prepared.observer.acquire(frames, nothing).found
+
+
+def test_a_symbol_that_is_plainly_in_the_image_is_never_lost() -> None:
+    for percent in (-2.0, 3.0, 4.0):
+        prepared = simulation(grade(percent))
+        lights = prepared.projector.light(prepared.projector.target)
+        seen = prepared.observer.look(frames_of(prepared), Drawing(prepared.projector.target), lights)
+        assert seen.code == Loss.SEEN, percent
+        again = prepared.observer.look(frames_of(prepared), Drawing(prepared.projector.target), lights, seen.shape)
+        assert again.code == Loss.SEEN
+        assert again.acquired is None, "once found it is looked for where it was"
+
+
+@pytest.mark.parametrize(("percent", "least"), [(-2.0, 0.72), (2.0, 0.90), (4.0, 0.85)])
+def test_two_looks_lay_the_symbol_straight_on_a_grade(percent: float, least: float) -> None:
+    """As well as exact inverse ray tracing onto the true road does, which leaves the light of near parts as bright as it is."""
+    prepared = prepare(load("snowflake", [*SMALL[:2], f"road={grade(percent)}", "controller={name='luxloop'}"], steps=4), "cpu")
+    *_, last = prepared.run()
+    assert float(last.verdict.iou) > least - 0.01
