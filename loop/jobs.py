@@ -47,9 +47,12 @@ class Results:
 
         from loop.recorder import write_table
 
-        with _writing(file):
-            file.parent.mkdir(parents=True, exist_ok=True)
-            write_table(file, pa.Table.from_pylist(self.rows))
+        try:
+            with _writing(file):
+                file.parent.mkdir(parents=True, exist_ok=True)
+                write_table(file, pa.Table.from_pylist(self.rows))
+        except pa.ArrowException as error:
+            raise LuxloopError(f"{file}: results make no table ({error}); remove the file of results, or give another folder") from error
 
 
 def run(
@@ -151,6 +154,8 @@ def _entry(line: bytes) -> tuple[str, dict[str, Any]]:
     if not line.endswith(b"\n"):
         raise ValueError("its last line has no end")
     entry = parsed_json(line)
+    if not isinstance(entry["result"], dict):
+        raise TypeError("a result is no table")
     return entry["id"], entry["result"]
 
 

@@ -22,7 +22,7 @@ from loop.sources import sources_of
 from loop.utilisations import sequence_files
 from loop.validation import parsed_json, sentence
 from world.errors import LuxloopError
-from world.files import content, files_at, reading, whole
+from world.files import content, files_at, reading, regular, whole
 from world.objects import MeshParams
 from world.params import Params
 from world.plugin import named as named_parts
@@ -75,12 +75,17 @@ class Manifest(Params):
             started_utc=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         )
 
+    @property
+    def device_here(self) -> str:
+        """The kind of device that was recorded on, the CPU where this machine has none of it."""
+        return "cuda" if self.device.startswith("cuda") and torch.cuda.is_available() else "cpu"
+
     @classmethod
     def read(cls, directory: Path) -> "Manifest":
         """The manifest of a recording. Raises LuxloopError where there is none that this luxloop understands."""
         file = directory / FILE
-        if not file.is_file():
-            kind = f"holds no recording ({FILE} is missing)" if directory.is_dir() else "is not a directory"
+        if not os.path.isfile(file):
+            kind = f"holds no recording ({FILE} is missing)" if os.path.isdir(directory) else "is not a directory"
             raise LuxloopError(f"{directory}: {kind}; give a directory that `luxloop run` wrote")
         with reading(file, "damaged, not valid JSON", "record the run again"):
             stored = parsed_json(content(file))
@@ -172,7 +177,7 @@ def digests(scenario: AnyScenario) -> dict[str, str]:
 def sha256(file: Path) -> str:
     """SHA-256 of a file, hexadecimal. Raises LuxloopError where it cannot be read."""
     try:
-        with file.open("rb") as stream:
+        with regular(file).open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
         raise LuxloopError(f"{file}: cannot be read ({error.strerror}); put it back, or name another in the scenario") from error

@@ -1,11 +1,13 @@
 """Recordings read back: run the recorded scenario again and hold it against the recording, or write it as CSV."""
 
 import itertools
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.csv
 import pyarrow.parquet as pq
 import torch
@@ -17,10 +19,11 @@ from loop.scenario import Scenario, validate
 from loop.simulation import Simulation, StepResult
 from world.budget import afford
 from world.errors import LuxloopError
-from world.files import reading
+from world.files import reading, whole
 from world.plugin import refuse_code
 
 BYTES_A_VALUE = 16  # of a table while it is read, however well it was compressed
+TYPES = (pa.int64(), pa.float64(), pa.bool_(), pa.string())
 
 
 @dataclass(frozen=True)
@@ -55,17 +58,25 @@ def load(directory: Path) -> Recording:
 
 def read_parquet(file: Path) -> pa.Table:
     """Read a recording's table of steps. Raises LuxloopError where it is missing or damaged."""
-    if not file.is_file():
+    if not os.path.isfile(file):
         raise LuxloopError(f"{file}: is missing, no step was recorded; record the run again")
-    with reading(file, "damaged, not readable as Parquet", "record the run again"), pq.ParquetFile(file) as stored:
-        afford(f"{file}: its table", BYTES_A_VALUE * stored.metadata.num_rows * stored.metadata.num_columns, "record the run again")
-        afford(f"{file}: its table", _declared(stored.metadata), "record the run again")
-        return stored.read()
+    with reading(file, "damaged, not readable as Parquet", "record the run again"):
+        schema = pq.read_schema(file)
+        if strange := [field.name for field in schema if field.type not in TYPES]:
+            raise ValueError(f"the column {strange[0]!r} is of no type that recordings have")
+        texts = [field.name for field in schema if field.type == pa.string()]
+        with pq.ParquetFile(file, read_dictionary=texts) as stored:
+            afford(f"{file}: its table", _declared(stored.metadata), "record the run again")
+            table = stored.read()
+        longest = [pc.max(pc.binary_length(chunk.dictionary)).as_py() or 0 for name in texts for chunk in table[name].chunks]
+        afford(f"{file}: its texts", table.num_rows * sum(longest), "record the run again")
+        return table.cast(schema)
 
 
 def _declared(metadata: pq.FileMetaData) -> int:
-    """Bytes of all columns before they were compressed."""
-    return sum(metadata.row_group(k).total_byte_size for k in range(metadata.num_row_groups))
+    """Bytes of all columns, texts that are the same in many rows counted once."""
+    chunks = [metadata.row_group(k).column(j) for k in range(metadata.num_row_groups) for j in range(metadata.num_columns)]
+    return sum(max(BYTES_A_VALUE * chunk.num_values, chunk.total_uncompressed_size) for chunk in chunks)
 
 
 def read_table(file: Path) -> pa.Table:
@@ -100,8 +111,7 @@ def replay(
         raise LuxloopError(f"{directory / TRAJECTORY}: holds no step; record the run again")
     if not allow_code:
         refuse_code(scenario, str(directory / FILE))
-    device = device or (manifest.device if manifest.device == "cpu" or torch.cuda.is_available() else "cpu")
-    simulation = Simulation.prepare(scenario, device)
+    simulation = Simulation.prepare(scenario, device or manifest.device_here)
     notes = manifest.changes(Manifest.of(scenario, simulation.world.source.name, simulation.device))
     rows = []
     for result in itertools.islice(simulation.run(), steps):
@@ -112,13 +122,11 @@ def replay(
 
 
 def to_csv(directory: Path, file: Path) -> None:
-    """Write a recording's steps as CSV, values that are missing as empty fields. Raises LuxloopError where it cannot."""
+    """Write a recording's steps as CSV, whole or not at all; missing values are empty fields. Raises LuxloopError where it cannot."""
     lighting = "lighting" in Manifest.read(directory).scenario
     table = read_parquet(directory / TRAJECTORY) if lighting else load(directory).table
-    try:
-        pyarrow.csv.write_csv(table, file)
-    except OSError as error:
-        raise LuxloopError(f"{file}: cannot be written ({error.strerror or error}); name another file") from error
+    with whole(file) as part:
+        pyarrow.csv.write_csv(table, part)
 
 
 def _first_line(error: Exception) -> str:

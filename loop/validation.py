@@ -58,9 +58,12 @@ def _workable(parse: Callable[[], Any]) -> Any:
 
 
 def _unworkable(value: Any, levels: int) -> str:
-    """Why plain data cannot be worked with, empty where it can: all that walks through tables recurs, and integers have 64 bits."""
+    """Why plain data cannot be worked with, empty where it can: all that walks through tables recurs, integers have 64 bits, and
+    no path has a NUL."""
     if isinstance(value, int) and value.bit_length() > 64:
         return "an integer has more than 64 bits"
+    if isinstance(value, str) and "\0" in value:
+        return "a text has a NUL character"
     inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
     if inner and not levels:
         return f"it is nested deeper than {DEEPEST} levels"

@@ -13,10 +13,12 @@ NEAR = 0.7  # share of the letters that two near names have in common, in the sa
 
 
 class LuxloopError(ValueError):
-    """Bad input; the message is one sentence that names the file, the key or line, and the remedy. Long input in it is cut short."""
+    """Bad input; the message is one sentence that names the file, the key or line, and the remedy. Long input in it is cut short, and its
+    control characters are question marks."""
 
     def __init__(self, message: str) -> None:
-        words = re.sub(rf"\S{{{LONGEST_WORD},}}", lambda word: _short(word[0], LONGEST_WORD), message)
+        shown = re.sub(r"[\0-\x08\x0e-\x1f\x7f-\x9f]", "?", message)  # input must not control the terminal
+        words = re.sub(rf"\S{{{LONGEST_WORD},}}", lambda word: _short(word[0], LONGEST_WORD), shown)
         super().__init__(_short(words, LONGEST_MESSAGE))
 
 

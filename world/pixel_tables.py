@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from world.arrays import read_npz
 from world.errors import LuxloopError
-from world.files import reading
+from world.files import reading, regular
 from world.headlight import LUMINANCE
 from world.photometry.distribution import EDGE_DEG, Array, Distribution
 from world.pixels import Pixel, PixelArray
@@ -132,7 +132,7 @@ def _csv_columns(path: Path) -> Mapping[str, Array]:
 
 def separators(path: Path) -> tuple[str, str]:
     """Delimiter and decimal point of a .csv: semicolon and comma where spreadsheets write them so, told by the first line."""
-    with path.open("rb") as stream:
+    with regular(path).open("rb") as stream:
         return (";", ",") if b";" in stream.readline() else (",", ".")
 
 

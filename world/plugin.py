@@ -1,5 +1,6 @@
 """Parts of the user's own, which a scenario names by `package.module:Name`: found, trusted, made, and their errors put in a sentence."""
 
+import os
 import re
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -65,7 +66,7 @@ def known_or_own(key: str, default: str | None = None) -> Discriminator:
 def file_of(folder: Path, module: str) -> Path | None:
     """The file of a module in a folder, None where it has none there."""
     path = folder.joinpath(*module.split("."))
-    return next((file for file in (path / PACKAGE, path.with_name(f"{path.name}.py")) if file.is_file()), None)
+    return next((file for file in (path / PACKAGE, path.with_name(f"{path.name}.py")) if os.path.isfile(file)), None)
 
 
 def beside(text: str, folder: Path) -> str:

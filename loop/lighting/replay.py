@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import torch
 
 from loop.comparison import Difference
 from loop.lighting.record import row, schema
@@ -35,8 +34,7 @@ def replay(directory: Path, on_step: Callable[[LightingResult], None] = lambda r
         raise LuxloopError(f"{directory / TRAJECTORY}: holds no step of lighting functions; record the run again")
     if not allow_code:
         refuse_code(scenario, str(directory / FILE))
-    device = manifest.device if manifest.device == "cpu" or torch.cuda.is_available() else "cpu"
-    simulation = LightingSimulation.prepare(scenario, device)
+    simulation = LightingSimulation.prepare(scenario, manifest.device_here)
     columns = schema(simulation)
     if missing := [name for name in columns.names if name not in recorded.column_names]:
         raise LuxloopError(f"{directory / TRAJECTORY}: the column {missing[0]!r} is missing; record the run again")

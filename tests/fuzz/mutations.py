@@ -11,10 +11,10 @@ from typing import Any
 _DIGITS, _HEX, _LONG, _DEEP = "9" * 5000, "0x" + "f" * 5000, '"' + "long " * 2000 + '"', "[" * 3000 + "]" * 3000
 NUMBERS = (
     *("0", "-1", "1.5", "1e300", "-1e300", "1e-300", "1e9", "nan", "-inf", "2147483648", "9223372036854775808", _DIGITS, _HEX),
-    *("true", '""', '"x"', "[]", "{}", "[[[]]]", "1979-05-27", "'\\u0000'", _LONG, _DEEP),
+    *("true", '""', '"x"', "[]", "{}", "[[[]]]", "1979-05-27", '"\\u0000.x"', _LONG, _DEEP),
 )
 STRANGE = ("\0", '"', "[", "=", "\ufeff", "ü", "a." * 3000, "$", " ", "<!", "\x1b[31m")
-VALUES = (None, 0, -1, 1e300, -1e300, 1e-300, 2**70, "", "x" * 5000, "../x", "/dev/zero", [], {}, [[]], True, 1e6)
+VALUES = (None, 0, -1, 1e300, -1e300, 1e-300, 2**70, "", "x" * 5000, "../x", "/dev/zero", "\0.x", [], {}, [[]], True, 1e6)
 SHAPES = ("(100000, 100000)", "(-1,)", "()", "(0,)", f"({'9' * 4000},)", "(1, " * 400, "(1.5,)", "(1000000000,)")
 TYPES = ("|O", "<f8", "<c16", "<U9", "|S0", "<M8[s]", "|b1", "<i8", "<f2", "x")
 WORDS = (0, 1, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF)
@@ -147,9 +147,7 @@ def of_tables(value: Any, rng: random.Random) -> Any:
             case 2 if isinstance(holder, dict):
                 holder[f"{key}x"] = holder[key]
             case _:
-                holder[key] = rng.choice(
-                    (None, 0, -1, 1e300, -1e300, 1e-300, 2**70, "", "x" * 5000, "../x", "/dev/zero", [], {}, [[]], True, 1e6)
-                )
+                holder[key] = rng.choice(VALUES)
     return value
 
 

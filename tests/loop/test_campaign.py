@@ -115,7 +115,7 @@ def test_a_campaign_whose_runs_all_fail_says_why(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     file = written(tmp_path, 'scenarios = ["flat"]\ncontrollers = ["nopkg.mod:Name"]\n')
-    assert cli.main(["campaign", str(file), "--jobs", "1", "--out", "new/folder"]) == cli.DIFFERS
+    assert cli.main(["campaign", str(file), "--jobs", "1", "--out", "new/folder", "--allow-code"]) == cli.DIFFERS
     assert "No module named 'nopkg'" in "".join(capsys.readouterr())
     assert "No module named 'nopkg'" in Path("new/folder/report.md").read_text()
     assert pq.read_table(tmp_path / "new" / "folder" / TABLE).num_rows == 1
@@ -210,7 +210,15 @@ def test_a_grid_beyond_all_reason_is_refused_before_its_runs_are_read(tmp_path: 
 
 def test_a_name_that_no_file_can_have_is_refused_in_a_sentence(tmp_path: Path) -> None:
     file = tmp_path / "c.toml"
-    for name, words in (("long " * 2000, "there is no scenario"), ("nul\\u0000", "there is no scenario"), ("", r"scenarios\[0\]")):
+    for name, words in (("long " * 2000, "there is no scenario"), ("nul\\u0000", "a text has a NUL character"), ("", r"scenarios\[0\]")):
         file.write_text(f'scenarios = ["{name}"]')
         with pytest.raises(LuxloopError, match=words):
             read(file)
+
+
+def test_an_input_that_never_ends_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "c.toml"
+    (tmp_path / "pipe").symlink_to("/dev/zero")
+    file.write_text('scenarios = ["flat"]\n[set.symbol]\nimage = "./pipe"\n')
+    with pytest.raises(LuxloopError, match=r"/dev/zero: cannot be read \(it is no regular file\)"):
+        run_campaign(file, tmp_path / "out")

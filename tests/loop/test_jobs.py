@@ -161,7 +161,9 @@ def test_a_line_cut_off_by_a_kill_is_done_again(tmp_path: Path) -> None:
         assert file.read_bytes() == whole
 
 
-@pytest.mark.parametrize("junk", [b"\0" * 40, b'{"id": "ab\0\0\n', b"\xff\xfe\n", b'{"key": 1}\n', b"[", b"\n"])
+@pytest.mark.parametrize(
+    "junk", [b"\0" * 40, b'{"id": "ab\0\0\n', b"\xff\xfe\n", b'{"key": 1}\n', b'{"id": "a", "result": 5}\n', b"[", b"\n"]
+)
 def test_junk_in_the_last_line_costs_that_line(junk: bytes, tmp_path: Path) -> None:
     log, file = tmp_path / "log", tmp_path / "r.jsonl"
     run(square, numbers(1, 2, log=str(log)), file, version="1", processes=1)
@@ -194,6 +196,8 @@ def test_parquet(tmp_path: Path) -> None:
     assert pq.read_table(file).to_pylist() == [{"key": f"x {x}", "x": x, "square": x * x, "list": [x, x]} for x in (1, 2)]
     with pytest.raises(LuxloopError, match="cannot be written"):
         Results([{"a": 1}], {}).write(file / "r.parquet")
+    with pytest.raises(LuxloopError, match="results make no table"):
+        Results([{"a": 1}, {"a": "one"}], {}).write(file)
 
 
 def test_versions_follow_the_source() -> None:

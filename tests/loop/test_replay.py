@@ -230,6 +230,10 @@ DAMAGE = {
     "truncated": (lambda d: truncate(d / "trajectory.parquet"), r"trajectory.parquet: damaged, not readable as Parquet \(.*\); record"),
     "empty file": (lambda d: (d / "trajectory.parquet").write_bytes(b""), r"trajectory.parquet: damaged, not readable as Parquet"),
     "missing column": (lambda d: rewrite(d, lambda t: t.drop_columns("iou")), r"the column 'iou' is missing; record the run again"),
+    "a type of another kind": (
+        lambda d: rewrite(d, lists),
+        r"damaged, not readable as Parquet \(the column 'more' is of no type that recordings have\); record",
+    ),
     "words for numbers": (lambda d: rewrite(d, words), r"trajectory.parquet: a column is not of its type \(.*\); record the run again"),
     "no rows": (lambda d: rewrite(d, lambda t: t.slice(0, 0)), r"trajectory.parquet: holds no step; record the run again"),
 }
@@ -247,6 +251,11 @@ def rewrite(directory: Path, change: Any) -> None:
 
 def words(table: pa.Table) -> pa.Table:
     return table.set_column(2, "x_m", pa.array(["far"] * table.num_rows))
+
+
+def lists(table: pa.Table) -> pa.Table:
+    """Lists may unpack to any size."""
+    return table.append_column("more", pa.array([[1.5]] * table.num_rows))
 
 
 @pytest.mark.parametrize("kind", DAMAGE)
@@ -284,7 +293,7 @@ def test_csv_has_every_value(recording: Path, tmp_path: Path, table: pa.Table) -
 
 
 def test_csv_that_cannot_be_written_is_told(recorded: Path, tmp_path: Path) -> None:
-    with pytest.raises(LuxloopError, match=r"out\.csv: cannot be written \(.*\); name another file"):
+    with pytest.raises(LuxloopError, match=r"out\.csv: cannot be written \(.*\); check the folder"):
         to_csv(recorded, tmp_path / "no" / "out.csv")
 
 
@@ -301,3 +310,18 @@ def test_a_table_that_unpacks_to_more_than_the_budget_is_refused(tmp_path: Path)
     assert file.stat().st_size < 1e6
     with pytest.raises(LuxloopError, match=r"its table would take at least 3.2 GB"):
         read_parquet(file)
+
+
+def test_a_long_text_that_is_repeated_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "a.parquet"
+    text, rows = "x" * 10_000_000, 1000  # 10 GB in a few kB
+    pq.write_table(pa.table({"loss": pa.DictionaryArray.from_arrays(pa.array([0] * rows, pa.int32()), [text])}), file, store_schema=False)
+    assert file.stat().st_size < 1e6
+    with pytest.raises(LuxloopError, match=r"its texts would take at least 10 GB"):
+        read_parquet(file)
+
+
+@pytest.mark.parametrize("device", ["xyz", "cuda:99", "meta"])
+def test_a_device_that_nobody_has_is_replaced(device: str, recording: Path) -> None:
+    edit(recording / "manifest.json", device=device)
+    assert replay(recording, allow_code=False).agrees

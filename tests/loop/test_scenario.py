@@ -266,3 +266,16 @@ def test_files_beyond_all_reason_are_told_in_a_sentence(text: str, file: Path) -
     assert len(failure(file)) < 1000
     with pytest.raises(LuxloopError):
         load_any("flat", [text])
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (f'symbol.image = "snowflake"\nroad.kind = "{"a" * 300}:Road"', "--allow-code"),
+        ('symbol.image = "snowflake"\nroad.kind = "\\u0000/a:Road"', "a text has a NUL character"),
+        ('symbol.image = "\\u0000.png"', "a text has a NUL character"),
+    ],
+)
+def test_names_that_no_file_can_have_are_told_in_a_sentence(text: str, said: str, file: Path) -> None:
+    file.write_text(f'name = "mine"\n{text}')
+    assert said in failure(file)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from world.errors import did_you_mean
+from world.errors import LuxloopError, did_you_mean
 
 KNOWN = ("zones", "flat", "gfhb", "belgian_block", "kp")
 
@@ -18,3 +18,7 @@ def test_one_slip_is_recognised(given: str, meant: str) -> None:
 def test_what_is_not_near_is_not_suggested(given: str) -> None:
     assert did_you_mean(given, KNOWN) == "known are zones, flat, gfhb, belgian_block, kp"
     assert did_you_mean(given, KNOWN, "see the list") == "see the list"
+
+
+def test_input_in_a_message_does_not_control_the_terminal() -> None:
+    assert str(LuxloopError("a\x1b[31m\x07: line\nü")) == "a?[31m?: line\nü"
