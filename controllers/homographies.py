@@ -17,7 +17,7 @@ from controllers.primitives import Primitives
 from controllers.windows import NEAREST_M
 from world.texels import TexelGrid
 
-ROUNDINGS = 4  # by which a plane may be off; what was measured in thousands of random scenes stays below one
+ROUNDINGS = 4  # error bound of a plane; below 1 in thousands of random scenes
 
 
 @dataclass(frozen=True)
@@ -66,9 +66,9 @@ class Homographies:
 
     @cached_property
     def rounding(self) -> Tensor:
-        """By which share of the distance a hit may be off: the farthest coordinate's rounding, over the lamp's distance from the plane.
+        """Relative error of a hit's distance: the rounding of the farthest coordinate, over the lamp's distance from the plane.
 
-        Edges that are nearly parallel count as a plane that is as much nearer, which their cross product rounds as badly.
+        Nearly parallel edges count as a plane that is nearer by the sine of their angle, since the cross product loses as much precision.
         """
         farthest = self.corners.norm(dim=-1).amax(-1) + self.position.norm()
         sides = (self.corners[..., 1:3, :] - self.corners[..., :1, :]).norm(dim=-1).prod(-1)

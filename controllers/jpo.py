@@ -34,7 +34,7 @@ class JpoParams(Params):
 class Jpo:
     """A pixel controller (see `controllers.ssc.PixelController`) that starts from SSC and then optimises all pixels jointly.
 
-    full: `[rows, cols]` cd, with all pixels on. Texels that no primitive covers shall keep the light of the default. As with SSC, pixels
+    full: `[rows, cols]` cd, with all pixels on. Texels that no primitive covers are to keep the light of the default. As with SSC, pixels
     that reach no hit keep their default.
     """
 
@@ -65,7 +65,7 @@ class Jpo:
     def utilisation(self, primitives: Primitives, T_world_headlight: Tensor, secondary: SecondaryRays | None = None) -> Utilisation:
         """Utilisation `[..., n_p]` for one moment.
 
-        Raises LuxloopError for values of primitives that are not finite, where the host knows them.
+        Raises LuxloopError for values of primitives that are not finite, where they are on the host.
         """
         goal = self.goal(primitives, T_world_headlight, secondary)
         if self.params.objective == "mae":

@@ -76,7 +76,7 @@ def pixel_major(headlight: Headlight, params: MrpcParams) -> PixelMajor:
     share, potential = _mapping(params, entries, pixel, of_pixels, of_texels)
     darkening = None
     if params.a_d is not None:
-        mean = total[total > 0].double().mean().to(total)  # which float32 takes from threads in any order
+        mean = total[total > 0].double().mean().to(total)  # in float64, since the order of summation depends on threads
         darkening = (total / (mean * params.a_d)).clamp(max=1)
     rows, reached = texel // headlight.cols, of_pixels(torch.ones_like(I_m), "sum")
     # In whole numbers, since no product of floats tells 7 of 25 texels from a share of 0.28; str gives the decimal that was written.

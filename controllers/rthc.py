@@ -104,7 +104,7 @@ def trace(
     setpoint of infinite weight, is hit by all rays within one texel of its outline, since light is interpolated between them. A symbol for
     an observer is read where he sees the hit (T 7.2.2); secondary: what else the hits are asked (nothing).
     Differentiable in the primitives (not across their edges).
-    Raises LuxloopError for values that are not finite, where the host knows them.
+    Raises LuxloopError for values that are not finite, where they are on the host.
     """
     return Casting.prepare(primitives, grid, T_world_headlight, windows, secondary).setpoints()
 
@@ -338,7 +338,7 @@ def _hit(rays: _Rays, seen: Homographies, p: int, mask: bool | None, front: bool
 
 
 def _won(hit: Tensor, rays: _Rays, seen: Homographies, p: int, mask: bool | None, window: Window, nearest: Tensor) -> Tensor:
-    """The part of a hit that no nearer one of its class is before; nearest, the 1/x that those so far have at least, learns of it."""
+    """The part of a hit that no nearer one of its class is before; nearest, a lower bound of their 1/x, is raised by it."""
     closeness = rays.closeness.on(p, window).detach()
     if mask is not False:  # beyond its outline it is no nearer or farther than its corners
         closeness = _between_corners(closeness, seen, p)

@@ -68,7 +68,7 @@ class Ssc:
     def utilisation(self, primitives: Primitives, T_world_headlight: Tensor, secondary: SecondaryRays | None = None) -> Utilisation:
         """A single scene on the CPU touches only the projected rectangle and its band of pixels; batches and accelerators take all rays.
 
-        Raises LuxloopError for values of primitives that are not finite, where the host knows them.
+        Raises LuxloopError for values of primitives that are not finite, where they are on the host.
         """
         u, band = self.reduced(self.casting(primitives, T_world_headlight, secondary))
         return Utilisation(u, band if _on_host(primitives) and self.dark else None)
@@ -92,5 +92,5 @@ class Ssc:
 
 
 def _on_host(primitives: Primitives) -> bool:
-    """Whether it is a single scene that the host knows, so that its windows cost nothing to look at."""
+    """Whether it is a single scene on the host, whose windows can be read without waiting."""
     return primitives.origin.ndim == 2 and primitives.origin.device.type == "cpu"

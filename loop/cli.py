@@ -48,7 +48,7 @@ app.register_install_completion_command(help="Install the completion of commands
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command line; returns the exit code. Whatever the user can mend is one sentence on stderr and exit code 2."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends all that Ctrl-C ends, and as well
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # SIGTERM ends a command as Ctrl-C does
     warnings.simplefilter("ignore")
     warnings.filterwarnings("default", category=UserWarning)
     warnings.filterwarnings("ignore", message="Sparse CSR tensor support")
@@ -126,7 +126,7 @@ def new(file: Path | None = None, /, *, like: str | None = None, traffic: int | 
 
         text = template(file.stem) if traffic is None else night(file.stem, traffic)
     else:
-        raise LuxloopError("luxloop new: lacks a file to write, such as my.toml; --like NAME alone copies under the same name")
+        raise LuxloopError("luxloop new: name a file to write, such as my.toml, or give --like NAME to copy under the same name")
     try:
         with file.open("x", encoding="utf-8") as stream:
             stream.write(text)
@@ -134,7 +134,7 @@ def new(file: Path | None = None, /, *, like: str | None = None, traffic: int | 
         raise LuxloopError(f"{file}: exists already; name another file, or remove it first") from error
     except OSError as error:
         raise LuxloopError(f"{file}: cannot be written ({error.strerror}); check its folder") from error
-    print(f"{file} written; {'its first lines tell how to use it' if like in examples() else f'run it with: luxloop run {file}'}")
+    print(f"{file} written; {'its first lines say how to use it' if like in examples() else f'run it with: luxloop run {file}'}")
 
 
 @app.command
@@ -150,7 +150,7 @@ def check(name: str, /, *, controller: str | None = None, set: Keys = None, json
     set
         Keys to change, as key=value in TOML syntax, such as headlight.model=mylamp.npz.
     json
-        Print an object: scenario, ok, and what was found; where something is wrong, error has the sentence.
+        Print an object: scenario, ok, and either what was found or, as error, what is wrong.
     """
     from loop.run import check as check_scenario
     from loop.run import in_words

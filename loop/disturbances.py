@@ -1,4 +1,4 @@
-"""What disturbs a run and is not told to the controller: errors of what it assumes, and what befalls frames at some steps."""
+"""Disturbances unknown to the controller: errors of what it assumes, and of frames at some steps."""
 
 import math
 from collections.abc import Iterable
@@ -102,7 +102,7 @@ class WearParams(Params):
 
 
 class DisturbanceParams(Params):
-    """All that the controller is not told of."""
+    """All that is unknown to the controller."""
 
     oncoming: tuple[OncomingSpellParams, ...] = Field((), description="headlamps that face the camera")
     ambient: tuple[AmbientParams, ...] = Field((), description="changes of the light beside the headlamps'; several multiply")

@@ -268,7 +268,7 @@ def _tell_what_beams_keep(lamp: "Lamp") -> None:
 
     lines = kept(lamp)
     if lines:
-        print("\n".join(["", *lines, "`luxloop headlight check` tells more of each."]))
+        print("\n".join(["", *lines, "`luxloop headlight check` has the details."]))
 
 
 @contextmanager

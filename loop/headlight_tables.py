@@ -28,7 +28,7 @@ def presets() -> Table:
     table = plain("lamp", "what it is")
     for name, summary in SUMMARIES.items():
         table.add_row(f"[bold]{name}[/]", escape(summary))
-    table.caption, table.caption_justify = "`luxloop headlight info LAMP` tells what is published of one and what is guessed.", "left"
+    table.caption, table.caption_justify = "`luxloop headlight info LAMP` says what is published about a lamp and what is assumed.", "left"
     return table
 
 

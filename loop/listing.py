@@ -13,7 +13,7 @@ USES: dict[Kind, str] = {
     "roads": "Take one with `--set road.kind=NAME`; `luxloop schema` has the keys of each; one of your own is package.module:Name.",
     "symbols": "Take one with `--set symbol.image=NAME`; one of your own is the path of a picture.",
     "detectors": "Take one with `--set detector.kind=NAME` in a scenario with [lighting]; one of your own is package.module:Name.",
-    "lamps": "Take one with `--set headlight.model=NAME`; `luxloop headlight info NAME` tells more of it.",
+    "lamps": "Take one with `--set headlight.model=NAME`; `luxloop headlight info NAME` describes it.",
     "examples": "Copy one with `luxloop new --like NAME`.",
 }
 DEFAULT_CONTROLLER = "luxloop"  # of scenarios that name none, whose model imports torch

@@ -21,8 +21,8 @@ def list_(kind: Kind = "scenarios", /, *, json: Json = False) -> None:
     kind
         What to show.
     json
-        Print a list of objects with the keys name and description; those of scenarios have uses (controller or kinds of lighting functions)
-        and lacks (name of a data file, or null), too.
+        Print a list of objects with the keys name and description; scenarios also have uses (controller or kinds of lighting functions) and
+        lacks (name of a missing data file, or null).
     """
     found = listing(kind)
     if json:
@@ -67,7 +67,7 @@ def doctor(*, json: Json = False) -> int:
 
 @data_app.command(name="list")
 def data_list() -> None:
-    """Show the files that can be had, and which of them are here."""
+    """List the files that can be fetched, and which of them are on this machine."""
     tables.show(tables.data_files())
 
 
@@ -80,7 +80,7 @@ def data_get(name: str, /, *, dir: Path | None = None) -> None:
     name
         Name of a file from `luxloop data list`, or "all".
     dir
-        Folder to put it into, in place of luxloop's own; point LUXLOOP_DATA to it later.
+        Folder to put it into, in place of luxloop's own; set LUXLOOP_DATA to this folder to use it.
     """
     from loop import data
 

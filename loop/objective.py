@@ -1,4 +1,4 @@
-"""What tuning minimises: a weighted sum of named terms over a run's figures. What has failed is dear, never free."""
+"""What tuning minimises: a weighted sum of named terms over a run's figures. A failed run gets the maximum cost."""
 
 import re
 from collections.abc import Mapping

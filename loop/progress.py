@@ -13,7 +13,7 @@ LINE_S = 30.0  # between two lines at least
 
 
 class Advance(Protocol):
-    """Called after every step, or after none to say what goes on instead."""
+    """Called after every step, or with no steps to show what goes on now."""
 
     def __call__(self, steps: int = 1, now: str | None = None) -> None: ...
 
@@ -24,19 +24,19 @@ def progress(title: str, total: int, done: int = 0) -> Iterator[Advance]:
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     console = tables.console(stderr=True)
     start, before = time.monotonic(), done
-    told = start
+    shown_s = start
     if done and not console.is_terminal:
         console.print(f"{title}: {done} of {total} done before", markup=False)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(title, total=total, completed=done)
 
         def advance(steps: int = 1, now: str | None = None) -> None:
-            nonlocal done, told
+            nonlocal done, shown_s
             done += steps
             bar.update(task, advance=steps, description=now or title)
             time_s = time.monotonic()
-            if not console.is_terminal and time_s - told >= LINE_S:
-                told = time_s
+            if not console.is_terminal and time_s - shown_s >= LINE_S:
+                shown_s = time_s
                 left = (total - done) / max(done - before, 1) * (time_s - start)
                 console.print(f"{title}: {done} of {total} done after {time_s - start:.0f} s, about {left:.0f} s left", markup=False)
 

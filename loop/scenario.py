@@ -101,7 +101,7 @@ class WorldScenario(Params):
     seed: int = Field(0, ge=0, lt=2**63, description="seed of all noise")
     road: RoadParams = Field(Flat(), description="the road's shape")
     surface: RoadSurfaceParams = Field(RoadSurfaceParams(), description="the road's albedo")
-    spots: tuple[SpotParams, ...] = Field((), description="spots on the road that the controller is not told of")
+    spots: tuple[SpotParams, ...] = Field((), description="spots on the road, unknown to the controller")
     objects: tuple[ObjectParams, ...] = Field((), description="objects on the road")
     traffic: TrafficParams | None = Field(None, description="objects besides, made from a seed; left out: none")
     light: LightParams = Field(LightParams(), description="ambient light and street lamps")
@@ -154,7 +154,7 @@ class Scenario(WorldScenario):
     extraction: Extraction = Field(ExtractionParams(), description="how the symbol is found in the image")
     controller: Annotated[ControllerParams, Field(description="the controller of the symbol")] = LuxloopParams()
 
-    disturbances: DisturbanceParams = Field(DisturbanceParams(), description="what the controller is not told of")
+    disturbances: DisturbanceParams = Field(DisturbanceParams(), description="disturbances unknown to the controller")
 
     @model_validator(mode="after")
     def _aimed_lamps_draw(self) -> Self:
@@ -229,7 +229,7 @@ class LightingScenario(WorldScenario):
     driving: tuple[DrivingParams, ...] = Field((DrivingParams(),), min_length=1, description="how the car drives, in ascending time")
     lighting: LightingParams = Field(description="base beam and lighting functions")
     detector: DetectorParams | None = Field(
-        None, description="what finds objects in the camera's frames; left out: lighting functions are told where all of them are"
+        None, description="what finds objects in the camera's frames; left out: lighting functions get the true places of all"
     )
     tracker: TrackerParams = Field(TrackerParams(), description="what follows from frame to frame whom the detector finds")
 

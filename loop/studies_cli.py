@@ -87,9 +87,9 @@ def tune(
     key
         Keys to tune and their ranges, as key=low:high or key=low:high:log, such as controller.position.kp=0.1:2.
     objective
-        What to make small: settling, overshoot, residual, iou and energy, weighted as in settling+0.5*overshoot.
+        What to minimise: settling, overshoot, residual, iou and energy, weighted as in settling+0.5*overshoot.
     trials
-        Trials that the study shall have in the end.
+        Total number of trials, earlier ones included.
     seeds
         Runs of each scenario a trial, which differ in their noise.
     seed
@@ -101,11 +101,11 @@ def tune(
     out
         Folder for the study, the best values and the report, by default runs/tune-NAME; a study that was stopped goes on from there.
     jobs
-        Processes for the runs of a trial, each with one thread; by default one a core. They do not change what is found.
+        Processes for the runs of a trial, each with one thread; by default one a core. Their number does not change the result.
     device
         Where to compute; auto takes CUDA where there is any.
     gradient
-        Descend through so many differentiable runs in place of trials; for gains and rate limits of thesis_pid where nothing moves.
+        Gradient descent through differentiable runs, a trial an iteration; for gains and rate limits of thesis_pid where nothing moves.
     """
     from loop.tune_report import do_tune
 
@@ -134,7 +134,7 @@ def optimise_beam(
     name
         Scenario file, or name of a shipped scenario, with [lighting]; its base beam is the start.
     metric
-        What of the objects shall be high: a detector's confidence, their Weber contrast, or how steep their edges are.
+        What to maximise on the objects: a detector's confidence, their Weber contrast, or the steepness of their edges.
     energy
         Weight of the lamps' flux, as a share of all pixels on, beside the logarithm of the metric.
     unevenness
@@ -142,9 +142,9 @@ def optimise_beam(
     glare
         Weight of light on heads and windscreens, for each lx over 1 lx.
     method
-        Down the gradient of all pixels, which the network and the metrics have, or sampling of a few patches of light, for any detector.
+        Gradient descent over all pixels, for the network and the metrics, or sampling of a few patches of light, for any detector.
     steps
-        Steps of the search; by default 80 down the gradient, 150 of sampling.
+        Steps of the search; by default 80 of descent, 150 of sampling.
     set
         Keys to change in the scenario, as key=value in TOML syntax, or a TOML file of them.
     out
@@ -178,7 +178,7 @@ def train_detector(
     held_out
         Scenes to judge it on.
     epochs
-        How often it sees each scene, each time in other light, with other objects put between.
+        How often it sees each scene, each time in other light and with other objects.
     seed
         Seed of weights, light and noise.
     jobs

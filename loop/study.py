@@ -27,7 +27,7 @@ _START: Final = b'{"op_code":'  # of every line
 def study_in(out: Path, digest: str) -> Iterator[optuna.Study]:
     """The study of a digest of settings in a folder, which other processes may be at work on.
 
-    Raises LuxloopError where the folder holds another study, a process has it for itself, or it cannot be written.
+    Raises LuxloopError where the folder holds another study, another process has locked it, or it cannot be written.
     """
     file = out / STUDY
     optuna.logging.set_verbosity(optuna.logging.ERROR)
@@ -45,7 +45,7 @@ def study_in(out: Path, digest: str) -> Iterator[optuna.Study]:
 
 @contextmanager
 def keeping(out: Path, what: Callable[[], str]) -> Iterator[None]:
-    """Says, where a study in a folder is interrupted, what of it is kept."""
+    """Adds to an interrupt what of a study in a folder is kept."""
     try:
         yield
     except KeyboardInterrupt as error:
@@ -78,7 +78,7 @@ def _opened(file: Path, digest: str) -> optuna.Study:
         pruner = optuna.pruners.MedianPruner(n_startup_trials=PRUNING_AFTER)
         study = optuna.create_study(storage=storage, study_name="tune", pruner=pruner, load_if_exists=True)
     except (ValueError, KeyError) as error:
-        raise LuxloopError(f"{file}: holds something else than a study ({error}); give another folder with --out") from error
+        raise LuxloopError(f"{file}: is not a study's journal ({error}); give another folder with --out") from error
     if study.user_attrs.setdefault("task", digest) != digest:
         raise LuxloopError(
             f"{file.parent}: holds a study of other settings or of another luxloop; give another folder with --out, or remove it"

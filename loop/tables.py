@@ -96,7 +96,7 @@ def _why_unsettled(values: dict[str, Any]) -> str:
     off = [abs(error) for error in values["centroid_error_percent"] if error is not None]
     match values["unsettled"]:
         case "too_short":
-            return f"fewer than {FINAL} steps cannot tell whether the symbol settles; raise steps"
+            return f"fewer than {FINAL} steps do not show whether the symbol settles; raise steps"
         case "no_frame":
             return f"most frames of the last {FINAL} steps are missing; lower camera.drop_probability, or take disturbances.drops out"
         case "moving":
@@ -111,7 +111,7 @@ def _why_unsettled(values: dict[str, Any]) -> str:
         case "feedforward":
             return f"{what}; give the road as it is in controller.road, or measure it with controller.survey = true"
         case _:
-            return f'{what}; controller.name = "luxloop" draws it for the road that it finds'
+            return f'{what}; try controller.name = "luxloop", which draws for the heights of the road that it finds'
 
 
 def differences(found: "Sequence[Difference]") -> Table:

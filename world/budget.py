@@ -1,13 +1,13 @@
 """The memory that sizes in a file may ask for, checked before anything of such a size is allocated.
 
-A few bytes can declare any size: a header of an array, a picture or a lamp, a camera's pixels. All of them are held against one budget.
+A few bytes can declare any size: a header of an array, a picture or a lamp, a camera's pixels. One budget limits all of them.
 """
 
 from typing import Final
 
 from world.errors import LuxloopError
 
-BUDGET_BYTES: Final = 3_000_000_000  # a camera of 1920 x 1080 px at 4 samples fits, and a machine of 8 GB bears it beside the rest
+BUDGET_BYTES: Final = 3_000_000_000  # a camera of 1920 x 1080 px at 4 samples fits, and so does this beside the rest on a machine of 8 GB
 
 
 def afford(what: str, n_bytes: float, remedy: str) -> None:

@@ -73,7 +73,7 @@ def part_of(path: Path) -> Path:
 
 @contextmanager
 def after(error: BaseException | None) -> Iterator[None]:
-    """What is left to write after a block that may have failed: then that error counts, and none of this one. Ctrl-C is no failure."""
+    """A block that writes after one that may have failed: its errors are dropped if that failed with `error`. Ctrl-C is no failure."""
     try:
         yield
     except LuxloopError:

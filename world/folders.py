@@ -17,7 +17,7 @@ from world.files import PARTS
 def output_folder(folder: Path) -> Iterator[None]:
     """A folder that this process alone writes into, made where it is missing and removed again where it is new and stays empty.
 
-    What writers that were killed left half-written in it is removed. Raises LuxloopError where another process writes into it, or it
+    Half-written files of writers that were killed are removed. Raises LuxloopError where another process writes into it, or it
     cannot be made.
     """
     with _opened(folder) as descriptor:
@@ -32,8 +32,8 @@ def output_folder(folder: Path) -> Iterator[None]:
 def shared_folder(folder: Path, journal: Path, mend: Callable[[], None]) -> Iterator[None]:
     """A folder that several processes write into, who take turns with the journal in it.
 
-    mend: called where no other process is at work in the folder: what the journal says to be under way was then cut off by a kill.
-    Raises LuxloopError where a process has the folder for itself, or it cannot be made.
+    mend: called where no other process is at work in the folder: trials that the journal has as running were then cut off by a kill.
+    Raises LuxloopError where another process has locked the folder, or it cannot be made.
     """
     with _opened(folder) as descriptor:
         if not _locked(descriptor, fcntl.LOCK_SH) and not journal.exists():  # before one is made in the folder of something else

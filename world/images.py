@@ -1,4 +1,4 @@
-"""Pictures decoded once their header is known to declare no more pixels than the memory's budget bears."""
+"""Pictures decoded once their header is known to declare no more pixels than the memory's budget allows."""
 
 import io
 import math
@@ -16,12 +16,12 @@ BYTES_A_PIXEL: Final = 32  # of a colour picture of 16 bits with transparency, a
 def decoded(coded: bytes, what: str, flags: int = cv2.IMREAD_UNCHANGED) -> np.ndarray | None:
     """The picture as OpenCV decodes it with `flags`, or None where it is none; what: the picture, as a message begins.
 
-    Raises LuxloopError where it declares more pixels than the budget bears.
+    Raises LuxloopError where it declares more pixels than the budget allows.
     """
     try:
         with Image.open(io.BytesIO(coded)) as header:
             pixels = math.prod(header.size)
-    except Image.DecompressionBombError:  # Pillow refuses twice of what it warns of before anybody can ask for the size
+    except Image.DecompressionBombError:  # Pillow refuses twice the number that it warns of, before it gives the size
         pixels = 2 * (Image.MAX_IMAGE_PIXELS or 0)
     except Exception:  # readers raise whatever their formats provoke
         return None

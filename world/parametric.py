@@ -154,7 +154,7 @@ def _ramp(x: Floats, blur: float) -> Floats:
 
 
 def affordable_entries(entries: float) -> None:
-    """Raises LuxloopError where a headlight matrix would have more entries than the memory's budget bears."""
+    """Raises LuxloopError where a headlight matrix would have more entries than the memory's budget allows."""
     remedy = "give texture.rows and texture.columns for a coarser texture, cut off more faint light, or let pixels overlap less"
     afford(f"its {entries / 1e6:,.0f} million texels that pixels light", BYTES_AN_ENTRY * entries, remedy)
 

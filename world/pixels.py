@@ -20,11 +20,11 @@ from world.texels import LARGEST_ANGLE_DEG, TexelGrid
 CUTOFF = 1e-4  # share of a pixel's peak below which its light is left out: fewer entries, and next to nothing is lost
 MOST_TEXELS = 2048  # along a side, unless a user wants more
 TEXELS_A_PIXEL = 4  # along a side at least, since symbols need rays between pixels
-SAMPLED = 8  # pixels, evenly spread, that tell how many texels all will light
+SAMPLED = 8  # pixels, evenly spread, from which the entries of all are estimated
 BYTES_AN_ENTRY = 64  # of the matrix while it is assembled and sorted, at the peak
 BYTES_OF_COLOUR = 60  # of an entry besides, where it has one
-AFFORDABLE = 0.8  # of the budget, that a remedy aims at: other pixels may be wider than those sampled
-MOST_CUTOFF = 0.1  # that is proposed: a pixel without more of its light would be another
+AFFORDABLE = 0.8  # of the budget, for a remedy: other pixels may be wider than those sampled
+MOST_CUTOFF = 0.1  # that is proposed: a larger one would change the shape of a pixel
 FEWEST_PROBES = 1024  # directions in which a pixel is compared with its source, where there are many
 AZIMUTHS_DEG = 15.0  # in which a distribution about an axis is looked at
 
@@ -144,7 +144,7 @@ def _check_entries(lights: Sequence[Array], array: PixelArray, grid: TexelGrid, 
     afford(
         f"its {len(array.pixels):,} pixels, {entries / grid.n_texels:,.0f} on each of {grid.rows} x {grid.cols} texels by estimate,",
         _bytes_an_entry(array) * entries,
-        f"set {' or '.join(remedies)}" if remedies else "give fewer or narrower pixels",
+        f"set {', or '.join(remedies)}" if remedies else "give fewer or narrower pixels",
     )
 
 

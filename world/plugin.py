@@ -174,7 +174,7 @@ class Guarded:
 
 @contextmanager
 def running(name: Name, key: str, what: str) -> Iterator[None]:
-    """Says of whatever the user's own code raises which line of it did. Raises LuxloopError."""
+    """Turns whatever the user's own code raises into a LuxloopError with the file and line of that code."""
     try:
         yield
     except LuxloopError:

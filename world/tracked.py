@@ -64,7 +64,7 @@ class TrackedParams(Params):
     """What all objects have: a name, a pose over time, and the time that they are there."""
 
     name: str = Field(min_length=1, description="Name, for reports")
-    category: Category | None = Field(None, description="What a tracker reports it as to lighting functions; left out: nothing is told")
+    category: Category | None = Field(None, description="What a tracker reports it as to lighting functions; left out: it is not reported")
     track: tuple[KeyframeParams, ...] = Field((), description="Poses in ascending time; one keyframe: the object stands still")
     path: WayParams | None = Field(None, description="A way at a constant speed, in place of a track")
     on_road: bool = Field(False, description="Count heights from the road's surface under the object's origin, in place of z = 0")

@@ -47,7 +47,8 @@ class OnnxDetector:
         x, y = (columns - size[0]) // 2, (rows - size[1]) // 2
         picture = np.full((rows, columns), GREY, np.uint8)
         picture[y : y + size[1], x : x + size[0]] = cv2.resize(coded(frame, params.gamma), size, interpolation=cv2.INTER_AREA)
-        boxes, scores = self._ours(*self._read(self._run(picture)))
+        boxes, scores = self._read(self._run(picture))
+        scores = self._ours(scores)
         boxes = (boxes - torch.tensor([x, y, x, y])) / scale
         boxes = torch.minimum(boxes.clamp(min=0), torch.tensor([width, height, width, height]).float())
         best = scores.amax(1) if len(scores) else scores.new_zeros(0)
@@ -70,11 +71,11 @@ class OnnxDetector:
             ) from error
         return torch.from_numpy(out.copy())
 
-    def _ours(self, boxes: Tensor, scores: Tensor) -> tuple[Tensor, Tensor]:
-        """Boxes, and scores `[n, C]` of our classes from those of the network's."""
+    def _ours(self, scores: Tensor) -> Tensor:
+        """Scores `[n, C]` of our classes from those of the network's."""
         scores = torch.nn.functional.pad(scores, (0, max(max(self.meaning) + 1 - scores.shape[1], 0)))
         numbers = [[number for number, each in self.meaning.items() if each == category] for category in self.classes]
-        return boxes, torch.stack([scores[:, each].amax(1) for each in numbers], 1)
+        return torch.stack([scores[:, each].amax(1) for each in numbers], 1)
 
     def _read(self, out: Tensor) -> tuple[Tensor, Tensor]:
         """As `yolo.read`. Raises LuxloopError with what was found, and the layout that fits."""

@@ -1,4 +1,4 @@
-"""ONNX files of the user's own, looked through before OpenCV, which trusts them, opens them."""
+"""ONNX files of the user's own, checked before OpenCV, which does not check them, opens them."""
 
 import math
 import os
@@ -58,24 +58,24 @@ def _sound(file: str) -> "onnx.ModelProto":
 def _check(model: "onnx.ModelProto", params: OnnxParams) -> None:
     where, weights = f"detector.file: {params.file}", {tensor.name for tensor in model.graph.initializer}
     inputs = [each for each in model.graph.input if each.name not in weights]
-    told = ", ".join(map(_told, inputs))
+    found = ", ".join(map(_described, inputs))
     if len(inputs) != 1:
-        raise LuxloopError(f"{where}: has {len(inputs)} inputs: {told}; export it with one, the picture")
+        raise LuxloopError(f"{where}: has {len(inputs)} inputs: {found}; export it with one, the picture")
     if len(model.graph.output) != 1:
-        outputs = ", ".join(map(_told, model.graph.output))
+        outputs = ", ".join(map(_described, model.graph.output))
         raise LuxloopError(f"{where}: has {len(model.graph.output)} outputs: {outputs}; export it with one that holds boxes and scores")
     shape = inputs[0].type.tensor_type.shape
     sizes = _sizes(inputs[0])
     pictures_last = sizes[3:] in ((1,), (3,)) and sizes[1] not in (1, 3)
     if _number_type(inputs[0]) not in FLOATS or len(sizes) != 4 or pictures_last:
-        raise LuxloopError(f"{where}: takes {told}; export it for float32 numbers of 0..1, 1 x channels x height x width (NCHW)")
+        raise LuxloopError(f"{where}: takes {found}; export it for float32 numbers of 0..1, 1 x channels x height x width (NCHW)")
     wanted = (1, params.channels, *reversed(params.input_px))
     batch, channels, height, width = (given if isinstance(size, str) else size for size, given in zip(sizes, wanted, strict=True))
     if batch != 1:
-        raise LuxloopError(f"{where}: takes {batch} pictures at once, {told}; export it for a batch of 1")
+        raise LuxloopError(f"{where}: takes {batch} pictures at once, {found}; export it for a batch of 1")
     if channels != params.channels:
         remedy = f"set detector.channels = {channels}" if channels in (1, 3) else "export it for 1 or 3"
-        raise LuxloopError(f"{where}: takes pictures of {channels} channels and not {params.channels}, {told}; {remedy}")
+        raise LuxloopError(f"{where}: takes pictures of {channels} channels and not {params.channels}, {found}; {remedy}")
     if (width, height) != params.input_px:
         fits = max(width, height) <= MOST_PX
         remedy = f"set detector.input_px = [{width}, {height}]" if fits else f"export it for {MOST_PX} x {MOST_PX} px at most"
@@ -101,7 +101,7 @@ def _most_numbers(model: "onnx.ModelProto", where: str) -> int:
     return max((math.prod(size.dim_value for size in shape) for shape in shapes), default=0)
 
 
-def _told(value: "onnx.ValueInfoProto") -> str:
+def _described(value: "onnx.ValueInfoProto") -> str:
     return f"{value.name} ({_number_type(value)} {by(_sizes(value))})"
 
 

@@ -15,8 +15,8 @@ LAYOUTS: Mapping[Layout, str] = {
 }
 ROUNDING = 1e-3  # by which a score may leave 0..1
 ROUNDING_PX = 1.0  # by which a side may be below 0: corners in half precision are that coarse
-SHARES = 2.0  # px that every box of a picture ends within only where boxes are given as shares of it
-MOST_CLASSES = 10_000  # that a network knows
+SHARES = 2.0  # px; if no box reaches farther, boxes are given as shares of the picture
+MOST_CLASSES = 10_000  # of a network
 
 
 def read(out: Tensor, layout: Layout) -> tuple[Tensor, Tensor]:

@@ -78,7 +78,7 @@ def half_written(folder: Path) -> list[Path]:
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_a_run_with_all_its_files(folder: Path, how: signal.Signals) -> None:
-    """At a terminal, where a word tells what is still being done."""
+    """At a terminal, which shows what is still being done."""
     ours, theirs = pty.openpty()
     process = start(folder, "run", "small.toml", "--out", "out", stderr=theirs)
     os.close(theirs)

@@ -223,7 +223,7 @@ def test_other_settings_need_another_folder(tuned: Tuned, scenario: Scenario, tm
         tune(task(scenario, seeds=2), tmp_path, 1, local(1))
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / STUDY).write_text("notes of mine\n")
-    with pytest.raises(LuxloopError, match="something else than a study"):
+    with pytest.raises(LuxloopError, match="is not a study's journal"):
         tune(task(scenario), tmp_path / "a", 1, local(1))
     (tmp_path / "file").write_text("")
     with pytest.raises(LuxloopError, match="cannot be written"):

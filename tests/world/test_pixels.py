@@ -203,7 +203,7 @@ def test_a_matrix_beyond_all_memory_is_refused_before_the_work_with_values_that_
     with pytest.raises(LuxloopError, match=r"its 400 pixels, .* of 60 x 80 texels by estimate, .*; set texture.rows") as refused:
         assemble(array, GRID, on_progress=lambda done, of: seen.append(done))
     assert seen == []
-    found = re.search(r"rows = (\d+) and texture.columns = (\d+) or cutoff = ([\d.]+)$", str(refused.value))
+    found = re.search(r"rows = (\d+) and texture.columns = (\d+), or cutoff = ([\d.]+)$", str(refused.value))
     assert found is not None, refused.value
     coarser = replace(GRID, rows=int(found[1]), cols=int(found[2]))
     for few in (assemble(array, coarser), assemble(array, GRID, float(found[3]))):
