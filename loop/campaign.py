@@ -13,7 +13,7 @@ from pydantic import Field, ValidationError
 
 from loop.code import digest_of_code
 from loop.executors import Executor
-from loop.jobs import Job, run
+from loop.jobs import Job, Results, run
 from loop.manifest import digests
 from loop.overrides import resolve_paths
 from loop.scenario import AnyScenario, Scenario, load_any, validate_any
@@ -134,7 +134,7 @@ def run_campaign(
             {"key": each.key, **each.row, **_figures(found.get(each.key, {})), "error": results.failures.get(each.key, "")} for each in runs
         ]
         columns = list(dict.fromkeys(name for row in rows for name in row))
-        results = type(results)([{name: row.get(name) for name in columns} for row in rows], results.failures)
+        results = Results([{name: row.get(name) for name in columns} for row in rows], results.failures)
         results.write(out / TABLE)
     return Campaign(file.stem, results.rows)
 

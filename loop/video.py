@@ -18,7 +18,7 @@ from loop.simulation import Simulation, StepResult
 from perception.birdseye import rectify
 from perception.camera import luminance_of
 from world.errors import LuxloopError
-from world.files import after, part_of
+from world.files import part_of
 
 Picture = np.ndarray  # [H, W, 3] uint8, RGB
 
@@ -86,12 +86,15 @@ class VideoWriter:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         try:
-            with after(error), self._writing():
+            with self._writing():
                 self._container.mux(self._stream.encode(None))
                 self._container.close()
                 self._file.close()
                 if self._part.stat().st_size:
                     os.replace(self._part, self.path)
+        except LuxloopError:
+            if not isinstance(error, Exception):  # else that one is raised
+                raise
         finally:
             self._part.unlink(missing_ok=True)
 

@@ -69,13 +69,3 @@ def whole(path: Path) -> Iterator[Path]:
 def part_of(path: Path) -> Path:
     """Where a file is written until it is whole."""
     return path.with_name(f".{path.name}.{os.getpid()}.part")
-
-
-@contextmanager
-def after(error: BaseException | None) -> Iterator[None]:
-    """A block that writes after one that may have failed: its errors are dropped if that failed with `error`. Ctrl-C is no failure."""
-    try:
-        yield
-    except LuxloopError:
-        if not isinstance(error, Exception):
-            raise

@@ -324,4 +324,4 @@ def test_a_long_text_that_is_repeated_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("device", ["xyz", "cuda:99", "meta"])
 def test_a_device_that_nobody_has_is_replaced(device: str, recording: Path) -> None:
     edit(recording / "manifest.json", device=device)
-    assert replay(recording, allow_code=False).agrees
+    assert replay(recording).agrees
