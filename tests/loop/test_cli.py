@@ -16,7 +16,7 @@ import pandas as pd
 import pytest
 import torch
 
-from loop import cli, data, listing, tables
+from loop import cli, data, listing
 from loop.doctor import Check
 from loop.scenario import Scenario, load, load_any, validate
 from loop.shipped import examples, shipped
@@ -312,7 +312,7 @@ def test_new_night_that_cannot_be_is_refused(lux: Lux, tmp_path: Path, more: lis
 def test_list_names_missing_data_and_how_to_get_it(lux: Lux, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     paved = tmp_path / "paved.toml"
     paved.write_text('name = "paved"\ndescription = "On stones."\nroad = {file = "belgian_block"}\ncontroller = {name = "open"}\n')
-    monkeypatch.setattr(tables, "shipped", lambda: {"paved": paved})
+    monkeypatch.setattr(listing, "shipped", lambda: {"paved": paved})
     monkeypatch.setenv("LUXLOOP_DATA", str(tmp_path))
     monkeypatch.setattr(data, "cache_folder", lambda: tmp_path / "cache")
     code, out, _ = lux("list")

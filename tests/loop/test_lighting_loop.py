@@ -188,7 +188,7 @@ class Numpy:
 
 def test_what_ones_own_detector_gives_wrong_ends_a_run_in_a_sentence_and_leaves_nothing(tmp_path: Path) -> None:
     wrong = scenario(detector={"kind": f"{__name__}:Numpy"}, objects=[])
-    said = r"closed: detector.kind: .*Numpy: detect fails \(AttributeError.*it must give one Detections a frame"
+    said = r"closed: detector.kind: .*Numpy: reading what detect gives, which must give one Detections a frame.*fails \(AttributeError"
     with pytest.raises(LuxloopError, match=said):
         run(wrong, tmp_path / "runs" / "closed")
     assert list(tmp_path.iterdir()) == []
