@@ -60,8 +60,8 @@ class Memory:
 
     def levelled(self, pitch_rad: float, pivot_x_m: float) -> "Memory":
         """As it would be, had the body that saw it pitched by so many rad more."""
-        drop, heights = pitch_rad * (self.nodes()[0] - pivot_x_m), self.heights
-        return replace(self, heights=replace(heights, mean=heights.mean - drop, base=heights.base - drop))
+        heights = self.heights.mean - pitch_rad * (self.nodes()[0] - pivot_x_m)
+        return replace(self, heights=replace(self.heights, mean=heights))
 
     def loosened(self, pitch_rad: float, pivot_x_m: float) -> "Memory":
         """With a body whose pitch is uncertain by so many rad: heights may all be higher by as much times their distance (Woodbury)."""
