@@ -20,6 +20,7 @@ import numpy as np
 import torch
 from bench import Goal, judged, machine, on_one_thread, show_goals
 from float64_rays import hidden
+from rich.box import MARKDOWN
 from rich.table import Table
 from torch import Tensor
 
@@ -35,7 +36,7 @@ from world.headlight import Headlight
 from world.illumination import illuminance, reach
 from world.raycast import TOLERANCE_M, first_hits, sees
 from world.roadmesh import road_mesh
-from world.roads import Bumps, Curb, Flat, Grade, Iso8608, Mixed, OpenCrgRoad, Pothole, Road, SpeedBump
+from world.roads import Bumps, Curb, Flat, Grade, Iso8608, Mixed, OpenCrgRoad, Pothole, Road, SpeedBump, Step
 from world.roadtiles import RoadTiles
 from world.scene import Scene
 from world.surfaces import ExactSurfaces, surface_source
@@ -48,6 +49,7 @@ SHAPES: dict[str, Road] = {
     "bumps": Bumps(),
     "speed bump": SpeedBump(),
     "curb": Curb(),
+    "step": Step(),
     "pothole": Pothole(),
     "mixed": Mixed(),
     **{f"ISO 8608 {letter}": Iso8608(roughness_class=letter) for letter in "ABCDE"},
@@ -148,23 +150,20 @@ def moving(road: Road, plant: SimulatedPlant, n: int) -> Iterator[tuple[str, dic
         yield f"{x_m} m", measure(triangles, view, exact, surfaces.gbuffer(triangles, view), module.headlight, T_world_lamp, n)
 
 
-def worst(found: list[dict[str, Any]], way: str) -> Iterator[tuple[str, dict[str, float]]]:
-    """Of each kind of road the worst of its places and views, and the mean share of shadow and outlines."""
-    for kind in dict.fromkeys(each["kind"] for each in found):
-        figures = [each for each in found if each["kind"] == kind and each["way"] == way]
-        if figures:
-            means = {key: float(np.mean([each[key] for each in figures])) for key in ("in shadow", "outlines")}
-            yield kind, {**means, **{key: max(each[key] for each in figures) for key in ("leaked", "lost", "wrong", "leaked, outlines in")}}
+def worst(found: list[dict[str, Any]], kind: str, way: str) -> dict[str, float]:
+    """Of one kind of road the worst of its places and views, and the mean share of shadow and outlines."""
+    figures = [each for each in found if each["kind"] == kind and each["way"] == way]
+    means = {key: float(np.mean([each[key] for each in figures])) for key in ("in shadow", "outlines")}
+    return {**means, **{key: max(each[key] for each in figures) for key in ("leaked", "lost", "wrong", "leaked, outlines in")}}
 
 
-def table(found: list[dict[str, Any]], way: str) -> Table:
+def table(found: list[dict[str, Any]]) -> Table:
     """A row a kind of road, in percent."""
-    columns = ("in shadow", "leaked", "lost", "wrong", "leaked, outlines in", "outlines")
-    shown = Table("road", *columns, title=f"worlds that {way}, %", box=None)
-    for column in shown.columns[1:]:
-        column.justify = "right"
-    for kind, figures in worst(found, way):
-        shown.add_row(kind, *(f"{100 * figures[key]:.{2 if key in ('in shadow', 'outlines') else 3}f}" for key in columns))
+    keys = ("in shadow", "outlines", "leaked", "lost", "wrong", "leaked, outlines in")
+    shown = Table("road", *(f"{way}: {key}" if key == keys[0] else key for way in ("stand", "move") for key in keys), box=MARKDOWN)
+    for kind in dict.fromkeys(each["kind"] for each in found):
+        figures = (worst(found, kind, way)[key] for way in ("stand", "move") for key in keys)
+        shown.add_row(kind, *(f"{100 * figure:.{1 if k % len(keys) < 2 else 3}f}" for k, figure in enumerate(figures)))
     return shown
 
 
@@ -180,7 +179,7 @@ def main() -> None:
     """Measure, show."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, help="also write the results here")
-    parser.add_argument("--points", type=int, default=10_000, help="points a view (10000)")
+    parser.add_argument("--points", type=int, default=3000, help="points a view (3000)")
     parser.add_argument("--quick", action="store_true", help="two roads and 1,000 points, to see that it works")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
@@ -194,8 +193,8 @@ def main() -> None:
         for way, of in (("stand", standing), ("move", moving))
         for view, figures in of(road, plant, n)
     ]
-    for way in ("stand", "move"):
-        console.print(table(found, way))
+    console.print("\nWorlds that stand and that move, %")
+    console.print(table(found))
     verdicts = judged(goals(found))
     show_goals(console, verdicts)
     if arguments.json:

@@ -169,7 +169,7 @@ class DirectTransport:
         if band is not None and band.stop <= band.start:
             return utilisation.new_zeros(*utilisation.shape[:-1], 0), self.index[:0]
         unshadowed = luminance(self.surface, self.headlight.light_texture(utilisation)) / self.oversampling
-        lit = torch.nonzero(unshadowed.view(-1, len(self.index)).any(0))[:, 0]
+        lit = torch.nonzero(torch.atleast_2d(unshadowed).flatten(0, -2).any(0))[:, 0]
         lit = lit[sees(self.triangles, self.lamp_m, self.position[:, lit])]
         return unshadowed[..., lit], self.index[lit]
 

@@ -321,3 +321,11 @@ def test_the_direct_way_gives_the_lit_samples_of_the_plain_path_to_the_bit():
     assert torch.equal(direct.index[plain > 0], index)
     assert torch.equal(light, plain[plain > 0])
     assert 0 < len(index) < len(direct.index) / 10, "what is dark costs no ray"
+
+
+@pytest.mark.parametrize("batch", [(), (2,)])
+def test_the_direct_way_lights_nothing_where_the_lamp_reaches_nothing(batch):
+    behind = surface_at(torch.tensor([[-5.0], [0.6], [0.75]]), (1.0, 0.0, 0.0))
+    direct = DirectTransport.of(behind, LAMP, T_LEFT, Scene(()).at(0.0), 1)
+    light, index = direct.luminance(torch.ones(*batch, LAMP.n_pixels))
+    assert light.shape == (*batch, 0) and len(index) == 0
