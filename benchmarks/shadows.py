@@ -21,7 +21,7 @@ import torch
 from bench import Goal, judged, machine, on_one_thread, show_goals
 from float64_rays import hidden
 from rich.box import MARKDOWN
-from rich.table import Table
+from rich.table import Column, Table
 from torch import Tensor
 
 from loop import data, tables
@@ -65,7 +65,7 @@ SCANS = {  # the parts in which something is to be seen, m
     "handmade_curved": (3.0, 20.0),
     "handmade_curved_banked_sloped": (3.0, 20.0),
 }
-PLACES = 3  # along each scan, besides its middle
+PLACES = 1  # along each scan, besides its middle
 DRIVEN_M = (0.0, 11.3, 23.9)  # where the car is that drives
 ABOVE_M, CELL_M = 300.0, 0.02
 
@@ -159,8 +159,9 @@ def worst(found: list[dict[str, Any]], kind: str, way: str) -> dict[str, float]:
 
 def table(found: list[dict[str, Any]]) -> Table:
     """A row a kind of road, in percent."""
-    keys = ("in shadow", "outlines", "leaked", "lost", "wrong", "leaked, outlines in")
-    shown = Table("road", *(f"{way}: {key}" if key == keys[0] else key for way in ("stand", "move") for key in keys), box=MARKDOWN)
+    keys = ("in shadow", "outlines", "leaked", "lost", "wrong")
+    columns = (f"{way}: {key}" if key == keys[0] else key for way in ("standing", "moving") for key in keys)
+    shown = Table(Column("road", no_wrap=True), *columns, box=MARKDOWN)
     for kind in dict.fromkeys(each["kind"] for each in found):
         figures = (worst(found, kind, way)[key] for way in ("stand", "move") for key in keys)
         shown.add_row(kind, *(f"{100 * figure:.{1 if k % len(keys) < 2 else 3}f}" for k, figure in enumerate(figures)))
