@@ -1,4 +1,4 @@
-"""Tuning by gradient: run, learn from the run where the symbol is seen, descend through runs that are foretold from that, and so on."""
+"""Tuning by gradient: run, learn from the run where the symbol is seen, descend through runs that are predicted from that, and so on."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -50,7 +50,7 @@ def tune_by_gradient(task: Task, out: Path, iterations: int, execute: Executor) 
     for scenario in task.scenarios:
         if not isinstance(scenario.extraction, ExtractionParams):
             raise LuxloopError(
-                f"{scenario.name}: extraction.kind: nothing is foretold of its errors; leave it out, or tune without --gradient"
+                f"{scenario.name}: extraction.kind: no error model for an own extraction; leave it out, or tune without --gradient"
             )
         simulations.append(prepare(scenario, task.device))
         check(simulations[-1], [each.key for each in task.ranges])
@@ -87,8 +87,8 @@ def descend(task: Task, simulations: Sequence[Simulation], before: Sequence[Iter
     for _ in range(STEPS):
         adam.zero_grad()
         values = {each.key: _value(each, logits[:, k]).float().repeat(DRAWS).to(task.device) for k, each in enumerate(task.ranges)}
-        foretold = [scene.foretold(each, values, noise.to(task.device)) for scene, each in zip(scenes, simulations, strict=True)]
-        losses = torch.stack([loss(rollout, each) for rollout, each in zip(foretold, simulations, strict=True)])
+        predicted = [scene.predicted(each, values, noise.to(task.device)) for scene, each in zip(scenes, simulations, strict=True)]
+        losses = torch.stack([loss(rollout, each) for rollout, each in zip(predicted, simulations, strict=True)])
         means = losses.view(-1, STARTS).mean(0)
         if means.min() < least:
             least, found = means.min().item(), logits[means.argmin()].detach().clone()

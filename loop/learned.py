@@ -1,4 +1,4 @@
-"""A scene as runs have found it: how far off the symbol is seen at poses that were shown, from which runs with other gains are foretold."""
+"""A scene as runs have found it: how far off the symbol is seen at poses shown, from which runs with other gains are predicted."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -46,7 +46,7 @@ class Learned:
         noise = torch.stack([each[-FINAL:].std(0, correction=0) for each in offsets if len(each) >= min(most, FINAL)]).amin(0)
         return cls(torch.cat(poses), torch.cat(offsets), noise)
 
-    def foretold(self, simulation: Simulation, values: dict[str, Tensor], noise: Tensor) -> Rollout:
+    def predicted(self, simulation: Simulation, values: dict[str, Tensor], noise: Tensor) -> Rollout:
         """Runs with gains, values `[B]`; noise: `[steps, B, 4]`, standard normal. Differentiable in the gains, and without any light."""
         apart = near(simulation)
 

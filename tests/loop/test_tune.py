@@ -282,21 +282,21 @@ def test_descent_learns_from_its_runs_and_goes_on_after_a_stop(tmp_path: Path, m
     assert trials(gradient.tune_by_gradient(slow, tmp_path / "stopped", 3, local(1))) == trials(tuned)
 
 
-def test_what_has_been_run_is_foretold_and_differentiable_in_gains() -> None:
+def test_what_has_been_run_is_predicted_and_differentiable_in_gains() -> None:
     simulation = Simulation.prepare(load("snowflake", SEEN))
     gains = {"controller.position.kp": torch.tensor([0.5]), "controller.rotation.kp": torch.tensor([0.4])}
     run = rollouts(simulation, gains)
     scene = Learned.of([run], 0)
     assert len(scene.poses) == 4
-    foretold = scene.foretold(simulation, gains, torch.zeros(4, 1, 4))
+    predicted = scene.predicted(simulation, gains, torch.zeros(4, 1, 4))
     # Other places lie tens of what is near apart, and have a ten-thousandth of the weight.
-    assert ((foretold.poses - run.poses) / near(simulation)).abs().max() < 0.1
+    assert ((predicted.poses - run.poses) / near(simulation)).abs().max() < 0.1
 
     precise = Learned(*(part.double() for part in vars(scene).values()))
     noise = torch.randn(4, 1, 4, dtype=torch.float64)
 
     def errors(*values: Tensor) -> Tensor:
-        return precise.foretold(simulation, dict(zip(gains, values, strict=True)), noise).errors
+        return precise.predicted(simulation, dict(zip(gains, values, strict=True)), noise).errors
 
     at = [torch.tensor([value], dtype=torch.float64, requires_grad=True) for value in (0.4, 0.3)]
     assert torch.autograd.gradcheck(errors, at)
@@ -339,7 +339,7 @@ def test_what_descent_finds_keeps_its_digits_and_its_range(given: float) -> None
 def test_an_extraction_of_ones_own_is_not_descended_on(tmp_path: Path) -> None:
     own = load("flat", [*SMALL, "controller.name=thesis_pid", "extraction.kind=own:Extraction"])
     position = ranges.parse("controller.position.kp=0.1:2", [own])
-    with pytest.raises(LuxloopError, match=r"flat: extraction.kind: nothing is foretold .* leave it out"):
+    with pytest.raises(LuxloopError, match=r"flat: extraction.kind: no error model for .* leave it out"):
         gradient.tune_by_gradient(Task((own,), (position,), objective.parse("iou")), tmp_path, 1, local(1))
 
 
