@@ -52,8 +52,8 @@ def _patch(relief: Relief, lamps: Tensor, symbol: SymbolParams) -> tuple[Tensor,
     road = relief.points((symbol.x_m + symbol.length_m * along)[:, None], symbol.y_m + symbol.width_m * across).flatten(1)  # [3, k]
     level, size = pose(lamps.new_tensor([symbol.x_m, symbol.y_m, 0.0]), torch.eye(3).to(lamps)), (symbol.length_m, symbol.width_m)
     reach = lamps.new_tensor([length * (0.5 + beyond) for length, beyond in zip(size, BEYOND, strict=True)])
-    low, high, _ = _crossings(level, road, lamps)
-    if bool((low > -reach).all() & (high < reach).all()):
+    low, high, depth = _crossings(level, road, lamps)
+    if depth < HIGHEST_M and bool((low > -reach).all() & (high < reach).all()):
         return level, (2 * float(reach[0]), 2 * float(reach[1])), HIGHEST_M
     T = _fitted(road, lamps)
     low, high, depth = _crossings(T, road, lamps)
