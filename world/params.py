@@ -2,9 +2,10 @@
 
 from typing import Annotated, Any, Final
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from annotated_types import Gt
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
-SMALLEST: Final = 1e-12  # magnitude of a number that is not 0: what is divided by it, squared, stays finite in single precision
+SMALLEST: Final = 1e-12  # least value of a number that has to be positive: what is divided by its square stays finite in single precision
 
 Metres = Annotated[float, Field(ge=-10_000, le=10_000)]
 Degrees = Annotated[float, Field(ge=-180, le=180)]
@@ -17,8 +18,8 @@ class Params(BaseModel):
 
     @field_validator("*")
     @classmethod
-    def _not_vanishing(cls, value: Any) -> Any:
-        numbers = value if isinstance(value, tuple) else (value,)
-        if tiny := [each for each in numbers if isinstance(each, float) and 0 < abs(each) < SMALLEST]:
-            raise ValueError(f"{tiny[0]:g} is too close to 0 to compute with; give 0, or at least {SMALLEST:g} in magnitude")
+    def _not_vanishing(cls, value: Any, info: ValidationInfo) -> Any:
+        positive = any(isinstance(each, Gt) and each.gt == 0 for each in cls.model_fields[str(info.field_name)].metadata)
+        if positive and isinstance(value, float) and value < SMALLEST:
+            raise ValueError(f"{value:g} is too close to 0 to compute with; give at least {SMALLEST:g}")
         return value
