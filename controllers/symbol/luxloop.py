@@ -150,8 +150,10 @@ class Luxloop:
         *residuals, before, flat = registration.residual(nodes, seen, textures, limit)
         least, best = min(zip(residuals, found, strict=True), key=lambda each: float(each[0]))
         evidence = 0.0 if bool(known.information.any()) else self.params.evidence
-        if least > POOR and stances.still and memory.searched < SEARCHES:
-            return self._acquired(registration, memory, frames, shown) or replace(memory, searched=SEARCHES)
+        if least > POOR and stances.still and 0 < memory.searched < SEARCHES:
+            if (again := self._acquired(registration, memory, frames, shown)) is not None:
+                return again
+            memory = replace(memory, searched=SEARCHES)
         if least > flat - evidence:
             return self._nothing(registration)
         information = known.information + best.information
