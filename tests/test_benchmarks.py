@@ -64,10 +64,11 @@ def test_the_benchmark_on_the_move_draws_best_for_what_is_true(tmp_path: Path) -
     assert found["luxloop below open, worst step"] >= found["open"] - found["luxloop"]
 
 
-def test_the_benchmark_of_shadows_finds_them_where_they_are(tmp_path: Path) -> None:
+def test_the_benchmark_of_shadows_finds_them_where_they_are(tmp_path: Path, data_dir: Path) -> None:
     file = tmp_path / "shadows.json"
     command = [sys.executable, "benchmarks/shadows.py", "--quick", "--json", str(file)]
-    done = subprocess.run(command, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=600)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "LUXLOOP_DATA": str(data_dir)}
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stderr
     content = json.loads(file.read_text())
     assert {each["way"] for each in content["results"]} == {"stand", "move"}
