@@ -1,9 +1,13 @@
-"""A small, fast simulation that the tests of recordings share."""
+"""A small, fast simulation that the tests of recordings share, and a command line in a folder of its own."""
 
+import re
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from loop import cli
 from loop.scenario import Scenario, validate
 from loop.simulation import Simulation, StepResult
 
@@ -17,6 +21,24 @@ SMALL: dict[str, Any] = {
     "controller": {"name": "thesis_pid"},
     "renderer": "raycast",
 }
+
+FILE = """
+name = "small"
+steps = 3
+renderer = "raycast"
+[surface]
+grain = 0.0
+[camera]
+width_px = 320
+height_px = 180
+[symbol]
+image = "chevrons"
+[start]
+x_m = 18.0
+roll_deg = 2.0
+"""
+
+Lux = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture(scope="session")
@@ -33,3 +55,23 @@ def small_simulation(small_scenario: Scenario) -> Simulation:
 @pytest.fixture(scope="session")
 def small_results(small_simulation: Simulation) -> list[StepResult]:
     return list(small_simulation.run())
+
+
+@pytest.fixture
+def lux(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Lux:
+    """Run a command line in a folder that has small.toml; gives exit code, stdout and stderr."""
+    (tmp_path / "small.toml").write_text(FILE)
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments: str) -> tuple[int, str, str]:
+        code = cli.main(arguments)
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return run
+
+
+def assert_one_sentence(error: str) -> None:
+    assert error.startswith("error: ")
+    assert error.count("\n") == 1 and error.endswith("\n")
+    assert "Traceback" not in error and not re.search(r"\.\s+[A-Z]", error)

@@ -1,68 +1,24 @@
-"""The command line: every command, every way to be wrong, in one sentence and with its exit code."""
+"""The command line: what lists, checks, help and messages say, every way to be wrong in one sentence and with its exit code."""
 
 import json
 import os
 import re
 import subprocess
 import sys
-import tomllib
-from collections.abc import Callable
 from pathlib import Path
 
-import av
 import cv2
 import numpy as np
-import pandas as pd
 import pytest
 import torch
 
 from loop import cli, data, listing
 from loop.doctor import Check
-from loop.scenario import Scenario, load, load_any, validate
-from loop.shipped import examples, shipped
-from loop.simulation import Simulation
-from world.errors import LuxloopError
+from loop.scenario import validate
+from tests.loop.conftest import FILE, Lux, assert_one_sentence
 from world.opencrg import Crg, write_crg
 
 ROOT = Path(__file__).parents[2]
-FILE = """
-name = "small"
-steps = 3
-renderer = "raycast"
-[surface]
-grain = 0.0
-[camera]
-width_px = 320
-height_px = 180
-[symbol]
-image = "chevrons"
-[start]
-x_m = 18.0
-roll_deg = 2.0
-"""
-FILES = {"manifest.json", "trajectory.parquet", "summary.json", "report.png", "video.mp4"}
-
-Lux = Callable[..., tuple[int, str, str]]
-
-
-@pytest.fixture
-def lux(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Lux:
-    """Run a command line in a folder that has small.toml; gives exit code, stdout and stderr."""
-    (tmp_path / "small.toml").write_text(FILE)
-    monkeypatch.chdir(tmp_path)
-
-    def run(*arguments: str) -> tuple[int, str, str]:
-        code = cli.main(arguments)
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return run
-
-
-def assert_one_sentence(error: str) -> None:
-    assert error.startswith("error: ")
-    assert error.count("\n") == 1 and error.endswith("\n")
-    assert "Traceback" not in error and not re.search(r"\.\s+[A-Z]", error)
 
 
 @pytest.mark.parametrize(
@@ -226,21 +182,6 @@ def test_device_that_is_not_there(lux: Lux) -> None:
     assert "--device cpu" in error
 
 
-def test_new_scenario_is_valid_and_shows_the_defaults(lux: Lux, tmp_path: Path) -> None:
-    code, out, _ = lux("new", "my.toml")
-    assert code == 0 and "luxloop run my.toml" in out
-    scenario = load("my.toml")
-    assert scenario.name == "my"
-    text = (tmp_path / "my.toml").read_text()
-    for key in Scenario.model_fields:
-        assert re.search(rf"^(# )?(\[+{key}\]+|{key} = )", text, re.MULTILINE), key
-    everything = re.sub(r"^# (\[\[\w+\]\]|\w+ = (?!\.\.\.))", r"\1", text, flags=re.MULTILINE)
-    (tmp_path / "all.toml").write_text(everything)
-    assert len(tomllib.loads(everything)["camera"]) == len(type(scenario.camera).model_fields)
-    assert load("all.toml").model_copy(update={"objects": ()}) == scenario
-    assert len(load("all.toml").objects) == 1
-
-
 def test_check(lux: Lux) -> None:
     code, out, error = lux("check", "small.toml")
     assert (code, error) == (0, "")
@@ -253,60 +194,6 @@ def test_schema_is_json(lux: Lux) -> None:
     assert symbol["properties"]["steps"]["minimum"] == lighting["properties"]["steps"]["minimum"] == 1
     assert "symbol" in symbol["required"] and "lighting" in lighting["required"]
     assert {each["$ref"] for each in both["anyOf"]} == {"#/$defs/Scenario", "#/$defs/LightingScenario"}
-
-
-@pytest.mark.parametrize("like", shipped())
-def test_new_scenario_like_a_shipped_one_differs_in_its_name_alone(lux: Lux, like: str) -> None:
-    assert lux("new", "my.toml", "--like", like)[0] == 0
-    assert load_any("my.toml").model_copy(update={"name": like}) == load_any(like)
-
-
-@pytest.mark.parametrize("like", examples())
-def test_every_example_can_be_copied_from_where_luxloop_is_installed(lux: Lux, like: str) -> None:
-    code, out, _ = lux("new", "--like", like)
-    assert code == 0 and "first lines" in out
-    assert Path(like).read_text("utf-8") == examples()[like].read_text("utf-8")
-
-
-def test_new_names_the_copy_like_the_original_unless_told_otherwise(lux: Lux) -> None:
-    assert lux("new", "--like", "curb")[0] == 0
-    assert load_any("curb.toml") == load_any("curb")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        ("new", "such as my.toml"),
-        ("new my.toml --like tune_gains.py", "same ending"),
-        ("new --like nothing_like_it", "`luxloop list examples`"),
-        ("new --like tune_gain.py", "did you mean 'tune_gains.py'?"),
-    ],
-)
-def test_new_that_cannot_be_is_refused(lux: Lux, tmp_path: Path, arguments: str, said: str) -> None:
-    before = set(tmp_path.iterdir())
-    code, _, error = lux(*arguments.split())
-    assert code == cli.WRONG and said in error
-    assert_one_sentence(error)
-    assert set(tmp_path.iterdir()) == before
-
-
-def test_new_scenario_like_none_is_refused_and_nothing_written(lux: Lux, tmp_path: Path) -> None:
-    code, _, error = lux("new", "my.toml", "--like", "gfbh")
-    assert code == cli.WRONG and "'gfhb'" in error and not (tmp_path / "my.toml").exists()
-
-
-def test_new_night_is_valid_and_its_traffic_comes_from_the_seed(lux: Lux) -> None:
-    assert lux("new", "a.toml", "--traffic", "7")[0] == lux("new", "b.toml", "--traffic", "8")[0] == 0
-    a, b = load_any("a.toml"), load_any("b.toml")
-    assert len(a.all_objects) > 5 and a.all_objects != b.all_objects and a.surface != b.surface
-    assert all(each.on_road for each in a.all_objects)
-    assert lux("check", "a.toml")[0] == 0
-
-
-@pytest.mark.parametrize(("more", "words"), [(["--traffic", "-1"], "from 0 on"), (["--traffic", "1", "--like", "gfhb"], "one of the two")])
-def test_new_night_that_cannot_be_is_refused(lux: Lux, tmp_path: Path, more: list[str], words: str) -> None:
-    code, _, error = lux("new", "my.toml", *more)
-    assert code == cli.WRONG and words in error and not (tmp_path / "my.toml").exists()
 
 
 def test_list_names_missing_data_and_how_to_get_it(lux: Lux, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -354,81 +241,6 @@ def test_doctor(lux: Lux, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "sudo apt-get install mesa" in out and "[none]" in out
     found.pop()
     assert lux("doctor")[0] == 0
-
-
-def test_run_replay_and_what_differs(lux: Lux, tmp_path: Path) -> None:
-    code, out, error = lux("run", "small.toml", "--steps", "4", "--seed", "7", "--set", "camera.bits=8", "camera.gamma=2.2")
-    assert (code, error) == (0, "")
-    folder = tmp_path / "runs" / "small"
-    assert {path.name for path in folder.iterdir()} == FILES
-    for part in ("settle step", "centroid error", "IoU", "overshoot", "lost steps", "ms", "runs/small"):
-        assert part in out
-    manifest = json.loads((folder / "manifest.json").read_text())
-    assert (manifest["seed"], manifest["scenario"]["steps"], manifest["scenario"]["camera"]["bits"]) == (7, 4, 8)
-    assert json.loads((folder / "summary.json").read_text())["iou_open"] == pytest.approx(1, abs=0.01)  # a flat road needs no control
-    with av.open(str(folder / "video.mp4")) as video:
-        assert video.streams.video[0].frames == 4
-
-    code, out, _ = lux("replay", "runs/small")
-    assert code == 0 and "4 steps agree" in out
-    code, out, _ = lux("replay", "runs/small", "--csv", "steps.csv")
-    assert code == 0 and "agree" not in out
-    assert list(pd.read_csv("steps.csv")["step"]) == [0, 1, 2, 3]
-
-    manifest["scenario"]["start"]["x_m"] = 18.5
-    (folder / "manifest.json").write_text(json.dumps(manifest))
-    code, out, _ = lux("replay", "runs/small", "--compare")
-    assert code == 1
-    assert "edited" in out and re.search(r"x_m +0 +18 +18.5 ", out)
-
-
-def test_controller_starts_with_its_defaults_and_set_comes_on_top(lux: Lux, tmp_path: Path) -> None:
-    (tmp_path / "small.toml").write_text(FILE + '[controller]\nname = "thesis_pid"\nx_rate_m = 0.1\n')
-    arguments = ["run", "small.toml", "--no-video", "--steps", "1", "--out", "a"]
-    assert lux(*arguments, "--controller", "thesis_pid", "--set", "controller.y_rate_m=0.2")[0] == 0
-    controller = json.loads((tmp_path / "a" / "manifest.json").read_text())["scenario"]["controller"]
-    assert (controller["x_rate_m"], controller["y_rate_m"]) == (1.5, 0.2)
-    assert {path.name for path in (tmp_path / "a").iterdir()} == FILES - {"video.mp4"}
-
-
-def test_interrupt_keeps_the_steps_that_were_done(lux: Lux, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    steps = Simulation.run
-
-    def run(simulation: Simulation):  # type: ignore[no-untyped-def]
-        for result in steps(simulation):
-            if result.step == 2:
-                raise KeyboardInterrupt
-            yield result
-
-    monkeypatch.setattr(Simulation, "run", run)
-    code, _, error = lux("run", "small.toml")
-    assert code == 130
-    assert error == "interrupted: 2 of 3 steps are kept in runs/small\n"
-    folder = tmp_path / "runs" / "small"
-    assert {path.name for path in folder.iterdir()} == FILES
-    assert json.loads((folder / "manifest.json").read_text())["status"] == "interrupted"
-    assert len(pd.read_parquet(folder / "trajectory.parquet")) == 2
-
-
-def test_interrupt_before_the_first_step(lux: Lux, monkeypatch: pytest.MonkeyPatch) -> None:
-    def prepare(*_: object) -> Simulation:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("loop.run.prepare", prepare)
-    assert lux("run", "small.toml") == (130, "", "interrupted: nothing was recorded\n")
-    assert not Path("runs").exists()
-
-
-def test_failure_in_the_midst_keeps_the_steps_and_says_why(lux: Lux, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    steps = Simulation.run
-
-    def run(simulation: Simulation):  # type: ignore[no-untyped-def]
-        yield next(steps(simulation))
-        raise LuxloopError("the lamp is broken; mend it")
-
-    monkeypatch.setattr(Simulation, "run", run)
-    assert lux("run", "small.toml", "--no-video") == (2, "", "error: the lamp is broken; mend it\n")
-    assert len(pd.read_parquet(tmp_path / "runs" / "small" / "trajectory.parquet")) == 1
 
 
 def test_process_starts_quickly_and_takes_a_closed_pipe_calmly() -> None:

@@ -1,0 +1,81 @@
+"""`luxloop new`: templates, copies of what is shipped, and nights of traffic, all valid; what cannot be made is refused."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from loop import cli
+from loop.scenario import Scenario, load, load_any
+from loop.shipped import examples, shipped
+from tests.loop.conftest import Lux, assert_one_sentence
+
+
+def test_new_scenario_is_valid_and_shows_the_defaults(lux: Lux, tmp_path: Path) -> None:
+    code, out, _ = lux("new", "my.toml")
+    assert code == 0 and "luxloop run my.toml" in out
+    scenario = load("my.toml")
+    assert scenario.name == "my"
+    text = (tmp_path / "my.toml").read_text()
+    for key in Scenario.model_fields:
+        assert re.search(rf"^(# )?(\[+{key}\]+|{key} = )", text, re.MULTILINE), key
+    everything = re.sub(r"^# (\[\[\w+\]\]|\w+ = (?!\.\.\.))", r"\1", text, flags=re.MULTILINE)
+    (tmp_path / "all.toml").write_text(everything)
+    assert len(tomllib.loads(everything)["camera"]) == len(type(scenario.camera).model_fields)
+    assert load("all.toml").model_copy(update={"objects": ()}) == scenario
+    assert len(load("all.toml").objects) == 1
+
+
+@pytest.mark.parametrize("like", shipped())
+def test_new_scenario_like_a_shipped_one_differs_in_its_name_alone(lux: Lux, like: str) -> None:
+    assert lux("new", "my.toml", "--like", like)[0] == 0
+    assert load_any("my.toml").model_copy(update={"name": like}) == load_any(like)
+
+
+@pytest.mark.parametrize("like", examples())
+def test_every_example_can_be_copied_from_where_luxloop_is_installed(lux: Lux, like: str) -> None:
+    code, out, _ = lux("new", "--like", like)
+    assert code == 0 and "first lines" in out
+    assert Path(like).read_text("utf-8") == examples()[like].read_text("utf-8")
+
+
+def test_new_names_the_copy_like_the_original_unless_told_otherwise(lux: Lux) -> None:
+    assert lux("new", "--like", "curb")[0] == 0
+    assert load_any("curb.toml") == load_any("curb")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ("new", "such as my.toml"),
+        ("new my.toml --like tune_gains.py", "same ending"),
+        ("new --like nothing_like_it", "`luxloop list examples`"),
+        ("new --like tune_gain.py", "did you mean 'tune_gains.py'?"),
+    ],
+)
+def test_new_that_cannot_be_is_refused(lux: Lux, tmp_path: Path, arguments: str, said: str) -> None:
+    before = set(tmp_path.iterdir())
+    code, _, error = lux(*arguments.split())
+    assert code == cli.WRONG and said in error
+    assert_one_sentence(error)
+    assert set(tmp_path.iterdir()) == before
+
+
+def test_new_scenario_like_none_is_refused_and_nothing_written(lux: Lux, tmp_path: Path) -> None:
+    code, _, error = lux("new", "my.toml", "--like", "gfbh")
+    assert code == cli.WRONG and "'gfhb'" in error and not (tmp_path / "my.toml").exists()
+
+
+def test_new_night_is_valid_and_its_traffic_comes_from_the_seed(lux: Lux) -> None:
+    assert lux("new", "a.toml", "--traffic", "7")[0] == lux("new", "b.toml", "--traffic", "8")[0] == 0
+    a, b = load_any("a.toml"), load_any("b.toml")
+    assert len(a.all_objects) > 5 and a.all_objects != b.all_objects and a.surface != b.surface
+    assert all(each.on_road for each in a.all_objects)
+    assert lux("check", "a.toml")[0] == 0
+
+
+@pytest.mark.parametrize(("more", "words"), [(["--traffic", "-1"], "from 0 on"), (["--traffic", "1", "--like", "gfhb"], "one of the two")])
+def test_new_night_that_cannot_be_is_refused(lux: Lux, tmp_path: Path, more: list[str], words: str) -> None:
+    code, _, error = lux("new", "my.toml", *more)
+    assert code == cli.WRONG and words in error and not (tmp_path / "my.toml").exists()

@@ -1,0 +1,90 @@
+"""`luxloop run` and `luxloop replay`: what is written, what differs, and what is kept of a run that was interrupted or has failed."""
+
+import json
+import re
+from pathlib import Path
+
+import av
+import pandas as pd
+import pytest
+
+from loop.simulation import Simulation
+from tests.loop.conftest import FILE, Lux
+from world.errors import LuxloopError
+
+FILES = {"manifest.json", "trajectory.parquet", "summary.json", "report.png", "video.mp4"}
+
+
+def test_run_replay_and_what_differs(lux: Lux, tmp_path: Path) -> None:
+    code, out, error = lux("run", "small.toml", "--steps", "4", "--seed", "7", "--set", "camera.bits=8", "camera.gamma=2.2")
+    assert (code, error) == (0, "")
+    folder = tmp_path / "runs" / "small"
+    assert {path.name for path in folder.iterdir()} == FILES
+    for part in ("settle step", "centroid error", "IoU", "overshoot", "lost steps", "ms", "runs/small"):
+        assert part in out
+    manifest = json.loads((folder / "manifest.json").read_text())
+    assert (manifest["seed"], manifest["scenario"]["steps"], manifest["scenario"]["camera"]["bits"]) == (7, 4, 8)
+    assert json.loads((folder / "summary.json").read_text())["iou_open"] == pytest.approx(1, abs=0.01)  # a flat road needs no control
+    with av.open(str(folder / "video.mp4")) as video:
+        assert video.streams.video[0].frames == 4
+
+    code, out, _ = lux("replay", "runs/small")
+    assert code == 0 and "4 steps agree" in out
+    code, out, _ = lux("replay", "runs/small", "--csv", "steps.csv")
+    assert code == 0 and "agree" not in out
+    assert list(pd.read_csv("steps.csv")["step"]) == [0, 1, 2, 3]
+
+    manifest["scenario"]["start"]["x_m"] = 18.5
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    code, out, _ = lux("replay", "runs/small", "--compare")
+    assert code == 1
+    assert "edited" in out and re.search(r"x_m +0 +18 +18.5 ", out)
+
+
+def test_controller_starts_with_its_defaults_and_set_comes_on_top(lux: Lux, tmp_path: Path) -> None:
+    (tmp_path / "small.toml").write_text(FILE + '[controller]\nname = "thesis_pid"\nx_rate_m = 0.1\n')
+    arguments = ["run", "small.toml", "--no-video", "--steps", "1", "--out", "a"]
+    assert lux(*arguments, "--controller", "thesis_pid", "--set", "controller.y_rate_m=0.2")[0] == 0
+    controller = json.loads((tmp_path / "a" / "manifest.json").read_text())["scenario"]["controller"]
+    assert (controller["x_rate_m"], controller["y_rate_m"]) == (1.5, 0.2)
+    assert {path.name for path in (tmp_path / "a").iterdir()} == FILES - {"video.mp4"}
+
+
+def test_interrupt_keeps_the_steps_that_were_done(lux: Lux, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    steps = Simulation.run
+
+    def run(simulation: Simulation):  # type: ignore[no-untyped-def]
+        for result in steps(simulation):
+            if result.step == 2:
+                raise KeyboardInterrupt
+            yield result
+
+    monkeypatch.setattr(Simulation, "run", run)
+    code, _, error = lux("run", "small.toml")
+    assert code == 130
+    assert error == "interrupted: 2 of 3 steps are kept in runs/small\n"
+    folder = tmp_path / "runs" / "small"
+    assert {path.name for path in folder.iterdir()} == FILES
+    assert json.loads((folder / "manifest.json").read_text())["status"] == "interrupted"
+    assert len(pd.read_parquet(folder / "trajectory.parquet")) == 2
+
+
+def test_interrupt_before_the_first_step(lux: Lux, monkeypatch: pytest.MonkeyPatch) -> None:
+    def prepare(*_: object) -> Simulation:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("loop.run.prepare", prepare)
+    assert lux("run", "small.toml") == (130, "", "interrupted: nothing was recorded\n")
+    assert not Path("runs").exists()
+
+
+def test_failure_in_the_midst_keeps_the_steps_and_says_why(lux: Lux, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    steps = Simulation.run
+
+    def run(simulation: Simulation):  # type: ignore[no-untyped-def]
+        yield next(steps(simulation))
+        raise LuxloopError("the lamp is broken; mend it")
+
+    monkeypatch.setattr(Simulation, "run", run)
+    assert lux("run", "small.toml", "--no-video") == (2, "", "error: the lamp is broken; mend it\n")
+    assert len(pd.read_parquet(tmp_path / "runs" / "small" / "trajectory.parquet")) == 1
