@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import torch
 
+from controllers.symbol.field import SIDES
 from loop.manifest import FILE as MANIFEST
 from loop.manifest import Manifest, write_json
 from loop.simulation import Simulation, StepResult
@@ -28,7 +29,8 @@ TRAJECTORY, SUMMARY, REPORT, VIDEO = "trajectory.parquet", "summary.json", "repo
 FILES = (TRAJECTORY, SUMMARY, REPORT, VIDEO, MANIFEST)
 REST = 10  # times what a write takes pass between two: recording costs a tenth at most, and a kill the last 50 ms or so
 
-LATER = ("z_m",)  # columns that recordings of older versions lack
+CUT = tuple(f"cut_{side}" for side in SIDES)
+LATER = ("z_m", *CUT)  # columns that recordings of older versions lack
 POSE = ("x_m", "y_m", "roll_deg", "pitch_deg")
 ERRORS = ("e_x", "e_y", "e_roll", "e_pitch")
 CENTROIDS = tuple(f"{point}_{axis}" for point in ("c", "tl", "tr", "bl", "br") for axis in "uv")
@@ -43,6 +45,10 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "z_m": ("m", "shown height of the primitive's centre above the assumed road"),
     "roll_deg": ("deg", "shown pose: rotation about the forward axis"),
     "pitch_deg": ("deg", "shown pose: rotation about the left axis, nose down positive"),
+    "cut_left": ("1", "share of the shown symbol that is cut: it lies beyond the left border of the lamps' field"),
+    "cut_right": ("1", "share cut at the right border"),
+    "cut_top": ("1", "share cut at the upper border"),
+    "cut_bottom": ("1", "share cut at the lower border"),
     "e_x": ("axes", "error of the centre along u, seen minus target"),
     "e_y": ("axes", "error of the centre along v"),
     "e_roll": ("feature", "error of the roll feature"),
@@ -97,6 +103,7 @@ def row(result: StepResult) -> dict[str, Any]:
         ("area_ratio",): seen.area_ratio,
         ("centroid_error_x_percent", "centroid_error_y_percent"): verdict.centroid_percent,
         ("iou", "ssim", "length", "shear"): torch.stack([verdict.iou, verdict.ssim, verdict.length, verdict.shear]),
+        CUT: result.cut,
         ("code",): seen.code,
     }
     host = torch.cat([tensor.flatten().double() for tensor in tensors.values()]).cpu()

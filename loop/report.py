@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from controllers.ssc import Utilisation
 from loop.recorder import ERRORS
+from loop.remedies import remedies
 from loop.simulation import Simulation, StepResult
 from loop.summary import column
 from perception.appearance import appearance, image_axes
@@ -88,6 +89,7 @@ def write_report(file: Path, simulation: Simulation, gathered: Gathered, table: 
         figure = Figure(INCHES, DPI, layout="constrained")
         FigureCanvasAgg(figure)
         figure.suptitle(_title(simulation, summary), x=0.012, ha="left", fontsize=12.5, weight="bold")
+        figure.supxlabel("\n".join(remedies(summary)), x=0.012, ha="left", fontsize=10)
         left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(4.3, 7.7))[0]
         _courses(left, simulation, table, summary)
         top, middle, bottom = right.subfigures(3, 1, squeeze=False, height_ratios=(2.75, 2.35, 3.6))[:, 0]

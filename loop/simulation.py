@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from controllers.ssc import Utilisation
+from controllers.symbol.field import cut
 from controllers.symbol.flat_model import FlatModel, flat_model
 from controllers.symbol.observer import Observer, Seen
 from controllers.symbol.projector import Projector
@@ -45,7 +46,8 @@ class SimulationState:
 class StepResult:
     """What happened in one step. timings: ms by part, 'step' is all that control and plant took.
 
-    pose: `[4]` that was shown. z: `[]` m, height of its centre above the assumed road.
+    pose: `[4]` that was shown. z: `[]` m, height of its centre above the assumed road. cut: `[4]`, shares of the symbol beyond the borders
+    of the lamps' field (`controllers.symbol.field`).
     """
 
     step: int
@@ -56,6 +58,7 @@ class StepResult:
     frames: Frames | None
     seen: Seen
     verdict: Verdict
+    cut: Tensor
     timings: dict[str, float]
 
 
@@ -147,7 +150,9 @@ class Simulation:
             verdict = self.judge(lights, time_s)
         following = SimulationState(state.step + 1, controller, plant, shown[-late:] if late else (), seen.shape)
         z = torch.zeros_like(drawing.pose[..., 0]) if drawing.z is None else drawing.z
-        return following, StepResult(state.step, time_s, drawing.pose, z, lights, frames, seen, verdict, timings)
+        return following, StepResult(
+            state.step, time_s, drawing.pose, z, lights, frames, seen, verdict, cut(self.projector, drawing), timings
+        )
 
     def judge(self, lights: Lights, time_s: float) -> Verdict:
         """How the light lies on the road at a time, without noise."""

@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from controllers.symbol.field import SIDES
+
 FINAL = 10  # steps whose mean is the final value, and for which a symbol at rest has to stay
 END = 5  # steps whose mean error of the centroid is that at the end
 STEADY = {  # how far from the final value a symbol at rest may be: 2 % of its size and length, 0.02 of shear
@@ -23,7 +25,8 @@ def summarise(table: pa.Table, scenario: str, controller: str, iou_open: float) 
     """Summary of a recording's table, ready for JSON: None where a value does not exist.
 
     iou_open: what the judge says of the open loop at the last step. centroid_error_percent: [x, y], signed, mean of the last five steps.
-    unsettled: why there is no settle_step (`unsettled`).
+    unsettled: why there is no settle_step (`unsettled`). cut: share of the symbol beyond the borders of the lamps' field at the last step,
+    and the side where most of it is.
     """
     seen = table.num_rows > 0
     return {
@@ -35,6 +38,7 @@ def summarise(table: pa.Table, scenario: str, controller: str, iou_open: float) 
         "steady_step": steady_step(table),
         "overshoot_percent": overshoot_percent(table),
         "centroid_error_percent": [_number(error) for error in final_error_percent(table)],
+        **_cut(table),
         "iou_open": _number(iou_open),
         "iou_final": _number(column(table, "iou")[-1]) if seen else None,
         "ssim_final": _number(column(table, "ssim")[-1]) if seen else None,
@@ -69,6 +73,12 @@ def unsettled(table: pa.Table) -> str | None:
 def final_error_percent(table: pa.Table) -> np.ndarray:
     """Error of the centroid `[2]` along x and y, signed, in % of the symbol's length and width; NaN where the last steps are not lit."""
     return np.array([column(table, axis)[-END:].mean() if table.num_rows else math.nan for axis in AXES])
+
+
+def _cut(table: pa.Table) -> dict[str, Any]:
+    shares = {side: column(table, f"cut_{side}")[-1] for side in SIDES} if table.num_rows else dict.fromkeys(SIDES, math.nan)
+    total = sum(shares.values())
+    return {"cut": _number(total), "cut_side": max(SIDES, key=shares.__getitem__) if total > 0 else None}
 
 
 def steady_step(table: pa.Table) -> int | None:

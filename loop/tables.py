@@ -68,6 +68,8 @@ def findings(checks: "Sequence[Check]") -> Table:
 
 def summary(values: dict[str, Any], files: str) -> Table:
     """The closing table of a run."""
+    from loop.remedies import remedies
+
     table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     x, y = values["centroid_error_percent"]
     settled = values["settle_step"]
@@ -80,38 +82,11 @@ def summary(values: dict[str, Any], files: str) -> Table:
         "time a step": f"{_number(values['step_ms_median'], '.1f')} ms (median)",
         "files": files,
     }
-    if values["unsettled"] is not None:
-        rows["note"] = _why_unsettled(values)
-    elif values["controller"] != "open" and (values["iou_final"] or 0.0) < (values["iou_open"] or 0.0):
-        rows["note"] = "the symbol lies worse than without control"
+    if notes := remedies(values):
+        rows["note"] = "\n".join(notes)
     for label, value in rows.items():
         table.add_row(f"[bold]{label}[/]", escape(value))
     return table
-
-
-def _why_unsettled(values: dict[str, Any]) -> str:
-    """Why the symbol has not settled on its target, and the key that helps."""
-    from loop.summary import FINAL
-
-    off = [abs(error) for error in values["centroid_error_percent"] if error is not None]
-    match values["unsettled"]:
-        case "too_short":
-            return f"fewer than {FINAL} steps do not show whether the symbol settles; raise steps"
-        case "no_frame":
-            return f"most frames of the last {FINAL} steps are missing; lower camera.drop_probability, or take disturbances.drops out"
-        case "moving":
-            return "the symbol still moves at the end; raise steps, unless it is the car or an object that moves"
-        case "lost":
-            what = f"the camera lost the symbol in {values['lost_steps']} of {values['steps']} steps and at the end"
-        case _:
-            what = f"the symbol lies {max(off):.0f} % of its size off its target" if off else "no light of the symbol reaches its target"
-    match values["controller"]:
-        case "luxloop":
-            return f"{what}; lower symbol.x_m, as the road moves a nearer symbol less"
-        case "feedforward":
-            return f"{what}; give the road as it is in controller.road, or measure it with controller.survey = true"
-        case _:
-            return f'{what}; try controller.name = "luxloop", which draws for the heights of the road that it finds'
 
 
 def differences(found: "Sequence[Difference]") -> Table:

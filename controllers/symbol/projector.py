@@ -73,6 +73,11 @@ class Projector:
         value = p.value if p.quantity == "u_rel" else p.value / len(self.modules)
         return road_symbol(pose, 0.0, width_m, length_m, image, value, p.quantity)
 
+    def rectangle(self, drawing: Drawing) -> Primitives:
+        """The primitive that a drawing's symbol lies on, not warped."""
+        size = (self.params.length_m, self.params.width_m) if drawing.warp is None else drawing.warp.size_m
+        return _lifted(self._rectangle(drawing.pose, *size, self.symbol), drawing.z)
+
     def light(self, pose: Tensor) -> tuple[Utilisation, ...]:
         """Utilisations `[..., n_p]`, one a module, that draw the symbol as it is at a pose `[..., 4]`."""
         return self._cast(repeat(self.primitive(pose)))
@@ -119,9 +124,7 @@ class Projector:
         shape: of the road, see `controllers.symbol.shape`; default: z = 0. One rectangle for all of a batch. Rays that do not meet the road
         within 200 m end there.
         """
-        size = (self.params.length_m, self.params.width_m) if drawing.warp is None else drawing.warp.size_m
-        rectangle = _lifted(self._rectangle(drawing.pose, *size, self.symbol), drawing.z)
-        corners = rectangle.corners().detach().reshape(-1, 3).T.cpu().double()
+        corners = self.rectangle(drawing).corners().detach().reshape(-1, 3).T.cpu().double()
         origins = torch.stack([module.T_world_headlight[:3, 3:] for module in self.modules]).to(corners)
         rays = corners - origins
         middle = corners.new_zeros(4) if shape is None else shape.detach().to(corners)

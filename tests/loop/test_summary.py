@@ -11,6 +11,7 @@ import pyarrow as pa
 import pytest
 
 from loop.recorder import COLUMNS, table_of
+from loop.remedies import remedies
 from loop.scenario import load
 from loop.summary import overshoot_percent, settle_step, steady_step, summarise, unsettled
 from loop.tables import summary as summary_table
@@ -143,6 +144,26 @@ def test_the_closing_table_says_what_went_wrong_and_names_keys_that_exist(record
         attrgetter(key)(scenario)
 
 
+@pytest.mark.parametrize(
+    ("shares", "said"),
+    [
+        ({"bottom": 0.019}, []),
+        ({"bottom": 0.3, "left": 0.1}, ["40 % of the symbol lies beyond the lower border of the lamps' field; raise symbol.x_m"]),
+        ({"left": 0.03}, ["3 % of the symbol lies beyond the left border of the lamps' field; bring symbol.y_m nearer to 0"]),
+    ],
+)
+def test_what_is_cut_at_the_border_of_the_field_is_said_even_of_a_settled_symbol(shares: dict[str, float], said: list[str]) -> None:
+    recorded = table(**{f"cut_{side}": np.where(np.arange(40) < 39, 0.0, share) for side, share in shares.items()})
+    values = summarise(recorded, "name", "luxloop", 0.0)
+    assert values["cut"] == pytest.approx(sum(shares.values())) and values["cut_side"] == max(shares, key=shares.__getitem__)
+    assert remedies(values) == said
+
+
+def test_a_symbol_that_is_cut_is_lost_for_no_other_reason() -> None:
+    values = summarise(table(loss=["nothing"] * 40, cut_bottom=0.9), "name", "luxloop", 0.0)
+    assert len(remedies(values)) == 1 and "lower border" in remedies(values)[0]
+
+
 def test_summary_has_every_field() -> None:
     k = np.arange(40)
     recorded = table(
@@ -161,6 +182,8 @@ def test_summary_has_every_field() -> None:
         "steady_step": None,
         "overshoot_percent": pytest.approx(100 * 4.5 / 37),  # the final value, -2.5, is passed by the last step's 2
         "centroid_error_percent": [0.0, 0.0],
+        "cut": 0.0,
+        "cut_side": None,
         "iou_open": 0.25,
         "iou_final": 39 / 40,
         "ssim_final": 39 / 80,

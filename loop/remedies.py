@@ -1,0 +1,53 @@
+"""What went wrong in the run of a symbol, and the key that helps, in a sentence each."""
+
+from typing import Any
+
+from loop.summary import FINAL
+
+CUT = 0.02  # of a symbol; less than that costs no more IoU than two runs may differ by in docs/symbol_control.md
+BORDERS = {"left": "left", "right": "right", "top": "upper", "bottom": "lower"}
+INTO_THE_FIELD = {
+    "left": "bring symbol.y_m nearer to 0",
+    "right": "bring symbol.y_m nearer to 0",
+    "top": "lower symbol.x_m",
+    "bottom": "raise symbol.x_m",
+}
+
+
+def remedies(values: dict[str, Any]) -> list[str]:
+    """Of a run's summary (`loop.summary.summarise`); empty where nothing went wrong."""
+    cut, why = values["cut"], values["unsettled"]
+    is_cut = cut is not None and cut > CUT
+    found = [_cut(cut, values["cut_side"])] if is_cut else []
+    if why is not None and not (is_cut and why in ("lost", "off_target")):
+        found.append(_why_unsettled(values))
+    if why is None and values["controller"] != "open" and (values["iou_final"] or 0.0) < (values["iou_open"] or 0.0):
+        found.append("the symbol lies worse than without control")
+    return found
+
+
+def _cut(share: float, side: str) -> str:
+    return f"{100 * share:.0f} % of the symbol lies beyond the {BORDERS[side]} border of the lamps' field; {INTO_THE_FIELD[side]}"
+
+
+def _why_unsettled(values: dict[str, Any]) -> str:
+    """Why the symbol has not settled on its target, and the key that helps."""
+    off = [abs(error) for error in values["centroid_error_percent"] if error is not None]
+    match values["unsettled"]:
+        case "too_short":
+            return f"fewer than {FINAL} steps do not show whether the symbol settles; raise steps"
+        case "no_frame":
+            return f"most frames of the last {FINAL} steps are missing; lower camera.drop_probability, or take disturbances.drops out"
+        case "moving":
+            return "the symbol still moves at the end; raise steps, unless it is the car or an object that moves"
+        case "lost":
+            what = f"the camera lost the symbol in {values['lost_steps']} of {values['steps']} steps and at the end"
+        case _:
+            what = f"the symbol lies {max(off):.0f} % of its size off its target" if off else "no light of the symbol reaches its target"
+    match values["controller"]:
+        case "luxloop":
+            return f"{what}; lower symbol.x_m, as the road moves a nearer symbol less"
+        case "feedforward":
+            return f"{what}; give the road as it is in controller.road, or measure it with controller.survey = true"
+        case _:
+            return f'{what}; try controller.name = "luxloop", which draws for the heights of the road that it finds'
