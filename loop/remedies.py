@@ -5,6 +5,7 @@ from typing import Any
 from loop.summary import FINAL
 
 CUT = 0.02  # of a symbol; less than that costs no more IoU than two runs may differ by in docs/symbol_control.md
+PLANE_M = 0.2  # roads nearer to the plane z = 0 are drawn for on it
 BORDERS = {"left": "left", "right": "right", "top": "upper", "bottom": "lower"}
 INTO_THE_FIELD = {
     "left": "bring symbol.y_m nearer to 0",
@@ -35,19 +36,26 @@ def _why_unsettled(values: dict[str, Any]) -> str:
     off = [abs(error) for error in values["centroid_error_percent"] if error is not None]
     match values["unsettled"]:
         case "too_short":
-            return f"fewer than {FINAL} steps do not show whether the symbol settles; raise steps"
+            return "the run is too short to show whether the symbol settles; raise steps"
         case "no_frame":
             return f"most frames of the last {FINAL} steps are missing; lower camera.drop_probability, or take disturbances.drops out"
         case "moving":
-            return "the symbol still moves at the end; raise steps, unless it is the car or an object that moves"
+            what = f"the symbol goes on moving in the last {FINAL} steps"
+            if values["controller"] == "luxloop":
+                return f"{what}, as it does where the car or an object moves; if none does, lower symbol.x_m, as a nearer symbol moves less"
+        case "lost" if values["lost_steps"] == values["steps"]:
+            other = "" if values["controller"] == "luxloop" else ', and try controller.name = "luxloop"'
+            return f"the camera never saw the symbol, whose light may pass over a road that falls; lower start.x_m{other}"
         case "lost":
             what = f"the camera lost the symbol in {values['lost_steps']} of {values['steps']} steps and at the end"
         case _:
             what = f"the symbol lies {max(off):.0f} % of its size off its target" if off else "no light of the symbol reaches its target"
+    if values["z_m_final"] and abs(values["z_m_final"]) > PLANE_M:
+        what += f", drawn for a road {abs(values['z_m_final']):.1f} m {'above' if values['z_m_final'] > 0 else 'below'} the plane z = 0"
     match values["controller"]:
         case "luxloop":
-            return f"{what}; lower symbol.x_m, as the road moves a nearer symbol less"
+            return f"{what}; lower symbol.x_m, as its light is brighter on a nearer road, and the road moves it less"
         case "feedforward":
-            return f"{what}; give the road as it is in controller.road, or measure it with controller.survey = true"
+            return f"{what}; give the road as it is in controller.road, or, near the plane z = 0, measure it with controller.survey = true"
         case _:
             return f'{what}; try controller.name = "luxloop", which draws for the heights of the road that it finds'

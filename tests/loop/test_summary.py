@@ -110,6 +110,8 @@ OFF = "centroid_error_y_percent"
         (table(**{OFF: decay(40, 0.7) - 5.1}), "off_target"),
         (table(**{OFF: math.nan}), "off_target"),
         (table(**{OFF: 10 * np.sin(np.arange(40))}), "moving"),
+        (table(**{OFF: 1e3 * 0.9 ** np.arange(40)}), "too_short"),
+        (table(15, **{OFF: 10 * np.sin(np.arange(15))}), "too_short"),
     ],
 )
 def test_only_a_symbol_that_is_seen_on_its_target_has_settled(recorded: pa.Table, why: str | None) -> None:
@@ -137,7 +139,7 @@ def test_a_lost_symbol_is_steady_but_has_not_settled() -> None:
 def test_the_closing_table_says_what_went_wrong_and_names_keys_that_exist(recorded: pa.Table, controller: str) -> None:
     values = summarise(recorded, "name", controller, 0.0)
     (note,) = (cell for cell in summary_table(values, "runs/name").columns[1].cells if ";" in str(cell))
-    keys = re.findall(r"\b(?:camera|controller|disturbances|symbol)\.[a-z_]+|\bsteps$|\bsteps(?=,)", str(note))
+    keys = re.findall(r"\b(?:camera|controller|disturbances|start|symbol)\.[a-z_]+|\bsteps$", str(note))
     scenario = load("snowflake", ["controller={name='feedforward'}"] if "controller.survey" in keys else [])
     assert keys
     for key in keys:
@@ -164,6 +166,20 @@ def test_a_symbol_that_is_cut_is_lost_for_no_other_reason() -> None:
     assert len(remedies(values)) == 1 and "lower border" in remedies(values)[0]
 
 
+def test_how_far_the_road_lies_off_the_plane_is_said_where_it_is_drawn_for() -> None:
+    (said,) = remedies(summarise(table(**{OFF: 12.0}, z_m=-0.57), "name", "luxloop", 0.0))
+    assert said.startswith(
+        "the symbol lies 12 % of its size off its target, drawn for a road 0.6 m below the plane z = 0; lower symbol.x_m"
+    )
+
+
+def test_a_symbol_that_was_never_seen_starts_too_far() -> None:
+    (said,) = remedies(summarise(table(loss=["nothing"] * 40), "name", "luxloop", 0.0))
+    assert said.startswith("the camera never saw the symbol") and said.endswith("lower start.x_m")
+    (lost,) = remedies(summarise(table(loss=[""] * 20 + ["nothing"] * 20), "name", "luxloop", 0.0))
+    assert lost.startswith("the camera lost the symbol in 20 of 40 steps")
+
+
 def test_summary_has_every_field() -> None:
     k = np.arange(40)
     recorded = table(
@@ -186,6 +202,7 @@ def test_summary_has_every_field() -> None:
         "cut_side": None,
         "iou_open": 0.25,
         "iou_final": 39 / 40,
+        "z_m_final": 0.0,
         "ssim_final": 39 / 80,
         "lost_steps": 2,
         "step_ms_median": 380.5,
