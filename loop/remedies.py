@@ -6,6 +6,7 @@ from loop.summary import FINAL
 
 CUT = 0.02  # of a symbol; less than that costs no more IoU than two runs may differ by in docs/symbol_control.md
 PLANE_M = 0.2  # roads nearer to the plane z = 0 are drawn for on it
+SHORT = 40  # steps, as the shipped scenarios have: thesis_pid still moves after 20 that began 40 m ahead, and settles in 40
 BORDERS = {"left": "left", "right": "right", "top": "upper", "bottom": "lower"}
 INTO_THE_FIELD = {
     "left": "bring symbol.y_m nearer to 0",
@@ -41,6 +42,8 @@ def _why_unsettled(values: dict[str, Any]) -> str:
             return f"most frames of the last {FINAL} steps are missing; lower camera.drop_probability, or take disturbances.drops out"
         case "moving":
             what = f"the symbol goes on moving in the last {FINAL} steps"
+            if values["steps"] < SHORT:
+                return f"{what}; raise steps to {SHORT} at least"
             if values["controller"] == "luxloop":
                 return f"{what}, as it does where the car or an object moves; if none does, lower symbol.x_m, as a nearer symbol moves less"
         case "lost" if values["lost_steps"] == values["steps"]:

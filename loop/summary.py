@@ -56,9 +56,9 @@ def settle_step(table: pa.Table) -> int | None:
 def unsettled(table: pa.Table) -> str | None:
     """Why the symbol has not settled on the target; None where it has.
 
-    too_short: fewer than ten steps, or not steady yet, but moving by less than half as much in the last ten as in the ten before, if there
-    are any. lost: not seen in most of the last ten; no_frame: as most of their frames were missing. moving: lit, but not steady.
-    off_target: nothing lit at the target, or more than 5 % of the symbol's length or width off (mean of the last five steps).
+    too_short: fewer than ten steps. lost: not seen in most of the last ten; no_frame: as most of their frames were missing. moving: lit,
+    but not steady. off_target: nothing lit at the target, or more than 5 % of the symbol's length or width off (mean of the last five
+    steps).
     """
     if table.num_rows < FINAL:
         return "too_short"
@@ -67,19 +67,8 @@ def unsettled(table: pa.Table) -> str | None:
         return "no_frame" if 2 * losses.count("no_frame") > FINAL else "lost"
     error = final_error_percent(table)
     if np.isfinite(error).all() and steady_step(table) is None:
-        return "too_short" if _fading(table) else "moving"
+        return "moving"
     return None if (np.abs(error) <= OFF_PERCENT).all() else "off_target"
-
-
-def _fading(table: pa.Table) -> bool:
-    """Whether the symbol moved less than half as much in the last ten steps as in the ten before; so it may where there are none."""
-    if table.num_rows < 2 * FINAL:
-        return True
-    before, last = (
-        max(np.ptp(column(part, name)) / limit for name, limit in STEADY.items())
-        for part in (table.slice(table.num_rows - 2 * FINAL, FINAL), table.slice(table.num_rows - FINAL))
-    )
-    return bool(last < before / 2)
 
 
 def final_error_percent(table: pa.Table) -> np.ndarray:
