@@ -180,6 +180,7 @@ def run(
     controller: str | None = None,
     device: Device = "auto",
     video: bool = True,
+    report: bool = True,
     allow_code: AllowCode = False,
 ) -> None:
     """Run a scenario and record it: manifest, trajectory, summary, report and video.
@@ -202,11 +203,13 @@ def run(
         Where to compute; auto takes CUDA where there is any.
     video
         Whether to write video.mp4.
+    report
+        Whether to write report.png, which takes seconds.
     """
     from loop.commands import run_scenario
 
     given = {key: value for key, value in {"seed": seed, "steps": steps}.items() if value is not None} | with_controller(controller)
-    run_scenario(name, out or Path("runs") / Path(name).stem, set or [], given, device, video, allow_code)
+    run_scenario(name, out or Path("runs") / Path(name).stem, set or [], given, device, video, report, allow_code)
 
 
 @app.command

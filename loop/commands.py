@@ -28,13 +28,14 @@ def _one_thread() -> None:
 
 
 def run_scenario(
-    name: str, out: Path, overrides: Sequence[str], values: dict[str, Any], device: str, video: bool, allow_code: bool
+    name: str, out: Path, overrides: Sequence[str], values: dict[str, Any], device: str, video: bool, report: bool, allow_code: bool
 ) -> None:
     """Run, and say how it went and where the files lie. Raises KeyboardInterrupt that says what was kept."""
     scenario = load_any(name, overrides, allow_code=allow_code, **values)
     _one_thread()
     done = 0
-    writing = f"{scenario.name}: writing report{' and video' if video else ''}"
+    wanted = [name for name, is_wanted in (("report", report), ("video", video)) if is_wanted]
+    writing = f"{scenario.name}: writing {' and '.join(wanted) or 'recording'}"
 
     with progress(scenario.name, scenario.steps) as advance:
 
@@ -44,7 +45,7 @@ def run_scenario(
             advance()
 
         try:
-            summary = run(scenario, out, device=device, video=video, on_step=on_step, on_end=partial(advance, 0, writing))
+            summary = run(scenario, out, device=device, video=video, report=report, on_step=on_step, on_end=partial(advance, 0, writing))
         except KeyboardInterrupt as error:
             raise KeyboardInterrupt(f"{done} of {scenario.steps} steps are kept in {out}" if done else "nothing was recorded") from error
     table = shown if isinstance(scenario, LightingScenario) else tables.summary

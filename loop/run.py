@@ -1,5 +1,6 @@
 """Run a scenario: recorded, filmed and reported. The command line and Python programs use it alike."""
 
+import gc
 import math
 from collections import Counter
 from collections.abc import Callable
@@ -14,7 +15,7 @@ from controllers.symbol.projector import DrawingModule, SymbolParams
 from loop.lighting.result import LightingResult
 from loop.lighting.run import run_lighting
 from loop.lighting.simulation import LightingSimulation
-from loop.recorder import REPORT, VIDEO, Recorder
+from loop.recorder import REPORT, VIDEO, Recorder, no_report
 from loop.report import Gathered, write_report
 from loop.scenario import AnyScenario, LightingScenario, Scenario
 from loop.simulation import Simulation, StepResult
@@ -34,6 +35,7 @@ def run(
     *,
     device: str = "auto",
     video: bool = True,
+    report: bool = True,
     on_step: Callable[[StepResult | LightingResult], None] = lambda result: None,
     on_end: Callable[[], None] = lambda: None,
 ) -> dict[str, Any]:
@@ -47,23 +49,38 @@ def run(
     directory = Path(directory)
     with output_folder(directory):
         if isinstance(scenario, LightingScenario):
-            return run_lighting(scenario, directory, torch_device(device), video, on_step, on_end)
-        simulation = prepare(scenario, device)
-        gathered = Gathered(scenario.steps)
+            summary = run_lighting(scenario, directory, torch_device(device), video, report, on_step, on_end)
+        else:
+            summary = _run_symbol(scenario, directory, device, video, report, on_step, on_end)
+    gc.collect()  # matplotlib leaves exceptions of its parser in cycles, and their frames hold the simulation: half a gigabyte
+    return summary
 
-        def report(table: pa.Table, summary: dict[str, Any]) -> None:
-            write_report(directory / REPORT, simulation, gathered, table, summary)
 
-        size = (scenario.camera.width_px, scenario.camera.height_px)
-        with Recorder(directory, simulation, report) as recorder, ExitStack() as stack:
-            film = stack.enter_context(VideoWriter(directory / VIDEO, VIDEO_FPS, size)) if video else None
-            stack.callback(on_end)
-            for result in simulation.run():
-                recorder.add(result)
-                gathered.add(result)
-                if film is not None:
-                    film.add(frame_picture(result, simulation))
-                on_step(result)
+def _run_symbol(
+    scenario: Scenario,
+    directory: Path,
+    device: str,
+    video: bool,
+    report: bool,
+    on_step: Callable[[StepResult | LightingResult], None],
+    on_end: Callable[[], None],
+) -> dict[str, Any]:
+    simulation = prepare(scenario, device)
+    gathered = Gathered(scenario.steps)
+
+    def page(table: pa.Table, summary: dict[str, Any]) -> None:
+        write_report(directory / REPORT, simulation, gathered, table, summary)
+
+    size = (scenario.camera.width_px, scenario.camera.height_px)
+    with Recorder(directory, simulation, page if report else no_report) as recorder, ExitStack() as stack:
+        film = stack.enter_context(VideoWriter(directory / VIDEO, VIDEO_FPS, size)) if video else None
+        stack.callback(on_end)
+        for result in simulation.run():
+            recorder.add(result)
+            gathered.add(result)
+            if film is not None:
+                film.add(frame_picture(result, simulation))
+            on_step(result)
     return recorder.summary()
 
 

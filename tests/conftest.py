@@ -1,10 +1,32 @@
-"""Fixtures shared by all tests: where third-party data lies, which devices there are."""
+"""Shared by all tests: where third-party data lies, which devices there are, and that a worker's memory stays small."""
 
+import ctypes
+import gc
 import os
+import sys
 from pathlib import Path
 
 import pytest
 import torch
+
+GROWTH_BYTES = 500_000_000
+floor_bytes = 0
+
+
+def resident_bytes() -> int:
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+def pytest_runtest_logfinish() -> None:
+    """Free garbage and return free memory once a process has grown by GROWTH_BYTES.
+
+    Python counts objects, not bytes, and glibc keeps what lies between live blocks: a worker grew to 13 GB and was killed by the system.
+    """
+    global floor_bytes
+    if sys.platform == "linux" and resident_bytes() > floor_bytes + GROWTH_BYTES:
+        gc.collect()
+        ctypes.CDLL(None).malloc_trim(0)
+        floor_bytes = resident_bytes()
 
 
 @pytest.fixture(scope="session")

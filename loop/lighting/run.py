@@ -14,7 +14,7 @@ from loop.lighting.record import LightingRecorder
 from loop.lighting.report import write_report
 from loop.lighting.result import LightingResult
 from loop.lighting.simulation import LightingSimulation
-from loop.recorder import REPORT, VIDEO
+from loop.recorder import REPORT, VIDEO, no_report
 from loop.scenario import LightingScenario
 from loop.video import VideoWriter
 
@@ -27,6 +27,7 @@ def run_lighting(
     directory: Path,
     device: torch.device,
     video: bool = True,
+    report: bool = True,
     on_step: Callable[[LightingResult], None] = lambda result: None,
     on_end: Callable[[], None] = lambda: None,
 ) -> dict[str, Any]:
@@ -38,11 +39,11 @@ def run_lighting(
     first = 0 if scenario.detector is None else min(scenario.tracker.confirm_frames, scenario.steps) - 1
     kept = {first + k * (scenario.steps - 1 - first) // (MOMENTS - 1) for k in range(MOMENTS)}
 
-    def report(table: pa.Table, summary: dict[str, Any]) -> None:
+    def page(table: pa.Table, summary: dict[str, Any]) -> None:
         write_report(directory / REPORT, simulation, list(moments.values())[-MOMENTS:], table)
 
     size = (scenario.camera.width_px, scenario.camera.height_px)
-    with LightingRecorder(directory, simulation, report) as recorder, ExitStack() as stack:
+    with LightingRecorder(directory, simulation, page if report else no_report) as recorder, ExitStack() as stack:
         film = stack.enter_context(VideoWriter(directory / VIDEO, VIDEO_FPS, size)) if video else None
         stack.callback(on_end)
         for result in simulation.run():

@@ -87,7 +87,7 @@ def test_help_and_version(lux: Lux) -> None:
             assert re.search(rf"│ {command}\b", out)
     code, out, _ = lux("run", "--help")
     assert code == 0
-    for option in ("--out", "--set", "--seed", "--steps", "--controller", "--device", "--video", "--no-video"):
+    for option in ("--out", "--set", "--seed", "--steps", "--controller", "--device", "--video", "--no-video", "--report", "--no-report"):
         assert option in out
     assert lux("--version")[0] == 0
 

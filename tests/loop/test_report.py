@@ -1,5 +1,6 @@
 """The report is drawn for whatever a run was, and keeps little of a long one."""
 
+import gc
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,8 +10,9 @@ import pyarrow as pa
 import pytest
 import torch
 
-from loop.recorder import row, table_of
+from loop.recorder import REPORT, row, table_of
 from loop.report import PAST_SYMBOLS, Gathered, write_report
+from loop.run import run
 from loop.scenario import Scenario
 from loop.simulation import Simulation, StepResult
 from loop.summary import summarise
@@ -82,3 +84,15 @@ def test_path_is_the_centroid_in_the_image(small_results: list[StepResult]) -> N
     gathered.add(lost(small_results[1]))
     assert gathered.path[0] == pytest.approx(small_results[0].seen.appearance.centroids[0].tolist(), abs=1e-3)  # float32 sums of 320 px
     assert np.isnan(gathered.path[1]).all()
+
+
+@pytest.mark.parametrize("report", [True, False])
+def test_a_run_reports_if_wanted_and_leaves_no_simulation_behind(report: bool, tmp_path: Path, small_scenario: Scenario) -> None:
+    def simulations() -> int:
+        return sum(type(each) is Simulation for each in gc.get_objects())
+
+    gc.collect()
+    before = simulations()
+    run(small_scenario.model_copy(update={"steps": 1}), tmp_path, video=False, report=report)
+    assert (tmp_path / REPORT).exists() == report
+    assert simulations() == before, "hundreds of megabytes each"
