@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
 import torch
 from pydantic import Field, model_validator
 from torch import Tensor
@@ -106,7 +107,7 @@ def pid_reset(gains: PidGains, output: Tensor) -> PidState:
     The first step has no derivative. In position form it returns `output` itself, whatever the error: the integral takes up the
     difference (for good, where ki is 0). In incremental form it moves on from `output` by the proportional and integral parts.
     """
-    output = output.expand(torch.broadcast_shapes(output.shape, gains.kp.shape))
+    output = output.expand(np.broadcast_shapes(output.shape, gains.kp.shape))
     zero = torch.zeros_like(output)
     return PidState(zero, zero, zero, output, torch.zeros_like(output, dtype=torch.bool))
 

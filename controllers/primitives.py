@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Literal, get_args
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -199,7 +200,7 @@ def concatenate(*parts: Primitives) -> Primitives:
     """
     if not parts:
         raise LuxloopError("there are no primitives to put together: give at least one")
-    batch = torch.broadcast_shapes(*(part.origin.shape[:-2] for part in parts))
+    batch = np.broadcast_shapes(*(part.origin.shape[:-2] for part in parts))
 
     def joined(name: str, width: int) -> Tensor:
         tensors = [getattr(part, name) for part in parts]
@@ -225,7 +226,7 @@ def concatenate(*parts: Primitives) -> Primitives:
     )
 
 
-def _observers(parts: Sequence[Primitives], batch: torch.Size) -> Observer | None:
+def _observers(parts: Sequence[Primitives], batch: tuple[int, ...]) -> Observer | None:
     if all(part.observer is None for part in parts):
         return None
     vectors: dict[str, list[Tensor]] = {name: [] for name in ("eye", "origin", "d1", "d2")}

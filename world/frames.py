@@ -1,5 +1,6 @@
 """Frames of reference: ISO 8855 for world, vehicle and headlight (x forward, y left, z up), OpenCV for cameras."""
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -27,7 +28,7 @@ def rotation(roll: Tensor, pitch: Tensor, yaw: Tensor) -> Tensor:
 
 def pose(position: Tensor, rotation_matrix: Tensor) -> Tensor:
     """Homogeneous pose `[..., 4, 4]` from a position `[..., 3]` in m and a rotation `[..., 3, 3]`."""
-    batch = torch.broadcast_shapes(position.shape[:-1], rotation_matrix.shape[:-2])
+    batch = np.broadcast_shapes(position.shape[:-1], rotation_matrix.shape[:-2])  # torch.broadcast_shapes would import sympy
     T = torch.zeros(*batch, 4, 4, dtype=position.dtype, device=position.device)
     T[..., :3, :3] = rotation_matrix
     T[..., :3, 3] = position

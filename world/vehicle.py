@@ -13,7 +13,6 @@ from typing import Final, Self
 import numpy as np
 import torch
 from pydantic import Field, model_validator
-from scipy.signal import cont2discrete, lfilter, lfilter_zi
 from torch import Tensor
 
 from world.budget import afford
@@ -198,6 +197,8 @@ def _settled(load: Floats, rate_hz: float, damping: float, dt: float) -> Floats:
 
 
 def _filtered(numerator: list[float], values: Floats, omega: float, damping: float, dt: float) -> Floats:
+    from scipy.signal import cont2discrete, lfilter, lfilter_zi  # takes a fifth of a command's start, and only vehicles that move need it
+
     b, a, _ = cont2discrete((numerator, [1.0, 2 * damping * omega, omega**2]), dt, method="foh")
     b = np.ravel(b)
     return np.asarray(lfilter(b, a, values, zi=lfilter_zi(b, a) * values[0])[0], np.float64)
