@@ -74,7 +74,7 @@ def _behind(simulation: Simulation, triangles: Triangles, origin: Tensor, rays: 
     met = face >= 0
     road = origin[:, None] + rays[:, met] * depths(triangles, face[met], origin, rays[:, met])
     down = eye[2] - road[2]
-    x, y = (eye + (road - eye) * eye[2] / down)[:2]
+    x, y = (road if params.target == "place" else eye + (road - eye) * eye[2] / down)[:2]
     on_symbol = torch.stack([2 * (params.y_m - y) / params.width_m, 2 * (params.x_m - x) / params.length_m], -1)
     where = torch.full((rays.shape[1], 2), OFF, dtype=torch.float64)
     where[met] = torch.where((down > 0)[:, None], on_symbol, OFF)

@@ -35,16 +35,21 @@ from world.vehicle import STANDING, Motion, drive
 TurnedPart = TypeVar("TurnedPart", Lamp, Module)
 
 
+def build_road(scenario: WorldScenario) -> Road:
+    """The road, with its file found. Raises LuxloopError where that is not on this machine."""
+    return _located(scenario.road)
+
+
 def build_motion(scenario: Scenario) -> Motion:
     """The drive, over half a period more than all steps. Raises LuxloopError where a file is missing or broken."""
     if scenario.vehicle is None:
         return STANDING
-    return drive(scenario.vehicle, _located(scenario.road), (scenario.steps + 1) / scenario.rate_hz)
+    return drive(scenario.vehicle, build_road(scenario), (scenario.steps + 1) / scenario.rate_hz)
 
 
 def build_scene(scenario: WorldScenario, motion: Motion = STANDING) -> Scene:
     """Road, along the vehicle's course, and objects. Raises LuxloopError where a file is missing or broken."""
-    road, surface = _located(scenario.road), scenario.surface
+    road, surface = build_road(scenario), scenario.surface
     texture = SpottedTexture(surface, scenario.spots) if scenario.spots else surface.texture()
     ground: Body | RoadTiles
     if motion is STANDING:

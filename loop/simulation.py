@@ -13,16 +13,18 @@ from controllers.ssc import Utilisation
 from controllers.symbol.field import cut
 from controllers.symbol.flat_model import FlatModel, flat_model
 from controllers.symbol.observer import Observer, Seen
-from controllers.symbol.projector import Projector
+from controllers.symbol.projector import Projector, SymbolParams
 from controllers.symbol.protocol import Look, Shown, SymbolController
-from loop.build import build_motion, build_projector, build_scene, build_symbol_controller
+from loop.build import build_motion, build_projector, build_road, build_scene, build_symbol_controller
 from loop.plant import Frames, Plant, SimulatedPlant
 from loop.scenario import Scenario
 from loop.truth import true_camera, true_modules
-from perception.birdseye import BirdsEye, birds_eye, region_around
+from perception.birdseye import BirdsEye, Region, birds_eye, cells, region_around
 from perception.camera import CameraParams
 from perception.judge import CELL_M, Target, Verdict, judge, target
 from world.face_source import face_source
+from world.frames import transform
+from world.vehicle import STANDING, Motion
 from world.view import View
 
 Lights = tuple[Utilisation, ...]
@@ -66,7 +68,8 @@ class StepResult:
 class Simulation:
     """A scenario made ready to run on one device.
 
-    plant: what is controlled. world: the simulated scene that the judge looks at; in simulation both are the same.
+    plant: what is controlled. world: the simulated scene that the judge looks at; in simulation both are the same. plane: of the vehicle as
+    it stands at first, see `plane_at`.
     """
 
     scenario: Scenario
@@ -106,7 +109,6 @@ class Simulation:
             scenario.sensors,
             scenario.disturbances,
         )
-        plane = _plane(scenario, world.view, device)
         observer = Observer(projector, model, scenario.camera, scenario.extraction)
         return cls(
             scenario=scenario,
@@ -116,8 +118,13 @@ class Simulation:
             controller=build_symbol_controller(scenario, observer),
             plant=world,
             world=world,
-            plane=plane,
-            goal=target(judged.luminance(projector.light(projector.target)), plane, symbol.length_m, symbol.width_m),
+            plane=_plane(scenario, world.view, _road(scenario, motion, 0.0), device),
+            goal=target(
+                judged.luminance(projector.light(projector.target)),
+                _plane(scenario, world.view, None, device),
+                symbol.length_m,
+                symbol.width_m,
+            ),
         )
 
     def start(self) -> SimulationState:
@@ -159,9 +166,12 @@ class Simulation:
         return judge(self.world.lit(time_s).luminance(lights), self.plane_at(time_s), self.goal)
 
     def plane_at(self, time_s: float) -> BirdsEye:
-        """The plane z = 0 under the vehicle as the camera sees it at a time; `plane` is that of the standing vehicle."""
-        view = self.world.view_from_ground(time_s)
-        return self.plane if view.T_world_view.equal(self.world.view.T_world_view) else _plane(self.scenario, view, self.device)
+        """Where the target lies, as the camera sees it at a time: the plane z = 0 under the vehicle, or the road itself."""
+        view, motion = self.world.view_from_ground(time_s), self.world.motion
+        flat = self.scenario.symbol.target == "appearance"
+        if motion is STANDING or (flat and view.T_world_view.equal(self.world.view.T_world_view)):
+            return self.plane
+        return _plane(self.scenario, view, _road(self.scenario, motion, time_s), self.device)
 
     def run(self) -> Iterator[StepResult]:
         """All steps of the scenario."""
@@ -171,9 +181,22 @@ class Simulation:
             yield result
 
 
-def _plane(scenario: Scenario, view: View, device: torch.device) -> BirdsEye:
-    symbol = scenario.symbol
-    return birds_eye(region_around(symbol.x_m, symbol.y_m, symbol.length_m, symbol.width_m, CELL_M), view).to(device)
+def _plane(scenario: Scenario, view: View, road: Tensor | None, device: torch.device) -> BirdsEye:
+    return birds_eye(_region(scenario.symbol), view, road).to(device)
+
+
+def _region(symbol: SymbolParams) -> Region:
+    return region_around(symbol.x_m, symbol.y_m, symbol.length_m, symbol.width_m, CELL_M)
+
+
+def _road(scenario: Scenario, motion: Motion, time_s: float) -> Tensor | None:
+    """Places `[3, rows, cols]` m of the road in the ground frame of a time, where a symbol's target is a place on it."""
+    if scenario.symbol.target == "appearance":
+        return None
+    x, y, z = cells(_region(scenario.symbol))
+    T_world_ground = motion.at(time_s).T_world_ground
+    at_x, at_y, _ = transform(T_world_ground, torch.stack([x, y, z]).flatten(1)).numpy()
+    return torch.stack([x, y, torch.from_numpy(build_road(scenario).z(at_x, at_y)).view_as(z)])
 
 
 @contextmanager

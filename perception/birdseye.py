@@ -1,4 +1,4 @@
-"""The z = 0 plane seen from above: rectified views of a camera image."""
+"""The road seen from above: rectified views of a camera image, of the plane z = 0 or of the road itself."""
 
 from dataclasses import dataclass
 
@@ -9,6 +9,8 @@ from torch.nn.functional import avg_pool2d, pad
 
 from perception.appearance import Axes
 from world.view import View
+
+NOWHERE_PX = -1e6
 
 
 @dataclass(frozen=True)
@@ -46,17 +48,30 @@ class BirdsEye:
         return BirdsEye(self.map_u.to(device), self.map_v.to(device), self.columns, axes)
 
 
-def birds_eye(region: Region, view: View, dtype: torch.dtype = torch.float32) -> BirdsEye:
-    """Where the cells of a region lie in a view's image."""
+def cells(region: Region) -> Tensor:
+    """Centres of a region's cells on the plane z = 0, `[3, rows, cols]` m, float64; row 0 is far, column 0 is left."""
     rows = round((region.x_far_m - region.x_near_m) / region.cell_m)
     cols = round((region.y_left_m - region.y_right_m) / region.cell_m)
     x = region.x_far_m - (torch.arange(rows, dtype=torch.float64) + 0.5) * region.cell_m
     y = region.y_left_m - (torch.arange(cols, dtype=torch.float64) + 0.5) * region.cell_m
-    ground = torch.stack([x[:, None].expand(rows, cols), y.expand(rows, cols), torch.zeros(rows, cols, dtype=torch.float64)])
-    uv, depth = view.project(ground.flatten(1))
-    uv = torch.where(depth > 0, uv, -1e6).to(dtype)
+    return torch.stack([x[:, None].expand(rows, cols), y.expand(rows, cols), torch.zeros(rows, cols, dtype=torch.float64)])
+
+
+def birds_eye(region: Region, view: View, road: Tensor | None = None, dtype: torch.dtype = torch.float32) -> BirdsEye:
+    """Where the cells of a region lie in a view's image.
+
+    road: `[3, rows, cols]` m, the places of the road under the cells, default the cells themselves. A place that nearer cells of its column
+    hide is nowhere in the image.
+    """
+    ground = cells(region)
+    uv, depth = view.project((ground if road is None else road).flatten(1))
+    u, v = torch.where(depth > 0, uv, NOWHERE_PX).unflatten(1, ground.shape[1:])
+    if road is not None:
+        nearer = v.flip(0).cummin(0).values.flip(0)
+        u = torch.where(v > nearer, NOWHERE_PX, u)
     columns = region.cell_m * view.fx / depth[len(depth) // 2].clamp(min=1.0)
-    return BirdsEye(uv[0].view(rows, cols), uv[1].view(rows, cols), 2 * int(columns / 2) + 1, Axes(-y.to(dtype), -x.to(dtype)))
+    axes = Axes(-ground[1, 0].to(dtype), -ground[0, :, 0].to(dtype))
+    return BirdsEye(u.to(dtype), v.to(dtype), 2 * int(columns / 2) + 1, axes)
 
 
 def rectify(view: BirdsEye, image: Tensor, u_start: int = 0, v_start: int = 0) -> Tensor:

@@ -13,13 +13,15 @@ from controllers.symbol.drawing import Drawing
 from controllers.symbol.luxloop import region_of
 from controllers.symbol.observer import Observer
 from controllers.symbol.patch import drawn_on
+from controllers.symbol.projector import SymbolParams
 from controllers.symbol.protocol import Look
 from controllers.symbol.relief import Relief
-from controllers.symbol.stance import HERE
+from controllers.symbol.shape import HERE, touching
 from controllers.symbol.survey import Survey, SurveyState
 from perception.birdseye import Region
 from perception.camera import camera_view
 from world.errors import located
+from world.frames import inverse, transform
 from world.params import Params
 from world.roadbase import Floats
 from world.roads import Flat, RoadParams
@@ -27,6 +29,7 @@ from world.roads import Flat, RoadParams
 CELL_M = 0.1
 BEYOND_M = (1.2, 1.5, 0.6)  # how far a road is looked at beyond the symbol: near, far, sides
 NEAREST_M, FARTHEST_M = 4.0, 60.0  # from the eye, along the road, where lines of sight may meet a given road
+SAMPLES = 21  # along and across a symbol, of the road that a plane is fitted to
 LAYERS, HALVINGS = 200, 12  # places that are looked at along a line of sight, 1.5 % apart, and how often the one at the road is halved
 
 
@@ -43,9 +46,12 @@ class Feedforward:
     """Draws for the given road for ever; the state is the drawing."""
 
     def __init__(self, params: FeedforwardParams, observer: Observer) -> None:
+        symbol = observer.projector.params
         with located("controller"):
-            relief = relief_of(params.road.z, region_around(observer), camera_view(observer.camera).origin, params.offset_m)
-        self.drawn = shown_on(relief, observer)
+            plane = HERE if symbol.target == "appearance" else plane_of(params.road.z, symbol)
+            eye = transform(inverse(plane), camera_view(observer.camera).origin[:, None])[:, 0]
+            relief = relief_of(params.road.z, region_around(observer), eye, params.offset_m, plane)
+        self.drawn = shown_on(relief, observer, plane)
 
     def start(self, pose: Tensor) -> Drawing:
         """The symbol for the given road, whatever the pose `[4]`."""
@@ -100,16 +106,30 @@ def region_around(observer: Observer) -> Region:
     return region_of(observer.projector.params, *BEYOND_M)
 
 
-def shown_on(relief: Relief, observer: Observer) -> Drawing:
-    """The symbol for a road, from a standing body."""
-    lamps = torch.stack([module.T_world_headlight[:3, 3] for module in observer.projector.modules])
-    return drawn_on(relief, lamps, observer.projector.params, HERE)
+def shown_on(relief: Relief, observer: Observer, T_ground_plane: Tensor = HERE) -> Drawing:
+    """The symbol for a road that is known over a plane at `[4, 4]`, from a standing body."""
+    symbol = observer.projector.params
+    lamps = torch.stack([module.T_world_headlight[:3, 3] for module in observer.projector.modules], 1).to(T_ground_plane)
+    return drawn_on(relief, transform(inverse(T_ground_plane), lamps).T, symbol, T_ground_plane, symbol.target == "place")
 
 
-def relief_of(z: Callable[[Floats, Floats], Floats], region: Region, eye: Tensor, offset_m: float = 0.0) -> Relief:
+def plane_of(z: Callable[[Floats, Floats], Floats], symbol: SymbolParams) -> Tensor:
+    """The plane `[4, 4]` that fits a road best under a symbol's target."""
+    along, across = (length * torch.linspace(-0.5, 0.5, SAMPLES, dtype=torch.float64) for length in (symbol.length_m, symbol.width_m))
+    x, y = (each.flatten() for each in torch.meshgrid(along, across, indexing="ij"))
+    heights = torch.from_numpy(z((symbol.x_m + x).numpy(), (symbol.y_m + y).numpy()))
+    slope_x, slope_y, level = torch.linalg.lstsq(torch.stack([x, y, torch.ones_like(x)], 1), heights[:, None]).solution[:, 0]
+    at = torch.stack([level.new_tensor(symbol.x_m), level.new_tensor(symbol.y_m), level])
+    return touching(at, slope_x, slope_y, symbol.x_m, symbol.y_m)
+
+
+def relief_of(
+    z: Callable[[Floats, Floats], Floats], region: Region, eye: Tensor, offset_m: float = 0.0, T_ground_plane: Tensor = HERE
+) -> Relief:
     """A road as an eye at `[3]` m sees it: lines of sight are followed to the first place where they are below the road.
 
-    z: its heights in m at x and y in m (`Road.z`). offset_m: added to them. Lines of sight that meet no road end FARTHEST_M ahead.
+    z: its heights in m at x and y in m (`Road.z`). offset_m: added to them. T_ground_plane: `[4, 4]`, the plane in whose frame region and
+    eye are, and over which heights are returned. Lines of sight that meet no road end FARTHEST_M ahead.
     """
     rows, cols = (round((far - near) / CELL_M) for far, near in ((region.x_far_m, region.x_near_m), (region.y_left_m, region.y_right_m)))
     x = region.x_far_m - (torch.arange(rows, dtype=torch.float64)[:, None] + 0.5) * CELL_M
@@ -121,7 +141,7 @@ def relief_of(z: Callable[[Floats, Floats], Floats], region: Region, eye: Tensor
         return eye[:, None, None, None] + ways[:, None] * share
 
     def under(share: Tensor) -> Tensor:
-        point = at(share)
+        point = transform(T_ground_plane, at(share).flatten(1)).view(3, *share.shape)
         return torch.from_numpy(z(point[0].numpy(), point[1].numpy())) + offset_m >= point[2]
 
     distances = torch.logspace(math.log10(NEAREST_M), math.log10(FARTHEST_M), LAYERS, dtype=torch.float64)

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from controllers.symbol.registration import Heights
 from controllers.symbol.relief import Relief
+from controllers.symbol.shape import HERE
 from perception.birdseye import Region
 from world.frames import inverse, transform
 
@@ -15,7 +16,8 @@ from world.frames import inverse, transform
 class Memory:
     """Heights and brightness `[n]` at the nodes `[rows, cols]` of a region, by lines of sight of an eye at `[3]` m, in a ground frame.
 
-    searched: how many times the whole image was searched for what is known.
+    T_ground_plane: `[4, 4]` float64, the plane over which heights are; region and eye are in its frame, too. shape: `[4]` of the road, if
+    it was acquired. searched: how many times. settled: the last search found what the one before did.
     """
 
     heights: Heights
@@ -23,7 +25,10 @@ class Memory:
     region: Region
     grid: tuple[int, int]
     eye: Tensor
+    T_ground_plane: Tensor = HERE
+    shape: Tensor | None = None
     searched: int = 0
+    settled: bool = False
 
     def relief(self) -> Relief:
         """The road as the eye sees it."""
@@ -48,12 +53,8 @@ class Memory:
 
     def tracks(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
         """Height in m of the road at places `[2, k]` of the ground, and its information in 1/m^2: 0 outside of the region."""
-        relief, (eye_x, eye_y, eye_z) = self.relief(), self.eye
-        heights = torch.zeros_like(x)
-        for _ in range(10):  # where lines of sight to the road meet the plane; by halves, or what falls off would swing
-            share = eye_z / (eye_z - heights)
-            places = (eye_x + (x - eye_x) * share, eye_y + (y - eye_y) * share)
-            heights = (heights + relief.at(relief.heights, *places)) / 2
+        relief = self.relief()
+        heights, places = relief.under(x, y)
         r = self.region
         inside = (places[0] > r.x_near_m) & (places[0] < r.x_far_m) & (places[1] < r.y_left_m) & (places[1] > r.y_right_m)
         return heights, relief.at(self.heights.information.diagonal().view(self.grid), *places) * inside

@@ -7,7 +7,8 @@ from torch.nn.functional import interpolate
 from controllers.symbol.drawing import CELLS, Drawing, Warp
 from controllers.symbol.projector import SymbolParams
 from controllers.symbol.relief import Relief
-from world.frames import inverse, pose, rotation, transform
+from controllers.symbol.shape import inclined
+from world.frames import inverse, pose, transform
 
 FOLLOWED = 4  # along and across, one of so many cells' light is followed; between them places are interpolated
 SAMPLES = (33, 17)  # of the symbol, along and across, whose light the patch must hold
@@ -18,20 +19,23 @@ LEAST_DEPTH_M = 0.05  # above and below a fitted patch, where the road is looked
 LEAST_HEIGHT_M = 0.25  # of a lamp over a patch, which would be edge-on to it otherwise
 
 
-def drawn_on(relief: Relief, lamps: Tensor, symbol: SymbolParams, T_body_ground: Tensor) -> Drawing:
+def drawn_on(relief: Relief, lamps: Tensor, symbol: SymbolParams, T_body_ground: Tensor, in_place: bool = False) -> Drawing:
     """The symbol, on a rectangle on the road, warped such that the eye sees on the relief what it would see on the plane.
 
     lamps: `[m, 3]` m. T_body_ground: `[4, 4]`; relief and lamps are in the ground frame, the drawing is in that of the body. The light of a
-    cell takes what of the symbol lies where the eye sees that light. What is brighter than the plane would be is dimmed.
+    cell takes what of the symbol lies where the eye sees that light on the plane, or where the light is itself if the symbol shall lie
+    in_place. What is brighter than the plane would be is dimmed.
     """
     lamps = lamps.to(relief.heights)
-    T, size_m, depth_m = _patch(relief, lamps, symbol)
+    T, size_m, depth_m = _patch(relief, lamps, symbol, in_place)
     rows, cols = (n // FOLLOWED for n in CELLS)
     x, y = (length * (0.5 - (torch.arange(n).to(lamps) + 0.5) / n) for length, n in zip(size_m, (rows, cols), strict=True))
     cells = torch.stack([x[:, None].expand(rows, cols), y.expand(rows, cols), torch.zeros(rows, cols).to(lamps)])  # [3, rows, cols]
     points = transform(T, cells.flatten(1)).view_as(cells)
     x_seen, y_seen = torch.stack([torch.stack(relief.seen_from(lamp, points, T[:3, 2], depth_m)) for lamp in lamps]).unbind(1)
     brightness = relief.at(relief.brightness, x_seen.flatten(0, 1), y_seen.flatten(0, 1)).view_as(x_seen)
+    if in_place:
+        x_seen, y_seen, _ = relief.points(x_seen, y_seen)
     source = [2 * (symbol.y_m - y_seen) / symbol.width_m, 2 * (symbol.x_m - x_seen) / symbol.length_m]
     fine = interpolate(torch.stack([*source, 1 / brightness.clamp(min=1)], 1), scale_factor=FOLLOWED, mode="bilinear")
     return Drawing(*placed(T_body_ground.to(T) @ T), Warp(fine[:, :2], fine[:, 2], size_m))
@@ -42,14 +46,15 @@ def placed(T: Tensor) -> tuple[Tensor, Tensor]:
     return torch.stack([T[0, 3], T[1, 3], torch.atan2(T[2, 1], T[2, 2]), torch.asin(-T[2, 0])]), T[2, 3]
 
 
-def _patch(relief: Relief, lamps: Tensor, symbol: SymbolParams) -> tuple[Tensor, tuple[float, float], float]:
+def _patch(relief: Relief, lamps: Tensor, symbol: SymbolParams, in_place: bool) -> tuple[Tensor, tuple[float, float], float]:
     """A rectangle that holds the light to all of the symbol: on the plane z = 0, else on the plane that fits the road behind it best.
 
     Returns its pose `[4, 4]`, its length and width, and how far the road is above or below it at most, in m. The plane z = 0 goes first,
     since edges across and along the road stay along the cells of its patch.
     """
     along, across = (torch.linspace(-0.5, 0.5, n).to(lamps) for n in SAMPLES)
-    road = relief.points((symbol.x_m + symbol.length_m * along)[:, None], symbol.y_m + symbol.width_m * across).flatten(1)  # [3, k]
+    x, y = torch.broadcast_tensors((symbol.x_m + symbol.length_m * along)[:, None], symbol.y_m + symbol.width_m * across)
+    road = (torch.stack([x, y, relief.under(x, y)[0]]) if in_place else relief.points(x, y)).flatten(1)  # [3, k]
     level, size = pose(lamps.new_tensor([symbol.x_m, symbol.y_m, 0.0]), torch.eye(3).to(lamps)), (symbol.length_m, symbol.width_m)
     reach = lamps.new_tensor([length * (0.5 + beyond) for length, beyond in zip(size, BEYOND, strict=True)])
     low, high, depth = _crossings(level, road, lamps)
@@ -81,5 +86,4 @@ def _fitted(road: Tensor, lamps: Tensor) -> Tensor:
     over = lamps - centre.T  # [m, 3]
     falling = ((LEAST_HEIGHT_M - over[:, 2] + slope_y * over[:, 1]) / -over[:, 0]).max()
     slope_x = torch.maximum(slope_x, falling)
-    pitch = -slope_x.atan()
-    return pose(centre[:, 0], rotation((slope_y * pitch.cos()).atan(), pitch, torch.zeros_like(pitch)))
+    return inclined(centre[:, 0], slope_x, slope_y)

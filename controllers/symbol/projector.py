@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import repeat
-from typing import Self
+from typing import Literal, Self
 
 import torch
 from kornia.geometry.transform import remap
@@ -28,6 +28,9 @@ class SymbolParams(Params):
     length_m: float = Field(4.0, gt=0, le=50, description="extent along the road")
     x_m: float = Field(17.0, gt=1, le=100, description="target position of the centre ahead of the lamps")
     y_m: float = Field(0.0, ge=-20, le=20, description="target position of the centre to the left")
+    target: Literal["appearance", "place"] = Field(
+        "appearance", description="what lies at x_m, y_m: the look of a symbol on a flat road, or the symbol on the road itself"
+    )
     quantity: Quantity = Field(
         "u_abs", description="unit of the setpoint: I_v in cd, E_v in lx, u_abs as a share, u_rel as a multiple of the base beam"
     )

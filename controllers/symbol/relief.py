@@ -9,6 +9,7 @@ from torch import Tensor
 from perception.birdseye import Region
 
 LAYERS = 33  # heights between which the way of light is interpolated
+ROUNDS = 10  # in which the line of sight to a place of the road is found
 LEAST_DROP_M = 0.05  # from the eye to a point that it sees
 
 
@@ -38,6 +39,15 @@ class Relief:
         h, eye = self.at(self.heights, x.reshape(1, -1), y.reshape(1, -1)).view_as(x), self.eye.to(x)
         place = torch.stack([x, y, torch.zeros_like(x)])
         return place + (eye.view(3, *(1,) * x.dim()) - place) * (h / eye[2])
+
+    def under(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+        """Height `[h, w]` m of the road at x and y `[h, w]` themselves, and the points `[2, h, w]` of the plane behind which it is."""
+        eye, place = self.eye.to(x), torch.stack([x, y])
+        heights = torch.zeros_like(x)
+        for _ in range(ROUNDS):  # by halves, or what falls off would swing
+            behind = eye[:2, None, None] + (place - eye[:2, None, None]) * (eye[2] / (eye[2] - heights))
+            heights = (heights + self.at(self.heights, *behind)) / 2
+        return heights, behind
 
     def seen_from(self, lamp: Tensor, points: Tensor, normal: Tensor, deepest_m: float) -> tuple[Tensor, Tensor]:
         """Where on the plane the eye sees the light that a lamp at `[3]` m sends towards points `[3, h, w]` m of a patch: x, y, `[h, w]`.

@@ -1,15 +1,13 @@
 """Where the body stands over the ground when frames and drawings are exposed, from what the vehicle's sensors say."""
 
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, replace
 
-import torch
 from torch import Tensor
 
 from controllers.symbol.protocol import Look
+from controllers.symbol.shape import HERE
 from controllers.symbol.swing import Swing, exact
-
-HERE: Final = torch.eye(4, dtype=torch.float64)
+from world.frames import inverse
 
 
 @dataclass(frozen=True)
@@ -48,3 +46,8 @@ class Stances:
     def still(self) -> bool:
         """Whether the look is that of a standing vehicle on even wheels."""
         return self.on.equal(HERE) and self.off.equal(HERE)
+
+    def over(self, T_ground_plane: Tensor) -> "Stances":
+        """The same over a plane at `[4, 4]` in place of the ground, of a vehicle that stands."""
+        T = inverse(T_ground_plane)
+        return replace(self, on=T @ self.on, off=T @ self.off, following=T @ self.following)

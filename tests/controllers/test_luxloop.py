@@ -18,8 +18,7 @@ from controllers.symbol.patch import FOLLOWED, drawn_on
 from controllers.symbol.projector import SymbolParams
 from controllers.symbol.protocol import Look, Shown
 from controllers.symbol.relief import Relief
-from controllers.symbol.shape import reached
-from controllers.symbol.stance import HERE
+from controllers.symbol.shape import HERE, reached
 from controllers.symbol.sweep import semi_global, sweep
 from loop.run import prepare
 from loop.scenario import DisturbanceParams, load

@@ -29,7 +29,7 @@ def painted(x: tuple[float, float], y: tuple[float, float], view: View = VIEW, s
 
 def test_cells_look_where_their_point_projects() -> None:
     """An image of its own coordinates is linear, so bilinear sampling gives them back: the half pixels are right."""
-    plane = birds_eye(REGION, VIEW, torch.float64)
+    plane = birds_eye(REGION, VIEW, dtype=torch.float64)
     u = (torch.arange(VIEW.width, dtype=torch.float64) + 0.5).expand(VIEW.height, -1)
     v = (torch.arange(VIEW.height, dtype=torch.float64) + 0.5)[:, None].expand(-1, VIEW.width)
     sampled = rectify(plane, torch.stack([u, v]))

@@ -1,0 +1,67 @@
+"""Where on a road the symbol goes whose shape was acquired: to its target, or else to the nearest place that can be lit."""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from controllers.symbol.projector import DrawingModule, SymbolParams
+from controllers.symbol.shape import HERE, height, reached, touching
+from world.frames import inverse, transform
+
+FARTHEST = 2.4  # of the target's distance: where light is too far off for an appearance
+PLACES_M, STEP_M = (5.0, 60.0), 0.25  # ahead, where the symbol may go in place of its target
+LEAST_HEIGHT_M = 0.25  # of lamps and eye over the plane on which the symbol lies
+
+
+def aimed(shape: Tensor, symbol: SymbolParams, modules: Sequence[DrawingModule], eye: Tensor) -> Tensor:
+    """The plane `[4, 4]` of the ground on which the symbol shall lie at its x and y; HERE where it shall look as on z = 0.
+
+    shape: `[4]` of the road. eye: `[3]` m. The plane touches the road at the target's place if lamps light its middle, or else at the
+    nearest place ahead where they light all of the symbol. Where there is no such place the target stays what it is.
+    """
+    shape, eye = shape.detach().cpu().double(), eye.cpu().double()
+    if symbol.target == "appearance" and _appears(shape, symbol, modules, eye):
+        return HERE
+    ahead = torch.arange(*PLACES_M, STEP_M, dtype=torch.float64)
+    x = torch.cat([ahead.new_tensor([symbol.x_m]), ahead[(ahead - symbol.x_m).abs().argsort(stable=True)]])
+    planes = _touching(shape, symbol, x)
+    lit = _lit(planes, symbol, modules, eye)
+    fine = torch.cat([lit[:1, 0], lit[1:].all(-1)])
+    return planes[int(fine.to(torch.uint8).argmax())] if bool(fine.any()) else HERE
+
+
+def _appears(shape: Tensor, symbol: SymbolParams, modules: Sequence[DrawingModule], eye: Tensor) -> bool:
+    """Whether what looks like the middle of the target is on the road, not far behind it, and in the field of a lamp."""
+    way = torch.tensor([symbol.x_m, symbol.y_m, 0.0], dtype=torch.float64) - eye
+    share = reached(shape[None], symbol.x_m, eye, way)[0]
+    return bool(share < FARTHEST) and bool(_in_field(eye + share * way, modules))
+
+
+def _touching(shape: Tensor, symbol: SymbolParams, x: Tensor) -> Tensor:
+    """Planes `[k, 4, 4]` that touch the road at x `[k]` m ahead."""
+    _, b, c, d = shape
+    y = torch.full_like(x, symbol.y_m)
+    at = torch.stack([x, y, height(shape, symbol.x_m, x, y)], -1)
+    return touching(at, b + d * (x - symbol.x_m), c.expand_as(x), symbol.x_m, symbol.y_m)
+
+
+def _lit(planes: Tensor, symbol: SymbolParams, modules: Sequence[DrawingModule], eye: Tensor) -> Tensor:
+    """Whether lamps light the middle and the corners of symbols on planes `[k, 4, 4]`, and the eye is over them: `[k, 5]`."""
+    half_x, half_y = symbol.length_m / 2, symbol.width_m / 2
+    spots = planes.new_tensor([[0, half_x, half_x, -half_x, -half_x], [0, half_y, -half_y, half_y, -half_y], [0] * 5])
+    inside = _in_field(transform(planes, spots + spots.new_tensor([[symbol.x_m], [symbol.y_m], [0.0]])), modules)
+    ends = torch.stack([eye, *(module.T_world_headlight[:3, 3].cpu().double() for module in modules)], 1)
+    over = transform(inverse(planes), ends)[:, 2] > LEAST_HEIGHT_M
+    return inside & over.all(-1, keepdim=True)
+
+
+def _in_field(points: Tensor, modules: Sequence[DrawingModule]) -> Tensor:
+    """Whether points `[..., 3, n]` m (or one, `[3]`) are in the field of any module: `[..., n]`."""
+    points = points[:, None] if points.dim() == 1 else points
+    found = torch.zeros(points.shape[:-2] + points.shape[-1:], dtype=torch.bool)
+    for module in modules:
+        x, y, z = transform(inverse(module.T_world_headlight.cpu().double()), points).unbind(-2)
+        light = module.pixel_controller.headlight
+        found |= (x > 0) & (y <= light.left * x) & (y >= light.right * x) & (z <= light.top * x) & (z >= light.bottom * x)
+    return found
