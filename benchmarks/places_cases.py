@@ -15,11 +15,13 @@ from loop.summary import AXES, column
 
 FEEDFORWARD = "feedforward, true road"
 CONTROLLERS = ("open", "thesis_pid", "gauss_newton", "model_reference", FEEDFORWARD, "luxloop")
+HOLD_PLACES = ("open", FEEDFORWARD, "luxloop")  # the others compare with what a flat road looks like
 SEED = 4
 STEPS = 25  # and as many more as frames are late; the thesis' controller needs 20 to settle
 
-KINDS = ("grade from 3 m", "grade", "crest or sag", "cross-fall", "step", "roughness", "scan")
+KINDS = ("grade from 3 m", "grade", "crest or sag", "cross-fall", "step", "roughness", "scan", "place, grade from 3 m", "place")
 GRADES_PERCENT = (-3, -2, -1, 1, 2, 3, 4)  # from 3 m on, seen at once from the target's pose
+ON_THE_ROAD = 6  # one of so many worlds is also run with target = "place"
 BEGINS_M = (3.0, 8.0, 13.0)
 CURVED_M = 60.0  # length of a crest or sag, unless it gets too steep before
 PLACES = 16  # of each scan
@@ -54,7 +56,8 @@ class Place:
     def key(self) -> str:
         s = self.scenario
         target = f"{s.symbol.x_m:g} m" + (f", {s.symbol.y_m:+g} m aside" if s.symbol.y_m else "")
-        return f"{self.name}; {s.symbol.image} at {target}, {s.camera.latency_steps} late"
+        place = " on the road" if s.symbol.target == "place" else ""
+        return f"{self.name}; {s.symbol.image} at {target}{place}, {s.camera.latency_steps} late"
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -62,15 +65,20 @@ class Place:
         road = self.scenario.road.model_dump(mode="json")
         if "file" in road:
             road["file"] = str(data.locate(road["file"]))
-        tables = {name: {"name": name} for name in CONTROLLERS} | {FEEDFORWARD: {"name": "feedforward", "road": road}}
+        names = CONTROLLERS if self.scenario.symbol.target == "appearance" else HOLD_PLACES
+        tables = {name: {"name": name} for name in names} | {FEEDFORWARD: {"name": "feedforward", "road": road}}
         return {"scenario": self.scenario.model_dump(mode="json", exclude={"controller"}), "controllers": tables}
 
 
 def places(quick: bool) -> Iterator[Place]:
     """All worlds, every eighth of them where it shall be quick, but those whose scan is not here."""
-    for percent in GRADES_PERCENT[:: 3 if quick else 1]:
-        road = _grade(percent, 0.0, BEGINS_M[0])
-        yield Place(KINDS[0], f"{percent:+} % from 3 m on", _scenario(road, "snowflake", (17.0, 0.0), AT_TARGET, 0))
+    for kind, target, grades in (
+        ("grade from 3 m", "appearance", GRADES_PERCENT),
+        ("place, grade from 3 m", "place", (-4, *GRADES_PERCENT)),
+    ):
+        for percent in grades[:: 3 if quick else 1]:
+            road = _grade(percent, 0.0, BEGINS_M[0])
+            yield Place(kind, f"{percent:+} % from 3 m on", _scenario(road, "snowflake", (17.0, 0.0), AT_TARGET, 0, target))
     for k, (kind, name, road) in list(enumerate(_roads(np.random.default_rng(SEED))))[:: 8 if quick else 1]:
         generator = np.random.default_rng([SEED, k])  # so that a world is the same in both runs
         x, y = TARGETS_M[generator.integers(len(TARGETS_M))]
@@ -82,6 +90,8 @@ def places(quick: bool) -> Iterator[Place]:
                 continue
             road |= {"at_x_m": x, "at_y_m": y}
         yield Place(kind, name, _scenario(road, symbol, (x, y), start, latency))
+        if k % ON_THE_ROAD == 0:
+            yield Place("place", name, _scenario(road, symbol, (x, y), start, latency, "place"))
 
 
 def _roads(generator: np.random.Generator) -> Iterator[tuple[str, str, Road]]:
@@ -115,9 +125,11 @@ def _grade(grade_percent: float, crossfall_percent: float, start_x_m: float) -> 
     return {"kind": "grade", "grade_percent": grade_percent, "crossfall_percent": crossfall_percent, "start_x_m": start_x_m}
 
 
-def _scenario(road: Road, symbol: str, target: tuple[float, float], start: dict[str, float], latency: int) -> Scenario:
-    x, y = target
-    changes = {"road": road, "symbol": {"image": symbol, "x_m": x, "y_m": y}, "start": start, "camera": {"latency_steps": latency}}
+def _scenario(
+    road: Road, symbol: str, at: tuple[float, float], start: dict[str, float], latency: int, target: str = "appearance"
+) -> Scenario:
+    drawn = {"image": symbol, "x_m": at[0], "y_m": at[1], "target": target}
+    changes = {"road": road, "symbol": drawn, "start": start, "camera": {"latency_steps": latency}, "controller": {"name": "luxloop"}}
     return load("flat", (SMALL, changes), steps=STEPS + latency)
 
 

@@ -37,7 +37,7 @@ def write(rows: Sequence[Row], places: Sequence[Place], about: dict[str, Any], f
 
 def page(rows: Sequence[Row], about: dict[str, Any]) -> str:
     seen = [row for row in rows if row["visible"] >= VISIBLE]
-    grades = [row for row in rows if row["kind"] == KINDS[0]]
+    grades = [row for row in rows if row["kind"].endswith(KINDS[0])]
     own = [row for row in rows if row["controller"] == "luxloop"]
     return TEMPLATE.read_text("utf-8").format(
         **about,

@@ -17,7 +17,9 @@ from controllers.mrpc import MrpcParams
 from controllers.planner import LightingParams
 from controllers.symbol import ControllerParams, LuxloopParams
 from controllers.symbol.flat_model import FeatureParams
+from controllers.symbol.own import OwnParams
 from controllers.symbol.projector import SymbolParams
+from controllers.symbol.stages import StagedParams
 from loop.disturbances import DisturbanceParams
 from loop.overrides import Override, is_file, overridden, resolve_paths, tables, texts
 from loop.shipped import find
@@ -177,6 +179,17 @@ class Scenario(WorldScenario):
     def _share_of_a_beam(self) -> Self:
         if self.symbol.quantity == "u_rel" and self.headlight.beam == "off":
             raise ValueError('symbol.quantity: u_rel is a multiple of the base beam, but there is none; give headlight.beam = "low", say')
+        return self
+
+    @model_validator(mode="after")
+    def _holds_a_place(self) -> Self:
+        staged = isinstance(self.controller, StagedParams)
+        own = isinstance(self.controller, OwnParams) and self.controller.warp is None and self.controller.supervisor is None
+        if self.symbol.target == "place" and staged and not own:
+            raise ValueError(
+                f"symbol.target: {self.controller.name} compares with the look of a symbol on a flat road and holds no place; "
+                'set controller.name = "luxloop", or symbol.target = "appearance"'
+            )
         return self
 
     @model_validator(mode="after")

@@ -126,7 +126,14 @@ def test_goals_hold_where_enough_can_be_seen(benchmark: Any, goal: int, missed: 
 def test_grades_are_held_to_the_bound_however_little_can_be_seen(benchmark: Any) -> None:
     from places_goals import GOALS
 
-    assert GOALS[-1].of([row(), row(kind="grade from 3 m", visible=0.3, iou=0.85)]) == (0, 1)
+    assert GOALS[-2].of([row(), row(kind="grade from 3 m", visible=0.3, iou=0.85)]) == (0, 1)
+
+
+def test_grades_on_the_road_itself_are_held_to_085_or_the_bound(benchmark: Any) -> None:
+    from places_goals import GOALS
+
+    kept, steep = (row(kind="place, grade from 3 m", iou=iou, iou_bound=bound) for iou, bound in ((0.86, 0.99), (0.4, 0.42)))
+    assert GOALS[-1].of([kept, steep, {**kept, "iou": 0.84}, {**steep, "iou": 0.39}]) == (2, 4)
 
 
 def test_the_page_is_written_and_a_second_run_does_nothing_again(benchmark: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
