@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow as pa
 
 from controllers.symbol.flat_model import FeatureParams
-from loop.recorder import CENTROIDS, COLUMNS, CUT, ERRORS, LATER
+from loop.recorder import AIM, CENTROIDS, COLUMNS, CUT, ERRORS, LATER
 from loop.summary import steady_step
 
 SHEAR = (0.005, "a quarter of what counts as settled")
@@ -24,6 +24,7 @@ TOLERANCES: dict[str, tuple[float, str]] = {
     "pose_error_roll_deg": (0.1, "twice the pose's"),
     "pose_error_pitch_deg": (0.1, "twice the pose's"),
     **dict.fromkeys(CUT, (0.005, "a quarter of what is mentioned")),
+    **dict.fromkeys(AIM, (0.25, "a step between places that are tried")),
     "area_ratio": (0.01, "the gate's limits are tens of percents apart"),
     "centroid_error_x_percent": (0.1, "a twentieth of what counts as settled"),
     "centroid_error_y_percent": (0.1, "a twentieth of what counts as settled"),

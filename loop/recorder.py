@@ -30,7 +30,8 @@ FILES = (TRAJECTORY, SUMMARY, REPORT, VIDEO, MANIFEST)
 REST = 10  # times what a write takes pass between two: recording costs a tenth at most, and a kill the last 50 ms or so
 
 CUT = tuple(f"cut_{side}" for side in SIDES)
-LATER = ("z_m", *CUT)  # columns that recordings of older versions lack
+AIM = ("aim_x_m", "aim_y_m")
+LATER = ("z_m", *CUT, *AIM)  # columns that recordings of older versions lack
 POSE = ("x_m", "y_m", "roll_deg", "pitch_deg")
 ERRORS = ("e_x", "e_y", "e_roll", "e_pitch")
 CENTROIDS = tuple(f"{point}_{axis}" for point in ("c", "tl", "tr", "bl", "br") for axis in "uv")
@@ -49,6 +50,8 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "cut_right": ("1", "share cut at the right border"),
     "cut_top": ("1", "share cut at the upper border"),
     "cut_bottom": ("1", "share cut at the lower border"),
+    "aim_x_m": ("m", "place on the road where the symbol is aimed, since its target cannot be lit; null for the target"),
+    "aim_y_m": ("m", "the same to the left"),
     "e_x": ("axes", "error of the centre along u, seen minus target"),
     "e_y": ("axes", "error of the centre along v"),
     "e_roll": ("feature", "error of the roll feature"),
@@ -104,6 +107,7 @@ def row(result: StepResult) -> dict[str, Any]:
         ("centroid_error_x_percent", "centroid_error_y_percent"): verdict.centroid_percent,
         ("iou", "ssim", "length", "shear"): torch.stack([verdict.iou, verdict.ssim, verdict.length, verdict.shear]),
         CUT: result.cut,
+        AIM: result.aim,
         ("code",): seen.code,
     }
     host = torch.cat([tensor.flatten().double() for tensor in tensors.values()]).cpu()

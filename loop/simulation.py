@@ -50,6 +50,7 @@ class StepResult:
 
     pose: `[4]` that was shown. z: `[]` m, height of its centre above the assumed road. cut: `[4]`, shares of the symbol beyond the borders
     of the lamps' field (`controllers.symbol.field`).
+    aim: `[2]`, x and y in m where the symbol lies in place of its target, NaN for the target.
     """
 
     step: int
@@ -61,6 +62,7 @@ class StepResult:
     seen: Seen
     verdict: Verdict
     cut: Tensor
+    aim: Tensor
     timings: dict[str, float]
 
 
@@ -157,8 +159,9 @@ class Simulation:
             verdict = self.judge(lights, time_s)
         following = SimulationState(state.step + 1, controller, plant, shown[-late:] if late else (), seen.shape)
         z = torch.zeros_like(drawing.pose[..., 0]) if drawing.z is None else drawing.z
+        aim = torch.full((2,), torch.nan) if drawing.aim is None else drawing.aim
         return following, StepResult(
-            state.step, time_s, drawing.pose, z, lights, frames, seen, verdict, cut(self.projector, drawing), timings
+            state.step, time_s, drawing.pose, z, lights, frames, seen, verdict, cut(self.projector, drawing), aim, timings
         )
 
     def judge(self, lights: Lights, time_s: float) -> Verdict:

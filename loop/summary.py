@@ -26,7 +26,7 @@ def summarise(table: pa.Table, scenario: str, controller: str, iou_open: float) 
 
     iou_open: what the judge says of the open loop at the last step. centroid_error_percent: [x, y], signed, mean of the last five steps.
     unsettled: why there is no settle_step (`unsettled`). cut: share of the symbol beyond the borders of the lamps' field at the last step,
-    and the side where most of it is.
+    and the side where most of it is. aim: [x, y] in m of where the symbol lies at the last step in place of its target, None for that.
     """
     seen = table.num_rows > 0
     return {
@@ -39,6 +39,7 @@ def summarise(table: pa.Table, scenario: str, controller: str, iou_open: float) 
         "overshoot_percent": overshoot_percent(table),
         "centroid_error_percent": [_number(error) for error in final_error_percent(table)],
         **_cut(table),
+        "aim": _aim(table),
         "iou_open": _number(iou_open),
         "iou_final": _number(column(table, "iou")[-1]) if seen else None,
         "z_m_final": _number(column(table, "z_m")[-1]) if seen else None,
@@ -80,6 +81,11 @@ def _cut(table: pa.Table) -> dict[str, Any]:
     shares = {side: column(table, f"cut_{side}")[-1] for side in SIDES} if table.num_rows else dict.fromkeys(SIDES, math.nan)
     total = sum(shares.values())
     return {"cut": _number(total), "cut_side": max(SIDES, key=shares.__getitem__) if total > 0 else None}
+
+
+def _aim(table: pa.Table) -> list[float] | None:
+    last = [float(column(table, axis)[-1]) for axis in ("aim_x_m", "aim_y_m")] if table.num_rows else [math.nan]
+    return None if math.isnan(last[0]) else last
 
 
 def steady_step(table: pa.Table) -> int | None:

@@ -5,12 +5,14 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from controllers.symbol.field import beyond
 from controllers.symbol.projector import DrawingModule, SymbolParams
 from controllers.symbol.shape import HERE, height, reached, touching
 from world.frames import inverse, transform
 
 FARTHEST = 2.4  # of the target's distance: where light is too far off for an appearance
 PLACES_M, STEP_M = (5.0, 60.0), 0.25  # ahead, where the symbol may go in place of its target
+SAME_M = 1e-3  # between places
 LEAST_HEIGHT_M = 0.25  # of lamps and eye over the plane on which the symbol lies
 
 
@@ -31,11 +33,19 @@ def aimed(shape: Tensor, symbol: SymbolParams, modules: Sequence[DrawingModule],
     return planes[int(fine.to(torch.uint8).argmax())] if bool(fine.any()) else HERE
 
 
+def elsewhere(T_ground_plane: Tensor, symbol: SymbolParams) -> Tensor | None:
+    """Where on the ground, x and y `[2]` m, a symbol lies on a plane `[4, 4]`; None where that is its target."""
+    target = T_ground_plane.new_tensor([symbol.x_m, symbol.y_m, 0.0])
+    place = transform(T_ground_plane, target[:, None])[:2, 0]
+    at_target = (place - target[:2]).norm() < SAME_M
+    return None if T_ground_plane.equal(HERE) or (at_target and symbol.target == "place") else place
+
+
 def _appears(shape: Tensor, symbol: SymbolParams, modules: Sequence[DrawingModule], eye: Tensor) -> bool:
     """Whether what looks like the middle of the target is on the road, not far behind it, and in the field of a lamp."""
     way = torch.tensor([symbol.x_m, symbol.y_m, 0.0], dtype=torch.float64) - eye
     share = reached(shape[None], symbol.x_m, eye, way)[0]
-    return bool(share < FARTHEST) and bool(_in_field(eye + share * way, modules))
+    return bool(share < FARTHEST) and bool(_in_field((eye + share * way)[None, :, None], modules))
 
 
 def _touching(shape: Tensor, symbol: SymbolParams, x: Tensor) -> Tensor:
@@ -57,11 +67,6 @@ def _lit(planes: Tensor, symbol: SymbolParams, modules: Sequence[DrawingModule],
 
 
 def _in_field(points: Tensor, modules: Sequence[DrawingModule]) -> Tensor:
-    """Whether points `[..., 3, n]` m (or one, `[3]`) are in the field of any module: `[..., n]`."""
-    points = points[:, None] if points.dim() == 1 else points
-    found = torch.zeros(points.shape[:-2] + points.shape[-1:], dtype=torch.bool)
-    for module in modules:
-        x, y, z = transform(inverse(module.T_world_headlight.cpu().double()), points).unbind(-2)
-        light = module.pixel_controller.headlight
-        found |= (x > 0) & (y <= light.left * x) & (y >= light.right * x) & (z <= light.top * x) & (z >= light.bottom * x)
-    return found
+    """Whether points `[k, 3, n]` m are in the field of any module: `[k, n]`."""
+    places = points.transpose(0, 1)
+    return torch.stack([(beyond(module, places) <= 0).all(0) for module in modules]).any(0)

@@ -31,13 +31,15 @@ class Drawing:
     """One symbol to be shown.
 
     pose: `[..., 4]` = x, y in m, roll, pitch in rad. z: `[...]` m, height of the centre above the assumed road, None for none.
-    warp: None for the symbol as it is. raw: utilisations `[n_p]`, one a module, that are shown in place of any symbol.
+    warp: None for the symbol as it is. raw: utilisations `[n_p]`, one a module, that are shown in place of any symbol. aim: `[2]`,
+    x and y in m of the road where the symbol lies because its target cannot be lit, None for the target.
     """
 
     pose: Tensor
     z: Tensor | None = None
     warp: Warp | None = None
     raw: tuple[Tensor, ...] | None = None
+    aim: Tensor | None = None
 
     def shows(self, other: "Drawing") -> bool:
         """Whether another drawing is the same; that of a state that was stored and read again is another object."""

@@ -23,8 +23,7 @@ def cut(projector: Projector, drawing: Drawing) -> Tensor:
     rectangle = projector.rectangle(drawing)
     origin, d1, d2 = (each[0].to(u)[:, None, None] for each in (rectangle.origin, rectangle.d1, rectangle.d2))
     places = origin + u * d1 + v[:, None] * d2  # [3, rows, cols]
-    beyond = torch.stack([_beyond(module, places) for module in projector.modules])  # [m, 4, rows, cols]
-    furthest, sides = beyond.max(1)
+    furthest, sides = torch.stack([beyond(module, places) for module in projector.modules]).max(1)  # [m, rows, cols]
     nearest, module = furthest.min(0, keepdim=True)  # [1, rows, cols]
     side = sides.gather(0, module)
     white = _white(projector.symbol, drawing, rows, cols)
@@ -32,7 +31,7 @@ def cut(projector: Projector, drawing: Drawing) -> Tensor:
     return lost.sum((1, 2)) / white.sum()
 
 
-def _beyond(module: DrawingModule, places: Tensor) -> Tensor:
+def beyond(module: DrawingModule, places: Tensor) -> Tensor:
     """How far places `[3, rows, cols]` m lie beyond the four borders of a module's field `[4, rows, cols]` m, negative within."""
     light, T = module.pixel_controller.headlight, module.T_world_headlight.to(places)
     x, y, z = torch.einsum("ji,jrc->irc", T[:3, :3], places - T[:3, 3, None, None])

@@ -8,7 +8,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from controllers.symbol.aim import aimed
+from controllers.symbol.aim import aimed, elsewhere
 from controllers.symbol.drawing import Drawing
 from controllers.symbol.memory import Memory
 from controllers.symbol.observer import Observer
@@ -236,7 +236,8 @@ class Luxloop:
             return laid(self.projector.target, T_body_ground)
         ends = transform(stances.following, self.ends).T.to(memory.eye)
         relief = memory.moved(stances.until, ends[0]).relief()
-        return drawn_on(relief, ends[1:], symbol, T_body_ground, symbol.target == "place" or not plane.equal(HERE))
+        drawing = drawn_on(relief, ends[1:], symbol, T_body_ground, symbol.target == "place" or not plane.equal(HERE))
+        return replace(drawing, aim=elsewhere(plane, symbol))
 
     def _nothing(self, registration: Registration) -> Memory:
         """Nothing known of the road."""
