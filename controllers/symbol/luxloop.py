@@ -32,7 +32,7 @@ from world.params import Params
 LEAST_LIT_PX = 20.0  # fewer lit pixels are no symbol
 HEIGHTS = 57  # that a sweep tries
 SEEN_BY = 0.05  # of the usual illuminance a node, with which its brightness is no longer a guess
-LOW_M = 0.1  # heights up to here are found without an acquired shape
+LOW_M = {"appearance": 0.1, "place": 0.03}  # heights up to here are found without an acquired shape, for each target
 POOR, SEARCHES = 0.08, 5  # residual above which the whole image is searched again, and how often it is for one road
 SAME_M = 0.05  # between heights under the target that two searches found, if the second shall be the last
 FALLEN = (-0.3, -0.03, 0.0, 0.0)  # shape of the road on which a symbol is looked for that is nowhere in the image
@@ -188,8 +188,9 @@ class Luxloop:
     def _acquired(self, memory: Memory, look: Look) -> Memory | None:
         """The road that explains where in the whole image the symbol is; None where a road near the plane may, which looks find without."""
         assert look.frames is not None
+        symbol = self.projector.params
         found = look.seen.acquired or self.observer.acquire(look.frames, look.shown.lights)
-        if not found.found or float(self._heights(found.shape, self._nothing(self.registration)).abs().max()) < LOW_M:
+        if not found.found or float(self._heights(found.shape, self._nothing(self.registration)).abs().max()) < LOW_M[symbol.target]:
             return None
         return self._shaped(memory, found.shape)
 
