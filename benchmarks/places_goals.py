@@ -68,6 +68,7 @@ class Goal:
     share: float = 1.0
     controller: str = "luxloop"
     kind: str | None = None
+    on_the_road: bool = False  # worlds of either target are counted apart
 
     def of(self, rows: Sequence[Row]) -> tuple[int, int]:
         """In how many worlds it holds, and of how many."""
@@ -75,7 +76,9 @@ class Goal:
         return sum(bool(self.holds(row)) for row in own), len(own)
 
     def _counts(self, row: Row) -> bool:
-        return row["kind"] == self.kind if self.kind else row["visible"] >= VISIBLE
+        if self.kind:
+            return row["kind"] == self.kind
+        return row["visible"] >= VISIBLE and row["kind"].startswith("place") == self.on_the_road
 
     def missed(self, rows: Sequence[Row]) -> list[Row]:
         """The rows in which it does not hold."""
@@ -91,7 +94,7 @@ GOALS = (
     Goal("IoU at least 0.85 x that", lambda r: r["iou"] >= 0.85 * r["iou_feedforward"]),
     Goal("The drawing for the true road within 0.02 of the bound", lambda r: r["iou"] >= r["iou_bound"] - 0.02, controller=FEEDFORWARD),
     Goal("No more than 0.02 below the open loop", lambda r: r["below_open"] <= 0.02),
-    Goal("No more than 0.02 below thesis_pid", lambda r: r["below_thesis"] is None or r["below_thesis"] <= 0.02),
+    Goal("No more than 0.02 below thesis_pid", lambda r: r["below_thesis"] <= 0.02),
     Goal(f"Found within latency + {LOOKS} steps", _found_in_time),
     Goal("Never lost after that", lambda r: r["lost_later"] == 0),
     Goal(
@@ -99,6 +102,13 @@ GOALS = (
         lambda r: r["iou"] >= 0.95 * r["iou_bound"],
         kind="grade from 3 m",
     ),
+    Goal(
+        "On the road itself: IoU at least 0.95 x that of the drawing for the true road",
+        lambda r: r["iou"] >= 0.95 * r["iou_feedforward"],
+        share=0.95,
+        on_the_road=True,
+    ),
+    Goal("On the road itself: no more than 0.02 below the open loop", lambda r: r["below_open"] <= 0.02, on_the_road=True),
     Goal(
         "On the road itself, grades of -4 to +4 % from 3 m on: IoU at least 0.85, or 0.95 x the bound",
         lambda r: r["iou"] >= min(0.85, 0.95 * r["iou_bound"]),
