@@ -19,7 +19,8 @@ from loop.tables import summary as summary_table
 
 def table(steps: int = 40, loss: list[str] | None = None, **columns: Any) -> pa.Table:
     """A recording that is at rest but for the given columns (numbers or arrays)."""
-    values = {name: np.broadcast_to(columns.get(name, 1.0 if name == "length" else 0.0), steps).tolist() for name in COLUMNS}
+    columns = {"length": 1.0, "aim_x_m": math.nan, "aim_y_m": math.nan, **columns}
+    values = {name: np.broadcast_to(columns.get(name, 0.0), steps).tolist() for name in COLUMNS}
     values |= {"step": list(range(steps)), "loss": loss or [""] * steps}
     return table_of([{name: values[name][k] for name in COLUMNS} for k in range(steps)])
 
@@ -159,6 +160,13 @@ def test_what_is_cut_at_the_border_of_the_field_is_said_even_of_a_settled_symbol
     assert remedies(values) == said
 
 
+def test_a_symbol_that_was_aimed_elsewhere_is_off_its_target_for_no_other_reason() -> None:
+    values = summarise(table(**{OFF: math.nan}, aim_x_m=28.31, aim_y_m=0.0), "name", "luxloop", 0.0)
+    assert values["aim"] == [28.31, 0.0] and values["unsettled"] == "off_target"
+    (said,) = remedies(values)
+    assert "28.3 m ahead" in said
+
+
 def test_a_symbol_that_is_cut_is_lost_for_no_other_reason() -> None:
     values = summarise(table(loss=["nothing"] * 40, cut_bottom=0.9), "name", "luxloop", 0.0)
     assert len(remedies(values)) == 1 and "lower border" in remedies(values)[0]
@@ -204,6 +212,7 @@ def test_summary_has_every_field() -> None:
         "centroid_error_percent": [0.0, 0.0],
         "cut": 0.0,
         "cut_side": None,
+        "aim": None,
         "iou_open": 0.25,
         "iou_final": 39 / 40,
         "z_m_final": 0.0,
