@@ -18,6 +18,7 @@ from loop.lamp_description import load_lamp
 from loop.pixel_control import pixel_controller
 from loop.scenario import HeadlightParams, Scenario, WorldScenario
 from loop.shipped import named
+from perception.camera import camera_view
 from world.body import Body
 from world.errors import LuxloopError, located
 from world.figure import Figure
@@ -80,7 +81,8 @@ def _located(road: Road) -> Road:
 def build_projector(scenario: Scenario, device: torch.device) -> Projector:
     """The lamp modules that draw the symbol, and the symbol's image. Raises LuxloopError where the lamp has no such module or movement."""
     modules = tuple(_drawing_modules(scenario, device))
-    return Projector(modules, load_still(symbol_path(scenario.symbol.image)).to(device), scenario.symbol)
+    symbol = load_still(symbol_path(scenario.symbol.image)).to(device)
+    return Projector(modules, symbol, scenario.symbol, camera_view(scenario.camera).origin)
 
 
 def _drawing_modules(scenario: Scenario, device: torch.device) -> Iterator[DrawingModule]:

@@ -31,14 +31,16 @@ class Drawing:
     """One symbol to be shown.
 
     pose: `[..., 4]` = x, y in m, roll, pitch in rad. z: `[...]` m, height of the centre above the assumed road, None for none.
-    warp: None for the symbol as it is. raw: utilisations `[n_p]`, one a module, that are shown in place of any symbol. aim: `[2]`,
-    x and y in m of the road where the symbol lies because its target cannot be lit, None for the target.
+    warp: None for the symbol as it is. raw: utilisations `[n_p]`, one a module, that are shown in place of any symbol. shape: `[4]` of a
+    road on which the eye shall see what it would see of the rest on the plane z = 0, see `controllers.symbol.lift`, None for that plane.
+    aim: `[2]`, x and y in m of the road where the symbol lies because its target cannot be lit, None for the target.
     """
 
     pose: Tensor
     z: Tensor | None = None
     warp: Warp | None = None
     raw: tuple[Tensor, ...] | None = None
+    shape: Tensor | None = None
     aim: Tensor | None = None
 
     def shows(self, other: "Drawing") -> bool:
@@ -49,7 +51,8 @@ class Drawing:
     def _values(self) -> list[Tensor]:
         none = self.pose.new_zeros(0)
         warp = (none,) if self.warp is None else (self.warp.source, self.warp.dimming, self.pose.new_tensor(self.warp.size_m))
-        return [self.pose, none if self.z is None else self.z, *warp, *(self.raw or ())]
+        given = [none if each is None else each for each in (self.z, self.shape)]
+        return [self.pose, *given, *warp, *(self.raw or ())]
 
     def singles(self) -> Iterator["Drawing"]:
         """The drawings of a batch, one by one."""

@@ -16,6 +16,9 @@ from perception.appearance import Appearance, errors
 from perception.camera import CameraParams
 from perception.extraction import Crop, Extraction, Loss, difference, gate, symbol_image, threshold
 
+LIT = 0.5  # of a pixel, that counts as the symbol's
+ENDS = 0.1  # of a footprint's rows, at its near and its far end
+
 
 @dataclass(frozen=True)
 class Seen:
@@ -66,7 +69,7 @@ class Observer:
         if frames is None:
             return replace(self.lost(drawing.pose, Loss.NO_FRAME), shape=shape)
         seen = self._expected(frames, drawing, lights, shape)
-        if seen.code.dim() or seen.code == Loss.SEEN:
+        if seen.code.dim() or (seen.code == Loss.SEEN and not self._ends(seen)):
             return seen
         acquired = self.acquire(frames, lights)
         if not acquired.found:
@@ -91,6 +94,12 @@ class Observer:
             return seen
         area, expected = seen.symbol.sum((-2, -1)), self.acquisition.area(shape, self.projector.textures(lights))
         return replace(seen, code=gate(area, expected, self.params), area_ratio=area / expected, shape=shape)
+
+    def _ends(self, seen: Seen) -> bool:
+        """Whether the symbol reaches to where the footprint ends, so that the road may be higher or lower than that allows for."""
+        rows = max(round(ENDS * len(seen.symbol)), 1)
+        top, bottom = (bool((end > LIT).any()) for end in (seen.symbol[:rows], seen.symbol[-rows:]))
+        return (top and seen.crop.v_start > 0) or (bottom and seen.crop.v_stop < self.model.eye.view.height)
 
     def compare(self, on: Tensor, off: Tensor, expected_symbol: Tensor, crop: Crop) -> Seen:
         """Look at frames `[..., h, w]` (digital numbers) cut at crop, beside the symbol image that the flat road would show there."""

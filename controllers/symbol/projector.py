@@ -14,6 +14,7 @@ from torch import Tensor
 from controllers.primitives import Primitives, Quantity, road_symbol
 from controllers.ssc import PixelController, Utilisation
 from controllers.symbol.drawing import Drawing
+from controllers.symbol.lift import lifted
 from controllers.symbol.shape import reached
 from perception.extraction import Crop
 from world.params import Params
@@ -56,11 +57,12 @@ class DrawingModule:
 
 @dataclass(frozen=True)
 class Projector:
-    """Modules, the symbol image `[h, w]` in 0..1 and its parameters."""
+    """Modules, the symbol image `[h, w]` in 0..1, its parameters, and the eye at `[3]` m for which drawings are lifted onto a road."""
 
     modules: tuple[DrawingModule, ...]
     symbol: Tensor
     params: SymbolParams
+    eye: Tensor
 
     @property
     def target(self) -> Tensor:
@@ -78,8 +80,9 @@ class Projector:
 
     def rectangle(self, drawing: Drawing) -> Primitives:
         """The primitive that a drawing's symbol lies on, not warped."""
+        drawing = self.on_road(drawing)
         size = (self.params.length_m, self.params.width_m) if drawing.warp is None else drawing.warp.size_m
-        return _lifted(self._rectangle(drawing.pose, *size, self.symbol), drawing.z)
+        return _raised(self._rectangle(drawing.pose, *size, self.symbol), drawing.z)
 
     def light(self, pose: Tensor) -> tuple[Utilisation, ...]:
         """Utilisations `[..., n_p]`, one a module, that draw the symbol as it is at a pose `[..., 4]`."""
@@ -89,14 +92,22 @@ class Projector:
         """Utilisations `[..., n_p]`, one a module, of a drawing; a warped one costs a turn for each of a batch."""
         if drawing.raw is not None:
             return tuple(Utilisation(u) for u in drawing.raw)
+        drawing = self.on_road(drawing)
         if drawing.warp is None:
-            return self._cast(repeat(_lifted(self.primitive(drawing.pose), drawing.z)))
+            return self._cast(repeat(_raised(self.primitive(drawing.pose), drawing.z)))
         batch = drawing.pose.shape[:-1]
         singles = [self._cast(self._warped(each)) for each in drawing.singles()]
         return tuple(
             Utilisation(torch.stack([light.u for light in lights]).unflatten(0, batch)) if batch else lights[0]
             for lights in zip(*singles, strict=True)
         )
+
+    def on_road(self, drawing: Drawing) -> Drawing:
+        """The drawing as one on z = 0 or on a rectangle tangent to the road of its shape."""
+        if drawing.shape is None:
+            return drawing
+        p, lamps = self.params, torch.stack([module.T_world_headlight[:3, 3] for module in self.modules]).to(self.symbol)
+        return lifted(drawing, (p.length_m, p.width_m), drawing.shape, p.x_m, self.eye.to(self.symbol), lamps)
 
     def _cast(self, primitives: Iterable[Primitives]) -> tuple[Utilisation, ...]:
         """Of one primitive a module."""
@@ -112,7 +123,7 @@ class Projector:
         symbol = self.symbol.expand(len(u), 1, -1, -1)
         warped = remap(symbol, u, v, padding_mode="zeros", align_corners=False, normalized_coordinates=True)[:, 0] * drawing.warp.dimming
         images = warped.expand(len(self.modules), -1, -1)
-        return [_lifted(self._rectangle(drawing.pose, *drawing.warp.size_m, image), drawing.z) for image in images]
+        return [_raised(self._rectangle(drawing.pose, *drawing.warp.size_m, image), drawing.z) for image in images]
 
     def textures(self, lights: Sequence[Utilisation]) -> tuple[Tensor, ...]:
         """Light textures `[rows, cols]` in cd, one a module, of what lights `[n_p]` add to the base beams."""
@@ -145,7 +156,7 @@ class Projector:
         return Crop(v0, v1, u0, u1)
 
 
-def _lifted(primitive: Primitives, z: Tensor | None) -> Primitives:
+def _raised(primitive: Primitives, z: Tensor | None) -> Primitives:
     """A primitive `[..., 1]` at a height z `[...]` m, if there is one."""
     if z is None:
         return primitive

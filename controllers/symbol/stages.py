@@ -1,7 +1,8 @@
-"""The stages that any controller with feedback can have on top of it: a warp, and a supervisor over both."""
+"""The stages on top of any controller with feedback: a warp and a supervisor, if asked for, and lifting onto the road that is known."""
 
 from pydantic import Field
 
+from controllers.symbol.lifting import Lifting
 from controllers.symbol.observer import Observer
 from controllers.symbol.protocol import SymbolController
 from controllers.symbol.supervising import Supervising, SupervisorParams
@@ -17,7 +18,9 @@ class StagedParams(Params):
 
 
 def staged(params: StagedParams, controller: SymbolController, observer: Observer) -> SymbolController:
-    """The controller with the stages that its keys ask for."""
+    """The controller with the stages that its keys ask for, lifted onto the road."""
     if params.warp is not None:
         controller = Warping(params.warp, controller, observer)
-    return controller if params.supervisor is None else Supervising(params.supervisor, controller, observer)
+    if params.supervisor is not None:
+        controller = Supervising(params.supervisor, controller, observer)
+    return Lifting(controller, observer.projector)

@@ -84,7 +84,7 @@ def test_the_supervisor_lets_control_begin_from_the_open_loop() -> None:
 def test_a_controller_that_makes_things_worse_loses_the_charge() -> None:
     """With the errors' sign turned round the open loop is back after the grace."""
     sim = simulation("controller={name='gauss_newton', supervisor={grace_steps=2}}", "steps=6", *ROUGH)
-    sim.controller.inner.inverse.neg_()  # type: ignore[attr-defined]
+    sim.controller.inner.inner.inverse.neg_()  # type: ignore[attr-defined]
     drawn = [result.lights[0].u for result in sim.run()]
     flat = sim.projector.light(sim.projector.target)[0].u
     assert [bool(u.equal(flat)) for u in drawn] == [True, False, False, False, True, True]

@@ -53,7 +53,7 @@ def lamps() -> tuple[DrawingModule, DrawingModule]:
 @cache
 def projector(symbol: str = "snowflake", n_lamps: int = 1) -> Projector:
     image = load_still(Path(__file__).parents[2] / "scenarios" / "symbols" / f"{symbol}.png")
-    return Projector(lamps()[:n_lamps], image, SymbolParams(image=symbol))
+    return Projector(lamps()[:n_lamps], image, SymbolParams(image=symbol), camera_view(CAMERA).origin)
 
 
 @cache

@@ -1,0 +1,129 @@
+"""Drawings on roads of a known shape: against lines of sight in closed form, and controllers that settle on grades."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from controllers.symbol.drawing import Drawing
+from controllers.symbol.lifting import LOSSES, Lifting
+from controllers.symbol.protocol import Look, Shown
+from loop.run import prepare
+from loop.scenario import load
+from loop.simulation import Simulation
+from perception.extraction import Loss
+from perception.judge import Verdict
+from world.frames import inverse, pose, rotation, transform
+
+SMALL = ["camera={width_px=640, height_px=480}", "start={x_m=17.0, y_m=0.0, roll_deg=0.0, pitch_deg=0.0}"]
+PLANE = torch.tensor([0.21, 0.02, -0.015, 0.0])
+ASIDE = torch.tensor([17.5, 0.3, 0.03, -0.01])  # m and rad
+
+
+def simulation(percent: float, controller: str, *more: str, steps: int = 15) -> Simulation:
+    road = f"road={{kind='grade', grade_percent={percent}, crossfall_percent=0.0, start_x_m=3.0}}"
+    return prepare(load("snowflake", [*SMALL, road, f"controller={controller}", *more], steps=steps), "cpu")
+
+
+def verdicts(sim: Simulation) -> list[Verdict]:
+    return [result.verdict for result in sim.run()]
+
+
+@pytest.fixture(scope="module")
+def flat() -> Simulation:
+    return simulation(0.0, "{name='thesis_pid'}")
+
+
+def height(shape: torch.Tensor, x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+    a, b, c, d = shape
+    return a + b * (x - 17) + c * y + d * (x - 17) ** 2 / 2
+
+
+def test_on_the_plane_itself_nothing_changes(flat: Simulation) -> None:
+    projector = flat.projector
+    (light,), (lifted,) = projector.light(ASIDE), projector.draw(Drawing(ASIDE, shape=torch.zeros(4)))
+    # reading the symbol through cells of 1 cm takes something from edges, which are long beside the strokes
+    assert float((light.u - lifted.u).abs().sum() / light.u.abs().sum()) < 0.05
+
+
+def test_the_rectangle_lies_on_the_plane_of_the_road(flat: Simulation) -> None:
+    drawing = flat.projector.on_road(Drawing(ASIDE, shape=PLANE))
+    assert drawing.warp is not None
+    corners = flat.projector._rectangle(drawing.pose, *drawing.warp.size_m, flat.projector.symbol).corners()[0] + torch.stack(
+        [torch.tensor(0.0), torch.tensor(0.0), drawing.z]
+    )
+    x, y, z = corners.T
+    torch.testing.assert_close(z, height(PLANE, x, y), rtol=0, atol=1e-5)  # single precision
+
+
+@pytest.mark.parametrize("curvature", [0.0, 0.003])
+def test_the_eye_sees_each_place_of_the_symbol_where_it_is_on_the_plane(flat: Simulation, curvature: float) -> None:
+    shape = PLANE.clone()
+    shape[3] = curvature
+    projector = flat.projector
+    drawing = projector.on_road(Drawing(projector.target, shape=shape))
+    assert drawing.warp is not None
+    x_y = torch.tensor([[15.3, 0.9], [17.0, 0.0], [18.8, -0.7]])
+    u_v = torch.stack([-x_y[:, 1] / 1.0, (17.0 - x_y[:, 0]) / 2.0], 1)  # of a symbol of 2 m by 4 m
+    eye, lamp = projector.eye.float()[:, None], projector.modules[0].T_world_headlight[:3, 3:].float()
+    ways = torch.cat([x_y.T, torch.zeros(1, 3)]) - eye
+    near, far = torch.zeros(3), torch.full((3,), 2.0)
+    for _ in range(40):  # halving, to where the line of sight is under the road
+        middle = (near + far) / 2
+        x, y, z = eye + ways * middle
+        under = z < height(shape, x, y)
+        near, far = torch.where(under, near, middle), torch.where(under, middle, far)
+    road = eye + ways * near
+    x, y, roll, pitch = drawing.pose
+    back = inverse(pose(torch.stack([x, y, drawing.z]), rotation(roll, pitch, torch.zeros(()))))
+    start, end = transform(back, lamp), transform(back, road)
+    crossed = start + (end - start) * start[2] / (start[2] - end[2])
+    length, width = drawing.warp.size_m
+    at = torch.stack([-2 * crossed[1] / width, -2 * crossed[0] / length], -1)[None, None]
+    found = torch.nn.functional.grid_sample(drawing.warp.source[:1], at, align_corners=False)[0, :, 0].T
+    torch.testing.assert_close(found, u_v, rtol=0, atol=2e-3)  # 2 mm across: places are interpolated over 4 cells of 1 cm
+
+
+@pytest.mark.parametrize("name", ["thesis_pid", "gauss_newton", "model_reference"])
+@pytest.mark.parametrize(("percent", "least"), [(-2.0, 0.70), (2.0, 0.87)])
+def test_feedback_settles_on_a_grade_near_the_bound(name: str, percent: float, least: float) -> None:
+    """The bound is 0.72 and 0.90. On rectangles on z = 0 thesis_pid ends with 0.30, which oscillates by 0.05, and 0.69."""
+    ious = [float(verdict.iou) for verdict in verdicts(simulation(percent, f"{{name='{name}'}}"))][-5:]
+    assert min(ious) > least
+    assert max(ious) - min(ious) < 0.02
+
+
+@pytest.mark.parametrize("stage", ["warp", "supervisor"])
+def test_stages_act_on_a_grade_as_on_the_plane(stage: str) -> None:
+    assert float(verdicts(simulation(2.0, f"{{name='gauss_newton', {stage}={{}}}}", "camera.latency_steps=1"))[-1].iou) > 0.87
+
+
+def test_a_shape_begins_the_controller_anew_and_is_given_up_where_nothing_is_seen(flat: Simulation) -> None:
+    lifting = flat.controller
+    assert isinstance(lifting, Lifting)
+    start = torch.tensor([15.0, 1.5, 0.08, -0.03])
+    before = lifting.start(start)
+    lost = flat.observer.lost(start, Loss.NOTHING)
+    found = replace(lost, code=torch.tensor(0), shape=PLANE, errors=torch.ones(4), pose_error=torch.ones(4))
+
+    def shown(drawing: Drawing) -> Shown:
+        return Shown(drawing, flat.projector.draw(drawing))
+
+    state = lifting.step(before, Look(found, None, shown(lifting.drawing(before))))
+    drawing = lifting.drawing(state)
+    assert drawing.shows(Drawing(flat.projector.target, shape=PLANE)), "errors of light that was not drawn for the road move nothing"
+    late = lifting.step(state, Look(found, None, shown(lifting.drawing(before))))
+    assert lifting.drawing(late).shows(drawing)
+    moved = lifting.step(late, Look(found, None, shown(drawing)))
+    assert not lifting.drawing(moved).shows(drawing)
+    for _ in range(LOSSES):
+        assert moved.shape is not None
+        moved = lifting.step(moved, Look(lost, None, shown(lifting.drawing(moved))))
+    assert lifting.drawing(moved).shows(Drawing(flat.projector.target))
+
+
+def test_a_symbol_that_goes_on_beyond_its_footprint_is_searched_for() -> None:
+    prepared = simulation(-1.0, "{name='open'}")
+    _, result = prepared.step(prepared.start())
+    assert result.seen.code == Loss.SEEN
+    assert result.seen.shape is not None
