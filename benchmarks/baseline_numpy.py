@@ -132,7 +132,7 @@ class Baseline:
         self.limit = self.model.limit.numpy()
         self.target, self.gains = self.model.target.numpy(), self.model.gains.numpy()
 
-        bank = simulation.controller.gains
+        bank = simulation.controller.inner.gains
         names = ("kp", "ki", "kd", "lower", "upper", "rate_limit", "tracking_time")
         pose = simulation.controller.drawing(simulation.start().controller).pose.tolist()
         self.start = [Pid(*(float(getattr(bank, name)[k]) for name in names), output=pose[k]) for k in range(4)]

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from controllers.symbol.drawing import Drawing
+from controllers.symbol.lifting import Lifting
 from controllers.symbol.observer import Seen
 from controllers.symbol.protocol import Look, Shown
 from controllers.symbol.thesis_pid import ThesisPid, ThesisPidParams
@@ -77,9 +78,10 @@ def rollouts(simulation: Simulation, values: dict[str, Tensor], *, quantise: boo
 
 def loops(simulation: Simulation, values: dict[str, Tensor], look: Callable[[Tensor, int], Seen]) -> Rollout:
     """The same around anything that looks at poses `[B, 4]` that are shown at a step."""
-    controller = with_values(simulation.controller, values)
+    assert isinstance(simulation.controller, Lifting)  # of which a batch needs nothing: nothing is searched for
+    controller = with_values(simulation.controller.inner, values)
     (batch,) = {len(value) for value in values.values()}
-    start = simulation.start().controller.pid.output
+    start = simulation.start().controller.inner.pid.output
     state = controller.start(start.expand(batch, -1).to(next(iter(values.values()))))
     late, looks, rows = simulation.scenario.camera.latency_steps, [], []
     for step in range(simulation.scenario.steps):

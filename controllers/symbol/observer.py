@@ -72,7 +72,8 @@ class Observer:
         if seen.code.dim() or (seen.code == Loss.SEEN and not self._ends(seen)):
             return seen
         acquired = self.acquire(frames, lights)
-        if not acquired.found:
+        risen = acquired.shape[0] - (0.0 if shape is None else shape[0])
+        if not acquired.found or (seen.code == Loss.SEEN and risen.abs() <= self.params.footprint_margin_m):
             return replace(seen, acquired=acquired)
         found = self._expected(frames, drawing, lights, acquired.shape)
         return replace(found, code=torch.zeros_like(found.code), acquired=acquired) if found.symbol.numel() else seen

@@ -252,7 +252,7 @@ def test_controllers_go_by_name() -> None:
     for name, params in CONTROLLERS.items():
         assert params().name == name
     assert isinstance(build_controller(OpenLoopParams(), observer()), OpenLoop)
-    assert isinstance(build_controller(PARAMS, observer()), ThesisPid)
+    assert isinstance(build_controller(PARAMS, observer()).inner, ThesisPid)
 
 
 @settings(deadline=None)
