@@ -23,7 +23,7 @@ ROUNDED = 0.01  # 64 x 32 places are looked at
 
 def projector(*pitches_deg: float, symbol: torch.Tensor = WHITE) -> Projector:
     modules = [DrawingModule(f"at {deg}", SSC, pose_from_degrees((0.0, 0.0, HEIGHT_M), pitch_deg=deg)) for deg in pitches_deg or (0.0,)]
-    return Projector(tuple(modules), symbol, SymbolParams(image="white"))
+    return Projector(tuple(modules), symbol, SymbolParams(image="white"), torch.tensor([-1.6, 0.0, 1.35]))
 
 
 def drawn(x_m: float = 17.0, y_m: float = 0.0) -> Drawing:

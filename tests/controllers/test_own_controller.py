@@ -41,9 +41,9 @@ def test_a_controller_of_ones_own_is_named_in_the_scenario() -> None:
     simulation = prepare(scenario, "cpu")
     state, first = simulation.step(simulation.start())
     _, second = simulation.step(state)
-    assert simulation.controller.share == 0.25
+    assert simulation.controller.inner.share == 0.25
     assert (second.pose - first.pose + 0.25 * first.seen.pose_error).abs().max() < 1e-6
-    assert isinstance(simulation.controller.drawing(first.pose), Drawing)
+    assert isinstance(simulation.controller.drawing(state.controller), Drawing)
     again = type(scenario).model_validate_json(scenario.model_dump_json())
     assert again == scenario, "recordings hold it"
 
