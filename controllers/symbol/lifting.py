@@ -6,7 +6,7 @@ from typing import Any
 from torch import Tensor
 
 from controllers.symbol.drawing import Drawing
-from controllers.symbol.projector import Projector
+from controllers.symbol.observer import Observer
 from controllers.symbol.protocol import Look, SymbolController
 from perception.extraction import Loss
 
@@ -25,8 +25,8 @@ class LiftingState:
 class Lifting:
     """The controller draws and sees as on the plane z = 0, and begins anew at the target on every other road that is acquired."""
 
-    def __init__(self, inner: SymbolController, projector: Projector) -> None:
-        self.inner, self.projector = inner, projector
+    def __init__(self, inner: SymbolController, observer: Observer) -> None:
+        self.inner, self.observer, self.projector = inner, observer, observer.projector
 
     def start(self, pose: Tensor) -> LiftingState:
         """State that shows the pose `[..., 4]` first."""
@@ -55,9 +55,18 @@ class Lifting:
         if look.seen.code.dim() or moving:
             return None, 0
         if look.seen.code == Loss.SEEN:
-            return look.seen.shape, 0
+            return self._beyond(look) if look.seen.acquired is None else look.seen.shape, 0
         losses = state.losses + int(state.shape is not None and look.seen.code != Loss.NO_FRAME)
         return (None, 0) if losses == LOSSES else (state.shape, losses)
+
+    def _beyond(self, look: Look) -> Tensor | None:
+        """The shape on which the symbol was looked for, or that of a farther road where the symbol reaches the footprint's ends."""
+        known = look.seen.shape
+        if look.frames is None or not self.observer.at_ends(look.seen):
+            return known
+        found = self.observer.acquire(look.frames, look.shown.lights)
+        risen = found.shape[0] - (0.0 if known is None else known[0])
+        return found.shape if found.found and risen.abs() > self.observer.params.footprint_margin_m else known
 
 
 def _same(a: Tensor | None, b: Tensor | None) -> bool:

@@ -68,12 +68,12 @@ class Observer:
         """
         if frames is None:
             return replace(self.lost(drawing.pose, Loss.NO_FRAME), shape=shape)
+        shape = shape if drawing.shape is None else drawing.shape
         seen = self._expected(frames, drawing, lights, shape)
-        if seen.code.dim() or (seen.code == Loss.SEEN and not self._ends(seen)):
+        if seen.code.dim() or seen.code == Loss.SEEN:
             return seen
         acquired = self.acquire(frames, lights)
-        risen = acquired.shape[0] - (0.0 if shape is None else shape[0])
-        if not acquired.found or (seen.code == Loss.SEEN and risen.abs() <= self.params.footprint_margin_m):
+        if not acquired.found:
             return replace(seen, acquired=acquired)
         found = self._expected(frames, drawing, lights, acquired.shape)
         return replace(found, code=torch.zeros_like(found.code), acquired=acquired) if found.symbol.numel() else seen
@@ -96,7 +96,7 @@ class Observer:
         area, expected = seen.symbol.sum((-2, -1)), self.acquisition.area(shape, self.projector.textures(lights))
         return replace(seen, code=gate(area, expected, self.params), area_ratio=area / expected, shape=shape)
 
-    def _ends(self, seen: Seen) -> bool:
+    def at_ends(self, seen: Seen) -> bool:
         """Whether the symbol reaches to where the footprint ends, so that the road may be higher or lower than that allows for."""
         rows = max(round(ENDS * len(seen.symbol)), 1)
         top, bottom = (bool((end > LIT).any()) for end in (seen.symbol[:rows], seen.symbol[-rows:]))

@@ -23,4 +23,4 @@ def staged(params: StagedParams, controller: SymbolController, observer: Observe
         controller = Warping(params.warp, controller, observer)
     if params.supervisor is not None:
         controller = Supervising(params.supervisor, controller, observer)
-    return Lifting(controller, observer.projector)
+    return Lifting(controller, observer)

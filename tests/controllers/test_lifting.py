@@ -123,7 +123,7 @@ def test_a_shape_begins_the_controller_anew_and_is_given_up_where_nothing_is_see
 
 
 def test_a_symbol_that_goes_on_beyond_its_footprint_is_searched_for() -> None:
-    prepared = simulation(-2.0, "{name='open'}")
-    _, result = prepared.step(prepared.start())
-    assert result.seen.code == Loss.SEEN
-    assert result.seen.shape is not None
+    prepared = simulation(-2.0, "{name='thesis_pid'}")
+    state, result = prepared.step(prepared.start())
+    assert result.seen.code == Loss.SEEN and result.seen.shape is None
+    assert state.controller.shape is not None
