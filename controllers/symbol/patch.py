@@ -82,7 +82,8 @@ def _fitted(road: Tensor, lamps: Tensor) -> Tensor:
     """Pose `[4, 4]` on the plane that fits points `[3, k]` best, no steeper than lamps can light it."""
     centre = road.mean(1, keepdim=True)
     x, y, z = road - centre
-    slope_x, slope_y = torch.linalg.lstsq(torch.stack([x, y], 1), z[:, None]).solution[:, 0]
+    # on a CPU the default driver, gelsy, reads pivots that torch leaves unset
+    slope_x, slope_y = torch.linalg.lstsq(torch.stack([x, y], 1), z[:, None], driver="gels").solution[:, 0]
     over = lamps - centre.T  # [m, 3]
     falling = ((LEAST_HEIGHT_M - over[:, 2] + slope_y * over[:, 1]) / -over[:, 0]).max()
     slope_x = torch.maximum(slope_x, falling)

@@ -1,6 +1,8 @@
 """Heights from one look, and drawings for them: against closed forms, then in a small closed loop."""
 
+import ctypes
 import math
+import sys
 from copy import copy
 from dataclasses import replace
 from functools import cache
@@ -14,7 +16,7 @@ from PIL import Image
 from torch import Tensor
 
 from controllers.symbol.drawing import CELLS, Drawing, Warp
-from controllers.symbol.patch import FOLLOWED, drawn_on
+from controllers.symbol.patch import FOLLOWED, _fitted, drawn_on
 from controllers.symbol.projector import SymbolParams
 from controllers.symbol.protocol import Look, Shown
 from controllers.symbol.relief import Relief
@@ -27,6 +29,7 @@ from perception.birdseye import Region
 
 REGION = Region(13.0, 21.0, 2.0, -2.0)
 EYE, LAMP = torch.tensor([-1.6, 0.0, 1.35]), torch.tensor([0.0, 0.6, 0.75])
+M_PERTURB = -6  # of glibc's mallopt
 SMALL = ["camera.width_px=640", "camera.height_px=360", "camera.oversampling=2"]
 
 
@@ -104,6 +107,20 @@ def test_a_symbol_for_a_slope_is_drawn_on_the_slope(slope: float) -> None:
     assert float(roll) == pytest.approx(math.atan(0.01), abs=3e-4)
     u, v = warp_of(drawing).source[0]
     assert (u.min() < -1) & (u.max() > 1) & (v.min() < -1) & (v.max() > 1), "the patch holds the whole symbol"
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only glibc fills new memory on request")
+def test_a_patch_does_not_depend_on_what_memory_held_before() -> None:
+    torch.manual_seed(0)
+    road = torch.randn(3, 561) * torch.tensor([[1.5], [0.4], [0.05]])
+    libc, patches = ctypes.CDLL(None), []
+    try:
+        for filled in (0x01, 0xFF):  # glibc fills new memory with the complement
+            libc.mallopt(M_PERTURB, filled)
+            patches.append(_fitted(road, LAMP[None]))
+    finally:
+        libc.mallopt(M_PERTURB, 0)
+    assert torch.equal(*patches)
 
 
 def test_each_lamp_has_a_drawing_of_its_own() -> None:
