@@ -46,7 +46,7 @@ $(BIN)/pip:
 	$(PYTHON) -m venv $(VENV)
 
 opengl: | environment
-	@$(BIN)/python -c 'from world.rasterise import Rasteriser; Rasteriser()' 2>/dev/null \
+	@$(BIN)/python -c 'from world.rendering.rasterise import Rasteriser; Rasteriser()' 2>/dev/null \
 		|| scripts/apt_install.sh libegl1 libgl1 libgl1-mesa-dri \
 		|| echo "Going on without OpenGL: luxloop casts rays instead."
 

@@ -18,10 +18,10 @@ from controllers.symbol.flat_model import PAIRED
 from loop.simulation import Simulation
 from perception.camera import camera_view
 from perception.extraction import NEIGHBOURHOOD, WHOLLY_LIT
-from world.flatroad import flat_road
-from world.gbuffer import GBuffer, gbuffer
-from world.rasterise import FAR_M, GL_OPENCV, NEAR_M
-from world.raycast import sees
+from world.rendering.flat_road import flat_road
+from world.rendering.gbuffer import GBuffer, gbuffer
+from world.rendering.rasterise import FAR_M, GL_OPENCV, NEAR_M
+from world.rendering.raycast import sees
 
 Floats = NDArray[np.float32]
 Lap = Callable[[str], None]

@@ -10,7 +10,7 @@ import numpy as np
 
 from controllers.jpo_mae import least_error
 from controllers.jpo_part import wanted
-from loop.rectangles import RECTANGLES, Rectangle
+from world.beams.rectangles import RECTANGLES, Rectangle
 from world.headlight import Headlight
 from world.presets import lamp
 

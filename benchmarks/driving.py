@@ -25,8 +25,8 @@ from loop import tables
 from loop.plant import SimulatedPlant
 from loop.scenario import load
 from loop.simulation import Simulation, SimulationState, StepResult
-from world.illumination import added_light
-from world.surfaces import ExactSurfaces, QuickSurfaces
+from world.light.illumination import added_light
+from world.rendering.surfaces import ExactSurfaces, QuickSurfaces
 
 BOX = '{ kind = "box", name = "box", size_m = [1, 1, 1], track = [{ position_m = [20, 2, 0] }, { time_s = 2, position_m = [20, -2, 0] }] }'
 CASES: tuple[tuple[str, tuple[str, ...]], ...] = (

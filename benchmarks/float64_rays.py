@@ -5,7 +5,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from world.triangles import Placed, Triangles
+from world.scene.triangles import Placed, Triangles
 from world.view import View
 
 Floats = NDArray[np.float64]

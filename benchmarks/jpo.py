@@ -28,16 +28,16 @@ from controllers.mrpc import MrpcParams, PixelMajor, pixel_major, reduce_setpoin
 from controllers.primitives import I_V, Primitives, rectangle  # noqa: E402
 from controllers.rthc import Setpoints  # noqa: E402
 from controllers.ssc import Ssc  # noqa: E402
-from controllers.symbols import load_still  # noqa: E402
 from controllers.windows import whole  # noqa: E402
 from loop.build import symbol_path  # noqa: E402
-from loop.rectangles import RECTANGLES  # noqa: E402
 from perception.metrics import mae  # noqa: E402
+from world.beams.rectangles import RECTANGLES  # noqa: E402
 from world.frames import pose_from_degrees  # noqa: E402
 from world.headlight import Headlight  # noqa: E402
 from world.presets import lamp  # noqa: E402
 from world.spmv import multiply  # noqa: E402
 from world.spmv.auto import processor  # noqa: E402
+from world.symbols import load_still  # noqa: E402
 
 TEMPLATE = Path(__file__).with_name("jpo_page.md")
 DOCS = Path(__file__).parents[1] / "docs"

@@ -18,7 +18,7 @@ from perception.camera import expose, frame_generator
 from perception.detection.protocol import Detections
 from perception.detection.suppression import overlaps
 from perception.metrics import dssim
-from world.overlap import reduce
+from world.headlight.overlap import reduce
 
 REFLECTANCES = (0.05, 0.1, 0.2, 0.4, 0.8)
 PLACES = ((17.0, 3.0), (25.0, 0.0), (17.0, -3.0))  # of walls, x and y in m

@@ -28,8 +28,8 @@ from loop.scenario import load
 from loop.simulation import Simulation
 from perception.camera import camera_view
 from world.frames import inverse, transform
-from world.roadbase import Floats, Road
-from world.vehicle import Motion
+from world.roads.base import Floats, Road
+from world.scene.vehicle import Motion
 
 STEPS, FROM = 60, 10
 ROAD_SEEDS = {"C": 0, "D": 15}

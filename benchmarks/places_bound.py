@@ -12,8 +12,8 @@ from controllers.symbol.projector import DrawingModule
 from loop.simulation import Lights, Simulation
 from perception.birdseye import rectify
 from perception.judge import THRESHOLD
-from world.raycast import first_hits
-from world.triangles import Triangles, depths
+from world.rendering.raycast import first_hits
+from world.scene.triangles import Triangles, depths
 
 SOME = 4  # along and across, one of so many texels tells where the symbol's light goes
 OFF = 9.0  # a place that is not on the symbol, which lies from -1 to 1

@@ -28,19 +28,19 @@ from loop import data, tables
 from loop.plant import SimulatedPlant
 from loop.scenario import load
 from loop.simulation import Simulation
-from world.body import Body
-from world.face_source import face_source
 from world.frames import pose, pose_from_degrees
-from world.gbuffer import GBuffer
 from world.headlight import Headlight
-from world.illumination import illuminance, reach
-from world.raycast import TOLERANCE_M, first_hits, sees
-from world.roadmesh import road_mesh
-from world.roads import Bumps, Curb, Flat, Grade, Iso8608, Mixed, OpenCrgRoad, Pothole, Road, SpeedBump, Step
-from world.roadtiles import RoadTiles
-from world.scene import Scene
-from world.surfaces import ExactSurfaces, surface_source
-from world.triangles import Triangles, depths
+from world.light.illumination import illuminance, reach
+from world.rendering.face_source import face_source
+from world.rendering.gbuffer import GBuffer
+from world.rendering.raycast import TOLERANCE_M, first_hits, sees
+from world.rendering.surfaces import ExactSurfaces, surface_source
+from world.roads.mesh import road_mesh
+from world.roads.shapes import Bumps, Curb, Flat, Grade, Iso8608, Mixed, OpenCrgRoad, Pothole, Road, SpeedBump, Step
+from world.scene.body import Body
+from world.scene.road_tiles import RoadTiles
+from world.scene.scene import Scene
+from world.scene.triangles import Triangles, depths
 from world.view import View
 
 SHAPES: dict[str, Road] = {

@@ -27,7 +27,7 @@ from loop import tables
 from loop.scenario import load
 from loop.simulation import Simulation, SimulationState
 from perception.camera import expose, frame_generator
-from world.illumination import added_light
+from world.light.illumination import added_light
 
 SIZES = ((640, 480), (1280, 720))  # px
 QUICK_SIZES = ((320, 180),)

@@ -19,7 +19,7 @@ from perception.camera import CameraParams, camera_view
 from perception.detection.protocol import Detections
 from perception.detection.suppression import overlaps
 from perception.tracking import Tracker, TrackerParams
-from world.tracked import Category
+from world.traffic.tracked import Category
 
 CLASSES: tuple[Category, ...] = ("pedestrian", "cyclist", "car", "animal")
 CAMERA = {"width_px": 640, "height_px": 360, "hfov_deg": 30.0, "pitch_deg": 1.5, "oversampling": 1, "saturation_e": 2000.0}

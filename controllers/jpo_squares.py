@@ -6,9 +6,8 @@ import torch
 from torch import Tensor
 
 from controllers.jpo_part import Wanted, anywhere, reached_rows, submatrix, without_fixed
-from world import fit
 from world.errors import LuxloopError
-from world.headlight import Headlight
+from world.headlight import Headlight, fit
 from world.spmv import Csr, multiply
 
 FEW_PIXELS = 2_000  # whose pseudo-inverse is still made in seconds

@@ -18,11 +18,11 @@ from controllers.functions.situation import AdaptiveFunction, LightingFunction, 
 from controllers.functions.symbol import SymbolFunctionParams
 from controllers.obl.function import ObjectBasedParams
 from controllers.primitives import Primitives, concatenate
-from controllers.symbols import SymbolSource, load
 from controllers.zones.material import MaterialParams
 from controllers.zones.zone import ZoneParams
 from world.errors import located
 from world.params import Params
+from world.symbols import SymbolSource, load
 
 FunctionParams = Annotated[
     GlareFreeParams

@@ -14,10 +14,10 @@ from torch.nn.functional import grid_sample
 from controllers.primitives import U_ABS, Primitives, meant
 from world.frames import inverse
 from world.headlight import Headlight
-from world.raycast import sees
-from world.scene import StreetLamp
+from world.rendering.raycast import sees
+from world.scene.scene import StreetLamp
+from world.scene.triangles import Triangles
 from world.texels import TexelGrid
-from world.triangles import Triangles
 
 Caster = Callable[[Tensor, Tensor], Tensor]  # (points [3, N], target [3]) -> [N] bool: something lies between them
 

@@ -18,7 +18,7 @@ from loop.simulation import Lights, Simulation
 from perception.camera import expose, frame_generator
 from perception.extraction import Crop, Loss, symbol_image
 from world.errors import LuxloopError, did_you_mean
-from world.illumination import Transport, added_light
+from world.light.illumination import Transport, added_light
 
 # Keys of thesis_pid that are tensors in its law: the gains' field, which of the loops x, y, roll, pitch, and the key's unit in theirs.
 GAINS: dict[str, tuple[str, tuple[int, ...], float]] = {

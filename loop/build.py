@@ -12,26 +12,26 @@ from controllers.symbol.feedforward import FeedforwardParams
 from controllers.symbol.observer import Observer
 from controllers.symbol.projector import DrawingModule, Projector
 from controllers.symbol.protocol import SymbolController
-from controllers.symbols import load_still
 from loop import data
-from loop.lamp_description import load_lamp
 from loop.pixel_control import pixel_controller
 from loop.scenario import HeadlightParams, Scenario, WorldScenario
 from loop.shipped import named
 from perception.camera import camera_view
-from world.body import Body
 from world.errors import LuxloopError, located
-from world.figure import Figure
 from world.frames import pose_from_degrees
-from world.lamp import Lamp, Module
-from world.objects import ObjectParams
-from world.roadbase import Road
-from world.roadmesh import road_mesh
-from world.roadtiles import RoadTiles
-from world.scanroad import OpenCrgRoad
-from world.scene import Scene
-from world.spots import SpottedTexture
-from world.vehicle import STANDING, Motion, drive
+from world.headlight.lamp import Lamp, Module
+from world.lampfiles.description import load_lamp
+from world.materials.spots import SpottedTexture
+from world.roads.base import Road
+from world.roads.mesh import road_mesh
+from world.roads.scan import OpenCrgRoad
+from world.scene.body import Body
+from world.scene.figure import Figure
+from world.scene.road_tiles import RoadTiles
+from world.scene.scene import Scene
+from world.scene.vehicle import STANDING, Motion, drive
+from world.symbols import load_still
+from world.traffic.objects import ObjectParams
 
 TurnedPart = TypeVar("TurnedPart", Lamp, Module)
 

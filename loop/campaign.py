@@ -17,11 +17,11 @@ from loop.jobs import Job, Results, run
 from loop.manifest import digests
 from loop.overrides import resolve_paths
 from loop.scenario import AnyScenario, Scenario, load_any, validate_any
-from loop.validation import read_toml, sentence
 from world.errors import LuxloopError
 from world.folders import output_folder
 from world.params import Params
 from world.plugin import refuse_code
+from world.validation import read_toml, sentence
 
 MOST_RUNS = 100_000
 JOBS, TABLE = "jobs.jsonl", "runs.parquet"

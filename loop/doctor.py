@@ -104,7 +104,7 @@ def package_check(requirement: str) -> Check:
 def opengl_check(environment: Mapping[str, str]) -> Check:
     """Start the rasteriser in another process, which has the given environment variables and may crash, and report what renders."""
     remedy = OPENGL_LIBRARIES if environment.get("PYOPENGL_PLATFORM", "egl") == "egl" else "unset PYOPENGL_PLATFORM"
-    command = [sys.executable, "-c", "from world.rasterise import Rasteriser; print(Rasteriser().name)"]
+    command = [sys.executable, "-c", "from world.rendering.rasterise import Rasteriser; print(Rasteriser().name)"]
     packages = Path(__file__).parents[1]
     try:
         probe = subprocess.run(command, cwd=packages, env=dict(environment), capture_output=True, text=True, timeout=60)
@@ -113,7 +113,7 @@ def opengl_check(environment: Mapping[str, str]) -> Check:
     if probe.returncode < 0:
         return Check("OpenGL", "warn", f"the driver crashed with signal {-probe.returncode}", remedy)
     if probe.returncode > 0:
-        return Check("OpenGL", "warn", _last_line(probe.stderr).removeprefix("world.rasterise.NoOpenGL: "), remedy)
+        return Check("OpenGL", "warn", _last_line(probe.stderr).removeprefix("world.rendering.rasterise.NoOpenGL: "), remedy)
     renderer = _last_line(probe.stdout)
     kind = "software" if re.search("llvmpipe|softpipe|swrast", renderer) else "GPU"
     return Check("OpenGL", "ok", f"{renderer}, {kind}")

@@ -10,7 +10,7 @@ import numpy as np
 from controllers.tuning import OPTIONS, THESIS
 from loop import evaluate_jobs as work
 from loop.jobs import Job, Results, run
-from loop.rectangles import QUICK, RECTANGLES, Rectangle
+from world.beams.rectangles import QUICK, RECTANGLES, Rectangle
 from world.folders import output_folder
 
 LAMPS = ("hd84", "ssl-hd-lores")

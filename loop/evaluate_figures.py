@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from loop.evaluate import FIXED_A_M, Evaluation, Row
 from loop.evaluate_jobs import headlight, light_of
-from loop.rectangles import SETPOINT_CD, Rectangle
+from world.beams.rectangles import SETPOINT_CD, Rectangle
 from world.files import whole
 
 DPI = 100

@@ -13,14 +13,14 @@ from controllers import jpo_mae, jpo_part, raising, sampling, tuning
 from controllers.jpo_mae import least_error
 from controllers.jpo_part import wanted
 from controllers.tuning import OPTIONS, THESIS, Part, TextureControl, Trial, part, tune
-from loop import rectangles
 from loop.jobs import digest_of
-from loop.rectangles import Rectangle
 from perception import metrics
 from perception.metrics import dssim, mae, mare, rmse
-from world import fit, parametric, presets, texels
-from world import headlight as headlights
-from world.headlight import Headlight
+from world import presets, texels
+from world.beams import rectangles
+from world.beams.rectangles import Rectangle
+from world.headlight import Headlight, fit, parametric
+from world.headlight import matrix as headlights
 from world.presets import hd84, lamp, modules, ssl_hd
 from world.spmv import csr
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from world.errors import LuxloopError
-from world.lamp import Lamp
+from world.headlight.lamp import Lamp
 from world.regulation import Result, aim, check, rule_set
 from world.regulation.results import Traffic
 

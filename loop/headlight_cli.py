@@ -14,7 +14,7 @@ from loop.cli_common import DIFFERS, AllowCode
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from world.lamp import Lamp
+    from world.headlight.lamp import Lamp
 
 headlight_app = App(name="headlight", help="Lamps and photometric files: facts, pictures, lamp files, and the regulations' test points.")
 PHOTOMETRIC = (".ies", ".ldt")
@@ -44,7 +44,7 @@ def info(lamp: str, /) -> None:
 
         tables.show(headlight_tables.photometry(read(Path(lamp))))
         return
-    from loop.lamp_description import load_lamp
+    from world.lampfiles.description import load_lamp
 
     described = load_lamp(lamp)
     print(f"{described.name}\n{described.notes}\n" if described.notes else described.name)
@@ -123,9 +123,9 @@ def show(
         print(f"{show_distribution(read(Path(lamp)), out or Path(f'{stem}.png'))} written")
     else:
         from loop.headlight_pictures import show as show_lamps
-        from loop.lamp_description import for_traffic, load_lamp
         from loop.lighting.shown import lights_by_side
         from loop.scenario import LightingScenario, load_any
+        from world.lampfiles.description import for_traffic, load_lamp
 
         if time_s is not None and (scenario is None or not 0 <= time_s < math.inf):
             raise LuxloopError("--time-s: is a moment of a --scenario, in s from its start; give both, and a number from 0 on")
@@ -166,8 +166,8 @@ def build(description: Path, /, *, out: Path | None = None) -> None:
         Lamp file to write; by default the description's name with .npz.
     """
     from loop import headlight_tables
-    from loop.lamp_description import build as build_lamp
-    from world.lampfile import save
+    from world.lampfiles.archive import save
+    from world.lampfiles.description import build as build_lamp
 
     with _pixels_done() as on_progress:
         lamp, report = build_lamp(description, on_progress=on_progress)
@@ -207,7 +207,7 @@ def export(
         Step of both angles.
     """
     from loop.headlight_export import export as export_beam
-    from loop.lamp_description import for_traffic, load_lamp
+    from world.lampfiles.description import for_traffic, load_lamp
 
     exported = for_traffic(load_lamp(lamp, side), traffic)
     name = beam or exported.default_beam
@@ -254,7 +254,7 @@ def check(
     """
     from loop import headlight_tables
     from loop.headlight_check import judge
-    from loop.lamp_description import for_traffic, load_lamp
+    from world.lampfiles.description import for_traffic, load_lamp
     from world.regulation import passes
 
     judged = for_traffic(load_lamp(lamp, side), traffic)

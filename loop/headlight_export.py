@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from world.errors import LuxloopError
-from world.lamp import Lamp
+from world.headlight.lamp import Lamp
 from world.photometry import Distribution, sample, write
 
 LEAST_STEP_DEG, MOST_STEP_DEG, MOST_NODES = 0.01, 5.0, 4_000_000

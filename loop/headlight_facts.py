@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from world.lamp import Lamp, direction
+from world.headlight.lamp import Lamp, direction
 from world.photometry.texture import solid_angles
 from world.texels import TexelGrid
 

@@ -12,9 +12,9 @@ from loop import headlight_charts as charts
 from loop.headlight_facts import borders_deg, flux_lm, peak
 from loop.headlight_panels import WALL_M, draw_birdseye, draw_eye, draw_wall
 from loop.headlight_views import LitCar, Road, birdseye, driver, grey, picture
-from world.flatroad import flat_road
 from world.headlight import Headlight
-from world.sources import surface_light
+from world.light.emitters import surface_light
+from world.rendering.flat_road import flat_road
 
 REACHES_LX = (1.0, 3.0, 10.0)
 CELL_M, ROAD_M = 0.5, (0.0, 300.0)

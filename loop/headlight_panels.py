@@ -12,7 +12,7 @@ from torch import Tensor
 from loop import headlight_charts as charts
 from loop.headlight_views import BIRDSEYE_X_M, BIRDSEYE_Y_M, Image, LitCar, Seen, grey, picture
 from world.headlight import Headlight
-from world.sources import wall_illuminance
+from world.light.emitters import wall_illuminance
 
 WALL_M, WALL_POINTS = 25.0, (641, 321)
 WHITE_WALL = 0.8  # albedo

@@ -19,8 +19,8 @@ from loop.report import STYLE
 from loop.scenario import HeadlightParams, WorldScenario
 from world.errors import LuxloopError
 from world.files import whole
-from world.lamp import Lamp
-from world.volumetric import Medium
+from world.headlight.lamp import Lamp
+from world.light.volumetric import Medium
 
 DPI = 110
 VISIBILITY_M = 100.0

@@ -8,9 +8,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from loop.headlight_facts import borders_deg, flux_lm, peak
-from loop.lamp_modules import ModuleReport
 from loop.tables import plain
-from world.lamp import Lamp
+from world.headlight.lamp import Lamp
+from world.lampfiles.modules import ModuleReport
 from world.photometry import Photometry
 from world.presets import SUMMARIES
 from world.regulation import Result, passes, sets

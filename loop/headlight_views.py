@@ -13,18 +13,18 @@ from torch import Tensor
 
 from loop.build import build_scene
 from loop.scenario import WorldScenario, validate
-from world.ambient import ambient_luminance
-from world.face_source import FaceSource, face_source
 from world.frames import R_ISO_OPENCV, pose, pose_from_degrees
-from world.gbuffer import GBuffer, gbuffer
-from world.headlight import LUMINANCE
-from world.lamp import Lamp, direction
-from world.scene import Scene
-from world.shadow import ShadowMap, shadow_map
-from world.sources import Source, sources, surface_light
-from world.triangles import Triangles
+from world.headlight.lamp import Lamp, direction
+from world.headlight.matrix import LUMINANCE
+from world.light.ambient import ambient_luminance
+from world.light.emitters import Source, sources, surface_light
+from world.light.volumetric import Medium, airlight
+from world.rendering.face_source import FaceSource, face_source
+from world.rendering.gbuffer import GBuffer, gbuffer
+from world.rendering.shadow import ShadowMap, shadow_map
+from world.scene.scene import Scene
+from world.scene.triangles import Triangles
 from world.view import View
-from world.volumetric import Medium, airlight
 
 SIDES = ("left", "right")
 SHADOW_PX = 1024  # width of a shadow map

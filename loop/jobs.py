@@ -18,8 +18,8 @@ from typing import Any
 
 from loop.executors import Executor, WorkersLostError, local
 from loop.progress import progress
-from loop.validation import parsed_json
 from world.errors import LuxloopError
+from world.validation import parsed_json
 
 Values = Mapping[str, Any]  # what JSON can hold, by name
 NAMED = 4  # jobs that a message names

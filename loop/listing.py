@@ -40,7 +40,7 @@ def listing(kind: Kind) -> list[dict[str, Any]]:
 
             return _variants(ControllerParams)
         case "roads":
-            from world.roads import RoadParams
+            from world.roads.shapes import RoadParams
 
             return _variants(RoadParams)
         case "detectors":

@@ -15,18 +15,18 @@ from pydantic import Field, ValidationError
 
 from loop import data
 from loop.build import symbol_path
-from loop.lamp_description import lamp_files
 from loop.scenario import AnyScenario, Scenario
 from loop.shipped import named
 from loop.sources import sources_of
-from loop.utilisations import sequence_files
-from loop.validation import parsed_json, sentence
 from world.errors import LuxloopError
 from world.files import content, files_at, reading, regular, whole
-from world.objects import MeshParams
+from world.lampfiles.description import lamp_files
+from world.lampfiles.utilisations import sequence_files
 from world.params import Params
 from world.plugin import named as named_parts
-from world.roads import OpenCrgRoad
+from world.roads.shapes import OpenCrgRoad
+from world.traffic.objects import MeshParams
+from world.validation import parsed_json, sentence
 
 FILE = "manifest.json"
 FORMAT_VERSION: Final = 1

@@ -7,9 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from loop.validation import parsed_toml, read_toml
 from world import plugin
 from world.errors import LuxloopError
+from world.validation import parsed_toml, read_toml
 
 Override = str | Mapping[str, Any]
 INDEX = re.compile(r"\[(\d+)\]")  # of a list's item in --set lighting.functions[0].margin_m=0.5

@@ -16,14 +16,14 @@ from loop.truth import LampModule
 from perception.camera import CameraParams, average_rows, camera_view, expose, frame_generator
 from perception.egomotion import EXACT, Ego, SensorParams, measured
 from perception.glare import glare
-from world.ambient import ambient_luminance
-from world.face_source import FaceSource
-from world.gbuffer import GBuffer
-from world.illumination import DirectTransport, LightTransport, added_light, reach, transport
-from world.scene import Scene
-from world.surfaces import surface_source
-from world.triangles import Triangles
-from world.vehicle import STANDING, Motion
+from world.light.ambient import ambient_luminance
+from world.light.illumination import DirectTransport, LightTransport, added_light, reach, transport
+from world.rendering.face_source import FaceSource
+from world.rendering.gbuffer import GBuffer
+from world.rendering.surfaces import surface_source
+from world.scene.scene import Scene
+from world.scene.triangles import Triangles
+from world.scene.vehicle import STANDING, Motion
 from world.view import View
 
 KEPT_VIEWS = 4  # on and off frame, before and after a change

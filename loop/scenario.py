@@ -23,22 +23,22 @@ from controllers.symbol.stages import StagedParams
 from loop.disturbances import DisturbanceParams
 from loop.overrides import Override, is_file, overridden, resolve_paths, tables, texts
 from loop.shipped import find
-from loop.validation import read_toml, sentence
 from perception.camera import CameraParams
 from perception.detection.params import DetectorParams
 from perception.egomotion import SensorParams
 from perception.extraction import Extraction, ExtractionParams
 from perception.tracking import TrackerParams
 from world.errors import LuxloopError, did_you_mean
-from world.materials import RoadSurfaceParams
-from world.objects import ObjectParams
+from world.materials.library import RoadSurfaceParams
+from world.materials.spots import SpotParams
 from world.params import Params
 from world.plugin import PATTERN, Name, refuse_code
-from world.roads import Flat, RoadParams
-from world.scene import StreetLamp
-from world.spots import SpotParams
+from world.roads.shapes import Flat, RoadParams
+from world.scene.scene import StreetLamp
+from world.scene.vehicle import VehicleParams
 from world.traffic.generator import TrafficParams
-from world.vehicle import VehicleParams
+from world.traffic.objects import ObjectParams
+from world.validation import read_toml, sentence
 
 SCHEMA_VERSION: Final = 1
 PIXEL_CONTROLLERS = ("ssc", "jpo")

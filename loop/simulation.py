@@ -22,9 +22,9 @@ from loop.truth import true_camera, true_modules
 from perception.birdseye import BirdsEye, Region, birds_eye, cells, region_around
 from perception.camera import CameraParams
 from perception.judge import CELL_M, Target, Verdict, judge, target
-from world.face_source import face_source
 from world.frames import transform
-from world.vehicle import STANDING, Motion
+from world.rendering.face_source import face_source
+from world.scene.vehicle import STANDING, Motion
 from world.view import View
 
 Lights = tuple[Utilisation, ...]

@@ -10,7 +10,7 @@ from controllers.symbol import CONTROLLERS, LuxloopParams
 from loop.scenario import Scenario
 from loop.shipped import shipped_files
 from perception.extraction import ExtractionParams
-from world.roads import Mixed, RoadParams
+from world.roads.shapes import Mixed, RoadParams
 from world.traffic.generator import varied
 
 LEFT_OUT = ("schema_version", "objects")  # said in HEAD and TAIL

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from world.frames import pose, rotation
 from world.params import Params
-from world.vehicle import Motion, body_pose
+from world.scene.vehicle import Motion, body_pose
 
 NOISE_KEY = 3  # beside the camera's generators of a step
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from world.gbuffer import GBuffer
-from world.raycast import first_hits
-from world.tracked import Category
-from world.triangles import Placed, Triangles
+from world.rendering.gbuffer import GBuffer
+from world.rendering.raycast import first_hits
+from world.scene.triangles import Placed, Triangles
+from world.traffic.tracked import Category
 from world.view import View
 
 Box = tuple[float, float, float, float]

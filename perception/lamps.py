@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from world.tracked import Category
+from world.traffic.tracked import Category
 
 SHINE: frozenset[Category] = frozenset({"car", "truck"})
 BRIGHT = 0.95  # of the largest digital number: what shines into the camera

@@ -4,9 +4,9 @@ import torch
 from torch import Tensor
 
 from world.frames import inverse, transform
-from world.gbuffer import GBuffer
-from world.materials import MaterialName
-from world.triangles import Placed, Triangles
+from world.materials.library import MaterialName
+from world.rendering.gbuffer import GBuffer
+from world.scene.triangles import Placed, Triangles
 
 
 def material_picture(surfaces: GBuffer, triangles: Triangles) -> tuple[Tensor, tuple[MaterialName, ...]]:

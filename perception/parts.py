@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from perception.placing import road_rows
-from world.tracked import Category
+from world.traffic.tracked import Category
 from world.view import View
 
 HEIGHTS_M: Mapping[Category, tuple[float, float]] = {  # of the lowest and of the highest on the road

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from world.tracked import Category
+from world.traffic.tracked import Category
 from world.view import View
 
 FARTHEST_M = 150.0  # what stands on the horizon is taken for so far away

@@ -21,7 +21,7 @@ from perception.parts import MEASURED, SOLID, alike, are_parts, belonging, compl
 from perception.placing import nearness
 from perception.tracks import EACH, Tracks
 from world.params import Params
-from world.tracked import Category
+from world.traffic.tracked import Category
 from world.view import View
 
 STARTS = (4.0, 0.5)  # of a new track's rates, in sizes a second: 4 m/s across for a pedestrian's size, less up and down

@@ -14,8 +14,8 @@ MAY_IMPORT = {
 }
 MODULES = [path.relative_to(ROOT) for package in MAY_IMPORT for path in sorted((ROOT / package).rglob("*.py"))]
 OPENGL = {"pyrender", "OpenGL", "pyglet"}
-OPENGL_AT = Path("world/rasterise.py")  # which makes the context
-DRAWS_WITH_IT = Path("world/deferred.py")
+OPENGL_AT = Path("world/rendering/rasterise.py")  # which makes the context
+DRAWS_WITH_IT = Path("world/rendering/deferred.py")
 LONGEST = 450  # lines: beyond that a module holds more than one idea
 
 each_module = pytest.mark.parametrize("module", MODULES, ids=str)
@@ -54,7 +54,9 @@ def test_opengl_stays_in_its_room(module: Path) -> None:
         assert "PYGLET_HEADLESS" in source, f"{module}: without it pyrender needs X libraries, which a server has not"
     else:
         allowed = {"OpenGL"} if module == DRAWS_WITH_IT else set()
-        assert not imported(source) & OPENGL - allowed, f"{module}: OpenGL belongs in world/rasterise.py and world/deferred.py"
+        assert not imported(source) & OPENGL - allowed, (
+            f"{module}: OpenGL belongs in world/rendering/rasterise.py and world/rendering/deferred.py"
+        )
 
 
 @each_module

@@ -17,13 +17,14 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
-from loop import cli, lamp_description
-from loop.lamp_description import LampDescription
+from loop import cli
 from loop.lighting.simulation import LightingSimulation
 from loop.overrides import TAGS
 from loop.run import prepare
 from loop.scenario import LightingScenario, Scenario, load, load_any, validate, validate_any
 from loop.shipped import shipped
+from world.lampfiles import description as lamp_description
+from world.lampfiles.description import LampDescription
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", *sorted((ROOT / "docs").glob("*.md"))]

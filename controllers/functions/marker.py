@@ -9,8 +9,8 @@ from controllers.animations import Animated, AnimationParams
 from controllers.functions.geometry import Place, facing, strip
 from controllers.functions.situation import Category, Drawn, SelectionParams, Situation, TrackedObject
 from controllers.primitives import Primitives
-from controllers.symbols import Still
 from world.frames import inverse, transform
+from world.symbols import Still
 
 SHORTEST_M = 0.5  # a shorter line leads nowhere
 WHITE = Still(torch.ones(1, 1))

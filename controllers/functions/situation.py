@@ -11,12 +11,12 @@ from torch import Tensor
 from controllers.functions.geometry import Place
 from controllers.primitives import Primitives, rectangle
 from controllers.secondary import Light
-from controllers.symbols import SymbolSource
-from world.body import Body
-from world.figure import Figure
 from world.frames import inverse, transform
 from world.params import Params
-from world.tracked import Category
+from world.scene.body import Body
+from world.scene.figure import Figure
+from world.symbols import SymbolSource
+from world.traffic.tracked import Category
 from world.view import View
 
 LAYERS = 16  # a function's primitives may lie above each other in so many layers

@@ -14,7 +14,7 @@ from controllers.obl.light import ObjectLightParams
 from controllers.obl.object_loop import ObjectLoop, ObjectLoopParams
 from controllers.primitives import Primitives
 from perception.tracking import LINGER_S
-from world.tracked import Category
+from world.traffic.tracked import Category
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from controllers.functions.situation import LAYERS, MASK, TrackedObject
 from controllers.primitives import Primitives, rectangle
 from world.frames import transform
 from world.params import Params
-from world.tracked import ROAD_USERS, Category
+from world.traffic.tracked import ROAD_USERS, Category
 
 NEAREST_M = 1.0  # what reaches nearer to a lamp is not lit, and no lamp's light falls on heads there
 TEXEL_RAD = 1e-3  # of a light texture: light is interpolated between texels

@@ -9,7 +9,7 @@ from pydantic import Field
 from controllers.functions.situation import TrackedObject
 from controllers.obl.laws import LowerParams, RaiseParams, Trial, means
 from world.params import Params
-from world.tracked import Category
+from world.traffic.tracked import Category
 
 RECENT = 0.3  # weight of the last frame in the recent mean
 FOLLOWING = 0.2  # share of a new mean in what is expected of a settled object, which follows slow changes that are not the light's

@@ -23,8 +23,8 @@ from perception.camera import camera_view
 from world.errors import located
 from world.frames import inverse, transform
 from world.params import Params
-from world.roadbase import Floats
-from world.roads import Flat, RoadParams
+from world.roads.base import Floats
+from world.roads.shapes import Flat, RoadParams
 
 CELL_M = 0.1
 BEYOND_M = (1.2, 1.5, 0.6)  # how far a road is looked at beyond the symbol: near, far, sides

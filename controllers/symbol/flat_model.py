@@ -17,11 +17,11 @@ from perception.appearance import Appearance, Axes, appearance, area, features, 
 from perception.birdseye import BirdsEye, birds_eye, rectify, region_around
 from perception.camera import CameraParams, average_rows, camera_view
 from perception.extraction import Crop, Extraction, noise_limit, symbol_image
-from world.ambient import ambient_luminance
-from world.flatroad import flat_road
-from world.illumination import Transport, added_light, reach, transport
-from world.materials import RoadSurfaceParams
+from world.light.ambient import ambient_luminance
+from world.light.illumination import Transport, added_light, reach, transport
+from world.materials.library import RoadSurfaceParams
 from world.params import Params
+from world.rendering.flat_road import flat_road
 from world.view import View
 
 # Steps of the symbol's x, y (m), roll, pitch (rad) about the target that measure the plant's gains: wide enough to drown pixel edges.

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from controllers.symbol.springs import PARTS, followed, news, other
 from perception.egomotion import Ego
-from world.vehicle import SuspensionParams, VehicleParams, body_pose
+from world.scene.vehicle import SuspensionParams, VehicleParams, body_pose
 
 SPRINGS: Final = SuspensionParams()  # of a usual car
 RATES_HZ: Final = (SPRINGS.heave_hz, SPRINGS.roll_hz, SPRINGS.pitch_hz)

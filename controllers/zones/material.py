@@ -16,7 +16,7 @@ from controllers.functions.geometry import Place, facing, on_road
 from controllers.functions.situation import LAYERS, Category, SelectionParams, Situation
 from controllers.primitives import Observer, Primitives, rectangle
 from world.errors import LuxloopError
-from world.materials import MaterialName
+from world.materials.library import MaterialName
 from world.params import Metres, Params
 from world.view import View
 

@@ -13,9 +13,9 @@ from perception.detection.params import TruthParams
 from perception.detection.protocol import Detections
 from perception.ground_truth import Box, Truth, ground_truth, part_mask
 from perception.materials import material_picture
-from world.materials import MaterialName
-from world.tracked import ROAD_USERS, Category
+from world.materials.library import MaterialName
 from world.traffic.making import EYES
+from world.traffic.tracked import ROAD_USERS, Category
 
 
 def categories(scenario: LightingScenario) -> tuple[Category | None, ...]:

@@ -14,15 +14,15 @@ from controllers.primitives import meant
 from controllers.secondary import SecondaryRays
 from controllers.ssc import PixelController
 from loop.build import turned
-from loop.lamp_description import load_lamp
 from loop.pixel_control import pixel_controller
 from loop.scenario import LightingScenario
 from loop.shipped import named
-from loop.utilisations import RawUtilisation, read_sequence
 from world.errors import LuxloopError, located
 from world.frames import pose_from_degrees
 from world.headlight import Headlight
-from world.lamp import Lamp
+from world.headlight.lamp import Lamp
+from world.lampfiles.description import load_lamp
+from world.lampfiles.utilisations import RawUtilisation, read_sequence
 
 
 @dataclass(frozen=True, eq=False)

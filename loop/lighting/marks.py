@@ -14,7 +14,7 @@ from loop.lighting.result import LightingResult, Look
 from loop.lighting.sight import name_of
 from loop.lighting.simulation import LightingSimulation
 from world.frames import transform
-from world.tracked import Category
+from world.traffic.tracked import Category
 from world.view import View
 
 Point = tuple[int, int]

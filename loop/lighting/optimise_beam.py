@@ -19,7 +19,6 @@ from loop.manifest import write_json
 from loop.progress import progress
 from loop.run import torch_device
 from loop.scenario import LightingScenario, load_any
-from loop.validation import sentence
 from perception.detection.build import detector
 from perception.detection.network import NetworkDetector
 from perception.detection.params import NetworkParams, TruthParams
@@ -27,6 +26,7 @@ from perception.detection.protocol import Detector
 from world.errors import LuxloopError, located
 from world.files import whole
 from world.folders import output_folder
+from world.validation import sentence
 
 Method = Literal["auto", "gradient", "sampling"]
 STEPS: Mapping[str, int] = {"gradient": 80, "sampling": 150}

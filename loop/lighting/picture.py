@@ -15,7 +15,7 @@ from loop.lighting.simulation import LightingSimulation
 from loop.video import Picture, tone_map
 from perception.camera import CameraParams, expose, luminance_of
 from world.frames import pose_from_degrees
-from world.sources import Source, wall_illuminance
+from world.light.emitters import Source, wall_illuminance
 
 TRACKED_RGB, MASKED_RGB, FOUND_RGB, TEXT_RGB = (90, 220, 120), (255, 170, 40), (110, 130, 160), (235, 235, 235)
 CHARACTER = 0.47  # how wide a character is, of a line's height

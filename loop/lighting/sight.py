@@ -19,7 +19,7 @@ from perception.lamps import SHINE, by_lamps
 from perception.placing import placed
 from perception.tracking import Tracker, TrackerParams
 from perception.tracks import Tracks
-from world.tracked import Category
+from world.traffic.tracked import Category
 from world.view import View
 
 SAME = 0.3  # least overlap of a box with the object that it is said to show

@@ -30,8 +30,8 @@ from loop.shipped import named
 from perception.camera import camera_view, expose, frame_generator, luminance_of, saturation_luminance
 from perception.tracks import Tracks
 from world.errors import located
-from world.face_source import face_source
-from world.scene import Scene
+from world.rendering.face_source import face_source
+from world.scene.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,13 +8,13 @@ import torch
 from torch import Tensor
 
 from loop.lighting.lamps import ShiningModule
-from world.ambient import ambient_luminance
-from world.face_source import FaceSource
-from world.gbuffer import GBuffer
-from world.illumination import LitSurface, illuminance, reach
-from world.scene import Key, Scene
-from world.surfaces import surface_source
-from world.triangles import Triangles
+from world.light.ambient import ambient_luminance
+from world.light.illumination import LitSurface, illuminance, reach
+from world.rendering.face_source import FaceSource
+from world.rendering.gbuffer import GBuffer
+from world.rendering.surfaces import surface_source
+from world.scene.scene import Key, Scene
+from world.scene.triangles import Triangles
 from world.view import View
 
 

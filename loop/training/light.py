@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from loop.training.scenes import CLASSES, DarkScene, Labelled
-from world.tracked import Category
+from world.traffic.tracked import Category
 
 WELL_LIT_LX = 5.0  # least by which a detector is trained
 FULL_LX = (WELL_LIT_LX, 150.0)  # of full light, in which much of what is near is as bright as the camera can tell

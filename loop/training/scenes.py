@@ -16,20 +16,20 @@ from loop.build import build_scene
 from loop.scenario import LightingScenario, validate_any
 from perception.camera import CameraParams, camera_view
 from perception.ground_truth import ground_truth
-from world.ambient import ambient_luminance
-from world.body import Body
-from world.face_source import face_source
 from world.files import whole
 from world.frames import pose_from_degrees
-from world.gbuffer import GBuffer
 from world.headlight import Headlight
-from world.illumination import luminance, reach
-from world.roadtiles import RoadTiles
-from world.scene import Scene
+from world.light.ambient import ambient_luminance
+from world.light.illumination import luminance, reach
+from world.rendering.face_source import face_source
+from world.rendering.gbuffer import GBuffer
+from world.rendering.surfaces import SurfaceSource, surface_source
+from world.scene.body import Body
+from world.scene.road_tiles import RoadTiles
+from world.scene.scene import Scene
+from world.scene.triangles import Triangles
 from world.spmv import Csr
-from world.surfaces import SurfaceSource, surface_source
 from world.traffic.generator import varied
-from world.triangles import Triangles
 
 CAMERA: Final = CameraParams(width_px=640, height_px=360, pitch_deg=1.5, oversampling=1, saturation_e=2000)
 LAMPS_M: Final = ((0.0, 0.6, 0.75), (0.0, -0.6, 0.75))

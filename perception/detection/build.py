@@ -16,7 +16,7 @@ from perception.detection.params import HogParams, NetworkParams, OnnxParams, Ow
 from perception.detection.protocol import Detections, Detector
 from world import plugin
 from world.errors import LuxloopError, located
-from world.tracked import Category
+from world.traffic.tracked import Category
 
 KEY = "detector.kind"
 GIVES = "give one Detections a frame: finite tensors of boxes [n, 4] and of scores [n, classes]"

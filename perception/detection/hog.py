@@ -12,7 +12,7 @@ from perception.detection.coded import coded
 from perception.detection.params import HogParams
 from perception.detection.protocol import Detections
 from perception.detection.suppression import suppressed
-from world.tracked import Category
+from world.traffic.tracked import Category
 
 SHRINK = (0.55, 0.75)  # of its window of 64 x 128 px, whose middle someone of 96 px takes
 

@@ -16,7 +16,7 @@ from perception.detection.protocol import Detections
 from perception.detection.suppression import suppressed
 from world.budget import afford
 from world.files import reading
-from world.tracked import Category
+from world.traffic.tracked import Category
 
 STRIDE = 8  # px of the frame a cell of what the network gives
 CODE = 0.75  # power of the light: between 1, where dark clothes hide beside bright ones, and 0.5, where shot noise is even

@@ -14,7 +14,7 @@ from perception.detection.protocol import Detections
 from perception.detection.suppression import suppressed
 from perception.detection.yolo import LAYOUTS, Layout, read
 from world.errors import LuxloopError
-from world.tracked import Category
+from world.traffic.tracked import Category
 
 GREY = 114  # around a frame that is fitted in, as in training
 

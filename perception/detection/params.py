@@ -8,7 +8,7 @@ from perception.detection.yolo import Layout
 from world import plugin
 from world.params import Params
 from world.plugin import OWN, known_or_own
-from world.tracked import Category
+from world.traffic.tracked import Category
 
 # What COCO's numbers of classes, which most networks of others know, are here; all else that they find is left out.
 COCO: dict[int, Category] = {

@@ -6,7 +6,7 @@ from typing import Protocol
 
 from torch import Tensor
 
-from world.tracked import Category
+from world.traffic.tracked import Category
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from controllers.ssc import Ssc
 from loop.headlight_pictures import show
 from loop.scenario import validate
 from world.frames import pose_from_degrees
-from world.lamp import Lamp, Module
+from world.headlight.lamp import Lamp, Module
 from world.presets import idealised
 
 MOUNTS = {"left": pose_from_degrees((0.0, 0.6, 0.75)), "right": pose_from_degrees((0.0, -0.6, 0.75))}

@@ -14,9 +14,9 @@ from loop.lighting.simulation import LightingSimulation
 from loop.scenario import load_any, validate_any
 from perception.camera import CameraParams, camera_view
 from perception.ground_truth import ground_truth
-from world.face_source import face_source
-from world.scene import Scene
-from world.surfaces import ExactSurfaces, surface_source
+from world.rendering.face_source import face_source
+from world.rendering.surfaces import ExactSurfaces, surface_source
+from world.scene.scene import Scene
 from world.traffic.generator import varied
 
 T = TypeVar("T")

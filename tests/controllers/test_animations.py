@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from controllers.animations import Animated, BlinkingParams, RunningLightParams, WipeParams
-from controllers.symbols import Still
+from world.symbols import Still
 
 WHITE = Still(torch.ones(10, 20))
 

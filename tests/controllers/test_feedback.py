@@ -8,7 +8,7 @@ from loop.run import prepare
 from loop.scenario import load
 from perception.birdseye import Region
 from world.errors import LuxloopError
-from world.roads import Curb, Flat
+from world.roads.shapes import Curb, Flat
 
 SMALL = ["camera.width_px=640", "camera.height_px=360", "camera.oversampling=2"]
 LIFTED = '{kind="curb", y_m=-8.0, ramp_m=0.03, height_m=0.03}'  # a plane 3 cm too high, from well before the symbol on

@@ -13,8 +13,8 @@ from scipy.optimize import linprog, lsq_linear
 from controllers.jpo_mae import least_error
 from controllers.jpo_part import Wanted, every_nth_column, submatrix, wanted
 from controllers.jpo_squares import MoorePenrose, least_squares
-from loop.rectangles import RECTANGLES, Rectangle
 from perception.metrics import mae, rmse
+from world.beams.rectangles import RECTANGLES, Rectangle
 from world.errors import LuxloopError
 from world.headlight import Headlight
 from world.presets import lamp

@@ -10,11 +10,11 @@ from controllers.functions.situation import Situation
 from controllers.functions.symbol import SymbolFunctionParams
 from controllers.observer import drawing_rectangle, sight
 from controllers.ssc import Ssc
-from controllers.symbols import Still, load_still
 from perception.metrics import iou
 from tests.reference.ssc import seen_at
 from world.frames import inverse, pose_from_degrees, transform
 from world.presets import lamp
+from world.symbols import Still, load_still
 
 SYMBOLS = Path(__file__).parents[2] / "scenarios" / "symbols"
 UP = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)

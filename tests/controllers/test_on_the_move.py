@@ -22,7 +22,7 @@ from loop.simulation import Simulation
 from perception.birdseye import Region
 from perception.egomotion import Ego, SensorParams, measured
 from world.frames import inverse, pose, rotation, transform
-from world.vehicle import CourseParams, VehicleParams, body_pose, drive
+from world.scene.vehicle import CourseParams, VehicleParams, body_pose, drive
 
 REGION, GRID = Region(14.0, 20.0, 1.5, -1.5), (60, 30)
 EYE, SWUNG = torch.tensor([-1.6, 0.0, 1.35]), torch.tensor([-1.58, 0.01, 1.38])

@@ -10,10 +10,10 @@ from controllers.primitives import Observer, rectangle
 from controllers.rthc import trace
 from controllers.secondary import Caster, Light, SecondaryRays, less_street_light, scene_caster, seen_by, shares, street_light
 from controllers.ssc import Ssc
-from world.body import Body, PoseTrack
 from world.frames import inverse, pose_from_degrees, transform
 from world.presets import idealised
-from world.scene import Scene, StreetLamp
+from world.scene.body import Body, PoseTrack
+from world.scene.scene import Scene, StreetLamp
 
 LAMP = idealised(10, 16)
 UP = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)

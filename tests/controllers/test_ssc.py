@@ -17,10 +17,10 @@ from controllers.ssc import Ssc
 from tests.reference import ssc as reference
 from world.errors import LuxloopError
 from world.frames import pose_from_degrees
-from world.gbuffer import GBuffer
 from world.headlight import Headlight
-from world.illumination import illuminance, reach, transport
+from world.light.illumination import illuminance, reach, transport
 from world.presets import idealised, lamp
+from world.rendering.gbuffer import GBuffer
 
 LAMP = idealised(10, 16)
 T_LEFT = pose_from_degrees((0.0, 0.6, 0.75))

@@ -18,7 +18,7 @@ from controllers.ssc import Ssc
 from tests.reference import ssc as reference
 from world.frames import pose_from_degrees
 from world.headlight import Headlight
-from world.scene import StreetLamp
+from world.scene.scene import StreetLamp
 from world.spmv import Csr
 
 ROWS, COLS, PIXELS = 7, 9, 8

@@ -21,16 +21,16 @@ from controllers.symbol.open_loop import OpenLoop, OpenLoopParams
 from controllers.symbol.projector import DrawingModule, Projector, SymbolParams
 from controllers.symbol.protocol import Look, Shown, SymbolController
 from controllers.symbol.thesis_pid import ThesisPid, ThesisPidParams
-from controllers.symbols import load_still
 from perception.appearance import Appearance
 from perception.camera import CameraParams, average_rows, camera_view, expose, frame_generator
 from perception.extraction import Crop, ExtractionParams, Loss
-from world.ambient import ambient_luminance
-from world.flatroad import flat_road
 from world.frames import pose_from_degrees
-from world.illumination import added_light
-from world.materials import RoadSurfaceParams
+from world.light.ambient import ambient_luminance
+from world.light.illumination import added_light
+from world.materials.library import RoadSurfaceParams
 from world.presets import idealised
+from world.rendering.flat_road import flat_road
+from world.symbols import load_still
 
 SYMBOLS = ["snowflake", "chevrons", "warning_triangle", "distance_warning"]
 RAW, PLANE = FeatureParams(), FeatureParams(view="birdseye", shape="moments")

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from controllers.symbols import DRAWN_PX, Frames, OverTime, Still, load, load_still
 from world.errors import LuxloopError
+from world.symbols import DRAWN_PX, Frames, OverTime, Still, load, load_still
 
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 40 20"><rect x="10" width="20" height="10" fill="{}"/></svg>'
 

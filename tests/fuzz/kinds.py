@@ -14,29 +14,30 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import torch
 
-from controllers.symbols import load_still, video
-from loop import campaign, lamp_description
+from loop import campaign
 from loop.jobs import run as run_jobs
 from loop.manifest import Manifest
 from loop.replay import read_table
 from loop.run import check
 from loop.scenario import load_any, validate_any
 from loop.shipped import shipped
-from loop.utilisations import read_utilisation
 from perception.detection import network
 from tests.fuzz import mutations
-from world import lampfile
 from world.headlight import Headlight
-from world.lamp import Lamp, Module
-from world.objects import MeshParams
+from world.headlight.lamp import Lamp, Module
+from world.headlight.pixel_sources import TableSource
+from world.lampfiles import archive as lampfile
+from world.lampfiles import description as lamp_description
+from world.lampfiles.utilisations import read_utilisation
 from world.opencrg import Crg, write_crg
 from world.photometry import lm63
 from world.photometry.distribution import Distribution
 from world.photometry.files import read as read_photometry
-from world.pixel_sources import TableSource
-from world.scanroad import OpenCrgRoad
+from world.roads.scan import OpenCrgRoad
 from world.spmv import Csr
-from world.tracked import KeyframeParams
+from world.symbols import load_still, video
+from world.traffic.objects import MeshParams
+from world.traffic.tracked import KeyframeParams
 
 SMALL = ["camera.width_px=160", "camera.height_px=90", "camera.oversampling=1", "renderer=raycast", "steps=2"]
 RECORDING = Path(__file__).parents[2] / "scenarios" / "recordings" / "flat.parquet"

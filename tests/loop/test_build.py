@@ -7,10 +7,10 @@ import torch
 
 from loop.build import build_projector
 from loop.scenario import Scenario, load
-from world import lampfile
 from world.errors import LuxloopError
 from world.frames import pose_from_degrees
-from world.lamp import Lamp, Module
+from world.headlight.lamp import Lamp, Module
+from world.lampfiles import archive as lampfile
 from world.presets import idealised
 
 CPU = torch.device("cpu")

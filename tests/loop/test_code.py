@@ -9,7 +9,12 @@ from loop import code
 
 @pytest.mark.parametrize(
     ("module", "decides"),
-    [("world/headlight.py", True), ("loop/objective.py", True), ("loop/lighting/report.py", True), ("loop/headlight_charts.py", False)],
+    [
+        ("world/headlight/matrix.py", True),
+        ("loop/objective.py", True),
+        ("loop/lighting/report.py", True),
+        ("loop/headlight_charts.py", False),
+    ],
 )
 def test_the_version_follows_the_modules_that_decide(module: str, decides: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(code, "files", lambda package: tmp_path / package.replace(".", "/"))

@@ -18,8 +18,8 @@ from loop.truth import true_camera, true_modules, worn
 from perception.camera import luminance_of, saturation_luminance
 from tests.loop.conftest import SMALL
 from world.errors import LuxloopError
-from world.roads import Flat
-from world.vehicle import VehicleParams, drive
+from world.roads.shapes import Flat
+from world.scene.vehicle import VehicleParams, drive
 
 AT_TARGET: dict[str, Any] = {**SMALL, "controller": {"name": "open"}, "start": {}, "steps": 1}
 QUIET = {"camera": {**SMALL["camera"], "noise": False}}

@@ -13,11 +13,11 @@ from controllers.tuning import part
 from loop import evaluate as evaluation
 from loop import evaluate_jobs, evaluate_report, jobs
 from loop.evaluate import JOBS, ROWS, SETPOINTS, Evaluation, evaluate, summary
-from loop.rectangles import Rectangle
 from perception.metrics import mae
+from world.beams.rectangles import Rectangle
 from world.errors import LuxloopError
 from world.headlight import Headlight
-from world.parametric import GaussianPixels
+from world.headlight.parametric import GaussianPixels
 from world.presets.modules import headlight
 from world.texels import TexelGrid
 

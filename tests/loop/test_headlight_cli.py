@@ -13,8 +13,8 @@ from loop import cli
 from loop.lighting.shown import lights_by_side
 from loop.lighting.simulation import LightingSimulation
 from loop.scenario import LightingScenario, load, load_any
-from world.lamp import Lamp, Module
-from world.lampfile import save
+from world.headlight.lamp import Lamp, Module
+from world.lampfiles.archive import save
 from world.photometry import read
 from world.presets import idealised
 

@@ -22,10 +22,10 @@ from loop.scenario import Scenario, validate
 from world.errors import LuxloopError
 from world.frames import pose_from_degrees
 from world.headlight import Headlight
-from world.lamp import Lamp, Module
+from world.headlight.lamp import Lamp, Module
+from world.light.volumetric import Medium
 from world.presets import idealised
 from world.view import View
-from world.volumetric import Medium
 
 
 @pytest.fixture(scope="module")

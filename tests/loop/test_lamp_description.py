@@ -10,13 +10,14 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from loop.lamp_description import build, describe, load_lamp
 from loop.run import check
 from loop.scenario import load_any
-from loop.utilisations import read_utilisation
-from world import lampfile, presets
+from world import presets
 from world.errors import LuxloopError
-from world.lamp import direction
+from world.headlight.lamp import direction
+from world.lampfiles import archive as lampfile
+from world.lampfiles.description import build, describe, load_lamp
+from world.lampfiles.utilisations import read_utilisation
 from world.photometry import lm63
 from world.photometry.distribution import Distribution
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from loop.lamp_modules import ModuleParams, build_module
 from world.errors import LuxloopError
+from world.lampfiles.modules import ModuleParams, build_module
 from world.photometry import Distribution, write
 
 ASIDE = {"left_deg": 40, "right_deg": 30}

@@ -20,8 +20,8 @@ from loop.lighting.simulation import LightingSimulation, driving
 from loop.run import run
 from loop.scenario import DrivingParams, LightingScenario, validate_any
 from perception.camera import CameraParams, noise_std
-from world import lampfile
 from world.errors import LuxloopError
+from world.lampfiles import archive as lampfile
 from world.presets import lamp
 
 BOX = {

@@ -10,8 +10,8 @@ from loop.lighting.simulation import LightingSimulation
 from loop.scenario import LightingScenario, load_any, validate_any
 from loop.shipped import shipped
 from perception.camera import CameraParams, camera_view
-from world.gbuffer import gbuffer
-from world.illumination import illuminance, reach
+from world.light.illumination import illuminance, reach
+from world.rendering.gbuffer import gbuffer
 from world.view import View
 
 SIZES = {  # length, width, height in m

@@ -7,9 +7,9 @@ import pytest
 from pydantic import BaseModel
 
 from loop.campaign import CampaignParams
-from loop.lamp_description import LampDescription
 from loop.scenario import LightingScenario, Scenario, load_any
 from world.errors import LuxloopError
+from world.lampfiles.description import LampDescription
 
 LEAST, MOST = ("minimum", "exclusiveMinimum"), ("maximum", "exclusiveMaximum")
 

@@ -12,8 +12,8 @@ import torch
 from loop.lighting.simulation import LightingSimulation
 from loop.manifest import input_files
 from loop.scenario import LightingScenario, load_any, validate_any
-from loop.utilisations import read_sequence
 from world.errors import LuxloopError
+from world.lampfiles.utilisations import read_sequence
 from world.photometry.distribution import Array
 
 ROWS, COLUMNS, FRAMES = 3, 28, 4  # pixels of hd84

@@ -6,7 +6,7 @@ from itertools import combinations
 import pytest
 import torch
 
-from loop.rectangles import QUICK, RECTANGLES, Rectangle
+from world.beams.rectangles import QUICK, RECTANGLES, Rectangle
 from world.errors import LuxloopError
 from world.texels import TexelGrid
 

@@ -128,7 +128,7 @@ def test_interrupted_recording_is_replayed_as_far_as_it_goes(recording: Path, ta
 
 def test_ray_caster_and_rasteriser_give_the_same_run(small_scenario: Scenario, table: pa.Table) -> None:
     pytest.importorskip("pyrender")
-    from world.rasterise import NoOpenGL
+    from world.rendering.rasterise import NoOpenGL
 
     try:
         simulation = Simulation.prepare(small_scenario.model_copy(update={"renderer": "opengl"}))

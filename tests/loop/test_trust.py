@@ -25,7 +25,7 @@ Path(__file__).with_name("mark").touch()
 
 from controllers.symbol.drawing import Drawing
 from perception import extraction
-from world.roads import Flat
+from world.roads.shapes import Flat
 
 class Road(Flat):
     pass

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loop.utilisations import read_utilisation
 from world.errors import LuxloopError
+from world.lampfiles.utilisations import read_utilisation
 
 
 def npy(array: np.ndarray) -> bytes:

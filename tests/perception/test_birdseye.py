@@ -11,7 +11,7 @@ from perception.appearance import appearance
 from perception.birdseye import Region, birds_eye, rectify, region_around
 from perception.camera import CameraParams, camera_view
 from perception.extraction import Crop
-from world.flatroad import flat_road
+from world.rendering.flat_road import flat_road
 from world.view import View
 
 VIEW = camera_view(CameraParams())

@@ -8,8 +8,8 @@ from torch import Tensor
 
 from perception.egomotion import EXACT, Ego, SensorParams, measured
 from world.frames import inverse
-from world.roads import Iso8608
-from world.vehicle import STANDING, CourseParams, Motion, OscillationParams, VehicleParams, drive
+from world.roads.shapes import Iso8608
+from world.scene.vehicle import STANDING, CourseParams, Motion, OscillationParams, VehicleParams, drive
 
 PERIOD_S = 1 / 30
 

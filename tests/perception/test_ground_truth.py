@@ -7,15 +7,15 @@ import torch
 
 from perception.ground_truth import Truth, ground_truth, part_mask
 from tests.world.grids import camera, flat
-from world.body import Body
-from world.gbuffer import GBuffer, gbuffer
-from world.objects import BoxParams
-from world.raycast import RayCaster
-from world.scene import Scene
+from world.rendering.gbuffer import GBuffer, gbuffer
+from world.rendering.raycast import RayCaster
+from world.scene.body import Body
+from world.scene.scene import Scene
+from world.scene.triangles import Triangles
 from world.traffic.car import CarParams
 from world.traffic.making import EYES
+from world.traffic.objects import BoxParams
 from world.traffic.road_users import PedestrianParams
-from world.triangles import Triangles
 
 VIEW = camera(480, 270)
 ROAD = Body("road", flat(), smooth=True)

@@ -7,7 +7,7 @@ from torch import Tensor
 from perception.birdseye import birds_eye, region_around
 from perception.camera import CameraParams, average_rows, camera_view
 from perception.judge import Target, judge, target
-from world.flatroad import flat_road
+from world.rendering.flat_road import flat_road
 
 CAMERA = CameraParams()
 LENGTH, WIDTH = 4.0, 2.0

@@ -7,9 +7,9 @@ from loop.build import build_scene
 from loop.scenario import validate_any
 from perception.camera import CameraParams, camera_view
 from perception.materials import material_picture
-from world.face_source import face_source
-from world.gbuffer import gbuffer
-from world.materials import MATERIALS
+from world.materials.library import MATERIALS
+from world.rendering.face_source import face_source
+from world.rendering.gbuffer import gbuffer
 
 HERE = [{"position_m": [14, 1, 0], "yaw_deg": 180}]
 OBJECTS = [

@@ -16,17 +16,17 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from torch import Tensor
 
 from tests.world.grids import camera
-from world.body import Body
-from world.face_source import face_source
 from world.frames import R_ISO_OPENCV, pose, pose_from_degrees
-from world.gbuffer import gbuffer
 from world.headlight import Headlight
-from world.illumination import illuminance, reach
-from world.objects import BoxParams
+from world.light.illumination import illuminance, reach
 from world.presets import idealised
-from world.roadmesh import road_mesh
-from world.roads import Bumps, Iso8608, Mixed
-from world.scene import Scene
+from world.rendering.face_source import face_source
+from world.rendering.gbuffer import gbuffer
+from world.roads.mesh import road_mesh
+from world.roads.shapes import Bumps, Iso8608, Mixed
+from world.scene.body import Body
+from world.scene.scene import Scene
+from world.traffic.objects import BoxParams
 from world.view import View
 
 # Mitsuba's camera looks along z with x to the left and y up.

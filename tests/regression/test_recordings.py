@@ -19,7 +19,7 @@ from loop.scenario import LightingScenario, Scenario, load, load_any
 from loop.shipped import shipped
 from loop.simulation import Simulation
 from tests.regression.recorded import FOLDER, ROOT, file_of, replace, told
-from world.roads import OpenCrgRoad
+from world.roads.shapes import OpenCrgRoad
 
 SYMBOLS = [name for name in shipped() if not isinstance(load_any(name), LightingScenario)]
 # Thin extraction on the rough course amplifies the rounding of another processor a hundredfold in ten steps, from about step 25 visibly.

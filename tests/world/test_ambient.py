@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import torch
 
-from world.ambient import ambient_luminance
-from world.body import Spotlight
-from world.brdf import LAMBERTIAN, Material
 from world.frames import pose_from_degrees
-from world.gbuffer import Finish, GBuffer
-from world.scene import StreetLamp
+from world.light.ambient import ambient_luminance
+from world.materials.brdf import LAMBERTIAN, Material
+from world.rendering.gbuffer import Finish, GBuffer
+from world.scene.body import Spotlight
+from world.scene.scene import StreetLamp
 
 
 def surfaces(device: torch.device) -> GBuffer:

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from world.beams import PATTERNS, Pattern, fit, pattern
 from world.errors import LuxloopError
-from world.lamp import Lamp, direction
+from world.headlight.lamp import Lamp, direction
 from world.presets import lamp
 from world.regulation import check, passes
 

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from world.brdf import LAMBERTIAN, Material, luminance_factor
 from world.errors import LuxloopError
-from world.materials import MATERIALS, WET
+from world.materials.brdf import LAMBERTIAN, Material, luminance_factor
+from world.materials.library import MATERIALS, WET
 
 share = st.sampled_from([0.0, 1.0]) | st.floats(0, 1)
 materials = st.builds(Material, share, share, st.floats(0.02, 1), share, st.floats(0.2, 10))
@@ -34,7 +34,7 @@ def reflectance(material: Material, albedo: float, cos_v: float, n: int = 128) -
     """Share of light from all over the hemisphere that goes to the eye, equal to that from the eye's direction that goes anywhere.
 
     By three families of rays, over the cosine, the facets and the lobe back, combined by the balance heuristic; it shares no code with the
-    tables of world/brdf.py and integrates facets in another way.
+    tables of world/materials/brdf.py and integrates facets in another way.
     """
     nodes, weights = np.polynomial.legendre.leggauss(n)
     u, weight = ((torch.from_numpy(x)[:, None] / 2).expand(n, n).flatten() for x in (nodes + 1, weights / n))

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from world import lampfile
 from world.arrays import read_npy, read_npz
 from world.budget import BUDGET_BYTES, afford
 from world.errors import LuxloopError
 from world.files import content
 from world.images import decoded
+from world.lampfiles import archive as lampfile
 
 
 def npy_header(text: str) -> bytes:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
-from world.fit import solve
+from world.headlight.fit import solve
 from world.spmv import Csr, multiply
 
 

@@ -11,18 +11,18 @@ import trimesh
 from torch.nn.functional import max_pool2d
 from trimesh.ray.ray_pyembree import _EmbreeWrap
 
-import world.rasterise
+import world.rendering.rasterise
 from tests.world.grids import bumpy, camera, flat, grid, lamp
-from world.body import Body, PoseTrack
-from world.face_source import FaceSource, face_source
 from world.frames import pose_from_degrees
-from world.gbuffer import GBuffer, gbuffer
-from world.materials import Texture
-from world.objects import BoxParams
-from world.rasterise import NoOpenGL
-from world.raycast import RayCaster, first_hits
-from world.scene import Scene
-from world.triangles import Triangles, beside
+from world.materials.library import Texture
+from world.rendering.face_source import FaceSource, face_source
+from world.rendering.gbuffer import GBuffer, gbuffer
+from world.rendering.rasterise import NoOpenGL
+from world.rendering.raycast import RayCaster, first_hits
+from world.scene.body import Body, PoseTrack
+from world.scene.scene import Scene
+from world.scene.triangles import Triangles, beside
+from world.traffic.objects import BoxParams
 from world.view import View
 
 
@@ -168,7 +168,7 @@ def test_views_of_different_sizes_take_turns(source):
 
 def test_auto_falls_back_to_rays_with_a_warning(monkeypatch):
     monkeypatch.setenv("PYOPENGL_PLATFORM", "none")
-    monkeypatch.setattr(world.rasterise, "context", world.rasterise.context.__wrapped__)
+    monkeypatch.setattr(world.rendering.rasterise, "context", world.rendering.rasterise.context.__wrapped__)
     with pytest.warns(UserWarning, match="ray casting"):
         assert isinstance(face_source("auto"), RayCaster)
     with pytest.raises(NoOpenGL, match="libegl1"):

@@ -10,14 +10,14 @@ import torch
 import trimesh
 from torch import Tensor
 
-from world.body import Body
-from world.flatroad import flat_road
 from world.frames import R_ISO_OPENCV, inverse, pose, pose_from_degrees, transform
-from world.gbuffer import GBuffer
 from world.headlight import Headlight
-from world.illumination import DirectTransport, added_light, illuminance, luminance, reach, transport
+from world.light.illumination import DirectTransport, added_light, illuminance, luminance, reach, transport
 from world.presets import idealised
-from world.scene import Scene
+from world.rendering.flat_road import flat_road
+from world.rendering.gbuffer import GBuffer
+from world.scene.body import Body
+from world.scene.scene import Scene
 from world.spmv import Csr
 from world.view import View
 

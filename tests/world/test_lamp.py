@@ -9,7 +9,7 @@ import torch
 from world.errors import LuxloopError
 from world.frames import pose_from_degrees
 from world.headlight import Headlight
-from world.lamp import Lamp, Module, direction
+from world.headlight.lamp import Lamp, Module, direction
 from world.presets import idealised
 from world.texels import TexelGrid
 

@@ -18,8 +18,8 @@ from hypothesis import strategies as st
 from world.errors import LuxloopError
 from world.frames import pose_from_degrees
 from world.headlight import Headlight
-from world.lamp import Lamp, Module
-from world.lampfile import load, save
+from world.headlight.lamp import Lamp, Module
+from world.lampfiles.archive import load, save
 from world.spmv import Csr
 
 

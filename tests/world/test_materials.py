@@ -9,17 +9,17 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from tests.world.grids import camera, flat
-from world.body import Body
-from world.brdf import LAMBERTIAN, luminance_factor
-from world.flatroad import flat_road
 from world.frames import pose_from_degrees
-from world.gbuffer import GBuffer, gbuffer
-from world.illumination import luminance, reach, transport
-from world.materials import MATERIALS, WET, RoadSurfaceParams
-from world.objects import BoxParams
+from world.light.illumination import luminance, reach, transport
+from world.materials.brdf import LAMBERTIAN, luminance_factor
+from world.materials.library import MATERIALS, WET, RoadSurfaceParams
 from world.presets import idealised
-from world.raycast import RayCaster
-from world.scene import Scene
+from world.rendering.flat_road import flat_road
+from world.rendering.gbuffer import GBuffer, gbuffer
+from world.rendering.raycast import RayCaster
+from world.scene.body import Body
+from world.scene.scene import Scene
+from world.traffic.objects import BoxParams
 
 LAMP = idealised(20, 32, intensity_cd=30_000.0)
 T_LEFT = pose_from_degrees((0.0, 0.6, 0.75))

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.optimize import nnls
 
 from world.errors import LuxloopError
-from world.overlap import PULL, Method, errors, reduce, standard_use_cases, strongest
+from world.headlight.overlap import PULL, Method, errors, reduce, standard_use_cases, strongest
 from world.spmv import Csr
 
 METHODS: tuple[Method, ...] = ("threshold", "proportional", "least_squares")

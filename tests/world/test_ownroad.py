@@ -10,13 +10,13 @@ from controllers.symbol import FeedforwardParams
 from loop.run import prepare
 from loop.scenario import load
 from world.errors import LuxloopError
-from world.ownroad import OwnRoad
-from world.roads import SpeedBump
+from world.roads.own import OwnRoad
+from world.roads.shapes import SpeedBump
 
 ROADS = """
 import numpy as np
-from world.roadbase import MeshGrid, RoadModel
-from world.roads import SpeedBump
+from world.roads.base import MeshGrid, RoadModel
+from world.roads.shapes import SpeedBump
 
 class Bump(SpeedBump):
     pass

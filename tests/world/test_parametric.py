@@ -8,7 +8,7 @@ from pydantic import ValidationError
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from world.parametric import BlurredRectangles, GaussianPixels
+from world.headlight.parametric import BlurredRectangles, GaussianPixels
 from world.texels import TexelGrid
 
 GRID = TexelGrid.from_degrees(60, 90, 12, -9, -5, 6)

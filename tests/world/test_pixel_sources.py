@@ -8,10 +8,10 @@ import pytest
 from pydantic import ValidationError
 
 from world.errors import LuxloopError
+from world.headlight.pixel_sources import FileSource, FolderSource, TableSource
+from world.headlight.pixels import PixelArray, assemble
 from world.photometry import lm63
 from world.photometry.distribution import Distribution
-from world.pixel_sources import FileSource, FolderSource, TableSource
-from world.pixels import PixelArray, assemble
 from world.texels import TexelGrid
 
 H, V = np.linspace(-6, 6, 25), np.linspace(-3, 3, 13)

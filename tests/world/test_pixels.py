@@ -11,13 +11,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from world import budget, pixels
+from world import budget
 from world.errors import LuxloopError
+from world.headlight import pixels
+from world.headlight.pixel_sources import FileSource
+from world.headlight.pixels import Pixel, PixelArray, _window, assemble, border_share, default_grid
 from world.photometry import files, lm63
 from world.photometry.distribution import Aim, Distribution, angles_of, directions_of
 from world.photometry.texture import light_texture, solid_angles
-from world.pixel_sources import FileSource
-from world.pixels import Pixel, PixelArray, _window, assemble, border_share, default_grid
 from world.texels import TexelGrid
 
 ANGLES = np.linspace(-3, 3, 25)

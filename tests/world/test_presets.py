@@ -6,10 +6,10 @@ import torch
 from torch import Tensor
 
 from benchmarks.calibration import PUBLISHED, drawn
-from loop.rectangles import RECTANGLES
 from world.beams import PATTERNS
+from world.beams.rectangles import RECTANGLES
 from world.errors import LuxloopError
-from world.lamp import Lamp, direction
+from world.headlight.lamp import Lamp, direction
 from world.presets import NAMES, lamp
 from world.presets.modules import LUMINANCE
 

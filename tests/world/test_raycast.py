@@ -9,17 +9,17 @@ import trimesh
 
 from benchmarks.float64_rays import hidden
 from tests.world.grids import bumpy, camera, flat, grid, lamp
-from world.body import Body, PoseTrack
-from world.face_source import face_source
 from world.frames import pose_from_degrees
-from world.gbuffer import gbuffer
-from world.objects import BoxParams
-from world.raycast import TOLERANCE_M, sees
-from world.roadmesh import road_mesh
-from world.roads import Bumps, Flat, Grade, Iso8608, Road
-from world.scene import Scene
+from world.rendering.face_source import face_source
+from world.rendering.gbuffer import gbuffer
+from world.rendering.raycast import TOLERANCE_M, sees
+from world.roads.mesh import road_mesh
+from world.roads.shapes import Bumps, Flat, Grade, Iso8608, Road
+from world.scene.body import Body, PoseTrack
+from world.scene.scene import Scene
+from world.scene.triangles import Triangles
 from world.texels import TexelGrid
-from world.triangles import Triangles
+from world.traffic.objects import BoxParams
 
 LAMP = lamp()
 # as wide as lamps of which the road is in the light from 5 m on

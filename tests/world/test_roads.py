@@ -8,11 +8,11 @@ from pydantic import TypeAdapter, ValidationError
 from scipy.signal import welch
 
 from world.errors import LuxloopError
-from world.iso8608 import GEOMETRIC_MEAN_M3, density, roughness
 from world.opencrg import Crg, write_crg
-from world.roadmesh import GROWTH, SCENE_X_M, SCENE_Y_M, axis, road_mesh
-from world.roads import Bumps, Curb, Flat, Grade, Iso8608, Mixed, OpenCrgRoad, Pothole, Road, RoadParams, SpeedBump, Step
-from world.scanroad import WHEELS_M
+from world.roads.iso8608 import GEOMETRIC_MEAN_M3, density, roughness
+from world.roads.mesh import GROWTH, SCENE_X_M, SCENE_Y_M, axis, road_mesh
+from world.roads.scan import WHEELS_M
+from world.roads.shapes import Bumps, Curb, Flat, Grade, Iso8608, Mixed, OpenCrgRoad, Pothole, Road, RoadParams, SpeedBump, Step
 
 KINDS = [Flat(), Grade(), Bumps(), SpeedBump(), Curb(), Step(), Pothole(), Iso8608(), Mixed()]
 each_kind = pytest.mark.parametrize("road", KINDS, ids=lambda road: road.kind)

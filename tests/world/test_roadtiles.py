@@ -7,13 +7,13 @@ import pytest
 import torch
 
 from tests.world.grids import camera
-from world.deferred import DeferredRenderer
 from world.frames import pose_from_degrees
-from world.rasterise import NoOpenGL
-from world.roads import Curb, Iso8608, Road
-from world.roadtiles import LENGTH_M, NEAR_M, SIGHT_M, RoadTiles
-from world.surfaces import QuickSurfaces
-from world.triangles import Triangles
+from world.rendering.deferred import DeferredRenderer
+from world.rendering.rasterise import NoOpenGL
+from world.rendering.surfaces import QuickSurfaces
+from world.roads.shapes import Curb, Iso8608, Road
+from world.scene.road_tiles import LENGTH_M, NEAR_M, SIGHT_M, RoadTiles
+from world.scene.triangles import Triangles
 
 ROAD = Iso8608(roughness_class="C")
 

@@ -5,11 +5,11 @@ import math
 import pytest
 import torch
 
-from world.flatroad import flat_road
 from world.frames import R_ISO_OPENCV, pose, pose_from_degrees
-from world.lamp import Lamp, Module, direction
+from world.headlight.lamp import Lamp, Module, direction
+from world.light.emitters import sources, surface_light, wall_illuminance
 from world.presets import idealised
-from world.sources import sources, surface_light, wall_illuminance
+from world.rendering.flat_road import flat_road
 from world.view import View
 
 LEFT = pose_from_degrees((0.0, 0.6, 0.75))

@@ -4,12 +4,12 @@ import pytest
 import torch
 
 from tests.world.grids import camera, flat
-from world.body import Body
-from world.gbuffer import GBuffer, gbuffer
-from world.materials import MATERIALS, WET, RoadSurfaceParams
-from world.raycast import RayCaster
-from world.scene import Scene
-from world.spots import SpotParams, SpottedTexture
+from world.materials.library import MATERIALS, WET, RoadSurfaceParams
+from world.materials.spots import SpotParams, SpottedTexture
+from world.rendering.gbuffer import GBuffer, gbuffer
+from world.rendering.raycast import RayCaster
+from world.scene.body import Body
+from world.scene.scene import Scene
 
 DRY = RoadSurfaceParams(seed=3)
 

@@ -7,16 +7,16 @@ import pytest
 import torch
 
 from tests.world.grids import bumpy, camera, lamp
-from world.body import Body, PoseTrack
-from world.deferred import DeferredRenderer
-from world.face_source import face_source
 from world.frames import inverse, pose_from_degrees, transform
-from world.materials import RoadSurfaceParams
-from world.objects import BoxParams
-from world.rasterise import NoOpenGL, Rasteriser
-from world.raycast import RayCaster, sees
-from world.scene import Scene
-from world.surfaces import ExactSurfaces, QuickSurfaces, SurfaceSource, surface_source
+from world.materials.library import RoadSurfaceParams
+from world.rendering.deferred import DeferredRenderer
+from world.rendering.face_source import face_source
+from world.rendering.rasterise import NoOpenGL, Rasteriser
+from world.rendering.raycast import RayCaster, sees
+from world.rendering.surfaces import ExactSurfaces, QuickSurfaces, SurfaceSource, surface_source
+from world.scene.body import Body, PoseTrack
+from world.scene.scene import Scene
+from world.traffic.objects import BoxParams
 
 SURFACE = RoadSurfaceParams(markings=True, beads=True)
 

@@ -9,23 +9,23 @@ import trimesh
 from pydantic import TypeAdapter, ValidationError
 
 from tests.world.grids import camera
-from world.ambient import ambient_luminance
-from world.body import Body
-from world.deferred import DeferredRenderer
 from world.errors import LuxloopError
-from world.figure import SHAPES, Figure
-from world.gbuffer import GBuffer, gbuffer
-from world.objects import MeshParams, ObjectParams
-from world.rasterise import NoOpenGL
-from world.raycast import RayCaster
-from world.scene import Scene
-from world.shapes import Piece, blob, block, ellipsoid, limb, tube
-from world.surfaces import QuickSurfaces
-from world.tracked import WayParams
+from world.light.ambient import ambient_luminance
+from world.rendering.deferred import DeferredRenderer
+from world.rendering.gbuffer import GBuffer, gbuffer
+from world.rendering.rasterise import NoOpenGL
+from world.rendering.raycast import RayCaster
+from world.rendering.surfaces import QuickSurfaces
+from world.scene.body import Body
+from world.scene.figure import SHAPES, Figure
+from world.scene.scene import Scene
 from world.traffic.car import LOW_BEAM_CD, CarParams
 from world.traffic.generator import SIGHT, TrafficParams, varied
+from world.traffic.objects import MeshParams, ObjectParams
 from world.traffic.people import SHANK, THIGH, someone, walking
 from world.traffic.road_users import STRIDE, PedestrianParams, riding
+from world.traffic.shapes import Piece, blob, block, ellipsoid, limb, tube
+from world.traffic.tracked import WayParams
 
 HERE = ({"position_m": (0.0, 0.0, 0.0)},)
 KINDS = ["pedestrian", "cyclist", "car", "animal", "traffic_sign", "clutter"]

@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 from pydantic import ValidationError
 
 from world.frames import transform
-from world.roadbase import Floats, MeshGrid
-from world.roads import Flat
-from world.vehicle import COLUMNS, STANDING, CourseParams, Motion, OscillationParams, SuspensionParams, VehicleParams, drive
+from world.roads.base import Floats, MeshGrid
+from world.roads.shapes import Flat
+from world.scene.vehicle import COLUMNS, STANDING, CourseParams, Motion, OscillationParams, SuspensionParams, VehicleParams, drive
 
 LAMP = torch.tensor([[0.0], [0.0], [0.75]], dtype=torch.float64)
 

@@ -9,17 +9,17 @@ import torch
 import trimesh
 from scipy.integrate import quad
 
-from world.body import Body
-from world.face_source import face_source
 from world.frames import pose_from_degrees
 from world.headlight import Headlight
-from world.lamp import Lamp, Module
+from world.headlight.lamp import Lamp, Module
+from world.light.emitters import Source, sources
+from world.light.volumetric import Medium, airlight, phase
 from world.presets import idealised
-from world.scene import Scene
-from world.shadow import shadow_map
-from world.sources import Source, sources
+from world.rendering.face_source import face_source
+from world.rendering.shadow import shadow_map
+from world.scene.body import Body
+from world.scene.scene import Scene
 from world.spmv import Csr
-from world.volumetric import Medium, airlight, phase
 
 I_CD = 1000.0
 CLEAR = Medium(1e-9, 1e-9, 0.0)  # scatters a little and dims nothing

@@ -6,9 +6,9 @@ import torch
 from torch import Tensor
 
 from world.beams.patterns import Pattern
-from world.fit import solve
 from world.headlight import Headlight
-from world.lamp import Lamp, Module, direction
+from world.headlight.fit import solve
+from world.headlight.lamp import Lamp, Module, direction
 from world.regulation import Requirement, rule_set
 from world.regulation.checking import samples_of
 from world.regulation.results import Traffic

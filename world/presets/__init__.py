@@ -8,7 +8,7 @@ from typing import Literal
 
 from world.errors import LuxloopError, did_you_mean
 from world.headlight import Headlight
-from world.lamp import Lamp, Module
+from world.headlight.lamp import Lamp, Module
 from world.presets import dmd, hd84, ideal, ssl_hd
 from world.presets.beams import FittedBeams
 from world.presets.ideal import idealised

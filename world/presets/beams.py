@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 from torch import Tensor
 
 from world.beams import PATTERNS, fit
-from world.lamp import Lamp
+from world.headlight.lamp import Lamp
 from world.regulation.results import Traffic
 
 

@@ -1,7 +1,7 @@
 """A projector with 1.3 million micromirrors."""
 
 from world.headlight import Headlight
-from world.parametric import BlurredRectangles
+from world.headlight.parametric import BlurredRectangles
 from world.presets.modules import headlight
 from world.texels import TexelGrid
 

@@ -1,7 +1,7 @@
 """The HD84 module: 84 Gaussian pixels in three unequal rows."""
 
 from world.headlight import Headlight
-from world.parametric import GaussianPixels
+from world.headlight.parametric import GaussianPixels
 from world.presets.modules import headlight
 from world.texels import TexelGrid
 

@@ -5,8 +5,9 @@ import scipy.sparse as sp
 import torch
 from torch import Tensor
 
-from world.headlight import LUMINANCE, Headlight
-from world.parametric import BlurredRectangles, GaussianPixels
+from world.headlight import Headlight
+from world.headlight.matrix import LUMINANCE
+from world.headlight.parametric import BlurredRectangles, GaussianPixels
 from world.spmv import Csr
 from world.texels import TexelGrid
 

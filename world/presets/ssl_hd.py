@@ -2,8 +2,8 @@
 
 from world.frames import pose_from_degrees
 from world.headlight import Headlight
-from world.lamp import Module
-from world.parametric import BlurredRectangles, GaussianPixels
+from world.headlight.lamp import Module
+from world.headlight.parametric import BlurredRectangles, GaussianPixels
 from world.presets.modules import headlight
 from world.texels import TexelGrid
 

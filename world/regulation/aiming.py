@@ -2,7 +2,7 @@
 
 import torch
 
-from world.lamp import direction
+from world.headlight.lamp import direction
 from world.regulation import cutoff, sampling
 from world.regulation.checking import IMAX_FIELD, STEP_DEG, aimed, evaluate
 from world.regulation.results import Intensity, Traffic, least_margin, passes

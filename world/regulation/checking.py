@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from world.frames import rotation
-from world.lamp import direction
+from world.headlight.lamp import direction
 from world.regulation import cutoff, sampling
 from world.regulation.results import Intensity, Result, Traffic, Verdict, margin
 from world.regulation.tables import Point, Requirement, RuleSet, rule_set

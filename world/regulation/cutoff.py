@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import torch
 
-from world.lamp import direction
+from world.headlight.lamp import direction
 from world.regulation.results import Intensity, Result, Verdict, least_margin, margin
 from world.regulation.tables import Cutoff, RuleSet
 

@@ -6,13 +6,13 @@ from typing import Any, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from world.objects import ObjectParams
 from world.params import Params
-from world.tracked import WayParams
 from world.traffic.animal import AnimalParams
 from world.traffic.car import CarParams
+from world.traffic.objects import ObjectParams
 from world.traffic.road_users import CyclistParams, PedestrianParams
 from world.traffic.roadside import ClutterParams, TrafficSignParams
+from world.traffic.tracked import WayParams
 
 LANE_M = 3.5  # the own lane's middle is y = 0, the oncoming one lies to its left
 SIGHT = 0.26  # of what is placed, |y| / x at most: within 15 deg

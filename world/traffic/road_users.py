@@ -6,11 +6,9 @@ import numpy as np
 import trimesh
 from pydantic import Field
 
-from world.body import Body
-from world.figure import Figure
-from world.materials import MaterialName
-from world.shapes import Floats, Piece, block, ellipsoid, limb, xyz
-from world.tracked import Category
+from world.materials.library import MaterialName
+from world.scene.body import Body
+from world.scene.figure import Figure
 from world.traffic.making import MadeParams
 from world.traffic.people import (
     FOOT,
@@ -30,6 +28,8 @@ from world.traffic.people import (
     standing,
     walking,
 )
+from world.traffic.shapes import Floats, Piece, block, ellipsoid, limb, xyz
+from world.traffic.tracked import Category
 
 CLOTHING = "Albedo of the clothes: dark to 0.1, mixed to 0.45, light from 0.35 on, vest: with reflective bands; left out: by the seed"
 STRIDE = 0.83  # of a walker's height

@@ -20,12 +20,12 @@ from controllers.functions.situation import Drawn, Situation, TrackedObject, fad
 from controllers.functions.symbol import SymbolFunctionParams
 from controllers.primitives import Primitives
 from controllers.ssc import Ssc
-from controllers.symbols import OverTime, Still
-from world.body import Body, PoseTrack
 from world.errors import LuxloopError
 from world.frames import pose_from_degrees, transform
 from world.params import Params
 from world.presets import idealised
+from world.scene.body import Body, PoseTrack
+from world.symbols import OverTime, Still
 
 HERE = torch.eye(4, dtype=torch.float64)
 LAMPS = torch.tensor([[0.0, 0.6, 0.75], [0.0, -0.6, 0.75]], dtype=torch.float64)

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from controllers.functions.situation import TrackedObject
 from controllers.obl.laws import LowerParams, RaiseParams, Trial
 from controllers.obl.object_loop import ObjectLoop, ObjectLoopParams
-from world.tracked import Category
+from world.traffic.tracked import Category
 
 HERE = torch.eye(4, dtype=torch.float64)
 PERSON = TrackedObject("person", "pedestrian", HERE, (0.5, 0.6, 1.7))

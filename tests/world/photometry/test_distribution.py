@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.integrate import dblquad
 
 from world.errors import LuxloopError
-from world.lamp import direction
+from world.headlight.lamp import direction
 from world.photometry import Distribution, sample
 from world.photometry.distribution import Aim, Kind, angles_of, directions_of
 

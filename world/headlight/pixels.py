@@ -1,0 +1,271 @@
+"""From the distributions of single pixels to a headlight matrix on a light texture (T 5.2)."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
+
+from world.budget import BUDGET_BYTES, afford
+from world.errors import LuxloopError
+from world.headlight.matrix import LUMINANCE
+from world.photometry.distribution import EDGE_DEG, Aim, Array, Distribution, directions_of
+from world.photometry.texture import PROBES, Window, light_texture, squared_error
+from world.texels import LARGEST_ANGLE_DEG, TexelGrid
+
+CUTOFF = 1e-4  # share of a pixel's peak below which its light is left out: fewer entries, and next to nothing is lost
+MOST_TEXELS = 2048  # along a side, unless a user wants more
+TEXELS_A_PIXEL = 4  # along a side at least, since symbols need rays between pixels
+SAMPLED = 8  # pixels, evenly spread, from which the entries of all are estimated
+BYTES_AN_ENTRY = 64  # of the matrix while it is assembled and sorted, at the peak
+BYTES_OF_COLOUR = 60  # of an entry besides, where it has one
+AFFORDABLE = 0.8  # of the budget, for a remedy: other pixels may be wider than those sampled
+MOST_CUTOFF = 0.1  # that is proposed: a larger one would change the shape of a pixel
+FEWEST_PROBES = 1024  # directions in which a pixel is compared with its source, where there are many
+AZIMUTHS_DEG = 15.0  # in which a distribution about an axis is looked at
+
+
+@dataclass(frozen=True, eq=False)
+class Pixel:
+    """One pixel at full utilisation.
+
+    turn: `[3, 3]`, takes directions of the distribution's frame to the headlight frame; None where they are one. rgb: the linear sRGB
+    channels of the distribution in cd, None for one colour.
+    """
+
+    distribution: Distribution
+    turn: Array | None = None
+    rgb: tuple[Distribution, Distribution, Distribution] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class PixelArray:
+    """All pixels of a module, row-major, row 0 on top and column 0 on the left. aim: see Distribution."""
+
+    pixels: Sequence[Pixel]
+    rows: int
+    columns: int
+    aim: Aim = "beam"
+
+
+@dataclass(frozen=True, eq=False)
+class Assembled:
+    """A headlight matrix and how true it is.
+
+    matrix: `[n_texels, n_p]` cd. chroma: `[3, nnz]` or None, as Headlight has it. dropped: share of all light that was cut off.
+    rmse_cd: root mean square difference of pixels on the texture and their sources, over the solid angles into which these shine, as
+    world.photometry.texture.rmse has it of one; relative to the brightest of them, rmse.
+    """
+
+    matrix: sp.csr_array
+    chroma: Array | None
+    dropped: float
+    rmse_cd: float
+    rmse: float
+
+
+def assemble(
+    array: PixelArray, grid: TexelGrid, cutoff: float = CUTOFF, on_progress: Callable[[int, int], None] | None = None
+) -> Assembled:
+    """Bring every pixel onto the texture's texels.
+
+    Each is a light texture of its own (see world.photometry.texture), but for the texels that it cannot light.
+    on_progress: called with the pixels done and their number.
+
+    Raises: LuxloopError where the texture sees no light at all, or, before the work, where all pixels together would need more memory than
+    there may be.
+    """
+
+    def light_of(distribution: Distribution, turn: Array | None) -> tuple[NDArray[np.intp], Array]:
+        """Flat indices of the texels that a distribution may light, and its cd there."""
+        axis, reach = _cap(distribution, array.aim)
+        window = _window(grid, axis if turn is None else turn @ axis, reach)
+        texel = (window[0][:, None] * grid.cols + window[1]).ravel()
+        return texel, light_texture(distribution, grid, array.aim, turn, window).ravel() if len(texel) else np.empty(0)
+
+    _check_entries([light_of(pixel.distribution, pixel.turn)[1] for pixel in _sampled(array)], array, grid, cutoff)
+    probes = max(PROBES // len(array.pixels), FEWEST_PROBES)
+    rows: list[NDArray[np.intp]] = []
+    values: list[Array] = []
+    chroma: list[Array] = []
+    texture = np.zeros(grid.n_texels)
+    lost = total = squares = solid = peak = 0.0
+    entries = 0
+    for number, pixel in enumerate(array.pixels, 1):
+        texel, light = light_of(pixel.distribution, pixel.turn)
+        bright = light > cutoff * light.max(initial=0)
+        total += float(light.sum())
+        lost += float(light[~bright].sum())
+        entries += int(bright.sum())
+        afford("its pixels", _bytes_an_entry(array) * entries, "give a coarser texture")
+        rows.append(texel[bright].astype(np.int32))
+        values.append(light[bright])
+        if pixel.rgb is not None:
+            chroma.append(_chroma(np.stack([_at(texel[bright], *light_of(each, pixel.turn), grid) for each in pixel.rgb])))
+        texture[texel[bright]] = light[bright]
+        error, over = squared_error(pixel.distribution, grid, texture, array.aim, pixel.turn, probes)
+        texture[texel] = 0
+        squares, solid = squares + error, solid + over
+        peak = max(peak, float(pixel.distribution.candela.max()))
+        if on_progress:
+            on_progress(number, len(array.pixels))
+    if total == 0:
+        raise LuxloopError(f"no pixel shines onto the texture ({describe(grid)}); widen it, or look at `aim`")
+    indptr = np.cumsum([0, *map(len, rows)], dtype=np.int32)
+    columns = sp.csc_array((np.arange(1.0, indptr[-1] + 1), np.concatenate(rows), indptr), shape=(grid.n_texels, len(array.pixels)))
+    matrix = columns.tocsr()
+    entry = matrix.data.astype(np.int64) - 1
+    matrix.data = np.concatenate(values)[entry]
+    rmse_cd = math.sqrt(squares / solid)
+    return Assembled(matrix, np.concatenate(chroma, axis=1)[:, entry] if chroma else None, lost / total, rmse_cd, rmse_cd / peak)
+
+
+def _sampled(array: PixelArray) -> list[Pixel]:
+    number = len(array.pixels)
+    return [array.pixels[k] for k in sorted({int((i + 0.5) * number / SAMPLED) for i in range(SAMPLED)})]
+
+
+def _check_entries(lights: Sequence[Array], array: PixelArray, grid: TexelGrid, cutoff: float) -> None:
+    """Estimate the entries of all pixels from the light cd of some at each texel, and refuse too many with sizes that are affordable."""
+    shares = np.concatenate([light / max(light.max(initial=0), np.finfo(float).tiny) for light in lights])
+    each = len(array.pixels) / len(lights)  # that a sample stands for
+    entries, most = each * np.count_nonzero(shares > cutoff), BUDGET_BYTES / _bytes_an_entry(array)
+    if entries <= most:
+        return
+    most *= AFFORDABLE
+    rows, cols = (int(number * math.sqrt(most / entries)) for number in (grid.rows, grid.cols))
+    faint = float(-np.partition(-shares, int(most / each))[int(most / each)])
+    remedies = [f"texture.rows = {rows} and texture.columns = {cols}"] if rows >= array.rows and cols >= array.columns else []
+    remedies += [f"cutoff = {_rounded_up(faint):g}"] if faint < MOST_CUTOFF else []
+    afford(
+        f"its {len(array.pixels):,} pixels, {entries / grid.n_texels:,.0f} on each of {grid.rows} x {grid.cols} texels by estimate,",
+        _bytes_an_entry(array) * entries,
+        f"set {', or '.join(remedies)}" if remedies else "give fewer or narrower pixels",
+    )
+
+
+def _bytes_an_entry(array: PixelArray) -> int:
+    return BYTES_AN_ENTRY + (BYTES_OF_COLOUR if any(pixel.rgb is not None for pixel in array.pixels) else 0)
+
+
+def _rounded_up(share: float) -> float:
+    digit = 10.0 ** math.floor(math.log10(share))
+    return math.ceil(share / digit) * digit
+
+
+def default_grid(array: PixelArray) -> TexelGrid:
+    """A texture that covers all light, with texels twice as fine as the source's angles and at least four to a pixel along each side."""
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    for pixel in array.pixels:
+        directions, _, lit = _nodes(pixel.distribution, array.aim)
+        x, y, z = _turned(directions[:, lit], pixel.turn)
+        ahead = x > math.cos(math.radians(LARGEST_ANGLE_DEG))
+        if ahead.any():
+            at = np.stack([y[ahead], z[ahead]]) / x[ahead]
+            low, high = np.minimum(low, at.min(1)), np.maximum(high, at.max(1))
+    if not (low < high).all():
+        raise LuxloopError(f"no pixel shines within {LARGEST_ANGLE_DEG:g} deg of the beam axis; look at `aim`")
+    furthest = math.tan(math.radians(LARGEST_ANGLE_DEG))
+    (right, bottom), (left, top) = low.clip(-furthest, furthest), high.clip(-furthest, furthest)
+    down, across = np.radians(_steps(array)).tolist()
+    rows = affordable(2 * (top - bottom) / down, array.rows)
+    cols = affordable(2 * (left - right) / across, array.columns)
+    return TexelGrid(rows=rows, cols=cols, left=float(left), right=float(right), bottom=float(bottom), top=float(top))
+
+
+def border_share(distribution: Distribution) -> float:
+    """What a measurement still gives at the border of its angles, as a share of its peak; 0 where it goes all the way round."""
+    v, h, candela = distribution.unfolded
+    all_round = (v[0] <= -90 if distribution.type != "C" else v[0] <= 0, v[-1] >= (180 if distribution.type == "C" else 90))
+    borders = [candela[:, end] for end, closed in zip((0, -1), all_round, strict=True) if not closed]
+    if distribution.type != "C":
+        borders += [candela[end] for end, angle in ((0, -h[0]), (-1, h[-1])) if angle < 90]
+    peak = float(candela.max())
+    return max((float(each.max()) for each in borders), default=0.0) / peak if peak else 0.0
+
+
+def affordable(texels: float, pixels: int) -> int:
+    """So many texels along a side, but some to each pixel, and beyond those no more than memory bears."""
+    fewest = TEXELS_A_PIXEL * pixels
+    return min(max(math.ceil(texels), fewest), max(MOST_TEXELS, fewest))
+
+
+def describe(grid: TexelGrid) -> str:
+    """A texture's borders in words."""
+    left, right, bottom, top = (math.degrees(math.atan(each)) for each in (grid.left, grid.right, grid.bottom, grid.top))
+    return f"{left:+.4g} to {right:+.4g} deg across, {bottom:+.4g} to {top:+.4g} deg up"
+
+
+def _window(grid: TexelGrid, axis: Array, reach: float) -> Window:
+    """Rows and columns that a cone crosses; all, where it reaches far from the beam axis."""
+    found = []
+    for along, first, last, n in ((axis[2], grid.top, grid.bottom, grid.rows), (axis[1], grid.left, grid.right, grid.cols)):
+        middle, flat = math.atan2(along, axis[0]), math.hypot(along, axis[0])  # of the cone seen from the side or from above
+        half = math.asin(math.sin(reach) / flat) if reach < math.asin(min(flat, 1.0)) else math.pi
+        ends = np.array([middle + half, middle - half])
+        if np.abs(ends).max() < math.pi / 2:
+            low, high = (np.tan(ends) - first) / (last - first) * n
+            found.append(np.arange(max(math.floor(low), 0), min(math.ceil(high), n)))
+        else:
+            found.append(np.arange(n))
+    return found[0], found[1]
+
+
+@lru_cache(maxsize=4)
+def _nodes(distribution: Distribution, aim: Aim) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Directions `[3, V, H]` in which a distribution was measured, its cd there `[V, H]`, and where it or a neighbour shines."""
+    v, h, _ = distribution.unfolded
+    if distribution.type == "C":  # one plane may stand for all
+        h = np.union1d(h, h[0] + np.arange(0.0, h[-1] - h[0], AZIMUTHS_DEG))
+    v_at, h_at = np.meshgrid(v, h, indexing="ij")
+    candela = distribution.at(v_at, h_at)
+    lit = maximum_filter(candela, 3, mode=("nearest", "wrap" if distribution.type == "C" else "nearest")) > 0
+    return directions_of(distribution.type, v_at, h_at, aim), candela, lit
+
+
+@lru_cache(maxsize=4)
+def _cap(distribution: Distribution, aim: Aim) -> tuple[Array, float]:
+    """The axis `[3]` of a cone that holds all light of a distribution, and its half angle in rad."""
+    directions, _, lit = _nodes(distribution, aim)
+    if not lit.any():
+        return np.array([1.0, 0.0, 0.0]), 0.0
+    inside = directions[:, lit]
+    axis = inside.mean(1)
+    axis /= max(float(np.linalg.norm(axis)), np.finfo(float).tiny)
+    widest = max(float(np.diff(angles).max(initial=0)) for angles in distribution.unfolded[:2])
+    return axis, min(math.acos(max(float((axis @ inside).min()), -1.0)) + math.radians(widest), math.pi)
+
+
+def _turned(directions: Array, turn: Array | None) -> Array:
+    return directions if turn is None else np.tensordot(turn, directions, 1)
+
+
+def _steps(array: PixelArray) -> Array:
+    """The finest steps down and across in deg in which the pixels were measured."""
+    distributions = {id(pixel.distribution): pixel.distribution for pixel in array.pixels}.values()
+    down = min(_finest(each.vertical_deg) for each in distributions)
+    across = min((_finest(each.horizontal_deg) for each in distributions if each.type != "C"), default=math.inf)
+    return np.array([down, across if math.isfinite(across) else down])
+
+
+def _finest(angles_deg: Array) -> float:
+    steps = np.diff(angles_deg)
+    return float(steps[steps > EDGE_DEG].min(initial=math.inf))
+
+
+def _at(wanted: NDArray[np.intp], texel: NDArray[np.intp], light: Array, grid: TexelGrid) -> Array:
+    """The light at wanted texels."""
+    texture = np.zeros(grid.n_texels)
+    texture[texel] = light
+    return texture[wanted]
+
+
+def _chroma(channels: Array) -> Array:
+    """Linear sRGB `[3, N]` at luminance 1; white where there is no light."""
+    luminance = np.array(LUMINANCE) @ channels
+    dark = luminance <= 0
+    return np.where(dark, 1.0, channels / np.where(dark, 1.0, luminance))

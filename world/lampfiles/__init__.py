@@ -1,0 +1,1 @@
+"""Lamps as files: descriptions in TOML, archives of matrices, utilisations."""

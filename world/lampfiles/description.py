@@ -1,0 +1,177 @@
+"""Lamps by name or file: presets, lamp files, photometric files, and descriptions in TOML of which lamps are built (T 5.2)."""
+
+import json
+import os
+import warnings
+from collections import ChainMap
+from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal, Self, cast
+
+import torch
+from pydantic import Field, ValidationError, model_validator
+from torch import Tensor
+
+from world import presets
+from world.errors import LuxloopError, did_you_mean
+from world.files import files_at
+from world.headlight.lamp import Lamp
+from world.headlight.pixel_sources import SUFFIXES, FileSource
+from world.lampfiles import archive as lampfile
+from world.lampfiles.modules import ModuleParams, ModuleReport, build_module
+from world.lampfiles.utilisations import read_utilisation
+from world.params import Params
+from world.photometry.distribution import Array
+from world.presets.beams import FittedBeams
+from world.regulation.results import Traffic
+from world.validation import read_toml, sentence
+
+Side = Literal["left", "right"]
+Progress = Callable[[str, int, int], None]
+
+
+class BeamsParams(Params):
+    """The beams that a lamp knows by name, beside `full` and `off`."""
+
+    default: bool = Field(False, description="fit the default beams (low, high and others) to the pixels")
+    given: dict[str, dict[str, Path]] = Field(
+        {}, description="own beams: by the beam's name and the module's, a .npy, .csv or .png of utilisations; modules left out are dark"
+    )
+
+
+class LampDescription(Params):
+    """Everything that decides a lamp, of the left side of the car."""
+
+    name: str = Field(min_length=1, max_length=80, description="name, for tables")
+    notes: str = Field("", description="what is measured of it and what is guessed")
+    module: tuple[ModuleParams, ...] = Field(min_length=1, description="the modules, a [[module]] each")
+    beams: BeamsParams = Field(BeamsParams(), description="the beams it knows by name")
+
+    @model_validator(mode="after")
+    def _names_fit(self) -> Self:
+        names = [module.name for module in self.module]
+        if len(set(names)) < len(names):
+            raise ValueError(f"module: the names {', '.join(names)} are not unlike; modules are known by them")
+        for beam, files in self.beams.given.items():
+            if beam in ("full", "off"):
+                raise ValueError(f"beams.given.{beam}: every lamp has {beam} already; choose another name")
+            for name in files:
+                if name not in names:
+                    raise ValueError(f"beams.given.{beam}.{name}: there is no such module; {did_you_mean(name, names)}")
+        return self
+
+
+def describe(path: Path) -> LampDescription:
+    """Read a description. Raises LuxloopError that names the file, the key and the remedy."""
+    if path.suffix.lower() in (".npz", *SUFFIXES):
+        what = "a lamp file" if path.suffix.lower() == ".npz" else "a photometric file, which is a lamp of one pixel"
+        raise LuxloopError(f"{path}: is {what} already; look at it with `luxloop headlight info` or `show`, or build a description (.toml)")
+    return validate(read_toml(path), str(path))
+
+
+def validate(data: Mapping[str, Any], source: str) -> LampDescription:
+    """Check a description given as plain data. Raises LuxloopError that names the source, the key and the remedy."""
+    try:
+        # By way of JSON, where strict still takes a list for a tuple and a text for a path; a date becomes a text, which no number is.
+        return LampDescription.model_validate_json(json.dumps(data, default=str), strict=True)
+    except ValidationError as error:
+        raise LuxloopError(f"{source}: {sentence(error, LampDescription, 'docs/lampfiles.md has a complete example')}") from error
+
+
+def build(path: Path, side: Side = "left", on_progress: Progress | None = None) -> tuple[Lamp, tuple[ModuleReport, ...]]:
+    """Build the lamp of a description, and tell what became of each source; default beams are fitted when they are first asked for.
+
+    on_progress: called with a module's name, the pixels done and their number. Raises LuxloopError that names the file and the remedy.
+    """
+    description, folder = describe(path), path.parent
+    built = []
+    for params in description.module:
+
+        def use_cases(rows: int, columns: int, name: str = params.name) -> Sequence[Array]:
+            files = [each[name] for each in description.beams.given.values() if name in each]
+            return [read_utilisation(folder / file, rows, columns) for file in files]
+
+        def progress(done: int, of: int, name: str = params.name) -> None:
+            if on_progress:
+                on_progress(name, done, of)
+
+        try:
+            built.append(build_module(params, folder, use_cases, progress))
+        except LuxloopError as error:
+            raise LuxloopError(f"{path}: module {params.name!r}: {error}") from error
+    modules = tuple(module if side == "left" else module.mirrored() for module, _ in built)
+    bare = Lamp(description.name, modules, notes=description.notes)
+    given = {name: _beam(bare, files, folder) for name, files in description.beams.given.items()}
+    # A chain writes to its first map alone, and fits the beams of the second when it is asked for them.
+    fitted = cast(MutableMapping[str, tuple[Tensor, ...]], FittedBeams(bare) if description.beams.default else {})
+    return replace(bare, beams=ChainMap(given, fitted)), tuple(report for _, report in built)
+
+
+def lamp_files(name: str) -> Iterator[Path]:
+    """The files that decide a lamp of that name, none for a preset: the file itself, and all that a description names.
+
+    Raises LuxloopError where a description is broken.
+    """
+    path = Path(name)
+    if name in presets.NAMES or not os.path.isfile(path):
+        return
+    yield path
+    if path.suffix.lower() == ".toml":
+        description = describe(path)
+        for module in description.module:
+            if source := getattr(module.source, "path", None):
+                yield from files_at(path.parent / source)
+        yield from (path.parent / file for files in description.beams.given.values() for file in files.values())
+
+
+def _beam(lamp: Lamp, files: Mapping[str, Path], folder: Path) -> tuple[Tensor, ...]:
+    def of(module: str, rows: int, columns: int) -> Tensor:
+        if module not in files:
+            return torch.zeros(rows * columns)
+        return torch.from_numpy(read_utilisation(folder / files[module], rows, columns)).float()
+
+    return tuple(of(module.name, module.headlight.pixel_rows, module.headlight.pixel_cols) for module in lamp.modules)
+
+
+def load_lamp(name: str | Path, side: Side = "left") -> Lamp:
+    """A lamp by a preset's name or a file's path: .npz, .toml, or a photometric file (.ies, .ldt), which is a lamp of one pixel.
+
+    Files describe the lamp on the left of the car. The right one is its mirror image, and its beams are the same pictures: the modules'
+    pixels are counted from the left again. Default beams of a description are fitted anew.
+    Raises: LuxloopError with the nearest name, or that names the file and what is wrong in it.
+    """
+    if str(name) in presets.NAMES:
+        return presets.lamp(str(name), side)
+    path = Path(name)
+    suffix = path.suffix.lower()
+    known = (".npz", ".toml", *SUFFIXES)
+    if suffix not in known:
+        hint = "give a file in it" if str(name) and os.path.isdir(path) else did_you_mean(str(name), presets.NAMES)
+        raise LuxloopError(f"there is no lamp {str(name)!r}; {hint} (lamp files end in {', '.join(known)})")
+    if not os.path.isfile(path):
+        raise LuxloopError(f"lamp file {path} does not exist; check the path, or name one of {', '.join(presets.NAMES)}")
+    if suffix == ".toml":
+        return build(path, side)[0]
+    lamp = lampfile.load(path) if suffix == ".npz" else _of_one_pixel(path)
+    return lamp if side == "left" else replace(lamp, modules=tuple(module.mirrored() for module in lamp.modules))
+
+
+def for_traffic(lamp: Lamp, traffic: Traffic) -> Lamp:
+    """The lamp with its default beams fitted for traffic on this side; own beams stay, and a warning tells where there are no others."""
+    if traffic == "right":
+        return lamp
+    maps = lamp.beams.maps if isinstance(lamp.beams, ChainMap) else [lamp.beams]
+    if not any(isinstance(each, FittedBeams) for each in maps) and lamp.beams:
+        warnings.warn(
+            f"lamp {lamp.name!r} has no default beams that could be fitted for traffic on the left, its own stay as they are; "
+            "presets have, and descriptions (.toml) with beams.default = true",
+            stacklevel=2,
+        )
+    turned = [each.for_traffic(traffic) if isinstance(each, FittedBeams) else each for each in maps]
+    return replace(lamp, beams=ChainMap(*cast(list[MutableMapping[str, tuple[Tensor, ...]]], turned)))
+
+
+def _of_one_pixel(path: Path) -> Lamp:
+    module, _ = build_module(ModuleParams(name=path.stem, source=FileSource(path=path.resolve())), path.parent, lambda *_: [])
+    return Lamp(path.stem, (module,), notes=f"One pixel, from {path.name}.")

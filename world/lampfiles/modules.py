@@ -1,0 +1,282 @@
+"""A module of a lamp's description: what it may say, and the light that it becomes."""
+
+import math
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import torch
+from pydantic import Field, model_validator
+
+from world import presets
+from world.budget import afford
+from world.errors import LuxloopError
+from world.frames import pose_from_degrees
+from world.headlight import Headlight
+from world.headlight.lamp import Module
+from world.headlight.overlap import Method, OverlapErrors, errors, reduce, standard_use_cases, strongest
+from world.headlight.parametric import BlurredRectangles, GaussianPixels
+from world.headlight.pixel_sources import FileSource, FolderSource, TableSource
+from world.headlight.pixels import CUTOFF, TEXELS_A_PIXEL, Assembled, PixelArray, affordable, assemble, border_share, default_grid, describe
+from world.params import Degrees, Params
+from world.photometry.distribution import Array
+from world.presets.modules import headlight
+from world.spmv import Csr
+from world.texels import LARGEST_ANGLE_DEG, TexelGrid
+
+DARK_CD = 1e-3  # no lamp is so dim, but what rounding leaves of a model far away
+STILL_SHINES = 0.05  # of its peak: a measurement that ends there was cut off
+BYTES_A_TEXEL = 32  # of a texture while it is made
+SIGMAS = 3.5  # of a Gaussian that a default texture holds: all but 0.2 % of the peak
+
+Progress = Callable[[int, int], None]
+
+
+class PresetSource(Params):
+    """A module of a lamp that comes with luxloop."""
+
+    kind: Literal["preset"] = "preset"
+    name: str = Field(description="name of the lamp; `luxloop headlight list` shows them")
+    module: str | None = Field(None, description="its module; left out: the one with the finest pixels")
+
+
+SourceParams = Annotated[
+    FolderSource | FileSource | TableSource | GaussianPixels | BlurredRectangles | PresetSource, Field(discriminator="kind")
+]
+
+
+class TextureParams(Params):
+    """The light texture. What is left out is chosen so that all light lies on it and texels are finer than the data."""
+
+    rows: int | None = Field(None, gt=0, le=16384, description="texels down; left out: finer than the source")
+    columns: int | None = Field(None, gt=0, le=16384, description="texels across; left out: finer than the source")
+    left_deg: float | None = Field(None, ge=-80, le=80, description="left border, left positive; left out: where the light ends")
+    right_deg: float | None = Field(None, ge=-80, le=80, description="right border")
+    bottom_deg: float | None = Field(None, ge=-80, le=80, description="lower border, up positive")
+    top_deg: float | None = Field(None, ge=-80, le=80, description="upper border")
+
+    def on(self, default: TexelGrid, pixel_rows: int, pixel_cols: int) -> TexelGrid:
+        """The grid, with what is left out taken from a default.
+
+        Raises LuxloopError where the borders are in the wrong order, or texels are fewer than pixels.
+        """
+        for key, given, pixels in (("rows", self.rows, pixel_rows), ("columns", self.columns, pixel_cols)):
+            if given is not None and given < pixels:
+                raise LuxloopError(
+                    f"texture.{key} = {given}: cannot show {pixels} {key} of pixels; give at least {pixels}, better "
+                    f"{TEXELS_A_PIXEL * pixels}, or leave it out"
+                )
+        borders = [
+            math.degrees(math.atan(tangent)) if given is None else given
+            for given, tangent in (
+                (self.left_deg, default.left),
+                (self.right_deg, default.right),
+                (self.bottom_deg, default.bottom),
+                (self.top_deg, default.top),
+            )
+        ]
+        grid = TexelGrid.from_degrees(1, 1, *borders)
+        rows = math.ceil((grid.top - grid.bottom) / (default.top - default.bottom) * default.rows)
+        cols = math.ceil((grid.left - grid.right) / (default.left - default.right) * default.cols)
+        rows, cols = self.rows or rows, self.columns or cols
+        afford(f"texture: {rows} x {cols} texels", BYTES_A_TEXEL * rows * cols, "give fewer rows and columns")
+        return replace(grid, rows=rows, cols=cols)
+
+
+class OverlapParams(Params):
+    """Fewer pixels a texel (T 5.2)."""
+
+    keep: int | None = Field(None, ge=1, le=1_000_000, description="pixels that stay at each texel, the strongest; left out: all")
+    bound_cd: float = Field(0.0, ge=0, le=1e9, description="luminous intensity below which a pixel's light at a texel is dropped")
+    method: Method = Field(
+        "proportional",
+        description="the dropped light is lost, shared in proportion by what stays, or shared so that use cases change least: all on, "
+        "a checkerboard, random pixels, and the given beams",
+    )
+
+    @model_validator(mode="after")
+    def _says_something(self) -> Self:
+        if self.keep is None and self.bound_cd == 0:
+            raise ValueError("keep: is missing; say how many pixels stay at each texel, or give bound_cd")
+        return self
+
+
+class MountParams(Params):
+    """Where a module sits in its lamp."""
+
+    x_m: float = Field(0.0, ge=-2, le=2, description="photometric centre ahead of the lamp's origin")
+    y_m: float = Field(0.0, ge=-2, le=2, description="to the left of it")
+    z_m: float = Field(0.0, ge=-2, le=2, description="above it")
+    roll_deg: float = Field(0.0, ge=-180, le=180, description="turn about the forward axis, right side down positive")
+    pitch_deg: float = Field(0.0, ge=-90, le=90, description="turn about the left axis, positive is nose down: the light moves down")
+    yaw_deg: float = Field(0.0, ge=-180, le=180, description="turn about the upward axis, to the left positive")
+
+
+class ModuleParams(Params):
+    """One module of a lamp."""
+
+    name: str = Field(min_length=1, max_length=80, description="name, for tables and scenarios")
+    source: SourceParams = Field(description="the light of its pixels")
+    texture: TextureParams = Field(TextureParams(), description="the light texture")
+    cutoff: float = Field(CUTOFF, ge=0, lt=1, description="share of a pixel's peak below which its measured light is dropped")
+    overlap: OverlapParams | None = Field(None, description="fewer pixels a texel; left out: all")
+    mount: MountParams | None = Field(None, description="where it sits in the lamp; left out: at its origin, or as the preset")
+    swivel_deg: tuple[Degrees, Degrees] | None = Field(
+        None, description="range of turns to the left (bending); left out: fixed, or as the preset"
+    )
+    level_deg: tuple[Degrees, Degrees] | None = Field(
+        None, description="range of turns down (levelling); left out: fixed, or as the preset"
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        for key in ("swivel_deg", "level_deg"):
+            turn = getattr(self, key)
+            if turn is not None and not turn[0] <= 0 <= turn[1]:
+                raise ValueError(f"{key}: the range {list(turn)} must hold 0, where the module is mounted")
+        if isinstance(self.source, PresetSource) and self.texture != TextureParams():
+            raise ValueError("texture: a preset brings its own; leave it out")
+        return self
+
+
+@dataclass(frozen=True)
+class ModuleReport:
+    """What became of a module's source.
+
+    entries_per_texel: before and after overlap reduction. dropped: share of the light below `cutoff`, rmse and rmse_cd: against the source
+    (see world.headlight.pixels.Assembled); all three None where the source is no measurement. overlap: None where nothing was reduced.
+    """
+
+    name: str
+    pixel_rows: int
+    pixel_cols: int
+    rows: int
+    cols: int
+    entries_per_texel: tuple[float, float]
+    dropped: float | None = None
+    rmse: float | None = None
+    rmse_cd: float | None = None
+    overlap: OverlapErrors | None = None
+
+
+def build_module(
+    params: ModuleParams, folder: Path, use_cases: Callable[[int, int], Sequence[Array]], on_progress: Progress | None = None
+) -> tuple[Module, ModuleReport]:
+    """A module, and what became of its source. folder: of the description, to which paths are relative.
+
+    use_cases: utilisations `[n_p]` that matter for least squares beside the standard ones, given the pixel rows and columns.
+    Raises: LuxloopError where a file is missing or broken, or the texture or preset makes no sense.
+    """
+    module, assembled = _with_light(params, folder, on_progress)
+    full = module.headlight
+    light, overlap = full, None
+    if _dark(full):
+        raise LuxloopError(f"its source lights no texel of the texture ({describe(full)}); widen the texture, or look at the source")
+    if params.overlap is not None:
+        light, overlap = _reduced(full, params.overlap, use_cases(full.pixel_rows, full.pixel_cols))
+        if _dark(light):
+            raise LuxloopError(
+                f"overlap: bound_cd = {params.overlap.bound_cd:g} leaves no light; the brightest texel has {full.peak_cd:g} cd"
+            )
+    changes: dict[str, Any] = {key: getattr(params, key) for key in ("swivel_deg", "level_deg") if getattr(params, key) is not None}
+    if params.mount is not None:
+        m = params.mount
+        changes["T_lamp_module"] = pose_from_degrees((m.x_m, m.y_m, m.z_m), m.roll_deg, m.pitch_deg, m.yaw_deg).double()
+    return replace(module, headlight=light, **changes), ModuleReport(
+        name=params.name,
+        pixel_rows=light.pixel_rows,
+        pixel_cols=light.pixel_cols,
+        rows=light.rows,
+        cols=light.cols,
+        entries_per_texel=(len(full.matrix.values) / full.n_texels, len(light.matrix.values) / full.n_texels),
+        dropped=None if assembled is None else assembled.dropped,
+        rmse=None if assembled is None else assembled.rmse,
+        rmse_cd=None if assembled is None else assembled.rmse_cd,
+        overlap=overlap,
+    )
+
+
+def _dark(light: Headlight) -> bool:
+    return not bool((light.matrix.values > DARK_CD).any())
+
+
+def _with_light(params: ModuleParams, folder: Path, on_progress: Progress | None) -> tuple[Module, Assembled | None]:
+    """The module as its source gives it, and how true that is to what was measured."""
+    source = params.source
+    if isinstance(source, PresetSource):
+        lamp = presets.lamp(source.name)
+        given = lamp.finest if source.module is None else lamp.module(source.module)
+        return replace(given, name=params.name), None
+    if isinstance(source, GaussianPixels | BlurredRectangles):
+        rows = source.rows if isinstance(source, BlurredRectangles) else len(source.row_centres_deg)
+        grid = params.texture.on(_grid_of_model(source), rows, source.columns)
+        return Module(params.name, headlight(params.name, source, grid)), None
+    array = source.model_copy(update={"path": folder / source.path}).pixels()
+    grid = params.texture.on(default_grid(array), array.rows, array.columns)
+    _warn_of_oddities(source, array)
+    assembled = assemble(array, grid, params.cutoff, on_progress)
+    light = Headlight(
+        **vars(grid),
+        name=params.name,
+        matrix=Csr.from_scipy(assembled.matrix),
+        pixel_rows=array.rows,
+        pixel_cols=array.columns,
+        chroma=None if assembled.chroma is None else torch.from_numpy(assembled.chroma).float(),
+    )
+    return Module(params.name, light), assembled
+
+
+def _warn_of_oddities(source: FolderSource | FileSource | TableSource, array: PixelArray) -> None:
+    """Tell of measurements that are probably not what was meant."""
+    shares = {id(each): border_share(each) for each in {id(pixel.distribution): pixel.distribution for pixel in array.pixels}.values()}
+    cut_off = [(shares[id(pixel.distribution)], j) for j, pixel in enumerate(array.pixels) if shares[id(pixel.distribution)] > STILL_SHINES]
+    if cut_off:
+        share, worst = max(cut_off, key=lambda each: each[0])
+        row, column = divmod(worst, array.columns)
+        which = "" if len(shares) == 1 else f"the measurement of the pixel in row {row}, column {column} (counted from 0) "
+        more = "" if len(shares) == 1 or len(cut_off) == 1 else f", as do {len(cut_off) - 1} more"
+        warnings.warn(
+            f"{source.path}: {which}ends where it still gives {share:.0%} of its peak{more}; measure farther out, for beyond it is dark",
+            stacklevel=2,
+        )
+    hangs = any(pixel.distribution.type == "C" for pixel in array.pixels)
+    if hangs and "aim" not in source.model_fields_set:
+        warnings.warn(
+            f'{source.path}: is a luminaire\'s file (type C), so its nadir was taken as the beam axis; in a description, aim = "beam" says '
+            'that this is right, aim = "nadir" leaves it as it hangs',
+            stacklevel=2,
+        )
+
+
+def _reduced(light: Headlight, params: OverlapParams, given: Sequence[Array]) -> tuple[Headlight, OverlapErrors]:
+    """With fewer entries, judged by random utilisations that were not fitted."""
+    fitted, judged = ([*standard_use_cases(light.pixel_rows, light.pixel_cols, seed=seed), *given] for seed in (0, 1))
+    matrix = reduce(light.matrix, params.keep, params.method, fitted, params.bound_cd)
+    chroma = light.chroma
+    if chroma is not None:
+        chroma = chroma[:, torch.from_numpy(strongest(light.matrix, params.keep, params.bound_cd))]
+    return replace(light, matrix=matrix, chroma=chroma), errors(light.matrix, matrix, judged)
+
+
+def _grid_of_model(model: GaussianPixels | BlurredRectangles) -> TexelGrid:
+    """A texture that holds all light of a pixel model, with texels that are fine for its pixels and their flanks."""
+    pitch = (model.left_deg - model.right_deg) / model.columns
+    if isinstance(model, BlurredRectangles):
+        rows, row = model.rows, (model.top_deg - model.bottom_deg) / model.rows
+        across, down = (SIGMAS * model.blur_deg + 0.5 * model.overlap * each for each in (pitch, row))
+        bottom, top = model.bottom_deg - down, model.top_deg + down
+        texel_y = texel_z = model.blur_deg or math.inf
+    else:
+        rows = len(model.row_centres_deg)
+        across = (SIGMAS * model.column_sigma - 0.5) * pitch
+        reach = [(centre, SIGMAS * sigma) for centre, sigma in zip(model.row_centres_deg, model.row_sigmas_deg, strict=True)]
+        bottom, top = min(centre - each for centre, each in reach), max(centre + each for centre, each in reach)
+        texel_y, texel_z = 0.25 * model.column_sigma * pitch, 0.25 * min(model.row_sigmas_deg)
+    left, right = model.left_deg + across, model.right_deg - across
+    borders = [min(max(each, -LARGEST_ANGLE_DEG), LARGEST_ANGLE_DEG) for each in (left, right, bottom, top)]
+    grid = TexelGrid.from_degrees(1, 1, *borders)  # a texel of the plane is widest on the axis, seen as an angle
+    rows = affordable((grid.top - grid.bottom) / math.radians(texel_z), rows)
+    cols = affordable((grid.left - grid.right) / math.radians(texel_y), model.columns)
+    return replace(grid, rows=rows, cols=cols)

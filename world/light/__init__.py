@@ -1,0 +1,1 @@
+"""From the utilisation of a lamp to the luminance of a scene."""

@@ -1,0 +1,50 @@
+"""Light that is there without the headlights: an overcast sky, street lamps, lamps of other road users."""
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from world.frames import unit
+from world.rendering.gbuffer import GBuffer
+from world.scene.body import Spotlight
+from world.scene.scene import StreetLamp
+
+
+def ambient_luminance(
+    gbuffer: GBuffer, ambient_lx: float, street_lamps: Sequence[StreetLamp] = (), spotlights: Sequence[Spotlight] = ()
+) -> Tensor:
+    """Luminance `[height, width]` in cd/m^2: that of Lambertian surfaces, and what some shine with themselves.
+
+    ambient_lx: illuminance of a surface that faces up; others see the share (1 + n_z) / 2 of a uniform sky. Street lamps and spotlights (of
+    the world, `[3]` vectors) throw no shadows.
+    """
+    illuminance = ambient_lx * (1 + gbuffer.normal[2]) / 2
+    for lamp in street_lamps:
+        away = torch.tensor(lamp.position_m).to(gbuffer.position)[:, None, None] - gbuffer.position
+        illuminance = illuminance + lamp.intensity_cd * _cos_per_d2(gbuffer, away)
+    for spot in spotlights:
+        away = spot.position.to(gbuffer.position)[:, None, None] - gbuffer.position
+        illuminance = illuminance + _intensity(spot, -away) * _cos_per_d2(gbuffer, away)
+    luminance = gbuffer.albedo * illuminance / math.pi
+    if gbuffer.finish is None:
+        return luminance
+    own = torch.tensor([each.luminance_cd_m2 for each in gbuffer.finish.materials]).to(luminance)
+    return luminance + own[gbuffer.finish.material]
+
+
+def _cos_per_d2(gbuffer: GBuffer, away: Tensor) -> Tensor:
+    """`cos / d^2` in 1/m^2 `[height, width]` of light from `away` `[3, height, width]` m."""
+    d2 = (away * away).sum(0)
+    return (gbuffer.normal * away).sum(0).clamp(min=0) / (d2 * d2.sqrt())
+
+
+def _intensity(spot: Spotlight, ray: Tensor) -> Tensor:
+    """Intensity `[height, width]` in cd along rays `[3, height, width]` of any length."""
+    x = spot.axis.to(ray)
+    y = unit(torch.linalg.cross(torch.tensor([0.0, 0.0, 1.0]).to(ray), x))
+    ahead, left, up = torch.einsum("ai,ihw->ahw", torch.stack([x, y, torch.linalg.cross(x, y)]), ray)
+    angles = torch.rad2deg(torch.stack([torch.atan2(left, ahead), torch.atan2(up, torch.hypot(ahead, left))]))
+    widths = torch.tensor(spot.width_deg).to(ray)[:, None, None]
+    return spot.intensity_cd * torch.exp(-0.5 * (angles / widths).square().sum(0))

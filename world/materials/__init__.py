@@ -1,0 +1,1 @@
+"""What surfaces reflect: BRDF, materials by name, spots."""

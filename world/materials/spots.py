@@ -1,0 +1,80 @@
+"""Spots on the road that nobody was told of: paint, patches, puddles."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from world.materials.brdf import Material
+from world.materials.library import MATERIALS, MaterialName, RoadSurfaceParams, Texture
+from world.params import Params
+
+
+class SpotParams(Params):
+    """A region of the road whose albedo or material differs; where spots overlap the last one lies on top."""
+
+    shape: Literal["ellipse", "rectangle"] = Field("ellipse", description="outline")
+    x_m: float = Field(ge=-10_000, le=10_000, description="centre ahead in the world")
+    y_m: float = Field(0.0, ge=-10_000, le=10_000, description="centre to the left")
+    length_m: float = Field(1.0, gt=0, le=200, description="extent along x before it is turned")
+    width_m: float = Field(1.0, gt=0, le=200, description="extent along y before it is turned")
+    yaw_deg: float = Field(0.0, ge=-180, le=180, description="turn to the left")
+    albedo_factor: float = Field(1.0, ge=0, le=10, description="albedo when dry, as a multiple of that of the dry road there")
+    material: MaterialName | None = Field(None, description="what it reflects besides, by name; left out: as the road around it")
+
+    def covers(self, x: Tensor, y: Tensor) -> Tensor:
+        """Whether points (x, y), m in the world, lie on it; bool in their shape."""
+        dx, dy, yaw = x - self.x_m, y - self.y_m, math.radians(self.yaw_deg)
+        along = (math.cos(yaw) * dx + math.sin(yaw) * dy) / (self.length_m / 2)
+        across = (math.cos(yaw) * dy - math.sin(yaw) * dx) / (self.width_m / 2)
+        return (along.square() + across.square() if self.shape == "ellipse" else torch.maximum(along.abs(), across.abs())) <= 1
+
+
+@dataclass(frozen=True, eq=False)
+class SpottedTexture:
+    """A road's texture with spots on it. They are there once, where the texture around them repeats."""
+
+    surface: RoadSurfaceParams
+    spots: tuple[SpotParams, ...]
+
+    @cached_property
+    def _around(self) -> Texture:
+        return self.surface.texture()
+
+    @cached_property
+    def _dry(self) -> Texture:
+        return self.surface.model_copy(update={"wet": 0.0}).texture() if self.surface.wet else self._around
+
+    @cached_property
+    def materials(self) -> tuple[Material, ...]:
+        """Those of the road, then one a spot."""
+        return (*self._around.materials, *map(self._material, self.spots))
+
+    @property
+    def names(self) -> tuple[MaterialName, ...]:
+        """Those of the materials; a spot of none is of what is around it."""
+        return (*self._around.names, *(spot.material or self.surface.ground_name for spot in self.spots))
+
+    def at(self, x: Tensor, y: Tensor) -> Tensor:
+        """Albedo, float32 in the shape of x and y (m, body frame)."""
+        albedo = self._around.at(x, y)
+        for spot in self.spots:
+            there = spot.covers(x, y)
+            dry = self._dry.at(x[there], y[there]) * spot.albedo_factor
+            albedo[there] = self._material(spot).darkened(dry.clamp(max=1))
+        return albedo
+
+    def material_at(self, x: Tensor, y: Tensor) -> Tensor:
+        """Which of the materials is there, int64 in the shape of x and y (m, body frame)."""
+        number = self._around.material_at(x, y)
+        for k, spot in enumerate(self.spots, len(self._around.materials)):
+            if spot.material is not None:
+                number[spot.covers(x, y)] = k
+        return number
+
+    def _material(self, spot: SpotParams) -> Material:
+        return MATERIALS[spot.material] if spot.material else self.surface.ground

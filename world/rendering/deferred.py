@@ -1,0 +1,199 @@
+"""Depths and normals straight from OpenGL, for views of a world that moves: no exact intersections, but several times as fast."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from weakref import WeakKeyDictionary, finalize
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from world.frames import inverse
+from world.rendering.rasterise import FAR_M, NEAR_M, context
+from world.scene.body import Body
+from world.scene.triangles import Placed, Triangles
+from world.view import View
+
+MOST_PARTS = 64  # of a body: its number and that of a part share a float of 24 bits
+KEPT = 8  # views of which an image of what stands still is kept
+
+
+@dataclass(frozen=True)
+class Fragments:
+    """What OpenGL says of each pixel's centre; all zero where there is nothing.
+
+    depth: `[height, width]` m along the optical axis. normal: `[3, height, width]`, unit, in the view's frame.
+    object_id: `[height, width]` int32, -1 = none. part: `[height, width]` int32, which of its body's parts.
+    """
+
+    depth: Tensor
+    normal: Tensor
+    object_id: Tensor
+    part: Tensor
+
+
+class DeferredRenderer:
+    """Draws placed bodies into a buffer of floats, and reads it back. Corners are snapped to 1/256 px or so.
+
+    Bodies that are where they were when a view was last looked through are drawn once for all further looks.
+
+    All instances share the process's one context; use them from one thread.
+    """
+
+    def __init__(self) -> None:
+        """Raises NoOpenGL."""
+        context()
+        self._arrays: WeakKeyDictionary[Body, tuple[int, int]] = WeakKeyDictionary()
+        self._still: dict[tuple[float, ...], tuple[tuple[Placed, ...], Tensor | None]] = {}  # by the numbers of a view
+
+    def fragments(self, triangles: Triangles, view: View) -> Fragments:
+        """Draw the triangles as `view` sees them."""
+        depth, number, x, y = self._image(triangles.placed, view).permute(2, 0, 1).contiguous()
+        hit = number.abs()
+        z = (hit.clamp(max=1) - x * x - y * y).clamp(min=0).sqrt() * -number.sign()
+        code = hit.int()
+        return Fragments(depth, torch.stack([x, y, z]), code // MOST_PARTS - 1, code % MOST_PARTS)
+
+    def _image(self, placed: tuple[Placed, ...], view: View) -> Tensor:
+        """`[height, width, 4]`, depth first, zero where there is nothing."""
+        numbers = (view.width, view.height, view.fx, view.fy, view.cx, view.cy, *view.T_world_view.flatten().tolist())
+        last, image = self._still.pop(numbers, ((), None))
+        still = tuple(each for each in last if each in placed)
+        if still and (image is None or len(still) < len(last)):
+            image = self._draw(still, view)
+        moved = tuple(each for each in placed if each not in still)
+        if len(self._still) == KEPT:
+            del self._still[next(iter(self._still))]  # which was looked at longest ago
+        self._still[numbers] = (still, image) if still else (placed, None)
+        if image is None or not still:
+            return self._draw(placed, view)
+        over = self._draw(moved, view)
+        depth, behind = over[..., :1], image[..., :1]
+        return torch.where((depth > 0) & ((behind == 0) | (depth < behind)), over, image)
+
+    def _draw(self, bodies: Sequence[Placed], view: View) -> Tensor:
+        from OpenGL import GL
+
+        context()._platform.make_current()
+        program = _program()
+        _bind_framebuffer(view.width, view.height)
+        GL.glViewport(0, 0, view.width, view.height)
+        for state in (GL.GL_BLEND, GL.GL_MULTISAMPLE, GL.GL_SCISSOR_TEST):
+            GL.glDisable(state)
+        GL.glEnable(GL.GL_DEPTH_TEST)
+        GL.glDepthMask(GL.GL_TRUE)
+        GL.glDepthFunc(GL.GL_LESS)
+        GL.glFrontFace(GL.GL_CW)  # the image is upside down to OpenGL
+        GL.glCullFace(GL.GL_BACK)
+        GL.glClearBufferfv(GL.GL_COLOR, 0, np.zeros(4, np.float32))
+        GL.glClearBufferfv(GL.GL_DEPTH, 0, np.ones(1, np.float32))
+        GL.glUseProgram(program)
+        at = {name: GL.glGetUniformLocation(program, name) for name in ("T_view_body", "projection", "number", "two_sided")}
+        GL.glUniformMatrix4fv(at["projection"], 1, GL.GL_TRUE, _projection(view))
+        T_view_world = inverse(view.T_world_view)
+        for placed in bodies:
+            array, count = self._array_of(placed.body)
+            GL.glUniformMatrix4fv(at["T_view_body"], 1, GL.GL_TRUE, (T_view_world @ placed.T_world_body).float().numpy())
+            GL.glUniform1f(at["number"], float(MOST_PARTS * (placed.object_id + 1)))
+            GL.glUniform1i(at["two_sided"], placed.body.two_sided)
+            (GL.glDisable if placed.body.two_sided else GL.glEnable)(GL.GL_CULL_FACE)
+            GL.glBindVertexArray(array)
+            GL.glDrawElements(GL.GL_TRIANGLES, count, GL.GL_UNSIGNED_INT, None)
+        GL.glBindVertexArray(0)
+        GL.glUseProgram(0)
+        GL.glFrontFace(GL.GL_CCW)  # which pyrender takes for granted
+        return _read(view)
+
+    def _array_of(self, body: Body) -> tuple[int, int]:
+        """A body's vertex array and its number of corners, uploaded at the first time and deleted with the body."""
+        if body not in self._arrays:
+            if body.smooth and body.part_of_face is None:
+                faces, n = np.asarray(body.mesh.faces), len(body.mesh.vertices)
+                corners = np.concatenate([body.mesh.vertices, body.mesh.vertex_normals, np.zeros((n, 1))], axis=1)
+            else:
+                part = torch.zeros(len(body.corners)) if body.part_of_face is None else body.part_of_face
+                corners = torch.cat([body.corners, body.corner_normals, part[:, None, None].expand(-1, 3, 1)], -1).flatten(0, 1).numpy()
+                faces = np.arange(len(corners))
+            array, buffers = _upload(corners, faces)
+            finalize(body, _delete, array, buffers).atexit = False  # when the context may be gone
+            self._arrays[body] = (array, faces.size)
+        return self._arrays[body]
+
+
+def _upload(corners: np.ndarray, faces: np.ndarray) -> tuple[int, list[int]]:
+    from OpenGL import GL
+
+    array, buffers = int(GL.glGenVertexArrays(1)), [int(each) for each in GL.glGenBuffers(2)]
+    GL.glBindVertexArray(array)
+    for target, buffer, values in (
+        (GL.GL_ARRAY_BUFFER, buffers[0], np.ascontiguousarray(corners, np.float32)),
+        (GL.GL_ELEMENT_ARRAY_BUFFER, buffers[1], np.ascontiguousarray(faces, np.uint32)),
+    ):
+        GL.glBindBuffer(target, buffer)
+        GL.glBufferData(target, values.nbytes, values, GL.GL_STATIC_DRAW)
+    for location, size in enumerate((3, 3, 1)):
+        GL.glEnableVertexAttribArray(location)
+        GL.glVertexAttribPointer(location, size, GL.GL_FLOAT, GL.GL_FALSE, 28, GL.ctypes.c_void_p(12 * location))
+    GL.glBindVertexArray(0)
+    return array, buffers
+
+
+def _delete(array: int, buffers: list[int]) -> None:
+    from OpenGL import GL
+
+    context()._platform.make_current()
+    GL.glDeleteVertexArrays(1, [array])
+    GL.glDeleteBuffers(len(buffers), buffers)
+
+
+def _projection(view: View) -> np.ndarray:
+    """From the view's frame (x right, y down, z forward) to clip space, row 0 of the image first in memory."""
+    P = np.zeros((4, 4), np.float32)
+    P[0, [0, 2]] = 2 * view.fx / view.width, 2 * view.cx / view.width - 1
+    P[1, [1, 2]] = 2 * view.fy / view.height, 2 * view.cy / view.height - 1
+    P[2, [2, 3]] = (FAR_M + NEAR_M) / (FAR_M - NEAR_M), -2 * FAR_M * NEAR_M / (FAR_M - NEAR_M)
+    P[3, 2] = 1
+    return P
+
+
+def _read(view: View) -> Tensor:
+    """`[height, width, 4]` float32."""
+    from OpenGL import GL
+
+    pixels = np.empty((view.height, view.width, 4), np.float32)
+    GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, _framebuffer()[0])
+    GL.glReadPixels(0, 0, view.width, view.height, GL.GL_RGBA, GL.GL_FLOAT, pixels)
+    GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, 0)
+    return torch.from_numpy(pixels)
+
+
+@cache
+def _program() -> int:
+    from OpenGL import GL
+    from OpenGL.GL import shaders
+
+    folder = files("world.rendering") / "shaders"
+    kinds = ((GL.GL_VERTEX_SHADER, "surfaces.vert"), (GL.GL_FRAGMENT_SHADER, "surfaces.frag"))
+    return int(shaders.compileProgram(*(shaders.compileShader((folder / name).read_text(), kind) for kind, name in kinds)))
+
+
+@cache
+def _framebuffer() -> tuple[int, tuple[int, ...]]:
+    """The framebuffer and its renderbuffers: surfaces, and OpenGL's own depth."""
+    from OpenGL import GL
+
+    return int(GL.glGenFramebuffers(1)), tuple(int(each) for each in GL.glGenRenderbuffers(2))
+
+
+def _bind_framebuffer(width: int, height: int) -> None:
+    from OpenGL import GL
+
+    framebuffer, renderbuffers = _framebuffer()
+    GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, framebuffer)
+    places = ((GL.GL_COLOR_ATTACHMENT0, GL.GL_RGBA32F), (GL.GL_DEPTH_ATTACHMENT, GL.GL_DEPTH_COMPONENT24))
+    for renderbuffer, (place, kind) in zip(renderbuffers, places, strict=True):
+        GL.glBindRenderbuffer(GL.GL_RENDERBUFFER, renderbuffer)
+        GL.glRenderbufferStorage(GL.GL_RENDERBUFFER, kind, width, height)
+        GL.glFramebufferRenderbuffer(GL.GL_FRAMEBUFFER, place, GL.GL_RENDERBUFFER, renderbuffer)

@@ -1,0 +1,34 @@
+"""Where face ids come from: OpenGL if there is any, else rays."""
+
+import warnings
+from typing import Literal, Protocol
+
+from torch import Tensor
+
+from world.rendering.rasterise import NoOpenGL, Rasteriser
+from world.rendering.raycast import RayCaster
+from world.scene.triangles import Triangles
+from world.view import View
+
+
+class FaceSource(Protocol):
+    """Tells which triangle each pixel of a view sees; `name` says by what means."""
+
+    name: str
+
+    def face_ids(self, triangles: Triangles, view: View) -> Tensor:
+        """Id of the nearest face through each pixel's centre, `[height, width]` int64, -1 where there is none."""
+        ...
+
+
+def face_source(name: Literal["auto", "opengl", "raycast"] = "auto") -> FaceSource:
+    """The face source of that name; "auto" takes OpenGL and falls back to rays with a warning. Raises NoOpenGL for "opengl"."""
+    if name == "raycast":
+        return RayCaster()
+    try:
+        return Rasteriser()
+    except NoOpenGL as error:
+        if name == "opengl":
+            raise
+        warnings.warn(f"rendering by ray casting, which is slower: {error}", stacklevel=2)
+        return RayCaster()

@@ -1,0 +1,98 @@
+"""G-buffer: what a view sees at each pixel, whichever way its faces were found."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from world.frames import inverse, transform, unit
+from world.materials.brdf import LAMBERTIAN, Material
+from world.materials.library import MATERIALS
+from world.scene.triangles import Placed, Triangles, intersect
+from world.view import View
+
+
+@dataclass(frozen=True)
+class Finish:
+    """What the surfaces of a view have besides their albedo.
+
+    materials: those in sight, the first Lambertian. material: `[height, width]` int64, which of them. eye: `[3]` m, the view's origin.
+    """
+
+    materials: tuple[Material, ...]
+    material: Tensor
+    eye: Tensor
+
+    def to(self, device: torch.device) -> "Finish":
+        return Finish(self.materials, self.material.to(device), self.eye.to(device))
+
+
+@dataclass(frozen=True)
+class GBuffer:
+    """Surfaces at the pixel centres of a view; all zero where there is none.
+
+    position: `[3, height, width]` m, world. normal: `[3, height, width]`, unit, world, on the side that is seen of two-sided bodies.
+    albedo: `[height, width]`. object_id: `[height, width]` int32, index of the body in the scene, -1 = none.
+    finish: None where all surfaces are Lambertian. part: `[height, width]` int32, which of its body's parts, 0 of a body without;
+    None where none has any.
+    """
+
+    position: Tensor
+    normal: Tensor
+    albedo: Tensor
+    object_id: Tensor
+    finish: Finish | None = None
+    part: Tensor | None = None
+
+    def to(self, device: torch.device) -> "GBuffer":
+        finish = None if self.finish is None else self.finish.to(device)
+        part = None if self.part is None else self.part.to(device)
+        return GBuffer(self.position.to(device), self.normal.to(device), self.albedo.to(device), self.object_id.to(device), finish, part)
+
+
+def gbuffer(triangles: Triangles, view: View, face_ids: Tensor) -> GBuffer:
+    """Intersect the ray through each pixel's centre with the face `[height, width]` that it sees; float64 inside, float32 out."""
+    n = view.height * view.width
+    position, normal, albedo = torch.zeros(3, n), torch.zeros(3, n), torch.zeros(n)
+    object_id, material = torch.full((n,), -1, dtype=torch.int32), torch.zeros(n, dtype=torch.int64)
+    part = torch.zeros(n, dtype=torch.int32) if any(placed.body.parts for placed in triangles.placed) else None
+    numbers = {LAMBERTIAN: 0}  # of the materials in sight
+    origin, directions = view.origin, view.rays().flatten(1)
+    for hits in intersect(triangles, face_ids.flatten(), origin, directions):
+        placed, pixels = hits.placed, hits.pixels
+        points = origin[:, None] + directions[:, pixels] * hits.depth
+        position[:, pixels] = points.float()
+        normals = _normals(placed.corner_normals[hits.faces], hits.barycentric.float())
+        normal[:, pixels] = torch.where(hits.front, normals, -normals) if placed.body.two_sided else normals
+        if part is not None and placed.body.part_of_face is not None:
+            part[pixels] = placed.body.part_of_face[hits.faces].int()
+        albedo[pixels], material[pixels] = reflection(placed, points, numbers, None if part is None else part[pixels])
+        object_id[pixels] = placed.object_id
+    shape = (view.height, view.width)
+    finish = Finish(tuple(numbers), material.view(shape), origin) if len(numbers) > 1 else None
+    seen_part = None if part is None else part.view(shape)
+    return GBuffer(position.view(3, *shape), normal.view(3, *shape), albedo.view(shape), object_id.view(shape), finish, seen_part)
+
+
+def reflection(placed: Placed, points: Tensor, numbers: dict[Material, int], part: Tensor | None) -> tuple[Tensor, Tensor]:
+    """Albedo `[M]` float32 and number of the material `[M]` int64 at points `[3, M]` of a body, world, on its parts `[M]`.
+
+    New materials are numbered on.
+    """
+    body, texture = placed.body, placed.body.texture
+    if body.parts and part is not None:
+        known = torch.tensor([numbers.setdefault(MATERIALS[each.material], len(numbers)) for each in body.parts])
+        return torch.tensor([each.albedo for each in body.parts])[part.long()], known[part.long()]
+    if texture is None:
+        number = numbers.setdefault(body.material, len(numbers))
+        return torch.tensor(body.albedo).expand(points.shape[1]), torch.tensor(number).expand(points.shape[1])
+    x, y, _ = transform(inverse(placed.T_world_body).to(points), points)
+    known = torch.tensor([numbers.setdefault(each, len(numbers)) for each in texture.materials])
+    return texture.at(x, y), known[texture.material_at(x, y)] if len(known) > 1 else known.expand(len(x))
+
+
+def _normals(corner_normals: Tensor, barycentric: Tensor) -> Tensor:
+    """Unit normals `[3, M]` from those at the corners `[M, 3 corners, 3]` and barycentric coordinates `[3 corners, M]`."""
+    weight = barycentric.clamp(min=0.0)
+    mean = torch.stack([weight[i] * corner_normals[:, i].T for i in range(3)]).sum(0)
+    return unit(mean)

@@ -1,0 +1,114 @@
+"""Which triangle each pixel of a view sees, by OpenGL: pyrender, offscreen, on a GPU or in software."""
+
+import os
+from functools import cache
+from pathlib import Path
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from world.errors import LuxloopError
+from world.rendering.raycast import first_hits
+from world.scene.body import Body
+from world.scene.triangles import Triangles, beside
+from world.view import View
+
+NEAR_M, FAR_M = 0.3, 1000.0  # 24 bits of depth between them: 0.7 mm at 60 m
+GL_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenGL looks along -z, with y up
+
+
+class NoOpenGL(LuxloopError):
+    """No offscreen OpenGL context can be made here."""
+
+
+class Rasteriser:
+    """A face source by OpenGL. All instances share the process's one context; use them from one thread."""
+
+    def __init__(self) -> None:
+        """Raises NoOpenGL."""
+        self._context = context()
+        self._meshes: WeakKeyDictionary[Body, list[Any]] = WeakKeyDictionary()
+        self.name = f"OpenGL ({_renderer_name()})"
+
+    def face_ids(self, triangles: Triangles, view: View) -> Tensor:
+        """Id of the nearest face through each pixel's centre, `[height, width]` int64, -1 where there is none."""
+        import pyrender
+
+        if sum(placed.n_faces for placed in triangles.placed) >= 1 << 24:
+            raise LuxloopError("the scene has more than 16.7 million triangles; take coarser meshes, or the face source 'raycast'")
+        scene = _ordered_scene()
+        camera = pyrender.IntrinsicsCamera(view.fx, view.fy, view.cx, view.cy, NEAR_M, FAR_M)
+        scene.add(camera, pose=view.T_world_view.numpy() @ GL_OPENCV)
+        first_ids: dict[Any, list[int]] = {}
+        for first, placed in triangles.parts():
+            for mesh in self._meshes_of(placed.body):
+                node = scene.add(mesh, pose=placed.T_world_body.numpy(), name=f"{len(first_ids):06}")
+                # pyrender clears to 0, so ids in the picture begin with 1
+                first_ids[node] = [((first + 1) >> shift) & 255 for shift in (0, 8, 16)]
+        self._context.viewport_width, self._context.viewport_height = view.width, view.height
+        rgb, _ = self._context.render(scene, pyrender.RenderFlags.SEG, first_ids)
+        return _through_centres(triangles, view, torch.from_numpy((rgb @ np.array([1, 1 << 8, 1 << 16])) - 1))
+
+    def _meshes_of(self, body: Body) -> list[Any]:
+        if body not in self._meshes:
+            sides = [np.asarray(body.mesh.faces)]
+            if body.two_sided:
+                # pyrender culls back faces, so the mesh is drawn a second time, inside out, with the same ids
+                sides.append(sides[0][:, ::-1])
+            self._meshes[body] = [_pyrender_mesh(body.mesh.vertices, faces) for faces in sides]
+        return self._meshes[body]
+
+
+def _through_centres(triangles: Triangles, view: View, face_ids: Tensor) -> Tensor:
+    """OpenGL snaps corners to 1/256 px or so: a ray finds the true face `[height, width]` where a pixel's centre lies beside its own."""
+    directions, found = view.rays().flatten(1), face_ids.flatten()
+    missed = beside(triangles, found, view.origin, directions)
+    found[missed] = first_hits(triangles, view.origin, directions[:, missed])
+    return found.view_as(face_ids)
+
+
+def _pyrender_mesh(vertices: np.ndarray, faces: np.ndarray) -> Any:
+    import pyrender
+
+    return pyrender.Mesh([pyrender.Primitive(vertices, indices=faces, material=pyrender.MetallicRoughnessMaterial())])
+
+
+def _ordered_scene() -> Any:
+    import pyrender
+
+    class OrderedScene(pyrender.Scene):
+        """Draws in a fixed order: pyrender's is a set's, and where two surfaces meet the first one drawn wins."""
+
+        @property
+        def mesh_nodes(self) -> list[Any]:
+            return sorted(super().mesh_nodes, key=lambda node: node.name)
+
+    return OrderedScene()
+
+
+@cache
+def context() -> Any:
+    """The one OffscreenRenderer of the process: pyrender's meshes belong to the context that they were first drawn in."""
+    os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
+    os.environ.setdefault("PYGLET_HEADLESS", "true")  # pyrender imports its viewer, which would ask for an X server
+    try:
+        import pyrender
+        from pyrender.shader_program import ShaderProgramCache
+
+        renderer = pyrender.OffscreenRenderer(1, 1)
+    except Exception as error:  # missing libraries and drivers show as ImportError, AttributeError, AssertionError, EGLError ...
+        reason = str(error) or type(error).__name__
+        remedy = "install libegl1 and libgl1-mesa-dri, or take the face source 'raycast'"
+        raise NoOpenGL(f"no offscreen OpenGL here ({reason}); {remedy}") from error
+    renderer._renderer._program_cache = ShaderProgramCache(shader_dir=str(Path(__file__).parent / "shaders"))
+    return renderer
+
+
+def _renderer_name() -> str:
+    from OpenGL.GL import GL_RENDERER, glGetString
+
+    context()._platform.make_current()
+    return glGetString(GL_RENDERER).decode()

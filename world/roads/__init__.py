@@ -1,0 +1,1 @@
+"""Road surfaces: shapes, noise, scans, and those of the user's own."""

@@ -1,0 +1,1 @@
+"""Bodies and road as triangles, and the vehicle that moves over them."""

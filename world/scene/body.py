@@ -1,0 +1,146 @@
+"""Bodies: rigid triangle meshes, each on a pose track over time."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import torch
+import trimesh
+from scipy.spatial.transform import Rotation, Slerp
+from torch import Tensor
+from trimesh.ray.ray_pyembree import RayMeshIntersector
+
+from world.frames import pose
+from world.materials.brdf import LAMBERTIAN, Material
+from world.materials.library import MaterialName, Texture
+from world.materials.spots import SpottedTexture
+from world.roads.base import Road
+
+
+@dataclass(frozen=True)
+class Part:
+    """What a part of a body looks like. name: such as "head" or "windscreen". albedo: 0..1, as it is seen."""
+
+    name: str
+    albedo: float
+    material: MaterialName
+
+
+@dataclass(frozen=True, eq=False)
+class Spotlight:
+    """A lamp of a body, whose light falls off with the angle as a Gaussian curve does, and throws no shadows.
+
+    position, axis: `[3]`, m and unit, in the body frame. width_deg: standard deviations across and up.
+    """
+
+    position: Tensor
+    axis: Tensor
+    intensity_cd: float
+    width_deg: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class PoseTrack:
+    """Where a body is and when it is there: position linear, rotation on the shortest arc between keyframes, constant outside.
+
+    times_s: K ascending times. T_world_body: `[K, 4, 4]` float64. The body is there in `[appears_s, vanishes_s)`.
+    road: what heights count from, at the body's x and y; without one they are over z = 0.
+    """
+
+    times_s: tuple[float, ...]
+    T_world_body: Tensor
+    appears_s: float = -float("inf")
+    vanishes_s: float = float("inf")
+    road: Road | None = None
+
+    @classmethod
+    def static(cls, T_world_body: Tensor | None = None) -> "PoseTrack":
+        """Always there, at one pose `[4, 4]` (default: the world's own)."""
+        T = torch.eye(4, dtype=torch.float64) if T_world_body is None else T_world_body.double()
+        return cls((0.0,), T[None])
+
+    @cached_property
+    def _travelled_m(self) -> np.ndarray:
+        steps = np.diff(self.T_world_body[:, :3, 3].numpy(), axis=0)
+        return np.cumsum([0.0, *np.linalg.norm(steps, axis=1)])
+
+    def travelled_m(self, t_s: float) -> float:
+        """Length in m of the way until a time in s."""
+        return float(np.interp(t_s, self.times_s, self._travelled_m))
+
+    def visible_at(self, t_s: float) -> bool:
+        return self.appears_s <= t_s < self.vanishes_s
+
+    def pose_at(self, t_s: float) -> Tensor:
+        """`T_world_body` `[4, 4]` float64 at a time in s."""
+        T = self._interpolated(t_s)
+        if self.road is None:
+            return T
+        x, y = T[:2, 3].tolist()
+        return pose(T[:3, 3] + T.new_tensor([0.0, 0.0, float(self.road.z(x, y))]), T[:3, :3])
+
+    def _interpolated(self, t_s: float) -> Tensor:
+        t = min(max(t_s, self.times_s[0]), self.times_s[-1])
+        after = int(np.searchsorted(self.times_s, t))
+        if self.times_s[after] == t:
+            return self.T_world_body[after]
+        before = after - 1
+        share = (t - self.times_s[before]) / (self.times_s[after] - self.times_s[before])
+        start, stop = self.T_world_body[before], self.T_world_body[after]
+        arc = Slerp([0.0, 1.0], Rotation.from_matrix(torch.stack([start, stop])[:, :3, :3].numpy()))
+        return pose(torch.lerp(start[:3, 3], stop[:3, 3], share), torch.from_numpy(arc(share).as_matrix()))
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A rigid mesh; two bodies are the same only if they are one object, so that what is derived can be cached.
+
+    mesh: in the body frame, m. albedo: 0..1. texture: albedo and material over the body's x and y instead of the constants.
+    smooth: vertex normals interpolated over a face (roads, people) instead of one normal a face (boxes).
+    two_sided: seen from the back as well (sheets, open meshes); else faces are there only where their corners run counter-clockwise.
+    parts: with albedos and materials of their own, in place of the body's. part_of_face: `[F]` int64, which of them a face belongs to.
+    """
+
+    name: str
+    mesh: trimesh.Trimesh
+    albedo: float = 0.2
+    texture: Texture | SpottedTexture | None = None
+    material: Material = LAMBERTIAN
+    smooth: bool = False
+    two_sided: bool = False
+    track: PoseTrack = field(default_factory=PoseTrack.static)
+    parts: tuple[Part, ...] = ()
+    part_of_face: Tensor | None = None
+    spotlights: tuple[Spotlight, ...] = ()
+
+    @cached_property
+    def corners(self) -> Tensor:
+        """Corners of the faces in the body frame, `[F, 3 corners, 3]` float64 m."""
+        return torch.from_numpy(np.array(self.mesh.vertices, dtype=np.float64)[np.asarray(self.mesh.faces)])
+
+    @cached_property
+    def bounds(self) -> Tensor:
+        """Lowest and highest coordinates in the body frame, `[2, 3]` float64 m."""
+        return torch.stack(self.corners.flatten(0, 1).aminmax(dim=0))
+
+    @cached_property
+    def planes(self) -> Tensor:
+        """Planes `n x = c` of the faces in the body frame, `[F, 4]` float64: n, out of the side that is seen, in m^2, and c in m^3."""
+        a, b, c = self.corners.unbind(1)
+        normal = torch.linalg.cross(b - a, c - a)
+        return torch.cat([normal, (normal * a).sum(-1, keepdim=True)], -1)
+
+    @cached_property
+    def corner_normals(self) -> Tensor:
+        """Unit normals at the corners in the body frame, `[F, 3 corners, 3]` float64; vertex normals are weighted by angle."""
+        if self.smooth:
+            return torch.from_numpy(np.array(self.mesh.vertex_normals)[np.asarray(self.mesh.faces)])
+        a, b, c = self.corners.unbind(1)
+        return torch.nn.functional.normalize(torch.linalg.cross(b - a, c - a), dim=-1)[:, None].expand(-1, 3, -1).contiguous()
+
+    @cached_property
+    def intersector(self) -> RayMeshIntersector:
+        """Embree's copy of the mesh. It ends with the body: the mesh's own waits for the garbage collector, and embree ends in a crash with
+        about 1,000 of them at once.
+        """
+        return RayMeshIntersector(self.mesh)

@@ -1,0 +1,75 @@
+"""A road along a drive: tiles across it, fine near the vehicle and coarse far ahead, made when they come into sight."""
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any, Final
+
+import numpy as np
+import torch
+import trimesh
+from torch import Tensor
+
+from world.materials.library import Texture
+from world.materials.spots import SpottedTexture
+from world.roads.base import Road
+from world.roads.mesh import axis, grid_faces
+from world.scene.body import Body, PoseTrack
+from world.scene.triangles import Placed
+
+LENGTH_M: Final = 6.0  # of a tile
+SIGHT_M: Final = 90.0
+NEAR_M: Final = 30.0  # where light falls that shall be judged
+ALONG_M: Final = (0.1, 0.6)  # spacing of rows, near and far: in a camera at 1.35 m a pixel is 0.2 m long at 17 m, 1 m at 40 m
+ACROSS_M: Final = 0.12
+BESIDE_M: Final = (3.5, 25.0)  # to both sides of the course: finely meshed, and meshed at all
+KEPT_TILES: Final = 64
+
+
+@dataclass(frozen=True, eq=False)
+class RoadTiles:
+    """A road meshed where the vehicle comes. course_y_m: least and greatest y of its course. albedo, texture: as those of a `Body`."""
+
+    road: Road
+    course_y_m: tuple[float, float]
+    albedo: float
+    texture: Texture | SpottedTexture | None
+    name: str = "road"
+    track: PoseTrack = field(default_factory=PoseTrack.static)
+    _tile: Any = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_tile", lru_cache(KEPT_TILES)(self._make))
+
+    def near(self, object_id: int, T_world_ground: Tensor) -> tuple[Placed, ...]:
+        """The tiles in sight of a vehicle at `T_world_ground` `[4, 4]`, as parts of the body `object_id`."""
+        (cos, sin), (x, y) = T_world_ground[:2, 0].tolist(), T_world_ground[:2, 3].tolist()
+        left, right = self.course_y_m[1] + BESIDE_M[1], self.course_y_m[0] - BESIDE_M[1]
+        tiles = []
+        for k in range(int((x - SIGHT_M) // LENGTH_M), int((x + SIGHT_M) // LENGTH_M) + 1):
+            start, stop = k * LENGTH_M, (k + 1) * LENGTH_M
+            if max((end - x) * cos + (side - y) * sin for end in (start, stop) for side in (left, right)) > 0:
+                far = max(start - x, x - stop) > NEAR_M
+                tiles.append(self._tile(object_id, k, far))
+        return tuple(tiles)
+
+    def _make(self, object_id: int, k: int, far: bool) -> Placed:
+        """Rows share their columns at all distances, so that tiles meet without gaps; normals look one row beyond the tile."""
+        start, grid = k * LENGTH_M, self.road.grid()
+        rows = round(LENGTH_M / ALONG_M[far])
+        x = np.linspace(start, start + LENGTH_M, rows + 1)
+        x = np.unique(np.concatenate([x, [line for line in grid.x_lines_m if start < line < start + LENGTH_M]]))
+        (low, high), (fine, wide) = self.course_y_m, BESIDE_M
+        y = axis((low - wide, high + wide), (low - fine, high + fine), ACROSS_M, grid.y_lines_m)
+        margin = ALONG_M[0]
+        around = np.concatenate([[x[0] - margin], x, [x[-1] + margin]])
+        z = self.road.z(around[:, None], y)
+        dx, dy = np.gradient(z, around, y)
+        normals = np.stack([-dx, -dy, np.ones_like(z)], axis=-1)[1:-1].reshape(-1, 3)
+        X, Y = np.meshgrid(x, y, indexing="ij")
+        mesh = trimesh.Trimesh(
+            np.stack([X, Y, z[1:-1]], axis=-1).reshape(-1, 3),
+            grid_faces(len(x), len(y)),
+            vertex_normals=normals / np.linalg.norm(normals, axis=1, keepdims=True),
+            process=False,
+        )
+        return Placed(object_id, Body(self.name, mesh, self.albedo, self.texture, smooth=True), torch.eye(4, dtype=torch.float64))

@@ -1,0 +1,82 @@
+"""The scene: bodies that come, move and go, and the light that is there without the headlights."""
+
+from dataclasses import dataclass, field, replace
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from world.frames import transform
+from world.params import Metres, Params
+from world.scene.body import Body, PoseTrack, Spotlight
+from world.scene.figure import Figure
+from world.scene.road_tiles import RoadTiles
+from world.scene.triangles import Placed, Triangles
+
+__all__ = ["Body", "PoseTrack", "Scene", "StreetLamp"]
+
+# (object id, the 16 numbers of T_world_body and the share of its cycle that a figure is at) of every body that is there
+Key = tuple[tuple[int, tuple[float, ...]], ...]
+
+
+class StreetLamp(Params):
+    """A point light that shines equally into all directions, without shadows."""
+
+    position_m: tuple[Metres, Metres, Metres] = Field(description="Where it hangs in the world (x forward, y left, z up)")
+    intensity_cd: float = Field(gt=0, le=1e9, description="Luminous intensity into every direction")
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """bodies: the road first; their order gives the object ids. ambient_lx: illuminance of a surface facing up, from an overcast sky."""
+
+    bodies: tuple[Body | RoadTiles | Figure, ...]
+    ambient_lx: float = 0.0
+    street_lamps: tuple[StreetLamp, ...] = ()
+    _last_placed: dict[int, Placed] = field(default_factory=dict, init=False, repr=False)
+
+    @property
+    def objects(self) -> tuple[Body | Figure, ...]:
+        """All but the road."""
+        return tuple(body for body in self.bodies[1:] if not isinstance(body, RoadTiles))
+
+    @property
+    def moves(self) -> bool:
+        """Whether a body has more than one pose."""
+        return any(len(body.track.times_s) > 1 for body in self.bodies)
+
+    def key_at(self, t_s: float) -> Key:
+        """Which bodies are there at a time, and where: cheap, and equal as long as nothing moves."""
+        return tuple(
+            (i, (*body.track.pose_at(t_s).flatten().tolist(), body.phase_at(t_s) if isinstance(body, Figure) else 0.0))
+            for i, body in enumerate(self.bodies)
+            if body.track.visible_at(t_s)
+        )
+
+    def at(self, t_s: float, T_world_ground: Tensor | None = None) -> Triangles:
+        """The scene's triangles at a time. Bodies that stood still since the last call are reused with all that was derived from them.
+
+        T_world_ground: `[4, 4]`, where the vehicle is that looks at it; default: at the world's origin.
+        """
+        here = torch.eye(4, dtype=torch.float64) if T_world_ground is None else T_world_ground
+        return Triangles(tuple(placed for i, _ in self.key_at(t_s) for placed in self._place(i, t_s, here)))
+
+    def _place(self, i: int, t_s: float, T_world_ground: Tensor) -> tuple[Placed, ...]:
+        body = self.bodies[i]
+        if isinstance(body, RoadTiles):
+            return body.near(i, T_world_ground)
+        T, shape = body.track.pose_at(t_s), body.at(t_s) if isinstance(body, Figure) else body
+        last = self._last_placed.get(i)
+        if last is None or last.body is not shape or not last.T_world_body.equal(T):
+            self._last_placed[i] = Placed(i, shape, T)
+        return (self._last_placed[i],)
+
+    def spotlights_at(self, t_s: float) -> tuple[Spotlight, ...]:
+        """The lamps of all bodies that are there at a time, in the world."""
+        return tuple(
+            replace(lamp, position=transform(T, lamp.position[:, None])[:, 0], axis=T[:3, :3] @ lamp.axis)
+            for body in self.bodies
+            if isinstance(body, Body) and body.track.visible_at(t_s)
+            for T in [body.track.pose_at(t_s)]
+            for lamp in body.spotlights
+        )

@@ -1,0 +1,118 @@
+"""What a scene looks like at one time, as triangles; and the one place where rays meet their planes."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from world.scene.body import Body
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """A body at a pose. object_id: index of the body in its scene. T_world_body: `[4, 4]` float64."""
+
+    object_id: int
+    body: Body
+    T_world_body: Tensor
+
+    @cached_property
+    def corners(self) -> Tensor:
+        """Corners of the faces in the world, `[F, 3 corners, 3]` float64 m."""
+        return self.body.corners @ self.T_world_body[:3, :3].T + self.T_world_body[:3, 3]
+
+    @cached_property
+    def corner_normals(self) -> Tensor:
+        """Unit normals at the corners in the world, `[F, 3 corners, 3]` float32."""
+        return (self.body.corner_normals @ self.T_world_body[:3, :3].T).float()
+
+    @property
+    def n_faces(self) -> int:
+        return len(self.body.mesh.faces)
+
+
+@dataclass(frozen=True, eq=False)
+class Triangles:
+    """All triangles of a scene at one time; face ids count through the placed bodies in their order."""
+
+    placed: tuple[Placed, ...]
+
+    def parts(self) -> Iterator[tuple[int, Placed]]:
+        """Each placed body with its first face id."""
+        first = 0
+        for placed in self.placed:
+            yield first, placed
+            first += placed.n_faces
+
+
+@dataclass(frozen=True)
+class Hits:
+    """Rays on one body, M of them. pixels: `[M]`, index of the ray. faces: `[M]`, index of the body's face.
+
+    depth: `[M]`, in lengths of the ray's direction. barycentric: `[3 corners, M]`, within -0.1 and 1.2.
+    front: `[M]`, the face is seen from the side where its corners run counter-clockwise.
+    """
+
+    placed: Placed
+    pixels: Tensor
+    faces: Tensor
+    depth: Tensor
+    barycentric: Tensor
+    front: Tensor
+
+
+def intersect(triangles: Triangles, face_ids: Tensor, origin: Tensor, directions: Tensor) -> Iterator[Hits]:
+    """Intersect rays with the planes of the faces that they are known to hit, body by body, exactly (float64).
+
+    face_ids: `[N]` int64, -1 = none. origin: `[3]` m, common to all rays. directions: `[3, N]`, any length.
+
+    A ray may pass its face by rounding. There the plane is extended, which is right where the neighbour has a similar slope; beyond a tenth
+    of the face (seen edge-on, or tiny) the nearest point of the face counts.
+    """
+    for hits in _on_planes(triangles, face_ids, origin, directions):
+        beside = torch.nonzero(~(hits.barycentric.amin(0) >= -0.1))[:, 0]
+        if len(beside):
+            held = hits.barycentric[:, beside].nan_to_num(1.0, 1.0, 0.0).clamp(min=0.0)
+            hits.barycentric[:, beside] = held = held / held.sum(0)
+            along = directions[:, hits.pixels[beside]]
+            points = torch.einsum("im,mij->jm", held, hits.placed.corners[hits.faces[beside]] - origin)
+            hits.depth[beside] = (points * along).sum(0) / (along * along).sum(0)
+        yield hits
+
+
+def beside(triangles: Triangles, face_ids: Tensor, origin: Tensor, directions: Tensor) -> Tensor:
+    """Indices of the rays that pass beside their faces `[N]` by more than 1e-4 of them; parameters as of `intersect`."""
+    found = (hits.pixels[~(hits.barycentric.amin(0) >= -1e-4)] for hits in _on_planes(triangles, face_ids, origin, directions))
+    return torch.cat([face_ids.new_empty(0), *found])
+
+
+def _on_planes(triangles: Triangles, face_ids: Tensor, origin: Tensor, directions: Tensor) -> Iterator[Hits]:
+    """Rays on the planes of their faces, which may extend beyond these."""
+    for first, placed in triangles.parts():
+        pixels = torch.nonzero((face_ids >= first) & (face_ids < first + placed.n_faces))[:, 0]
+        if not len(pixels):
+            continue
+        seen = torch.zeros(placed.n_faces, dtype=torch.bool)
+        faces = face_ids[pixels] - first
+        seen[faces] = True
+        # A direction d = sum_i w_i corner_i, corners relative to the origin, has w_i = d . edge_i / volume, edge_i being the cross product
+        # of the two other corners: w_i are the barycentric coordinates times 1 / depth.
+        a, b, c = (placed.corners[seen] - origin).unbind(1)
+        edges = torch.stack([torch.linalg.cross(b, c), torch.linalg.cross(c, a), torch.linalg.cross(a, b)], 1)
+        volume = (a * edges[:, 0]).sum(-1)
+        compact = (torch.cumsum(seen, 0) - 1)[faces]
+        volume, edges = volume[compact], edges[compact]
+        d = directions[:, pixels]
+        w = torch.stack([edges[:, i, 0] * d[0] + edges[:, i, 1] * d[1] + edges[:, i, 2] * d[2] for i in range(3)])
+        total = w[0] + w[1] + w[2]
+        yield Hits(placed, pixels, faces, volume / total, w / total, volume < 0)
+
+
+def depths(triangles: Triangles, face_ids: Tensor, origin: Tensor, directions: Tensor) -> Tensor:
+    """Depth `[N]` float64 at which rays meet their faces, in lengths of their directions; infinite where there is none."""
+    depth = torch.full(face_ids.shape, torch.inf, dtype=torch.float64)
+    for hits in intersect(triangles, face_ids, origin, directions):
+        depth[hits.pixels] = hits.depth
+    return depth

@@ -1,0 +1,212 @@
+"""The vehicle in motion: a course on the plane z = 0, and a body on springs that road and acceleration shake.
+
+Three frames, all x forward, y left, z up, which coincide while the vehicle stands at its start, the origin below the middle of its lamps:
+the *world*; the *ground*, which drives along the course on the world's plane z = 0; and the *body* on its springs, which lamps and camera
+are fixed to.
+"""
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final, Self
+
+import numpy as np
+import torch
+from pydantic import Field, model_validator
+from torch import Tensor
+
+from world.budget import afford
+from world.frames import pose, rotation
+from world.params import Params
+from world.roads.base import Floats, Road
+
+COLUMNS: Final = (
+    *("x_m", "y_m", "yaw_rad", "speed_m_s", "yaw_rate_rad_s", "acceleration_m_s2", "lateral_m_s2"),
+    *("heave_m", "roll_rad", "pitch_rad", "heave_rate_m_s", "roll_rate_rad_s", "pitch_rate_rad_s"),
+)
+
+BYTES_A_MOMENT: Final = 500  # of the integrated motion: all columns, and as many while they are made
+
+
+class CourseParams(Params):
+    """What the driver does at a time; in between speed and curvature change evenly, outside they hold."""
+
+    time_s: float = Field(0.0, ge=0, le=1e6, description="time of this entry")
+    speed_m_s: float = Field(ge=0, le=100, description="speed of the rear axle")
+    curvature_1_m: float = Field(
+        0.0, ge=-0.2, le=0.2, description="curvature of the rear axle's path, to the left positive: tan(steering angle) / wheelbase"
+    )
+
+
+class SuspensionParams(Params):
+    """The sprung mass: heave, pitch and roll are damped oscillators that follow the plane through the four wheels."""
+
+    heave_hz: float = Field(1.2, gt=0, le=10, description="natural frequency of heave")
+    pitch_hz: float = Field(1.4, gt=0, le=10, description="natural frequency of pitch")
+    roll_hz: float = Field(1.6, gt=0, le=10, description="natural frequency of roll")
+    damping: float = Field(0.35, gt=0, le=2, description="damping ratio of all three")
+    dive_deg_per_m_s2: float = Field(0.2, ge=0, le=2, description="nose-down pitch for each m/s^2 of braking; squat when accelerating")
+    lean_deg_per_m_s2: float = Field(0.4, ge=0, le=2, description="roll to the outside for each m/s^2 of lateral acceleration")
+
+
+class OscillationParams(Params):
+    """A pitch that is added to the suspension's."""
+
+    pitch_deg: float = Field(0.0, ge=-5, le=5, description="amplitude, nose down first")
+    rate_hz: float = Field(1.2, gt=0, le=20, description="oscillations a second")
+
+
+class VehicleParams(Params):
+    """How the vehicle drives, and how its body moves on its springs."""
+
+    course: tuple[CourseParams, ...] = Field(min_length=1, description="speed and curvature over ascending times")
+    wheelbase_m: float = Field(2.8, gt=0.5, le=10, description="distance of the axles")
+    track_m: float = Field(1.6, gt=0.5, le=3, description="distance of the wheels of an axle")
+    overhang_m: float = Field(0.8, ge=0, le=3, description="distance of the front axle behind the lamps")
+    suspension: SuspensionParams = Field(SuspensionParams(), description="the springs")
+    oscillation: OscillationParams = Field(OscillationParams(), description="pitch from elsewhere")
+    simulation_hz: float = Field(500.0, ge=50, le=10_000, description="rate at which the motion is integrated")
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        times = [each.time_s for each in self.course]
+        if any(later <= earlier for earlier, later in pairwise(times)):
+            raise ValueError(f"course: time_s must ascend from entry to entry, here {times}")
+        return self
+
+
+@dataclass(frozen=True)
+class VehicleState:
+    """The vehicle at one time; poses `[4, 4]` float64, pitch nose down and yaw to the left positive (ISO 8855).
+
+    heave_m: of the body's point between the wheels. acceleration_m_s2: along, lateral_m_s2: to the left.
+    """
+
+    T_world_ground: Tensor
+    T_ground_body: Tensor
+    speed_m_s: float
+    yaw_rate_rad_s: float
+    acceleration_m_s2: float
+    lateral_m_s2: float
+    heave_m: float
+    roll_rad: float
+    pitch_rad: float
+    heave_rate_m_s: float
+    roll_rate_rad_s: float
+    pitch_rate_rad_s: float
+
+    @property
+    def T_world_body(self) -> Tensor:
+        return self.T_world_ground @ self.T_ground_body
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A drive, integrated.
+
+    times_s: `[N]`, ascending. states: `[N, 13]`, the COLUMNS. pivot_x_m: where on the ground heave, pitch and roll act, between the wheels.
+    rear_x_m: the rear axle, which goes where the vehicle heads.
+    """
+
+    times_s: Floats
+    states: Floats
+    pivot_x_m: float = 0.0
+    rear_x_m: float = 0.0
+
+    @property
+    def range_y_m(self) -> tuple[float, float]:
+        """The course's least and greatest y in the world."""
+        return float(self.states[:, 1].min()), float(self.states[:, 1].max())
+
+    def at(self, t_s: float) -> VehicleState:
+        """The vehicle at a time in s, linear between the integrated times and constant outside."""
+        now = {name: float(np.interp(t_s, self.times_s, column)) for name, column in zip(COLUMNS, self.states.T, strict=True)}
+        x, y, yaw = (now.pop(name) for name in ("x_m", "y_m", "yaw_rad"))
+        T_ground_body = body_pose(_vector(now["heave_m"], now["roll_rad"], now["pitch_rad"]), self.pivot_x_m)
+        return VehicleState(pose(_vector(x, y, 0.0), rotation(*_vector(0.0, 0.0, yaw))), T_ground_body, **now)
+
+
+STANDING: Final = Motion(np.zeros(1), np.zeros((1, len(COLUMNS))))
+
+
+def body_pose(attitude: Tensor, pivot_x_m: float) -> Tensor:
+    """`T_ground_body` `[..., 4, 4]` of an attitude `[..., 3]`: heave in m, roll and pitch (nose down) in rad, about the pivot."""
+    heave, roll, pitch = attitude.unbind(-1)
+    zero = torch.zeros_like(heave)
+    R = rotation(roll, pitch, zero)
+    pivot = torch.stack([zero + pivot_x_m, zero, zero], -1)
+    return pose(pivot - (R @ pivot[..., None])[..., 0] + torch.stack([zero, zero, heave], -1), R)
+
+
+def drive(params: VehicleParams, road: Road, duration_s: float) -> Motion:
+    """Integrate the vehicle's motion over a road from the world's origin on, for `duration_s`.
+
+    The rear axle of a kinematic bicycle follows its arc in each interval; the modes of the body answer to wheels and acceleration
+    as linear systems do whose inputs change linearly in each interval.
+    """
+    dt = 1 / params.simulation_hz
+    afford(f"vehicle: a drive of {duration_s:.3g} s", BYTES_A_MOMENT * duration_s / dt, "take fewer steps, or raise rate_hz")
+    t: Floats = np.arange(math.ceil(duration_s / dt) + 2, dtype=np.float64) * dt
+    knots = np.array([[each.time_s, each.speed_m_s, each.curvature_1_m] for each in params.course])
+    speed, curvature = (np.interp(t, knots[:, 0], column) for column in knots.T[1:])
+    yaw_rate, acceleration = speed * curvature, np.gradient(speed, dt)
+    rear_m = params.overhang_m + params.wheelbase_m
+    yaw = _integral(yaw_rate, dt)
+    turned = np.diff(yaw)
+    way = 0.5 * (speed[1:] + speed[:-1]) * dt * np.sinc(turned / (2 * np.pi))
+    middle = yaw[:-1] + turned / 2
+    x = np.concatenate([[0.0], np.cumsum(way * np.cos(middle))]) + rear_m * (np.cos(yaw) - 1)
+    y = np.concatenate([[0.0], np.cumsum(way * np.sin(middle))]) + rear_m * np.sin(yaw)
+
+    spring = params.suspension
+    fl, fr, rl, rr = _wheel_heights(params, road, x, y, yaw)
+    lateral = speed * yaw_rate
+    heave = _followed((fl + fr + rl + rr) / 4, spring.heave_hz, spring.damping, dt)
+    road_pitch = (rl + rr - fl - fr) / (2 * params.wheelbase_m)
+    pitch = _followed(road_pitch, spring.pitch_hz, spring.damping, dt) + _settled(
+        -math.radians(spring.dive_deg_per_m_s2) * acceleration, spring.pitch_hz, spring.damping, dt
+    )
+    road_roll = (fl + rl - fr - rr) / (2 * params.track_m)
+    roll = _followed(road_roll, spring.roll_hz, spring.damping, dt) + _settled(
+        math.radians(spring.lean_deg_per_m_s2) * lateral, spring.roll_hz, spring.damping, dt
+    )
+    pitch = pitch + math.radians(params.oscillation.pitch_deg) * np.sin(2 * np.pi * params.oscillation.rate_hz * t)
+    rates = (np.gradient(mode, dt) for mode in (heave, roll, pitch))
+    columns = (x, y, yaw, speed, yaw_rate, acceleration, lateral, heave, roll, pitch, *rates)
+    return Motion(t, np.stack(columns, axis=1), -(params.overhang_m + params.wheelbase_m / 2), -rear_m)
+
+
+def _wheel_heights(params: VehicleParams, road: Road, x: Floats, y: Floats, yaw: Floats) -> tuple[Floats, ...]:
+    """Heights `[N]` in m of the road under the wheels: front left, front right, rear left, rear right."""
+    axles = (-params.overhang_m, -params.overhang_m - params.wheelbase_m)
+    corners = [(axle, side * params.track_m / 2) for axle in axles for side in (1, -1)]
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    return tuple(road.z(x + cos * along - sin * across, y + sin * along + cos * across) for along, across in corners)
+
+
+def _followed(base: Floats, rate_hz: float, damping: float, dt: float) -> Floats:
+    """A mass on spring and damper whose other ends move as `base` `[N]`, in equilibrium at first."""
+    omega = 2 * math.pi * rate_hz
+    return _filtered([2 * damping * omega, omega**2], base, omega, damping, dt)
+
+
+def _settled(load: Floats, rate_hz: float, damping: float, dt: float) -> Floats:
+    """A mass on spring and damper under a load `[N]` that deflects it by its own value in the end, in equilibrium at first."""
+    omega = 2 * math.pi * rate_hz
+    return _filtered([omega**2], load, omega, damping, dt)
+
+
+def _filtered(numerator: list[float], values: Floats, omega: float, damping: float, dt: float) -> Floats:
+    from scipy.signal import cont2discrete, lfilter, lfilter_zi  # takes a fifth of a command's start, and only vehicles that move need it
+
+    b, a, _ = cont2discrete((numerator, [1.0, 2 * damping * omega, omega**2]), dt, method="foh")
+    b = np.ravel(b)
+    return np.asarray(lfilter(b, a, values, zi=lfilter_zi(b, a) * values[0])[0], np.float64)
+
+
+def _integral(values: Floats, dt: float) -> Floats:
+    return np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * dt)])
+
+
+def _vector(*values: float) -> Tensor:
+    return torch.tensor(values, dtype=torch.float64)

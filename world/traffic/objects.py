@@ -1,0 +1,131 @@
+"""Objects that a scenario file may put into the scene: boxes, meshes from files, and what is made from a seed."""
+
+import io
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Literal, Self, cast
+
+import numpy as np
+import torch
+import trimesh
+from pydantic import Field, model_validator
+
+from world.errors import LuxloopError
+from world.files import content
+from world.materials.library import MATERIALS, MaterialName
+from world.scene.body import Body, Part
+from world.traffic.animal import AnimalParams
+from world.traffic.car import CarParams
+from world.traffic.making import SurfaceParams, check_parts
+from world.traffic.road_users import CyclistParams, PedestrianParams
+from world.traffic.roadside import ClutterParams, TrafficSignParams
+from world.traffic.tracked import TrackedParams
+
+Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
+AXES = np.eye(3)
+MESHES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf")
+FARTHEST_M = 10_000
+Side = Annotated[float, Field(gt=0, le=1000)]
+
+
+class SolidParams(TrackedParams):
+    """An object of one surface."""
+
+    albedo: float = Field(0.2, ge=0, le=1, description="Share of light reflected, diffusely; of what gets wet when it is dry")
+    material: MaterialName | None = Field(None, description="What it reflects besides, by name; left out: nothing, it is matt")
+
+    def part(self, name: str, given: SurfaceParams | None = None) -> Part:
+        """A part of it; given: what it looks like in place of the whole."""
+        given = given or SurfaceParams()
+        material = given.material or self.material or "matt"
+        albedo = torch.tensor(self.albedo if given.albedo is None else given.albedo, dtype=torch.float64)
+        return Part(name, float(MATERIALS[material].darkened(albedo)), material)
+
+
+class BoxParams(SolidParams):
+    """A box; its origin is the centre of its bottom face."""
+
+    kind: Literal["box"] = "box"
+    size_m: tuple[Side, Side, Side] = Field(description="Length (x), width (y), height (z)")
+
+    def build(self) -> Body:
+        box = trimesh.creation.box(self.size_m)
+        box.apply_translation((0, 0, self.size_m[2] / 2))
+        return Body(self.name, box, track=self.pose_track(), parts=(self.part("surface"),))
+
+
+class MeshParams(SolidParams):
+    """A mesh from a file, whose origin it keeps."""
+
+    kind: Literal["mesh"] = "mesh"
+    file: Path = Field(description="Mesh file: .obj, .ply, .stl, .off, .glb or .gltf")
+    scale: float = Field(1.0, gt=0, le=1e6, description="Metres a unit of the file")
+    forward: Axis = Field("x", description="The file's axis that points ahead")
+    up: Axis = Field("z", description="The file's axis that points up; y in .glb and in most .obj files")
+    smooth: bool = Field(False, description="Interpolate normals over the faces, for rounded bodies")
+    parts: dict[str, SurfaceParams] = Field(
+        {}, description="Albedo and material of parts, by the names of the file's nodes, or of its materials where it has no nodes"
+    )
+
+    @model_validator(mode="after")
+    def _square(self) -> Self:
+        if self.forward[-1] == self.up[-1]:
+            raise ValueError(f"forward ({self.forward}) and up ({self.up}) lie along one axis of the file; name two")
+        return self
+
+    def build(self) -> Body:
+        """Read the file. Raises LuxloopError where it is missing, unreadable or has no triangles, or has no such part."""
+        nodes = _read_nodes(self.file)
+        check_parts(self.name, self.parts, list(nodes))
+        mesh = cast(trimesh.Trimesh, trimesh.util.concatenate(list(nodes.values())))
+        ahead, up = (AXES["xyz".index(axis[-1])] * (-1 if axis[0] == "-" else 1) for axis in (self.forward, self.up))
+        turn = np.eye(4)
+        turn[:3, :3] = [ahead, np.cross(up, ahead), up]
+        mesh.apply_scale(self.scale).apply_transform(turn)
+        if (reach := np.abs(mesh.vertices).max()) > FARTHEST_M:
+            raise LuxloopError(f"{self.file}: reaches {reach:.3g} m from its origin; set the object's scale, the metres a unit of the file")
+        of_face = torch.arange(len(nodes)).repeat_interleave(torch.tensor([len(node.faces) for node in nodes.values()]))
+        return Body(
+            self.name,
+            mesh,
+            smooth=self.smooth,
+            two_sided=not mesh.is_watertight,
+            track=self.pose_track(),
+            parts=tuple(self.part(name, self.parts.get(name)) for name in nodes),
+            part_of_face=of_face,
+        )
+
+
+ObjectParams = Annotated[
+    BoxParams | MeshParams | PedestrianParams | CyclistParams | CarParams | AnimalParams | TrafficSignParams | ClutterParams,
+    Field(discriminator="kind"),
+]
+
+
+def _read_nodes(file: Path) -> Mapping[str, trimesh.Trimesh]:
+    """The meshes of a file in its frame, by the names of its nodes."""
+    if not os.path.isfile(file):
+        raise LuxloopError(f"{file}: there is no such mesh file; correct the object's key 'file'")
+    if file.suffix.lower() not in MESHES:  # archives and documents that trimesh reads as well may hold anything
+        raise LuxloopError(f"{file}: meshes are {', '.join(MESHES)} files; export it as one of them")
+    try:
+        data = io.BytesIO(content(file))  # which gives no more bytes than there are, whatever the file declares
+        resolver = trimesh.resolvers.FilePathResolver(str(file))
+        found = trimesh.load_scene(data, file_type=file.suffix[1:].lower(), resolver=resolver, split_objects=True).dump()
+    except Exception as error:  # trimesh's readers raise whatever their formats provoke
+        raise LuxloopError(f"{file}: not readable as a mesh ({error}); export it again as .obj, .ply, .stl or .glb") from error
+    meshes = [mesh for mesh in found if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
+    if not meshes:
+        raise LuxloopError(f"{file}: holds no triangles; export it with its faces")
+    if not all(np.isfinite(mesh.vertices).all() and mesh.faces.min() >= 0 and mesh.faces.max() < len(mesh.vertices) for mesh in meshes):
+        raise LuxloopError(f"{file}: has corners that are not numbers or not there; export it again")
+    return dict(zip(_names(meshes), meshes, strict=True))
+
+
+def _names(meshes: Sequence[trimesh.Trimesh]) -> list[str]:
+    """Of the nodes, without the material that a reader puts behind them where each is of one material alone."""
+    nodes = [str(mesh.metadata["node"]) for mesh in meshes]
+    materials = [getattr(getattr(mesh.visual, "material", None), "name", None) for mesh in meshes]
+    alone = [node.removesuffix(f"_{material}") for node, material in zip(nodes, materials, strict=True)]
+    return [short if alone.count(short) == 1 else node for short, node in zip(alone, nodes, strict=True)]

@@ -1,0 +1,92 @@
+"""What all objects of a scenario file have: a name, and a pose over time, given by keyframes or as a path."""
+
+import math
+from itertools import pairwise
+from typing import Literal, Self
+
+import numpy as np
+import torch
+from pydantic import Field, model_validator
+from scipy.interpolate import CubicHermiteSpline
+
+from world.frames import pose_from_degrees
+from world.params import Metres, Params
+from world.scene.body import PoseTrack
+
+PATH_STEP_M = 0.5  # between the poses along a curve
+
+Category = Literal["car", "truck", "motorcycle", "cyclist", "pedestrian", "animal", "sign", "other"]
+ROAD_USERS: frozenset[Category] = frozenset({"pedestrian", "cyclist", "motorcycle", "car", "truck"})  # who may be dazzled
+
+
+class KeyframeParams(Params):
+    """Where an object is at one time."""
+
+    time_s: float = Field(0.0, ge=-1e6, le=1e6, description="Time since the scenario's start")
+    position_m: tuple[Metres, Metres, Metres] = Field(description="Object's origin in the world (x forward, y left, z up)")
+    roll_deg: float = Field(0.0, ge=-180, le=180, description="About the x axis, positive: right side down")
+    pitch_deg: float = Field(0.0, ge=-90, le=90, description="About the y axis, positive: nose down")
+    yaw_deg: float = Field(0.0, ge=-180, le=180, description="About the z axis, positive: to the left")
+
+
+class WayParams(Params):
+    """A way at a constant speed, on which the object looks ahead."""
+
+    points_m: tuple[tuple[Metres, Metres, Metres], ...] = Field(
+        min_length=2, description="Points of the way in the world, with a curve through them"
+    )
+    speed_m_s: float = Field(gt=0, le=70, description="Speed")
+    start_s: float = Field(
+        0.0, ge=-1e6, le=1e6, description="Time at the first point; before, and after the last point, the object stands still"
+    )
+
+    @model_validator(mode="after")
+    def _leads_on(self) -> Self:
+        for k, (a, b) in enumerate(pairwise(self.points_m)):
+            if math.hypot(b[0] - a[0], b[1] - a[1]) < 0.01:
+                raise ValueError(f"points_m[{k + 1}] lies at points_m[{k}], seen from above; take one of the two out")
+        return self
+
+    def poses(self) -> tuple[tuple[float, ...], torch.Tensor]:
+        """Times `K` in s and poses `[K, 4, 4]`, on a cubic Hermite curve with the slopes of central differences."""
+        points = np.array(self.points_m)
+        chord = np.cumsum([0.0, *np.linalg.norm(np.diff(points, axis=0), axis=1)])
+        curve = CubicHermiteSpline(chord, points, np.gradient(points, chord, axis=0))
+        at = np.linspace(0, chord[-1], 2 if len(points) == 2 else 1 + math.ceil(chord[-1] / PATH_STEP_M))
+        way, ahead = curve(at), curve(at, 1)
+        times = self.start_s + np.cumsum([0.0, *np.linalg.norm(np.diff(way, axis=0), axis=1)]) / self.speed_m_s
+        yaw = np.degrees(np.arctan2(ahead[:, 1], ahead[:, 0]))
+        poses = [pose_from_degrees((x, y, z), yaw_deg=angle) for (x, y, z), angle in zip(way.tolist(), yaw.tolist(), strict=True)]
+        return tuple(times.tolist()), torch.stack(poses)
+
+
+class TrackedParams(Params):
+    """What all objects have: a name, a pose over time, and the time that they are there."""
+
+    name: str = Field(min_length=1, description="Name, for reports")
+    category: Category | None = Field(None, description="What a tracker reports it as to lighting functions; left out: it is not reported")
+    track: tuple[KeyframeParams, ...] = Field((), description="Poses in ascending time; one keyframe: the object stands still")
+    path: WayParams | None = Field(None, description="A way at a constant speed, in place of a track")
+    on_road: bool = Field(False, description="Count heights from the road's surface under the object's origin, in place of z = 0")
+    appears_s: float | None = Field(None, ge=-1e6, le=1e6, description="Time of appearing; left out: there from the start")
+    vanishes_s: float | None = Field(None, ge=-1e6, le=1e6, description="Time of vanishing; left out: there to the end")
+
+    @model_validator(mode="after")
+    def _somewhere_in_order(self) -> Self:
+        if bool(self.track) == (self.path is not None):
+            raise ValueError(f"give either a track or a path, here {'are both' if self.track else 'is neither'}")
+        times = [keyframe.time_s for keyframe in self.track]
+        if any(later <= earlier for earlier, later in pairwise(times)):
+            raise ValueError(f"track: time_s must ascend from keyframe to keyframe, here {times}")
+        if self.appears_s is not None and self.vanishes_s is not None and self.vanishes_s <= self.appears_s:
+            raise ValueError(f"vanishes_s ({self.vanishes_s}) must be later than appears_s ({self.appears_s})")
+        return self
+
+    def pose_track(self) -> PoseTrack:
+        if self.path is None:
+            times = tuple(k.time_s for k in self.track)
+            poses = torch.stack([pose_from_degrees(k.position_m, k.roll_deg, k.pitch_deg, k.yaw_deg) for k in self.track])
+        else:
+            times, poses = self.path.poses()
+        appears = -float("inf") if self.appears_s is None else self.appears_s
+        return PoseTrack(times, poses, appears, float("inf") if self.vanishes_s is None else self.vanishes_s)
