@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, maximum_filter, uniform_filter
 
-from controllers.symbol.drawing import Drawing
-from controllers.symbol.flat_model import PAIRED
+from controllers.symbol.sensing.drawing import Drawing
+from controllers.symbol.sensing.flat_model import PAIRED
 from loop.simulation import Simulation
 from perception.camera import camera_view
 from perception.extraction import NEIGHBOURHOOD, WHOLLY_LIT

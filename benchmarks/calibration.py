@@ -8,8 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from controllers.jpo_mae import least_error
-from controllers.jpo_part import wanted
+from controllers.jpo.mae import least_error
+from controllers.jpo.part import wanted
 from world.beams.rectangles import RECTANGLES, Rectangle
 from world.headlight import Headlight
 from world.presets import lamp

@@ -20,15 +20,15 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
 from torch import Tensor  # noqa: E402
 
-from controllers.jpo import Jpo  # noqa: E402
-from controllers.jpo_mae import least_error  # noqa: E402
-from controllers.jpo_part import Wanted, wanted  # noqa: E402
-from controllers.jpo_squares import least_squares  # noqa: E402
-from controllers.mrpc import MrpcParams, PixelMajor, pixel_major, reduce_setpoints  # noqa: E402
-from controllers.primitives import I_V, Primitives, rectangle  # noqa: E402
-from controllers.rthc import Setpoints  # noqa: E402
-from controllers.ssc import Ssc  # noqa: E402
-from controllers.windows import whole  # noqa: E402
+from controllers.jpo.controller import Jpo  # noqa: E402
+from controllers.jpo.mae import least_error  # noqa: E402
+from controllers.jpo.part import Wanted, wanted  # noqa: E402
+from controllers.jpo.squares import least_squares  # noqa: E402
+from controllers.pixels.mrpc import MrpcParams, PixelMajor, pixel_major, reduce_setpoints  # noqa: E402
+from controllers.pixels.primitives import I_V, Primitives, rectangle  # noqa: E402
+from controllers.pixels.rthc import Setpoints  # noqa: E402
+from controllers.pixels.ssc import Ssc  # noqa: E402
+from controllers.pixels.windows import whole  # noqa: E402
 from loop.build import symbol_path  # noqa: E402
 from perception.metrics import mae  # noqa: E402
 from world.beams.rectangles import RECTANGLES  # noqa: E402

@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from controllers.functions.planner import Planner
 from controllers.obl.function import ObjectBasedState
-from controllers.planner import Planner
 from loop.lighting.known import Known
 from loop.lighting.lamps import flux_by_side
 from loop.lighting.result import LightingResult

@@ -17,12 +17,12 @@ from bench import machine, on_one_thread
 from rich.table import Table
 from torch import Tensor
 
-from controllers.symbol.drawing import Drawing
-from controllers.symbol.feedforward import relief_of
-from controllers.symbol.luxloop import LuxloopParams, region_of
-from controllers.symbol.observer import Observer
-from controllers.symbol.patch import drawn_on
-from controllers.symbol.protocol import Look
+from controllers.symbol.heights.feedforward import relief_of
+from controllers.symbol.heights.luxloop import LuxloopParams, region_of
+from controllers.symbol.heights.patch import drawn_on
+from controllers.symbol.sensing.drawing import Drawing
+from controllers.symbol.sensing.observer import Observer
+from controllers.symbol.sensing.protocol import Look
 from loop import tables
 from loop.scenario import load
 from loop.simulation import Simulation

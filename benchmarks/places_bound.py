@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
-from controllers.ssc import Utilisation
-from controllers.symbol.projector import DrawingModule
+from controllers.pixels.ssc import Utilisation
+from controllers.symbol.sensing.projector import DrawingModule
 from loop.simulation import Lights, Simulation
 from perception.birdseye import rectify
 from perception.judge import THRESHOLD

@@ -18,8 +18,8 @@ from rich.table import Table
 from spmv_timing import Step, interleaved, statistics
 from ssc_scenes import T_WORLD_LAMP, Plain, covered, lamp, many, symbol
 
-from controllers.primitives import Primitives
-from controllers.ssc import Ssc
+from controllers.pixels.primitives import Primitives
+from controllers.pixels.ssc import Ssc
 from loop import tables
 from world.headlight import Headlight
 

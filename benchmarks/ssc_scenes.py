@@ -7,7 +7,7 @@ import torch
 from spmv_lamps import overlapping
 from torch import Tensor
 
-from controllers.primitives import Primitives, concatenate, rectangle, road_symbol
+from controllers.pixels.primitives import Primitives, concatenate, rectangle, road_symbol
 from world.frames import pose_from_degrees
 from world.headlight import Headlight
 from world.spmv import Csr
@@ -57,7 +57,7 @@ def many() -> Primitives:
 
 def covered(scene: Primitives, light: Headlight) -> float:
     """Share of the texture that primitives cover."""
-    from controllers.rthc import trace
+    from controllers.pixels.rthc import trace
 
     return trace(scene, light, T_WORLD_LAMP).hit.double().mean().item()
 

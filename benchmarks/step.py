@@ -22,7 +22,7 @@ from baseline_numpy import Baseline, Lap, Picture
 from bench import machine, on_one_thread
 from rich.table import Table
 
-from controllers.symbol.protocol import Look, Shown
+from controllers.symbol.sensing.protocol import Look, Shown
 from loop import tables
 from loop.scenario import load
 from loop.simulation import Simulation, SimulationState

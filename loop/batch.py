@@ -9,11 +9,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from controllers.symbol.drawing import Drawing
-from controllers.symbol.lifting import Lifting
-from controllers.symbol.observer import Seen
-from controllers.symbol.protocol import Look, Shown
-from controllers.symbol.thesis_pid import ThesisPid, ThesisPidParams
+from controllers.symbol.laws.lifting import Lifting
+from controllers.symbol.laws.thesis_pid import ThesisPid, ThesisPidParams
+from controllers.symbol.sensing.drawing import Drawing
+from controllers.symbol.sensing.observer import Seen
+from controllers.symbol.sensing.protocol import Look, Shown
 from loop.simulation import Lights, Simulation
 from perception.camera import expose, frame_generator
 from perception.extraction import Crop, Loss, symbol_image

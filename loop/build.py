@@ -8,10 +8,10 @@ from typing import TypeVar
 import torch
 
 from controllers.symbol import build_controller
-from controllers.symbol.feedforward import FeedforwardParams
-from controllers.symbol.observer import Observer
-from controllers.symbol.projector import DrawingModule, Projector
-from controllers.symbol.protocol import SymbolController
+from controllers.symbol.heights.feedforward import FeedforwardParams
+from controllers.symbol.sensing.observer import Observer
+from controllers.symbol.sensing.projector import DrawingModule, Projector
+from controllers.symbol.sensing.protocol import SymbolController
 from loop import data
 from loop.pixel_control import pixel_controller
 from loop.scenario import HeadlightParams, Scenario, WorldScenario

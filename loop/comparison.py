@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow as pa
 
-from controllers.symbol.flat_model import FeatureParams
+from controllers.symbol.sensing.flat_model import FeatureParams
 from loop.recorder import AIM, CENTROIDS, COLUMNS, CUT, ERRORS, LATER
 from loop.summary import steady_step
 

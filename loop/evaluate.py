@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from controllers.tuning import OPTIONS, THESIS
+from controllers.pixels.mrpc_tuning import OPTIONS, THESIS
 from loop import evaluate_jobs as work
 from loop.jobs import Job, Results, run
 from world.beams.rectangles import QUICK, RECTANGLES, Rectangle

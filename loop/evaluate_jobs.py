@@ -9,10 +9,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from controllers import jpo_mae, jpo_part, raising, sampling, tuning
-from controllers.jpo_mae import least_error
-from controllers.jpo_part import wanted
-from controllers.tuning import OPTIONS, THESIS, Part, TextureControl, Trial, part, tune
+from controllers.jpo import mae as jpo_mae
+from controllers.jpo import part as jpo_part
+from controllers.jpo.mae import least_error
+from controllers.jpo.part import wanted
+from controllers.pixels import mrpc_tuning as tuning
+from controllers.pixels import sampling
+from controllers.pixels import sharpening as raising
+from controllers.pixels.mrpc_tuning import OPTIONS, THESIS, Part, TextureControl, Trial, part, tune
 from loop.jobs import digest_of
 from perception import metrics
 from perception.metrics import dssim, mae, mare, rmse

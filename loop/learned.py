@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from controllers.symbol.observer import Seen
+from controllers.symbol.sensing.observer import Seen
 from loop.batch import Rollout, loops
 from loop.simulation import Simulation
 from loop.summary import FINAL

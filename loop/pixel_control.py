@@ -4,8 +4,8 @@ from typing import cast
 
 from torch import Tensor
 
-from controllers.jpo import Jpo
-from controllers.ssc import PixelController, Ssc
+from controllers.jpo.controller import Jpo
+from controllers.pixels.ssc import PixelController, Ssc
 from loop.scenario import WorldScenario
 from world.errors import LuxloopError
 from world.headlight import Headlight

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from controllers.ssc import Utilisation
+from controllers.pixels.ssc import Utilisation
 from loop.disturbances import UNDISTURBED, DisturbanceParams
 from loop.truth import LampModule
 from perception.camera import CameraParams, average_rows, camera_view, expose, frame_generator

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import torch
 
-from controllers.symbol.field import SIDES
+from controllers.symbol.sensing.field import SIDES
 from loop.manifest import FILE as MANIFEST
 from loop.manifest import Manifest, write_json
 from loop.simulation import Simulation, StepResult

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 from numpy.typing import NDArray
 
-from controllers.ssc import Utilisation
+from controllers.pixels.ssc import Utilisation
 from loop.recorder import ERRORS
 from loop.remedies import remedies
 from loop.simulation import Simulation, StepResult

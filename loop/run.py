@@ -11,7 +11,7 @@ from typing import Any
 import pyarrow as pa
 import torch
 
-from controllers.symbol.projector import DrawingModule, SymbolParams
+from controllers.symbol.sensing.projector import DrawingModule, SymbolParams
 from loop.lighting.result import LightingResult
 from loop.lighting.run import run_lighting
 from loop.lighting.simulation import LightingSimulation

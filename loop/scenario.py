@@ -12,14 +12,14 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
 
-from controllers.jpo import JpoParams
-from controllers.mrpc import MrpcParams
-from controllers.planner import LightingParams
+from controllers.functions.planner import LightingParams
+from controllers.jpo.controller import JpoParams
+from controllers.pixels.mrpc import MrpcParams
 from controllers.symbol import ControllerParams, LuxloopParams
-from controllers.symbol.flat_model import FeatureParams
-from controllers.symbol.own import OwnParams
-from controllers.symbol.projector import SymbolParams
-from controllers.symbol.stages import StagedParams
+from controllers.symbol.laws.own import OwnParams
+from controllers.symbol.laws.stages import StagedParams
+from controllers.symbol.sensing.flat_model import FeatureParams
+from controllers.symbol.sensing.projector import SymbolParams
 from loop.disturbances import DisturbanceParams
 from loop.overrides import Override, is_file, overridden, resolve_paths, tables, texts
 from loop.shipped import find

@@ -9,12 +9,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from controllers.ssc import Utilisation
-from controllers.symbol.field import cut
-from controllers.symbol.flat_model import FlatModel, flat_model
-from controllers.symbol.observer import Observer, Seen
-from controllers.symbol.projector import Projector, SymbolParams
-from controllers.symbol.protocol import Look, Shown, SymbolController
+from controllers.pixels.ssc import Utilisation
+from controllers.symbol.sensing.field import cut
+from controllers.symbol.sensing.flat_model import FlatModel, flat_model
+from controllers.symbol.sensing.observer import Observer, Seen
+from controllers.symbol.sensing.projector import Projector, SymbolParams
+from controllers.symbol.sensing.protocol import Look, Shown, SymbolController
 from loop.build import build_motion, build_projector, build_road, build_scene, build_symbol_controller
 from loop.plant import Frames, Plant, SimulatedPlant
 from loop.scenario import Scenario
@@ -49,7 +49,7 @@ class StepResult:
     """What happened in one step. timings: ms by part, 'step' is all that control and plant took.
 
     pose: `[4]` that was shown. z: `[]` m, height of its centre above the assumed road. cut: `[4]`, shares of the symbol beyond the borders
-    of the lamps' field (`controllers.symbol.field`).
+    of the lamps' field (`controllers.symbol.sensing.field`).
     aim: `[2]`, x and y in m where the symbol lies in place of its target, NaN for the target.
     """
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from controllers.symbol.field import SIDES
+from controllers.symbol.sensing.field import SIDES
 
 FINAL = 10  # steps whose mean is the final value, and for which a symbol at rest has to stay
 END = 5  # steps whose mean error of the centroid is that at the end

@@ -7,8 +7,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from controllers.ssc import Utilisation
-from controllers.symbol.projector import DrawingModule, Projector
+from controllers.pixels.ssc import Utilisation
+from controllers.symbol.sensing.projector import DrawingModule, Projector
 from loop.disturbances import AimParams, WearParams
 from loop.scenario import Scenario
 from perception.camera import CameraParams

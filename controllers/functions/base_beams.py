@@ -6,8 +6,8 @@ from typing import Literal
 
 from pydantic import Field
 
-from controllers.functions.situation import Situation
-from controllers.morphing import Morph, turn
+from controllers.pixels.morphing import Morph, turn
+from controllers.situation import Situation
 from world.params import Params
 
 BeamName = Literal["low", "high", "town", "motorway", "adverse", "full", "off"]

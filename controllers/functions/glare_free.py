@@ -8,9 +8,9 @@ import torch
 from pydantic import Field, model_validator
 from torch import Tensor
 
-from controllers.functions.geometry import cuboid
-from controllers.functions.situation import LAYERS, MASK, SelectionParams, Situation, TrackedObject, fade
-from controllers.primitives import Primitives, rectangles
+from controllers.geometry import cuboid
+from controllers.pixels.primitives import Primitives, rectangles
+from controllers.situation import LAYERS, MASK, SelectionParams, Situation, TrackedObject, fade
 from perception.tracking import LINGER_S
 from world.frames import inverse, transform
 from world.params import Params

@@ -6,10 +6,10 @@ from typing import Literal, Self
 import torch
 from pydantic import Field, model_validator
 
-from controllers.functions.geometry import strip
 from controllers.functions.path import Drawing
-from controllers.functions.situation import Drawn, Situation
-from controllers.primitives import Primitives
+from controllers.geometry import strip
+from controllers.pixels.primitives import Primitives
+from controllers.situation import Drawn, Situation
 
 QUARTER_TURN = math.pi / 2  # rad, as far as a cubic curve follows a circle
 STRAIGHT_1_M = 1e-5  # a curve that turns less leaves its tangent by 2 cm in 60 m

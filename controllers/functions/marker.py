@@ -5,10 +5,10 @@ from typing import Literal
 import torch
 from pydantic import Field
 
-from controllers.animations import Animated, AnimationParams
-from controllers.functions.geometry import Place, facing, strip
-from controllers.functions.situation import Category, Drawn, SelectionParams, Situation, TrackedObject
-from controllers.primitives import Primitives
+from controllers.functions.animations import Animated, AnimationParams
+from controllers.geometry import Place, facing, strip
+from controllers.pixels.primitives import Primitives
+from controllers.situation import Category, Drawn, SelectionParams, Situation, TrackedObject
 from world.frames import inverse, transform
 from world.symbols import Still
 

@@ -11,9 +11,9 @@ from pydantic import Field, model_validator
 from torch import Tensor
 
 from controllers.functions.bezier import closest, derivative, length_at, point
-from controllers.functions.geometry import Place, on_road
-from controllers.functions.situation import Drawn, Situation
-from controllers.primitives import Primitives
+from controllers.geometry import Place, on_road
+from controllers.pixels.primitives import Primitives
+from controllers.situation import Drawn, Situation
 from world.params import Metres
 
 Point = tuple[float, float]

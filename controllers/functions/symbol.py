@@ -7,11 +7,11 @@ import torch
 from pydantic import Field, model_validator
 from torch import Tensor
 
-from controllers.animations import Animated, AnimationParams
-from controllers.functions.geometry import Place, on_road
-from controllers.functions.situation import Category, Drawn, SelectionParams, Situation
-from controllers.observer import drawing_rectangle
-from controllers.primitives import Observer, Primitives
+from controllers.functions.animations import Animated, AnimationParams
+from controllers.geometry import Place, on_road
+from controllers.pixels.anamorphic import drawing_rectangle
+from controllers.pixels.primitives import Observer, Primitives
+from controllers.situation import Category, Drawn, SelectionParams, Situation
 from world.errors import LuxloopError
 from world.frames import transform
 from world.params import Metres, Params

@@ -6,8 +6,8 @@ from typing import Self
 
 from torch import Tensor
 
-from controllers.functions.situation import TrackedObject
 from controllers.obl.light import NEAREST_M
+from controllers.situation import TrackedObject
 
 ALIKE = 1.5  # factor up to which two heights may be those of the same object
 

@@ -7,12 +7,12 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
-from controllers.functions.situation import SelectionParams, Situation, TrackedObject, fade
 from controllers.obl.ambient import Ambient, AmbientLoopParams
 from controllers.obl.apparent import Apparent
 from controllers.obl.light import ObjectLightParams
 from controllers.obl.object_loop import ObjectLoop, ObjectLoopParams
-from controllers.primitives import Primitives
+from controllers.pixels.primitives import Primitives
+from controllers.situation import SelectionParams, Situation, TrackedObject, fade
 from perception.tracking import LINGER_S
 from world.traffic.tracked import Category
 

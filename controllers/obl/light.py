@@ -7,9 +7,9 @@ import torch
 from pydantic import Field, field_validator
 from torch import Tensor
 
-from controllers.functions.geometry import Place
-from controllers.functions.situation import LAYERS, MASK, TrackedObject
-from controllers.primitives import Primitives, rectangle
+from controllers.geometry import Place
+from controllers.pixels.primitives import Primitives, rectangle
+from controllers.situation import LAYERS, MASK, TrackedObject
 from world.frames import transform
 from world.params import Params
 from world.traffic.tracked import ROAD_USERS, Category

@@ -6,8 +6,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from controllers.functions.situation import TrackedObject
 from controllers.obl.laws import LowerParams, RaiseParams, Trial, means
+from controllers.situation import TrackedObject
 from world.params import Params
 from world.traffic.tracked import Category
 

@@ -4,15 +4,15 @@ from typing import Annotated
 
 from pydantic import Tag
 
-from controllers.symbol.feedback import Feedback, GaussNewtonParams, ModelReferenceParams
-from controllers.symbol.feedforward import Feedforward, FeedforwardParams, Surveyed
-from controllers.symbol.luxloop import Luxloop, LuxloopParams
-from controllers.symbol.observer import Observer
-from controllers.symbol.open_loop import OpenLoop, OpenLoopParams
-from controllers.symbol.own import OwnParams, own_controller
-from controllers.symbol.protocol import SymbolController
-from controllers.symbol.stages import staged
-from controllers.symbol.thesis_pid import ThesisPid, ThesisPidParams
+from controllers.symbol.heights.feedforward import Feedforward, FeedforwardParams, Surveyed
+from controllers.symbol.heights.luxloop import Luxloop, LuxloopParams
+from controllers.symbol.laws.feedback import Feedback, GaussNewtonParams, ModelReferenceParams
+from controllers.symbol.laws.open_loop import OpenLoop, OpenLoopParams
+from controllers.symbol.laws.own import OwnParams, own_controller
+from controllers.symbol.laws.stages import staged
+from controllers.symbol.laws.thesis_pid import ThesisPid, ThesisPidParams
+from controllers.symbol.sensing.observer import Observer
+from controllers.symbol.sensing.protocol import SymbolController
 from world.plugin import OWN, known_or_own
 
 NamedParams = LuxloopParams | OpenLoopParams | FeedforwardParams | ThesisPidParams | GaussNewtonParams | ModelReferenceParams

@@ -12,9 +12,9 @@ import torch
 from pydantic import Field, model_validator
 from torch import Tensor
 
-from controllers.functions.geometry import Place, facing, on_road
-from controllers.functions.situation import LAYERS, Category, SelectionParams, Situation
-from controllers.primitives import Observer, Primitives, rectangle
+from controllers.geometry import Place, facing, on_road
+from controllers.pixels.primitives import Observer, Primitives, rectangle
+from controllers.situation import LAYERS, Category, SelectionParams, Situation
 from world.errors import LuxloopError
 from world.materials.library import MaterialName
 from world.params import Metres, Params

@@ -14,10 +14,10 @@ import torch
 from pydantic import Field, model_validator
 from torch import Tensor
 
-from controllers.functions.geometry import Place, facing
-from controllers.functions.situation import LAYERS, Situation
+from controllers.geometry import Place, facing
 from controllers.pid import PidGains, PidParams, PidState, pid_gains, pid_reset, pid_step
-from controllers.primitives import Primitives, meant, rectangle
+from controllers.pixels.primitives import Primitives, meant, rectangle
+from controllers.situation import LAYERS, Situation
 from perception.regions import box_region
 from world.frames import pose_from_degrees
 from world.params import Metres, Params

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from controllers.functions.base_beams import BaseBeam
-from controllers.planner import Plan
+from controllers.functions.planner import Plan
 from loop.lighting.lamps import flux_by_side
 from loop.lighting.simulation import LightingSimulation
 from loop.summary import column

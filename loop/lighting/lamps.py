@@ -7,12 +7,12 @@ import torch
 from torch import Tensor
 
 from controllers.functions.base_beams import BaseBeam
-from controllers.morphing import Morphing
-from controllers.planner import Plan
-from controllers.power import limit_power, pixel_flux
-from controllers.primitives import meant
-from controllers.secondary import SecondaryRays
-from controllers.ssc import PixelController
+from controllers.functions.planner import Plan
+from controllers.pixels.morphing import Morphing
+from controllers.pixels.power import limit_power, pixel_flux
+from controllers.pixels.primitives import meant
+from controllers.pixels.secondary import SecondaryRays
+from controllers.pixels.ssc import PixelController
 from loop.build import turned
 from loop.pixel_control import pixel_controller
 from loop.scenario import LightingScenario

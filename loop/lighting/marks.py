@@ -8,7 +8,7 @@ from itertools import combinations
 import torch
 from torch import Tensor
 
-from controllers.functions.situation import TrackedObject
+from controllers.situation import TrackedObject
 from controllers.zones.zone import ZoneParams
 from loop.lighting.result import LightingResult, Look
 from loop.lighting.sight import name_of

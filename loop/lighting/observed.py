@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from controllers.planner import Plan
-from controllers.primitives import Primitives
+from controllers.functions.planner import Plan
+from controllers.pixels.primitives import Primitives
 from loop.lighting.view import Looker
 from perception.metrics import iou
 from world.view import View

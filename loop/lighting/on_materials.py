@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from controllers.functions.situation import Situation
+from controllers.situation import Situation
 from controllers.zones.material import MaterialLightParams, MaterialParams, MaterialState, Quantity
 from loop.lighting.known import Known
 from world.frames import inverse, transform

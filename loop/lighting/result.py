@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from controllers.functions.situation import Situation
-from controllers.planner import Plan, States
+from controllers.functions.planner import Plan, States
+from controllers.situation import Situation
 from loop.lighting.lamps import LampPower
 from loop.lighting.observed import ObservedSymbol
 from loop.lighting.on_materials import OnMaterial

@@ -9,7 +9,7 @@ from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 from torch.nn.functional import one_hot
 
-from controllers.functions.situation import TrackedObject
+from controllers.situation import TrackedObject
 from loop.lighting.known import Known
 from perception.detection.build import detector
 from perception.detection.params import AnyParams, TruthParams

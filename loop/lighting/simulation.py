@@ -8,12 +8,12 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from controllers.functions.situation import Seen, Situation, TrackedObject
-from controllers.planner import Plan, Planner
-from controllers.primitives import Primitives
-from controllers.rthc import masks
-from controllers.secondary import Light, SecondaryRays, scene_caster
-from controllers.windows import projected_windows
+from controllers.functions.planner import Plan, Planner
+from controllers.pixels.primitives import Primitives
+from controllers.pixels.rthc import masks
+from controllers.pixels.secondary import Light, SecondaryRays, scene_caster
+from controllers.pixels.windows import projected_windows
+from controllers.situation import Seen, Situation, TrackedObject
 from loop.build import build_scene
 from loop.lighting.known import Known, categories
 from loop.lighting.lamps import LampPower, ShiningModule, driven, shining_modules

@@ -11,9 +11,9 @@ from typing import Any
 import cv2
 import torch
 
-from controllers.functions.situation import Situation, TrackedObject
-from controllers.planner import LightingParams, Planner
-from controllers.ssc import Ssc
+from controllers.functions.planner import LightingParams, Planner
+from controllers.pixels.ssc import Ssc
+from controllers.situation import Situation, TrackedObject
 from loop.headlight_pictures import show
 from loop.scenario import validate
 from world.frames import pose_from_degrees

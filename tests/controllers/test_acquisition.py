@@ -6,9 +6,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from controllers.symbol.acquisition import Acquired
-from controllers.symbol.drawing import Drawing
-from controllers.symbol.shape import reached
+from controllers.symbol.sensing.acquisition import Acquired
+from controllers.symbol.sensing.drawing import Drawing
+from controllers.symbol.sensing.shape import reached
 from loop.run import prepare
 from loop.scenario import load
 from loop.simulation import Simulation

@@ -5,9 +5,9 @@ from functools import cache
 import pytest
 import torch
 
-from controllers.symbol.aim import aimed, elsewhere
-from controllers.symbol.projector import Projector, SymbolParams
-from controllers.symbol.shape import HERE, height
+from controllers.symbol.sensing.aim import aimed, elsewhere
+from controllers.symbol.sensing.projector import Projector, SymbolParams
+from controllers.symbol.sensing.shape import HERE, height
 from loop.build import build_projector
 from loop.scenario import load
 from world.frames import inverse, transform

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from controllers.animations import Animated, BlinkingParams, RunningLightParams, WipeParams
+from controllers.functions.animations import Animated, BlinkingParams, RunningLightParams, WipeParams
 from world.symbols import Still
 
 WHITE = Still(torch.ones(10, 20))

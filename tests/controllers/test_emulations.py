@@ -7,12 +7,12 @@ import pytest
 import scipy.sparse as sp
 import torch
 
-from controllers.emulations import EMULATIONS, angle_intensity_bend, matrix_shift_bend
-from controllers.mrpc import pixel_major
-from controllers.power import limit_power, pixel_flux
-from controllers.primitives import rectangle
-from controllers.sampling import SAMPLINGS, rectangular, sample_weights
-from controllers.ssc import Ssc
+from controllers.pixels.emulations import EMULATIONS, angle_intensity_bend, matrix_shift_bend
+from controllers.pixels.mrpc import pixel_major
+from controllers.pixels.power import limit_power, pixel_flux
+from controllers.pixels.primitives import rectangle
+from controllers.pixels.sampling import SAMPLINGS, rectangular, sample_weights
+from controllers.pixels.ssc import Ssc
 from tests.reference import ssc as reference
 from world.errors import LuxloopError
 from world.frames import pose_from_degrees

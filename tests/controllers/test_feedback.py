@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from controllers.symbol.feedforward import relief_of
+from controllers.symbol.heights.feedforward import relief_of
 from loop.run import prepare
 from loop.scenario import load
 from perception.birdseye import Region

@@ -6,10 +6,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from controllers.ssc import Ssc
-from controllers.symbol.drawing import CELLS, Drawing, Warp
-from controllers.symbol.field import SIDES, cut
-from controllers.symbol.projector import DrawingModule, Projector, SymbolParams
+from controllers.pixels.ssc import Ssc
+from controllers.symbol.sensing.drawing import CELLS, Drawing, Warp
+from controllers.symbol.sensing.field import SIDES, cut
+from controllers.symbol.sensing.projector import DrawingModule, Projector, SymbolParams
 from world.frames import pose_from_degrees
 from world.presets import idealised
 

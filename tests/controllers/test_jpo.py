@@ -6,10 +6,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from controllers.jpo import Jpo, JpoParams
-from controllers.primitives import Primitives, concatenate, rectangle
-from controllers.secondary import Light, SecondaryRays
-from controllers.ssc import Ssc
+from controllers.jpo.controller import Jpo, JpoParams
+from controllers.pixels.primitives import Primitives, concatenate, rectangle
+from controllers.pixels.secondary import Light, SecondaryRays
+from controllers.pixels.ssc import Ssc
 from perception.metrics import mae, rmse
 from world.frames import pose_from_degrees
 from world.headlight import Headlight

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog, lsq_linear
 
-from controllers.jpo_mae import least_error
-from controllers.jpo_part import Wanted, every_nth_column, submatrix, wanted
-from controllers.jpo_squares import MoorePenrose, least_squares
+from controllers.jpo.mae import least_error
+from controllers.jpo.part import Wanted, every_nth_column, submatrix, wanted
+from controllers.jpo.squares import MoorePenrose, least_squares
 from perception.metrics import mae, rmse
 from world.beams.rectangles import RECTANGLES, Rectangle
 from world.errors import LuxloopError

@@ -5,9 +5,9 @@ from dataclasses import replace
 import pytest
 import torch
 
-from controllers.symbol.drawing import Drawing
-from controllers.symbol.lifting import LOSSES, Lifting
-from controllers.symbol.protocol import Look, Shown
+from controllers.symbol.laws.lifting import LOSSES, Lifting
+from controllers.symbol.sensing.drawing import Drawing
+from controllers.symbol.sensing.protocol import Look, Shown
 from loop.run import prepare
 from loop.scenario import load
 from loop.simulation import Simulation

@@ -15,13 +15,13 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from controllers.symbol.drawing import CELLS, Drawing, Warp
-from controllers.symbol.patch import FOLLOWED, _fitted, drawn_on
-from controllers.symbol.projector import SymbolParams
-from controllers.symbol.protocol import Look, Shown
-from controllers.symbol.relief import Relief
-from controllers.symbol.shape import HERE, reached
-from controllers.symbol.sweep import semi_global, sweep
+from controllers.symbol.heights.patch import FOLLOWED, _fitted, drawn_on
+from controllers.symbol.heights.relief import Relief
+from controllers.symbol.heights.sweep import semi_global, sweep
+from controllers.symbol.sensing.drawing import CELLS, Drawing, Warp
+from controllers.symbol.sensing.projector import SymbolParams
+from controllers.symbol.sensing.protocol import Look, Shown
+from controllers.symbol.sensing.shape import HERE, reached
 from loop.run import prepare
 from loop.scenario import DisturbanceParams, load
 from loop.simulation import Simulation, SimulationState

@@ -7,10 +7,10 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controllers.mrpc import MrpcParams
-from controllers.primitives import Primitives, concatenate, rectangle
-from controllers.rthc import trace
-from controllers.ssc import Ssc
+from controllers.pixels.mrpc import MrpcParams
+from controllers.pixels.primitives import Primitives, concatenate, rectangle
+from controllers.pixels.rthc import trace
+from controllers.pixels.ssc import Ssc
 from world.frames import pose_from_degrees
 from world.presets import idealised, lamp
 

@@ -5,10 +5,10 @@ import math
 import pytest
 import torch
 
-from controllers.morphing import Morph, Morphing, bend, level, roll
-from controllers.mrpc import MrpcParams
-from controllers.primitives import rectangle
-from controllers.ssc import Ssc
+from controllers.pixels.morphing import Morph, Morphing, bend, level, roll
+from controllers.pixels.mrpc import MrpcParams
+from controllers.pixels.primitives import rectangle
+from controllers.pixels.ssc import Ssc
 from world.frames import pose_from_degrees
 from world.presets import idealised
 

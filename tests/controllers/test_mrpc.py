@@ -9,11 +9,11 @@ import torch
 from pydantic import ValidationError
 from torch import Tensor
 
-from controllers.mrpc import MrpcParams, pixel_major, reduce_setpoints
-from controllers.primitives import I_V, QUANTITIES, U_ABS, Quantity
-from controllers.raising import FAINT
-from controllers.rthc import Setpoints
-from controllers.windows import Window, whole
+from controllers.pixels.mrpc import MrpcParams, pixel_major, reduce_setpoints
+from controllers.pixels.primitives import I_V, QUANTITIES, U_ABS, Quantity
+from controllers.pixels.rthc import Setpoints
+from controllers.pixels.sharpening import FAINT
+from controllers.pixels.windows import Window, whole
 from tests.reference import ssc as reference
 from world.headlight import Headlight
 from world.presets import idealised

@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from controllers.functions.situation import Situation
 from controllers.functions.symbol import SymbolFunctionParams
-from controllers.observer import drawing_rectangle, sight
-from controllers.ssc import Ssc
+from controllers.pixels.anamorphic import drawing_rectangle, sight
+from controllers.pixels.ssc import Ssc
+from controllers.situation import Situation
 from perception.metrics import iou
 from tests.reference.ssc import seen_at
 from world.frames import inverse, pose_from_degrees, transform

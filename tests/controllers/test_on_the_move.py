@@ -10,13 +10,13 @@ import torch
 from scipy.signal import lsim
 from torch import Tensor
 
-from controllers.symbol.feedforward import relief_of
-from controllers.symbol.luxloop import Luxloop, laid
-from controllers.symbol.memory import Memory
-from controllers.symbol.registration import Heights
-from controllers.symbol.sight import Sight
-from controllers.symbol.springs import PARTS, followed
-from controllers.symbol.swing import CELL_M, TRACK_M, Swing
+from controllers.symbol.heights.feedforward import relief_of
+from controllers.symbol.heights.luxloop import Luxloop, laid
+from controllers.symbol.heights.memory import Memory
+from controllers.symbol.heights.registration import Heights
+from controllers.symbol.heights.sight import Sight
+from controllers.symbol.heights.springs import PARTS, followed
+from controllers.symbol.heights.swing import CELL_M, TRACK_M, Swing
 from loop.scenario import load
 from loop.simulation import Simulation
 from perception.birdseye import Region

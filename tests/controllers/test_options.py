@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-from controllers.mrpc import MrpcParams, pixel_major, reduce_setpoints
-from controllers.primitives import I_V
-from controllers.rthc import Setpoints
-from controllers.windows import whole
+from controllers.pixels.mrpc import MrpcParams, pixel_major, reduce_setpoints
+from controllers.pixels.primitives import I_V
+from controllers.pixels.rthc import Setpoints
+from controllers.pixels.windows import whole
 from perception.metrics import mae
 from world.headlight import Headlight
 from world.presets import lamp

@@ -4,13 +4,13 @@ from pathlib import Path
 
 import pytest
 
-from controllers.symbol.drawing import Drawing
+from controllers.symbol.sensing.drawing import Drawing
 from loop.run import prepare
 from loop.scenario import load
 from world.errors import LuxloopError
 
 HALFWAY = """
-from controllers.symbol.drawing import Drawing
+from controllers.symbol.sensing.drawing import Drawing
 
 class Halfway:
     def __init__(self, observer, share=0.5):

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from controllers.symbol.drawing import CELLS
+from controllers.symbol.sensing.drawing import CELLS
 from loop.run import prepare
 from loop.scenario import load
 from loop.simulation import StepResult

@@ -8,9 +8,9 @@ import pytest
 import torch
 from pydantic import ValidationError
 
-from controllers.functions.situation import Situation, TrackedObject
-from controllers.planner import LightingParams, Planner
-from controllers.ssc import Ssc
+from controllers.functions.planner import LightingParams, Planner
+from controllers.pixels.ssc import Ssc
+from controllers.situation import Situation, TrackedObject
 from world.errors import LuxloopError
 from world.frames import pose_from_degrees
 from world.presets import idealised

@@ -9,7 +9,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controllers.primitives import QUANTITIES, Observer, Primitives, concatenate, rectangle, road_symbol
+from controllers.pixels.primitives import QUANTITIES, Observer, Primitives, concatenate, rectangle, road_symbol
 from world.errors import LuxloopError
 
 SYMBOL = torch.ones(2, 3)

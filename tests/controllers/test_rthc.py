@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from controllers.primitives import Primitives, concatenate, rectangle, road_symbol
-from controllers.rthc import Setpoints, trace
-from controllers.windows import NOWHERE, Window, projected_windows, whole
+from controllers.pixels.primitives import Primitives, concatenate, rectangle, road_symbol
+from controllers.pixels.rthc import Setpoints, trace
+from controllers.pixels.windows import NOWHERE, Window, projected_windows, whole
 from tests.reference import ssc as reference
 from world.frames import pose_from_degrees
 from world.presets import idealised

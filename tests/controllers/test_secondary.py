@@ -6,10 +6,10 @@ import pytest
 import torch
 import trimesh
 
-from controllers.primitives import Observer, rectangle
-from controllers.rthc import trace
-from controllers.secondary import Caster, Light, SecondaryRays, less_street_light, scene_caster, seen_by, shares, street_light
-from controllers.ssc import Ssc
+from controllers.pixels.primitives import Observer, rectangle
+from controllers.pixels.rthc import trace
+from controllers.pixels.secondary import Caster, Light, SecondaryRays, less_street_light, scene_caster, seen_by, shares, street_light
+from controllers.pixels.ssc import Ssc
 from world.frames import inverse, pose_from_degrees, transform
 from world.presets import idealised
 from world.scene.body import Body, PoseTrack

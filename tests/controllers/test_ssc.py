@@ -10,10 +10,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from controllers.jpo import Jpo
-from controllers.mrpc import MrpcParams
-from controllers.primitives import Primitives, Quantity, concatenate, road_symbol
-from controllers.ssc import Ssc
+from controllers.jpo.controller import Jpo
+from controllers.pixels.mrpc import MrpcParams
+from controllers.pixels.primitives import Primitives, Quantity, concatenate, road_symbol
+from controllers.pixels.ssc import Ssc
 from tests.reference import ssc as reference
 from world.errors import LuxloopError
 from world.frames import pose_from_degrees

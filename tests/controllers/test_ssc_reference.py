@@ -10,11 +10,11 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controllers.mrpc import MrpcParams
-from controllers.primitives import QUANTITIES, Observer, Primitives, concatenate, rectangle
-from controllers.rthc import trace
-from controllers.secondary import Light, SecondaryRays
-from controllers.ssc import Ssc
+from controllers.pixels.mrpc import MrpcParams
+from controllers.pixels.primitives import QUANTITIES, Observer, Primitives, concatenate, rectangle
+from controllers.pixels.rthc import trace
+from controllers.pixels.secondary import Light, SecondaryRays
+from controllers.pixels.ssc import Ssc
 from tests.reference import ssc as reference
 from world.frames import pose_from_degrees
 from world.headlight import Headlight

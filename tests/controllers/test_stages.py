@@ -5,7 +5,7 @@ import pickle
 import pytest
 import torch
 
-from controllers.symbol.alignment import Alignment, Placement
+from controllers.symbol.laws.alignment import Alignment, Placement
 from loop.run import prepare
 from loop.scenario import load
 from loop.simulation import Simulation

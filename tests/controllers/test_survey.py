@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from controllers.symbol.feedforward import Surveyed
+from controllers.symbol.heights.feedforward import Surveyed
 from loop.overrides import resolve_paths
 from loop.run import prepare
 from loop.scenario import load

@@ -11,16 +11,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from controllers.primitives import road_symbol
-from controllers.ssc import Ssc
+from controllers.pixels.primitives import road_symbol
+from controllers.pixels.ssc import Ssc
 from controllers.symbol import CONTROLLERS, build_controller
-from controllers.symbol.drawing import Drawing, Warp
-from controllers.symbol.flat_model import FeatureParams, FlatModel, flat_model
-from controllers.symbol.observer import Observer, Seen
-from controllers.symbol.open_loop import OpenLoop, OpenLoopParams
-from controllers.symbol.projector import DrawingModule, Projector, SymbolParams
-from controllers.symbol.protocol import Look, Shown, SymbolController
-from controllers.symbol.thesis_pid import ThesisPid, ThesisPidParams
+from controllers.symbol.laws.open_loop import OpenLoop, OpenLoopParams
+from controllers.symbol.laws.thesis_pid import ThesisPid, ThesisPidParams
+from controllers.symbol.sensing.drawing import Drawing, Warp
+from controllers.symbol.sensing.flat_model import FeatureParams, FlatModel, flat_model
+from controllers.symbol.sensing.observer import Observer, Seen
+from controllers.symbol.sensing.projector import DrawingModule, Projector, SymbolParams
+from controllers.symbol.sensing.protocol import Look, Shown, SymbolController
 from perception.appearance import Appearance
 from perception.camera import CameraParams, average_rows, camera_view, expose, frame_generator
 from perception.extraction import Crop, ExtractionParams, Loss

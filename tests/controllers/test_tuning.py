@@ -9,10 +9,10 @@ import scipy.sparse as sp
 import torch
 from numpy.typing import NDArray
 
-from controllers.mrpc import MrpcParams
-from controllers.primitives import rectangle
-from controllers.ssc import Ssc
-from controllers.tuning import RANGES, Part, TextureControl, Trial, part, tune
+from controllers.pixels.mrpc import MrpcParams
+from controllers.pixels.mrpc_tuning import RANGES, Part, TextureControl, Trial, part, tune
+from controllers.pixels.primitives import rectangle
+from controllers.pixels.ssc import Ssc
 from perception.metrics import mae
 from world.errors import LuxloopError
 from world.headlight import Headlight

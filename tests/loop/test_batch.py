@@ -7,9 +7,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from controllers.ssc import Ssc
-from controllers.symbol.projector import Projector
-from controllers.symbol.thesis_pid import ThesisPid
+from controllers.pixels.ssc import Ssc
+from controllers.symbol.laws.thesis_pid import ThesisPid
+from controllers.symbol.sensing.projector import Projector
 from loop.batch import GAINS, check, rollouts, with_values
 from loop.build import build_projector
 from loop.ranges import changed, value_of

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from controllers.ssc import Utilisation
+from controllers.pixels.ssc import Utilisation
 from loop.disturbances import DisturbanceParams, WearParams
 from loop.plant import SimulatedPlant
 from loop.run import prepare

@@ -9,7 +9,7 @@ import scipy.sparse as sp
 import torch
 from scipy.optimize import linprog
 
-from controllers.tuning import part
+from controllers.pixels.mrpc_tuning import part
 from loop import evaluate as evaluation
 from loop import evaluate_jobs, evaluate_report, jobs
 from loop.evaluate import JOBS, ROWS, SETPOINTS, Evaluation, evaluate, summary
@@ -42,8 +42,8 @@ def small() -> Iterator[Headlight]:
         patch.setattr(evaluate_jobs, "headlight", lambda name: light)
         patch.setattr(evaluate_jobs, "_peak_cd", lambda name: light.peak_cd)
         patch.setattr("loop.evaluate_figures.headlight", lambda name: light)
-        patch.setattr("controllers.tuning.POPULATION", 4)
-        patch.setattr("controllers.tuning.GENERATIONS", 5)
+        patch.setattr("controllers.pixels.mrpc_tuning.POPULATION", 4)
+        patch.setattr("controllers.pixels.mrpc_tuning.GENERATIONS", 5)
         yield light
 
 

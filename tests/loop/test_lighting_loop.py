@@ -11,7 +11,7 @@ import pytest
 import torch
 from rich.console import Console
 
-from controllers.functions.situation import AdaptiveFunction
+from controllers.situation import AdaptiveFunction
 from loop import cli
 from loop.lighting.record import LOOKED_AT, row, schema
 from loop.lighting.simulation import LightingSimulation

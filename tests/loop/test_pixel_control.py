@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 import torch
 
-from controllers.jpo import Jpo
-from controllers.ssc import Ssc
+from controllers.jpo.controller import Jpo
+from controllers.pixels.ssc import Ssc
 from loop.build import build_projector
 from loop.lighting.simulation import LightingSimulation
 from loop.pixel_control import pixel_controller
@@ -21,7 +21,7 @@ OWN = """
 from dataclasses import dataclass, replace
 
 import torch
-from controllers.ssc import Utilisation
+from controllers.pixels.ssc import Utilisation
 
 
 @dataclass(frozen=True)

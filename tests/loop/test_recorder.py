@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 import pytest
 import torch
 
-from controllers.symbol.drawing import Drawing
+from controllers.symbol.sensing.drawing import Drawing
 from loop import recorder
 from loop.manifest import Manifest
 from loop.recorder import COLUMNS, SCHEMA, Recorder, row, table_of

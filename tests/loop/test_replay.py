@@ -15,7 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from controllers.symbol.flat_model import FeatureParams
+from controllers.symbol.sensing.flat_model import FeatureParams
 from loop.comparison import CENTROID_M, CENTROID_PX, SHEAR, TOLERANCES, compare, tolerances
 from loop.recorder import COLUMNS, SCHEMA, Recorder, row, table_of
 from loop.replay import load, read_parquet, replay, to_csv

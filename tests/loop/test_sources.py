@@ -44,7 +44,7 @@ def test_imports_are_followed_within_the_folder(folder: Path) -> None:
     assert "own_pkg" not in sys.modules
     assert sources_of("own_neighbour") == {"own_neighbour": folder / "own_neighbour.py"}
     assert sources_of("own_pkg.nothing") == {"own_pkg": folder / "own_pkg/__init__.py"}
-    assert sources_of("no_such_module_at_all") == sources_of("controllers.ssc") == sources_of("random") == {}
+    assert sources_of("no_such_module_at_all") == sources_of("controllers.pixels.ssc") == sources_of("random") == {}
 
 
 def test_relative_imports_that_find_nothing_are_left_to_python(folder: Path) -> None:

@@ -23,7 +23,7 @@ from pathlib import Path
 
 Path(__file__).with_name("mark").touch()
 
-from controllers.symbol.drawing import Drawing
+from controllers.symbol.sensing.drawing import Drawing
 from perception import extraction
 from world.roads.shapes import Flat
 

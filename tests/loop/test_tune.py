@@ -186,7 +186,7 @@ def test_another_search_has_other_trials(tuned: Tuned, scenario: Scenario, tmp_p
 
 
 FRAIL = """
-from controllers.symbol.open_loop import OpenLoop
+from controllers.symbol.laws.open_loop import OpenLoop
 from world.errors import LuxloopError
 
 

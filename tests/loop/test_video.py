@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from controllers.symbol.drawing import Drawing
+from controllers.symbol.sensing.drawing import Drawing
 from loop.simulation import Simulation, StepResult
 from loop.video import LOST_RGB, SEEN_RGB, TARGET_RGB, VideoWriter, frame_picture, tone_map
 from world.errors import LuxloopError

@@ -8,8 +8,8 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.mrpc import MrpcParams
-from controllers.primitives import QUANTITIES, Primitives
+from controllers.pixels.mrpc import MrpcParams
+from controllers.pixels.primitives import QUANTITIES, Primitives
 from world.headlight import Headlight
 
 Array = NDArray[np.float64]

@@ -16,10 +16,10 @@ from controllers.functions.lane import LaneParams, WidthParams, arc
 from controllers.functions.marker import MarkerParams
 from controllers.functions.path import Drawing, PathParams
 from controllers.functions.sign import SignParams
-from controllers.functions.situation import Drawn, Situation, TrackedObject, fade
 from controllers.functions.symbol import SymbolFunctionParams
-from controllers.primitives import Primitives
-from controllers.ssc import Ssc
+from controllers.pixels.primitives import Primitives
+from controllers.pixels.ssc import Ssc
+from controllers.situation import Drawn, Situation, TrackedObject, fade
 from world.errors import LuxloopError
 from world.frames import pose_from_degrees, transform
 from world.params import Params

@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from controllers.functions.geometry import cuboid
 from controllers.functions.glare_free import GlareFreeParams, enlarged
-from controllers.functions.situation import Situation, TrackedObject
-from controllers.primitives import Primitives, concatenate
-from controllers.ssc import Ssc
+from controllers.geometry import cuboid
+from controllers.pixels.primitives import Primitives, concatenate
+from controllers.pixels.ssc import Ssc
+from controllers.situation import Situation, TrackedObject
 from world.frames import inverse, pose_from_degrees, transform
 from world.headlight import Headlight
 from world.presets import idealised, lamp

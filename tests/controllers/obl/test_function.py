@@ -10,15 +10,15 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from torch import Tensor
 
-from controllers.functions.geometry import cuboid
 from controllers.functions.glare_free import GlareFreeParams
-from controllers.functions.situation import AdaptiveFunction, Situation, TrackedObject
+from controllers.geometry import cuboid
 from controllers.obl.ambient import Ambient
 from controllers.obl.function import ObjectBasedParams, ObjectBasedState
 from controllers.obl.light import CELLS, NEAREST_M, ObjectLightParams, frontal
-from controllers.primitives import concatenate
-from controllers.secondary import Light, SecondaryRays
-from controllers.ssc import Ssc
+from controllers.pixels.primitives import concatenate
+from controllers.pixels.secondary import Light, SecondaryRays
+from controllers.pixels.ssc import Ssc
+from controllers.situation import AdaptiveFunction, Situation, TrackedObject
 from loop.scenario import load_any
 from perception.tracking import LINGER_S
 from world.frames import inverse, pose_from_degrees, transform

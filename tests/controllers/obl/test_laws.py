@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from controllers.functions.situation import TrackedObject
 from controllers.obl.laws import LowerParams, RaiseParams, Trial
 from controllers.obl.object_loop import ObjectLoop, ObjectLoopParams
+from controllers.situation import TrackedObject
 from world.traffic.tracked import Category
 
 HERE = torch.eye(4, dtype=torch.float64)

@@ -8,9 +8,9 @@ import torch
 from pydantic import ValidationError
 from torch import Tensor
 
-from controllers.functions.situation import Seen, Situation, TrackedObject
-from controllers.primitives import Primitives
-from controllers.rthc import Setpoints, trace
+from controllers.pixels.primitives import Primitives
+from controllers.pixels.rthc import Setpoints, trace
+from controllers.situation import Seen, Situation, TrackedObject
 from controllers.zones.material import MaterialParams, image_plane
 from perception.camera import CameraParams, camera_view
 from perception.regions import box_region

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from controllers.functions.situation import Seen, Situation
-from controllers.primitives import E_V
-from controllers.secondary import Light
+from controllers.pixels.primitives import E_V
+from controllers.pixels.secondary import Light
+from controllers.situation import Seen, Situation
 from controllers.zones.zone import ZoneParams
 from perception.camera import CameraParams, camera_view, expose, frame_generator, luminance_of, saturation_luminance
 from perception.regions import box_region

@@ -1,0 +1,1 @@
+"""Joint Pixel Optimisation (T 8)."""

@@ -1,0 +1,103 @@
+"""Joint pixel optimisation (T 3.5.2, 8.4): all pixels together, as close to the wanted light as they can come.
+
+`Jpo` looks for the least absolute deviations (`controllers.jpo.mae`) or least squares (`controllers.jpo.squares`) within a budget of
+iterations a step, each from what SSC gives, behind the protocol of all pixel controllers.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from controllers.jpo.mae import least_error
+from controllers.jpo.part import Wanted, reaching, wanted
+from controllers.jpo.squares import least_squares
+from controllers.pixels.mrpc import MrpcParams
+from controllers.pixels.primitives import E_V, I_V, U_REL, Primitives
+from controllers.pixels.rthc import Setpoints
+from controllers.pixels.secondary import SecondaryRays
+from controllers.pixels.ssc import Ssc, Utilisation
+from world.headlight import Headlight
+from world.params import Params
+
+
+class JpoParams(Params):
+    """Real-time joint pixel optimisation."""
+
+    objective: Literal["mae", "least_squares"] = Field("mae", description="what is least: the sum of absolute or of squared deviations")
+    iterations: int = Field(40, ge=1, le=100_000, description="budget of a step; what they bring is in docs/jpo.md")
+
+
+@dataclass(frozen=True)
+class Jpo:
+    """A pixel controller (see `controllers.pixels.ssc.PixelController`) that starts from SSC and then optimises all pixels jointly.
+
+    full: `[rows, cols]` cd, with all pixels on. Texels that no primitive covers are to keep the light of the default. As with SSC, pixels
+    that reach no hit keep their default.
+    """
+
+    ssc: Ssc
+    params: JpoParams
+    full: Tensor
+
+    @classmethod
+    def prepare(
+        cls, headlight: Headlight, params: JpoParams | None = None, default: Tensor | None = None, mrpc: MrpcParams | None = None
+    ) -> "Jpo":
+        """Make the tables of SSC with its parameters once; the default base pattern is dark."""
+        ssc = Ssc.prepare(headlight, mrpc, default)
+        return cls(ssc, params or JpoParams(), headlight.light_texture(torch.ones_like(ssc.default)))
+
+    @property
+    def headlight(self) -> Headlight:
+        return self.ssc.headlight
+
+    @property
+    def default(self) -> Tensor:
+        return self.ssc.default
+
+    def over(self, default: Tensor) -> "Jpo":
+        """The same tables over another base pattern `[n_p]`."""
+        return replace(self, ssc=self.ssc.over(default))
+
+    def utilisation(self, primitives: Primitives, T_world_headlight: Tensor, secondary: SecondaryRays | None = None) -> Utilisation:
+        """Utilisation `[..., n_p]` for one moment.
+
+        Raises LuxloopError for values of primitives that are not finite, where they are on the host.
+        """
+        goal = self.goal(primitives, T_world_headlight, secondary)
+        if self.params.objective == "mae":
+            return Utilisation(least_error(self.headlight.matrix, goal, self.params.iterations, gap=None).u)
+        return Utilisation(least_squares(self.headlight.matrix, goal, self.params.iterations))
+
+    def goal(self, primitives: Primitives, T_world_headlight: Tensor, secondary: SecondaryRays | None = None) -> Wanted:
+        """What the primitives ask of the light texture, the pixels they touch, and where SSC would have these start.
+
+        u_abs and u_rel become the light that all pixels would give so.
+        """
+        grid, of_default = self.headlight, torch.zeros_like(self.full)
+        if not self.ssc.dark:
+            of_default = grid.light_texture(self.default)
+        setpoints = self.ssc.casting(primitives, T_world_headlight, secondary).setpoints()
+        cut = (..., *setpoints.window.slices)
+        hit, in_cd, relative = setpoints.hit, _share(setpoints, setpoints.in_cd, I_V, E_V), _share(setpoints, setpoints.relative, U_REL)
+        unit = in_cd + relative * of_default[cut] + (1 - in_cd - relative) * self.full[cut]
+        asked = setpoints.value * unit
+        weight = torch.ones_like(asked) if setpoints.weight is None else setpoints.weight
+        if setpoints.forced is not None:
+            weight = weight.masked_fill(setpoints.forced > 0, torch.inf)
+        texture = of_default.expand(*asked.shape[:-2], -1, -1).clone()
+        weights, counts = torch.ones_like(texture), torch.zeros_like(texture, dtype=torch.bool)
+        texture[cut] = torch.where(hit, asked, texture[cut])
+        weights[cut] = torch.where(hit, weight, 1.0)
+        counts[cut] = hit & (weight > 0)
+        touched = reaching(grid.matrix.transposed, counts.flatten(-2))
+        start = torch.where(touched, self.ssc.reduced(setpoints)[0], self.default)
+        return wanted(grid, texture, weights, start, touched)
+
+
+def _share(setpoints: Setpoints, image: Tensor | None, *codes: int) -> Tensor | float:
+    """1 where a setpoint is of these quantities, else 0."""
+    return float(setpoints.quantities[0] in codes) if image is None else image

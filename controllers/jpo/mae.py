@@ -1,0 +1,152 @@
+"""The least mean absolute error that all pixels together can reach (T 8.3, 8.4), with a proof of how much is missing to it.
+
+`min sum_i w_i |(A u)_i - s_i|, 0 <= u <= 1` by primal-dual steps (Chambolle and Pock 2011) on subsets of the texels in turn (Chambolle,
+Ehrhardt, Richtárik and Schönlieb 2018), whose widths are the sums of columns and rows (Pock and Chambolle 2011). All pixels move after
+each subset, so that a product with the whole matrix and its transpose is worth as many steps. The dual value is a lower bound of the error.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import torch
+from torch import Tensor
+
+from controllers.jpo.part import Wanted, anywhere, every_nth_column, reached_rows, submatrix, without_fixed
+from world.spmv import Csr, multiply
+
+SUBSETS = 8  # of the texels, each of which is spread over all: more hardly serve, and small lamps pay for the calls of each
+PRIMAL_WEIGHT = 0.2  # of the mean utilisation, as measured in docs/jpo.md: how far pixels move a step, against the dual
+NEAR = 0.1  # of the mean setpoint: texels this close to theirs are undecided between too dark and too bright
+CHECKED_EVERY = 20  # steps between looks at the gap, each of which waits for the device
+
+
+@dataclass(frozen=True)
+class LeastError:
+    """u: `[..., n_p]`. error: `[...]` cd, the weighted sum of absolute deviations at u. bound: `[...]` cd, no utilisation has less.
+    iterations: that were made. entries: of the headlight matrix that each of them read, twice.
+    """
+
+    u: Tensor
+    error: Tensor
+    bound: Tensor
+    iterations: int
+    entries: int
+
+
+def least_error(matrix: Csr, goal: Wanted, iterations: int = 20_000, gap: float | None = 0.005) -> LeastError:
+    """The utilisation with the least weighted sum of absolute deviations; never worse than its start.
+
+    matrix: `[n_t, n_p]` cd, not negative. gap: stop where the error is proved to be at most this
+    share above the least; None makes all iterations and looks at the end only.
+    """
+    left = _undecided(matrix, goal)
+    u = goal.start[..., left.cols] * left.upper
+    best, light = u, multiply(left.A, u)
+    least, bound = left.error(light, u), left.constant
+    full = torch.where(goal.free, 0.0, goal.start)
+    if not len(left.cols):
+        return LeastError(full, least, least, 0, 0)
+    tau, sigma = left.steps()
+    answers, widths, s, w = (list(each.split(left.sizes, -1)) for each in (left.pull(light), sigma, left.s, left.w))
+    done = 0
+    while done < iterations:
+        slope = ahead = left.slope(torch.cat(answers, -1))  # anew, since it gathers roundings
+        steps = iterations if gap is None else min(CHECKED_EVERY, iterations - done)
+        for k in [*range(len(answers))] * steps:
+            u = (u - tau * ahead).clamp(min=0).minimum(left.upper)
+            answer = (answers[k] + widths[k] * (multiply(left.rows[k], u) - s[k])).clamp(-w[k], w[k])
+            change = multiply(left.columns[k], answer - answers[k])
+            answers[k], slope = answer, slope + change
+            ahead = slope + len(answers) * change
+        done += steps
+        error = left.error(multiply(left.A, u), u)
+        best = torch.where((error < least)[..., None], u, best)
+        least, bound = torch.minimum(error, least), torch.maximum(bound, left.bound(torch.cat(answers, -1)))
+        if gap is not None and bool((least - bound <= gap * least).all()):
+            break
+    full[..., left.cols] += best
+    return LeastError(full, least, bound, done, len(left.A.values))
+
+
+@dataclass(frozen=True)
+class _Undecided:
+    """`min c'u + sum_i w_i |(A u)_i - s_i| + constant, 0 <= u <= upper`, on some rows, and the columns `cols`, of a headlight matrix.
+
+    rows: A in pieces of `sizes` rows, each of which is spread over all of the texture; columns: their transposes. s, w: `[..., m]`. c,
+    gain, upper: `[..., n]`; gain is `A'w`. A batch entry that has no use for a row or a column has w or upper zero there.
+    """
+
+    cols: Tensor
+    A: Csr
+    sizes: list[int]
+    rows: list[Csr]
+    columns: list[Csr]
+    s: Tensor
+    w: Tensor
+    c: Tensor
+    gain: Tensor
+    upper: Tensor
+    constant: Tensor
+
+    def error(self, light: Tensor, u: Tensor) -> Tensor:
+        return (self.c * u).sum(-1) + (self.w * (light - self.s).abs()).sum(-1) + self.constant
+
+    def bound(self, y: Tensor) -> Tensor:
+        """The dual value: for any y in -w..w, no u has a smaller error."""
+        return self.constant - (self.s * y).sum(-1) + (self.slope(y).clamp(max=0) * self.upper).sum(-1)
+
+    def slope(self, y: Tensor) -> Tensor:
+        """By how much the error grows with u, as far as the dual knows: `c + A'y`."""
+        return self.c + torch.stack(self.pulls(y)).sum(0)
+
+    def pulls(self, y: Tensor) -> list[Tensor]:
+        """`A'y` of each piece."""
+        return [multiply(columns, each) for columns, each in zip(self.columns, y.split(self.sizes, -1), strict=True)]
+
+    def pull(self, light: Tensor) -> Tensor:
+        """A first dual: texels that are clearly too bright or too dark pull with all their weight."""
+        counts = self.w > 0
+        near = NEAR * torch.where(counts, self.s, 0.0).sum(-1, keepdim=True) / counts.sum(-1, keepdim=True).clamp(min=1)
+        return (self.w * (light - self.s) / near.clamp(min=torch.finfo(self.s.dtype).tiny)).clamp(-self.w, self.w)
+
+    def steps(self) -> tuple[Tensor, Tensor]:
+        """Widths of primal and dual steps, which converge for any PRIMAL_WEIGHT and have the units of u and w."""
+        reach = multiply(self.A, torch.ones_like(self.c[(0,) * (self.c.ndim - 1)]))
+        ssc = torch.where(self.upper > 0, 1 / self.gain, 0.0) * torch.stack(self.pulls(self.w * (self.s / reach).clamp(max=1))).sum(0)
+        pace = PRIMAL_WEIGHT * ssc.sum(-1, keepdim=True) / self.upper.sum(-1, keepdim=True).clamp(min=1)
+        of_subset = torch.stack(self.pulls(self.w)).amax(0)
+        width = torch.where(self.upper > 0, 1 / (len(self.columns) * of_subset), 0.0)
+        return pace * width, torch.where(self.w > 0, self.w / (pace * reach), 0.0)
+
+
+def _undecided(matrix: Csr, goal: Wanted) -> _Undecided:
+    """Take out of a problem what is decided beforehand.
+
+    The error of a texel without a positive setpoint is linear in u. A pixel whose light costs more there than it can ever make good at the
+    others is off in an optimum: the error grows with it, whatever the others do. No row is needed that only such pixels light.
+    """
+    transposed = matrix.transposed
+    target = without_fixed(matrix, goal)
+    short = (target > 0) & (goal.weight > 0)
+    gain, cost = (multiply(transposed, torch.where(mask, goal.weight, 0.0)) for mask in (short, ~short))
+    useful = goal.free & (gain > cost)
+    cols = anywhere(useful).nonzero()[:, 0]
+    rows = (anywhere(short) & reached_rows(transposed, cols)).nonzero()[:, 0]
+    columns = every_nth_column(submatrix(transposed, cols, rows), SUBSETS)
+    sizes = [piece.n_cols for piece in columns]
+    rows = torch.cat([rows[k::SUBSETS] for k in range(SUBSETS)])
+    A, stops = submatrix(matrix, rows, cols), [sum(sizes[:k]) for k in range(len(sizes) + 1)]
+    s, w = target[..., rows], torch.where(short, goal.weight, 0.0)[..., rows]
+    return _Undecided(
+        cols,
+        A,
+        sizes,
+        [A.band(start, stop) for start, stop in pairwise(stops)],
+        columns,
+        s,
+        w,
+        cost[..., cols],
+        gain[..., cols],
+        useful[..., cols].to(s),
+        (goal.weight * target.abs()).sum(-1) - (w * s).sum(-1),
+    )

@@ -1,0 +1,64 @@
+"""The least squares that all pixels together can reach (T 3.5.2): within bounds, or by the pseudo-inverse for lamps of few pixels."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from controllers.jpo.part import Wanted, anywhere, reached_rows, submatrix, without_fixed
+from world.errors import LuxloopError
+from world.headlight import Headlight, fit
+from world.spmv import Csr, multiply
+
+FEW_PIXELS = 2_000  # whose pseudo-inverse is still made in seconds
+
+
+def least_squares(matrix: Csr, goal: Wanted, iterations: int = 300, tolerance: float = 1e-4) -> Tensor:
+    """u `[..., n_p]` with the least `sum weight * (A u - target)^2`, from its start (T 3.5.2).
+
+    matrix: `[n_t, n_p]` cd, not negative. Weights count as in the reduction (T 7.4.5), not squared. A pixel that reaches no texel that
+    lacks light is off: it could only add to what is too bright. Stops when ten steps in a row move no pixel by more than the tolerance.
+    """
+    transposed = matrix.transposed
+    target = without_fixed(matrix, goal)
+    short = torch.where((target > 0) & (goal.weight > 0), 1.0, 0.0).to(target)
+    useful = goal.free & (multiply(transposed, short) > 0)
+    cols = anywhere(useful).nonzero()[:, 0]
+    rows = reached_rows(transposed, cols).nonzero()[:, 0]
+    u = torch.where(goal.free, 0.0, goal.start)
+    if len(cols):
+        A = submatrix(matrix, rows, cols)
+        start, upper = goal.start[..., cols], useful[..., cols].to(target)
+        weight = goal.weight[..., rows].sqrt()
+        u[..., cols] += fit.solve(
+            A, target[..., rows], weight=weight, upper=upper, start=start * upper, iterations=iterations, tolerance=tolerance
+        )
+    return u
+
+
+@dataclass(frozen=True)
+class MoorePenrose:
+    """Least squares by the pseudo-inverse (T 3.5.2), `A^+ = (A' A)^+ A'`, clamped to what there is.
+
+    Clamping makes it worse than `least_squares` wherever a pixel would have to give more than it can, or less than none.
+    transposed: A'. inverse: `(A' A)^+`, `[n_p, n_p]` float64.
+    """
+
+    transposed: Csr
+    inverse: Tensor
+
+    @classmethod
+    def prepare(cls, headlight: Headlight) -> "MoorePenrose":
+        """Make the inverse once. Raises LuxloopError for lamps of more than 2,000 pixels."""
+        if headlight.n_pixels > FEW_PIXELS:
+            raise LuxloopError(
+                f"the pseudo-inverse of {headlight.name!r} would be a full matrix for {headlight.n_pixels} pixels; it is for lamps of at "
+                f"most {FEW_PIXELS}: use least squares"
+            )
+        A = headlight.matrix.to_scipy().astype("float64")
+        gram = torch.from_numpy((A.T @ A).toarray()).to(headlight.matrix.values.device)
+        return cls(headlight.matrix.transposed.to(torch.float64), torch.linalg.pinv(gram, hermitian=True))
+
+    def utilisation(self, texture: Tensor) -> Tensor:
+        """Utilisation `[..., n_p]` in 0..1 for a wanted light texture `[..., rows, cols]` in cd."""
+        return (multiply(self.transposed, texture.flatten(-2).double()) @ self.inverse).clamp(0, 1).to(texture)

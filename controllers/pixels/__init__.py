@@ -1,0 +1,1 @@
+"""From primitives to the utilisation of a headlight's pixels (T 7)."""

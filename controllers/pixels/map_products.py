@@ -1,0 +1,174 @@
+"""Mapping where all pixels of a texel are asked for the same utilisation: sums are products of matrices with images (T 7.4.1)."""
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from controllers.pixels.map_sums import Band, Sums
+from controllers.pixels.mrpc_params import MrpcParams
+from controllers.pixels.pixel_major import PixelMajor
+from controllers.pixels.primitives import E_V, HEAVIEST, I_V, U_ABS, U_REL
+from controllers.pixels.rthc import Casting, Setpoints, expanded
+from controllers.pixels.windows import Window
+from world.spmv import Csr, multiply
+
+RULING = 1e36  # stands for an infinite weight where the setpoint is zero: no sum of finite ones comes near it
+RULED = 2 * HEAVIEST  # a sum from which on one is infinite; no sum of finite ones is rounded up to it
+
+
+Image = Tensor | float  # one value for all rays where it is a number
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """Rays of a window that ask for something: all, or where hit is 1; the others are images, or None where they are not needed.
+
+    missed: 1 where nothing is hit after all. relative, in_cd: 1 where the value is such a one.
+    """
+
+    window: Window
+    hit: Tensor | None
+    value: Image
+    finite: Image | None
+    forced: Image | None
+    missed: Image
+    in_cd: Image
+    relative: Image
+
+
+def _pieces(asked: Setpoints | Casting) -> Iterator[_Piece]:
+    if isinstance(asked, Setpoints):
+        in_cd, relative = asked.portion(asked.in_cd, I_V, E_V), asked.portion(asked.relative, U_REL)
+        yield _Piece(asked.window, None, asked.value, asked.finite, asked.forced, 1 - asked.cover, in_cd, relative)
+        return
+    weights = asked.primitives.weight.tolist() if None not in asked.is_mask else []
+    for stroke in asked.strokes():
+        finite: Image = stroke.finite
+        forced: Image = stroke.forced
+        if weights and not stroke.finite.requires_grad:  # numbers save passes over the window
+            weight = weights[stroke.primitive]
+            finite, forced = (0.0, 1.0) if weight == torch.inf else (min(weight, HEAVIEST), 0.0)
+        value = 0.0 if asked.is_mask[stroke.primitive] else stroke.value
+        in_cd, relative = float(stroke.quantity < U_ABS), float(stroke.quantity == U_REL)
+        yield _Piece(stroke.window, stroke.hit, value, finite, forced, 0.0, in_cd, relative)
+
+
+def by_products(
+    asked: Setpoints | Casting, pixels: PixelMajor, params: MrpcParams, default: Tensor, dark: bool, place: Band, batch: tuple[int, ...]
+) -> Sums:
+    """Sums over a band of pixels; default: `[n_p]`, dark where it is zero. batch: the batch dimensions of what is asked.
+
+    Images of the texture, by name: light is weight times utilisation (of_default: as a share of the default) and weight that of finite
+    ones, 1 where nothing is hit; missed is 1 there; forced, forced_light, forced_of_default are the same over infinite weights; lit and
+    lit_of_default are 1 where a setpoint is not zero.
+    """
+    unit, finite = (asked.finite is None, asked.forced is None) if isinstance(asked, Setpoints) else (asked.unit, asked.finite)
+    ruling = asked.masking and not finite and pixels.weight is pixels.full
+    of_default = U_REL in asked.quantities and not dark
+    apart = not finite and not ruling
+    wanted = {
+        "light": True,
+        "of_default": of_default,
+        "weight": ruling or not unit,  # where infinite ones do not rule, finite ones add up to one
+        "missed": not dark,
+        "forced": apart,
+        "forced_light": apart and not asked.masking,
+        "forced_of_default": apart and not asked.masking and of_default,
+        "lit": params.a_ac > 0,
+        "lit_of_default": params.a_ac > 0 and of_default,
+    }
+    beside = {name: float(name in ("weight", "missed")) for name, needed in wanted.items() if needed}
+    images = {name: place.blank(pixels.share, batch, pixels.grid, value) for name, value in beside.items()}
+    painted: dict[str, list[Window]] = {name: [] for name in images}
+    for piece in _pieces(asked):
+        cut = (..., *piece.window.slices)
+        for name, image in _mapped(piece, pixels, ruling, images).items():
+            if isinstance(image, float) and image == beside[name] and not any(map(piece.window.meets, painted[name])):
+                continue  # it is so already
+            painted[name].append(piece.window)
+            if piece.hit is None:
+                images[name][cut] = image
+            else:
+                images[name][cut].lerp_(expanded(image, piece.hit), piece.hit)
+    return _summed(images, ruling, pixels, default, place)
+
+
+def _mapped(piece: _Piece, pixels: PixelMajor, ruling: bool, wanted: Collection[str]) -> dict[str, Image]:
+    """What a piece adds to the images that are wanted."""
+    absolute = utilisation = _utilisation(piece, pixels)
+    of_default: Image = 0.0
+    if isinstance(piece.relative, Tensor) or piece.relative:
+        of_default = _times(utilisation, piece.relative)
+        absolute = utilisation - of_default
+    made: dict[str, Image] = {"missed": piece.missed}
+    if piece.finite is None:
+        made |= {"light": absolute, "of_default": of_default}
+    else:
+        made |= {"light": _times(absolute, piece.finite), "of_default": _times(of_default, piece.finite), "weight": piece.finite}
+        if ruling and piece.forced is not None:
+            made["weight"] = piece.finite + RULING * piece.forced
+    if "forced" in wanted and piece.forced is not None:
+        made |= {
+            "forced": piece.forced,
+            "forced_light": _times(absolute, piece.forced),
+            "forced_of_default": _times(of_default, piece.forced),
+        }
+    if "lit" in wanted:
+        made |= {"lit": _positive(absolute), "lit_of_default": _positive(of_default)}
+    return {name: image for name, image in made.items() if name in wanted}
+
+
+def _utilisation(piece: _Piece, pixels: PixelMajor) -> Image:
+    """What all pixels of a texel are asked for, `[..., rows, cols]` or broadcastable."""
+    cut, size = piece.window.slices, (pixels.grid.rows, pixels.grid.cols)
+    if not isinstance(piece.value, Tensor):
+        return piece.value
+    asked = piece.value
+    if isinstance(piece.in_cd, Tensor):
+        asked = torch.lerp(asked, asked * pixels.share.view(size)[cut], piece.in_cd)
+    elif piece.in_cd:
+        asked = asked * pixels.share.view(size)[cut]
+    if pixels.darkening is not None:
+        asked = asked * pixels.darkening.view(size)[cut]
+    return asked.clamp(0, 1)
+
+
+def _times(a: Image, b: Image) -> Image:
+    """The product, without a pass over an image where it is not needed."""
+    if isinstance(b, float) and b in (0.0, 1.0):
+        return a if b else 0.0
+    return a * b
+
+
+def _positive(a: Image) -> Image:
+    return (a > 0).to(a) if isinstance(a, Tensor) else float(a > 0)
+
+
+def _summed(images: dict[str, Tensor], ruling: bool, pixels: PixelMajor, default: Tensor, place: Band) -> Sums:
+    band = place.pixels
+    default = default[band]
+
+    def summed(matrix: Csr, *names: str) -> dict[str, Tensor]:
+        there = [name for name in names if name in images]
+        at_once = torch.stack([images[name].flatten(-2) for name in there])  # which reads the matrix once
+        return dict(zip(there, multiply(matrix.band(band.start, band.stop), at_once), strict=True))
+
+    finite, infinite = ("light", "of_default", "missed", "weight"), ("forced", "forced_light", "forced_of_default")
+    if pixels.weight is pixels.full:
+        sums = summed(pixels.full, *finite, *infinite)
+    else:
+        sums = summed(pixels.weight, *finite) | (summed(pixels.full, *infinite) if "forced" in images else {})
+    light, forced_light, forced_weight, lit = sums["light"], None, sums.get("forced"), None
+    for name in ("of_default", "missed"):
+        if name in sums:
+            light = light + default * sums[name]
+    if forced_weight is not None:
+        forced_light = sums.get("forced_light", torch.zeros_like(forced_weight))
+        if "forced_of_default" in sums:
+            forced_light = forced_light + default * sums["forced_of_default"]
+    if "lit" in images:
+        counts = summed(pixels.ones, "lit", "missed", "lit_of_default")
+        lit = counts.pop("lit") + sum((default > 0) * count for count in counts.values())
+    return Sums(light, sums.get("weight"), forced_light, forced_weight, lit, RULED if ruling else None)

@@ -1,0 +1,80 @@
+"""Moving a beam digitally: its light texture on a screen before the lamp, which SSC draws anew with the pixels there are (T 7.3.2)."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from controllers.pixels.mrpc_params import MrpcParams
+from controllers.pixels.primitives import Primitives, rectangle
+from controllers.pixels.ssc import Ssc
+from world.frames import pose, rotation
+from world.headlight import Headlight
+
+SCREEN_M = 25.0  # as far as measuring screens stand; a screen that only turns about the lamp looks the same at any distance
+STRAIGHT = MrpcParams(a_d=1.0)  # digitally moved hot spots would light the border of the field without edge darkening (T fig. 7.18)
+
+
+@dataclass(frozen=True)
+class Morph:
+    """Eight degrees of freedom: T_headlight_screen `[..., 4, 4]` moves the screen, width and height stretch it about its middle.
+
+    Identity leaves the beam where it is. Rotations are about the photometric centre, as a module turns in its mount.
+    """
+
+    T_headlight_screen: Tensor
+    width: float = 1.0
+    height: float = 1.0
+
+    def then(self, other: "Morph") -> "Morph":
+        """This one first, the other one after."""
+        return Morph(other.T_headlight_screen @ self.T_headlight_screen, self.width * other.width, self.height * other.height)
+
+
+def turn(roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0) -> Morph:
+    """A beam turned about the lamp, in rad: right side down, nose down, to the left."""
+    return Morph(pose(torch.zeros(3, dtype=torch.float64), rotation(*torch.tensor([roll, pitch, yaw], dtype=torch.float64))))
+
+
+def bend(yaw: float) -> Morph:
+    """Bend lighting: turned to the left, rad."""
+    return turn(yaw=yaw)
+
+
+def level(pitch: float) -> Morph:
+    """Headlamp levelling: turned down, rad."""
+    return turn(pitch=pitch)
+
+
+def roll(angle: float) -> Morph:
+    """Against the body's roll: right side down, rad."""
+    return turn(roll=angle)
+
+
+def screen(texture: Tensor, headlight: Headlight, morph: Morph) -> Primitives:
+    """The screen that shows a light texture `[rows, cols]` in cd, in the headlight's own frame; P = 1."""
+    middle_y, middle_z = (headlight.left + headlight.right) / 2, (headlight.top + headlight.bottom) / 2
+    half_y, half_z = morph.width * (headlight.left - headlight.right) / 2, morph.height * (headlight.top - headlight.bottom) / 2
+    corners = [[1.0, middle_y + half_y, middle_z + half_z], [0.0, -2 * half_y, 0.0], [0.0, 0.0, -2 * half_z], [-1.0, 0.0, 0.0]]
+    T = morph.T_headlight_screen.to(texture)
+    origin, d1, d2, normal = (SCREEN_M * (T[..., :3, :3] @ texture.new_tensor(vector)) for vector in corners)
+    peak = texture.max().clamp(min=torch.finfo(texture.dtype).tiny)
+    return rectangle(origin + T[..., :3, 3], d1, d2, peak.expand(T.shape[:-2]), "I_v", normal=normal, symbol=texture / peak)
+
+
+@dataclass(frozen=True)
+class Morphing:
+    """A beam that can be moved; ssc: how it is mapped, apart from the parameters of the primitives over it."""
+
+    ssc: Ssc
+    texture: Tensor
+
+    @classmethod
+    def prepare(cls, headlight: Headlight, beam: Tensor, params: MrpcParams = STRAIGHT) -> "Morphing":
+        """beam: utilisation `[n_p]`."""
+        return cls(Ssc.prepare(headlight, params), headlight.light_texture(beam.to(headlight.matrix.values)))
+
+    def utilisation(self, morph: Morph) -> Tensor:
+        """Utilisation `[..., n_p]` of the moved beam; nothing shines where its texture does not reach."""
+        T = torch.eye(4, dtype=self.texture.dtype, device=self.texture.device)
+        return self.ssc.utilisation(screen(self.texture, self.ssc.headlight, morph), T).u

@@ -1,0 +1,127 @@
+"""A headlight matrix turned around for MRPC: everything that does not depend on a step's setpoints, made once (T 7.4)."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from fractions import Fraction
+
+import torch
+from torch import Tensor
+
+from controllers.pixels.mrpc_params import MrpcParams
+from controllers.pixels.sampling import pixel_spread, rectangular, sample_weights
+from world.headlight import Headlight
+from world.spmv import Csr, row_of_entries, segment_bounds
+
+LEAST = 1e-16  # of a pixel's greatest I_m^a_r: less is lost in every sum, but a mask rules wherever there is any light
+Reduce = Callable[[Tensor, str], Tensor]  # values `[nnz]` of entries, and sum, amin or amax
+
+
+@dataclass(frozen=True)
+class PixelMajor:
+    """What MRPC needs of a headlight, pixel-major.
+
+    entries: `[n_p, n_t]`, I_m,ij. full: the same with `I_m^a_r / sum_i I_m^a_r`, rows add up to one. kept: `[nnz]`, weights `I_m^a_r` of
+    entries that are neither excluded nor left out by the sampling, a pixel's adding up to one. weight: `[n_p, n_t]`, those that are not
+    zero. share: `[n_t]`, what takes an intensity to the utilisation of all pixels of its texel; potential: `[nnz]`, the factor by which an
+    entry's differs, None where it is one. total: `[n_t]`, cd with all pixels full. darkening: `[n_t]` (7.4.2). least_lit: `[n_p]`, how many
+    of a pixel's setpoints have to be lit for its share to be a_ac. idle: `[n_p]`, pixels without an entry that counts, None if there are
+    none. ones: the pattern of entries. peak: `[n_p]`, greatest I_m,ij. spread: standard deviation of a pixel's light in rows and columns, 0
+    where unused. pixel_first, pixel_last: `[rows]`, pixels with a texel in that texture row. row_first, row_last: `[n_p]`, texture rows of
+    that pixel.
+    """
+
+    grid: Headlight
+    entries: Csr
+    full: Csr
+    kept: Tensor
+    weight: Csr
+    share: Tensor
+    potential: Tensor | None
+    total: Tensor
+    darkening: Tensor | None
+    least_lit: Tensor
+    idle: Tensor | None
+    ones: Csr
+    peak: Tensor
+    spread: tuple[float, float]
+    pixel_first: Tensor
+    pixel_last: Tensor
+    row_first: Tensor
+    row_last: Tensor
+
+
+def pixel_major(headlight: Headlight, params: MrpcParams) -> PixelMajor:
+    """Turn a headlight matrix around for these parameters."""
+    entries = headlight.matrix.transposed
+    if params.shape == "rectangle":
+        entries = rectangular(entries, headlight, params.a_x or 0.5)
+    pixel, texel, I_m = row_of_entries(entries), entries.indices.long(), entries.values
+
+    def of_pixels(values: Tensor, reduction: str) -> Tensor:
+        return values.new_zeros(headlight.n_pixels).scatter_reduce(0, pixel, values, reduction, include_self=False)
+
+    def of_texels(values: Tensor, reduction: str) -> Tensor:
+        return values.new_zeros(entries.n_cols).scatter_reduce(0, texel, values, reduction, include_self=False)
+
+    peak, total = of_pixels(I_m, "amax"), of_texels(I_m, "sum")
+    raised = ((I_m / peak[pixel]) ** params.a_r).clamp(min=LEAST)
+    full = entries.with_values(raised / of_pixels(raised, "sum")[pixel])
+    chosen = raised * sample_weights(entries, headlight, params.sampling)
+    if params.exclusion == "capability" and params.a_x and params.shape == "arbitrary":
+        chosen = torch.where(I_m < params.a_x * peak[pixel], 0.0, chosen)
+    counted = of_pixels(chosen, "sum")
+    idle = counted == 0
+    kept = chosen / torch.where(idle, 1.0, counted)[pixel]
+    share, potential = _mapping(params, entries, pixel, of_pixels, of_texels)
+    darkening = None
+    if params.a_d is not None:
+        mean = total[total > 0].double().mean().to(total)  # in float64, since the order of summation depends on threads
+        darkening = (total / (mean * params.a_d)).clamp(max=1)
+    rows, reached = texel // headlight.cols, of_pixels(torch.ones_like(I_m), "sum")
+    # In whole numbers, since no product of floats tells 7 of 25 texels from a share of 0.28; str gives the decimal that was written.
+    sizes, size_of_pixel = reached.unique(return_inverse=True)
+    least_lit = reached.new_tensor([math.ceil(Fraction(str(params.a_ac)) * int(size)) for size in sizes.tolist()])[size_of_pixel]
+    return PixelMajor(
+        headlight,
+        entries,
+        full,
+        kept,
+        full if bool((kept == full.values).all()) else _only(entries, kept),
+        share,
+        potential,
+        total,
+        darkening,
+        least_lit,
+        idle if bool(idle.any()) else None,
+        entries.with_values(torch.ones_like(I_m)),
+        peak,
+        pixel_spread(entries, headlight) if params.sharpening else (0.0, 0.0),
+        *segment_bounds(rows, pixel, headlight.rows),
+        *segment_bounds(pixel, rows, headlight.n_pixels),
+    )
+
+
+def _mapping(params: MrpcParams, entries: Csr, pixel: Tensor, of_pixels: Reduce, of_texels: Reduce) -> tuple[Tensor, Tensor | None]:
+    """share and potential of (7.4.1) or of the mapping named."""
+    I_m = entries.values
+    if params.mapping == "direct":
+        return torch.ones(entries.n_cols, dtype=I_m.dtype, device=I_m.device), 1 / I_m
+    if params.mapping == "maximal":
+        strongest = of_texels(I_m, "amax")
+        return torch.where(strongest > 0, 1 / strongest, 0.0), None
+    fine = (of_pixels(I_m, "sum") / of_pixels(I_m, "amax"))[pixel] ** -params.granularity  # a pixel's size in texels
+    relative = I_m / of_texels(I_m, "amax")[entries.indices.long()]
+    sum_of_potentials = of_texels(I_m * relative ** (params.a_m - 1) * fine, "sum")
+    share = torch.where(sum_of_potentials > 0, 1 / sum_of_potentials, 0.0)
+    return share, None if params.a_m == 1 and params.granularity == 0 else relative ** (params.a_m - 1) * fine
+
+
+def _only(entries: Csr, values: Tensor) -> Csr:
+    """The entries whose new values are not zero."""
+    keep = values != 0
+    counts = torch.zeros(entries.n_rows, dtype=torch.int64, device=values.device).index_add(
+        0, row_of_entries(entries)[keep], keep[keep].long()
+    )
+    indptr = torch.cat([counts.new_zeros(1), counts.cumsum(0)]).to(entries.indptr.dtype)
+    return replace(entries, indptr=indptr, indices=entries.indices[keep], values=values[keep])

@@ -1,0 +1,416 @@
+"""Ray tracing headlight control (T 7.3): from primitives to a setpoint for every ray of a light texture.
+
+Primitives are painted one after the other, each over the rays that it wins from those before it. On the CPU comparisons and selections
+cost ten times as much as sums, so masks are images of zeros and ones, and painting is blending.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import groupby
+
+import torch
+from torch import Tensor
+from torch.nn.functional import grid_sample
+
+from controllers.pixels.homographies import Homographies, homographies
+from controllers.pixels.primitives import E_V, HEAVIEST, U_ABS, U_REL, Primitives
+from controllers.pixels.secondary import SecondaryRays
+from controllers.pixels.windows import NOWHERE, SLACK, Window, union, whole
+from world.errors import LuxloopError
+from world.texels import TexelGrid
+
+PARALLEL = 1e-6  # of the cosine: a given normal that is that of the edges
+GRAZING = 1e-12  # least d.n by which a symbol is read, m^2: no ray that hits has less, and what others read stays finite
+OPAQUE = 0.5  # least opacity of an image that stops a ray
+
+
+@dataclass(frozen=True)
+class Setpoints:
+    """Ray setpoints on a window of the light texture; all images are `[..., rows, cols]`, those that are 0 or 1 in the dtype of value.
+
+    value: in cd (I_v, E_v) or as a share (u_abs, u_rel), 0 without a hit. cover: 1 where a primitive is hit; elsewhere the default counts
+    with weight 1. quantities: codes that may occur. finite: weights where they are finite, else 0; None where all are 1. forced: 1 where
+    the weight is infinite, None if it is so nowhere; masking: whether the setpoint is zero there, as far as the host knows. in_cd,
+    relative: 1 where the value is an intensity or a share of the default, None if all rays are alike.
+    """
+
+    value: Tensor
+    cover: Tensor
+    window: Window
+    quantities: tuple[int, ...]
+    finite: Tensor | None = None
+    forced: Tensor | None = None
+    masking: bool = False
+    in_cd: Tensor | None = None
+    relative: Tensor | None = None
+
+    def portion(self, image: Tensor | None, *codes: int) -> Tensor | float:
+        """One where a ray has one of these quantities: `in_cd` or `relative`, or a number where all rays are alike."""
+        return float(self.quantities[0] in codes) if image is None else image
+
+    @property
+    def shares(self) -> Tensor:
+        """Setpoints of u_rel, zero where a ray has another quantity."""
+        return self.value * self.portion(self.relative, U_REL)
+
+    @property
+    def hit(self) -> Tensor:
+        """Which rays hit a primitive, `[..., rows, cols]` bool."""
+        return self.cover > 0
+
+    @property
+    def weight(self) -> Tensor | None:
+        """Weights from 0 to infinity, 1 without a hit; None where all are 1."""
+        return self.finite if self.forced is None or self.finite is None else self.finite.masked_fill(self.forced > 0, torch.inf)
+
+    @property
+    def quantity(self) -> Tensor | None:
+        """Codes `[..., rows, cols]`, I_v for all that is in cd; None if all rays are alike."""
+        if self.in_cd is None and self.relative is None:
+            return None
+        absolute = torch.full_like(self.value, U_ABS)
+        absolute = absolute if self.in_cd is None else absolute - U_ABS * self.in_cd
+        return absolute if self.relative is None else absolute + (U_REL - U_ABS) * self.relative
+
+
+def paint_classes(primitives: Primitives) -> list[list[int]]:
+    """Primitives as they are painted, in classes of which each beats all before it, at any distance.
+
+    Forced hits come after the others, by priority; within a class the nearer one wins, coplanar ones by priority and then as listed.
+    """
+    keys = [(forced, priority) for forced, priority in zip(primitives.forced.tolist(), primitives.priority.tolist(), strict=True)]
+    order = sorted(range(len(keys)), key=keys.__getitem__)
+    return [list(of_class) for _, of_class in groupby(order, key=lambda p: keys[p] if keys[p][0] else None)]
+
+
+def masks(primitives: Primitives) -> list[bool]:
+    """Which of a single scene's primitives are masks: a zero setpoint of infinite weight."""
+    return [value == 0 and weight == torch.inf for value, weight in zip(primitives.value.tolist(), primitives.weight.tolist(), strict=True)]
+
+
+def trace(
+    primitives: Primitives,
+    grid: TexelGrid,
+    T_world_headlight: Tensor,
+    windows: Sequence[Window] | None = None,
+    secondary: SecondaryRays | None = None,
+) -> Setpoints:
+    """Cast a ray through every texel's centre and take the setpoint of the primitive that it hits.
+
+    primitives: batch `[..., P]`. T_world_headlight: `[4, 4]`. windows: the texels that each primitive of a single scene on the host can
+    touch (all); the setpoints lie on their union. Back faces are not hit; E_v becomes `E d^2 / cos` (T 7.2.1). A mask, which has a zero
+    setpoint of infinite weight, is hit by all rays within one texel of its outline, since light is interpolated between them. A symbol for
+    an observer is read where he sees the hit (T 7.2.2); secondary: what else the hits are asked (nothing).
+    Differentiable in the primitives (not across their edges).
+    Raises LuxloopError for values that are not finite, where they are on the host.
+    """
+    return Casting.prepare(primitives, grid, T_world_headlight, windows, secondary).setpoints()
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """One primitive over the rays of its window that it wins: hit `[..., rows, cols]` is 1 there, else 0; value, where it is 1, is its
+    setpoint, elsewhere finite, and broadcastable. finite, forced: its weight `[..., 1, 1]`, the one 0 where it is infinite, the other
+    1 there.
+    """
+
+    window: Window
+    hit: Tensor
+    value: Tensor
+    finite: Tensor
+    forced: Tensor
+    quantity: int
+    primitive: int
+
+
+@dataclass(frozen=True)
+class Casting:
+    """Rays about to be cast. windows: of each primitive, empty where it is not seen; window: around all.
+
+    is_mask, front: of each primitive whether it is a mask and whether its front is seen, None where the host does not know. unit, finite:
+    whether all finite weights are 1, whether none is infinite, as far as the host knows.
+    """
+
+    primitives: Primitives
+    grid: TexelGrid
+    T_world_headlight: Tensor
+    secondary: SecondaryRays | None
+    seen: Homographies
+    windows: tuple[Window, ...]
+    window: Window
+    is_mask: tuple[bool | None, ...]
+    front: tuple[bool | None, ...]
+    unit: bool
+    finite: bool
+
+    @classmethod
+    def prepare(
+        cls,
+        primitives: Primitives,
+        grid: TexelGrid,
+        T_world_headlight: Tensor,
+        windows: Sequence[Window] | None = None,
+        secondary: SecondaryRays | None = None,
+    ) -> "Casting":
+        """As for `trace`."""
+        known = primitives.value.device.type == "cpu"
+        if known and not math.isfinite(primitives.value.sum().item()):
+            raise LuxloopError("a primitive's value is infinite or not a number; give a finite one, in cd, in lx or as a share")
+        seen = homographies(primitives, grid, T_world_headlight)
+        nobody: list[bool | None] = [None] * len(primitives)
+        front, is_mask = (nobody, nobody) if windows is None else (_from_the_front(seen), [*masks(primitives)])
+        windows = [whole(grid)] * len(primitives) if windows is None else windows
+        windows = [NOWHERE if seen_from is False else window for window, seen_from in zip(windows, front, strict=True)]
+        infinite = primitives.weight.isinf()
+        unit, finite = known and bool(((primitives.weight == 1) | infinite).all()), known and not bool(infinite.any())
+        of_each = (tuple(windows), union(windows), tuple(is_mask), tuple(front))
+        return cls(primitives, grid, T_world_headlight, secondary, seen, *of_each, unit, finite)
+
+    @property
+    def quantities(self) -> tuple[int, ...]:
+        """Codes that may occur, at least one."""
+        return tuple(sorted(set(self.primitives.quantity.tolist()))) or (U_ABS,)
+
+    @property
+    def shares(self) -> Tensor:
+        """Setpoints of u_rel `[..., n]` at symbol value 1."""
+        return self.primitives.value[..., self.primitives.quantity == U_REL]
+
+    @property
+    def masking(self) -> bool:
+        """Whether all setpoints of infinite weight are known to be zero."""
+        infinite = (self.primitives.weight == torch.inf).tolist() if None not in self.is_mask else []
+        return all(mask for mask, weighty in zip(self.is_mask, infinite, strict=False) if weighty) and None not in self.is_mask
+
+    def blank(self, filled: float = 0.0) -> Tensor:
+        """An image on the window."""
+        w, origin = self.window, self.primitives.origin
+        return origin.new_full((*origin.shape[:-2], max(w.row_stop - w.row_start, 0), max(w.col_stop - w.col_start, 0)), filled)
+
+    def strokes(self) -> Iterator[Stroke]:
+        """The primitives in the order in which they are painted."""
+        weight, windows = self.primitives.weight[..., None, None], self.windows
+        infinite = weight.isinf()
+        finite, forced = torch.where(infinite, 0.0, weight.clamp(max=HEAVIEST)), infinite.to(weight)
+        rays = _Rays(self.seen, *self.grid.tangents(weight.dtype, weight.device), any(mask is not False for mask in self.is_mask))
+        nearest: Tensor | None = None  # 1/x of the nearest hits of a class, rounded down
+        for painted in paint_classes(self.primitives):
+            rivals = {p: any(windows[p].meets(windows[k]) for k in painted if k != p) for p in painted}
+            if any(rivals.values()):
+                if nearest is None:
+                    nearest = self.blank()
+                else:
+                    for p in painted:
+                        nearest[(..., *windows[p].within(self.window))].zero_()
+            for p in painted:
+                if windows[p].empty:
+                    continue
+                hit = _hit(rays, self.seen, p, self.is_mask[p], self.front[p], windows[p])
+                if not self.is_mask[p] and self.primitives.image_of(p).ndim == 3:
+                    hit = hit * _opaque(p, rays, self.primitives, self.seen, windows[p])
+                if rivals[p] and nearest is not None:
+                    hit = _won(hit, rays, self.seen, p, self.is_mask[p], windows[p], nearest[(..., *windows[p].within(self.window))])
+                value = _setpoint(p, hit, rays, self.primitives, self.seen, windows[p])
+                if self.secondary is not None and not self.is_mask[p] and self.secondary.ask(self.primitives, p):
+                    points = _points(rays, self.seen, p, windows[p], self.T_world_headlight)
+                    value = self.secondary.adjusted(expanded(value, hit), points, hit > 0, self.primitives, p)
+                yield Stroke(windows[p], hit, value, finite[..., p, :, :], forced[..., p, :, :], int(self.primitives.quantity[p]), p)
+
+    def setpoints(self) -> Setpoints:
+        """All strokes on one canvas."""
+        codes = self.quantities
+
+        def image(needed: bool, filled: float = 0.0) -> Tensor | None:
+            return self.blank(filled) if needed else None
+
+        value, cover = self.blank(), self.blank()
+        finite, forced = image(not (self.unit and self.finite), 1.0), image(not self.finite)
+        in_cd, relative = image(min(codes) < U_ABS <= max(codes)), image(U_REL in codes and len(codes) > 1)
+        for stroke in self.strokes():
+            cut = (..., *stroke.window.within(self.window))
+            for canvas, new in (
+                (value, stroke.value),
+                (cover, 1.0),
+                (finite, stroke.finite),
+                (forced, stroke.forced),
+                (in_cd, float(stroke.quantity < U_ABS)),
+                (relative, float(stroke.quantity == U_REL)),
+            ):
+                if canvas is not None:
+                    canvas[cut].lerp_(expanded(new, stroke.hit), stroke.hit)
+        return Setpoints(value, cover, self.window, codes, finite, forced, self.masking, in_cd, relative)
+
+
+def expanded(new: Tensor | float, hit: Tensor) -> Tensor:
+    """An image or a number in the shape of a hit, to be blended in."""
+    return (new if isinstance(new, Tensor) else hit.new_full((), new)).expand_as(hit)
+
+
+@dataclass(frozen=True)
+class _Product:
+    """Products of rays [1, y, z] with vectors of primitives, each the sum of a term of the ray's row and one of its column."""
+
+    rows: tuple[Tensor, ...]
+    cols: tuple[Tensor, ...]
+
+    def on(self, p: int, w: Window) -> Tensor:
+        """Those with the p-th primitive's on a window: `[..., rows, cols]`, of pairs `[..., 2, rows, cols]`."""
+        rows = self.rows[p].narrow(-1, w.row_start, w.row_stop - w.row_start)
+        return rows.unsqueeze(-1) + self.cols[p].narrow(-1, w.col_start, w.col_stop - w.col_start).unsqueeze(-2)
+
+
+@dataclass(frozen=True)
+class _Rays:
+    """All rays of a grid by their tangents y `[cols]` and z `[rows]`. masking: whether a primitive may be a mask."""
+
+    seen: Homographies
+    y: Tensor
+    z: Tensor
+    masking: bool
+
+    @cached_property
+    def n(self) -> _Product:
+        return self._times(self.seen.n)
+
+    @cached_property
+    def uv(self) -> _Product:
+        """Of masks, which no image is read for, moved aside."""
+        return self._times(self.seen.uv, self.seen.margin[0] if self.masking else None)
+
+    @cached_property
+    def sight(self) -> tuple[_Product, _Product] | None:
+        """As n and uv, for observers."""
+        return None if self.seen.sight is None else (self._times(self.seen.sight[0]), self._times(self.seen.sight[1]))
+
+    @cached_property
+    def facing(self) -> _Product:
+        return self._times(-self.seen.normal)
+
+    @cached_property
+    def closeness(self) -> _Product:
+        """1/x of the hit."""
+        return self._times(self.seen.n / self.seen.qn[..., None])
+
+    def _times(self, a: Tensor, aside: Tensor | None = None) -> _Product:
+        constant = a[..., 0] if aside is None else a[..., 0] - aside
+        rows, cols = constant[..., None] + a[..., 2:] * self.z, a[..., 1:2] * self.y
+        of_primitives = self.seen.n.ndim - 2
+        return _Product(rows.unbind(of_primitives), cols.unbind(of_primitives))
+
+
+def _from_the_front(seen: Homographies) -> list[bool | None]:
+    """Whether the lamp sees the front of a single scene's primitives, None where each ray has to be asked.
+
+    It has where a given normal is not that of the edges, except of masks, which are seen as their middles are.
+    """
+    cosine = (seen.normal * seen.n).sum(-1).abs() / seen.n.norm(dim=-1)
+    decided = seen.mask | (cosine > 1 - PARALLEL)
+    return [front if known else None for front, known in zip((seen.toward > 0).tolist(), decided.tolist(), strict=True)]
+
+
+def _step(a: Tensor) -> Tensor:
+    """One where a >= 0, else zero, in the memory of a."""
+    return a.ge_(0)
+
+
+def _inside(n: Tensor, uv: Tensor, wider: Tensor | None = None) -> Tensor:
+    """One where a ray passes a rectangle, by n `[..., rows, cols]` and uv `[..., 2, rows, cols]`, which are used up; wider: `[..., 2]`."""
+    uv = uv.detach().abs_()
+    uv = uv if wider is None else uv.sub_(wider[..., None, None])
+    return _step(n.detach().sub_(torch.maximum(*uv.unbind(-3))))
+
+
+def _hit(rays: _Rays, seen: Homographies, p: int, mask: bool | None, front: bool | None, window: Window) -> Tensor:
+    """One where a ray hits the p-th primitive, `[..., rows, cols]`; mask, front: whether it is one and is seen so, where the host knows."""
+    n, uv = rays.n.on(p, window), rays.uv.on(p, window)
+    if mask is False:
+        hit = _inside(n, uv)
+        return hit if front else hit * _step(rays.facing.on(p, window).detach())
+    hit = _inside(n, uv, seen.margin[1][..., p, :])
+    if mask:
+        return hit  # the window ends where it may reach
+    wide = seen.mask[..., p, None, None]
+    hit *= _step(torch.where(wide, seen.toward[..., p, None, None], rays.facing.on(p, window).detach()))
+    low, high = seen.outline
+    return hit * torch.where(wide, _near_outline(window, low[..., p, :], high[..., p, :]), 1.0)
+
+
+def _won(hit: Tensor, rays: _Rays, seen: Homographies, p: int, mask: bool | None, window: Window, nearest: Tensor) -> Tensor:
+    """The part of a hit that no nearer one of its class is before; nearest, a lower bound of their 1/x, is raised by it."""
+    closeness = rays.closeness.on(p, window).detach()
+    if mask is not False:  # beyond its outline it is no nearer or farther than its corners
+        closeness = _between_corners(closeness, seen, p)
+    rounding = seen.rounding[..., p, None, None]
+    hit = hit * _step(closeness * (1 + rounding) - nearest)
+    torch.maximum(nearest, closeness.mul_(hit * (1 - rounding)), out=nearest)
+    return hit
+
+
+def _between_corners(closeness: Tensor, seen: Homographies, p: int) -> Tensor:
+    far, near = seen.range
+    return closeness.maximum(far[..., p, None, None]).minimum(near[..., p, None, None])
+
+
+def _points(rays: _Rays, seen: Homographies, p: int, window: Window, T_world_headlight: Tensor) -> Tensor:
+    """Where rays hit the p-th primitive, `[..., 3, rows, cols]` m in the world; those that miss it end as near as its corners lie."""
+    x = 1 / _between_corners(rays.closeness.on(p, window), seen, p)
+    rows, cols = window.slices
+    forward, left, up, position = T_world_headlight[:3, :, None, None].to(x).unbind(1)
+    ray = (forward + up * rays.z[rows, None]) + left * rays.y[cols]
+    return position + x[..., None, :, :] * ray
+
+
+def _near_outline(window: Window, low: Tensor, high: Tensor) -> Tensor:
+    """Texels at most one beyond the rectangle around an outline: where its corners are acute, widening alone would reach too far."""
+    within = []
+    for axis, (start, stop) in enumerate(((window.row_start, window.row_stop), (window.col_start, window.col_stop))):
+        centre = torch.arange(start, stop, dtype=low.dtype, device=low.device) + 0.5
+        within.append((centre >= low[..., axis, None] - 1 - SLACK) & (centre <= high[..., axis, None] + 1 + SLACK))
+    return (within[0][..., :, None] & within[1][..., None, :]).to(low)
+
+
+def _setpoint(p: int, hit: Tensor, rays: _Rays, primitives: Primitives, seen: Homographies, window: Window) -> Tensor:
+    """Setpoint of the p-th primitive for the rays that hit it, elsewhere undefined but finite; broadcastable to `[..., rows, cols]`."""
+    image, value = primitives.image_of(p), primitives.value[..., p, None, None]
+    symbol = image if image.ndim == 2 else image[0]
+    watched = primitives.observed(p)
+    homogeneous, illuminance = symbol.numel() == 1 and not watched, int(primitives.quantity[p]) == E_V
+    value = value * symbol if homogeneous else value
+    if homogeneous and not illuminance:
+        return value
+    if not homogeneous:
+        if watched and rays.sight is not None:
+            n, uv = rays.sight
+            value = value * _inside(n.on(p, window), uv.on(p, window))
+        value = value * _read(symbol, p, rays, primitives, window)
+    if not illuminance:
+        return value
+    across, facing = (hit.new_ones(()).lerp(product.on(p, window), hit) for product in (rays.n, rays.facing))
+    rows, cols = window.slices
+    d2 = (1 + rays.z[rows, None] ** 2) + rays.y[cols] ** 2
+    return value * seen.qn[..., p, None, None] ** 2 * (d2 * d2.sqrt()) / (across * across * facing)
+
+
+def _opaque(p: int, rays: _Rays, primitives: Primitives, seen: Homographies, window: Window) -> Tensor:
+    """One where the p-th primitive's image is opaque, or the primitive a mask, which is so as a whole; `[..., rows, cols]`."""
+    opacity = _read(primitives.image_of(p)[1], p, rays, primitives, window).detach()
+    return torch.maximum(_step(opacity - OPAQUE), seen.mask[..., p, None, None].to(opacity))
+
+
+def _read(image: Tensor, p: int, rays: _Rays, primitives: Primitives, window: Window) -> Tensor:
+    """What rays `[..., rows, cols]` find of an image `[h, w]` on the p-th primitive, or in its observer's sight."""
+    n, uv = rays.sight if primitives.observed(p) and rays.sight is not None else (rays.n, rays.uv)
+    at = uv.on(p, window) / n.on(p, window).clamp(min=GRAZING).unsqueeze(-3)
+    return _symbol_value(image, at, bool(primitives.nearest[p]))
+
+
+def _symbol_value(symbol: Tensor, uv: Tensor, nearest: bool) -> Tensor:
+    """Symbol image `[h, w]` at coordinates -1..1 `[..., 2, rows, cols]`, bilinear or nearest, texel centres at (2 k + 1) / n - 1."""
+    if not uv.numel():
+        return uv[..., 0, :, :]  # out of sight
+    at = uv.reshape(-1, *uv.shape[-3:]).movedim(1, -1)
+    images = symbol.expand(len(at), 1, *symbol.shape)
+    sampled = grid_sample(images, at, "nearest" if nearest else "bilinear", padding_mode="border", align_corners=False)
+    return sampled.reshape(*uv.shape[:-3], *uv.shape[-2:])

@@ -1,0 +1,164 @@
+"""Secondary rays (T 7.5.1): what else is known of the point that a ray hits, from its sight of observers, lamps and street lamps.
+
+All functions are pure and take points as the world has them, `[..., 3, N]` in m.
+"""
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from torch import Tensor
+from torch.nn.functional import grid_sample
+
+from controllers.pixels.primitives import U_ABS, Primitives, meant
+from world.frames import inverse
+from world.headlight import Headlight
+from world.rendering.raycast import sees
+from world.scene.scene import StreetLamp
+from world.scene.triangles import Triangles
+from world.texels import TexelGrid
+
+Caster = Callable[[Tensor, Tensor], Tensor]  # (points [3, N], target [3]) -> [N] bool: something lies between them
+
+BIAS_M = 0.02  # what stands closer to the point belongs to the surface that the point lies on
+
+
+def scene_caster(triangles: Triangles, skip: Collection[int] = (0,)) -> Caster:
+    """A caster of shadow rays through a scene's triangles. skip: ids of the objects that hide nothing, by default the road.
+
+    The road is skipped since primitives lie near it, not on it: a primitive 1 cm below the road would be hidden everywhere.
+    """
+    casting = Triangles(tuple(placed for placed in triangles.placed if placed.object_id not in skip))
+
+    def occluded(points: Tensor, target: Tensor) -> Tensor:
+        return ~sees(casting, target, points, BIAS_M)
+
+    return occluded
+
+
+@dataclass(frozen=True, eq=False)
+class Light:
+    """What a module can give. full: `[rows, cols]` cd, all pixels on. T_world_headlight: `[4, 4]`. Another car's module is one as well."""
+
+    grid: TexelGrid
+    full: Tensor
+    T_world_headlight: Tensor
+
+    @classmethod
+    def of(cls, headlight: Headlight, T_world_headlight: Tensor) -> "Light":
+        values = headlight.matrix.values
+        return cls(headlight, headlight.light_texture(torch.ones(headlight.n_pixels).to(values)), T_world_headlight)
+
+    def possible(self, points: Tensor) -> Tensor:
+        """`I_sum / d^2` `[..., N]` in lx, on a surface that faces the lamp; zero outside of its light texture."""
+        projection, full = self._projection.to(points), self.full.to(points)
+        x, *_ = seen = (projection[:, :3] @ points + projection[:, 3:]).movedim(-2, 0)
+        at = (seen[1:] / torch.where(x > 0, x, 1.0)).movedim(0, -1)
+        inside = (at.abs().amax(-1) <= 1) & (x > 0)
+        intensity = grid_sample(full[None, None], at.reshape(1, 1, -1, 2), padding_mode="border", align_corners=False).view_as(x)
+        d2 = (points - self.T_world_headlight[:3, 3:].to(points)).square().sum(-2)
+        return intensity * inside / d2
+
+    @cached_property
+    def _projection(self) -> Tensor:
+        """`[3, 4]`, to the distance ahead and, times that, column and row of the texture, which reaches from -1 to 1."""
+        wide, high = self.grid.left - self.grid.right, self.grid.top - self.grid.bottom
+        column = [(self.grid.left + self.grid.right) / wide, -2 / wide, 0.0]
+        row = [(self.grid.top + self.grid.bottom) / high, 0.0, -2 / high]
+        return self.T_world_headlight.new_tensor([[1.0, 0.0, 0.0], column, row]) @ inverse(self.T_world_headlight)[:3]
+
+
+def shares(lights: Sequence[Light], points: Tensor, occluded: Caster | None = None, asked: Tensor | None = None) -> Tensor:
+    """Which share of a setpoint each light takes, `[L, ..., N]`: in proportion to what it can give there (T 7.5.1).
+
+    They add up to one where any light gets to, so light is not doubled; a light that something blocks takes none, and the others
+    compensate. Two cars that draw one symbol together are lights of one list. asked: `[..., N]` bool, for which
+    points shadow rays are cast (all).
+    """
+    possible = torch.stack([light.possible(points) for light in lights])
+    if occluded is not None:
+        possible = possible * torch.stack([seen_by(points, light.T_world_headlight[:3, 3], occluded, asked) for light in lights])
+    total = possible.sum(0)
+    return torch.where(total > 0, possible / torch.where(total > 0, total, 1.0), 0.0)
+
+
+def seen_by(points: Tensor, eye: Tensor, occluded: Caster, asked: Tensor | None = None) -> Tensor:
+    """Which points an observer at `[..., 3]` m sees, `[..., N]` bool: where nobody looks, a symbol need not be drawn.
+
+    asked: `[..., N]` bool, for which points rays are cast (all); the others count as seen.
+    """
+    asked = torch.ones_like(points[..., 0, :], dtype=torch.bool) if asked is None else asked
+    seen = torch.ones_like(asked)
+    scenes = (points.reshape(-1, *points.shape[-2:]), eye.expand(*points.shape[:-2], 3).reshape(-1, 3), asked.reshape(-1, asked.shape[-1]))
+    for at, target, of_scene, answer in zip(*scenes, seen.view(-1, seen.shape[-1]), strict=True):
+        answer[of_scene] = ~occluded(at[:, of_scene], target)
+    return seen
+
+
+def street_light(
+    points: Tensor, normals: Tensor, lamps: Sequence[StreetLamp], occluded: Caster | None = None, asked: Tensor | None = None
+) -> Tensor:
+    """Illuminance `[..., N]` in lx by street lamps; normals: unit, broadcastable to `[..., 3, N]`; asked: as for `seen_by`."""
+    total = torch.zeros_like(points[..., 0, :])
+    for lamp in lamps:
+        position = points.new_tensor(lamp.position_m)
+        away = position[:, None] - points
+        d2 = away.square().sum(-2)
+        light = lamp.intensity_cd * (normals * away).sum(-2).clamp(min=0) / d2**1.5
+        total = total + (light if occluded is None else light * seen_by(points, position, occluded, asked))
+    return total
+
+
+def less_street_light(setpoint_cd: Tensor, street_lx: Tensor, points: Tensor, normals: Tensor, position: Tensor) -> Tensor:
+    """Luminous intensities `[..., N]` that add to street lamps what is missing: a negative offset (T 7.5.1), never below zero.
+
+    position: `[3]` m, the lamp whose intensities they are; normals: unit, broadcastable to `[..., 3, N]`.
+    """
+    away = position.to(points)[:, None] - points
+    d2 = away.square().sum(-2)
+    cos = (normals * away).sum(-2) / d2.sqrt()
+    offset = street_lx * d2 / torch.where(cos > 0, cos, 1.0)
+    return torch.where(cos > 0, (setpoint_cd - offset).clamp(min=0), setpoint_cd)
+
+
+@dataclass(frozen=True, eq=False)
+class SecondaryRays:
+    """What a module's rays ask where they hit a primitive.
+
+    lights: all modules that may draw, of all lamps and cars that draw together, with their names. own: which of them the rays are of.
+    street_lamps: whose light is taken off. occluded: what blocks secondary rays, nothing where it is None.
+    """
+
+    lights: tuple[tuple[str, Light], ...]
+    own: int
+    street_lamps: tuple[StreetLamp, ...] = ()
+    occluded: Caster | None = None
+
+    def ask(self, primitives: Primitives, p: int) -> bool:
+        """Whether the p-th primitive's setpoint may change: utilisations say themselves what each module does."""
+        in_light = int(primitives.quantity[p]) < U_ABS
+        shared = bool(primitives.shared[p]) and len(self.lights) > 1
+        return self._watched(primitives, p) or (in_light and (shared or bool(self.street_lamps) or self.occluded is not None))
+
+    def adjusted(self, value: Tensor, points: Tensor, hit: Tensor, primitives: Primitives, p: int) -> Tensor:
+        """Setpoints `[..., rows, cols]` of the p-th primitive at its points `[..., 3, rows, cols]` m, as far as they are hit.
+
+        In cd and lx they are lessened by the street lamps' light and shared among the lights that may draw. What the primitive's observer
+        cannot see is off.
+        """
+        size, value, points, hit = value.shape[-2:], value.flatten(-2), points.flatten(-2), hit.flatten(-2)
+        if int(primitives.quantity[p]) < U_ABS:
+            names, normals = primitives.modules[p], primitives.normal[..., p, :, None]
+            if self.street_lamps:
+                street = street_light(points, normals, self.street_lamps, self.occluded, hit)
+                value = less_street_light(value, street, points, normals, self.lights[self.own][1].T_world_headlight[:3, 3])
+            others = bool(primitives.shared[p])
+            drawing = [k for k, (name, _) in enumerate(self.lights) if k == self.own or (others and meant(names, name))]
+            value = value * shares([self.lights[k][1] for k in drawing], points, self.occluded, hit)[drawing.index(self.own)]
+        if self.occluded is not None and primitives.observer is not None and self._watched(primitives, p):
+            value = value * seen_by(points, primitives.observer.eye[..., p, :], self.occluded, hit)
+        return value.unflatten(-1, size)
+
+    def _watched(self, primitives: Primitives, p: int) -> bool:
+        return self.occluded is not None and primitives.observer is not None and bool(primitives.observer.active[p])

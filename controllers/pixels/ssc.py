@@ -1,0 +1,96 @@
+"""SuperSampling Control (T 7): primitives in, pixel utilisations out, behind the protocol of all pixel controllers."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Protocol, Self
+
+import torch
+from torch import Tensor
+
+from controllers.pixels.mrpc import MrpcParams, PixelMajor, pixel_major, reduce_setpoints
+from controllers.pixels.primitives import Primitives
+from controllers.pixels.rthc import Casting, Setpoints, masks
+from controllers.pixels.secondary import SecondaryRays
+from controllers.pixels.windows import projected_windows
+from world.headlight import Headlight
+
+
+@dataclass(frozen=True)
+class Utilisation:
+    """Pixel utilisations u `[..., n_p]` in 0..1; band: all pixels outside of it are dark, None where that is not known."""
+
+    u: Tensor
+    band: slice | None = None
+
+
+class PixelController(Protocol):
+    """Turns primitives into the utilisations of one lamp."""
+
+    @property
+    def headlight(self) -> Headlight: ...
+
+    @property
+    def default(self) -> Tensor:
+        """Utilisation `[n_p]` of the base pattern."""
+        ...
+
+    def utilisation(self, primitives: Primitives, T_world_headlight: Tensor, secondary: SecondaryRays | None = None) -> Utilisation:
+        """Utilisation `[..., n_p]` for primitives with the same batch dimensions; secondary: what else their hits are asked (nothing)."""
+        ...
+
+    def over(self, default: Tensor) -> Self:
+        """The same controller over another base pattern `[n_p]`."""
+        ...
+
+
+@dataclass(frozen=True)
+class Ssc:
+    """RTHC and MRPC for one headlight; default: `[n_p]`, the base pattern's utilisation."""
+
+    headlight: Headlight
+    pixels: PixelMajor
+    params: MrpcParams
+    default: Tensor
+
+    @cached_property
+    def dark(self) -> bool:
+        """Whether the base pattern is dark: then nothing but a primitive's own rays and pixels counts."""
+        return not bool(self.default.any())
+
+    @classmethod
+    def prepare(cls, headlight: Headlight, params: MrpcParams | None = None, default: Tensor | None = None) -> "Ssc":
+        """Make the pixel-major tables once; the default base pattern is dark."""
+        params = params or MrpcParams()
+        values = headlight.matrix.values
+        default = torch.zeros(headlight.n_pixels, dtype=values.dtype, device=values.device) if default is None else default
+        return cls(headlight, pixel_major(headlight, params), params, default)
+
+    def utilisation(self, primitives: Primitives, T_world_headlight: Tensor, secondary: SecondaryRays | None = None) -> Utilisation:
+        """A single scene on the CPU touches only the projected rectangle and its band of pixels; batches and accelerators take all rays.
+
+        Raises LuxloopError for values of primitives that are not finite, where they are on the host.
+        """
+        u, band = self.reduced(self.casting(primitives, T_world_headlight, secondary))
+        return Utilisation(u, band if _on_host(primitives) and self.dark else None)
+
+    def casting(self, primitives: Primitives, T_world_headlight: Tensor, secondary: SecondaryRays | None = None) -> Casting:
+        """Rays about to be cast at primitives, which are converted to the dtype of the headlight."""
+        if primitives.origin.dtype != self.default.dtype:
+            primitives = primitives.to(self.default.dtype)
+        windows = None
+        if _on_host(primitives):
+            windows = projected_windows(primitives, self.headlight, T_world_headlight, masks(primitives))
+        return Casting.prepare(primitives, self.headlight, T_world_headlight, windows, secondary)
+
+    def reduced(self, asked: Setpoints | Casting) -> tuple[Tensor, slice]:
+        """Utilisation `[..., n_p]` and the band of pixels that may differ from the default, see `reduce_setpoints`."""
+        return reduce_setpoints(asked, self.pixels, self.params, self.default, self.dark)
+
+    def over(self, default: Tensor) -> "Ssc":
+        """The same tables over another base pattern `[n_p]`: a morphed one, for the second pass."""
+        return replace(self, default=default.to(self.default))
+
+
+def _on_host(primitives: Primitives) -> bool:
+    """Whether it is a single scene on the host, whose windows can be read without waiting."""
+    return primitives.origin.ndim == 2 and primitives.origin.device.type == "cpu"

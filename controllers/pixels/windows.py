@@ -1,0 +1,110 @@
+"""Which part of a light texture primitives can touch: the rectangles around their projected outlines.
+
+They are tighter than the ellipsoids around groups of T 7.3.3, and all rays of a primitive are culled at once instead of each by itself.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import reduce
+
+from torch import Tensor
+
+from controllers.pixels.primitives import Primitives
+from world.texels import TexelGrid
+
+NEAREST_M = 1e-3  # a primitive that reaches behind the lamp is cut off here, before its photometric centre
+SLACK = 0.01  # texels, against rounding
+Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Window:
+    """A rectangle of the light texture, texels; stop is exclusive."""
+
+    row_start: int
+    row_stop: int
+    col_start: int
+    col_stop: int
+
+    @property
+    def slices(self) -> tuple[slice, slice]:
+        """Row and column slices of a light texture."""
+        return slice(self.row_start, self.row_stop), slice(self.col_start, self.col_stop)
+
+    @property
+    def empty(self) -> bool:
+        return self.row_stop <= self.row_start or self.col_stop <= self.col_start
+
+    def meets(self, other: "Window") -> bool:
+        """Whether they have a texel in common."""
+        rows = self.row_start < other.row_stop and other.row_start < self.row_stop
+        return rows and self.col_start < other.col_stop and other.col_start < self.col_stop
+
+    def within(self, outer: "Window") -> tuple[slice, slice]:
+        """Row and column slices of an image on a window around this one."""
+        rows = slice(self.row_start - outer.row_start, self.row_stop - outer.row_start)
+        return rows, slice(self.col_start - outer.col_start, self.col_stop - outer.col_start)
+
+
+NOWHERE = Window(0, 0, 0, 0)
+
+
+def whole(grid: TexelGrid) -> Window:
+    """The whole light texture as a window."""
+    return Window(0, grid.rows, 0, grid.cols)
+
+
+def union(windows: list[Window]) -> Window:
+    """The smallest window around all that are not empty."""
+    lit = [w for w in windows if not w.empty]
+    if not lit:
+        return NOWHERE
+    return reduce(
+        lambda a, b: Window(
+            min(a.row_start, b.row_start), max(a.row_stop, b.row_stop), min(a.col_start, b.col_start), max(a.col_stop, b.col_stop)
+        ),
+        lit,
+    )
+
+
+def projected_windows(primitives: Primitives, grid: TexelGrid, T_world_headlight: Tensor, fringe: Sequence[bool] = ()) -> list[Window]:
+    """The texels that each of a single scene's primitives can touch, by its projected outline before the lamp.
+
+    fringe: which reach one texel beyond their outline (none). The host learns the rectangles, so an accelerator would be waited for.
+    """
+    corners = primitives.corners().detach() - T_world_headlight[:3, 3].to(primitives.origin)
+    corners = corners @ T_world_headlight[:3, :3].to(primitives.origin)
+    return [_window(outline, grid, fringed) for outline, fringed in zip(corners.tolist(), fringe or [False] * len(primitives), strict=True)]
+
+
+def _window(corners: list[list[float]], grid: TexelGrid, fringed: bool) -> Window:
+    a, b, c, d = ((x, y, z) for x, y, z in corners)
+    points = _before_the_lamp([a, b, d, c])  # around the outline
+    if not points:
+        return NOWHERE
+    if fringed and min(x for x, _, _ in corners) < NEAREST_M:
+        return whole(grid)
+    row = [(grid.top - z / x) / (grid.top - grid.bottom) * grid.rows for x, _, z in points]
+    col = [(grid.left - y / x) / (grid.left - grid.right) * grid.cols for x, y, _ in points]
+    r0, r1 = _centres(min(row), max(row), grid.rows, fringed)
+    c0, c1 = _centres(min(col), max(col), grid.cols, fringed)
+    return Window(r0, r1, c0, c1) if r1 > r0 and c1 > c0 else NOWHERE
+
+
+def _centres(low: float, high: float, n: int, fringed: bool) -> tuple[int, int]:
+    """Texels whose centres lie between, or at most a texel beyond."""
+    reach = fringed + SLACK - 0.5
+    return math.ceil(min(max(low - reach - 1, 0.0), n)), math.floor(min(max(high + reach, -1.0), n - 1.0)) + 1
+
+
+def _before_the_lamp(outline: list[Point]) -> list[Point]:
+    """The part of a polygon with x >= NEAREST_M."""
+    kept = []
+    for p, q in zip(outline, outline[1:] + outline[:1], strict=True):
+        if p[0] >= NEAREST_M:
+            kept.append(p)
+        if (p[0] >= NEAREST_M) != (q[0] >= NEAREST_M):
+            t = (NEAREST_M - p[0]) / (q[0] - p[0])
+            kept.append((NEAREST_M, p[1] + t * (q[1] - p[1]), p[2] + t * (q[2] - p[2])))
+    return kept

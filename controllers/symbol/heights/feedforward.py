@@ -1,0 +1,157 @@
+"""Feed-forward: inverse ray tracing onto a road that is given, right or wrong, or that is surveyed with structured light first."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from controllers.symbol.heights.luxloop import region_of
+from controllers.symbol.heights.patch import drawn_on
+from controllers.symbol.heights.relief import Relief
+from controllers.symbol.heights.survey import Survey, SurveyState
+from controllers.symbol.sensing.drawing import Drawing
+from controllers.symbol.sensing.observer import Observer
+from controllers.symbol.sensing.projector import SymbolParams
+from controllers.symbol.sensing.protocol import Look
+from controllers.symbol.sensing.shape import HERE, touching
+from perception.birdseye import Region
+from perception.camera import camera_view
+from world.errors import located
+from world.frames import inverse, transform
+from world.params import Params
+from world.roads.base import Floats
+from world.roads.shapes import Flat, RoadParams
+
+CELL_M = 0.1
+BEYOND_M = (1.2, 1.5, 0.6)  # how far a road is looked at beyond the symbol: near, far, sides
+NEAREST_M, FARTHEST_M = 4.0, 60.0  # from the eye, along the road, where lines of sight may meet a given road
+SAMPLES = 21  # along and across a symbol, of the road that a plane is fitted to
+LAYERS, HALVINGS = 200, 12  # places that are looked at along a line of sight, 1.5 % apart, and how often the one at the road is halved
+
+
+class FeedforwardParams(Params):
+    """Draws for the road that is given, or that a survey at the beginning measures. What the camera sees later is not used."""
+
+    name: Literal["feedforward"] = "feedforward"
+    road: RoadParams = Field(Flat(), description="the road's shape, with the keys of [road]")
+    survey: bool = Field(False, description="measure the road with structured light in the first steps, in place of [controller.road]")
+    offset_m: float = Field(0.0, ge=-0.2, le=0.2, description="added to its heights, to see what a wrong road does")
+
+
+class Feedforward:
+    """Draws for the given road for ever; the state is the drawing."""
+
+    def __init__(self, params: FeedforwardParams, observer: Observer) -> None:
+        symbol = observer.projector.params
+        with located("controller"):
+            plane = HERE if symbol.target == "appearance" else plane_of(params.road.z, symbol)
+            eye = transform(inverse(plane), camera_view(observer.camera).origin[:, None])[:, 0]
+            relief = relief_of(params.road.z, region_around(observer), eye, params.offset_m, plane)
+        self.drawn = shown_on(relief, observer, plane)
+
+    def start(self, pose: Tensor) -> Drawing:
+        """The symbol for the given road, whatever the pose `[4]`."""
+        return self.drawn
+
+    def drawing(self, state: Drawing) -> Drawing:
+        """The same for ever."""
+        return state
+
+    def step(self, state: Drawing, look: Look) -> Drawing:
+        """Nothing changes."""
+        return state
+
+
+@dataclass(frozen=True)
+class SurveyedState:
+    """survey: what was seen of the patterns. drawing: for the road that they told, None before."""
+
+    survey: SurveyState
+    drawing: Drawing | None = None
+
+
+class Surveyed:
+    """Surveys the road, then draws for it for ever."""
+
+    def __init__(self, params: FeedforwardParams, observer: Observer) -> None:
+        self.params, self.observer = params, observer
+        self.survey = Survey(observer, region_around(observer))
+
+    def start(self, pose: Tensor) -> SurveyedState:
+        """The first pattern, whatever the pose `[4]`."""
+        return SurveyedState(self.survey.start())
+
+    def drawing(self, state: SurveyedState) -> Drawing:
+        """A pattern, or the symbol for the road that was found."""
+        return state.drawing or self.survey.drawing(state.survey)
+
+    def step(self, state: SurveyedState, look: Look) -> SurveyedState:
+        """Go on with the survey; draw as soon as it is complete."""
+        if state.drawing is not None:
+            return state
+        survey = self.survey.step(state.survey, look)
+        if not survey.complete:
+            return SurveyedState(survey)
+        relief = self.survey.relief(survey)
+        relief = replace(relief, heights=relief.heights + self.params.offset_m)
+        return SurveyedState(survey, shown_on(relief, self.observer))
+
+
+def region_around(observer: Observer) -> Region:
+    """The plane that light for the symbol crosses, high or low."""
+    return region_of(observer.projector.params, *BEYOND_M)
+
+
+def shown_on(relief: Relief, observer: Observer, T_ground_plane: Tensor = HERE) -> Drawing:
+    """The symbol for a road that is known over a plane at `[4, 4]`, from a standing body."""
+    symbol = observer.projector.params
+    lamps = torch.stack([module.T_world_headlight[:3, 3] for module in observer.projector.modules], 1).to(T_ground_plane)
+    return drawn_on(relief, transform(inverse(T_ground_plane), lamps).T, symbol, T_ground_plane, symbol.target == "place")
+
+
+def plane_of(z: Callable[[Floats, Floats], Floats], symbol: SymbolParams) -> Tensor:
+    """The plane `[4, 4]` that fits a road best under a symbol's target."""
+    along, across = (length * torch.linspace(-0.5, 0.5, SAMPLES, dtype=torch.float64) for length in (symbol.length_m, symbol.width_m))
+    x, y = (each.flatten() for each in torch.meshgrid(along, across, indexing="ij"))
+    heights = torch.from_numpy(z((symbol.x_m + x).numpy(), (symbol.y_m + y).numpy()))
+    slope_x, slope_y, level = torch.linalg.lstsq(torch.stack([x, y, torch.ones_like(x)], 1), heights[:, None]).solution[:, 0]
+    at = torch.stack([level.new_tensor(symbol.x_m), level.new_tensor(symbol.y_m), level])
+    return touching(at, slope_x, slope_y, symbol.x_m, symbol.y_m)
+
+
+def relief_of(
+    z: Callable[[Floats, Floats], Floats], region: Region, eye: Tensor, offset_m: float = 0.0, T_ground_plane: Tensor = HERE
+) -> Relief:
+    """A road as an eye at `[3]` m sees it: lines of sight are followed to the first place where they are below the road.
+
+    z: its heights in m at x and y in m (`Road.z`). offset_m: added to them. T_ground_plane: `[4, 4]`, the plane in whose frame region and
+    eye are, and over which heights are returned. Lines of sight that meet no road end FARTHEST_M ahead.
+    """
+    rows, cols = (round((far - near) / CELL_M) for far, near in ((region.x_far_m, region.x_near_m), (region.y_left_m, region.y_right_m)))
+    x = region.x_far_m - (torch.arange(rows, dtype=torch.float64)[:, None] + 0.5) * CELL_M
+    y = region.y_left_m - (torch.arange(cols, dtype=torch.float64) + 0.5) * CELL_M
+    cells = torch.stack([x.expand(rows, cols), y.expand(rows, cols), torch.zeros(rows, cols, dtype=torch.float64)])
+    eye, ways = eye.double(), cells - eye.double()[:, None, None]
+
+    def at(share: Tensor) -> Tensor:  # of the way from the eye to the plane
+        return eye[:, None, None, None] + ways[:, None] * share
+
+    def under(share: Tensor) -> Tensor:
+        point = transform(T_ground_plane, at(share).flatten(1)).view(3, *share.shape)
+        return torch.from_numpy(z(point[0].numpy(), point[1].numpy())) + offset_m >= point[2]
+
+    distances = torch.logspace(math.log10(NEAREST_M), math.log10(FARTHEST_M), LAYERS, dtype=torch.float64)
+    shares = distances[:, None, None] / ways[0]
+    first = under(shares).to(torch.uint8).argmax(0, keepdim=True)
+    met = first > 0
+    low, high = (torch.where(met, shares.gather(0, each), shares[-1:]) for each in ((first - 1).clamp(min=0), first))
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        is_under = under(middle)
+        low, high = torch.where(is_under, low, middle), torch.where(is_under, middle, high)
+    heights = at(high)[2, 0]
+    return Relief(region, eye.float(), heights.float(), torch.ones(rows, cols))

@@ -1,0 +1,305 @@
+"""luxloop: finds the road's heights from how the symbol lies on it, and draws for that road where that explains what is seen."""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Annotated, Literal
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from controllers.symbol.heights.memory import Memory
+from controllers.symbol.heights.patch import drawn_on, placed
+from controllers.symbol.heights.registration import HEIGHT_M, Heights, Registration
+from controllers.symbol.heights.sight import Sight
+from controllers.symbol.heights.stance import Stances
+from controllers.symbol.heights.sweep import sweep
+from controllers.symbol.heights.swing import TRACK_M, Swing
+from controllers.symbol.sensing.aim import aimed, elsewhere
+from controllers.symbol.sensing.drawing import Drawing
+from controllers.symbol.sensing.observer import Observer
+from controllers.symbol.sensing.projector import SymbolParams
+from controllers.symbol.sensing.protocol import Look, Shown
+from controllers.symbol.sensing.shape import HERE, reached
+from perception.birdseye import Region
+from perception.camera import camera_view
+from perception.egomotion import Ego
+from perception.extraction import Loss
+from world.frames import inverse, transform
+from world.frames import pose as pose_of
+from world.params import Params
+
+LEAST_LIT_PX = 20.0  # fewer lit pixels are no symbol
+HEIGHTS = 57  # that a sweep tries
+SEEN_BY = 0.05  # of the usual illuminance a node, with which its brightness is no longer a guess
+LOW_M = {"appearance": 0.1, "place": 0.03}  # heights up to here are found without an acquired shape, for each target
+POOR, SEARCHES = 0.08, 5  # residual above which the whole image is searched again, and how often it is for one road
+SAME_M = 0.05  # between heights under the target that two searches found, if the second shall be the last
+FALLEN = (-0.3, -0.03, 0.0, 0.0)  # shape of the road on which a symbol is looked for that is nowhere in the image
+FARTHEST = 3.0  # of the way to the plane z = 0: where lines of sight end that meet no acquired road
+ROAD_M = 4e-3  # how well a track's height is known at best
+PITCH_RAD = 5e-4  # usual error of a pitch that is foretold
+
+Cell = Annotated[float, Field(ge=0.02, le=10)]
+Reach = Annotated[float, Field(ge=0, le=20)]
+
+
+class LuxloopParams(Params):
+    """Finds the road's heights from how the symbol lies on it, and draws for that road. Where they explain nothing it is the open loop."""
+
+    name: Literal["luxloop"] = "luxloop"
+    cell_m: tuple[Cell, Cell] = Field((0.2, 0.15), description="distance of heights on the assumed road, along and across")
+    beyond_m: tuple[Reach, Reach, Reach] = Field((1.2, 1.5, 0.6), description="how far heights go beyond the symbol: near, far, sides")
+    highest_m: float = Field(0.14, gt=0, le=0.3, description="largest height, up or down, that is looked for")
+    memory: float = Field(0.6, ge=0, lt=1, description="share of what is known that a step on the move keeps; the rest may have changed")
+    evidence: float = Field(
+        0.0025, ge=0, le=1e6, description="share of the symbol that heights have to explain beyond what the flat road does"
+    )
+    sweep_above: float = Field(
+        0.01, ge=0, le=1e6, description="share of the symbol that may stay unexplained before all heights are tried anew"
+    )
+    start_height_m: float = Field(
+        0.0, ge=-0.3, le=0.3, description="height that the whole road is taken to have at first; 0: nothing is known"
+    )
+
+
+@dataclass(frozen=True)
+class LuxloopState:
+    """memory: what is known of the road, in the ground frame of time_s. swing: of the body, if it is measured. drawing: shown now.
+
+    level_rad: pitch of the body that the memory's heights are based on. found: the symbol has been seen.
+    """
+
+    memory: Memory
+    time_s: float
+    drawing: Drawing
+    swing: Swing | None = None
+    level_rad: float = 0.0
+    found: bool = False
+
+
+class Luxloop:
+    """Registration of the heights of a road that the vehicle may drive over, supervised by the open loop."""
+
+    def __init__(self, params: LuxloopParams, observer: Observer) -> None:
+        self.params, self.projector, self.observer = params, observer.projector, observer
+        self.region = region_of(self.projector.params, *params.beyond_m)
+        self.reach_m = self.projector.params.x_m - self.projector.params.length_m / 4
+        self.standing = lru_cache(maxsize=2)(self._standing)
+        self.registration = self.over(HERE)[1]
+        lamps = torch.stack([module.T_world_headlight[:3, 3].cpu().double() for module in self.projector.modules])
+        self.ends = torch.stack([camera_view(observer.camera).origin, *lamps], 1)  # of the ways of light, in the body
+        self.tried = torch.linspace(-params.highest_m, params.highest_m, HEIGHTS, device=self.projector.symbol.device)
+
+    def start(self, pose: Tensor) -> LuxloopState:
+        """State that shows the pose `[4]` first, or the symbol for the road that is believed."""
+        memory = self._nothing(self.registration)
+        if self.params.start_height_m == 0:
+            return LuxloopState(memory, 0.0, Drawing(pose))
+        mean = memory.heights.mean + self.params.start_height_m
+        believed = _believed(memory, mean)
+        return LuxloopState(believed, 0.0, self._drawn(believed, Stances()))
+
+    def drawing(self, state: LuxloopState) -> Drawing:
+        """The symbol for the road as it is known."""
+        return state.drawing
+
+    def step(self, state: LuxloopState, look: Look) -> LuxloopState:
+        """Register the look; the open loop's drawing, unless heights explain it better than a flat road does.
+
+        What is known of the road tells how the body has pitched since the look before, and what the wheels will come to.
+        """
+        swing = self._swung(state.swing, look.ego)
+        now = None if swing is None else swing.caught_up()
+        stances = Stances.of(look, now, state.time_s)
+        memory = state.memory
+        if stances.still:
+            registration = self.over(memory.T_ground_plane)[1]
+        else:
+            memory = memory if memory.T_ground_plane.equal(HERE) else self._nothing(self.registration)
+            registration = self._fine(stances)
+        memory = memory.moved(stances.since, registration.sight.eye)
+        if swing is None or now is None or stances.still or not swing.foretold(stances.time_s):
+            memory = self._looked(registration, memory, look, stances)
+            if stances.still and not bool(memory.heights.information.any()):
+                memory = self._guessed(state, look) or memory
+        else:
+            memory = memory.levelled(now.level_rad - state.level_rad, swing.pivot_x_m)
+            if look.frames is not None:
+                known, foretold = memory, now.at(stances.time_s).pitch_rad
+                memory = self._looked(registration, known.loosened(PITCH_RAD, swing.pivot_x_m), look, stances)
+                pitched = memory.pitched(known, swing.pivot_x_m)
+                swing = swing.looked(stances.time_s, None if pitched is None else foretold + pitched - now.level_rad)
+                now = swing.caught_up()
+                memory, stances = memory.levelled(now.level_rad - foretold, swing.pivot_x_m), Stances.of(look, now, state.time_s)
+        if swing is not None and look.ego is not None:
+            swing = _previewed(swing, memory, stances.time_s, look.ego)
+        drawing, level_rad = self._drawn(memory, stances), 0.0 if now is None else now.level_rad
+        return LuxloopState(memory, stances.time_s, drawing, swing, level_rad, state.found or bool(look.seen.code == Loss.SEEN))
+
+    def _swung(self, before: Swing | None, ego: Ego | None) -> Swing | None:
+        """What is known of the body after a measurement, if there is one; one without axles does not swing."""
+        if ego is None or ego.pivot_x_m == ego.rear_x_m:
+            return before
+        return Swing.first(ego, self.reach_m, self.projector.params.x_m) if before is None else before.updated(ego)
+
+    def _looked(self, registration: Registration, memory: Memory, look: Look, stances: Stances) -> Memory:
+        """What is known after a look: nothing, where heights do not explain it."""
+        if look.frames is None:
+            return memory
+        frames, textures = look.frames, self.projector.textures(look.shown.lights)
+        if stances.still and self._unsure(memory, look.shown):
+            memory = self._acquired(memory, look) or self._nothing(self.registration)
+            registration = self.over(memory.T_ground_plane)[1]
+        nothing = self._nothing(self.registration if stances.still else registration)
+        fine = registration.sight
+        contrast, limit = fine.observe_symbol(frames, textures)
+        seen = fine.symbol(contrast, limit)
+        known = memory.heights
+        if float(seen.sum()) * fine.step < LEAST_LIT_PX:
+            there = fine.symbol(fine.luminance(textures, fine.on_pixels(known.mean)[None])[0], limit) * fine.inside
+            return memory if float(there.sum()) * fine.step < LEAST_LIT_PX else nothing
+        limit = limit / fine.on_pixels(memory.brightness)  # of the light that the assumed road would show
+        found = [registration.refine(known.mean, known, seen, textures, limit)]
+        if float(registration.residual(found[0].mean[None], seen, textures, limit)[0]) > self.params.sweep_above:
+            swept = self._swept(memory, frames, textures, stances)
+            found.append(registration.refine(swept, known, seen, textures, limit))
+        nodes = torch.stack([*(each.mean for each in found), known.mean, torch.zeros_like(known.mean)])
+        *residuals, before, flat = registration.residual(nodes, seen, textures, limit)
+        least, best = min(zip(residuals, found, strict=True), key=lambda each: float(each[0]))
+        evidence = 0.0 if bool(known.information.any()) else self.params.evidence
+        if least > POOR and stances.still and 0 < memory.searched < SEARCHES:
+            if (again := self._acquired(memory, look)) is not None:
+                return again
+            memory = replace(memory, searched=SEARCHES)
+        if least > flat - evidence:
+            return nothing
+        information = known.information + best.information
+        gain = best.information.trace() / information.trace().clamp(min=1)  # of this look beside all earlier ones
+        brightness = _brightness(fine, best.mean, memory.brightness, contrast, seen, textures)
+        share = (least / before).nan_to_num(1.0).clamp(max=1) if stances.still else self.params.memory
+        return replace(memory, heights=replace(best, information=share * information), brightness=memory.brightness.lerp(brightness, gain))
+
+    def _unsure(self, memory: Memory, shown: Shown) -> bool:
+        """Whether nothing is known, or a road that was acquired from afar can be acquired anew from light that was drawn for it."""
+        anew = memory.shape is not None and not memory.settled and memory.searched < SEARCHES and shown.drawing.warp is not None
+        return anew or not bool(memory.heights.information.any())
+
+    def _acquired(self, memory: Memory, look: Look) -> Memory | None:
+        """The road that explains where in the whole image the symbol is; None where a road near the plane may, which looks find without."""
+        assert look.frames is not None
+        symbol = self.projector.params
+        found = look.seen.acquired or self.observer.acquire(look.frames, look.shown.lights)
+        if not found.found or float(self._heights(found.shape, self._nothing(self.registration)).abs().max()) < LOW_M[symbol.target]:
+            return None
+        return self._shaped(memory, found.shape)
+
+    def _guessed(self, state: LuxloopState, look: Look) -> Memory | None:
+        """A road to look for the symbol on that is not in the image, though it is shown for the road that was believed.
+
+        Half as high or low as that was; a flat one falls. None where the symbol has been seen before: something hides it.
+        """
+        lost, before = look.seen.acquired, state.memory.shape
+        if lost is None or lost.found or not look.shown.drawing.shows(state.drawing):
+            return None
+        if before is not None:
+            return self._shaped(state.memory, before / 2) if state.memory.searched < SEARCHES else None
+        return None if state.found or lost.match else self._shaped(state.memory, self.projector.target.new_tensor(FALLEN))
+
+    def _shaped(self, before: Memory, shape: Tensor) -> Memory:
+        """A road of shape `[4]`, over the plane on which the symbol is aimed there."""
+        symbol = self.projector.params
+        rise = float((shape - (0 if before.shape is None else before.shape)) @ shape.new_tensor([1.0, 0.0, symbol.y_m, 0.0]))
+        plane = aimed(shape, symbol, self.projector.modules, self.ends[:, 0])
+        nothing = replace(self._nothing(self.over(plane)[1]), T_ground_plane=plane)
+        believed = _believed(nothing, self._heights(shape, nothing))
+        return replace(believed, shape=shape, searched=before.searched + 1, settled=abs(rise) < SAME_M)
+
+    def _heights(self, shape: Tensor, memory: Memory) -> Tensor:
+        """Heights `[n]` of a road of shape `[4]` at the nodes of a memory."""
+        T, eye = memory.T_ground_plane.to(shape), memory.eye
+        origin, ways = transform(T, eye[:, None])[:, 0], T[:3, :3] @ (memory.nodes() - eye[:, None])
+        share = reached(shape[None], self.projector.params.x_m, origin, ways)[0].clamp(max=FARTHEST)
+        return eye[2] * (1 - share)
+
+    def _swept(self, memory: Memory, frames: tuple[Tensor, Tensor], textures: tuple[Tensor, ...], stances: Stances) -> Tensor:
+        coarse = self.over(memory.T_ground_plane)[0] if stances.still else self._coarse(stances)
+        contrast, limit = coarse.observe_symbol(frames, textures)
+        seen, limit = coarse.symbol(contrast, limit), limit / coarse.on_pixels(memory.brightness)
+        return sweep(coarse, seen, textures, limit, self.tried, memory.heights.base)
+
+    def _drawn(self, memory: Memory, stances: Stances) -> Drawing:
+        """The symbol for the road as it is known, from where the body will be then."""
+        symbol, plane = self.projector.params, memory.T_ground_plane
+        stances = stances if plane.equal(HERE) else stances.over(plane)
+        T_body_ground = inverse(stances.following)
+        if not memory.heights.information.any():
+            return laid(self.projector.target, T_body_ground)
+        ends = transform(stances.following, self.ends).T.to(memory.eye)
+        relief = memory.moved(stances.until, ends[0]).relief()
+        drawing = drawn_on(relief, ends[1:], symbol, T_body_ground, symbol.target == "place" or not plane.equal(HERE))
+        return replace(drawing, aim=elsewhere(plane, symbol))
+
+    def _nothing(self, registration: Registration) -> Memory:
+        """Nothing known of the road."""
+        heights, sight = registration.unknown(), registration.sight
+        return Memory(heights, torch.ones_like(heights.mean), self.region, (sight.rows, sight.cols), sight.eye)
+
+    def over(self, T_ground_plane: Tensor) -> tuple[Sight, Registration]:
+        """What heights over a plane `[4, 4]` are swept and refined with while the vehicle stands."""
+        return self.standing(tuple(T_ground_plane.flatten().tolist()))
+
+    def _standing(self, plane: tuple[float, ...]) -> tuple[Sight, Registration]:
+        stances = Stances() if plane == tuple(HERE.flatten().tolist()) else Stances().over(HERE.new_tensor(plane).view(4, 4))
+        return self._coarse(stances), self._fine(stances)
+
+    def _fine(self, stances: Stances) -> Registration:
+        return Registration.prepare(self._sight(stances, 2, 3))
+
+    def _coarse(self, stances: Stances) -> Sight:
+        return self._sight(stances, 4, 1)
+
+    def _sight(self, stances: Stances, step: int, samples: int) -> Sight:
+        """How the body sees the road when the two frames are exposed."""
+        seer, cell_m = self.observer, self.params.cell_m
+        return Sight.prepare(
+            self.projector, seer.camera, seer.params, seer.model.albedo, self.region, cell_m, step, samples, stances.on, stances.off
+        )
+
+
+def _previewed(swing: Swing, memory: Memory, time_s: float, ego: Ego) -> Swing:
+    """With the road that the wheels will come to, as it is known at a time when it has left the light."""
+    way_m, driven_m = swing.unseen(), swing.way_m + swing.speed_m_s * (time_s - swing.time_s)
+    x = (way_m - driven_m).to(memory.eye)
+    aside = ego.yaw_rate_rad_s / ego.speed_m_s.clamp(min=1.0) * (x - ego.rear_x_m) ** 2 / 2
+    heights, information = memory.tracks(x.expand(2, -1), torch.stack([aside + TRACK_M / 2, aside - TRACK_M / 2]))
+    return swing.seen(way_m, heights, ROAD_M**2 + 1 / information.clamp(min=1e-3))
+
+
+def _believed(memory: Memory, heights: Tensor) -> Memory:
+    """A road whose heights `[n]` are taken for granted until something is seen of it."""
+    return replace(memory, heights=Heights(heights, torch.eye(len(heights)).to(heights) / HEIGHT_M**2, heights))
+
+
+def laid(target: Tensor, T_body_ground: Tensor) -> Drawing:
+    """The symbol as it is, for a body, at a target pose `[4]` that lies flat on the ground."""
+    if T_body_ground.equal(HERE):
+        return Drawing(target)
+    centre = T_body_ground.new_tensor([float(target[0]), float(target[1]), 0.0])
+    pose, z = placed(T_body_ground @ pose_of(centre, torch.eye(3).to(centre)))
+    return Drawing(pose.to(target), z.to(target))
+
+
+def _brightness(fine: Sight, heights: Tensor, before: Tensor, contrast: Tensor, seen: Tensor, textures: tuple[Tensor, ...]) -> Tensor:
+    """Brightness `[n]` of the nodes, from where the light is that falls on such heights."""
+    expected = fine.luminance(textures, fine.on_pixels(heights)[None])[0]
+    lit = (seen > 0.5) & (expected > 0)
+    there, usual = fine.on_nodes(torch.stack([contrast, expected]) * lit)
+    guess = SEEN_BY * usual.mean()
+    return torch.where(usual + guess > 0, (there + guess * before) / (usual + guess), before)
+
+
+def region_of(symbol: SymbolParams, near_m: float, far_m: float, side_m: float) -> Region:
+    """The plane around a symbol at its target."""
+    half, left = symbol.length_m / 2, symbol.width_m / 2 + side_m
+    return Region(max(symbol.x_m - half - near_m, 1.0), symbol.x_m + half + far_m, symbol.y_m + left, symbol.y_m - left)

@@ -1,0 +1,117 @@
+"""Road memory: what is known of the road's heights stays on the road while the vehicle drives over it."""
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from controllers.symbol.heights.registration import Heights
+from controllers.symbol.heights.relief import Relief
+from controllers.symbol.sensing.shape import HERE
+from perception.birdseye import Region
+from world.frames import inverse, transform
+
+
+@dataclass(frozen=True)
+class Memory:
+    """Heights and brightness `[n]` at the nodes `[rows, cols]` of a region, by lines of sight of an eye at `[3]` m, in a ground frame.
+
+    T_ground_plane: `[4, 4]` float64, the plane over which heights are; region and eye are in its frame, too. shape: `[4]` of the road, if
+    it was acquired. searched: how many times. settled: the last search found what the one before did.
+    """
+
+    heights: Heights
+    brightness: Tensor
+    region: Region
+    grid: tuple[int, int]
+    eye: Tensor
+    T_ground_plane: Tensor = HERE
+    shape: Tensor | None = None
+    searched: int = 0
+    settled: bool = False
+
+    def relief(self) -> Relief:
+        """The road as the eye sees it."""
+        return Relief(self.region, self.eye, self.heights.mean.view(self.grid), self.brightness.view(self.grid))
+
+    def moved(self, T_before_now: Tensor, eye: Tensor) -> "Memory":
+        """The same road in the ground frame that has the pose `[4, 4]` in this one, as an eye at `[3]` m sees it there.
+
+        What comes into the region is as high as what was at its border, and nothing is known of it.
+        """
+        T = T_before_now.to(eye)
+        if eye.equal(self.eye) and T.equal(torch.eye(4).to(T)):
+            return self
+        relief, nodes = self.relief(), self.nodes()
+        heights = relief.at(relief.heights, *self._seen_anew(nodes, torch.zeros_like(nodes[0]), eye, T, self.eye))
+        for _ in range(2):  # where on the road a line of sight ends is known once its height is
+            places = self._seen_anew(nodes, heights.flatten(), eye, T, self.eye)
+            heights = relief.at(relief.heights, *places)
+        brightness, base = (relief.at(values.view(self.grid), *places).flatten() for values in (self.brightness, self.heights.base))
+        information = self._carried(self._seen_anew(nodes, self.heights.mean, self.eye, inverse(T), eye))
+        return replace(self, heights=Heights(heights.flatten(), information, base), brightness=brightness, eye=eye)
+
+    def tracks(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+        """Height in m of the road at places `[2, k]` of the ground, and its information in 1/m^2: 0 outside of the region."""
+        relief = self.relief()
+        heights, places = relief.under(x, y)
+        r = self.region
+        inside = (places[0] > r.x_near_m) & (places[0] < r.x_far_m) & (places[1] < r.y_left_m) & (places[1] > r.y_right_m)
+        return heights, relief.at(self.heights.information.diagonal().view(self.grid), *places) * inside
+
+    def levelled(self, pitch_rad: float, pivot_x_m: float) -> "Memory":
+        """As it would be, had the body that saw it pitched by so many rad more."""
+        heights = self.heights.mean - pitch_rad * (self.nodes()[0] - pivot_x_m)
+        return replace(self, heights=replace(self.heights, mean=heights))
+
+    def loosened(self, pitch_rad: float, pivot_x_m: float) -> "Memory":
+        """With a body whose pitch is uncertain by so many rad: heights may all be higher by as much times their distance (Woodbury)."""
+        L, arm = self.heights.information, self.nodes()[0] - pivot_x_m
+        pull = L @ arm
+        information = L - pull[:, None] * pull / (1 / pitch_rad**2 + arm @ pull)
+        return replace(self, heights=replace(self.heights, information=information))
+
+    def pitched(self, before: "Memory", pivot_x_m: float) -> float | None:
+        """By how many rad the body has pitched more than it was taken to, if the road is still as it was known before; None: unknown."""
+        known, seen = (each.heights.information.diagonal() for each in (before, self))
+        arm = self.nodes()[0] - pivot_x_m
+        weight = arm * known * seen / (known + seen).clamp(min=1.0)
+        lever = float(weight @ arm)
+        return float(weight @ (self.heights.mean - before.heights.mean)) / lever if lever > 0 else None
+
+    def nodes(self) -> Tensor:
+        """Places `[3, n]` of the nodes on the plane."""
+        r, (rows, cols) = self.region, self.grid
+        x = r.x_far_m - (torch.arange(rows).to(self.eye) + 0.5) * ((r.x_far_m - r.x_near_m) / rows)
+        y = r.y_left_m - (torch.arange(cols).to(self.eye) + 0.5) * ((r.y_left_m - r.y_right_m) / cols)
+        return torch.stack([x[:, None].expand(rows, cols), y.expand(rows, cols), torch.zeros_like(x)[:, None].expand(rows, cols)]).flatten(
+            1
+        )
+
+    def _seen_anew(self, nodes: Tensor, heights: Tensor, eye: Tensor, T: Tensor, other: Tensor) -> tuple[Tensor, Tensor]:
+        """Where on the plane another eye sees the road that is as high as `[n]` m on the lines of sight of an eye through nodes `[3, n]`.
+
+        T: the ground frame of eye and nodes in that of the other.
+        """
+        road = transform(T, nodes + (eye[:, None] - nodes) * (heights / eye[2]))
+        x, y, _ = other[:, None] + (road - other[:, None]) * (other[2] / (other[2] - road[2]))
+        return x.view(1, -1), y.view(1, -1)
+
+    def _carried(self, places: tuple[Tensor, Tensor]) -> Tensor:
+        """Information `[n, n]` of the heights at the nodes, from that of heights that have come to lie at places between them.
+
+        With `old = V new` the old `old^T L old` is `new^T V^T L V new`. What has left the region is forgotten.
+        """
+        r, (rows, cols) = self.region, self.grid
+        down = (r.x_far_m - places[0].flatten()) / (r.x_far_m - r.x_near_m) * rows - 0.5
+        right = (r.y_left_m - places[1].flatten()) / (r.y_left_m - r.y_right_m) * cols - 0.5
+        stays = (down > -0.5) & (down < rows - 0.5) & (right > -0.5) & (right < cols - 0.5)
+        down, right = down.clamp(0, rows - 1), right.clamp(0, cols - 1)
+        r0, c0 = down.floor().clamp(max=rows - 2), right.floor().clamp(max=cols - 2)
+        a, b, first = down - r0, right - c0, (r0 * cols + c0).long()
+        to = torch.stack([first, first + 1, first + cols, first + cols + 1])
+        weight = torch.stack([(1 - a) * (1 - b), (1 - a) * b, a * (1 - b), a * b]) * stays
+        information = self.heights.information
+        for _ in range(2):  # both sides of a symmetric matrix
+            information = torch.zeros_like(information).index_add(0, to.flatten(), (weight[:, :, None] * information).flatten(0, 1)).T
+        return information.contiguous()

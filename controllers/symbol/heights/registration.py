@@ -1,0 +1,125 @@
+"""Heights of the road by registration: the light that was shown, laid over a road of these heights, shall be what the camera sees."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from kornia.filters import gaussian_blur2d
+from torch import Tensor
+
+from controllers.symbol.heights.sight import Sight
+
+BLURS = (
+    (1.0, 4.0, 0.4),
+    (0.6, 2.5, 0.25),
+)  # rows and camera columns, and half the residual of an outlier
+HIDDEN = 0.6  # outliers begin so much earlier where light is missing, since it may be hidden
+ITERATIONS = 3
+PROBE_M = 0.002  # of height, for slopes
+LARGEST_STEP_M = 0.03
+PIXEL_SIGMA = 0.15  # of the symbol image
+SLOPE_M = 0.02  # usual difference of neighbouring heights over a square cell of SQUARE_M; much larger ones count as edges
+HEIGHT_M = 0.08  # usual height
+FREE_M = 0.01  # how far above a free way of light a height may be
+
+
+@dataclass(frozen=True)
+class Heights:
+    """Heights at nodes: mean `[n]` m and information `[n, n]` 1/m^2 from what was seen so far; without any they are those of base `[n]`."""
+
+    mean: Tensor
+    information: Tensor
+    base: Tensor
+
+
+@dataclass(frozen=True)
+class Registration:
+    """Registers looks of one sight."""
+
+    sight: Sight
+    edges: Tensor
+    slopes: Tensor
+    pairs: Tensor
+    products: Tensor
+
+    @classmethod
+    def prepare(cls, sight: Sight) -> "Registration":
+        """Make the tables of node pairs once."""
+        rows, cols, region = sight.rows, sight.cols, sight.region
+        k = torch.arange(rows * cols, device=sight.node.device).view(rows, cols)
+        down, right = torch.stack([k[1:], k[:-1]]).flatten(1), torch.stack([k[:, 1:], k[:, :-1]]).flatten(1)
+        aspect = (region.x_far_m - region.x_near_m) / rows / ((region.y_left_m - region.y_right_m) / cols)
+        slopes = torch.cat([torch.full((down.shape[1],), aspect**0.5), torch.full((right.shape[1],), aspect**-0.5)]).to(k.device)
+        pairs = (sight.node[:, None] * (rows * cols) + sight.node).flatten()
+        products = (sight.weight[:, None] * sight.weight).flatten(0, 1)
+        return cls(sight, torch.cat([down, right], 1), SLOPE_M * slopes, pairs, products)
+
+    def unknown(self) -> Heights:
+        """Zero, and nothing known."""
+        n = self.sight.rows * self.sight.cols
+        zero = self.slopes.new_zeros(n)
+        return Heights(zero, zero.new_zeros(n, n), zero)
+
+    def residual(self, nodes: Tensor, seen: Tensor, textures: tuple[Tensor, ...], limit: Tensor) -> Tensor:
+        """What heights `[k, n]` leave unexplained of a symbol image `[h, w]`, as a share of what they predict to be lit: `[k]`."""
+        predicted = self._predicted(nodes, textures, limit, BLURS[-1])
+        error = (self._blurred(seen[None], BLURS[-1]) - predicted).square().clamp(max=0.09) * self.sight.inside
+        return error.sum((-2, -1)) / (predicted * self.sight.inside).sum((-2, -1)).clamp(min=1.0)
+
+    def refine(self, nodes: Tensor, known: Heights, seen: Tensor, textures: tuple[Tensor, ...], limit: Tensor) -> Heights:
+        """Gauss-Newton from heights `[n]`, on a symbol image `[h, w]` and what is known; the information is that of the image alone."""
+        sight, (i, j), n = self.sight, self.edges, len(nodes)
+        information = known.information
+        for blur in BLURS:
+            smooth = self._blurred(seen[None], blur)[0]
+            for _ in range(ITERATIONS):
+                around = torch.stack([nodes, nodes + PROBE_M, nodes - PROBE_M])
+                predicted, higher, lower = self._predicted(around, textures, limit, blur)
+                slope, error = (higher - lower) / (2 * PROBE_M), smooth - predicted
+                scale = 2 * blur[2] * torch.where(error < 0, HIDDEN, 1.0)
+                weight = (1 - (error / scale) ** 2).clamp(min=0) ** 2 * sight.inside * (sight.step / (PIXEL_SIGMA**2 * blur[0] * blur[1]))
+                information = self._squared(weight * slope * slope)
+                force = (
+                    sight.on_nodes(weight * slope * error) + known.information @ (known.mean - nodes) + (known.base - nodes) / HEIGHT_M**2
+                )
+                free, above = self._free(sight.on_pixels(nodes), seen)
+                matrix = information + known.information + self._squared(above)
+                force = force + sight.on_nodes(above * (free - sight.on_pixels(nodes)))
+                step = (nodes - known.base)[i] - (nodes - known.base)[j]
+                stiffness = 1 / (self.slopes**2 + step**2 / 4)  # an edge as soon as it is steep: Cauchy
+                force = force.index_add(0, i, -stiffness * step).index_add(0, j, stiffness * step)
+                for a, b, sign in ((i, i, 1), (j, j, 1), (i, j, -1), (j, i, -1)):
+                    matrix.view(-1).index_add_(0, a * n + b, sign * stiffness)
+                matrix.diagonal().add_(1 / HEIGHT_M**2)
+                moved = torch.cholesky_solve(force[:, None], torch.linalg.cholesky(matrix))[:, 0]
+                nodes = nodes + moved.clamp(-LARGEST_STEP_M, LARGEST_STEP_M)
+        return Heights(nodes, information, known.base)
+
+    def _predicted(self, nodes: Tensor, textures: tuple[Tensor, ...], limit: Tensor, blur: tuple[float, float, float]) -> Tensor:
+        luminance = self.sight.luminance(textures, self.sight.on_pixels(nodes))
+        return self._blurred(self.sight.symbol(luminance, limit), blur)
+
+    def _blurred(self, image: Tensor, blur: tuple[float, float, float]) -> Tensor:
+        sigma = (blur[0], blur[1] / self.sight.step)
+        size = tuple(2 * math.ceil(2.5 * s) + 1 for s in sigma)
+        return gaussian_blur2d(image[:, None], (size[0], size[1]), sigma, border_type="constant")[:, 0]
+
+    def _squared(self, weight: Tensor) -> Tensor:
+        """`J^T W J` `[n, n]` of a weight `[h, w]` for each pixel."""
+        n = self.sight.rows * self.sight.cols
+        return weight.new_zeros(n * n).index_add_(0, self.pairs, (self.products * weight.flatten()).flatten()).view(n, n)
+
+    def _free(self, heights: Tensor, seen: Tensor) -> tuple[Tensor, Tensor]:
+        """Space carving: where light arrives, nothing nearer is in its way.
+
+        Returns the height `[h, w]` m that dark pixels have at most by that, and the weight `[h, w]` 1/m^2 of those that are higher. With
+        several lamps there are none: it is not known whose light arrives.
+        """
+        lamp, middle = self.sight.lamps[0], self.sight.samples // 2
+        on_plane, per_m = (a[:, middle :: self.sight.samples] for a in (lamp.on_plane, lamp.per_m))
+        rise = (on_plane[2] + per_m[2] * heights) / (on_plane[0] + per_m[0] * heights)
+        lit = (seen > 0.5) & (self.sight.inside > 0)
+        lowest = torch.where(lit, rise, torch.inf).cummin(-2).values
+        highest = (lowest * on_plane[0] - on_plane[2]) / (per_m[2] - lowest * per_m[0])
+        above = (rise > lowest) & (seen < 0.2) & (self.sight.inside > 0) & lowest.isfinite() & (len(self.sight.lamps) == 1)
+        return torch.where(above, highest, 0.0), above / FREE_M**2 * self.sight.step

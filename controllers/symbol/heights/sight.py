@@ -1,0 +1,205 @@
+"""What the camera would see of known light on a road of given heights: the model that heights are registered with."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from kornia.geometry.transform import remap
+from torch import Tensor
+from torch.nn.functional import avg_pool2d
+
+from controllers.symbol.sensing.projector import Projector
+from perception.birdseye import Region
+from perception.camera import CameraParams, average_rows, camera_view, luminance_of
+from perception.extraction import Crop, Extraction, difference, symbol_image, threshold
+from world.frames import inverse
+from world.headlight import Headlight
+from world.view import View
+
+SIGMAS = 1.4826  # of a normal distribution, in its median deviations
+DARKNESS_TEXELS = 3.0  # over which a shadow's edge fades
+
+
+@dataclass(frozen=True)
+class LampSight:
+    """A module's light on lines of sight: a point at height z has the lamp coordinates `on_plane + z * per_m`, both `[3, H, w]`.
+
+    factor: `[H, w]`, cd/m^2 on the plane for each cd. origin: `[3]` m, the lamp.
+    """
+
+    headlight: Headlight
+    on_plane: Tensor
+    per_m: Tensor
+    factor: Tensor
+    origin: Tensor
+
+    def rows(self, heights: Tensor) -> tuple[Tensor, Tensor]:
+        """Texture coordinates (row, column) `[..., H, w]` of points at heights `[..., H, w]` m."""
+        x, y, z = (a + b * heights for a, b in zip(self.on_plane, self.per_m, strict=True))
+        return self.headlight.texel_of(y / x, z / x)
+
+    def luminance(self, texture: Tensor, heights: Tensor) -> Tensor:
+        """Luminance `[B, H, w]` in cd/m^2 of a light texture `[rows, cols]` on heights `[B, H, w]` m; what is nearer may cast shadows."""
+        light = self.headlight
+        row, col = self.rows(heights)
+        u, v = 2 * col / light.cols - 1, 2 * row / light.rows - 1
+        image = texture.expand(len(heights), 1, -1, -1)
+        seen = remap(image, u, v, padding_mode="zeros", align_corners=False, normalized_coordinates=True)[:, 0]
+        horizon = row.flip(-2).cummin(-2).values.flip(-2)  # of all that is nearer
+        return seen * self.factor * ((horizon - row) / DARKNESS_TEXELS + 1.5).clamp(0, 1)
+
+
+@dataclass(frozen=True)
+class Sight:
+    """Lines of sight through a region of the plane, and the nodes `[rows, cols]` that hold its heights.
+
+    step: columns of the camera that are taken together. samples: lines of sight in a camera row. node: `[4, h * w]` int64 and weight:
+    `[4, h * w]`, bilinear, of each pixel of the crop. inside: `[h, w]`, 1 where a pixel sees the region. off_place: `[2, H, W]`, where in
+    the off frame the pixels of the crop see the same road, -1 to 1 over the image; None where the camera has not moved.
+    """
+
+    region: Region
+    crop: Crop
+    eye: Tensor
+    step: int
+    samples: int
+    lamps: tuple[LampSight, ...]
+    rows: int
+    cols: int
+    node: Tensor
+    weight: Tensor
+    inside: Tensor
+    camera: CameraParams
+    params: Extraction
+    off_place: Tensor | None
+
+    @classmethod
+    def prepare(
+        cls,
+        projector: Projector,
+        camera: CameraParams,
+        params: Extraction,
+        albedo: float,
+        region: Region,
+        cell_m: tuple[float, float],
+        step: int,
+        samples: int,
+        T_ground_on: Tensor | None = None,
+        T_ground_off: Tensor | None = None,
+    ) -> "Sight":
+        """cell_m: of the nodes, along and across. step, samples: as above. T_ground_on, T_ground_off: body `[4, 4]` in on and off frame."""
+        device = projector.symbol.device
+        standing = torch.eye(4, dtype=torch.float64)
+        T_on, T_off = (standing if T is None else T for T in (T_ground_on, T_ground_off))
+        whole, view = (_from(T_on, camera_view(camera, rows)) for rows in (1, samples))
+        x, y = torch.tensor([[region.x_near_m, region.x_far_m], [region.y_left_m, region.y_right_m]], dtype=torch.float64)
+        corners = torch.stack([x.repeat_interleave(2), y.repeat(2), torch.zeros(4, dtype=torch.float64)])
+        uv, _ = whole.project(corners)
+        (u0, v0), (u1, v1) = (end.tolist() for end in uv.aminmax(dim=1))
+        u0, v0 = max(math.floor(u0), 0), max(math.floor(v0), 0)
+        width = (min(math.ceil(u1), view.width) - u0) // step * step
+        crop = Crop(v0, min(math.ceil(v1), camera.height_px), u0, u0 + max(width, 0))
+        rays = view.rays()[:, crop.v_start * samples : crop.v_stop * samples, crop.u_start : crop.u_stop]
+        rays = rays.unflatten(-1, (-1, step)).mean(-1)
+        eye = view.origin
+        ground = eye[:, None, None] - rays * (eye[2] / rays[2])
+        lamps = []
+        for module in projector.modules:
+            T_ground_headlight = T_on @ module.T_world_headlight.cpu().double()
+            T, origin = inverse(T_ground_headlight), T_ground_headlight[:3, 3]
+            on_plane = torch.einsum("ij,jhw->ihw", T[:3, :3], ground) + T[:3, 3, None, None]
+            per_m = torch.einsum("ij,jhw->ihw", T[:3, :3], (eye[:, None, None] - ground) / eye[2])
+            factor = albedo * origin[2] / (ground - origin[:, None, None]).norm(dim=0) ** 3 / math.pi
+            parts = (part.float().to(device) for part in (on_plane, per_m, factor, origin))
+            lamps.append(LampSight(module.pixel_controller.headlight, *parts))
+        middle = average_rows(ground, samples)
+        rows = round((region.x_far_m - region.x_near_m) / cell_m[0])
+        cols = round((region.y_left_m - region.y_right_m) / cell_m[1])
+        down, inside_x = _place(region.x_far_m, region.x_near_m, middle[0], rows)
+        right, inside_y = _place(region.y_left_m, region.y_right_m, middle[1], cols)
+        r0, c0 = down.floor().clamp(max=rows - 2), right.floor().clamp(max=cols - 2)
+        first, a, b = (r0 * cols + c0).long().flatten(), (down - r0).flatten(), (right - c0).flatten()
+        node = torch.stack([first, first + 1, first + cols, first + cols + 1])
+        weight = torch.stack([(1 - a) * (1 - b), (1 - a) * b, a * (1 - b), a * b]).float()
+        inside = (inside_x & inside_y).float()
+        node, weight, seen = node.to(device), weight.to(device), inside.to(device)
+        off = None if T_off.equal(T_on) else _place_in_image(whole, _from(T_off, camera_view(camera)), crop).to(device)
+        return cls(region, crop, eye.float().to(device), step, samples, tuple(lamps), rows, cols, node, weight, seen, camera, params, off)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the image."""
+        height, width = self.inside.shape
+        return height, width
+
+    def observe(self, frames: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
+        """Contrast and threshold `[h, w]` in cd/m^2 of on and off frame `[height, width]` (digital numbers)."""
+        contrast, limit, _ = self._looked(frames)
+        return contrast, limit
+
+    def observe_symbol(self, frames: tuple[Tensor, Tensor], textures: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
+        """The same of the symbol of light textures, one a module; medians tell of all that it leaves dark on the plane.
+
+        What other light has changed by between the frames is taken off. Noisier frames than the camera's raise the threshold. Where
+        nothing is left dark, neither is known.
+        """
+        contrast, limit, without = self._looked(frames)
+        dark = (self.inside > 0) & (self.luminance(textures, torch.zeros_like(limit)[None])[0] < limit)
+        rise = (contrast / without)[dark].median()
+        changed = (contrast / limit)[dark].median().abs() > 1
+        contrast = torch.where(changed, contrast - rise * without, contrast)
+        noise = (contrast / limit)[dark].abs().median() * (SIGMAS * self.params.threshold_sigma)
+        return contrast, limit * noise.nan_to_num(1.0).clamp(min=1)
+
+    def _looked(self, frames: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
+        """Contrast, threshold, and luminance without the lamps' light."""
+        on, off = frames[0][self.crop.slices], self._compensated(frames[1])
+        images = torch.stack([difference(on, off, self.camera), threshold(off, self.camera, self.params), luminance_of(off, self.camera)])
+        contrast, limit, without = avg_pool2d(images[:, None], (1, self.step))[:, 0]
+        return contrast, limit, without
+
+    def _compensated(self, off: Tensor) -> Tensor:
+        """The off frame `[height, width]` as the camera would see the plane where the on frame was exposed, cut at the crop."""
+        if self.off_place is None:
+            return off[self.crop.slices]
+        u, v = self.off_place[:, None]
+        return remap(off[None, None], u, v, padding_mode="border", align_corners=False, normalized_coordinates=True)[0, 0]
+
+    def on_pixels(self, nodes: Tensor) -> Tensor:
+        """Values of nodes `[..., n]` at the pixels, `[..., h, w]`."""
+        return (nodes[..., self.node] * self.weight).sum(-2).unflatten(-1, self.shape)
+
+    def on_nodes(self, image: Tensor) -> Tensor:
+        """Adjoint of `on_pixels`: an image's `[..., h, w]` values gathered by the nodes, `[..., n]`."""
+        shares = (image.flatten(-2)[..., None, :] * self.weight).flatten(-2)
+        return image.new_zeros(*image.shape[:-2], self.rows * self.cols).index_add(-1, self.node.flatten(), shares)
+
+    def luminance(self, textures: Sequence[Tensor], heights: Tensor) -> Tensor:
+        """Luminance `[B, h, w]` in cd/m^2 of light textures, one a module, on heights `[B, h, w]` m at the pixels."""
+        fine = heights.repeat_interleave(self.samples, -2)
+        total = torch.stack([lamp.luminance(texture, fine) for lamp, texture in zip(self.lamps, textures, strict=True)]).sum(0)
+        return average_rows(total, self.samples)
+
+    def symbol(self, contrast: Tensor, limit: Tensor) -> Tensor:
+        """Symbol image `[..., h, w]` in 0..1 as extraction would find it."""
+        return symbol_image(contrast, limit, self.params)
+
+
+def _from(T_ground_body: Tensor, view: View) -> View:
+    """A view of the standing vehicle from where its body is."""
+    return replace(view, T_world_view=T_ground_body @ view.T_world_view)
+
+
+def _place_in_image(view: View, other: View, crop: Crop) -> Tensor:
+    """Where another view sees the plane that a view sees in the pixels of a crop: `[2, h, w]`, -1 to 1 over its image."""
+    rays = view.rays()[(slice(None), *crop.slices)].flatten(1)
+    uv, _ = other.project(view.origin[:, None] - rays * (view.origin[2] / rays[2]))
+    size = uv.new_tensor([[other.width], [other.height]])
+    return (2 * uv / size - 1).float().unflatten(1, (crop.v_stop - crop.v_start, -1))
+
+
+def _place(start: float, stop: float, at: Tensor, count: int) -> tuple[Tensor, Tensor]:
+    """Continuous index of places among count cells from start to stop, clamped, and whether they lie between these."""
+    share = (at - start) / (stop - start)
+    return (share * count - 0.5).clamp(0, count - 1), (share >= 0) & (share <= 1)

@@ -1,0 +1,53 @@
+"""Where the body stands over the ground when frames and drawings are exposed, from what the vehicle's sensors say."""
+
+from dataclasses import dataclass, replace
+
+from torch import Tensor
+
+from controllers.symbol.heights.swing import Swing, exact
+from controllers.symbol.sensing.protocol import Look
+from controllers.symbol.sensing.shape import HERE
+from world.frames import inverse
+
+
+@dataclass(frozen=True)
+class Stances:
+    """The body over a look and the drawing that follows it; all poses `[4, 4]`, float64 on the CPU.
+
+    time_s: of the look's on frame. since: its ground frame in that of the look before. on, off: `T_ground_body` of its two frames in its
+    ground frame. until: the ground frame of when the next drawing is exposed in that of the look. following: `T_ground_body` then.
+    """
+
+    time_s: float = 0.0
+    since: Tensor = HERE
+    on: Tensor = HERE
+    off: Tensor = HERE
+    until: Tensor = HERE
+    following: Tensor = HERE
+
+    @classmethod
+    def of(cls, look: Look, swing: Swing | None, before_s: float) -> "Stances":
+        """With the swing as it is known now; without one the vehicle stands. before_s: time_s of the look before."""
+        now, then = look.ego, look.shown.ego
+        if now is None or then is None or swing is None:
+            return cls()
+        seen_s, next_s = then.time_s + then.age_s, now.time_s + now.age_s + now.period_s
+        half_s = now.period_s / 2
+        return cls(
+            seen_s,
+            exact(then.way(seen_s - before_s)),
+            swing.T_ground_body(seen_s),
+            exact(then.way(half_s)) @ swing.T_ground_body(seen_s + half_s),
+            exact(now.way(next_s - seen_s)),
+            swing.T_ground_body(next_s),
+        )
+
+    @property
+    def still(self) -> bool:
+        """Whether the look is that of a standing vehicle on even wheels."""
+        return self.on.equal(HERE) and self.off.equal(HERE)
+
+    def over(self, T_ground_plane: Tensor) -> "Stances":
+        """The same over a plane at `[4, 4]` in place of the ground, of a vehicle that stands."""
+        T = inverse(T_ground_plane)
+        return replace(self, on=T @ self.on, off=T @ self.off, following=T @ self.following)

@@ -1,0 +1,213 @@
+"""How the body swings on its springs: a Kalman filter of the body and of the road that its wheels are on and will come to.
+
+The rear wheels roll where the front wheels did, and these where the road was seen before: so much of what shakes the body is known.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Final
+
+import torch
+from torch import Tensor
+
+from controllers.symbol.heights.springs import PARTS, followed, news, other
+from perception.egomotion import Ego
+from world.scene.vehicle import SuspensionParams, VehicleParams, body_pose
+
+SPRINGS: Final = SuspensionParams()  # of a usual car
+RATES_HZ: Final = (SPRINGS.heave_hz, SPRINGS.roll_hz, SPRINGS.pitch_hz)
+TRACK_M: Final = float(VehicleParams.model_fields["track_m"].default)
+ROUGH_M: Final = 1e-4  # m^2/m by which a wheel's height walks: between classes C and D of ISO 8608, 2 pi^2 n0^2 Gd(n0)
+CELL_M: Final = 0.2  # of the road's strip, along
+BEHIND_M: Final = 2.0  # how far the strip goes beyond the rear axle
+JERK: Final = (0.8, 0.5, 0.5)  # m/s^3 and rad/s^3, root of the density of what is new in what else shakes the body: heave, roll, pitch
+NOISE: Final = ((1e-3, 2e-4, 2e-4), (5e-3, 2e-3, 2e-3))  # usual, of measured heave, roll and pitch and of their rates
+FIRST: Final = (0.02, 0.1, 0.02, 0.1, 0.5)  # m or rad: usual values and rates on the road, and values, rates and accelerations by others
+UNEVEN_M: Final = 0.05  # usual height of the road
+PITCH_SEEN: Final = 1.5e-4  # rad, how well looks tell how much the body has pitched between them
+OTHER: Final = slice(6, 15)  # states of what other things shake
+LEVEL: Final = 15  # state that tells how the body was pitched when the road was seen last
+BODY: Final = 16  # states before the strip's
+
+
+@dataclass(frozen=True)
+class Swing:
+    """What is known of the body and the road at time_s: mean `[n]` and covariance `[n, n]` of a state, float64 on the CPU.
+
+    State: heave in m, roll and pitch in rad, as the road shakes them, and their rates; the same three as other things shake them, their
+    rates and accelerations; the pitch in rad at the last look that is taken in; the road in m along the wheels' tracks, the mean of both,
+    then left minus right, in cells from start_m on.
+    way_m: driven so far. known_m: how far along it the road was seen. axles_m: x of front and rear axle on the ground. distance_m: of the
+    symbol from the middle between them, where a rise of the body looks like a pitch. looks: at later times, by how many rad the body had
+    pitched since the one before, None where that is not known.
+    """
+
+    time_s: float
+    way_m: float
+    speed_m_s: float
+    start_m: float
+    known_m: float
+    axles_m: tuple[float, float]
+    mean: Tensor
+    covariance: Tensor
+    distance_m: float
+    looks: tuple[tuple[float, float | None], ...] = ()
+
+    @classmethod
+    def first(cls, ego: Ego, reach_m: float, symbol_x_m: float) -> "Swing":
+        """After the first measurement, with a strip up to reach_m ahead."""
+        front, rear = 2 * ego.pivot_x_m - ego.rear_x_m, ego.rear_x_m
+        start = math.floor((rear - BEHIND_M) / CELL_M) * CELL_M
+        count = math.ceil((reach_m - start) / CELL_M)
+        covariance = torch.diag(torch.tensor(FIRST, dtype=torch.float64).square().repeat_interleave(3))
+        covariance = torch.block_diag(covariance, covariance[:1, :1], *(share * (UNEVEN_M**2 + _walk(count)) for share in (0.5, 2.0)))
+        mean = torch.zeros(BODY + 2 * count, dtype=torch.float64)
+        swing = cls(ego.time_s, 0.0, float(ego.speed_m_s), start, start, (front, rear), mean, covariance, symbol_x_m - ego.pivot_x_m)
+        rest = torch.eye(len(mean), dtype=torch.float64)
+        rest[:3, BODY:] = swing._bases(torch.zeros(1, dtype=torch.float64))[0]  # the body rests on the road
+        return replace(swing, covariance=rest @ covariance @ rest.T)._measured(ego)
+
+    @property
+    def pivot_x_m(self) -> float:
+        """Where on the ground the body rolls and pitches."""
+        return sum(self.axles_m) / 2
+
+    @property
+    def pitch_rad(self) -> float:
+        """Pitch `[]` at its time, with the rise as a pitch."""
+        return float(self._pitch() @ self.mean)
+
+    @property
+    def level_rad(self) -> float:
+        """The same at the last look that is taken in, as it is known now."""
+        return float(self.mean[LEVEL])
+
+    def updated(self, ego: Ego) -> "Swing":
+        """After another measurement; one that was there before changes nothing."""
+        if ego.time_s <= self.time_s:
+            return self
+        past = tuple(look for look in self.looks if look[0] <= ego.time_s)
+        swing = replace(self, speed_m_s=float(ego.speed_m_s), looks=past).caught_up().at(ego.time_s)._measured(ego)
+        return replace(swing, looks=self.looks[len(past) :])
+
+    def foretold(self, time_s: float) -> bool:
+        """Whether nothing was measured yet after a time."""
+        return time_s > self.time_s - 1e-6
+
+    def looked(self, time_s: float, pitched_rad: float | None) -> "Swing":
+        """With another look, after which the body had pitched by so much since the one before."""
+        return replace(self, looks=(*self.looks, (time_s, pitched_rad)))
+
+    def caught_up(self) -> "Swing":
+        """At the time of the last look, with all of them taken in."""
+        swing = self
+        for time_s, pitched_rad in self.looks:
+            swing = swing.at(time_s)
+            row = swing._pitch()
+            row[LEVEL] -= 1
+            if pitched_rad is not None:
+                swing = swing._learnt(row[None], torch.tensor([pitched_rad]).double(), torch.tensor([PITCH_SEEN**2]).double())
+            taken = torch.eye(len(row), dtype=torch.float64)
+            taken[LEVEL] = swing._pitch()
+            swing = replace(swing, mean=taken @ swing.mean, covariance=taken @ swing.covariance @ taken.T)
+        return replace(swing, looks=())
+
+    def unseen(self) -> Tensor:
+        """How far along the way the strip's cells are that were not seen yet: `[k]` m."""
+        cells = self._cells()
+        return cells[cells > self.known_m + CELL_M / 2]
+
+    def seen(self, way_m: Tensor, heights: Tensor, variance: Tensor) -> "Swing":
+        """After the road was seen so far `[k]` m along the way: heights `[2, k]` m of left and right track, of variance `[2, k]` m^2."""
+        if not len(way_m):
+            return self
+        at, none = self._weights(way_m), torch.zeros(len(way_m), len(self._cells()), dtype=torch.float64)
+        rows = [torch.cat([none.new_zeros(len(way_m), BODY), at, side * at / 2], 1) for side in (1, -1)]
+        return replace(self, known_m=float(way_m[-1]))._learnt(torch.cat(rows), exact(heights).flatten(), exact(variance).flatten())
+
+    def T_ground_body(self, time_s: float) -> Tensor:
+        """Pose `[4, 4]` of the body over the ground at another time."""
+        body = self._transition(time_s - self.time_s) @ self.mean
+        return body_pose(_shaken(0, BODY) @ body, self.pivot_x_m)
+
+    def _measured(self, ego: Ego) -> "Swing":
+        rows = torch.cat([_shaken(0, len(self.mean)), _shaken(1, len(self.mean))])
+        values = torch.cat([exact(ego.attitude), exact(ego.rates)])
+        return self._learnt(rows, values, torch.tensor(NOISE, dtype=torch.float64).square().flatten())
+
+    def _learnt(self, rows: Tensor, values: Tensor, variance: Tensor) -> "Swing":
+        """After values `[k]` of rows `[k, n]` times the state were found."""
+        shared = rows @ self.covariance
+        gain = torch.linalg.solve(shared @ rows.T + torch.diag(variance), shared).T
+        covariance = self.covariance - gain @ shared
+        return replace(self, mean=self.mean + gain @ (values - rows @ self.mean), covariance=(covariance + covariance.T) / 2)
+
+    def _pitch(self) -> Tensor:
+        heave, _, pitch = _shaken(0, len(self.mean))
+        return pitch - heave / self.distance_m
+
+    def at(self, time_s: float) -> "Swing":
+        """At another time, at this speed; the strip goes along by whole cells."""
+        duration_s = time_s - self.time_s
+        body, strip = self._transition(duration_s), slice(BODY, None)
+        shared = body @ self.covariance
+        covariance = self.covariance.clone()
+        covariance[:BODY, :BODY] = shared @ body.T
+        covariance[OTHER, OTHER] += torch.kron(news(max(duration_s, 0.0)), torch.diag(torch.tensor(JERK, dtype=torch.float64).square()))
+        covariance[:BODY, strip], covariance[strip, :BODY] = shared[:, strip], shared[:, strip].T
+        mean, way_m = torch.cat([body @ self.mean, self.mean[strip]]), self.way_m + self.speed_m_s * duration_s
+        count, shift = len(self._cells()), max(math.floor((way_m + self.axles_m[1] - BEHIND_M - self.start_m) / CELL_M), 0)
+        kept = (torch.arange(count) + shift).clamp(max=count - 1)  # the road goes on as high as it was seen last
+        order = torch.cat([torch.arange(BODY), BODY + kept, BODY + count + kept])
+        mean, covariance = mean[order], covariance[order][:, order]
+        new = torch.nn.functional.pad(_walk(min(shift, count)), (max(count - shift, 0), 0) * 2)
+        covariance = covariance + torch.block_diag(new.new_zeros(BODY, BODY), 0.5 * new, 2.0 * new)
+        return replace(self, time_s=time_s, way_m=way_m, start_m=self.start_m + shift * CELL_M, mean=mean, covariance=covariance)
+
+    def _transition(self, duration_s: float) -> Tensor:
+        """The body `[BODY, n]` after some time at this speed, as a share of each state now."""
+        share = torch.linspace(0, 1, PARTS + 1, dtype=torch.float64)
+        bases = self._bases(self.way_m + self.speed_m_s * duration_s * share)
+        found = bases.new_zeros(BODY, len(self.mean))
+        for mode, rate_hz in enumerate(RATES_HZ):
+            answer, at = followed(rate_hz, SPRINGS.damping, duration_s), [mode, 3 + mode]
+            found[at, mode], found[at, 3 + mode] = answer[:, 0], answer[:, 1]
+            found[at, BODY:] = answer[:, 2:] @ bases[:, mode]
+        found[OTHER, OTHER] = torch.kron(other(duration_s), torch.eye(3, dtype=torch.float64))
+        found[LEVEL, LEVEL] = 1
+        return found
+
+    def _bases(self, way_m: Tensor) -> Tensor:
+        """What heave, roll and pitch follow, `[k, 3, cells of both strips]`, where the car is so far `[k]` along its way."""
+        front, rear = (self._weights(way_m + axle) for axle in self.axles_m)
+        none = torch.zeros_like(front)
+        heave, pitch = (front + rear) / 2, (rear - front) / (self.axles_m[0] - self.axles_m[1])
+        modes = ((heave, none), (none, heave / TRACK_M), (pitch, none))
+        return torch.stack([torch.cat(mode, 1) for mode in modes], 1)
+
+    def _weights(self, way_m: Tensor) -> Tensor:
+        """Shares `[k, cells]` of the cells in what lies between them, so far `[k]` along the way."""
+        cells = self._cells()
+        return (1 - (way_m.clamp(cells[0], cells[-1])[:, None] - cells).abs() / CELL_M).clamp(min=0)
+
+    def _cells(self) -> Tensor:
+        return self.start_m + CELL_M * torch.arange((len(self.mean) - BODY) // 2, dtype=torch.float64)
+
+
+def _walk(count: int) -> Tensor:
+    """Covariance `[count, count]` of a wheel's height along cells, of what comes after a known one."""
+    steps = torch.arange(1, count + 1, dtype=torch.float64)
+    return ROUGH_M * CELL_M * torch.minimum(steps[:, None], steps)
+
+
+def _shaken(derivative: int, states: int) -> Tensor:
+    """Heave, roll and pitch (or their rates), `[3, n]` on the state."""
+    rows = torch.zeros(3, states, dtype=torch.float64)
+    for mode in range(3):
+        rows[mode, [3 * derivative + mode, 6 + 3 * derivative + mode]] = 1
+    return rows
+
+
+def exact(values: Tensor) -> Tensor:
+    """The same in float64 on the CPU, which filters and poses need."""
+    return values.detach().cpu().double()

@@ -1,0 +1,1 @@
+"""Feedback laws without heights of the road, and the stages around them."""

@@ -1,0 +1,126 @@
+"""Feedback over the flat model's whole Jacobian: Gauss-Newton on the features, and an internal model of what should be seen.
+
+Both correct the target's pose by four numbers. Gauss-Newton adds up `-J^-1 (features seen - features of the target)`. The model reference
+takes the road for a constant offset of the pose, `J^-1 (features seen - features that a flat road would show of the same light)`, and
+subtracts it. Since it compares with the light that was seen, be it as old as it may, latency does not matter to it, nor a symbol cut off.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from controllers.symbol.laws.stages import StagedParams
+from controllers.symbol.sensing.drawing import Drawing
+from controllers.symbol.sensing.flat_model import PROBE
+from controllers.symbol.sensing.observer import Observer
+from controllers.symbol.sensing.protocol import Look
+from perception.extraction import Loss
+from world.params import Degrees, Metres
+
+
+class FeedbackParams(StagedParams):
+    """What both laws have in common."""
+
+    dof: Literal["z", "x"] = Field("z", description="what shifts the symbol along the road: height or place of its rectangle")
+    gain: float = Field(0.7, gt=0, le=1, description="share of a correction that a step makes")
+    shift_range_m: tuple[Metres, Metres] = Field(
+        (-9.0, 23.0), description="limits of the correction along x, or of what a height amounts to"
+    )
+    y_range_m: tuple[Metres, Metres] = Field((-6.0, 6.0), description="limits of the correction of y")
+    roll_range_deg: tuple[Degrees, Degrees] = Field((-7.0, 7.0), description="limits of the correction of roll")
+    pitch_range_deg: tuple[Degrees, Degrees] = Field((-4.0, 2.2), description="limits of the correction of pitch, nose down positive")
+    losses_to_reset: int = Field(
+        2, ge=1, le=1_000_000, description="consecutive failed extractions after which the flat-road primitive is shown again"
+    )
+
+
+class GaussNewtonParams(FeedbackParams):
+    """Gauss-Newton steps on four features of the symbol: the whole Jacobian in place of four gains."""
+
+    name: Literal["gauss_newton"] = "gauss_newton"
+
+
+class ModelReferenceParams(FeedbackParams):
+    """Compares with what a flat road would show of the same light, so that latency does not matter to it."""
+
+    name: Literal["model_reference"] = "model_reference"
+
+
+@dataclass(frozen=True)
+class FeedbackState:
+    """correction: `[..., 4]` of x or z in m, y in m, roll, pitch in rad. losses: `[...]` int64, failed extractions in a row.
+
+    pose: `[..., 4]`, to be shown in place of a correction, None after the first step.
+    """
+
+    correction: Tensor
+    losses: Tensor
+    pose: Tensor | None = None
+
+
+class Feedback:
+    """One of the laws."""
+
+    def __init__(self, params: FeedbackParams, observer: Observer) -> None:
+        self.params, self.observer = params, observer
+        self.target = observer.projector.target
+        height = torch.stack([module.T_world_headlight[2, 3] for module in observer.projector.modules]).mean()
+        self.m_per_z = float(self.target[0] / height) if params.dof == "z" else 1.0
+        lows, highs = zip(
+            params.shift_range_m,
+            params.y_range_m,
+            *(tuple(map(math.radians, ends)) for ends in (params.roll_range_deg, params.pitch_range_deg)),
+            strict=True,
+        )
+        self.low, self.high = (self.target.new_tensor(ends) for ends in (lows, highs))
+        if params.dof == "z":  # heights that cast the same light as those places
+            places = [max(float(self.target[0]) + end, 1.0) for end in params.shift_range_m]
+            self.low[0], self.high[0] = (float(height * (1 - self.target[0] / place)) for place in places)
+        probe = torch.diag(self.target.new_tensor(PROBE))
+        probe[0, 0] /= self.m_per_z
+        columns = [(self._expected(h) - self._expected(-h)) / (2 * h.sum()) for h in probe]
+        self.inverse = torch.linalg.pinv(torch.stack(columns, -1).double()).to(self.target)
+
+    def start(self, pose: Tensor) -> FeedbackState:
+        """State that shows the pose `[..., 4]` first."""
+        correction = pose - self.target
+        if self.params.dof == "z":
+            height = self.target[0] / self.m_per_z
+            correction = torch.cat([height * (1 - self.target[:1] / pose[..., :1]), correction[..., 1:]], -1)
+        losses = torch.zeros(pose.shape[:-1], dtype=torch.int64, device=pose.device)
+        return FeedbackState(correction.clamp(self.low, self.high), losses, pose)
+
+    def drawing(self, state: FeedbackState) -> Drawing:
+        """The symbol as it is at the corrected target."""
+        return self._drawn(state.correction) if state.pose is None else Drawing(state.pose)
+
+    def step(self, state: FeedbackState, look: Look) -> FeedbackState:
+        """Correct by what was seen; hold while the symbol is lost, show the flat-road primitive after repeated loss."""
+        usable = (look.seen.code == Loss.SEEN) & look.seen.errors.isfinite().all(-1)
+        lost = ~usable & (look.seen.code != Loss.NO_FRAME)
+        losses = torch.where(usable, 0, state.losses + lost)
+        offset = torch.where(usable[..., None], look.seen.errors, 0.0)
+        if isinstance(self.params, ModelReferenceParams):
+            rendered = self.observer.rendered(look.shown.drawing, look.shown.lights)
+            offset = torch.where(usable[..., None], offset + self.observer.model.target - rendered, 0.0)
+            wanted = -offset @ self.inverse.T
+        else:
+            wanted = state.correction - offset @ self.inverse.T
+        moved = torch.lerp(state.correction, wanted, self.params.gain).clamp(self.low, self.high)
+        reset = losses >= self.params.losses_to_reset
+        correction = torch.where(usable[..., None], moved, state.correction)
+        return FeedbackState(torch.where(reset[..., None], 0.0, correction), torch.where(reset, 0, losses))
+
+    def _drawn(self, correction: Tensor) -> Drawing:
+        if self.params.dof == "x":
+            return Drawing(self.target + correction)
+        shift = torch.cat([torch.zeros_like(correction[..., :1]), correction[..., 1:]], -1)
+        return Drawing(self.target + shift, correction[..., 0])
+
+    def _expected(self, correction: Tensor) -> Tensor:
+        drawing = self._drawn(correction)
+        return self.observer.rendered(drawing, self.observer.projector.draw(drawing))

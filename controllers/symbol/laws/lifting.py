@@ -1,0 +1,73 @@
+"""A stage on top of any controller: what it draws is lifted onto the road that an acquisition found."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from torch import Tensor
+
+from controllers.symbol.sensing.drawing import Drawing
+from controllers.symbol.sensing.observer import Observer
+from controllers.symbol.sensing.protocol import Look, SymbolController
+from perception.extraction import Loss
+
+LOSSES = 4  # in a row, after which a shape is given up: more than after which controllers show their target again
+
+
+@dataclass(frozen=True)
+class LiftingState:
+    """inner: the controller's state. shape: `[4]` of the road that is drawn for, None for the plane z = 0. losses: in a row, on a shape."""
+
+    inner: Any
+    shape: Tensor | None = None
+    losses: int = 0
+
+
+class Lifting:
+    """The controller draws and sees as on the plane z = 0, and begins anew at the target on every other road that is acquired."""
+
+    def __init__(self, inner: SymbolController, observer: Observer) -> None:
+        self.inner, self.observer, self.projector = inner, observer, observer.projector
+
+    def start(self, pose: Tensor) -> LiftingState:
+        """State that shows the pose `[..., 4]` first."""
+        return LiftingState(self.inner.start(pose))
+
+    def drawing(self, state: LiftingState) -> Drawing:
+        """The controller's, for the road as it is known."""
+        drawing = self.inner.drawing(state.inner)
+        return drawing if state.shape is None else replace(drawing, shape=state.shape)
+
+    def step(self, state: LiftingState, look: Look) -> LiftingState:
+        """Step the controller by what was drawn for the road as it is known; the errors of earlier light are those of another plant."""
+        shape, losses = self._known(state, look)
+        if not _same(shape, state.shape):
+            return LiftingState(self.inner.start(self.projector.target), shape)
+        if not _same(look.shown.drawing.shape, shape):
+            return state
+        if shape is not None:
+            drawing = replace(look.shown.drawing, shape=None)
+            look = replace(look, shown=replace(look.shown, drawing=drawing, lights=self.projector.draw(drawing)))
+        return LiftingState(self.inner.step(state.inner, look), shape, losses)
+
+    def _known(self, state: LiftingState, look: Look) -> tuple[Tensor | None, int]:
+        """The road's shape after a look, None on the move, which shapes do not follow, and how often in a row the symbol was lost on it."""
+        moving = look.ego is not None and bool(look.ego.speed_m_s != 0)
+        if look.seen.code.dim() or moving:
+            return None, 0
+        if look.seen.code == Loss.SEEN:
+            return self._beyond(look) if look.seen.acquired is None else look.seen.shape, 0
+        losses = state.losses + int(state.shape is not None and look.seen.code != Loss.NO_FRAME)
+        return (None, 0) if losses == LOSSES else (state.shape, losses)
+
+    def _beyond(self, look: Look) -> Tensor | None:
+        """The shape on which the symbol was looked for, or that of a farther road where the symbol reaches the footprint's ends."""
+        known = look.seen.shape
+        if look.frames is None or not self.observer.at_ends(look.seen):
+            return known
+        found = self.observer.acquire(look.frames, look.shown.lights)
+        risen = found.shape[0] - (0.0 if known is None else known[0])
+        return found.shape if found.found and risen.abs() > self.observer.params.footprint_margin_m else known
+
+
+def _same(a: Tensor | None, b: Tensor | None) -> bool:
+    return a is b or (a is not None and b is not None and a.equal(b))

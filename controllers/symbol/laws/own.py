@@ -1,0 +1,24 @@
+"""A controller of the user's own, named in the scenario by `package.module:Name`."""
+
+from typing import Any, cast
+
+from pydantic import Field
+
+from controllers.symbol.laws.stages import StagedParams
+from controllers.symbol.sensing.observer import Observer
+from controllers.symbol.sensing.protocol import SymbolController
+from world import plugin
+
+METHODS = ("start", "drawing", "step")
+
+
+class OwnParams(StagedParams):
+    """`Name(observer, **options)` of a module of the user's own makes the controller."""
+
+    name: plugin.OwnName
+    options: dict[str, Any] = Field({}, description="keyword arguments of Name, beside the observer")
+
+
+def own_controller(params: OwnParams, observer: Observer) -> SymbolController:
+    """Import and call it. Raises LuxloopError where there is none, it does not take what it is given, or lacks a method."""
+    return cast(SymbolController, plugin.make(params.name, "controller.name", {"observer": observer}, params.options, METHODS))

@@ -1,0 +1,82 @@
+"""A stage on top of any controller: the open loop is shown where the controller's symbol lies no better, or something hides the road."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from controllers.symbol.laws.alignment import Alignment
+from controllers.symbol.sensing.drawing import Drawing
+from controllers.symbol.sensing.observer import Observer
+from controllers.symbol.sensing.protocol import Look, SymbolController
+from perception.extraction import Loss
+from world.params import Params
+
+
+class SupervisorParams(Params):
+    """When a controller is given the charge, and when it loses it."""
+
+    grace_steps: int = Field(
+        8, ge=1, le=1_000_000, description="looks at the controller's symbol, after which it has to lie better than the open loop's"
+    )
+    explained: float = Field(
+        0.3, ge=0, le=1, description="share of the residual that registration explains at least; of obstacles it is less"
+    )
+    changed: float = Field(0.05, gt=0, le=1, description="change of the open loop's residual, 1 minus IoU, that is worth another try")
+
+
+@dataclass(frozen=True)
+class SupervisingState:
+    """inner: state of the controller in charge, None for the open loop. opened: residual of the open loop when it was last seen.
+
+    looks: at the controller's symbol so far. failed: residual of the open loop that nothing could be done about, None for none.
+    """
+
+    inner: Any = None
+    opened: float = 1.0
+    looks: int = 0
+    failed: float | None = None
+
+
+class Supervising:
+    """Begins with the open loop; the controller takes over from there where the road is uneven, as long as it is better."""
+
+    def __init__(self, params: SupervisorParams, inner: SymbolController, observer: Observer) -> None:
+        self.params, self.inner, self.target = params, inner, observer.projector.target
+        self.alignment = Alignment.prepare(observer)
+        self.flat = Drawing(self.target)
+
+    def start(self, pose: Tensor) -> SupervisingState:
+        """The open loop, whatever the pose `[4]`."""
+        return SupervisingState()
+
+    def drawing(self, state: SupervisingState) -> Drawing:
+        """The open loop's, or the controller's."""
+        return self.flat if state.inner is None else self.inner.drawing(state.inner)
+
+    def step(self, state: SupervisingState, look: Look) -> SupervisingState:
+        """Judge what was seen, then step the controller if it is in charge."""
+        if look.seen.code == Loss.NO_FRAME:
+            return state if state.inner is None else replace(state, inner=self.inner.step(state.inner, look))
+        image = self.alignment.image(look.seen) if look.seen.code == Loss.SEEN else torch.zeros_like(self.alignment.target)
+        residual = float(self.alignment.residual(image))
+        opened = look.shown.drawing.shows(self.flat)
+        if state.inner is None:
+            return self._tried(residual, image, state, look) if opened else state
+        if opened:
+            return replace(state, opened=residual, inner=self.inner.step(state.inner, look))
+        if state.looks >= self.params.grace_steps and residual >= state.opened:
+            return SupervisingState(failed=state.opened)
+        return replace(state, looks=state.looks + 1, inner=self.inner.step(state.inner, look))
+
+    def _tried(self, residual: float, image: Tensor, state: SupervisingState, look: Look) -> SupervisingState:
+        """The controller, unless it has failed here before or a registration explains too little, as where something hides the road."""
+        if look.seen.code != Loss.SEEN or (state.failed is not None and abs(residual - state.failed) < self.params.changed):
+            return state
+        placement = self.alignment.register(image, "homography+mesh")
+        left = float(self.alignment.residual(self.alignment.undone(image, placement)))
+        if left > (1 - self.params.explained) * residual:
+            return SupervisingState(failed=residual)
+        return SupervisingState(self.inner.step(self.inner.start(self.target), look), residual)

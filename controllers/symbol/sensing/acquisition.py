@@ -1,0 +1,171 @@
+"""Acquisition: the road's height, slopes and curvature from where in the whole image the pattern that was shown appears.
+
+All light of a lamp leaves one point, so a road's shape gives for each ray where the camera sees its light: the image is sampled there and
+compared with the pattern in the lamp's own coordinates by normalised cross-correlation, which depends neither on how bright nor on how
+large the symbol appears. Many shapes are tried, and the best of them refined.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import torch
+from kornia.filters import gaussian_blur2d
+from kornia.geometry.transform import remap
+from torch import Tensor
+from torch.nn.functional import adaptive_avg_pool2d, pad
+
+from controllers.symbol.sensing.projector import DrawingModule, Projector
+from controllers.symbol.sensing.shape import reached
+from perception.camera import CameraParams, camera_view
+from world.texels import TexelGrid
+from world.view import View
+
+GRID = (28, 16)  # rays of a pattern, along and across
+MARGIN = 0.5  # of the pattern's extent, that is compared around it and has to be dark
+DIM = 0.1  # of the brightest light: what is dimmer is no part of the pattern
+DISTANCES_M = (6.0, 70.0)  # ahead of the lamp, where the pattern's middle may lie
+ROWS = 2.0  # image rows between two distances that are tried
+HIGHEST_M, STEEPEST, CURVED = 1.2, 0.2, 1 / 100  # largest height at x0, slope, and curvature in 1/m
+SLOPES = ((-0.13, -0.08, -0.05, -0.03, -0.015, 0.0, 0.015, 0.03, 0.05, 0.08, 0.13), (-0.05, -0.02, 0.0, 0.02, 0.05))  # tried: along, across
+STEPS = (0.04, 0.008, 0.015, 0.004)  # of the parameters, when the best of these are refined
+KEPT = 4  # of all that are tried
+ROUNDS = 6  # of refinement, each with half the steps of the one before
+BLUR, BLURRED_OVER = (1.0, 2.5), (7, 15)  # rows and columns of the image
+USUAL, WORTH = (0.5, 0.03, 0.03, 1 / 300), 0.005  # parameters, and what larger ones cost of the correlation
+LIT = 0.5  # of the brightest light: where an area counts as lit
+NEAREST_M, FARTHEST_M, NOWHERE_PX = 0.1, 1e3, -1e6
+LEAST_MATCH = 0.5  # of a pattern that is there
+FAINT_PX = 20.0  # fewer lit pixels are no pattern
+
+
+@dataclass(frozen=True)
+class Acquired:
+    """A road's shape `[4]`, the correlation with what it predicts, and that with what a flat road does; at most 1."""
+
+    shape: Tensor
+    match: float
+    flat: float
+
+    @property
+    def found(self) -> bool:
+        """Whether the pattern is there, and its shape explains at least half of what a flat road leaves open."""
+        return self.match > max(LEAST_MATCH, (self.flat + 1) / 2)
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """Rays of a lamp. values: `[rows, cols]`, the mean of the light around them, at most 1. origin: `[3]` m. rays: `[3, rows, cols]`."""
+
+    values: Tensor
+    origin: Tensor
+    rays: Tensor
+
+    @classmethod
+    def of(cls, texture: Tensor, grid: TexelGrid, T_ground_headlight: Tensor) -> Self | None:
+        """The part of a light texture `[rows, cols]` cd that is lit, and its surroundings; None where all is dark."""
+        lit = texture > DIM * texture.max()
+        if not bool(lit.any()):
+            return None
+        (top, bottom), (left, right) = (_extent(lit.any(dim)) for dim in (1, 0))
+        n, m = GRID
+        window = pad(texture, (-left, right - grid.cols, -top, bottom - grid.rows))  # beyond the texture all is dark
+        values = adaptive_avg_pool2d(window[None, None] / texture.max(), GRID)[0, 0]
+        row = top + (bottom - top) * (torch.arange(n).to(texture) + 0.5) / n
+        col = left + (right - left) * (torch.arange(m).to(texture) + 0.5) / m
+        y = grid.left + (grid.right - grid.left) * col / grid.cols
+        z = grid.top + (grid.bottom - grid.top) * row / grid.rows
+        T = T_ground_headlight.to(texture)
+        rays = torch.stack([torch.ones(n, m).to(texture), y.expand(n, m), z[:, None].expand(n, m)])
+        return cls(values, T[:3, 3], (T[:3, :3] @ rays.flatten(1)).view_as(rays))
+
+
+def _extent(lit: Tensor) -> tuple[int, int]:
+    """First and last of what is lit, with the margin."""
+    places = lit.nonzero()[:, 0].tolist()
+    margin = math.ceil(MARGIN * (places[-1] + 1 - places[0]))
+    return places[0] - margin, places[-1] + 1 + margin
+
+
+@dataclass(frozen=True)
+class Acquisition:
+    """Looks for the light of a projector's modules in the images of a camera."""
+
+    modules: tuple[DrawingModule, ...]
+    view: View
+    x0_m: float
+
+    @classmethod
+    def prepare(cls, projector: Projector, camera: CameraParams) -> Self:
+        """For the standing vehicle."""
+        return cls(projector.modules, camera_view(camera), projector.params.x_m)
+
+    def find(self, symbol: Tensor, textures: Sequence[Tensor]) -> Acquired:
+        """The shape that explains best where a symbol image `[height, width]` shows the light of textures, one a module."""
+        patterns = self._patterns(textures)
+        if not patterns or float(symbol.sum()) < FAINT_PX:
+            return Acquired(symbol.new_zeros(4), 0.0, 0.0)
+        image = gaussian_blur2d(symbol[None, None], BLURRED_OVER, BLUR)
+        shapes = self._tried(patterns[0])
+        matches = self._matches(shapes, image, patterns)
+        step = symbol.new_tensor(STEPS)
+        around = torch.cartesian_prod(*[symbol.new_tensor([-1.0, 0.0, 1.0])] * 4)
+        for _ in range(ROUNDS):
+            best = shapes[matches.topk(KEPT).indices]
+            shapes = (best[:, None] + around * step).flatten(0, 1)
+            matches = self._matches(shapes, image, patterns)
+            step = step / 2
+        match, best = matches.max(0)
+        flat = self._matches(torch.zeros_like(shapes[:1]), image, patterns)
+        return Acquired(shapes[best], float(match), float(flat))
+
+    def area(self, shape: Tensor, textures: Sequence[Tensor]) -> Tensor:
+        """How many pixels `[]` of the image a road of this shape `[4]` shows lit by textures, one a module."""
+        areas = []
+        for pattern in self._patterns(textures):
+            u, v = self._seen_at(shape[None], pattern)[0].view(2, *pattern.values.shape)
+            (u_down, u_right), (v_down, v_right) = (torch.gradient(each) for each in (u, v))
+            areas.append(((u_right * v_down - u_down * v_right).abs() * (pattern.values > LIT)).sum())
+        return torch.stack(areas).amax() if areas else shape.new_zeros(())
+
+    def _patterns(self, textures: Sequence[Tensor]) -> list[Pattern]:
+        """Of all modules that are lit."""
+        found = (
+            Pattern.of(texture, module.pixel_controller.headlight, module.T_world_headlight)
+            for module, texture in zip(self.modules, textures, strict=True)
+        )
+        return [pattern for pattern in found if pattern is not None]
+
+    def _matches(self, shapes: Tensor, image: Tensor, patterns: Sequence[Pattern]) -> Tensor:
+        """Correlation `[k]` of patterns with where shapes `[k, 4]` would have them in an image `[1, 1, height, width]`."""
+        possible = (shapes.abs() <= shapes.new_tensor((HIGHEST_M, STEEPEST, STEEPEST, CURVED))).all(-1)
+        unusual = WORTH * (shapes / shapes.new_tensor(USUAL)).square().log1p().sum(-1)
+        return torch.where(possible, torch.stack([self._match(shapes, image, each) for each in patterns]).mean(0) - unusual, -1.0)
+
+    def _match(self, shapes: Tensor, image: Tensor, pattern: Pattern) -> Tensor:
+        size = image.new_tensor([[image.shape[-1]], [image.shape[-2]]])
+        u, v = (2 * self._seen_at(shapes, pattern) / size - 1).unbind(1)
+        seen = remap(image, u[None], v[None], padding_mode="zeros", align_corners=False, normalized_coordinates=True)[0, 0]
+        seen, values = seen - seen.mean(-1, keepdim=True), (pattern.values - pattern.values.mean()).flatten()
+        return seen @ values / (seen.norm(dim=-1) * values.norm()).clamp(min=1e-6)
+
+    def _seen_at(self, shapes: Tensor, pattern: Pattern) -> Tensor:
+        """Image coordinates `[k, 2, rays]` px of where each ray of a pattern meets roads of shapes `[k, 4]`; far outside for nowhere."""
+        rays = pattern.rays.flatten(1)
+        share = reached(shapes, self.x0_m, pattern.origin, rays).clamp(max=FARTHEST_M)
+        uv, depth = self.view.project((pattern.origin[:, None, None] + rays[:, None] * share).flatten(1))
+        return torch.where(depth > NEAREST_M, uv, NOWHERE_PX).view(2, *share.shape).transpose(0, 1)
+
+    def _tried(self, pattern: Pattern) -> Tensor:
+        """Shapes `[k, 4]` that meet the middle ray of a pattern at distances some image rows apart, with all slopes at each."""
+        middle = pattern.rays[:, GRID[0] // 2, GRID[1] // 2]
+        x = torch.linspace(*DISTANCES_M, 2000).to(middle)
+        points = pattern.origin[:, None] + middle[:, None] * ((x - pattern.origin[0]) / middle[0])
+        uv, _ = self.view.project(points)
+        number = ((uv[1] - uv[1, 0]).abs() / ROWS).floor()
+        x, y, z = points[:, torch.cat([number.new_ones(1, dtype=torch.bool), number.diff() > 0])]
+        b, c = (middle.new_tensor(tried) for tried in SLOPES)
+        x, y, z, b, c = torch.broadcast_tensors(*(v[:, None, None] for v in (x, y, z)), b[:, None], c)
+        a = z - b * (x - self.x0_m) - c * y
+        return torch.stack([a, b, c, torch.zeros_like(a)], -1).flatten(0, 2)

@@ -1,0 +1,129 @@
+"""The controller's internal model: what the camera would see of the projected symbol on a flat, empty road, without noise."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from controllers.pixels.ssc import Utilisation
+from controllers.symbol.sensing.drawing import Drawing
+from controllers.symbol.sensing.projector import Projector
+from perception.appearance import Appearance, Axes, appearance, area, features, image_axes
+from perception.birdseye import BirdsEye, birds_eye, rectify, region_around
+from perception.camera import CameraParams, average_rows, camera_view
+from perception.extraction import Crop, Extraction, noise_limit, symbol_image
+from world.light.ambient import ambient_luminance
+from world.light.illumination import Transport, added_light, reach, transport
+from world.materials.library import RoadSurfaceParams
+from world.params import Params
+from world.rendering.flat_road import flat_road
+from world.view import View
+
+# Steps of the symbol's x, y (m), roll, pitch (rad) about the target that measure the plant's gains: wide enough to drown pixel edges.
+PROBE = (0.3, 0.1, math.radians(1.0), math.radians(0.5))
+# Degrees of freedom and errors are paired crosswise: x acts on the image's v, y on its u.
+PAIRED = (1, 0, 2, 3)
+
+
+class FeatureParams(Params):
+    """What of the symbol the controller looks at."""
+
+    view: Literal["raw", "birdseye"] = Field("raw", description="the camera's image, or the z = 0 plane rectified")
+    shape: Literal["quadrants", "moments"] = Field("quadrants", description="quadrant centroids as in the thesis, or second moments")
+
+
+@dataclass(frozen=True)
+class Eye:
+    """Turns symbol images into features; plane is the bird's-eye view, None for the raw image."""
+
+    view: View
+    plane: BirdsEye | None
+    shape: str
+
+    def look(self, symbol: Tensor, crop: Crop) -> Appearance:
+        """Appearance of a symbol image `[..., h, w]` that was cut from the camera's image at crop."""
+        return appearance(*self._in_axes(symbol, crop))
+
+    def area(self, symbol: Tensor, crop: Crop) -> Tensor:
+        """The appearance's area alone, `[...]`."""
+        return area(*self._in_axes(symbol, crop))
+
+    def _in_axes(self, symbol: Tensor, crop: Crop) -> tuple[Tensor, Axes]:
+        if self.plane is None:
+            height, width = symbol.shape[-2:]
+            return symbol, image_axes(height, width, crop.u_start, crop.v_start, symbol)
+        return rectify(self.plane, symbol, crop.u_start, crop.v_start), self.plane.axes
+
+    def features(self, seen: Appearance) -> Tensor:
+        """Features `[..., 4]`: centre u, centre v, roll, pitch."""
+        return features(seen, self.shape)
+
+
+@dataclass(frozen=True)
+class FlatModel:
+    """Light transport a module on the flat road, base beams and threshold `[height, width]` in cd/m^2 there, and the eye that looks at it.
+
+    target: `[4]` features at the target. gains: `[4]`, change of the paired feature per m or rad of x, y, roll, pitch there.
+    albedo: of the road.
+    """
+
+    transports: tuple[Transport, ...]
+    beams: Tensor
+    limit: Tensor
+    params: Extraction
+    eye: Eye
+    target: Tensor
+    gains: Tensor
+    albedo: float
+
+    def luminance(self, lights: Sequence[Utilisation]) -> Tensor:
+        """Luminance `[..., height, width]` in cd/m^2 that the lamps add to their base beams on the flat road."""
+        return added_light(self.transports, lights, self._without_beams)
+
+    @cached_property
+    def _without_beams(self) -> Tensor:
+        return -self.beams
+
+    def symbol(self, lights: Sequence[Utilisation], crop: Crop) -> Tensor:
+        """Symbol image `[..., h, w]` that extraction would find without noise."""
+        return symbol_image(self.luminance(lights)[..., *crop.slices], self.limit[crop.slices], self.params)
+
+
+def flat_model(
+    projector: Projector,
+    camera: CameraParams,
+    surface: RoadSurfaceParams,
+    ambient_lx: float,
+    params: Extraction,
+    what: FeatureParams,
+) -> FlatModel:
+    """Build the model for a camera and an assumed road of uniform, unmarked asphalt under ambient light in lx; measure target and gains."""
+    view, samples = camera_view(camera), camera.oversampling
+    ground = flat_road(camera_view(camera, samples), surface.seen_albedo, material=surface.ground).to(projector.symbol.device)
+    transports = []
+    for module in projector.modules:
+        headlight = module.pixel_controller.headlight
+        transports.append(transport(reach(ground, headlight, module.T_world_headlight), headlight, view.width, samples))
+    ambient = average_rows(ambient_luminance(ground, ambient_lx), samples)
+    resting = [Utilisation(module.pixel_controller.default) for module in projector.modules]
+    beams = added_light(transports, resting, torch.zeros_like(ambient))
+    limit = noise_limit(ambient + beams, camera, params)
+    symbol = projector.params
+    region = region_around(symbol.x_m, symbol.y_m, symbol.length_m, symbol.width_m)
+    plane = birds_eye(region, view).to(limit.device) if what.view == "birdseye" else None
+    model = FlatModel(
+        tuple(transports), beams, limit, params, Eye(view, plane, what.shape), torch.zeros(4), torch.ones(4), surface.seen_albedo
+    )
+
+    def seen(pose: Tensor) -> Tensor:
+        crop = projector.footprint(Drawing(pose), view, params.footprint_margin_m)
+        return model.eye.features(model.eye.look(model.symbol(projector.light(pose), crop), crop))
+
+    target, probe = projector.target, torch.diag(projector.symbol.new_tensor(PROBE))
+    gains = [(seen(target + h) - seen(target - h))[k] / (2 * h.sum()) for h, k in zip(probe, PAIRED, strict=True)]
+    return replace(model, target=seen(target), gains=torch.stack(gains))

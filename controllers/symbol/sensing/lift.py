@@ -1,0 +1,94 @@
+"""Drawings for a road of a shape that is known: on it the eye sees what it would see of the same drawing on the plane z = 0.
+
+All light of a lamp leaves one point, and all lines of sight end in another. So light is followed to the road, from there along the line of
+sight to the plane z = 0, and is what the lamp would send to that place of the plane. A step of the drawing's pose then moves what is seen
+as far as it does on the plane.
+"""
+
+import torch
+from kornia.geometry.transform import remap
+from torch import Tensor
+from torch.nn.functional import interpolate
+
+from controllers.symbol.sensing.drawing import CELLS, Drawing, Warp
+from controllers.symbol.sensing.shape import reached
+from world.frames import inverse, pose, rotation, transform
+
+FOLLOWED = 4  # along and across, one of so many cells' light is followed; between them places are interpolated
+BEYOND = 0.1  # of the light's length and width, by which the patch is larger on every side
+FARTHEST, NOWHERE = 3.0, 1e3  # of the way to the plane z = 0 and to the patch: where lines of sight and light end that meet no road
+LEAST_HEIGHT_M = 0.25  # of a lamp over the patch, which would be edge-on to it otherwise
+LEAST_FALL_M = 1e-3  # of lines over what they cross
+
+
+def lifted(drawing: Drawing, size_m: tuple[float, float], shape: Tensor, x0_m: float, eye: Tensor, lamps: Tensor) -> Drawing:
+    """A drawing of a symbol of `size_m` (length, width) on the plane, as one on a rectangle tangent to a road of a shape `[4]` about x0.
+
+    eye: `[3]`, lamps: `[m, 3]` m. Each lamp has a warp of its own.
+    """
+    length, width = size_m if drawing.warp is None else drawing.warp.size_m
+    T = _rectangle(drawing)
+    corners = lamps.new_tensor([[length, length, -length, -length], [width, -width, width, -width], [0.0] * 4]) / 2
+    ways = torch.stack([_crossed(lamp, transform(T, corners)) for lamp in lamps], 1) - eye[:, None, None]  # [3, m, 4]
+    road = eye[:, None, None] + ways * reached(shape[None], x0_m, eye, ways)[0].clamp(max=FARTHEST)
+    patch, size = _patch(road, shape, x0_m, lamps)
+    rows, cols = (n // FOLLOWED for n in CELLS)
+    x, y = (extent * (0.5 - (torch.arange(n).to(lamps) + 0.5) / n) for extent, n in zip(size, (rows, cols), strict=True))
+    cells = torch.stack([x[:, None].expand(rows, cols), y.expand(rows, cols), torch.zeros(rows, cols).to(lamps)]).flatten(1)
+    places = []
+    for lamp in lamps:
+        ways = transform(patch, cells) - lamp[:, None]
+        road = lamp[:, None] + ways * reached(shape[None], x0_m, lamp, ways)[0].clamp(max=NOWHERE)
+        lamp_there, seen = (transform(inverse(T), points) for points in (lamp[:, None], _crossed(eye, road)))
+        x_there, y_there, _ = _crossed(lamp_there[:, 0], seen)
+        places.append(torch.stack([-2 * y_there / width, -2 * x_there / length]).view(2, rows, cols))
+    source = interpolate(torch.stack(places), scale_factor=FOLLOWED, mode="bilinear")
+    return Drawing(*_placed(patch), _warped(drawing.warp, source, size))
+
+
+def _rectangle(drawing: Drawing) -> Tensor:
+    """Pose `[4, 4]` of a drawing's rectangle."""
+    x, y, roll, pitch = drawing.pose
+    z = torch.zeros_like(x) if drawing.z is None else drawing.z
+    return pose(torch.stack([x, y, z]), rotation(roll, pitch, torch.zeros_like(x)))
+
+
+def _placed(T: Tensor) -> tuple[Tensor, Tensor]:
+    """Pose `[4]` and height `[]` in m of a rectangle at `[4, 4]`."""
+    return torch.stack([T[0, 3], T[1, 3], torch.atan2(T[2, 1], T[2, 2]), torch.asin(-T[2, 0])]), T[2, 3]
+
+
+def _crossed(origin: Tensor, points: Tensor) -> Tensor:
+    """Where lines from an origin `[3]` m through points `[3, ...]` m cross z = 0; far ahead for lines that do not fall."""
+    start = origin.view(3, *(1,) * (points.dim() - 1))
+    return start + (points - start) * (origin[2] / (origin[2] - points[2]).clamp(min=LEAST_FALL_M))
+
+
+def _patch(road: Tensor, shape: Tensor, x0_m: float, lamps: Tensor) -> tuple[Tensor, tuple[float, float]]:
+    """Pose `[4, 4]`, length and width in m of a rectangle that all light of lamps to points `[3, m, k]` of the road crosses.
+
+    It is tangent to the road behind their middle, but no steeper than lamps can light it.
+    """
+    _, b, c, d = shape
+    middle = road.flatten(1).mean(1)
+    over = lamps - middle  # [m, 3]
+    falling = ((LEAST_HEIGHT_M - over[:, 2] + c * over[:, 1]) / -over[:, 0]).max()
+    pitch = -torch.maximum(b + d * (middle[0] - x0_m), falling).atan()
+    T = pose(middle, rotation((c * pitch.cos()).atan(), pitch, torch.zeros_like(pitch)))
+    local, origins = transform(inverse(T), road.flatten(1)).view_as(road), transform(inverse(T), lamps.T).T
+    crossings = torch.stack([_crossed(origin, points)[:2] for origin, points in zip(origins, local.unbind(1), strict=True)], 1)
+    low, high = crossings.flatten(1).aminmax(dim=1)
+    length, width = ((high - low) * (1 + 2 * BEYOND)).tolist()
+    T[:3, 3] = transform(T, torch.cat([(low + high) / 2, low.new_zeros(1)])[:, None])[:, 0]
+    return T, (length, width)
+
+
+def _warped(warp: Warp | None, source: Tensor, size_m: tuple[float, float]) -> Warp:
+    """A warp on the rectangle whose cells take the light of places `[m, 2, h, w]` on the rectangle of another, or on the symbol."""
+    if warp is None:
+        return Warp(source, torch.ones_like(source[:, 0]), size_m)
+    u, v = source.unbind(1)
+    of, dimming = (each.expand(len(u), -1, -1, -1) for each in (warp.source, warp.dimming[:, None]))
+    taken = remap(of, u, v, padding_mode="border", align_corners=False, normalized_coordinates=True)
+    dimmed = remap(dimming, u, v, padding_mode="zeros", align_corners=False, normalized_coordinates=True)
+    return Warp(taken, dimmed[:, 0], size_m)

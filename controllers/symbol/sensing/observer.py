@@ -1,0 +1,127 @@
+"""What a symbol controller sees: frames in, errors of the symbol's four degrees of freedom or the reason for its loss out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from controllers.pixels.ssc import Utilisation
+from controllers.symbol.sensing.acquisition import Acquired, Acquisition
+from controllers.symbol.sensing.drawing import Drawing
+from controllers.symbol.sensing.flat_model import PAIRED, FlatModel
+from controllers.symbol.sensing.projector import Projector
+from perception.appearance import Appearance, errors
+from perception.camera import CameraParams
+from perception.extraction import Crop, Extraction, Loss, difference, gate, symbol_image, threshold
+
+LIT = 0.5  # of a pixel, that counts as the symbol's
+ENDS = 0.1  # of a footprint's rows, at its near and its far end
+
+
+@dataclass(frozen=True)
+class Seen:
+    """One look at the symbol.
+
+    code: `[...]` int64, a `Loss`. errors: `[..., 4]`, e_x, e_y, e_roll, e_pitch in the units of the features. pose_error: `[..., 4]`, the
+    same in m and rad of x, y, roll, pitch, each divided by its plant gain. area_ratio: `[...]`, seen to expected. appearance: five
+    centroids and second moments. symbol: `[..., h, w]`, cut from the camera's image at crop. shape: `[4]` of the road on which it was
+    looked for, see `controllers.symbol.sensing.shape`, None for the flat one. acquired: what a search of the whole image found, if there
+    was one.
+    """
+
+    code: Tensor
+    errors: Tensor
+    pose_error: Tensor
+    area_ratio: Tensor
+    appearance: Appearance
+    symbol: Tensor
+    crop: Crop
+    shape: Tensor | None = None
+    acquired: Acquired | None = None
+
+
+@dataclass(frozen=True)
+class Observer:
+    """Extraction in the predicted footprint, gated by the area that is expected there; errors against the flat model's target.
+
+    A symbol that is not where it is expected is searched for in the whole image.
+    """
+
+    projector: Projector
+    model: FlatModel
+    camera: CameraParams
+    params: Extraction
+
+    @cached_property
+    def acquisition(self) -> Acquisition:
+        """Searches whole images."""
+        return Acquisition.prepare(self.projector, self.camera)
+
+    def look(
+        self, frames: tuple[Tensor, Tensor] | None, drawing: Drawing, lights: Sequence[Utilisation], shape: Tensor | None = None
+    ) -> Seen:
+        """Look at the on and off frames `[height, width]` (digital numbers) that show the light of a drawing.
+
+        frames: None where the camera lost them. lights: the utilisations that were shown, one a module. shape: `[4]` of the road that the
+        look before found, None for a flat one. Of a batch `[..., height, width]` nothing is searched for.
+        """
+        if frames is None:
+            return replace(self.lost(drawing.pose, Loss.NO_FRAME), shape=shape)
+        shape = shape if drawing.shape is None else drawing.shape
+        seen = self._expected(frames, drawing, lights, shape)
+        if seen.code.dim() or seen.code == Loss.SEEN:
+            return seen
+        acquired = self.acquire(frames, lights)
+        if not acquired.found:
+            return replace(seen, acquired=acquired)
+        found = self._expected(frames, drawing, lights, acquired.shape)
+        return replace(found, code=torch.zeros_like(found.code), acquired=acquired) if found.symbol.numel() else seen
+
+    def acquire(self, frames: tuple[Tensor, Tensor], lights: Sequence[Utilisation]) -> Acquired:
+        """Search the whole of on and off frames for lights `[n_p]`, one a module."""
+        on, off = frames
+        symbol = symbol_image(difference(on, off, self.camera), threshold(off, self.camera, self.params), self.params)
+        return self.acquisition.find(symbol, self.projector.textures(lights))
+
+    def _expected(self, frames: tuple[Tensor, Tensor], drawing: Drawing, lights: Sequence[Utilisation], shape: Tensor | None) -> Seen:
+        """Look where a road of this shape shows the light."""
+        crop = self.projector.footprint(drawing, self.model.eye.view, self.params.footprint_margin_m, shape)
+        if crop.v_stop - crop.v_start < 2 or crop.u_stop - crop.u_start < 2:
+            return replace(self.lost(drawing.pose, Loss.NOTHING), shape=shape)
+        on, off = (frame[..., *crop.slices] for frame in frames)
+        seen = self.compare(on, off, self.model.symbol(lights, crop), crop)
+        if shape is None:
+            return seen
+        area, expected = seen.symbol.sum((-2, -1)), self.acquisition.area(shape, self.projector.textures(lights))
+        return replace(seen, code=gate(area, expected, self.params), area_ratio=area / expected, shape=shape)
+
+    def at_ends(self, seen: Seen) -> bool:
+        """Whether the symbol reaches to where the footprint ends, so that the road may be higher or lower than that allows for."""
+        rows = max(round(ENDS * len(seen.symbol)), 1)
+        top, bottom = (bool((end > LIT).any()) for end in (seen.symbol[:rows], seen.symbol[-rows:]))
+        return (top and seen.crop.v_start > 0) or (bottom and seen.crop.v_stop < self.model.eye.view.height)
+
+    def compare(self, on: Tensor, off: Tensor, expected_symbol: Tensor, crop: Crop) -> Seen:
+        """Look at frames `[..., h, w]` (digital numbers) cut at crop, beside the symbol image that the flat road would show there."""
+        contrast, limit = difference(on, off, self.camera), threshold(off, self.camera, self.params)
+        symbol = symbol_image(contrast, limit, self.params)
+        seen = self.model.eye.look(symbol, crop)
+        expected = self.model.eye.area(expected_symbol, crop)
+        error = errors(self.model.eye.features(seen), self.model.target)
+        pose_error = error[..., PAIRED] / self.model.gains
+        return Seen(gate(seen.area, expected, self.params), error, pose_error, seen.area / expected, seen, symbol, crop)
+
+    def rendered(self, drawing: Drawing, lights: Sequence[Utilisation]) -> Tensor:
+        """Features `[..., 4]` that a flat road would show of the light of a drawing, without noise."""
+        crop = self.projector.footprint(drawing, self.model.eye.view, self.params.footprint_margin_m)
+        return self.model.eye.features(self.model.eye.look(self.model.symbol(lights, crop), crop))
+
+    def lost(self, pose: Tensor, reason: Loss) -> Seen:
+        """What is seen of poses `[..., 4]` where there is nothing to look at."""
+        nan = torch.full_like(pose, torch.nan)
+        batch = pose.shape[:-1]
+        nothing = Appearance(nan[..., 0], pose.new_full((*batch, 5, 2), torch.nan), nan[..., 0], nan[..., 0])
+        code = torch.full(batch, reason, dtype=torch.int64, device=pose.device)
+        return Seen(code, nan, nan, torch.zeros_like(nan[..., 0]), nothing, pose.new_zeros(*batch, 0, 0), Crop(0, 0, 0, 0))

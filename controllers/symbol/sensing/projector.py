@@ -1,0 +1,164 @@
+"""The projector draws one symbol with one or several lamp modules: a pose in, utilisations out."""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import repeat
+from typing import Literal, Self
+
+import torch
+from kornia.geometry.transform import remap
+from pydantic import Field, model_validator
+from torch import Tensor
+
+from controllers.pixels.primitives import Primitives, Quantity, road_symbol
+from controllers.pixels.ssc import PixelController, Utilisation
+from controllers.symbol.sensing.drawing import Drawing
+from controllers.symbol.sensing.lift import lifted
+from controllers.symbol.sensing.shape import reached
+from perception.extraction import Crop
+from world.params import Params
+from world.view import View
+
+
+class SymbolParams(Params):
+    """The symbol, how large and bright it shall be, and where on the assumed road."""
+
+    image: str = Field(description="name of a shipped symbol, or path of a picture or SVG: white is light, top is the far end")
+    width_m: float = Field(2.0, gt=0, le=20, description="extent across the road")
+    length_m: float = Field(4.0, gt=0, le=50, description="extent along the road")
+    x_m: float = Field(17.0, gt=1, le=100, description="target position of the centre ahead of the lamps")
+    y_m: float = Field(0.0, ge=-20, le=20, description="target position of the centre to the left")
+    target: Literal["appearance", "place"] = Field(
+        "appearance", description="what lies at x_m, y_m: the look of a symbol on a flat road, or the symbol on the road itself"
+    )
+    quantity: Quantity = Field(
+        "u_abs", description="unit of the setpoint: I_v in cd, E_v in lx, u_abs as a share, u_rel as a multiple of the base beam"
+    )
+    value: float = Field(
+        1.0, gt=0, le=1e9, description="setpoint of a white pixel of the image; all but u_rel share it evenly among their modules"
+    )
+
+    @model_validator(mode="after")
+    def _a_share_is_at_most_one(self) -> Self:
+        if self.quantity == "u_abs" and self.value > 1:
+            raise ValueError(f"value: {self.value:g} is no share; give at most 1, or name the quantity I_v (cd) or E_v (lx)")
+        return self
+
+
+@dataclass(frozen=True)
+class DrawingModule:
+    """A lamp module that draws: its pixel controller and its pose `T_world_headlight` `[4, 4]`."""
+
+    name: str
+    pixel_controller: PixelController
+    T_world_headlight: Tensor
+
+
+@dataclass(frozen=True)
+class Projector:
+    """Modules, the symbol image `[h, w]` in 0..1, its parameters, and the eye at `[3]` m for which drawings are lifted onto a road."""
+
+    modules: tuple[DrawingModule, ...]
+    symbol: Tensor
+    params: SymbolParams
+    eye: Tensor
+
+    @property
+    def target(self) -> Tensor:
+        """The pose on the assumed flat road, `[4]` = x, y in m, roll, pitch in rad."""
+        return self.symbol.new_tensor([self.params.x_m, self.params.y_m, 0.0, 0.0])
+
+    def primitive(self, pose: Tensor) -> Primitives:
+        """The symbol's primitive for a pose `[..., 4]` (x, y in m, roll, pitch in rad)."""
+        return self._rectangle(pose, self.params.length_m, self.params.width_m, self.symbol)
+
+    def _rectangle(self, pose: Tensor, length_m: float, width_m: float, image: Tensor) -> Primitives:
+        p = self.params
+        value = p.value if p.quantity == "u_rel" else p.value / len(self.modules)
+        return road_symbol(pose, 0.0, width_m, length_m, image, value, p.quantity)
+
+    def rectangle(self, drawing: Drawing) -> Primitives:
+        """The primitive that a drawing's symbol lies on, not warped."""
+        drawing = self.on_road(drawing)
+        size = (self.params.length_m, self.params.width_m) if drawing.warp is None else drawing.warp.size_m
+        return _raised(self._rectangle(drawing.pose, *size, self.symbol), drawing.z)
+
+    def light(self, pose: Tensor) -> tuple[Utilisation, ...]:
+        """Utilisations `[..., n_p]`, one a module, that draw the symbol as it is at a pose `[..., 4]`."""
+        return self._cast(repeat(self.primitive(pose)))
+
+    def draw(self, drawing: Drawing) -> tuple[Utilisation, ...]:
+        """Utilisations `[..., n_p]`, one a module, of a drawing; a warped one costs a turn for each of a batch."""
+        if drawing.raw is not None:
+            return tuple(Utilisation(u) for u in drawing.raw)
+        drawing = self.on_road(drawing)
+        if drawing.warp is None:
+            return self._cast(repeat(_raised(self.primitive(drawing.pose), drawing.z)))
+        batch = drawing.pose.shape[:-1]
+        singles = [self._cast(self._warped(each)) for each in drawing.singles()]
+        return tuple(
+            Utilisation(torch.stack([light.u for light in lights]).unflatten(0, batch)) if batch else lights[0]
+            for lights in zip(*singles, strict=True)
+        )
+
+    def on_road(self, drawing: Drawing) -> Drawing:
+        """The drawing as one on z = 0 or on a rectangle tangent to the road of its shape."""
+        if drawing.shape is None:
+            return drawing
+        p, lamps = self.params, torch.stack([module.T_world_headlight[:3, 3] for module in self.modules]).to(self.symbol)
+        return lifted(drawing, (p.length_m, p.width_m), drawing.shape, p.x_m, self.eye.to(self.symbol), lamps)
+
+    def _cast(self, primitives: Iterable[Primitives]) -> tuple[Utilisation, ...]:
+        """Of one primitive a module."""
+        return tuple(
+            module.pixel_controller.utilisation(primitive, module.T_world_headlight)
+            for module, primitive in zip(self.modules, primitives, strict=False)
+        )
+
+    def _warped(self, drawing: Drawing) -> list[Primitives]:
+        """The primitives of one warped drawing, one a module."""
+        assert drawing.warp is not None
+        u, v = drawing.warp.source.unbind(1)
+        symbol = self.symbol.expand(len(u), 1, -1, -1)
+        warped = remap(symbol, u, v, padding_mode="zeros", align_corners=False, normalized_coordinates=True)[:, 0] * drawing.warp.dimming
+        images = warped.expand(len(self.modules), -1, -1)
+        return [_raised(self._rectangle(drawing.pose, *drawing.warp.size_m, image), drawing.z) for image in images]
+
+    def textures(self, lights: Sequence[Utilisation]) -> tuple[Tensor, ...]:
+        """Light textures `[rows, cols]` in cd, one a module, of what lights `[n_p]` add to the base beams."""
+        return tuple(
+            module.pixel_controller.headlight.light_texture(light.u - module.pixel_controller.default)
+            for module, light in zip(self.modules, lights, strict=True)
+        )
+
+    def footprint(self, drawing: Drawing, view: View, margin_m: float, shape: Tensor | None = None) -> Crop:
+        """Where in a camera's image the light of a drawing can appear if the road is at most margin_m above or below a shape `[4]`.
+
+        shape: of the road, see `controllers.symbol.sensing.shape`; default: z = 0. One rectangle for all of a batch. Rays that do not meet
+        the road within 200 m end there.
+        """
+        corners = self.rectangle(drawing).corners().detach().reshape(-1, 3).T.cpu().double()
+        origins = torch.stack([module.T_world_headlight[:3, 3:] for module in self.modules]).to(corners)
+        rays = corners - origins
+        middle = corners.new_zeros(4) if shape is None else shape.detach().to(corners)
+        bounds = middle + corners.new_tensor([[-margin_m, 0, 0, 0], [margin_m, 0, 0, 0]])
+        reach = torch.stack([reached(bounds, self.params.x_m, *each) for each in zip(origins[..., 0], rays, strict=True)], 1)
+        ends = origins + rays * reach.minimum(200 / rays.norm(dim=1))[:, :, None]
+        uv, depth = view.project(ends.transpose(0, 2).reshape(3, -1))
+        uv = uv[:, depth > 0.1]
+        if uv.shape[1] == 0:
+            return Crop(0, 0, 0, 0)
+        low, high = uv.aminmax(dim=1)
+        whole = (view.width, view.height)
+        u0, v0 = (min(max(math.floor(end), 0), n) for end, n in zip(low.tolist(), whole, strict=True))
+        u1, v1 = (min(max(math.ceil(end), 0), n) for end, n in zip(high.tolist(), whole, strict=True))
+        return Crop(v0, v1, u0, u1)
+
+
+def _raised(primitive: Primitives, z: Tensor | None) -> Primitives:
+    """A primitive `[..., 1]` at a height z `[...]` m, if there is one."""
+    if z is None:
+        return primitive
+    up = torch.stack([torch.zeros_like(z), torch.zeros_like(z), z], -1)[..., None, :]
+    return replace(primitive, origin=primitive.origin + up)

@@ -1,0 +1,50 @@
+"""What every symbol controller is: state in, state out, and a drawing of the symbol to be shown."""
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from torch import Tensor
+
+from controllers.pixels.ssc import Utilisation
+from controllers.symbol.sensing.drawing import Drawing
+from controllers.symbol.sensing.observer import Seen
+from perception.egomotion import Ego
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What was shown in a step. lights: utilisations, one a module. ego: what was known of the vehicle's motion then, if anything."""
+
+    drawing: Drawing
+    lights: tuple[Utilisation, ...]
+    ego: Ego | None = None
+
+
+@dataclass(frozen=True)
+class Look:
+    """What arrives in a step.
+
+    seen: features and errors of the symbol. frames: on and off frame `[height, width]` (digital numbers), None where the camera lost
+    them. shown: what these frames show, which is older than this step where the camera is late. ego: what is known of the motion now.
+    """
+
+    seen: Seen
+    frames: tuple[Tensor, Tensor] | None
+    shown: Shown
+    ego: Ego | None = None
+
+
+class SymbolController(Protocol):
+    """Draws the symbol; its state is a frozen dataclass of tensors."""
+
+    def start(self, pose: Tensor) -> Any:
+        """State that shows the pose `[..., 4]` (x, y in m, roll, pitch in rad) first."""
+        ...
+
+    def drawing(self, state: Any) -> Drawing:
+        """What is to be shown now."""
+        ...
+
+    def step(self, state: Any, look: Look) -> Any:
+        """The state after one look."""
+        ...
