@@ -15,7 +15,7 @@ from scipy.ndimage import map_coordinates, maximum_filter, uniform_filter
 
 from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.flat_model import PAIRED
-from loop.simulation import Simulation
+from loop.symbol.simulation import Simulation
 from perception.camera import camera_view
 from perception.extraction import NEIGHBOURHOOD, WHOLLY_LIT
 from world.rendering.flat_road import flat_road

@@ -12,11 +12,11 @@ from typing import Any
 
 import rich.progress
 
-from loop import data
-from loop.recorder import row, table_of
+from loop.recording.recorder import row, table_of
+from loop.recording.summary import summarise
 from loop.run import prepare
-from loop.scenario import Scenario, load
-from loop.summary import summarise
+from loop.scenario import data
+from loop.scenario.model import Scenario, load
 
 SYMBOLS = ("distance_warning", "chevrons", "snowflake", "warning_triangle")
 ROADS = ("flat", "bumps", "grade", "mixed")

@@ -21,10 +21,10 @@ import torch
 from rich.table import Table
 from step import machine
 
-from loop import tables
-from loop.plant import SimulatedPlant
-from loop.scenario import load
-from loop.simulation import Simulation, SimulationState, StepResult
+from loop.scenario.model import load
+from loop.symbol.plant import SimulatedPlant
+from loop.symbol.simulation import Simulation, SimulationState, StepResult
+from loop.terminal import tables
 from world.light.illumination import added_light
 from world.rendering.surfaces import ExactSurfaces, QuickSurfaces
 

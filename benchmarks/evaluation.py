@@ -6,9 +6,9 @@ Goes on where an earlier run in the same folder was, and writes docs/evaluation.
 import argparse
 from pathlib import Path
 
-from loop import evaluate_figures
-from loop.evaluate import evaluate
-from loop.evaluate_report import page
+from loop.evaluation import figures as evaluate_figures
+from loop.evaluation.evaluate import evaluate
+from loop.evaluation.report import page
 
 DOCS = Path(__file__).parents[1] / "docs"
 HEAD = (Path(__file__).parent / "evaluation_page.md").read_text("utf-8")

@@ -29,7 +29,7 @@ from controllers.pixels.primitives import I_V, Primitives, rectangle  # noqa: E4
 from controllers.pixels.rthc import Setpoints  # noqa: E402
 from controllers.pixels.ssc import Ssc  # noqa: E402
 from controllers.pixels.windows import whole  # noqa: E402
-from loop.build import symbol_path  # noqa: E402
+from loop.assembly.build import symbol_path  # noqa: E402
 from perception.metrics import mae  # noqa: E402
 from world.beams.rectangles import RECTANGLES  # noqa: E402
 from world.frames import pose_from_degrees  # noqa: E402

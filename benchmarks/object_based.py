@@ -21,10 +21,10 @@ from object_based_cases import COMES, FULL, LOW, NEWCOMER, OURS, beam_lights, ca
 from object_based_goals import FOUND, Measured, measures, track_rows, zone_rows
 from object_based_parts import agreement, pair_jobs, track_jobs, tracked, zone_jobs, zones
 
-from loop.code import digest_of_code
-from loop.jobs import Job, Results, digest_of, run
+from loop.jobs.runner import Job, Results, digest_of, run
 from loop.lighting.lamps import flux_by_side
 from loop.lighting.simulation import LightingSimulation
+from loop.recording.digest import digest_of_code
 from loop.training.report import goals as detector_goals
 from perception.camera import expose, frame_generator
 from perception.detection.build import WEIGHTS

@@ -17,8 +17,8 @@ from loop.lighting.result import LightingResult
 from loop.lighting.sight import Sight, pairs
 from loop.lighting.simulation import LightingSimulation
 from loop.lighting.view import LitScene
-from loop.overrides import Override
-from loop.scenario import LightingScenario, load_any, validate_any
+from loop.scenario.model import LightingScenario, load_any, validate_any
+from loop.scenario.overrides import Override
 from perception.camera import CameraParams, expose, frame_generator
 from perception.ground_truth import Truth
 from world.traffic.generator import varied

@@ -10,10 +10,10 @@ from object_based_cases import CAMERA, FIRST, WORLD, beside, lit, scenario
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
-from loop.jobs import Job
+from loop.assembly.pixel_control import pixel_controller
+from loop.jobs.runner import Job
 from loop.lighting.sight import SAME, pairs
 from loop.lighting.simulation import LightingSimulation
-from loop.pixel_control import pixel_controller
 from perception.camera import expose, frame_generator
 from perception.detection.protocol import Detections
 from perception.detection.suppression import overlaps

@@ -23,9 +23,9 @@ from controllers.symbol.heights.patch import drawn_on
 from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.observer import Observer
 from controllers.symbol.sensing.protocol import Look
-from loop import tables
-from loop.scenario import load
-from loop.simulation import Simulation
+from loop.scenario.model import load
+from loop.symbol.simulation import Simulation
+from loop.terminal import tables
 from perception.camera import camera_view
 from world.frames import inverse, transform
 from world.roads.base import Floats, Road

@@ -18,9 +18,9 @@ from bench import machine
 from places_cases import KINDS, places, run_place
 from places_goals import measures
 
-from loop.code import digest_of_code
-from loop.jobs import Job, digest_of, run
-from loop.manifest import digests
+from loop.jobs.runner import Job, digest_of, run
+from loop.recording.digest import digest_of_code
+from loop.recording.manifest import digests
 
 DOCS = Path(__file__).parents[1] / "docs"
 

@@ -9,7 +9,7 @@ from torch.nn.functional import grid_sample
 
 from controllers.pixels.ssc import Utilisation
 from controllers.symbol.sensing.projector import DrawingModule
-from loop.simulation import Lights, Simulation
+from loop.symbol.simulation import Lights, Simulation
 from perception.birdseye import rectify
 from perception.judge import THRESHOLD
 from world.rendering.raycast import first_hits

@@ -9,9 +9,9 @@ import torch
 from places_bound import bound
 from symbol_control_cases import SMALL, finite, shared, side_by_side
 
-from loop import data
-from loop.scenario import Scenario, load
-from loop.summary import AXES, column
+from loop.recording.summary import AXES, column
+from loop.scenario import data
+from loop.scenario.model import Scenario, load
 
 FEEDFORWARD = "feedforward, true road"
 CONTROLLERS = ("open", "thesis_pid", "gauss_newton", "model_reference", FEEDFORWARD, "luxloop")

@@ -24,10 +24,11 @@ from rich.box import MARKDOWN
 from rich.table import Column, Table
 from torch import Tensor
 
-from loop import data, tables
-from loop.plant import SimulatedPlant
-from loop.scenario import load
-from loop.simulation import Simulation
+from loop.scenario import data
+from loop.scenario.model import load
+from loop.symbol.plant import SimulatedPlant
+from loop.symbol.simulation import Simulation
+from loop.terminal import tables
 from world.frames import pose, pose_from_degrees
 from world.headlight import Headlight
 from world.light.illumination import illuminance, reach

@@ -23,7 +23,7 @@ from spmv_lamps import FIXED_SIDE, SIZES, THESIS_ADAPTIVE_US, THESIS_FIXED_US, L
 from spmv_timing import Copy, Step, interleaved, statistics
 from spmv_updates import FIGURE_PIXELS, FIGURE_TEXELS, measure_figure, measure_updates
 
-from loop import tables
+from loop.terminal import tables
 from world import presets
 from world.spmv import FORMATS, CapturedProduct, Csr, SparseFormat, build
 from world.spmv.auto import best_of, candidates

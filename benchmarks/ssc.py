@@ -20,7 +20,7 @@ from ssc_scenes import T_WORLD_LAMP, Plain, covered, lamp, many, symbol
 
 from controllers.pixels.primitives import Primitives
 from controllers.pixels.ssc import Ssc
-from loop import tables
+from loop.terminal import tables
 from world.headlight import Headlight
 
 ROUNDS = 11

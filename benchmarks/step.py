@@ -23,9 +23,9 @@ from bench import machine, on_one_thread
 from rich.table import Table
 
 from controllers.symbol.sensing.protocol import Look, Shown
-from loop import tables
-from loop.scenario import load
-from loop.simulation import Simulation, SimulationState
+from loop.scenario.model import load
+from loop.symbol.simulation import Simulation, SimulationState
+from loop.terminal import tables
 from perception.camera import expose, frame_generator
 from world.light.illumination import added_light
 

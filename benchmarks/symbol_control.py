@@ -16,9 +16,9 @@ from bench import machine
 from symbol_control_cases import DISTURBED, STANDING, UNDISTURBED, cases, trajectories
 from symbol_control_goals import measures
 
-from loop.code import digest_of_code
-from loop.jobs import Job, digest_of, run
-from loop.manifest import digests
+from loop.jobs.runner import Job, digest_of, run
+from loop.recording.digest import digest_of_code
+from loop.recording.manifest import digests
 
 DOCS = Path(__file__).parents[1] / "docs"
 SEEDS = 5

@@ -9,13 +9,13 @@ import pyarrow as pa
 import torch
 
 from controllers.symbol import build_controller
-from loop import data
-from loop.overrides import Override
-from loop.recorder import row, table_of
+from loop.recording.recorder import row, table_of
+from loop.recording.summary import AXES, column, overshoot_percent, settle_step
 from loop.run import prepare
-from loop.scenario import Scenario, load, validate
-from loop.simulation import Simulation
-from loop.summary import AXES, column, overshoot_percent, settle_step
+from loop.scenario import data
+from loop.scenario.model import Scenario, load, validate
+from loop.scenario.overrides import Override
+from loop.symbol.simulation import Simulation
 
 OFFSET_M = 0.03  # by which the feed-forward's road is too high, and the one that luxloop believes in at a wrong start
 FEEDFORWARD = "feedforward, 3 cm off"

@@ -3,7 +3,7 @@
 import itertools
 
 from loop.run import prepare
-from loop.scenario import load
+from loop.scenario.model import load
 
 STEPS, MEANT = 30, 10
 BOX = '[{kind="box", name="box", size_m=[0.4, 0.5, 0.3], albedo=0.2, track=[{position_m=[15.5, 0.2, 0.0]}]}]'

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from loop.lighting.sight import SAME
 from loop.lighting.simulation import LightingSimulation
-from loop.scenario import LightingScenario, validate_any
+from loop.scenario.model import LightingScenario, validate_any
 from perception.camera import CameraParams, camera_view
 from perception.detection.protocol import Detections
 from perception.detection.suppression import overlaps

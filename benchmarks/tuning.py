@@ -17,13 +17,14 @@ import torch
 from optuna.trial import TrialState
 from rich.console import Console
 
-from loop import objective, ranges
-from loop.batch import rollouts
-from loop.executors import Executor, local
+from loop import objective
+from loop.jobs.executors import Executor, local
 from loop.run import prepare
-from loop.scenario import Scenario, load
-from loop.tune import Task, Tuned, mean_cost
-from loop.tune_report import do_tune
+from loop.scenario.model import Scenario, load
+from loop.studies import ranges
+from loop.studies.tune import Task, Tuned, mean_cost
+from loop.studies.tune_report import do_tune
+from loop.symbol.batch import rollouts
 
 DOCS = Path(__file__).parents[1] / "docs" / "tuning.md"
 HEADING = "## What it brings"

@@ -15,12 +15,12 @@ from controllers.symbol.sensing.projector import DrawingModule, SymbolParams
 from loop.lighting.result import LightingResult
 from loop.lighting.run import run_lighting
 from loop.lighting.simulation import LightingSimulation
-from loop.recorder import REPORT, VIDEO, Recorder, no_report
-from loop.report import Gathered, write_report
-from loop.scenario import AnyScenario, LightingScenario, Scenario
-from loop.simulation import Simulation, StepResult
-from loop.truth import true_camera
-from loop.video import VideoWriter, frame_picture
+from loop.recording.recorder import REPORT, VIDEO, Recorder, no_report
+from loop.recording.report import Gathered, write_report
+from loop.recording.video import VideoWriter, frame_picture
+from loop.scenario.model import AnyScenario, LightingScenario, Scenario
+from loop.symbol.simulation import Simulation, StepResult
+from loop.symbol.truth import true_camera
 from perception.camera import CameraParams, camera_view, saturation_luminance
 from world.errors import LuxloopError, located
 from world.folders import output_folder

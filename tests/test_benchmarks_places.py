@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from loop.run import prepare
-from loop.scenario import load
+from loop.scenario.model import load
 
 ROOT = Path(__file__).parents[1]
 TINY = ("camera={width_px=320, height_px=240}",)

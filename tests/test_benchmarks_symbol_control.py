@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from loop.recorder import row
+from loop.recording.recorder import row
 from loop.run import prepare
-from loop.scenario import load, validate
+from loop.scenario.model import load, validate
 
 ROOT = Path(__file__).parents[1]
 TINY = ("camera={width_px=320, height_px=240}",)

@@ -17,12 +17,12 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
-from loop import cli
+from loop.commands import cli
 from loop.lighting.simulation import LightingSimulation
-from loop.overrides import TAGS
 from loop.run import prepare
-from loop.scenario import LightingScenario, Scenario, load, load_any, validate, validate_any
-from loop.shipped import shipped
+from loop.scenario.model import LightingScenario, Scenario, load, load_any, validate, validate_any
+from loop.scenario.overrides import TAGS
+from loop.scenario.shipped import shipped
 from world.lampfiles import description as lamp_description
 from world.lampfiles.description import LampDescription
 

@@ -49,7 +49,9 @@ def luxloop(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[.
     """Run a command line with what the wheel holds, away from the checkout; gives the folder that it ran in."""
     site, folder = tmp_path_factory.mktemp("site"), tmp_path_factory.mktemp("work")
     zipfile.ZipFile(wheel).extractall(site)
-    program = "import sys, loop.cli; assert loop.cli.__file__.startswith(sys.argv.pop(1)); sys.exit(loop.cli.main())"
+    program = (
+        "import sys, loop.commands.cli; assert loop.commands.cli.__file__.startswith(sys.argv.pop(1)); sys.exit(loop.commands.cli.main())"
+    )
 
     def run(*arguments: str) -> Path:
         environment = {**os.environ, "PYTHONPATH": str(site)}

@@ -12,7 +12,7 @@ from controllers.functions.base_beams import BaseBeam
 from controllers.functions.planner import Plan
 from loop.lighting.lamps import flux_by_side
 from loop.lighting.simulation import LightingSimulation
-from loop.summary import column
+from loop.recording.summary import column
 
 LOW, STANDBY = "low", "standby"
 

@@ -12,8 +12,8 @@ from matplotlib.ticker import LogFormatter
 from loop.lighting.compared import compared
 from loop.lighting.simulation import LightingSimulation
 from loop.lighting.summary import START_UP_S, UNITS, eyes_lx, lost_steps, materials_of, steps_of_nothing, zones_of
-from loop.report import FOUR, headed
-from loop.summary import column
+from loop.recording.report import FOUR, headed
+from loop.recording.summary import column
 
 COLOURS = (*FOUR, "#56b4e9", "#d55e00", "#000000", "#999999")
 GREYS = (":", "--", "-.")  # lines of what power is compared with

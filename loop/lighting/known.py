@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from loop.lighting.view import LitScene
-from loop.scenario import LightingScenario
+from loop.scenario.model import LightingScenario
 from perception.detection.params import TruthParams
 from perception.detection.protocol import Detections
 from perception.ground_truth import Box, Truth, ground_truth, part_mask

@@ -13,10 +13,10 @@ from controllers.pixels.power import limit_power, pixel_flux
 from controllers.pixels.primitives import meant
 from controllers.pixels.secondary import SecondaryRays
 from controllers.pixels.ssc import PixelController
-from loop.build import turned
-from loop.pixel_control import pixel_controller
-from loop.scenario import LightingScenario
-from loop.shipped import named
+from loop.assembly.build import turned
+from loop.assembly.pixel_control import pixel_controller
+from loop.scenario.model import LightingScenario
+from loop.scenario.shipped import named
 from world.errors import LuxloopError, located
 from world.frames import pose_from_degrees
 from world.headlight import Headlight

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from loop.lighting.lamps import ShiningModule
-from loop.scenario import LightingScenario
+from loop.scenario.model import LightingScenario
 from world.errors import LuxloopError
 
 

@@ -12,7 +12,7 @@ from loop.lighting.lamps import ShiningModule
 from loop.lighting.marks import marks, readable
 from loop.lighting.result import LightingResult
 from loop.lighting.simulation import LightingSimulation
-from loop.video import Picture, tone_map
+from loop.recording.video import Picture, tone_map
 from perception.camera import CameraParams, expose, luminance_of
 from world.frames import pose_from_degrees
 from world.light.emitters import Source, wall_illuminance

@@ -11,8 +11,8 @@ from loop.lighting.on_materials import quantities
 from loop.lighting.result import LightingResult
 from loop.lighting.simulation import LightingSimulation
 from loop.lighting.summary import summarise
-from loop.manifest import Manifest
-from loop.recorder import Report, TableRecorder, no_report
+from loop.recording.manifest import Manifest
+from loop.recording.recorder import Report, TableRecorder, no_report
 
 # name: (type, unit, description); lamps and objects have columns of their own.
 STEP = {

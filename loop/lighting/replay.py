@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from loop.comparison import Difference
 from loop.lighting.record import row, schema
 from loop.lighting.result import LightingResult
 from loop.lighting.simulation import LightingSimulation
-from loop.manifest import FILE, Manifest
-from loop.recorder import TRAJECTORY, table_of
-from loop.replay import Comparison, read_parquet
-from loop.scenario import LightingScenario, validate_any
+from loop.recording.comparison import Difference
+from loop.recording.manifest import FILE, Manifest
+from loop.recording.recorder import TRAJECTORY, table_of
+from loop.recording.replay import Comparison, read_parquet
+from loop.scenario.model import LightingScenario, validate_any
 from world.errors import LuxloopError
 from world.plugin import refuse_code
 

@@ -14,7 +14,6 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
-from loop.headlight_views import BIRDSEYE_X_M, BIRDSEYE_Y_M, birdseye
 from loop.lighting.courses import write_courses
 from loop.lighting.marks import marks, readable
 from loop.lighting.observed import ObservedSymbol
@@ -22,8 +21,9 @@ from loop.lighting.picture import WALL_DEG, measured, wall_light, white_of
 from loop.lighting.result import LightingResult
 from loop.lighting.simulation import LightingSimulation
 from loop.lighting.view import Looker
-from loop.report import NIGHT, STYLE
-from loop.summary import column
+from loop.pictures.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, birdseye
+from loop.recording.report import NIGHT, STYLE
+from loop.recording.summary import column
 from world.files import whole
 from world.frames import transform
 

@@ -14,9 +14,9 @@ from loop.lighting.record import LightingRecorder
 from loop.lighting.report import write_report
 from loop.lighting.result import LightingResult
 from loop.lighting.simulation import LightingSimulation
-from loop.recorder import REPORT, VIDEO, no_report
-from loop.scenario import LightingScenario
-from loop.video import VideoWriter
+from loop.recording.recorder import REPORT, VIDEO, no_report
+from loop.recording.video import VideoWriter
+from loop.scenario.model import LightingScenario
 
 VIDEO_FPS = 10
 MOMENTS = 4  # that the report shows

@@ -14,7 +14,7 @@ from controllers.pixels.rthc import masks
 from controllers.pixels.secondary import Light, SecondaryRays, scene_caster
 from controllers.pixels.windows import projected_windows
 from controllers.situation import Seen, Situation, TrackedObject
-from loop.build import build_scene
+from loop.assembly.build import build_scene
 from loop.lighting.known import Known, categories
 from loop.lighting.lamps import LampPower, ShiningModule, driven, shining_modules
 from loop.lighting.names import check_names
@@ -25,8 +25,8 @@ from loop.lighting.result import LightingResult, LightingState, Look
 from loop.lighting.sight import Sight, false_positives, recognised
 from loop.lighting.view import LitScene, Looker
 from loop.lighting.zoned import in_zones
-from loop.scenario import DrivingParams, LightingScenario
-from loop.shipped import named
+from loop.scenario.model import DrivingParams, LightingScenario
+from loop.scenario.shipped import named
 from perception.camera import camera_view, expose, frame_generator, luminance_of, saturation_luminance
 from perception.tracks import Tracks
 from world.errors import located

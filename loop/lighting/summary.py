@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from controllers.zones.material import Quantity
-from loop.summary import column
+from loop.recording.summary import column
 
 START_UP_S = 1.0  # in which functions that learn begin with more light than they come to need
 SETTLED = 0.05  # greatest deviation of a zone from its target, as a share of it

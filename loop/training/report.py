@@ -11,8 +11,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from rich.table import Table
 
-from loop import tables
-from loop.report import FOUR, STYLE
+from loop.recording.report import FOUR, STYLE
+from loop.terminal import tables
 from loop.training.judge import AGREE, ALONE_LX, AROUND_LX, FOUND_IOU, HEIGHT_PX, JUDGED_LX, VISIBLE
 from loop.training.scenes import CLASSES
 from world.files import whole

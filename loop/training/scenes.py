@@ -12,8 +12,8 @@ import scipy.sparse as sp
 import torch
 from torch import Tensor
 
-from loop.build import build_scene
-from loop.scenario import LightingScenario, validate_any
+from loop.assembly.build import build_scene
+from loop.scenario.model import LightingScenario, validate_any
 from perception.camera import CameraParams, camera_view
 from perception.ground_truth import ground_truth
 from world.files import whole

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from loop import tables
-from loop.jobs import Job, Results, digest_of, run
-from loop.progress import progress
+from loop.jobs.runner import Job, Results, digest_of, run
+from loop.terminal import tables
+from loop.terminal.progress import progress
 from loop.training import scenes
 from loop.training.calibrate import calibrate
 from loop.training.fit import BATCH, fit

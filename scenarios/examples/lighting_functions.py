@@ -14,8 +14,8 @@ import torch
 from controllers.functions.planner import LightingParams, Planner
 from controllers.pixels.ssc import Ssc
 from controllers.situation import Situation, TrackedObject
-from loop.headlight_pictures import show
-from loop.scenario import validate
+from loop.pictures.headlight import show
+from loop.scenario.model import validate
 from world.frames import pose_from_degrees
 from world.headlight.lamp import Lamp, Module
 from world.presets import idealised

@@ -3,7 +3,7 @@
 import sys
 
 from loop.lighting.simulation import LightingSimulation
-from loop.scenario import load_any
+from loop.scenario.model import load_any
 from perception.materials import material_picture
 
 REACH_M = (12.0, 45.0)  # ahead, where both lamps light the road

@@ -9,9 +9,9 @@ from typing import TypeVar
 
 import cv2
 
-from loop.build import build_scene
+from loop.assembly.build import build_scene
 from loop.lighting.simulation import LightingSimulation
-from loop.scenario import load_any, validate_any
+from loop.scenario.model import load_any, validate_any
 from perception.camera import CameraParams, camera_view
 from perception.ground_truth import ground_truth
 from world.rendering.face_source import face_source

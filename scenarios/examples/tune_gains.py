@@ -12,8 +12,8 @@ import numpy as np
 
 from controllers.symbol import ThesisPidParams, build_controller
 from loop.run import prepare
-from loop.scenario import load
-from loop.simulation import Simulation
+from loop.scenario.model import load
+from loop.symbol.simulation import Simulation
 from world.params import Params
 
 RATES = ("x_rate_m", "y_rate_m", "roll_rate_deg", "pitch_rate_deg")

@@ -10,8 +10,8 @@ from controllers.symbol.sensing.acquisition import Acquired
 from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.shape import reached
 from loop.run import prepare
-from loop.scenario import load
-from loop.simulation import Simulation
+from loop.scenario.model import load
+from loop.symbol.simulation import Simulation
 from perception.extraction import Loss
 
 SMALL = ["camera={width_px=640, height_px=480}", "start={x_m=17.0, y_m=0.0, roll_deg=0.0, pitch_deg=0.0}", "controller={name='open'}"]

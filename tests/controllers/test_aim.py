@@ -8,8 +8,8 @@ import torch
 from controllers.symbol.sensing.aim import aimed, elsewhere
 from controllers.symbol.sensing.projector import Projector, SymbolParams
 from controllers.symbol.sensing.shape import HERE, height
-from loop.build import build_projector
-from loop.scenario import load
+from loop.assembly.build import build_projector
+from loop.scenario.model import load
 from world.frames import inverse, transform
 
 EYE = torch.tensor([0.0, 0.0, 1.3], dtype=torch.float64)

@@ -5,7 +5,7 @@ import torch
 
 from controllers.symbol.heights.feedforward import relief_of
 from loop.run import prepare
-from loop.scenario import load
+from loop.scenario.model import load
 from perception.birdseye import Region
 from world.errors import LuxloopError
 from world.roads.shapes import Curb, Flat

@@ -9,8 +9,8 @@ from controllers.symbol.laws.lifting import LOSSES, Lifting
 from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.protocol import Look, Shown
 from loop.run import prepare
-from loop.scenario import load
-from loop.simulation import Simulation
+from loop.scenario.model import load
+from loop.symbol.simulation import Simulation
 from perception.extraction import Loss
 from perception.judge import Verdict
 from world.frames import inverse, pose, rotation, transform

@@ -23,8 +23,8 @@ from controllers.symbol.sensing.projector import SymbolParams
 from controllers.symbol.sensing.protocol import Look, Shown
 from controllers.symbol.sensing.shape import HERE, reached
 from loop.run import prepare
-from loop.scenario import DisturbanceParams, load
-from loop.simulation import Simulation, SimulationState
+from loop.scenario.model import DisturbanceParams, load
+from loop.symbol.simulation import Simulation, SimulationState
 from perception.birdseye import Region
 
 REGION = Region(13.0, 21.0, 2.0, -2.0)

@@ -17,8 +17,8 @@ from controllers.symbol.heights.registration import Heights
 from controllers.symbol.heights.sight import Sight
 from controllers.symbol.heights.springs import PARTS, followed
 from controllers.symbol.heights.swing import CELL_M, TRACK_M, Swing
-from loop.scenario import load
-from loop.simulation import Simulation
+from loop.scenario.model import load
+from loop.symbol.simulation import Simulation
 from perception.birdseye import Region
 from perception.egomotion import Ego, SensorParams, measured
 from world.frames import inverse, pose, rotation, transform

@@ -6,7 +6,7 @@ import pytest
 
 from controllers.symbol.sensing.drawing import Drawing
 from loop.run import prepare
-from loop.scenario import load
+from loop.scenario.model import load
 from world.errors import LuxloopError
 
 HALFWAY = """

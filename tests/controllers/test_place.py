@@ -7,8 +7,8 @@ import torch
 
 from controllers.symbol.sensing.drawing import CELLS
 from loop.run import prepare
-from loop.scenario import load
-from loop.simulation import StepResult
+from loop.scenario.model import load
+from loop.symbol.simulation import StepResult
 from perception.birdseye import birds_eye, cells, region_around
 from perception.camera import CameraParams, camera_view
 from world.errors import LuxloopError

@@ -7,8 +7,8 @@ import torch
 
 from controllers.symbol.laws.alignment import Alignment, Placement
 from loop.run import prepare
-from loop.scenario import load
-from loop.simulation import Simulation
+from loop.scenario.model import load
+from loop.symbol.simulation import Simulation
 from world.errors import LuxloopError
 
 SMALL = ["camera.width_px=640", "camera.height_px=360", "camera.oversampling=2", "symbol.image=snowflake"]

@@ -6,10 +6,10 @@ import pytest
 import torch
 
 from controllers.symbol.heights.feedforward import Surveyed
-from loop.overrides import resolve_paths
 from loop.run import prepare
-from loop.scenario import load
-from loop.simulation import Simulation
+from loop.scenario.model import load
+from loop.scenario.overrides import resolve_paths
+from loop.symbol.simulation import Simulation
 from world.errors import LuxloopError
 
 SMALL = ["camera.width_px=640", "camera.height_px=360", "camera.oversampling=2"]

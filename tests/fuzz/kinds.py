@@ -14,13 +14,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import torch
 
-from loop import campaign
-from loop.jobs import run as run_jobs
-from loop.manifest import Manifest
-from loop.replay import read_table
+from loop.jobs.runner import run as run_jobs
+from loop.recording.manifest import Manifest
+from loop.recording.replay import read_table
 from loop.run import check
-from loop.scenario import load_any, validate_any
-from loop.shipped import shipped
+from loop.scenario.model import load_any, validate_any
+from loop.scenario.shipped import shipped
+from loop.studies import campaign
 from perception.detection import network
 from tests.fuzz import mutations
 from world.headlight import Headlight

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from loop import cli
-from loop.scenario import Scenario, validate
-from loop.simulation import Simulation, StepResult
+from loop.commands import cli
+from loop.scenario.model import Scenario, validate
+from loop.symbol.simulation import Simulation, StepResult
 
 SMALL: dict[str, Any] = {
     "name": "small",

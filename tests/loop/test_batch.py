@@ -10,11 +10,11 @@ from torch import Tensor
 from controllers.pixels.ssc import Ssc
 from controllers.symbol.laws.thesis_pid import ThesisPid
 from controllers.symbol.sensing.projector import Projector
-from loop.batch import GAINS, check, rollouts, with_values
-from loop.build import build_projector
-from loop.ranges import changed, value_of
-from loop.scenario import Scenario, load
-from loop.simulation import Simulation
+from loop.assembly.build import build_projector
+from loop.scenario.model import Scenario, load
+from loop.studies.ranges import changed, value_of
+from loop.symbol.batch import GAINS, check, rollouts, with_values
+from loop.symbol.simulation import Simulation
 from world.errors import LuxloopError
 
 SMALL = [
@@ -68,7 +68,7 @@ def in_float64(scenario: Scenario, device: torch.device) -> Projector:
 
 
 def test_errors_are_differentiable_in_gains(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("loop.simulation.build_projector", in_float64)
+    monkeypatch.setattr("loop.symbol.simulation.build_projector", in_float64)
     loop = Simulation.prepare(scenario("extraction.edges=soft", steps=4))
     keys = ("controller.position.kp", "controller.position.kd", "controller.rotation.kp")
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from loop.build import build_projector
-from loop.scenario import Scenario, load
+from loop.assembly.build import build_projector
+from loop.scenario.model import Scenario, load
 from world.errors import LuxloopError
 from world.frames import pose_from_degrees
 from world.headlight.lamp import Lamp, Module

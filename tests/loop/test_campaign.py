@@ -14,12 +14,14 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from loop import campaign, cli, jobs
-from loop.campaign import JOBS, TABLE, read, run_campaign
-from loop.campaign_report import page, write_report
-from loop.executors import dask
-from loop.figures import figures
-from loop.scenario import load
+from loop.commands import cli
+from loop.jobs import runner as jobs
+from loop.jobs.executors import dask
+from loop.metrics import figures
+from loop.scenario.model import load
+from loop.studies import campaign
+from loop.studies.campaign import JOBS, TABLE, read, run_campaign
+from loop.studies.campaign_report import page, write_report
 from world.errors import LuxloopError
 
 ROOT = Path(__file__).parents[2]
@@ -125,7 +127,7 @@ def test_runs_that_share_a_simulation_are_as_those_that_do_not(monkeypatch: pyte
     small = ["steps=3", "headlight.model=hd84", "camera={ width_px=160, height_px=90 }", "symbol={ width_m=4.0, length_m=8.0 }"]
     first, other = (load("flat", [*small, f"seed={seed}"]) for seed in (1, 2))
     alone = [figures(scenario, "cpu") for scenario in (first, other)]
-    monkeypatch.setattr("loop.figures._prepared", OrderedDict())
+    monkeypatch.setattr("loop.metrics._prepared", OrderedDict())
     assert [figures(scenario, "cpu") for scenario in (other, first)] == alone[::-1]
     assert alone[0] != alone[1]
 

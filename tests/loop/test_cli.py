@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 import torch
 
-from loop import cli, data, listing
-from loop.doctor import Check
-from loop.scenario import validate
+from loop.commands import cli
+from loop.scenario import data
+from loop.scenario.model import validate
+from loop.terminal import listing
+from loop.terminal.doctor import Check
 from tests.loop.conftest import FILE, Lux, assert_one_sentence
 from world.opencrg import Crg, write_crg
 
@@ -235,7 +237,7 @@ def test_data_commands(lux: Lux, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 def test_doctor(lux: Lux, monkeypatch: pytest.MonkeyPatch) -> None:
     found = [Check("Python", "ok", "3.11"), Check("OpenGL", "fail", "[none]", "sudo apt-get install mesa")]
-    monkeypatch.setattr("loop.doctor.checks", lambda: found)
+    monkeypatch.setattr("loop.terminal.doctor.checks", lambda: found)
     code, out, _ = lux("doctor")
     assert code == 1
     assert "sudo apt-get install mesa" in out and "[none]" in out
@@ -246,7 +248,7 @@ def test_doctor(lux: Lux, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_process_starts_quickly_and_takes_a_closed_pipe_calmly() -> None:
     """What help and lists import is what makes them slow: torch alone takes a second."""
     program = (
-        "import sys; from loop.cli import main\n"
+        "import sys; from loop.commands.cli import main\n"
         "assert main(['--help']) == 0 and main(['list']) == 0 and main(['data', 'list']) == 0\n"
         "assert not {'torch', 'kornia', 'matplotlib', 'pyrender', 'trimesh', 'pandas'} & set(sys.modules)\n"
         "sys.exit(main(['data', 'lits']))"
@@ -255,7 +257,7 @@ def test_process_starts_quickly_and_takes_a_closed_pipe_calmly() -> None:
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=environment)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     with subprocess.Popen(
-        [sys.executable, "-m", "loop.cli", "data", "list"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment
+        [sys.executable, "-m", "loop.commands.cli", "data", "list"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment
     ) as process:
         assert process.stdout is not None and process.stderr is not None
         process.stdout.close()

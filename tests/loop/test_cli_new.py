@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from loop import cli
-from loop.scenario import Scenario, load, load_any
-from loop.shipped import examples, shipped
+from loop.commands import cli
+from loop.scenario.model import Scenario, load, load_any
+from loop.scenario.shipped import examples, shipped
 from tests.loop.conftest import Lux, assert_one_sentence
 
 

@@ -8,7 +8,7 @@ import av
 import pandas as pd
 import pytest
 
-from loop.simulation import Simulation
+from loop.symbol.simulation import Simulation
 from tests.loop.conftest import FILE, Lux
 from world.errors import LuxloopError
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from loop import code
+from loop.recording import digest as code
 
 
 @pytest.mark.parametrize(
@@ -13,7 +13,7 @@ from loop import code
         ("world/headlight/matrix.py", True),
         ("loop/objective.py", True),
         ("loop/lighting/report.py", True),
-        ("loop/headlight_charts.py", False),
+        ("loop/pictures/charts.py", False),
     ],
 )
 def test_the_version_follows_the_modules_that_decide(module: str, decides: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from loop import data
-from loop.data import DataFile
+from loop.scenario import data
+from loop.scenario.data import DataFile
 from world.errors import LuxloopError
 
 CONTENT = b"$ROAD_CRG\r\n\x00\xff a scan\n"

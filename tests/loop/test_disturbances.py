@@ -9,12 +9,12 @@ import torch
 from torch import Tensor
 
 from controllers.pixels.ssc import Utilisation
-from loop.disturbances import DisturbanceParams, WearParams
-from loop.plant import SimulatedPlant
 from loop.run import prepare
-from loop.scenario import Scenario, validate
-from loop.simulation import Simulation, StepResult
-from loop.truth import true_camera, true_modules, worn
+from loop.scenario.disturbances import DisturbanceParams, WearParams
+from loop.scenario.model import Scenario, validate
+from loop.symbol.plant import SimulatedPlant
+from loop.symbol.simulation import Simulation, StepResult
+from loop.symbol.truth import true_camera, true_modules, worn
 from perception.camera import luminance_of, saturation_luminance
 from tests.loop.conftest import SMALL
 from world.errors import LuxloopError

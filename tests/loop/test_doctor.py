@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from loop import data, doctor
+from loop.scenario import data
+from loop.terminal import doctor
 
 
 def test_every_check_reports_and_mends() -> None:

@@ -5,8 +5,8 @@ import math
 import pytest
 import torch
 
-from loop.scenario import Scenario, validate
-from loop.simulation import Simulation, StepResult
+from loop.scenario.model import Scenario, validate
+from loop.symbol.simulation import Simulation, StepResult
 from tests.loop.conftest import SMALL
 from world.errors import LuxloopError
 from world.frames import inverse, transform

@@ -10,9 +10,11 @@ import torch
 from scipy.optimize import linprog
 
 from controllers.pixels.mrpc_tuning import part
-from loop import evaluate as evaluation
-from loop import evaluate_jobs, evaluate_report, jobs
-from loop.evaluate import JOBS, ROWS, SETPOINTS, Evaluation, evaluate, summary
+from loop.evaluation import evaluate as evaluation
+from loop.evaluation import jobs as evaluate_jobs
+from loop.evaluation import report as evaluate_report
+from loop.evaluation.evaluate import JOBS, ROWS, SETPOINTS, Evaluation, evaluate, summary
+from loop.jobs import runner as jobs
 from perception.metrics import mae
 from world.beams.rectangles import Rectangle
 from world.errors import LuxloopError
@@ -41,7 +43,7 @@ def small() -> Iterator[Headlight]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(evaluate_jobs, "headlight", lambda name: light)
         patch.setattr(evaluate_jobs, "_peak_cd", lambda name: light.peak_cd)
-        patch.setattr("loop.evaluate_figures.headlight", lambda name: light)
+        patch.setattr("loop.evaluation.figures.headlight", lambda name: light)
         patch.setattr("controllers.pixels.mrpc_tuning.POPULATION", 4)
         patch.setattr("controllers.pixels.mrpc_tuning.GENERATIONS", 5)
         yield light

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import torch
 
-from loop import cli
-from loop.lighting.shown import lights_by_side
+from loop.commands import cli
+from loop.commands.shown import lights_by_side
 from loop.lighting.simulation import LightingSimulation
-from loop.scenario import LightingScenario, load, load_any
+from loop.scenario.model import LightingScenario, load, load_any
 from world.headlight.lamp import Lamp, Module
 from world.lampfiles.archive import save
 from world.photometry import read

@@ -10,15 +10,17 @@ import torch
 from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 
-from loop import headlight_overview, headlight_pictures, headlight_views
-from loop.headlight_charts import distance_marks, isolines, map_frame, object_outlines, steps
-from loop.headlight_facts import borders_deg, flux_lm, peak
-from loop.headlight_overview import facts, reach_m
-from loop.headlight_panels import wall_angles
-from loop.headlight_pictures import show
-from loop.headlight_styles import VIEWS
-from loop.headlight_views import BIRDSEYE_X_M, BIRDSEYE_Y_M, LitCar, Road, beside, birdseye, driver, grey, picture
-from loop.scenario import Scenario, validate
+from loop.pictures import headlight as headlight_pictures
+from loop.pictures import overview as headlight_overview
+from loop.pictures import views as headlight_views
+from loop.pictures.charts import distance_marks, isolines, map_frame, object_outlines, steps
+from loop.pictures.facts import borders_deg, flux_lm, peak
+from loop.pictures.headlight import show
+from loop.pictures.overview import facts, reach_m
+from loop.pictures.panels import wall_angles
+from loop.pictures.styles import VIEWS
+from loop.pictures.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, LitCar, Road, beside, birdseye, driver, grey, picture
+from loop.scenario.model import Scenario, validate
 from world.errors import LuxloopError
 from world.frames import pose_from_degrees
 from world.headlight import Headlight

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from loop.campaign import figures_of
-from loop.figures import figures
-from loop.manifest import digests, input_files
+from loop.metrics import figures
 from loop.objective import parse
-from loop.scenario import load, load_any
-from loop.tune import Task
+from loop.recording.manifest import digests, input_files
+from loop.scenario.model import load, load_any
+from loop.studies.campaign import figures_of
+from loop.studies.tune import Task
 from world.errors import LuxloopError
 
 SMALL = ["steps=1", "camera={ width_px=160, height_px=90, oversampling=1 }", "symbol={ width_m=4.0, length_m=8.0 }"]

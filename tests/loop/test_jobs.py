@@ -13,15 +13,15 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
-from loop import jobs
-from loop.jobs import Job, Results, run
+from loop.jobs import runner as jobs
+from loop.jobs.runner import Job, Results, run
 from world.errors import LuxloopError
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = """
 import signal, sys, time
 from pathlib import Path
-from loop.jobs import Job, run
+from loop.jobs.runner import Job, run
 
 def slow(x, log):
     with open(log, "a") as stream:

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from loop.run import check
-from loop.scenario import load_any
+from loop.scenario.model import load_any
 from world import presets
 from world.errors import LuxloopError
 from world.headlight.lamp import direction

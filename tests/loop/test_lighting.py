@@ -11,14 +11,14 @@ import pyarrow.parquet as pq
 import pytest
 import torch
 
-from loop import cli
-from loop.headlight_views import BIRDSEYE_X_M, BIRDSEYE_Y_M
+from loop.commands import cli
 from loop.lighting.picture import measured, white_of
 from loop.lighting.record import schema
 from loop.lighting.report import lit_part
 from loop.lighting.simulation import LightingSimulation, driving
+from loop.pictures.views import BIRDSEYE_X_M, BIRDSEYE_Y_M
 from loop.run import run
-from loop.scenario import DrivingParams, LightingScenario, validate_any
+from loop.scenario.model import DrivingParams, LightingScenario, validate_any
 from perception.camera import CameraParams, noise_std
 from world.errors import LuxloopError
 from world.lampfiles import archive as lampfile

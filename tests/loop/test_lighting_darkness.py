@@ -7,8 +7,8 @@ import torch
 
 from loop.lighting.result import LightingResult
 from loop.lighting.simulation import LightingSimulation
-from loop.scenario import LightingScenario, load_any, validate_any
-from loop.shipped import shipped
+from loop.scenario.model import LightingScenario, load_any, validate_any
+from loop.scenario.shipped import shipped
 from perception.camera import CameraParams, camera_view
 from world.light.illumination import illuminance, reach
 from world.rendering.gbuffer import gbuffer

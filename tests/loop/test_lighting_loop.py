@@ -12,14 +12,14 @@ import torch
 from rich.console import Console
 
 from controllers.situation import AdaptiveFunction
-from loop import cli
+from loop.commands import cli
 from loop.lighting.record import LOOKED_AT, row, schema
 from loop.lighting.simulation import LightingSimulation
 from loop.lighting.summary import shown
-from loop.manifest import input_files
-from loop.recorder import table_of
+from loop.recording.manifest import input_files
+from loop.recording.recorder import table_of
 from loop.run import run
-from loop.scenario import LightingScenario, validate_any
+from loop.scenario.model import LightingScenario, validate_any
 from perception.detection.protocol import Detections
 from world.errors import LuxloopError
 

@@ -18,9 +18,9 @@ from loop.lighting.courses import _materials, write_courses
 from loop.lighting.marks import Mark, readable
 from loop.lighting.simulation import LightingSimulation
 from loop.lighting.summary import eyes_lx, lost_steps, shown, steps_of_nothing
-from loop.report import STYLE
+from loop.recording.report import STYLE
 from loop.run import check, in_words, run
-from loop.scenario import LightingScenario, validate_any
+from loop.scenario.model import LightingScenario, validate_any
 
 WALKER = {"kind": "pedestrian", "name": "walker", "seed": 3, "track": [{"position_m": [15, -2, 0]}]}
 ZONE = {"kind": "zone", "name": "wall", "centre_m": [14, 1, 1.0], "size_m": [0, 1.6, 1.6], "luminance_cd_m2": 0.1}

@@ -9,8 +9,8 @@ import torch
 from loop.lighting.observed import WIDTH_PX, observed_symbols, picture_view
 from loop.lighting.result import LightingResult
 from loop.lighting.simulation import LightingSimulation
-from loop.scenario import LightingScenario, load_any, validate_any
-from loop.shipped import shipped
+from loop.scenario.model import LightingScenario, load_any, validate_any
+from loop.scenario.shipped import shipped
 from perception.camera import CameraParams
 
 CARPET = {"kind": "lane", "quantity": "E_v", "value": 1.0, "lane_width_m": 3.0, "near_m": 14.0, "far_m": 30.0}

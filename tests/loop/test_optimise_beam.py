@@ -10,12 +10,12 @@ from typing import Any
 import pytest
 import torch
 
-from loop import cli
-from loop.lighting.beam_goal import BeamGoal, BeamJudge
-from loop.lighting.beam_search import alike, begin, descend, sample
-from loop.lighting.optimise_beam import _method
+from loop.beams.goal import BeamGoal, BeamJudge
+from loop.beams.optimise import _method
+from loop.beams.search import alike, begin, descend, sample
+from loop.commands import cli
 from loop.lighting.simulation import LightingSimulation
-from loop.scenario import load_any, validate_any
+from loop.scenario.model import load_any, validate_any
 from perception.detection.build import detector
 from perception.detection.params import HogParams, NetworkParams
 from world.errors import LuxloopError

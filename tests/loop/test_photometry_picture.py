@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from loop.photometry_picture import cuts, show_distribution
+from loop.pictures.photometry import cuts, show_distribution
 from world.errors import LuxloopError
 from world.photometry import Distribution, Photometry
 

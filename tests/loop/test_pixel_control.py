@@ -9,10 +9,10 @@ import torch
 
 from controllers.jpo.controller import Jpo
 from controllers.pixels.ssc import Ssc
-from loop.build import build_projector
+from loop.assembly.build import build_projector
+from loop.assembly.pixel_control import pixel_controller
 from loop.lighting.simulation import LightingSimulation
-from loop.pixel_control import pixel_controller
-from loop.scenario import LightingScenario, Scenario, validate, validate_any
+from loop.scenario.model import LightingScenario, Scenario, validate, validate_any
 from perception.metrics import mae
 from world.errors import LuxloopError
 

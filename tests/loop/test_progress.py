@@ -2,8 +2,8 @@
 
 import pytest
 
-from loop import progress as module
-from loop.progress import LINE_S, progress
+from loop.terminal import progress as module
+from loop.terminal.progress import LINE_S, progress
 
 
 def test_a_log_gets_a_line_now_and_then(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
-from loop.campaign import CampaignParams
-from loop.scenario import LightingScenario, Scenario, load_any
+from loop.scenario.model import LightingScenario, Scenario, load_any
+from loop.studies.campaign import CampaignParams
 from world.errors import LuxloopError
 from world.lampfiles.description import LampDescription
 

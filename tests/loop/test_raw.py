@@ -10,8 +10,8 @@ import pytest
 import torch
 
 from loop.lighting.simulation import LightingSimulation
-from loop.manifest import input_files
-from loop.scenario import LightingScenario, load_any, validate_any
+from loop.recording.manifest import input_files
+from loop.scenario.model import LightingScenario, load_any, validate_any
 from world.errors import LuxloopError
 from world.lampfiles.utilisations import read_sequence
 from world.photometry.distribution import Array
@@ -127,7 +127,7 @@ def test_paths_are_those_beside_the_file_and_every_frame_is_an_input(written: di
 
 
 def test_the_shipped_sequence_is_what_its_program_draws(tmp_path: Path) -> None:
-    from loop.shipped import shipped_files
+    from loop.scenario.shipped import shipped_files
     from scenarios.examples.draw_utilisations import draw
 
     draw(tmp_path)

@@ -18,12 +18,12 @@ import pytest
 import torch
 
 from controllers.symbol.sensing.drawing import Drawing
-from loop import recorder
-from loop.manifest import Manifest
-from loop.recorder import COLUMNS, SCHEMA, Recorder, row, table_of
-from loop.replay import load
-from loop.scenario import Scenario, validate
-from loop.simulation import Simulation, StepResult
+from loop.recording import recorder
+from loop.recording.manifest import Manifest
+from loop.recording.recorder import COLUMNS, SCHEMA, Recorder, row, table_of
+from loop.recording.replay import load
+from loop.scenario.model import Scenario, validate
+from loop.symbol.simulation import Simulation, StepResult
 from perception.extraction import Loss
 from world.errors import LuxloopError
 
@@ -133,9 +133,9 @@ def test_death_in_the_middle_of_a_write_leaves_the_write_before(
 RUN = """
 import itertools, json, sys
 from pathlib import Path
-from loop.recorder import Recorder
-from loop.scenario import validate
-from loop.simulation import Simulation
+from loop.recording.recorder import Recorder
+from loop.scenario.model import validate
+from loop.symbol.simulation import Simulation
 
 simulation = Simulation.prepare(validate(json.loads(sys.argv[2]), "test"))
 with Recorder(Path(sys.argv[1]), simulation) as recording:

@@ -16,12 +16,12 @@ import pyarrow.parquet as pq
 import pytest
 
 from controllers.symbol.sensing.flat_model import FeatureParams
-from loop.comparison import CENTROID_M, CENTROID_PX, SHEAR, TOLERANCES, compare, tolerances
-from loop.recorder import COLUMNS, SCHEMA, Recorder, row, table_of
-from loop.replay import load, read_parquet, replay, to_csv
-from loop.scenario import Scenario
-from loop.simulation import Simulation, StepResult
-from loop.summary import steady_step
+from loop.recording.comparison import CENTROID_M, CENTROID_PX, SHEAR, TOLERANCES, compare, tolerances
+from loop.recording.recorder import COLUMNS, SCHEMA, Recorder, row, table_of
+from loop.recording.replay import load, read_parquet, replay, to_csv
+from loop.recording.summary import steady_step
+from loop.scenario.model import Scenario
+from loop.symbol.simulation import Simulation, StepResult
 from world.errors import LuxloopError
 
 PAGE = Path(__file__).parents[2] / "docs" / "recordings.md"
@@ -63,7 +63,7 @@ def test_a_replay_with_two_threads_is_within_the_tolerances(name: str, tmp_path:
     """What docs/recordings.md says of the two scenarios whose bits depend on threads."""
     for threads, command in (("1", ["run", name, "--steps", "2", "--no-video", "--out", str(tmp_path)]), ("2", ["replay", str(tmp_path)])):
         environment = {**os.environ, "OMP_NUM_THREADS": threads}
-        done = subprocess.run([sys.executable, "-m", "loop.cli", *command], env=environment, capture_output=True, text=True)
+        done = subprocess.run([sys.executable, "-m", "loop.commands.cli", *command], env=environment, capture_output=True, text=True)
         assert done.returncode == 0, done.stdout + done.stderr
 
 

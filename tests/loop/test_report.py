@@ -10,12 +10,12 @@ import pyarrow as pa
 import pytest
 import torch
 
-from loop.recorder import REPORT, row, table_of
-from loop.report import PAST_SYMBOLS, Gathered, write_report
+from loop.recording.recorder import REPORT, row, table_of
+from loop.recording.report import PAST_SYMBOLS, Gathered, write_report
+from loop.recording.summary import summarise
 from loop.run import run
-from loop.scenario import Scenario
-from loop.simulation import Simulation, StepResult
-from loop.summary import summarise
+from loop.scenario.model import Scenario
+from loop.symbol.simulation import Simulation, StepResult
 from perception.extraction import Loss
 
 

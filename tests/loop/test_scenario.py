@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from loop.scenario import LightingScenario, Scenario, load, load_any, validate, validate_any
-from loop.shipped import shipped
+from loop.scenario.model import LightingScenario, Scenario, load, load_any, validate, validate_any
+from loop.scenario.shipped import shipped
 from world.errors import LuxloopError
 
 GOOD = """

@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from loop.run import prepare
-from loop.scenario import Scenario, StartParams, load
-from loop.simulation import Simulation
+from loop.scenario.model import Scenario, StartParams, load
+from loop.symbol.simulation import Simulation
 from perception.camera import luminance_of
 from world.errors import LuxloopError
 

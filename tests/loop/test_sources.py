@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from loop import sources
-from loop.manifest import Manifest, digests
+from loop.recording import sources
+from loop.recording.manifest import Manifest, digests
+from loop.recording.sources import sources_of
 from loop.run import prepare
-from loop.scenario import load
-from loop.sources import sources_of
+from loop.scenario.model import load
 from world.errors import LuxloopError
 
 FILES = {

@@ -10,11 +10,11 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from loop.recorder import COLUMNS, table_of
-from loop.remedies import remedies
-from loop.scenario import load
-from loop.summary import overshoot_percent, settle_step, steady_step, summarise, unsettled
-from loop.tables import summary as summary_table
+from loop.recording.recorder import COLUMNS, table_of
+from loop.recording.remedies import remedies
+from loop.recording.summary import overshoot_percent, settle_step, steady_step, summarise, unsettled
+from loop.scenario.model import load
+from loop.terminal.tables import summary as summary_table
 
 
 def table(steps: int = 40, loss: list[str] | None = None, **columns: Any) -> pa.Table:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from loop import cli
+from loop.commands import cli
 from loop.training import examples, fit
 from loop.training.calibrate import calibrate, logistic
 from loop.training.examples import SIZE, Examples, targets

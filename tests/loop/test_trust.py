@@ -8,13 +8,14 @@ from typing import Any
 
 import pytest
 
-from loop import campaign, cli
-from loop.executors import local
+from loop.commands import cli
+from loop.jobs.executors import local
 from loop.lighting.replay import replay as replay_lighting
-from loop.manifest import FILE, Manifest, digests
-from loop.replay import replay
+from loop.recording.manifest import FILE, Manifest, digests
+from loop.recording.replay import replay
 from loop.run import run
-from loop.scenario import load, load_any
+from loop.scenario.model import load, load_any
+from loop.studies import campaign
 from world import plugin
 from world.errors import LuxloopError
 

@@ -8,16 +8,18 @@ import pytest
 import torch
 from torch import Tensor
 
-from loop import cli, gradient, objective, ranges
-from loop import tune as module
-from loop.batch import Rollout, rollouts
-from loop.executors import local
-from loop.learned import Learned, near
-from loop.scenario import Scenario, load
-from loop.simulation import Simulation
-from loop.study import FINISHED, STUDY
-from loop.tune import Task, Trace, Tuned, tune
-from loop.tune_report import BEST, PICTURE, REPORT, write
+from loop import objective
+from loop.commands import cli
+from loop.jobs.executors import local
+from loop.scenario.model import Scenario, load
+from loop.studies import gradient, ranges
+from loop.studies import tune as module
+from loop.studies.study import FINISHED, STUDY
+from loop.studies.surrogate import Learned, near
+from loop.studies.tune import Task, Trace, Tuned, tune
+from loop.studies.tune_report import BEST, PICTURE, REPORT, write
+from loop.symbol.batch import Rollout, rollouts
+from loop.symbol.simulation import Simulation
 from world.errors import LuxloopError
 
 SMALL = ["steps=3", "headlight.model=hd84", "camera={ width_px=160, height_px=90, oversampling=1 }", "symbol={ width_m=4.0, length_m=8.0 }"]

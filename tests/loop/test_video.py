@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from controllers.symbol.sensing.drawing import Drawing
-from loop.simulation import Simulation, StepResult
-from loop.video import LOST_RGB, SEEN_RGB, TARGET_RGB, VideoWriter, frame_picture, tone_map
+from loop.recording.video import LOST_RGB, SEEN_RGB, TARGET_RGB, VideoWriter, frame_picture, tone_map
+from loop.symbol.simulation import Simulation, StepResult
 from world.errors import LuxloopError
 
 

@@ -12,7 +12,7 @@ from loop.lighting.marks import marks
 from loop.lighting.simulation import LightingSimulation
 from loop.lighting.summary import shown
 from loop.run import run
-from loop.scenario import LightingScenario, validate_any
+from loop.scenario.model import LightingScenario, validate_any
 from world.errors import LuxloopError
 
 CAMERA = {"width_px": 320, "height_px": 180, "oversampling": 1, "saturation_e": 2000, "pitch_deg": 1.5}

@@ -3,8 +3,8 @@
 import pytest
 import torch
 
-from loop.build import build_scene
-from loop.scenario import validate_any
+from loop.assembly.build import build_scene
+from loop.scenario.model import validate_any
 from perception.camera import CameraParams, camera_view
 from perception.materials import material_picture
 from world.materials.library import MATERIALS

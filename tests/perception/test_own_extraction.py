@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from loop.run import prepare
-from loop.scenario import load
-from loop.simulation import Simulation
+from loop.scenario.model import load
+from loop.symbol.simulation import Simulation
 from perception.extraction import ExtractionParams, OwnExtractionParams, symbol_image
 from world.errors import LuxloopError
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from loop.comparison import Difference
-from loop.recorder import write_table
+from loop.recording.comparison import Difference
+from loop.recording.recorder import write_table
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "scenarios" / "recordings"

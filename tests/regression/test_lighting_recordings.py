@@ -12,9 +12,9 @@ from loop.lighting.record import row, schema
 from loop.lighting.replay import compare
 from loop.lighting.result import LightingResult
 from loop.lighting.simulation import LightingSimulation
-from loop.recorder import table_of
-from loop.scenario import LightingScenario, load_any
-from loop.shipped import shipped
+from loop.recording.recorder import table_of
+from loop.scenario.model import LightingScenario, load_any
+from loop.scenario.shipped import shipped
 from tests.regression.recorded import file_of, replace, told
 
 LIGHTING = [name for name in shipped() if isinstance(load_any(name), LightingScenario)]

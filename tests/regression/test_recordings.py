@@ -12,12 +12,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from loop import data
-from loop.comparison import compare, tolerances
-from loop.recorder import COLUMNS, LATER, SCHEMA, row, table_of
-from loop.scenario import LightingScenario, Scenario, load, load_any
-from loop.shipped import shipped
-from loop.simulation import Simulation
+from loop.recording.comparison import compare, tolerances
+from loop.recording.recorder import COLUMNS, LATER, SCHEMA, row, table_of
+from loop.scenario import data
+from loop.scenario.model import LightingScenario, Scenario, load, load_any
+from loop.scenario.shipped import shipped
+from loop.symbol.simulation import Simulation
 from tests.regression.recorded import FOLDER, ROOT, file_of, replace, told
 from world.roads.shapes import OpenCrgRoad
 

@@ -8,7 +8,7 @@ import pytest
 
 from controllers.symbol import FeedforwardParams
 from loop.run import prepare
-from loop.scenario import load
+from loop.scenario.model import load
 from world.errors import LuxloopError
 from world.roads.own import OwnRoad
 from world.roads.shapes import SpeedBump

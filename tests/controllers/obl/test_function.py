@@ -19,7 +19,7 @@ from controllers.pixels.primitives import concatenate
 from controllers.pixels.secondary import Light, SecondaryRays
 from controllers.pixels.ssc import Ssc
 from controllers.situation import AdaptiveFunction, Situation, TrackedObject
-from loop.scenario import load_any
+from loop.scenario.model import load_any
 from perception.tracking import LINGER_S
 from world.frames import inverse, pose_from_degrees, transform
 from world.presets import lamp

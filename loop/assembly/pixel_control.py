@@ -1,0 +1,38 @@
+"""Pixel controllers by name: what a scenario turns primitives into utilisations with."""
+
+from typing import cast
+
+from torch import Tensor
+
+from controllers.jpo.controller import Jpo
+from controllers.pixels.ssc import PixelController, Ssc
+from loop.scenario.model import WorldScenario
+from world.errors import LuxloopError
+from world.headlight import Headlight
+from world.plugin import Guarded, Name, load, running
+
+
+def pixel_controller(scenario: WorldScenario, headlight: Headlight, default: Tensor | None = None) -> PixelController:
+    """The pixel controller that a scenario names, for one headlight; default: `[n_p]`, the base pattern (dark).
+
+    One of the user's own, "package.module:Name", is made by its `Name.prepare(headlight)`.
+    Raises LuxloopError where there is no such class, or it cannot be made.
+    """
+    match scenario.pixel_controller:
+        case "ssc":
+            return Ssc.prepare(headlight, scenario.ssc, default)
+        case "jpo":
+            return Jpo.prepare(headlight, scenario.jpo, default, scenario.ssc)
+        case name:
+            own = _own(Name(name), headlight)
+            return own if default is None else own.over(default)
+
+
+def _own(name: Name, headlight: Headlight) -> PixelController:
+    key = "pixel_controller"
+    made_by = load(name, key, ("prepare", "utilisation", "over"))
+    with running(name, key, "prepare"):
+        made = made_by.prepare(headlight)
+    if lacking := [part for part in ("headlight", "default", "utilisation", "over") if not hasattr(made, part)]:
+        raise LuxloopError(f"{key}: {name} has no {lacking[0]!r}; write one as docs/python.md has it")
+    return cast(PixelController, Guarded(made, name, key))

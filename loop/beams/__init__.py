@@ -1,0 +1,1 @@
+"""Beams that are optimised for a detector."""

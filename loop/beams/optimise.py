@@ -1,0 +1,136 @@
+"""What `luxloop optimise-beam` does: search a beam for a scenario's first moment, and leave utilisations that it can play, and figures."""
+
+import shlex
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from pydantic import ValidationError
+
+from loop.beams.goal import BeamGoal, BeamJudge, Metric
+from loop.beams.picture import write_picture
+from loop.beams.search import Found, Lights, alike, begin, descend, sample
+from loop.lighting.lamps import flux_by_side
+from loop.lighting.simulation import LightingSimulation
+from loop.recording.manifest import write_json
+from loop.run import torch_device
+from loop.scenario.model import LightingScenario, load_any
+from loop.terminal import tables
+from loop.terminal.progress import progress
+from perception.detection.build import detector
+from perception.detection.network import NetworkDetector
+from perception.detection.params import NetworkParams, TruthParams
+from perception.detection.protocol import Detector
+from world.errors import LuxloopError, located
+from world.files import whole
+from world.folders import output_folder
+from world.validation import sentence
+
+Method = Literal["auto", "gradient", "sampling"]
+STEPS: Mapping[str, int] = {"gradient": 80, "sampling": 150}
+FRAMES = 8  # whose noise differs, that a detector's scores are the mean of
+RAW, PICTURE, SUMMARY = "raw.toml", "beam.png", "beam.json"
+
+
+def optimise_beam(
+    name: str, overrides: list[str], weights: Mapping[str, Any], method: Method, steps: int | None, out: Path, device: str, allow_code: bool
+) -> dict[str, Any]:
+    """Search, write and tell; what was found in numbers. weights: of a `BeamGoal`.
+
+    Raises LuxloopError for weights below zero, scenarios of a symbol or without objects in sight, and, before the search, a folder that
+    cannot be made.
+    """
+    try:
+        goal = BeamGoal(**weights)
+    except ValidationError as error:
+        raise LuxloopError(f"--{sentence(error, BeamGoal, '')}") from error
+    scenario = load_any(name, overrides, allow_code=allow_code)
+    if not isinstance(scenario, LightingScenario):
+        raise LuxloopError(f"{name}: has a [symbol]; a beam is optimised for a scenario with [lighting]")
+    if steps is not None and steps < 1:
+        raise LuxloopError(f"--steps {steps}: nothing can be found in that; give 1 or more")
+    scenario = scenario.model_copy(update={"lighting": scenario.lighting.model_copy(update={"functions": ()})})
+    simulation = LightingSimulation.prepare(scenario, torch_device(device))
+    with located(scenario.source):
+        judge = BeamJudge.prepare(simulation, goal, _detector(scenario, goal.metric, simulation.device))
+    method = _method(method, judge)
+    start, number = begin(judge), steps or STEPS[method]
+    search = descend if method == "gradient" else sample
+    with output_folder(out), progress("searching", number) as advance:
+        found = search(judge, start, number, lambda step, loss: advance())
+        lm = sum(flux_by_side(simulation.modules, found.lights).values())
+        as_dim = alike(start, [module.flux for module in simulation.modules], lm)
+        beams = {"before": start, "before, as much flux": as_dim, "found": found.lights}
+        summary = _summary(judge, method, found, beams)
+        _write(out, judge, found, beams, summary)
+    _tell(summary, shlex.join([name, "--set", *overrides, str(out / RAW)]))
+    return summary
+
+
+def _detector(scenario: LightingScenario, metric: Metric, device: torch.device) -> Detector | None:
+    if metric != "detector":
+        return None
+    given = scenario.detector
+    return detector(NetworkParams() if given is None or isinstance(given, TruthParams) else given, device)
+
+
+def _method(asked: Method, judge: BeamJudge) -> Literal["gradient", "sampling"]:
+    smooth = judge.detector is None or isinstance(judge.detector, NetworkDetector)
+    if asked == "gradient" and not smooth:
+        raise LuxloopError(
+            "--method gradient: only luxloop's own network can be differentiated; take --method sampling for other detectors"
+        )
+    if asked != "auto":
+        return asked
+    return "gradient" if smooth else "sampling"
+
+
+def _summary(judge: BeamJudge, method: str, found: Found, beams: Mapping[str, Lights]) -> dict[str, Any]:
+    return {
+        "metric": judge.goal.metric,
+        "method": method,
+        "weights": judge.goal.model_dump(exclude={"metric"}),
+        "steps": len(found.losses),
+        "loss_first": found.losses[0],
+        "loss_last": min(found.losses) if method == "sampling" else found.losses[-1],
+        "beams": {name: _figures(judge, lights) for name, lights in beams.items()},
+    }
+
+
+@torch.no_grad()
+def _figures(judge: BeamJudge, lights: Lights) -> dict[str, Any]:
+    seen = [judge.judged(lights, step) for step in range(FRAMES)]
+    scores = torch.stack([each.scores.double().cpu() for each in seen]).mean(0).tolist()
+    eyes = judge.known.lit.light(lights)[0][judge.known.eyes]
+    return {
+        "flux_lm": sum(flux_by_side(judge.simulation.modules, lights).values()),
+        "scores": dict(zip(judge.masks, scores, strict=True)),
+        "score_mean": sum(scores) / len(scores),
+        "eyes_lx_max": float(eyes.max()) if len(eyes) else None,
+    }
+
+
+def _write(out: Path, judge: BeamJudge, found: Found, beams: Mapping[str, Lights], summary: dict[str, Any]) -> None:
+    entries = []
+    for module, u in zip(judge.simulation.modules, found.lights, strict=True):
+        file = out / f"{module.name.replace(' ', '-')}.npz"
+        with whole(file) as part, part.open("wb") as stream:
+            np.savez_compressed(stream, u=u.cpu().numpy().reshape(module.headlight.pixel_rows, module.headlight.pixel_cols))
+        entries.append(f'  {{ file = "./{file.name}", modules = ["{module.name}"] }},\n')
+    with whole(out / RAW) as part:
+        part.write_text(f"[lighting]\nfunctions = []\nraw = [\n{''.join(entries)}]\n", "utf-8")
+    write_json(out / SUMMARY, summary)
+    write_picture(out / PICTURE, judge, beams, found.losses, summary)
+
+
+def _tell(summary: dict[str, Any], played_by: str) -> None:
+    beams = summary["beams"]
+    table = tables.plain("", *beams)
+    table.add_row("flux", *(f"{each['flux_lm']:.0f} lm" for each in beams.values()))
+    for key in beams["found"]["scores"]:
+        table.add_row(f"{summary['metric']}: {key}", *(f"{each['scores'][key]:.2f}" for each in beams.values()))
+    table.add_row("on eyes", *("–" if each["eyes_lx_max"] is None else f"{each['eyes_lx_max']:.2f} lx" for each in beams.values()))
+    tables.show(table)
+    print(f"to see it: luxloop run {played_by}")

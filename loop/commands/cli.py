@@ -1,0 +1,240 @@
+"""The command `luxloop`. What is heavy to import is imported by the command that needs it, so that help and lists come at once."""
+
+import os
+import re
+import signal
+import sys
+import traceback
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+from cyclopts import App, CycloptsError, UnknownCommandError, UnusedCliTokensError
+
+from loop.commands.headlight import headlight_app
+from loop.commands.listing import data_app, doctor, list_, schema
+from loop.commands.studies import campaign, evaluate, optimise_beam, train_detector, tune
+from loop.scenario.shipped import copied, examples, original
+from loop.terminal import tables
+from loop.terminal.options import DIFFERS, INTERRUPTED, OK, UNREAD, WRONG, AllowCode, Device, Json, Keys, with_controller
+from world.errors import LuxloopError, did_you_mean
+
+DEBUG = "--debug"
+
+
+def version() -> str:
+    """The installed version of luxloop."""
+    from importlib import metadata
+
+    try:
+        return metadata.version("luxloop")
+    except metadata.PackageNotFoundError:
+        return "not installed"
+
+
+app = App(
+    name="luxloop",
+    version=version,
+    help="Closed loops around HD matrix headlights: what the camera sees of a projected symbol controls the light.",
+    help_epilogue="The first run: luxloop run snowflake. With --debug, any command shows the traceback of an error.",
+    version_flags=["--version"],
+    suppress_keyboard_interrupt=False,
+)
+app.command(list_, name="list")
+for command in (schema, doctor, data_app, headlight_app, evaluate, campaign, tune, optimise_beam, train_detector):
+    app.command(command)
+app.register_install_completion_command(help="Install the completion of commands and options for bash, zsh or fish.")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command line; returns the exit code. Whatever the user can mend is one sentence on stderr and exit code 2."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # SIGTERM ends a command as Ctrl-C does
+    warnings.simplefilter("ignore")
+    warnings.filterwarnings("default", category=UserWarning)
+    warnings.filterwarnings("ignore", message="Sparse CSR tensor support")
+    warnings.showwarning = lambda message, *_: _say(f"warning: {message}")
+    tokens = sys.argv[1:] if arguments is None else list(arguments)
+    try:
+        code = app(
+            [token for token in tokens if token != DEBUG],
+            exit_on_error=False,
+            print_error=False,
+            result_action="return_value",
+            verbose=False,
+        )
+        sys.stdout.flush()
+        return int(code or OK)
+    except LuxloopError as error:
+        if DEBUG in tokens:
+            traceback.print_exception(error)
+        _say(f"error: {error}")
+        return WRONG
+    except CycloptsError as error:
+        _say(f"error: {_complaint(error)}")
+        return WRONG
+    except KeyboardInterrupt as error:
+        _say(f"interrupted{f': {error}' if str(error) else ''}")
+        return INTERRUPTED
+    except BrokenPipeError:
+        # Whoever read our output has gone; Python would complain once more when it flushes stdout at exit. Tables end the same way.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return UNREAD
+
+
+def _say(text: str) -> None:
+    print(" ".join(text.split()), file=sys.stderr)
+
+
+def _complaint(error: CycloptsError) -> str:
+    """What is wrong with a command line, in one sentence."""
+    command = " ".join(["luxloop", *(error.command_chain or ())])
+    if isinstance(error, UnusedCliTokensError):
+        return f"{' '.join(error.unused_tokens or ())}: is not expected here; see `{command} --help`"
+    if isinstance(error, UnknownCommandError) and error.app and error.unused_tokens:
+        name = error.unused_tokens[0]
+        return f"there is no command {name!r}; {did_you_mean(name, error.app, f'`{command} --help` shows all')}"
+    text = str(error)
+    sentences = re.split(r"\.\s+", text.strip().rstrip("."))
+    return "; ".join([sentences[0], *(f"{part[:1].lower()}{part[1:]}" for part in sentences[1:])])
+
+
+@app.command
+def new(file: Path | None = None, /, *, like: str | None = None, traffic: int | None = None) -> None:
+    """Write a scenario file, ready to run: a commented one of a symbol with all common keys, or a copy of a shipped one or of an example.
+
+    Parameters
+    ----------
+    file
+        File to write, such as my.toml, by default named like what is copied; one that exists is left alone.
+    like
+        Shipped scenario or example to copy (see `luxloop list` and `luxloop list examples`), such as gfhb for lighting functions.
+    traffic
+        Seed of a night with traffic, its road and light, to write in place of it.
+    """
+    if like is not None and traffic is not None:
+        raise LuxloopError("--like copies a scenario and --traffic draws one; give one of the two")
+    if traffic is not None and traffic < 0:
+        raise LuxloopError(f"--traffic {traffic}: a seed is a whole number from 0 on")
+    if like is not None:
+        source = original(like)
+        file = file or Path(source.name)
+        if file.suffix != source.suffix:
+            raise LuxloopError(f"{file}: --like {like} copies a {source.suffix} file; give its copy the same ending")
+        text = copied(source, file.stem)
+    elif file is not None:
+        from loop.scenario.template import night, template
+
+        text = template(file.stem) if traffic is None else night(file.stem, traffic)
+    else:
+        raise LuxloopError("luxloop new: name a file to write, such as my.toml, or give --like NAME to copy under the same name")
+    try:
+        with file.open("x", encoding="utf-8") as stream:
+            stream.write(text)
+    except FileExistsError as error:
+        raise LuxloopError(f"{file}: exists already; name another file, or remove it first") from error
+    except OSError as error:
+        raise LuxloopError(f"{file}: cannot be written ({error.strerror}); check its folder") from error
+    print(f"{file} written; {'its first lines say how to use it' if like in examples() else f'run it with: luxloop run {file}'}")
+
+
+@app.command
+def check(name: str, /, *, controller: str | None = None, set: Keys = None, json: Json = False, allow_code: AllowCode = False) -> None:
+    """Validate a scenario and everything that it names: symbol, road, meshes, whether lamps and camera reach the target.
+
+    Parameters
+    ----------
+    name
+        Scenario file, or name of a shipped scenario.
+    controller
+        Controller to take instead, with its defaults (see `luxloop list controllers`).
+    set
+        Keys to change, as key=value in TOML syntax, such as headlight.model=mylamp.npz.
+    json
+        Print an object: scenario, ok, and either what was found or, as error, what is wrong.
+    """
+    from loop.run import check as check_scenario
+    from loop.run import in_words
+    from loop.scenario.model import load_any
+
+    try:
+        found = check_scenario(load_any(name, set or [], allow_code=allow_code, **with_controller(controller)))
+    except LuxloopError as error:
+        if json:
+            tables.show_json({"scenario": name, "ok": False, "error": str(error)})
+        raise
+    if json:
+        tables.show_json({"scenario": name, "ok": True, **found})
+    else:
+        print(f"{name}: ok ({in_words(found)})")
+
+
+@app.command
+def run(
+    name: str,
+    /,
+    *,
+    out: Path | None = None,
+    set: Keys = None,
+    seed: int | None = None,
+    steps: int | None = None,
+    controller: str | None = None,
+    device: Device = "auto",
+    video: bool = True,
+    report: bool = True,
+    allow_code: AllowCode = False,
+) -> None:
+    """Run a scenario and record it: manifest, trajectory, summary, report and video.
+
+    Parameters
+    ----------
+    name
+        Name of a shipped scenario (see `luxloop list`), or scenario file.
+    out
+        Folder for the recording; by default runs/NAME. A recording that is there is replaced.
+    set
+        Keys to change, as key=value in TOML syntax, such as camera.bits=8 or road.kind=bumps.
+    seed
+        Seed of all noise.
+    steps
+        Control steps.
+    controller
+        Controller to take instead, with its defaults (see `luxloop list controllers`).
+    device
+        Where to compute; auto takes CUDA where there is any.
+    video
+        Whether to write video.mp4.
+    report
+        Whether to write report.png, which takes seconds.
+    """
+    from loop.commands.runs import run_scenario
+
+    given = {key: value for key, value in {"seed": seed, "steps": steps}.items() if value is not None} | with_controller(controller)
+    run_scenario(name, out or Path("runs") / Path(name).stem, set or [], given, device, video, report, allow_code)
+
+
+@app.command
+def replay(directory: Path, /, *, compare: bool | None = None, csv: Path | None = None, allow_code: AllowCode = False) -> int:
+    """Run a recorded scenario again and hold it against the recording; exit code 1 where they differ.
+
+    Parameters
+    ----------
+    directory
+        Folder that `luxloop run` wrote.
+    compare
+        Whether to run it again; by default yes, unless --csv is given.
+    csv
+        File to write the recorded steps to, as comma-separated values.
+    """
+    from loop.commands.runs import compare_recording
+    from loop.recording.replay import to_csv
+
+    if csv is not None:
+        to_csv(directory, csv)
+        print(f"{csv} written")
+    if compare or (compare is None and csv is None):
+        return OK if compare_recording(directory, allow_code) else DIFFERS
+    return OK
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,288 @@
+"""The commands `luxloop headlight ...`: facts and pictures of lamps and photometric files, lamp files built, exported and checked."""
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from cyclopts import App
+
+from loop.terminal import tables
+from loop.terminal.options import DIFFERS, AllowCode
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from world.headlight.lamp import Lamp
+
+headlight_app = App(name="headlight", help="Lamps and photometric files: facts, pictures, lamp files, and the regulations' test points.")
+PHOTOMETRIC = (".ies", ".ldt")
+
+
+@headlight_app.command(name="list")
+def list_() -> None:
+    """Show the lamps that come with luxloop."""
+    from loop.commands.tables import presets
+
+    tables.show(presets())
+
+
+@headlight_app.command
+def info(lamp: str, /) -> None:
+    """Show the facts of a lamp or of a photometric file.
+
+    Parameters
+    ----------
+    lamp
+        Name of a preset (see `luxloop headlight list`), a lamp file (.npz), a description (.toml) or a photometric file (.ies, .ldt).
+    """
+    from loop.commands import tables as headlight_tables
+
+    if Path(lamp).suffix.lower() in PHOTOMETRIC:
+        from world.photometry import read
+
+        tables.show(headlight_tables.photometry(read(Path(lamp))))
+        return
+    from world.lampfiles.description import load_lamp
+
+    described = load_lamp(lamp)
+    print(f"{described.name}\n{described.notes}\n" if described.notes else described.name)
+    tables.show(headlight_tables.modules(described))
+    print()
+    tables.show(headlight_tables.beams(described))
+    _tell_what_beams_keep(described)
+
+
+@headlight_app.command
+def show(
+    lamp: str,
+    /,
+    *,
+    beam: str | None = None,
+    view: str | None = None,
+    style: str | None = None,
+    side: Literal["both", "left", "right"] | None = None,
+    traffic: Literal["left", "right"] | None = None,
+    scenario: str | None = None,
+    time_s: float | None = None,
+    visibility_m: float | None = None,
+    out: Path | None = None,
+    allow_code: AllowCode = False,
+) -> None:
+    """Draw a lamp's light, or a photometric file.
+
+    Parameters
+    ----------
+    lamp
+        Preset, lamp file (.npz), description (.toml) or photometric file (.ies, .ldt), which without --view is drawn as it was measured.
+    beam
+        Name of the beam, full or off; by default what a lighting scenario does, else low, or full where the lamp has no low beam.
+    view
+        overview (the default), wall, birdseye, driver, volume, pixels or texture.
+    style
+        luminance, falsecolour, isolux or isocandela, as far as the view has it.
+    side
+        Lamps that shine, both by default.
+    traffic
+        Side of the road that the traffic drives on, right by default; for the left, default beams are fitted to it.
+    scenario
+        Scenario whose road, objects and light are shown, and with lighting functions what they make of the lamp; by default a flat road
+        by night.
+    time_s
+        Moment of the scenario, its start by default.
+    visibility_m
+        Visibility in the fog of the view volume, 100 m by default.
+    out
+        Picture to write (.png, .jpg, .pdf or .svg); by default the lamp's name, beam and view.
+    """
+    from loop.pictures.styles import check_format, style_of
+    from world.errors import LuxloopError
+
+    stem = Path(lamp).stem
+    if view is not None or style is not None:
+        style_of(view or "overview", style)
+    if out is not None:
+        check_format(out)
+    chosen = {
+        "beam": beam,
+        "style": style,
+        "side": side,
+        "traffic": traffic,
+        "scenario": scenario,
+        "time-s": time_s,
+        "visibility-m": visibility_m,
+    }
+    if Path(lamp).suffix.lower() in PHOTOMETRIC and view is None:
+        from loop.pictures.photometry import show_distribution
+        from world.photometry import read
+
+        for name, value in chosen.items():
+            if value is not None:
+                raise LuxloopError(f"--{name}: a photometric file is drawn as it was measured; for a picture as a lamp give --view, too")
+        print(f"{show_distribution(read(Path(lamp)), out or Path(f'{stem}.png'))} written")
+    else:
+        from loop.commands.shown import lights_by_side
+        from loop.pictures.headlight import show as show_lamps
+        from loop.scenario.model import LightingScenario, load_any
+        from world.lampfiles.description import for_traffic, load_lamp
+
+        if time_s is not None and (scenario is None or not 0 <= time_s < math.inf):
+            raise LuxloopError("--time-s: is a moment of a --scenario, in s from its start; give both, and a number from 0 on")
+        sides: tuple[Literal["left", "right"], ...] = ("left", "right") if side is None or side == "both" else (side,)
+        lamps: dict[str, Lamp] = {each: for_traffic(load_lamp(lamp, each), traffic or "right") for each in sides}
+        target = out or Path("-".join([stem, *([beam] if beam else []), *([style] if style else []), view or "overview"]) + ".png")
+        world, shown = None if scenario is None else load_any(scenario, allow_code=allow_code), beam or lamps[sides[0]].default_beam
+        pattern: str | Mapping[str, Sequence[Tensor]] = shown
+        if isinstance(world, LightingScenario) and beam is None:
+            if traffic is not None:
+                raise LuxloopError("--traffic: default beams for one side of the road are no part of a lighting scenario; name a --beam")
+            pattern, shown = lights_by_side(world, lamp, time_s or 0.0), f"{world.name} at {time_s or 0.0:g} s"
+            lamps = {each: lamps[each] for each in lamps if each in pattern} or lamps
+            world = None if view in ("pixels", "texture") else world
+        written = show_lamps(
+            lamps,
+            target,
+            beam=pattern,
+            view=view or "overview",
+            style=style,
+            scenario=world,
+            time_s=time_s or 0.0,
+            title=shown,
+            visibility_m=visibility_m,
+        )
+        print(f"{written} written: {next(iter(lamps.values())).name}, beam {shown}")
+
+
+@headlight_app.command
+def build(description: Path, /, *, out: Path | None = None) -> None:
+    """Build a lamp file from a description in TOML, and report what the light textures keep of the source.
+
+    Parameters
+    ----------
+    description
+        TOML file with a [[module]] table for each module.
+    out
+        Lamp file to write; by default the description's name with .npz.
+    """
+    from loop.commands import tables as headlight_tables
+    from world.lampfiles.archive import save
+    from world.lampfiles.description import build as build_lamp
+
+    with _pixels_done() as on_progress:
+        lamp, report = build_lamp(description, on_progress=on_progress)
+    target = out or description.with_suffix(".npz")
+    save(target, lamp)
+    tables.show(headlight_tables.built(report))
+    _tell_what_beams_keep(lamp)
+    print(f"{target} written, {target.stat().st_size / 1e6:.1f} MB; look at it with: luxloop headlight show {target}")
+
+
+@headlight_app.command
+def export(
+    lamp: str,
+    /,
+    *,
+    out: Path,
+    beam: str | None = None,
+    side: Literal["left", "right"] = "left",
+    traffic: Literal["left", "right"] = "right",
+    step_deg: float = 0.1,
+) -> None:
+    """Write a beam as an IES file (LM-63-2019, type A) that other programs read.
+
+    Parameters
+    ----------
+    lamp
+        Preset, lamp file or description.
+    out
+        File to write, such as low.ies.
+    beam
+        Name of the beam, full or off; by default low, or full where the lamp has no low beam.
+    side
+        Lamp of which side of the car.
+    traffic
+        Side of the road that the traffic drives on; for the left, default beams are fitted to it.
+    step_deg
+        Step of both angles.
+    """
+    from loop.commands.export import export as export_beam
+    from world.lampfiles.description import for_traffic, load_lamp
+
+    exported = for_traffic(load_lamp(lamp, side), traffic)
+    name = beam or exported.default_beam
+    candela = export_beam(exported, name, out, step_deg).candela
+    angles = f"{candela.shape[0]} x {candela.shape[1]} angles"
+    print(f"{out} written: {exported.name}, beam {name}, {angles}, peak {candela.max():,.0f} cd")
+
+
+@headlight_app.command
+def rules() -> None:
+    """Show the sets of test points that `check` knows, and how sure their numbers are."""
+    from loop.commands import tables as headlight_tables
+
+    tables.show(headlight_tables.rules())
+
+
+@headlight_app.command
+def check(
+    lamp: str,
+    /,
+    *,
+    beam: str | None = None,
+    rule: str | None = None,
+    side: Literal["left", "right"] = "left",
+    aim: bool = False,
+    traffic: Literal["left", "right"] = "right",
+) -> int:
+    """Hold a beam against the test points of UN R149, R112, R123 or FMVSS 108; exit code 1 where it fails.
+
+    Parameters
+    ----------
+    lamp
+        Preset, lamp file, description or photometric file.
+    beam
+        Name of the beam, full or off; by default low, or full where the lamp has no low beam.
+    rule
+        Set of test points (see `luxloop headlight rules`); by default the one of R149 that the beam's name calls for.
+    side
+        Lamp of which side of the car.
+    aim
+        Aim the lamp by its cut-off or its maximum first, as the regulation says.
+    traffic
+        Side of the road that the traffic drives on; for the left, the tables are mirrored and default beams are fitted to it.
+    """
+    from loop.commands import tables as headlight_tables
+    from loop.commands.check import judge
+    from world.lampfiles.description import for_traffic, load_lamp
+    from world.regulation import passes
+
+    judged = for_traffic(load_lamp(lamp, side), traffic)
+    title, results = judge(judged, beam or judged.default_beam, rule, aim, traffic)
+    tables.show(headlight_tables.results(results, title))
+    return 0 if passes(results) else DIFFERS
+
+
+def _tell_what_beams_keep(lamp: "Lamp") -> None:
+    from loop.commands.check import kept
+
+    lines = kept(lamp)
+    if lines:
+        print("\n".join(["", *lines, "`luxloop headlight check` has the details."]))
+
+
+@contextmanager
+def _pixels_done() -> Iterator[Callable[[str, int, int], None]]:
+    """A progress bar a module; call what it gives with the module's name, its pixels done and their number."""
+    from loop.terminal.progress import progress
+
+    with ExitStack() as bars:
+        advance: list[Callable[[], None]] = []
+
+        def on_progress(name: str, done: int, of: int) -> None:
+            if done == 1:
+                bars.close()
+                advance[:] = [bars.enter_context(progress(f"{name}, pixels", of))]
+            advance[0]()
+
+        yield on_progress

@@ -1,0 +1,89 @@
+"""The commands that show what luxloop has and what this machine has: list, schema, doctor, data."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Literal
+
+from cyclopts import App
+
+from loop.terminal import tables
+from loop.terminal.listing import Kind, listing
+from loop.terminal.options import DIFFERS, OK, Json
+
+data_app = App(name="data", help="Measured roads and light distributions from their public sources.")
+
+
+def list_(kind: Kind = "scenarios", /, *, json: Json = False) -> None:
+    """Show what comes with luxloop: scenarios with the data that they lack, or the parts that a scenario may name.
+
+    Parameters
+    ----------
+    kind
+        What to show.
+    json
+        Print a list of objects with the keys name and description; scenarios also have uses (controller or kinds of lighting functions) and
+        lacks (name of a missing data file, or null).
+    """
+    found = listing(kind)
+    if json:
+        tables.show_json(found)
+    else:
+        tables.show(tables.listed(kind, found))
+
+
+def schema(*, kind: Literal["symbol", "lighting"] | None = None) -> None:
+    """Print the JSON Schema of scenario files, for editors.
+
+    Parameters
+    ----------
+    kind
+        Scenarios that have a table of this name; by default both kinds.
+    """
+    from pydantic import TypeAdapter
+
+    from loop.scenario.model import AnyScenario, LightingScenario, Scenario
+
+    models: dict[str | None, Any] = {"symbol": Scenario, "lighting": LightingScenario, None: AnyScenario}
+    tables.show_json(TypeAdapter(models[kind]).json_schema())
+
+
+def doctor(*, json: Json = False) -> int:
+    """Look at what luxloop needs on this machine, and name the command that mends what is missing; exit code 1 where something failed.
+
+    Parameters
+    ----------
+    json
+        Print an object with the keys ok and checks, which are a list of objects with the keys name, status, found and remedy.
+    """
+    from loop.terminal.doctor import all_good, checks
+
+    found = checks()
+    if json:
+        tables.show_json({"ok": all_good(found), "checks": [asdict(check) for check in found]})
+    else:
+        tables.show(tables.findings(found))
+    return OK if all_good(found) else DIFFERS
+
+
+@data_app.command(name="list")
+def data_list() -> None:
+    """List the files that can be fetched, and which of them are on this machine."""
+    tables.show(tables.data_files())
+
+
+@data_app.command(name="get")
+def data_get(name: str, /, *, dir: Path | None = None) -> None:
+    """Fetch a file from its public source, unless it is here.
+
+    Parameters
+    ----------
+    name
+        Name of a file from `luxloop data list`, or "all".
+    dir
+        Folder to put it into, in place of luxloop's own; set LUXLOOP_DATA to this folder to use it.
+    """
+    from loop.scenario import data
+
+    for each in data.registry() if name == "all" else [name]:
+        fetched = data.get(each, dir)
+        print(f"{each}: {fetched.path}{'' if fetched.downloaded else ' (was here)'}", flush=True)

@@ -1,0 +1,153 @@
+"""The tables of the commands `luxloop headlight ...`."""
+
+import math
+from collections.abc import Sequence
+
+import torch
+from rich.markup import escape
+from rich.table import Table
+
+from loop.pictures.facts import borders_deg, flux_lm, peak
+from loop.terminal.tables import plain
+from world.headlight.lamp import Lamp
+from world.lampfiles.modules import ModuleReport
+from world.photometry import Photometry
+from world.presets import SUMMARIES
+from world.regulation import Result, passes, sets
+
+VERDICTS = {"pass": "green", "fail": "red", "not applicable": "dim"}
+KINDS = {
+    "A": "A (headlamps: h round the vertical axis)",
+    "B": "B (floodlights: v round the transverse axis)",
+    "C": "C (luminaires: v from nadir)",
+}
+
+
+def presets() -> Table:
+    """Lamps that are shipped."""
+    table = plain("lamp", "what it is")
+    for name, summary in SUMMARIES.items():
+        table.add_row(f"[bold]{name}[/]", escape(summary))
+    table.caption, table.caption_justify = "`luxloop headlight info LAMP` says what is published about a lamp and what is assumed.", "left"
+    return table
+
+
+def photometry(file: Photometry) -> Table:
+    """Facts of a photometric file."""
+    d = file.distribution
+    h, v = (int(index) for index in divmod(int(d.candela.argmax()), len(d.vertical_deg)))
+    rows = {
+        "file": f"{file.path} ({file.format})",
+        "luminaire": file.luminaire or "–",
+        "photometry": f"type {KINDS[d.type]}, {'absolute' if file.absolute else 'relative to the lamp flux'}",
+        "vertical angles": f"{len(d.vertical_deg)}, {d.vertical_deg[0]:g} to {d.vertical_deg[-1]:g} deg",
+        "horizontal angles": f"{len(d.horizontal_deg)}, {d.horizontal_deg[0]:g} to {d.horizontal_deg[-1]:g} deg",
+        "peak": f"{d.candela.max():,.6g} cd at v = {d.vertical_deg[v]:g}, h = {d.horizontal_deg[h]:g} deg",
+        "luminous flux": f"{d.luminous_flux:,.5g} lm" + ("" if file.absolute else f" of {file.lamps} x {file.lumens_per_lamp:,.6g} lm"),
+        "power": f"{file.watts:g} W" if file.watts else "–",
+        "tilt": file.tilt,
+    }
+    table = plain("", "")
+    table.show_header = False
+    for label, value in rows.items():
+        table.add_row(f"[bold]{label}[/]", escape(value))
+    for warning in file.warnings:
+        table.add_row("[bold yellow]odd[/]", escape(warning))
+    return table
+
+
+def modules(described: Lamp) -> Table:
+    """Modules of a lamp."""
+    table = plain(
+        "module", "pixels", "texture", "field in deg (left, right; down, up)", "mount", "turns", "entries a texel", "peak", "flux"
+    )
+    for module in described.modules:
+        light = module.headlight
+        full = light.light_texture(torch.ones(light.n_pixels).to(light.matrix.values))
+        left, right, bottom, top = borders_deg(light)
+        x, y, z = module.T_lamp_module[:3, 3].tolist()
+        turns = [
+            f"{name} {low:g} to {high:g}"
+            for name, (low, high) in (("swivel", module.swivel_deg), ("level", module.level_deg))
+            if low or high
+        ]
+        table.add_row(
+            f"[bold]{escape(module.name)}[/]",
+            f"{light.pixel_rows} x {light.pixel_cols}",
+            f"{light.rows} x {light.cols}",
+            f"{left:+.3g}, {right:+.3g}; {bottom:+.3g}, {top:+.3g}",
+            f"{x:g}, {y:g}, {z:g} m, {_turned(module.T_lamp_module)}",
+            "\n".join(turns) or "–",
+            f"{len(light.matrix.values) / light.n_texels:.3g}",
+            f"{float(full.max()):,.0f} cd",
+            f"{flux_lm(light, full):,.0f} lm",
+        )
+    return table
+
+
+def beams(described: Lamp) -> Table:
+    """Beams of a lamp: what they give, and where they are brightest."""
+    table = plain("beam", "peak", "where (h right, v up)", "flux", "mean utilisation")
+    for name in [*described.beams, "full"]:
+        utilisations = described.beam(name)
+        brightest = peak(described, utilisations)
+        flux = sum(
+            flux_lm(module.headlight, module.headlight.light_texture(u)) for module, u in zip(described.modules, utilisations, strict=True)
+        )
+        mean = float(torch.cat(tuple(utilisations)).mean())
+        place = "even" if brightest.even else f"{brightest.h_deg:+.1f}, {brightest.v_deg:+.1f} deg"
+        where = place if brightest.candela else "–"
+        table.add_row(f"[bold]{escape(name)}[/]", f"{brightest.candela:,.0f} cd", where, f"{flux:,.0f} lm", f"{mean:.1%}")
+    return table
+
+
+def built(reports: Sequence[ModuleReport]) -> Table:
+    """What became of the sources of a lamp that was built."""
+    table = plain("module", "pixels", "texture", "entries a texel", "light left out", "RMSE to the source", "error by fewer overlaps")
+    for each in reports:
+        before, after = each.entries_per_texel
+        table.add_row(
+            f"[bold]{escape(each.name)}[/]",
+            f"{each.pixel_rows} x {each.pixel_cols}",
+            f"{each.rows} x {each.cols}",
+            f"{before:.3g}" if before == after else f"{before:.3g} → {after:.3g}",
+            "–" if each.dropped is None else f"{each.dropped:.2%}",
+            "–" if each.rmse is None else f"{each.rmse:.2%} of the peak, {each.rmse_cd:,.3g} cd",
+            "–" if each.overlap is None else f"RMSE {each.overlap.rmse:.2%}, at most {each.overlap.largest:.2%}",
+        )
+    return table
+
+
+def rules() -> Table:
+    """Sets of test points."""
+    table = plain("rule", "what it is", "table", "confidence")
+    for name, each in sorted(sets().items()):
+        also = f"\n[dim]also {each.also}[/]" if each.also else ""
+        table.add_row(f"[bold]{name}[/]{also}", escape(each.title), escape(each.table), escape(each.confidence))
+    table.caption, table.caption_justify = "Second-hand numbers for development, not for approval.", "left"
+    return table
+
+
+def results(found: Sequence[Result], title: str) -> Table:
+    """What a check found, a row a requirement."""
+    table = plain("test point", "worst at h, v in deg", "value", "limit", "margin", "verdict")
+    table.title, table.title_justify = escape(title), "left"
+    for each in found:
+        where = "" if each.where is None else f"{each.where[0]:+.2f}, {each.where[1]:+.2f}"
+        margin = "" if each.verdict == "not applicable" else f"{each.margin:+.0%}"
+        note = f"\n[dim]{escape(each.note)}[/]" if each.note and each.verdict == "not applicable" else ""
+        verdict = f"[{VERDICTS[each.verdict]}]{each.verdict}[/]"
+        table.add_row(f"[bold]{escape(each.id)}[/]{note}", where, f"{each.value:,.5g}", each.limits, margin, verdict)
+    failed = sum(each.verdict == "fail" for each in found)
+    table.caption = "passes" if passes(found) else f"{failed} of {len(found)} requirements fail"
+    table.caption_justify = "left"
+    return table
+
+
+def _turned(T: torch.Tensor) -> str:
+    """Yaw and pitch of a mount, as words that an engineer uses."""
+    forward = T[:3, 0]
+    yaw, pitch = math.degrees(math.atan2(forward[1], forward[0])), math.degrees(math.asin(-float(forward[2])))
+    words = [f"{abs(yaw):.3g} deg {'left' if yaw > 0 else 'right'}"] if abs(yaw) > 1e-6 else []
+    words += [f"{abs(pitch):.3g} deg {'down' if pitch > 0 else 'up'}"] if abs(pitch) > 1e-6 else []
+    return ", ".join(words) or "straight ahead"

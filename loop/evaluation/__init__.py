@@ -1,0 +1,1 @@
+"""Pixel controllers judged by rectangles (T 8.4)."""

@@ -1,0 +1,104 @@
+"""Where jobs run: in processes of this machine, or on the workers of a Dask scheduler. What an executor gives, it gives as jobs finish."""
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures.process import BrokenProcessPool
+from typing import Protocol, TypeVar
+
+from joblib import Parallel, delayed, parallel_config
+from joblib.externals.loky import process_executor
+
+from loop.recording.digest import digest_of_code
+from world.errors import LuxloopError
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+CONNECTING_S = 10
+WATCHING_S = 0.5  # between two looks of a worker at whether it has been orphaned
+
+
+class WorkersLostError(LuxloopError):
+    """Those who do the jobs are gone; what was given before counts."""
+
+
+class Executor(Protocol):
+    """Calls a function with each task, and gives the results in the order in which they come. Raises WorkersLostError."""
+
+    def __call__(self, function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator[Result]: ...
+
+
+def local(processes: int | None = None) -> Executor:
+    """Processes of this machine, each with one thread, by default one a core; a single one is this process itself."""
+
+    def execute(function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator[Result]:
+        workers = min(processes or os.cpu_count() or 1, len(tasks))
+        if workers <= 1:
+            yield from map(function, tasks)
+            return
+        with parallel_config("loky", inner_max_num_threads=1, initializer=_begin):
+            parallel = Parallel(workers, return_as="generator_unordered", batch_size=1)
+        try:
+            yield from parallel(delayed(function)(task) for task in tasks)
+        except BrokenProcessPool as error:
+            raise WorkersLostError("a worker process was killed, as happens for want of memory; take fewer processes") from error
+
+    return execute
+
+
+def _begin() -> None:
+    """In a worker, before its first task."""
+    for each in (signal.SIGINT, signal.SIGTERM):  # terminals and service managers send them to workers, too; this process ends them
+        signal.signal(each, signal.SIG_IGN)
+    threading.Thread(target=_end_after, args=(os.getppid(),), daemon=True).start()
+    process_executor._USE_PSUTIL = False  # else one that keeps 300 MB between tasks is taken for a leak and ended, as simulations do
+
+
+def _end_after(parent: int) -> None:
+    """End once the process that began this one has been killed, which could not end it."""
+    while os.getppid() == parent:
+        time.sleep(WATCHING_S)
+    os._exit(1)
+
+
+def dask(scheduler: str) -> Executor:
+    """Workers of a scheduler, such as tcp://host:8786; a task whose worker is lost goes to another.
+
+    Raises LuxloopError where Dask is not installed, nobody answers, or a worker has another luxloop.
+    """
+    try:
+        import distributed
+    except ImportError as error:
+        raise LuxloopError("--scheduler: needs Dask, which is not installed; get it with pip install 'luxloop[dask]'") from error
+    where = f"--scheduler {scheduler}"
+
+    def connected() -> distributed.Client:
+        try:
+            client = distributed.Client(scheduler, timeout=CONNECTING_S, set_as_default=False)
+        except (OSError, ValueError) as error:
+            raise LuxloopError(f"{where}: nobody answers; start `dask scheduler`, and give the address that it prints") from error
+        try:
+            client.wait_for_workers(1, timeout=CONNECTING_S)
+            digests = client.run(digest_of_code)
+        except TimeoutError as error:
+            raise LuxloopError(f"{where}: has no workers; start `dask worker {scheduler} --nthreads 1`") from error
+        except ImportError as error:
+            raise LuxloopError(f"{where}: a worker has no luxloop ({error}); install this one there") from error
+        if others := [worker for worker, digest in digests.items() if digest != digest_of_code()]:
+            raise LuxloopError(f"{where}: {', '.join(others)} has another luxloop; install this one there")
+        return client
+
+    def execute(function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator[Result]:
+        with connected() as client:
+            try:
+                for future in distributed.as_completed(client.map(function, tasks, pure=False), loop=client.loop):
+                    yield future.result()
+                    future.release()
+            except distributed.KilledWorker as error:
+                raise WorkersLostError(f"{where}: a job has killed several workers, as happens for want of memory") from error
+            except (OSError, distributed.client.FutureCancelledError, distributed.client.FuturesCancelledError) as error:
+                raise WorkersLostError(f"{where}: was lost") from error
+
+    return execute

@@ -1,0 +1,174 @@
+"""The job runner of evaluations, campaigns and tables: many independent jobs over all cores, each kept on disk as soon as it is done.
+
+A run that was killed or interrupted goes on where it was, failures are collected, and a job whose parameters or code have changed is
+done again. Where jobs run is up to an executor.
+"""
+
+import contextlib
+import hashlib
+import json
+import os
+import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from loop.jobs.executors import Executor, WorkersLostError, local
+from loop.terminal.progress import progress
+from world.errors import LuxloopError
+from world.validation import parsed_json
+
+Values = Mapping[str, Any]  # what JSON can hold, by name
+NAMED = 4  # jobs that a message names
+_START = b'{"id": '  # of every line
+
+
+@dataclass(frozen=True)
+class Job:
+    """Keyword arguments of one call; key: what people call it, in tables and messages."""
+
+    key: str
+    parameters: Values
+
+
+@dataclass(frozen=True)
+class Results:
+    """What a run has got: key, parameters and result of each job that succeeded, in the order of the jobs; why others failed, by key."""
+
+    rows: list[dict[str, Any]]
+    failures: dict[str, str]
+
+    def write(self, file: Path) -> None:
+        """Write the rows as Parquet, whole or not at all. Raises LuxloopError where that cannot be."""
+        import pyarrow as pa  # and the recorder takes torch: workers need neither and start at once
+
+        from loop.recording.recorder import write_table
+
+        try:
+            with _writing(file):
+                file.parent.mkdir(parents=True, exist_ok=True)
+                write_table(file, pa.Table.from_pylist(self.rows))
+        except pa.ArrowException as error:
+            raise LuxloopError(f"{file}: results make no table ({error}); remove the file of results, or give another folder") from error
+
+
+def run(
+    function: Callable[..., Values],
+    jobs: Sequence[Job],
+    file: Path,
+    *,
+    version: str,
+    processes: int | None = None,
+    executor: Executor | None = None,
+    title: str = "jobs",
+) -> Results:
+    """Do those jobs that the file has no result of, and give the results of all.
+
+    function: of a module's top level, so that another process can import it; called with the parameters of a job, gives what JSON can
+    hold. file: JSON lines, one a result; it only grows, and results of other functions, parameters and versions stay in it. version: what
+    decides a result besides its parameters, such as `digest_of(...)`. processes: each with one thread, by default one a core; 1 stays in
+    this process. executor: runs jobs elsewhere than in processes of this machine. Failed jobs are tried again by the next run.
+
+    Raises: KeyboardInterrupt that says what is kept; LuxloopError where workers are lost, or the file is of another kind or cannot be
+    written.
+    """
+    pairs = [(_identity(function, job.parameters, version), job) for job in jobs]
+    done = _read(file)
+    left = {identity: job for identity, job in pairs if identity not in done}
+    total, failures = len(dict(pairs)), dict[str, str]()
+    try:
+        with progress(title, total, total - len(left)) as advance:
+            tasks = [(identity, job.parameters) for identity, job in left.items()]
+            for identity, result, error in (executor or local(processes))(partial(_call, function), tasks):
+                if error:
+                    failures[identity] = error
+                else:
+                    _append(file, f'{{"id": "{identity}", "key": {json.dumps(left[identity].key)}, "result": {result}}}')
+                    done[identity] = json.loads(result)
+                advance()
+    except (KeyboardInterrupt, WorkersLostError) as error:
+        kept = f"{len(done.keys() & dict(pairs))} of {total} {title} are kept in {file}, the same command goes on from there"
+        if isinstance(error, KeyboardInterrupt):
+            raise KeyboardInterrupt(kept) from error
+        lost = [job.key for identity, job in left.items() if identity not in done and identity not in failures]
+        raise LuxloopError(f"{error}: {kept}; the first that are not done: {'; '.join(lost[:NAMED])}") from error
+    return Results(
+        [{"key": job.key, **job.parameters, **done[identity]} for identity, job in pairs if identity in done],
+        {job.key: failures[identity] for identity, job in pairs if identity in failures},
+    )
+
+
+def digest_of(*modules: ModuleType) -> str:
+    """A version made of the source of modules, for results that have to follow their code."""
+    return hashlib.sha256(b"".join(Path(str(module.__file__)).read_bytes() for module in modules)).hexdigest()
+
+
+def _identity(function: Callable[..., Values], parameters: Values, version: str) -> str:
+    decisive = [function.__module__, function.__qualname__, version, parameters]
+    return hashlib.sha256(json.dumps(decisive, sort_keys=True).encode()).hexdigest()[:32]
+
+
+def _call(function: Callable[..., Values], task: tuple[str, Values]) -> tuple[str, str, str]:
+    """The job's identity, and the result as JSON or why there is none."""
+    identity, parameters = task
+    try:
+        return identity, json.dumps(dict(function(**parameters))), ""
+    except Exception as error:
+        return identity, "", reason(error)
+
+
+def reason(error: Exception) -> str:
+    """Why a job has failed: luxloop's own sentence, or what was raised and where."""
+    if isinstance(error, LuxloopError):
+        return str(error)
+    where = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {error} ({Path(where.filename).name}, line {where.lineno})"
+
+
+def _read(file: Path) -> dict[str, dict[str, Any]]:
+    """Results by identity. A last line that is none, as kills and full disks leave it, is removed, and its job will be done again."""
+    try:
+        content = file.read_bytes() if file.exists() else b""
+        *lines, last = content.splitlines(keepends=True) or [b""]
+        results = dict(map(_entry, lines))
+        try:
+            identity, result = _entry(last)
+            results[identity] = result
+        except (ValueError, KeyError, TypeError):
+            if not (results or last.startswith(_START) or _START.startswith(last)):
+                raise
+            if last:
+                os.truncate(file, len(content) - len(last))
+        return results
+    except (ValueError, KeyError, TypeError) as error:
+        raise LuxloopError(f"{file}: holds something else than results of jobs ({error}); remove it or give another folder") from error
+    except OSError as error:
+        raise LuxloopError(f"{file}: cannot be read ({error.strerror}); check its permissions") from error
+
+
+def _entry(line: bytes) -> tuple[str, dict[str, Any]]:
+    """Identity and result of a whole line. Raises ValueError, KeyError or TypeError where it is none."""
+    if not line.endswith(b"\n"):
+        raise ValueError("its last line has no end")
+    entry = parsed_json(line)
+    if not isinstance(entry["result"], dict):
+        raise TypeError("a result is no table")
+    return entry["id"], entry["result"]
+
+
+def _append(file: Path, line: str) -> None:
+    with _writing(file):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with file.open("ab") as stream:
+            stream.write(line.encode() + b"\n")
+
+
+@contextlib.contextmanager
+def _writing(file: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise LuxloopError(f"{file}: cannot be written ({error.strerror}); give another folder") from error

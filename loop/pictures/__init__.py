@@ -1,0 +1,1 @@
+"""Pictures of headlights and of photometric files."""

@@ -1,0 +1,31 @@
+"""The version of the code that decides a run, for results that have to follow it."""
+
+import hashlib
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+
+PACKAGES = ("world", "perception", "controllers", "loop")
+SHOWING = (  # folders that decide no figure of a run
+    "loop/beams/",
+    "loop/commands/",
+    "loop/evaluation/",
+    "loop/jobs/",
+    "loop/pictures/",
+    "loop/studies/",
+    "loop/terminal/",
+    "loop/training/",
+)
+
+
+@cache
+def digest_of_code() -> str:
+    """SHA-256, hexadecimal, of all files of world, perception, controllers and loop, but for those in folders that decide no figure."""
+    digest = hashlib.sha256()
+    for package in PACKAGES:
+        folder = Path(str(files(package)))
+        for path in sorted(folder.rglob("*")):
+            name = path.relative_to(folder.parent).as_posix()
+            if path.is_file() and path.suffix != ".pyc" and not name.startswith(SHOWING):
+                digest.update(name.encode() + path.read_bytes())
+    return digest.hexdigest()

@@ -1,0 +1,190 @@
+"""The manifest of a recording: what ran, on what, with which files. Written first, so that a recording explains itself however it ends."""
+
+import datetime
+import hashlib
+import json
+import os
+import platform
+from collections.abc import Iterator
+from importlib import metadata
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import torch
+from pydantic import Field, ValidationError
+
+from loop.assembly.build import symbol_path
+from loop.recording.sources import sources_of
+from loop.scenario import data
+from loop.scenario.model import AnyScenario, Scenario
+from loop.scenario.shipped import named
+from world.errors import LuxloopError
+from world.files import content, files_at, reading, regular, whole
+from world.lampfiles.description import lamp_files
+from world.lampfiles.utilisations import sequence_files
+from world.params import Params
+from world.plugin import named as named_parts
+from world.roads.shapes import OpenCrgRoad
+from world.traffic.objects import MeshParams
+from world.validation import parsed_json, sentence
+
+FILE = "manifest.json"
+FORMAT_VERSION: Final = 1
+PACKAGES = ("luxloop", "torch", "numpy", "scipy", "kornia", "opencv-contrib-python-headless", "pyrender", "trimesh", "embreex", "pyarrow")
+
+
+class InputFile(Params):
+    """A file beside the scenario that decides a run."""
+
+    file: str = Field(description="where it was")
+    sha256: str = Field(description="what was in it, hexadecimal")
+
+
+class Manifest(Params):
+    """What is written down about a run before its first step."""
+
+    format: Literal["luxloop recording"] = Field(default="luxloop recording", description="tells recordings from other directories")
+    format_version: Literal[1] = Field(default=FORMAT_VERSION, description="version of the recording's files")
+    status: Literal["running", "complete", "interrupted", "failed"] = Field(
+        default="running", description="running for ever: the process was killed"
+    )
+    scenario: dict[str, Any] = Field(description="the scenario with all defaults and --set options")
+    scenario_sha256: str = Field(description="digest of the scenario as JSON with sorted keys")
+    seed: int = Field(description="seed of all noise")
+    inputs: dict[str, InputFile] = Field(description="files beside the scenario, by the key that names them")
+    renderer: str = Field(description="source of the G-buffer")
+    device: str = Field(description="torch device")
+    threads: int = Field(description="threads of torch")
+    versions: dict[str, str] = Field(description="of python and packages")
+    platform: str = Field(description="operating system and machine")
+    started_utc: str = Field(description="start time, ISO 8601")
+
+    @classmethod
+    def of(cls, scenario: AnyScenario, renderer: str, device: torch.device) -> "Manifest":
+        """The manifest of a run that starts now; renderer: name of the face source. Raises LuxloopError where an input file is missing."""
+        return cls(
+            scenario=scenario.model_dump(mode="json"),
+            scenario_sha256=scenario.digest,
+            seed=scenario.seed,
+            inputs={key: InputFile(file=str(file), sha256=sha256(file)) for key, file in input_files(scenario)},
+            renderer=renderer,
+            device=str(device),
+            threads=torch.get_num_threads(),
+            versions={"python": platform.python_version(), **{name: _version(name) for name in PACKAGES}},
+            platform=platform.platform(),
+            started_utc=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        )
+
+    @property
+    def device_here(self) -> str:
+        """The kind of device that was recorded on, the CPU where this machine has none of it."""
+        return "cuda" if self.device.startswith("cuda") and torch.cuda.is_available() else "cpu"
+
+    @classmethod
+    def read(cls, directory: Path) -> "Manifest":
+        """The manifest of a recording. Raises LuxloopError where there is none that this luxloop understands."""
+        file = directory / FILE
+        if not os.path.isfile(file):
+            kind = f"holds no recording ({FILE} is missing)" if os.path.isdir(directory) else "is not a directory"
+            raise LuxloopError(f"{directory}: {kind}; give a directory that `luxloop run` wrote")
+        with reading(file, "damaged, not valid JSON", "record the run again"):
+            stored = parsed_json(content(file))
+        if not isinstance(stored, dict) or stored.get("format") != cls.model_fields["format"].default:
+            raise LuxloopError(f"{file}: not the manifest of a recording; give a directory that `luxloop run` wrote")
+        if stored.get("format_version") != FORMAT_VERSION:
+            raise LuxloopError(
+                f"{file}: format_version: {stored.get('format_version')!r} is not understood, this luxloop reads {FORMAT_VERSION}; "
+                "use the luxloop that wrote it"
+            )
+        try:
+            return cls.model_validate(stored)
+        except ValidationError as error:
+            raise LuxloopError(f"{file}: damaged, {sentence(error, cls, '`luxloop run` writes it')}; record the run again") from error
+
+    def write(self, directory: Path) -> None:
+        """Write to the recording's directory, whole or not at all."""
+        write_json(directory / FILE, self.model_dump(mode="json"))
+
+    def ended(self, status: str, directory: Path) -> "Manifest":
+        """The same with another status, and written so. Raises LuxloopError where that cannot be."""
+        manifest = self.model_copy(update={"status": status})
+        manifest.write(directory)
+        return manifest
+
+    def fail(self, directory: Path) -> None:
+        """Write into the file of this manifest that the run has failed: in place, for a full disk has no room for another file."""
+        here = f'"status": "{self.status}"'.encode()
+        with (directory / FILE).open("r+b") as stream:
+            stream.seek(stream.read().index(here))
+            stream.write(b'"status": "failed"'.ljust(len(here)))
+
+    def changes(self, now: "Manifest") -> Iterator[str]:
+        """What is no longer as it was when this was recorded, a sentence each."""
+        text = json.dumps(self.scenario, sort_keys=True)
+        if hashlib.sha256(text.encode()).hexdigest() != self.scenario_sha256:
+            yield "the scenario in the manifest was edited after the recording"
+        for key, file in now.inputs.items():
+            if key in self.inputs and self.inputs[key].sha256 != file.sha256:
+                yield f"{key}: {file.file} has changed since the recording (its SHA-256 differs)"
+        for key in ("renderer", "device"):
+            if getattr(self, key) != getattr(now, key):
+                yield f"{key}: recorded with {getattr(self, key)}, replayed with {getattr(now, key)}"
+        for name, version in now.versions.items():
+            if self.versions.get(name) != version:
+                yield f"{name}: recorded with version {self.versions.get(name)}, replayed with {version}"
+
+
+def write_json(file: Path, value: Any) -> None:
+    """Write JSON, whole or not at all; a number that is not finite is a ValueError. Raises LuxloopError where it cannot be written."""
+    with whole(file) as part:
+        part.write_text(json.dumps(value, indent=2, allow_nan=False) + "\n", "utf-8")
+
+
+def input_files(scenario: AnyScenario) -> Iterator[tuple[str, Path]]:
+    """Files that decide a run beside the scenario and luxloop's code, by the key that names them: symbols, roads, meshes, lamps and what
+    their descriptions name, detectors, and modules of one's own with what they import from beside them."""
+    if isinstance(scenario, Scenario):
+        yield "symbol.image", symbol_path(scenario.symbol.image)
+    else:
+        for i, function in enumerate(scenario.lighting.functions):
+            image = getattr(function, "image", None)
+            for file in files_at(symbol_path(image)) if image is not None else ():
+                yield f"lighting.functions[{i}].image {file.name}", file
+        for i, raw in enumerate(scenario.lighting.raw):
+            for file in sequence_files(named(raw.file, "utilisations")):
+                yield f"lighting.raw[{i}].file {file.name}", file
+        for key in ("file", "weights"):
+            if (given := getattr(scenario.detector, key, None)) is not None:
+                yield f"detector.{key}", Path(given)
+    believed = getattr(scenario.controller, "road", None) if isinstance(scenario, Scenario) else None
+    for key, road in (("road.file", scenario.road), ("controller.road.file", believed)):
+        if isinstance(road, OpenCrgRoad):
+            yield key, Path(data.locate(road.file))
+    for file in lamp_files(scenario.headlight.model):
+        yield f"headlight.model {os.path.relpath(file, Path(scenario.headlight.model).parent)}", file
+    for _, part in named_parts(scenario):
+        yield from ((f"module {name}", file) for name, file in sources_of(part.module, part.folder).items())
+    for i, item in enumerate(scenario.objects):
+        if isinstance(item, MeshParams):
+            yield f"objects[{i}].file", item.file
+
+
+def digests(scenario: AnyScenario) -> dict[str, str]:
+    """SHA-256 of each of `input_files`, by the key that names it. Raises LuxloopError where one is missing."""
+    return {key: sha256(file) for key, file in input_files(scenario)}
+
+
+def sha256(file: Path) -> str:
+    """SHA-256 of a file, hexadecimal. Raises LuxloopError where it cannot be read."""
+    try:
+        with regular(file).open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        raise LuxloopError(f"{file}: cannot be read ({error.strerror}); put it back, or name another in the scenario") from error
+
+
+def _version(package: str) -> str:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return "not installed"

@@ -1,0 +1,67 @@
+"""What went wrong in the run of a symbol, and the key that helps, in a sentence each."""
+
+from typing import Any
+
+from loop.recording.summary import FINAL
+
+CUT = 0.02  # of a symbol; less than that costs no more IoU than two runs may differ by in docs/symbol_control.md
+PLANE_M = 0.2  # roads nearer to the plane z = 0 are drawn for on it
+SHORT = 40  # steps, as the shipped scenarios have: thesis_pid still moves after 20 that began 40 m ahead, and settles in 40
+BORDERS = {"left": "left", "right": "right", "top": "upper", "bottom": "lower"}
+INTO_THE_FIELD = {
+    "left": "bring symbol.y_m nearer to 0",
+    "right": "bring symbol.y_m nearer to 0",
+    "top": "lower symbol.x_m",
+    "bottom": "raise symbol.x_m",
+}
+
+
+def remedies(values: dict[str, Any]) -> list[str]:
+    """Of a run's summary (`loop.recording.summary.summarise`); empty where nothing went wrong."""
+    cut, why = values["cut"], values["unsettled"]
+    is_cut = cut is not None and cut > CUT
+    found = [_cut(cut, values["cut_side"])] if is_cut else []
+    if values["aim"] is not None:
+        ahead = f"{values['aim'][0]:.3g} m ahead"
+        found.append(f"the lamps cannot light the target on this road; the symbol lies {ahead}, the nearest place they can")
+    if why is not None and not ((is_cut or values["aim"] is not None) and why in ("lost", "off_target")):
+        found.append(_why_unsettled(values))
+    if why is None and values["controller"] != "open" and (values["iou_final"] or 0.0) < (values["iou_open"] or 0.0):
+        found.append("the symbol lies worse than without control")
+    return found
+
+
+def _cut(share: float, side: str) -> str:
+    return f"{100 * share:.0f} % of the symbol lies beyond the {BORDERS[side]} border of the lamps' field; {INTO_THE_FIELD[side]}"
+
+
+def _why_unsettled(values: dict[str, Any]) -> str:
+    """Why the symbol has not settled on its target, and the key that helps."""
+    off = [abs(error) for error in values["centroid_error_percent"] if error is not None]
+    match values["unsettled"]:
+        case "too_short":
+            return "the run is too short to show whether the symbol settles; raise steps"
+        case "no_frame":
+            return f"most frames of the last {FINAL} steps are missing; lower camera.drop_probability, or take disturbances.drops out"
+        case "moving":
+            what = f"the symbol goes on moving in the last {FINAL} steps"
+            if values["steps"] < SHORT:
+                return f"{what}; raise steps to {SHORT} at least"
+            if values["controller"] == "luxloop":
+                return f"{what}, as it does where the car or an object moves; if none does, lower symbol.x_m, as a nearer symbol moves less"
+        case "lost" if values["lost_steps"] == values["steps"]:
+            other = "" if values["controller"] == "luxloop" else ', and try controller.name = "luxloop"'
+            return f"the camera never saw the symbol, whose light may pass over a road that falls; lower start.x_m{other}"
+        case "lost":
+            what = f"the camera lost the symbol in {values['lost_steps']} of {values['steps']} steps and at the end"
+        case _:
+            what = f"the symbol lies {max(off):.0f} % of its size off its target" if off else "no light of the symbol reaches its target"
+    if values["z_m_final"] and abs(values["z_m_final"]) > PLANE_M:
+        what += f", drawn for a road {abs(values['z_m_final']):.1f} m {'above' if values['z_m_final'] > 0 else 'below'} the plane z = 0"
+    match values["controller"]:
+        case "luxloop":
+            return f"{what}; lower symbol.x_m, as its light is brighter on a nearer road, and the road moves it less"
+        case "feedforward":
+            return f"{what}; give the road as it is in controller.road, or, near the plane z = 0, measure it with controller.survey = true"
+        case _:
+            return f'{what}; try controller.name = "luxloop", which draws for the heights of the road that it finds'

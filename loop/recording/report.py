@@ -1,0 +1,343 @@
+"""report.png: what happened in a run, on one page, as the thesis' figures 9.12 to 9.17 show it."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import torch
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.ticker import MaxNLocator, PercentFormatter
+from numpy.typing import NDArray
+
+from controllers.pixels.ssc import Utilisation
+from loop.recording.recorder import ERRORS
+from loop.recording.remedies import remedies
+from loop.recording.summary import column
+from loop.symbol.simulation import Simulation, StepResult
+from perception.appearance import appearance, image_axes
+from perception.birdseye import rectify
+from perception.camera import luminance_of
+from perception.extraction import Crop, Loss
+from perception.judge import THRESHOLD
+from world.files import whole
+
+Lights = tuple[Utilisation, ...]
+Image = NDArray[np.floating]
+
+INCHES, DPI = (12.0, 9.4), 150
+STYLE: Any = {
+    "font.size": 9,
+    "axes.titlesize": 9.5,
+    "axes.titlelocation": "left",
+    "axes.titleweight": "bold",
+    "axes.spines.top": False,
+    "axes.grid": True,
+    "grid.alpha": 0.25,
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.4,
+    "legend.framealpha": 0.75,
+    "legend.edgecolor": "none",
+    "legend.fontsize": 8,
+}
+FOUR = ("#0072b2", "#e69f00", "#009e73", "#cc79a7")  # Okabe and Ito: told apart by all eyes
+TARGET, PATH, LOST = "#00c8ff", "#ff2020", "#d55e00"
+NIGHT = LinearSegmentedColormap.from_list("night", ["#05070c", "#3a3f4a", "#a9a598", "#fffbe8"])
+PAST_SYMBOLS = 12
+CHARACTER_IN, LINE_IN, AROUND_IN = 0.055, 0.4, 0.7  # of a legend's text, its line with what is around it, and around a chart
+
+
+class Gathered:
+    """What a report needs of a run's images: the path of the centroid, a few past symbols, and the last light."""
+
+    def __init__(self, steps: int) -> None:
+        """steps: how many there will be; past symbols are kept at ever larger intervals, since most of the way is made at first."""
+        self._keep = set(np.geomspace(1, max(steps, 1), PAST_SYMBOLS).round().astype(int) - 1)
+        self.path: list[tuple[float, float]] = []
+        self.symbols: list[tuple[Crop, NDArray[np.bool_]]] = []
+        self.last: StepResult | None = None
+
+    def add(self, result: StepResult) -> None:
+        """Take what is needed of a step."""
+        seen = result.seen
+        centre = (math.nan, math.nan)
+        if int(seen.code) == Loss.SEEN:
+            height, width = seen.symbol.shape
+            axes = image_axes(height, width, seen.crop.u_start, seen.crop.v_start, seen.symbol)
+            u, v = appearance(seen.symbol, axes).centroids[0].tolist()
+            centre = (u, v)
+            if result.step in self._keep:
+                self.symbols.append((seen.crop, (seen.symbol > 0.5).cpu().numpy()))
+        self.path.append(centre)
+        self.last = result
+
+
+def write_report(file: Path, simulation: Simulation, gathered: Gathered, table: pa.Table, summary: dict[str, Any]) -> None:
+    """Draw the page of a run of at least one step; table and summary are the recording's.
+
+    Raises LuxloopError where the file cannot be written.
+    """
+    last = gathered.last
+    assert last is not None, "a report needs a step"
+    open_lights = simulation.projector.light(simulation.projector.target)
+    with rc_context(STYLE):
+        figure = Figure(INCHES, DPI, layout="constrained")
+        FigureCanvasAgg(figure)
+        figure.suptitle(_title(simulation, summary), x=0.012, ha="left", fontsize=12.5, weight="bold")
+        figure.supxlabel("\n".join(remedies(summary)), x=0.012, ha="left", fontsize=10)
+        left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(4.3, 7.7))[0]
+        _courses(left, simulation, table, summary)
+        top, middle, bottom = right.subfigures(3, 1, squeeze=False, height_ratios=(2.75, 2.35, 3.6))[:, 0]
+        before, after = (_camera_image(simulation, lights, last) for lights in (open_lights, last.lights))
+        _progression(top, simulation, gathered, after)
+        _camera_views(middle, simulation, before, after)
+        plane, beam = bottom.subfigures(1, 2, squeeze=False, width_ratios=(3.5, 4.2))[0]
+        _birds_eye_views(plane, simulation, open_lights, last)
+        _beam_patterns(beam, simulation, last.lights)
+        with whole(file) as part:
+            figure.savefig(part, format="png")
+
+
+def _title(simulation: Simulation, summary: dict[str, Any]) -> str:
+    unsettled = summary["unsettled"]
+    settled = f"settled at step {summary['settle_step']}" if unsettled is None else f"not settled: {unsettled.replace('_', ' ')}"
+    x, y = (_number(value, ".1f") for value in summary["centroid_error_percent"])
+    lost = f"  ·  {summary['lost_steps']} steps lost" if summary["lost_steps"] else ""
+    return (
+        f"{simulation.scenario.name}  ({summary['controller']})  ·  {settled}  ·  "
+        f"IoU {_number(summary['iou_open'], '.2f')} → {_number(summary['iou_final'], '.2f')}  ·  centroid error {x} %, {y} %{lost}"
+    )
+
+
+def _number(value: float | None, form: str) -> str:
+    return "–" if value is None else format(value, form).replace("-", "−")
+
+
+def _courses(figure: SubFigure, simulation: Simulation, table: pa.Table, summary: dict[str, Any]) -> None:
+    errors, pose, judged = figure.subplots(3, 1, sharex=True)
+    steps = column(table, "step")
+    lost = np.array([loss != "" for loss in table["loss"].to_pylist()])
+    lost_label = "symbol lost" if lost.any() else "_lost"
+    for axes in (errors, pose, judged):
+        axes.fill_between(
+            steps, 0, 1, where=lost, step="mid", color=LOST, alpha=0.18, lw=0, transform=axes.get_xaxis_transform(), label=lost_label
+        )
+        lost_label = "_lost"
+        if summary["settle_step"] is not None:
+            axes.axvline(summary["settle_step"], color="0.3", lw=1.2, ls=":", label="settled" if axes is errors else "_settled")
+    marker = "o" if len(steps) <= 60 else ""
+
+    for name, colour, unit in zip(ERRORS, FOUR, _error_units(simulation), strict=True):
+        values = column(table, name)
+        peak = np.nanmax(np.abs(values), initial=0)
+        label = f"$e_{{{name[2:]}}}$ / {peak:.3g}{unit}"
+        errors.plot(steps, values / (peak or 1), color=colour, marker=marker, ms=2.2, label=label)
+    errors.set_ylim(-1.1, 1.1)
+    headed(errors, "Control errors, each by its largest")
+
+    target = simulation.scenario.symbol
+    turned = _right_axis(pose)
+    pose.plot(steps, column(table, "x_m") - target.x_m, color=FOUR[0], label=f"x − {target.x_m:g} m")
+    pose.plot(steps, column(table, "y_m") - target.y_m, color=FOUR[1], label=f"y − {target.y_m:g} m" if target.y_m else "y")
+    turned.plot(steps, column(table, "roll_deg"), color=FOUR[2], ls="--", label="roll")
+    turned.plot(steps, column(table, "pitch_deg"), color=FOUR[3], ls="--", label="pitch, nose down")
+    pose.set_ylabel("m")
+    turned.set_ylabel("deg (dashed)")
+    headed(pose, "Pose of the primitive", turned)
+
+    judged.axhspan(-2, 2, color="0.5", alpha=0.15, lw=0)
+    for name, colour, label in (("x", FOUR[0], "centroid along"), ("y", FOUR[1], "centroid across")):
+        judged.plot(steps, column(table, f"centroid_error_{name}_percent"), color=colour, label=label)
+    judged.set_yscale("symlog", linthresh=5, linscale=1.2)
+    judged.yaxis.set_major_formatter(PercentFormatter(decimals=0))
+    judged.set_yticks([-100, -20, -5, -2, 0, 2, 5, 20, 100])
+    judged.set_ylabel("error in % of the symbol's size")
+    overlap = _right_axis(judged)
+    overlap.plot(steps, column(table, "iou"), color="black", label="IoU")
+    if summary["iou_open"] is not None:
+        overlap.axhline(summary["iou_open"], color="black", ls="--", lw=1, label="IoU, open loop")
+    overlap.set_ylim(0, 1)
+    overlap.set_ylabel("IoU with the target")
+    headed(judged, "How the symbol lies, without noise", overlap)
+    judged.set_xlabel("control step")
+    judged.set_xlim(steps[0], max(steps[-1], steps[0] + 1))
+    judged.xaxis.set_major_locator(MaxNLocator(integer=True))
+
+
+def headed(axes: Axes, title: str, *more: Axes) -> None:
+    """A title, and below it the legend, outside of the chart, where it hides nothing. more: axes in the same place with own labels."""
+    found = [each for one in (axes, *more) for each in one.get_legend_handles_labels()[0]]
+    if not found:
+        axes.set_title(title)
+        return
+    longest = max(len(str(each.get_label())) for each in found) * CHARACTER_IN + LINE_IN
+    width = axes.figure.bbox.width / axes.figure.dpi - AROUND_IN
+    axes.legend(
+        handles=found,
+        title=title,
+        title_fontproperties={"weight": "bold", "size": STYLE["axes.titlesize"]},
+        ncols=max(1, min(len(found), int(width / longest))),
+        loc="lower left",
+        bbox_to_anchor=(0, 1),
+        alignment="left",
+        borderaxespad=0.2,
+        borderpad=0.2,
+        handlelength=1.6,
+        columnspacing=1.2,
+    )
+
+
+def _right_axis(axes: Axes) -> Axes:
+    twin = axes.twinx()
+    twin.grid(False)
+    twin.spines["right"].set_visible(True)
+    return twin
+
+
+def _error_units(simulation: Simulation) -> tuple[str, ...]:
+    what = simulation.scenario.features
+    unit = " px" if what.view == "raw" else " m"
+    return (unit, unit, "" if what.shape == "moments" else unit, unit)
+
+
+def _camera_image(simulation: Simulation, lights: Lights, result: StepResult) -> Image:
+    """Luminance `[height, width]` in cd/m^2 that the camera measures under these lights at a step's time, with that step's noise."""
+    lit, camera = simulation.world.lit(result.time_s), simulation.scenario.camera
+    frame = simulation.world.exposed(lit.off + lit.luminance(lights), lit.base, result.step, 0)
+    return luminance_of(frame, camera).cpu().numpy()
+
+
+def _target_luminance(simulation: Simulation) -> torch.Tensor:
+    projector = simulation.projector
+    return simulation.observer.model.luminance(projector.light(projector.target))
+
+
+def _target_outline(axes: Axes, simulation: Simulation) -> None:
+    """The symbol as it should lie on a flat road, in the camera's image."""
+    wanted = (_target_luminance(simulation) > THRESHOLD * simulation.goal.median).float().cpu().numpy()
+    rows, cols = (np.arange(n) + 0.5 for n in wanted.shape)
+    axes.contour(cols, rows, wanted, levels=[0.5], colors=TARGET, linewidths=0.8)
+
+
+def _night(image: Image, white: float) -> Image:
+    """Tone-mapped to 0..1, so that the dark road can still be seen."""
+    return (image / max(white, 1e-6)).clip(0, 1) ** (1 / 2.2)
+
+
+def _show(axes: Axes, image: Image, white: float) -> None:
+    height, width = image.shape
+    axes.imshow(_night(image, white), cmap=NIGHT, vmin=0, vmax=1, extent=(0, width, height, 0), interpolation="antialiased")
+    axes.set(xticks=[], yticks=[])
+    axes.grid(False)
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+
+
+def _white(simulation: Simulation, *images: Image) -> float:
+    """The luminance that is shown white: a bright part of the target or of the scene, so that glints do not make all else dark."""
+    wanted = _target_luminance(simulation)
+    bright = wanted[wanted > THRESHOLD * simulation.goal.median]
+    return max(float(bright.quantile(0.9)) if len(bright) else 0.0, *(float(np.quantile(image, 0.98)) for image in images))
+
+
+def _progression(figure: SubFigure, simulation: Simulation, gathered: Gathered, after: Image) -> None:
+    axes = figure.subplots()
+    axes.set_title("Symbol progression in the camera's image  (red: past symbols and path, cyan: target)")
+    _show(axes, after, _white(simulation, after))
+    final = np.zeros(after.shape, bool)  # past symbols leave the last one free
+    for crop, symbol in gathered.symbols[-1:]:
+        final[crop.slices] = symbol
+    for crop, symbol in gathered.symbols[:-1]:
+        overlay = np.zeros((*symbol.shape, 4), np.float32)
+        overlay[..., 0], overlay[..., 3] = 1.0, 0.3 * (symbol & ~final[crop.slices])
+        axes.imshow(overlay, extent=(crop.u_start, crop.u_stop, crop.v_stop, crop.v_start), interpolation="nearest")
+    _target_outline(axes, simulation)
+    path = np.array(gathered.path)
+    axes.plot(*path.T, color=PATH, lw=1.3, marker="o", ms=2.5)
+    seen = path[np.isfinite(path).all(1)]
+    if len(seen):
+        axes.plot(*seen[0], color=PATH, marker="o", ms=6, mfc="none", mew=1.4)
+        axes.plot(*seen[-1], color=PATH, marker="x", ms=7, mew=1.8)
+    boxes = [(crop.u_start, crop.v_start, crop.u_stop, crop.v_stop) for crop, _ in gathered.symbols]
+    _look_at(axes, simulation, boxes, after.shape, aspect=2.75)
+
+
+def _look_at(axes: Axes, simulation: Simulation, boxes: list[tuple[int, int, int, int]], shape: tuple[int, ...], aspect: float) -> None:
+    """Zoom to the target and the boxes (u0, v0, u1, v1) with some margin, in a window of an aspect that stays within the image."""
+    wanted = torch.nonzero(_target_luminance(simulation) > THRESHOLD * simulation.goal.median)
+    if len(wanted):
+        (v0, u0), (v1, u1) = wanted.amin(0).tolist(), wanted.amax(0).tolist()
+        boxes = [*boxes, (u0, v0, u1, v1)]
+    if not boxes:
+        return
+    u0, v0 = (min(box[i] for box in boxes) for i in (0, 1))
+    u1, v1 = (max(box[i] for box in boxes) for i in (2, 3))
+    width = min(max(1.15 * (u1 - u0), 1.8 * aspect * (v1 - v0)), shape[1])
+    height = min(width / aspect, shape[0])
+    u = min(max((u0 + u1) / 2, width / 2), shape[1] - width / 2)
+    v = min(max((v0 + v1) / 2, height / 2), shape[0] - height / 2)
+    axes.set(xlim=(u - width / 2, u + width / 2), ylim=(v + height / 2, v - height / 2))
+
+
+def _camera_views(figure: SubFigure, simulation: Simulation, before: Image, after: Image) -> None:
+    white = _white(simulation, before, after)
+    for axes, image, title in zip(
+        figure.subplots(1, 2), (before, after), ("Camera's view, open loop", "Camera's view, at the end"), strict=True
+    ):
+        axes.set_title(title)
+        _show(axes, image, white)
+        _look_at(axes, simulation, [], image.shape, aspect=16 / 9)
+
+
+def _birds_eye_views(figure: SubFigure, simulation: Simulation, open_lights: Lights, last: StepResult) -> None:
+    goal, axes_m = simulation.goal, simulation.plane.axes
+    y, x = -axes_m.u.cpu().numpy(), -axes_m.v.cpu().numpy()
+    symbol = simulation.scenario.symbol
+    lit = simulation.world.lit(last.time_s)
+    mask = goal.mask.float().cpu().numpy()
+    figure.suptitle("From above, noise-free", x=0.12, ha="left", weight="bold", fontsize=STYLE["axes.titlesize"])
+    for axes, lights, title in zip(
+        figure.subplots(1, 2, sharey=True), (open_lights, last.lights), ("open loop", "at the end"), strict=True
+    ):
+        plane = rectify(simulation.plane_at(last.time_s), lit.luminance(lights)).cpu().numpy()
+        axes.imshow(
+            _night(plane, 1.5 * float(goal.median)),
+            cmap=NIGHT,
+            vmin=0,
+            vmax=1,
+            extent=(y[0], y[-1], x[-1], x[0]),
+            interpolation="antialiased",
+        )
+        axes.contour(y, x, mask, levels=[0.5], colors=TARGET, linewidths=0.8)
+        axes.set_title(title, weight="normal", loc="center")
+        axes.grid(False)
+        axes.set_xlabel("y in m")
+        axes.set_xlim(symbol.y_m + symbol.width_m, symbol.y_m - symbol.width_m)
+        axes.set_ylim(symbol.x_m - symbol.length_m, symbol.x_m + 1.2 * symbol.length_m)
+    figure.axes[0].set_ylabel("x in m")
+
+
+def _beam_patterns(figure: SubFigure, simulation: Simulation, lights: Lights) -> None:
+    modules = simulation.projector.modules
+    panels = figure.subplots(len(modules), 1, squeeze=False)[:, 0]
+    for axes, module, light in zip(panels, modules, lights, strict=True):
+        headlight = module.pixel_controller.headlight
+        texture = headlight.light_texture(light.u).cpu().numpy() / 1e3
+        left, right, bottom, top = (math.degrees(math.atan(t)) for t in (headlight.left, headlight.right, headlight.bottom, headlight.top))
+        shown = axes.imshow(texture, cmap="inferno", extent=(left, right, bottom, top), aspect="auto", interpolation="antialiased")
+        rows, cols = np.nonzero(texture > 0)
+        if len(rows):
+            v = top + (np.array([rows.max() + 1, rows.min()]) / headlight.rows) * (bottom - top)
+            h = left + (np.array([cols.min(), cols.max() + 1]) / headlight.cols) * (right - left)
+            axes.set_xlim(min(h[0] + 1.5, left), max(h[1] - 1.5, right))
+            axes.set_ylim(max(v[0] - 0.5, bottom), min(v[1] + 0.5, top))
+        axes.set_title(f"Beam pattern of {module.name} at the end")
+        axes.grid(False)
+        axes.set_ylabel("up in deg")
+        figure.colorbar(shown, ax=axes, label="kcd", pad=0.02)
+    panels[-1].set_xlabel("to the left in deg")

@@ -1,0 +1,1 @@
+"""Scenario files: their model, overrides, templates, and data that they need."""

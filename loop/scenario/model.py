@@ -1,0 +1,395 @@
+"""Scenario files: a typed, frozen model for each of the two kinds; TOML, `--set key=value` and every other front end edit it alone."""
+
+import difflib
+import hashlib
+import json
+import re
+from collections.abc import Mapping, Sequence
+from datetime import date, time
+from functools import cached_property
+from itertools import pairwise
+from typing import Annotated, Any, Final, Literal, Self
+
+from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
+
+from controllers.functions.planner import LightingParams
+from controllers.jpo.controller import JpoParams
+from controllers.pixels.mrpc import MrpcParams
+from controllers.symbol import ControllerParams, LuxloopParams
+from controllers.symbol.laws.own import OwnParams
+from controllers.symbol.laws.stages import StagedParams
+from controllers.symbol.sensing.flat_model import FeatureParams
+from controllers.symbol.sensing.projector import SymbolParams
+from loop.scenario.disturbances import DisturbanceParams
+from loop.scenario.overrides import Override, is_file, overridden, resolve_paths, tables, texts
+from loop.scenario.shipped import find
+from perception.camera import CameraParams
+from perception.detection.params import DetectorParams
+from perception.egomotion import SensorParams
+from perception.extraction import Extraction, ExtractionParams
+from perception.tracking import TrackerParams
+from world.errors import LuxloopError, did_you_mean
+from world.materials.library import RoadSurfaceParams
+from world.materials.spots import SpotParams
+from world.params import Params
+from world.plugin import PATTERN, Name, refuse_code
+from world.roads.shapes import Flat, RoadParams
+from world.scene.scene import StreetLamp
+from world.scene.vehicle import VehicleParams
+from world.traffic.generator import TrafficParams
+from world.traffic.objects import ObjectParams
+from world.validation import read_toml, sentence
+
+SCHEMA_VERSION: Final = 1
+PIXEL_CONTROLLERS = ("ssc", "jpo")
+
+
+class StartParams(Params):
+    """Pose of the symbol's primitive at step 0."""
+
+    x_m: float = Field(17.0, gt=1, le=100, description="centre ahead of the lamps")
+    y_m: float = Field(0.0, ge=-20, le=20, description="centre to the left")
+    roll_deg: float = Field(0.0, ge=-45, le=45, description="rotation about the forward axis")
+    pitch_deg: float = Field(0.0, ge=-45, le=45, description="rotation about the left axis, nose down positive")
+
+
+class HeadlightParams(Params):
+    """The vehicle's pair of headlamps, and what of them draws the symbol."""
+
+    model: str = Field("idealised-332x1024", min_length=1, description="preset, or lamp file: .npz, .toml, .ies or .ldt")
+    intensity_cd: float | None = Field(
+        None, gt=0, le=500_000, description="peak of the brightest module that draws, all pixels on; left out: the model's own"
+    )
+    height_m: float = Field(0.75, gt=0.1, le=2.0, description="height of the lamps' origins above the road")
+    distance_m: float = Field(1.2, ge=0, le=3, description="distance between the lamps' origins")
+    lamps: tuple[Literal["left", "right"], ...] = Field(("left",), min_length=1, description="lamps that draw the symbol")
+    modules: tuple[str, ...] | None = Field(
+        None, min_length=1, description="their modules that draw it; left out: the one with the finest pixels"
+    )
+    swivel_deg: float = Field(0.0, ge=-30, le=30, description="turns the modules that can be turned to the left (physical bending)")
+    level_deg: float = Field(0.0, ge=-10, le=10, description="turns the modules that can be levelled down (physical levelling)")
+
+    @field_validator("lamps", "modules")
+    @classmethod
+    def _each_once(cls, names: tuple[str, ...] | None, info: ValidationInfo) -> tuple[str, ...] | None:
+        if names is not None and len(set(names)) < len(names):
+            raise ValueError(f"name each of the {info.field_name} once")
+        return names
+
+
+class DrawingLampsParams(HeadlightParams):
+    """The vehicle's pair of headlamps, and the base beam that a symbol is drawn into."""
+
+    beam: str = Field(
+        "off", min_length=1, description="what the modules that draw show beside the symbol: a beam of the lamp, such as low, full or off"
+    )
+
+
+class LightParams(Params):
+    """Light that is there without the headlights."""
+
+    ambient_lx: float = Field(0.3, ge=0, le=100_000, description="illuminance of a surface facing the sky")
+    street_lamps: tuple[StreetLamp, ...] = Field((), description="point lights")
+
+
+class WorldScenario(Params):
+    """What every scenario has: the world, the lamps, the camera, and how long it runs."""
+
+    schema_version: Literal[1] = Field(SCHEMA_VERSION, description="version of this file format")
+    name: str = Field(min_length=1, max_length=80, description="name, for tables and reports")
+    description: str = Field("", description="what is to be seen, in a sentence")
+    steps: int = Field(40, ge=1, le=100_000, description="control steps")
+    rate_hz: float = Field(30.0, ge=0.1, le=1000, description="control rate")
+    seed: int = Field(0, ge=0, lt=2**63, description="seed of all noise")
+    road: RoadParams = Field(Flat(), description="the road's shape")
+    surface: RoadSurfaceParams = Field(RoadSurfaceParams(), description="the road's albedo")
+    spots: tuple[SpotParams, ...] = Field((), description="spots on the road, unknown to the controller")
+    objects: tuple[ObjectParams, ...] = Field((), description="objects on the road")
+    traffic: TrafficParams | None = Field(None, description="objects besides, made from a seed; left out: none")
+    light: LightParams = Field(LightParams(), description="ambient light and street lamps")
+    headlight: HeadlightParams = Field(HeadlightParams(), description="the lamps")
+    camera: CameraParams = Field(CameraParams(), description="the camera")
+    pixel_controller: str = Field("ssc", description="what drives the pixels: ssc, jpo, or one of your own as package.module:Name")
+    ssc: MrpcParams = Field(MrpcParams(), description="SuperSampling Control, which joint pixel optimisation starts from")
+    jpo: JpoParams = Field(JpoParams(), description='joint pixel optimisation, with pixel_controller = "jpo"')
+    renderer: Literal["auto", "opengl", "raycast"] = Field("auto", description="source of the G-buffer")
+
+    @field_validator("pixel_controller")
+    @classmethod
+    def _known_or_own(cls, name: str) -> str:
+        if name not in PIXEL_CONTROLLERS and not re.fullmatch(PATTERN, name):
+            known = did_you_mean(name, PIXEL_CONTROLLERS)
+            raise ValueError(f"there is no pixel controller {name!r}; {known} One of your own is given as package.module:Name")
+        return name if name in PIXEL_CONTROLLERS else Name(name)
+
+    @model_validator(mode="after")
+    def _jpo_at_work(self) -> Self:
+        if self.pixel_controller != "jpo" and self.jpo != JpoParams():
+            raise ValueError(f'jpo: is for pixel_controller = "jpo", which is {self.pixel_controller!r} here; set that, or leave it out')
+        return self
+
+    @property
+    def all_objects(self) -> tuple[ObjectParams, ...]:
+        """The objects that are given one by one, and those of the traffic."""
+        return self.objects + (self.traffic.objects() if self.traffic else ())
+
+    @cached_property
+    def source(self) -> str:
+        """Where it was read, for messages; its name where it was made in Python."""
+        return self.name
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the resolved scenario, hexadecimal."""
+        return hashlib.sha256(json.dumps(self.model_dump(mode="json"), sort_keys=True).encode()).hexdigest()
+
+
+class Scenario(WorldScenario):
+    """Everything that decides a run of the closed loop around a symbol."""
+
+    headlight: DrawingLampsParams = Field(DrawingLampsParams(), description="the lamps")
+    symbol: SymbolParams = Field(description="what is projected, and where it shall lie")
+    start: StartParams = Field(StartParams(), description="where the control starts")
+    features: FeatureParams = Field(FeatureParams(), description="what of the symbol the controller looks at")
+    vehicle: VehicleParams | None = Field(None, description="how the vehicle drives; left out: it stands")
+    sensors: SensorParams = Field(SensorParams(), description="odometry and inertial sensors of the vehicle")
+    extraction: Extraction = Field(ExtractionParams(), description="how the symbol is found in the image")
+    controller: Annotated[ControllerParams, Field(description="the controller of the symbol")] = LuxloopParams()
+
+    disturbances: DisturbanceParams = Field(DisturbanceParams(), description="disturbances unknown to the controller")
+
+    @model_validator(mode="after")
+    def _aimed_lamps_draw(self) -> Self:
+        for k, aim in enumerate(self.disturbances.aim):
+            if aim.lamp is not None and aim.lamp not in self.headlight.lamps:
+                raise ValueError(f"disturbances.aim[{k}].lamp: the {aim.lamp} lamp draws nothing here; name it in headlight.lamps as well")
+        return self
+
+    @model_validator(mode="after")
+    def _exposures_fit(self) -> Self:
+        half_period_s = 0.5 / self.rate_hz
+        if self.camera.exposure_s > half_period_s:
+            raise ValueError(
+                f"camera.exposure_s: {self.camera.exposure_s:g} s is longer than half a control period, "
+                f"but an on and an off frame must fit into one; give at most {half_period_s:.4g} s or lower rate_hz"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _share_of_a_beam(self) -> Self:
+        if self.symbol.quantity == "u_rel" and self.headlight.beam == "off":
+            raise ValueError('symbol.quantity: u_rel is a multiple of the base beam, but there is none; give headlight.beam = "low", say')
+        return self
+
+    @model_validator(mode="after")
+    def _holds_a_place(self) -> Self:
+        staged = isinstance(self.controller, StagedParams)
+        own = isinstance(self.controller, OwnParams) and self.controller.warp is None and self.controller.supervisor is None
+        if self.symbol.target == "place" and staged and not own:
+            raise ValueError(
+                f"symbol.target: {self.controller.name} compares with the look of a symbol on a flat road and holds no place; "
+                'set controller.name = "luxloop", or symbol.target = "appearance"'
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _start_within_limits(self) -> Self:
+        """A controller limits the degree of freedom `x_m` by `x_range_m`, and so on."""
+        for key, value in self.start:
+            axis, _, unit = key.rpartition("_")
+            limits = f"{axis}_range_{unit}"
+            low, high = getattr(self.controller, limits, (-float("inf"), float("inf")))
+            if low >= high:
+                raise ValueError(f"controller.{limits}: {low:g} must be less than {high:g}; give the smaller limit first")
+            if not low <= value <= high:
+                raise ValueError(f"start.{key}: {value:g} lies outside of controller.{limits} = [{low:g}, {high:g}]; move it or widen that")
+        return self
+
+
+class CarLampsParams(HeadlightParams):
+    """The vehicle's pair of headlamps, of which all modules shine unless some are named."""
+
+    model: str = Field("ssl-hd", min_length=1, description="preset, or lamp file: .npz, .toml, .ies or .ldt")
+    intensity_cd: float | None = Field(
+        None, gt=0, le=500_000, description="peak of the brightest module, all pixels on; left out: the model's own"
+    )
+    lamps: tuple[Literal["left", "right"], ...] = Field(("left", "right"), min_length=1, description="lamps that shine")
+    modules: tuple[str, ...] | None = Field(None, min_length=1, description="their modules that shine; left out: all")
+    standby_w: float = Field(5.0, ge=0, le=1e6, description="electrical power of a lamp that is dark: its electronics and fan")
+    efficacy_lm_w: float = Field(
+        40.0, gt=0, le=1000, description="luminous flux that leaves a lamp for each watt that its light sources take"
+    )
+
+    def power_w(self, flux_lm: float) -> float:
+        """Electrical power of one lamp that gives so much light."""
+        return self.standby_w + flux_lm / self.efficacy_lm_w
+
+
+class DrivingParams(Params):
+    """What lighting functions are told of the car from one time on; in the simulation it stands still."""
+
+    time_s: float = Field(0.0, ge=0, le=1e6, description="time from which on this holds; speed and curvature change evenly until the next")
+    speed_m_s: float = Field(0.0, ge=0, le=100, description="speed")
+    curvature_1_m: float = Field(0.0, ge=-0.2, le=0.2, description="curvature of the car's course, to the left positive")
+    wet: bool = Field(False, description="whether it rains")
+    street_lit: bool = Field(False, description="whether street lamps light the road")
+
+
+class LightingScenario(WorldScenario):
+    """Everything that decides a run of lighting functions."""
+
+    headlight: CarLampsParams = Field(CarLampsParams(), description="the lamps")
+    driving: tuple[DrivingParams, ...] = Field((DrivingParams(),), min_length=1, description="how the car drives, in ascending time")
+    lighting: LightingParams = Field(description="base beam and lighting functions")
+    detector: DetectorParams | None = Field(
+        None, description="what finds objects in the camera's frames; left out: lighting functions get the true places of all"
+    )
+    tracker: TrackerParams = Field(TrackerParams(), description="what follows from frame to frame whom the detector finds")
+
+    @model_validator(mode="after")
+    def _tracks_what_is_detected(self) -> Self:
+        if self.detector is None and self.tracker != TrackerParams():
+            raise ValueError('tracker: follows what a detector finds, but there is none; give one, detector = {kind = "network"} say')
+        if self.detector is not None and (named := [k for k, each in enumerate(self.lighting.functions) if _names_objects(each)]):
+            raise ValueError(
+                f"lighting.functions[{named[0]}]: names objects, but a detector knows them by class alone; leave names out, "
+                "or take the [detector] out"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        times = [each.time_s for each in self.driving]
+        if any(later <= earlier for earlier, later in pairwise(times)):
+            raise ValueError(f"driving: time_s must ascend from entry to entry, here {times}")
+        names = [each.name for each in self.all_objects]
+        if doubled := [name for name in names if names.count(name) > 1]:
+            raise ValueError(f"objects: the name {doubled[0]!r} is there twice, but recordings tell objects by name; rename one")
+        zones = [each.name for each in self.lighting.functions if each.kind == "zone"]
+        if doubled := [name for name in zones if zones.count(name) > 1]:
+            raise ValueError(f"lighting.functions: there are two zones {doubled[0]!r}, but recordings tell zones by name; rename one")
+        return self
+
+
+def _names_objects(function: Any) -> bool:
+    selections = (function, *(getattr(function, key, None) for key in ("when", "unless")))
+    observer = getattr(function, "observer", None)
+    return any(getattr(each, "names", None) for each in selections) or (observer is not None and observer.name is not None)
+
+
+AnyScenario = Scenario | LightingScenario
+EXAMPLES: Final[dict[type[AnyScenario], str]] = {
+    Scenario: "`luxloop new FILE` writes a complete example; lighting functions come in [lighting] instead of [symbol]",
+    LightingScenario: "`luxloop list` shows examples of all functions, `luxloop new FILE --like path_projection` copies one, say, and "
+    "`--like obl` one with a detector",
+}
+
+
+def load(name: str, overrides: Sequence[Override] = (), *, allow_code: bool = False, **values: Any) -> Scenario:
+    """Read the scenario of a symbol, as `load_any` does. Raises LuxloopError for a lighting scenario as well."""
+    return _of_a_symbol(load_any(name, overrides, allow_code=allow_code, **values), name)
+
+
+def validate(data: Mapping[str, Any], source: str) -> Scenario:
+    """Check the scenario of a symbol, as `validate_any` does. Raises LuxloopError for a lighting scenario as well."""
+    return _of_a_symbol(validate_any(data, source), source)
+
+
+def load_any(name: str, overrides: Sequence[Override] = (), *, allow_code: bool = False, **values: Any) -> AnyScenario:
+    """Read a scenario by shipped name or path; values are top-level keys, overrides on top of them.
+
+    allow_code: whether modules that a file names may run; those named in values and in overrides that are no files always may.
+
+    An override is `key.sub=value` or `list[0].sub=value` in TOML syntax, the path of a TOML file of such keys, or nested tables; it changes
+    single keys of tables that have defaults, too. Raises LuxloopError that names the file, the key and the remedy.
+    """
+    path = find(name)
+    data = read_toml(path)
+    resolve_paths(data, path.parent)
+    data.update(tables(values))
+    if overrides:
+        data = overridden(_with_defaults(data), overrides)
+    given = [
+        *(f"{key}={value['name'] if isinstance(value, dict) and 'name' in value else value}" for key, value in values.items()),
+        *(override for override in overrides if isinstance(override, str)),
+    ]
+    scenario = validate_any(data, f"{path} with {' '.join(given)}" if given else str(path))
+    if not allow_code:
+        refuse_code(scenario, scenario.source, typed=set(texts([tables(each) for each in (values, *overrides) if not is_file(each)])))
+    return scenario
+
+
+def validate_any(data: Mapping[str, Any], source: str) -> AnyScenario:
+    """Check a scenario given as plain data; its table [symbol] or [lighting] tells the kinds apart.
+
+    Modules that it names may run: it is for data of the caller's own, and for what `load_any` has let pass.
+    Raises LuxloopError that names the source, the key and the remedy.
+    """
+    version = data.get("schema_version", SCHEMA_VERSION)
+    if version != SCHEMA_VERSION:
+        raise LuxloopError(
+            f"{source}: schema_version: this luxloop reads version {SCHEMA_VERSION}, not {version!r}; get another luxloop for it"
+        )
+    key = _key_of_date(data)
+    if key:
+        raise LuxloopError(f"{source}: {key}: is a date or a time, which has no meaning here; write a number or a text in quotes")
+    lighting = data.get("lighting")
+    if "symbol" in data and isinstance(lighting, Mapping) and lighting.get("raw"):
+        raise LuxloopError(
+            f"{source}: lighting.raw: the controller of a [symbol] moves a primitive, which raw utilisations have none of; take one of the "
+            "two out, or give a lamp file the utilisations as a beam (docs/lampfiles.md) and draw the symbol into it with headlight.beam"
+        )
+    if "symbol" in data and "lighting" in data:
+        raise LuxloopError(
+            f"{source}: has both a [symbol] and [lighting]; a scenario is of one kind, take one of the two out (what a lighting "
+            "function draws is its own image, as in lighting.functions[0].image)"
+        )
+    if "symbol" in data and (strange := [key for key in data if key in LightingScenario.model_fields and key not in Scenario.model_fields]):
+        raise LuxloopError(
+            f"{source}: {strange[0]}: goes with [lighting], but this is the scenario of a [symbol]; leave it out, or take one with "
+            "lighting functions, such as obl"
+        )
+    if "controller" in data and "lighting" in data:
+        raise LuxloopError(f"{source}: controller: a scenario with [lighting] has no controller; leave it out")
+    kind = _kind(data)
+    try:
+        # By way of JSON, where strict still takes a list for a tuple and a text for a path.
+        scenario: AnyScenario = kind.model_validate_json(json.dumps(data), strict=True)
+    except ValidationError as error:
+        raise LuxloopError(f"{source}: {sentence(error, kind, EXAMPLES[kind])}") from error
+    vars(scenario)["source"] = source
+    return scenario
+
+
+def _kind(data: Mapping[str, Any]) -> type[AnyScenario]:
+    """By its table; where it has neither, by the others that it has, or by one that may have been meant."""
+    if "lighting" in data or "symbol" in data:
+        return LightingScenario if "lighting" in data else Scenario
+    strange = [key for key in data if key not in Scenario.model_fields]
+    meant = any(key in LightingScenario.model_fields or difflib.get_close_matches(key, ["lighting"], cutoff=0.8) for key in strange)
+    return LightingScenario if meant else Scenario
+
+
+def _with_defaults(data: dict[str, Any]) -> dict[str, Any]:
+    """The same scenario with all defaults in place; data that is none, which overrides may mend, stays as it is."""
+    try:
+        return validate_any(data, "").model_dump(mode="json")
+    except LuxloopError:
+        return data
+
+
+def _of_a_symbol(scenario: AnyScenario, source: str) -> Scenario:
+    if isinstance(scenario, LightingScenario):
+        raise LuxloopError(f"{source}: is a lighting scenario, but this needs one with a [symbol]; `luxloop run` runs both kinds")
+    return scenario
+
+
+def _key_of_date(data: Any) -> str:
+    """The first key whose value is a date or a time, which TOML has and JSON has not; empty if there is none."""
+    items = data.items() if isinstance(data, Mapping) else enumerate(data) if isinstance(data, list) else ()
+    for key, value in items:
+        if isinstance(value, date | time):
+            return str(key)
+        if inner := _key_of_date(value):
+            return f"{key}.{inner}"
+    return ""

@@ -1,0 +1,114 @@
+"""The text of `luxloop new`: a scenario file that runs, with every common key and what it means, made from the model itself."""
+
+import json
+from typing import Any, Literal, cast, get_args, get_origin
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from controllers.symbol import CONTROLLERS, LuxloopParams
+from loop.scenario.model import Scenario
+from loop.scenario.shipped import shipped_files
+from perception.extraction import ExtractionParams
+from world.roads.shapes import Mixed, RoadParams
+from world.traffic.generator import varied
+
+LEFT_OUT = ("schema_version", "objects")  # said in HEAD and TAIL
+CHOSEN: dict[str, dict[str, Any]] = {
+    "symbol": {"image": "snowflake", "width_m": 2.0, "length_m": 4.0, "x_m": 17.0, "y_m": 0.0},
+    "start": {"x_m": 20.0, "y_m": 1.5, "roll_deg": 5.0, "pitch_deg": -2.0},
+    "road": {"kind": "mixed"},
+    "controller": {"name": "luxloop"},
+}
+VARIANTS: dict[str, type[BaseModel]] = {"road": Mixed, "extraction": ExtractionParams, "controller": LuxloopParams}
+HEAD = """\
+# A scenario of luxloop. Check it with `luxloop check FILE`, run it with `luxloop run FILE`.
+# Lines that begin with # show defaults: remove the # to change one. SI units, degrees where a name ends in _deg.
+# World: x forward, y left, z up; the origin lies on the road below the middle of the lamps, the vehicle stands still.
+
+schema_version = 1
+"""
+NIGHT_HEAD = """\
+# A night on the road, drawn from a seed. Check it with `luxloop check FILE`, run it with `luxloop run FILE`.
+# Another traffic.seed: others elsewhere. Objects of your own come as [[objects]] besides.
+
+schema_version = 1
+"""
+TAIL = """
+# Objects, as many as wanted: kind "box", "mesh" (from a file), "pedestrian", "cyclist", "car", "animal", "traffic_sign", "clutter".
+# They may move, appear and vanish; a table [traffic] puts some there at random.
+# [[objects]]
+# kind = "box"
+# name = "black box"
+# size_m = [0.4, 0.4, 0.3]
+# albedo = 0.02
+# track = [{position_m = [17.0, 0.3, 0.0]}]
+# appears_s = 0.35
+# vanishes_s = 1.35
+"""
+
+
+def template(name: str) -> str:
+    """The text of a scenario file of that name."""
+    chosen = {"name": name, "description": "A snowflake is pulled straight on an uneven road.", "steps": 40, "seed": 0}
+    keys, tables = [], []
+    for key, field in Scenario.model_fields.items():
+        if key in LEFT_OUT:
+            continue
+        if key in CHOSEN or isinstance(field.default, BaseModel):
+            tables.append(_table(key, field))
+        else:
+            keys.append(_line(key, field, chosen.get(key)))
+    return HEAD + "\n".join(keys) + "\n\n" + "\n\n".join(tables) + "\n" + TAIL
+
+
+def night(name: str, seed: int) -> str:
+    """The text of a scenario of lighting functions with traffic, road and light drawn from a seed."""
+    world = varied(seed)
+    tables = {
+        **world,
+        "traffic": world["traffic"] | {"on_road": True},
+        "camera": {"width_px": 960, "height_px": 400, "hfov_deg": 30.0, "pitch_deg": 1.5},
+        "headlight": {"model": "ssl-hd-lores"},
+        "lighting": {"base": {"beam": "low"}, "functions": [{"kind": "glare_free"}]},
+    }
+    lines = [f"name = {_toml(name)}", "steps = 40", "rate_hz = 20"]
+    for key, table in tables.items():
+        lines += ["", f"[{key}]", *(f"{inner} = {_toml(value)}" for inner, value in table.items())]
+    return NIGHT_HEAD + "\n".join(lines) + "\n"
+
+
+def _table(key: str, field: FieldInfo) -> str:
+    chosen = CHOSEN.get(key, {})
+    model = VARIANTS.get(key) or cast(type[BaseModel], field.annotation)
+    lines = [f"[{key}]  # {field.description}"]
+    if key == "road":
+        kinds = [get_args(kind)[1].tag for kind in get_args(get_args(RoadParams)[0])]
+        lines.append(f"# kinds: {', '.join(kinds)}; `luxloop schema` has the keys of each")
+    if key == "symbol":
+        lines.append(f"# shipped images: {', '.join(shipped_files('symbols'))}")
+    if key == "controller":
+        lines.append(f"# controllers: {', '.join(CONTROLLERS)}")
+    lines += [_line(name, inner, chosen.get(name)) for name, inner in model.model_fields.items()]
+    return "\n".join(lines)
+
+
+def _line(key: str, field: FieldInfo, chosen: Any) -> str:
+    value = field.default if chosen is None else chosen
+    hidden = "# " if chosen is None else ""
+    written = "..." if value is None else _toml(value)
+    choices = get_args(field.annotation) if get_origin(field.annotation) is Literal else ()
+    meaning = [field.description] if field.description else []
+    meaning += [f"one of {_toml(choices)}"] if len(choices) > 1 else []
+    return f"{hidden}{key} = {written}" + (f"  # {'; '.join(meaning)}" if meaning else "")
+
+
+def _toml(value: Any) -> str:
+    """A value as TOML writes it, on one line."""
+    if isinstance(value, BaseModel):
+        return "{" + ", ".join(f"{key} = {_toml(inner)}" for key, inner in value) + "}"
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key} = {_toml(inner)}" for key, inner in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_toml, value))}]"
+    return json.dumps(value, ensure_ascii=False)

@@ -1,0 +1,1 @@
+"""Many runs of scenarios: campaigns, and the tuning of gains."""

@@ -1,0 +1,200 @@
+"""What `luxloop campaign` does: a grid or list of runs from one TOML file into one table, resumable, on this machine or on many."""
+
+import json
+import math
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field, ValidationError
+
+from loop.jobs.executors import Executor
+from loop.jobs.runner import Job, Results, run
+from loop.recording.digest import digest_of_code
+from loop.recording.manifest import digests
+from loop.scenario.model import AnyScenario, Scenario, load_any, validate_any
+from loop.scenario.overrides import resolve_paths
+from world.errors import LuxloopError
+from world.folders import output_folder
+from world.params import Params
+from world.plugin import refuse_code
+from world.validation import read_toml, sentence
+
+MOST_RUNS = 100_000
+JOBS, TABLE = "jobs.jsonl", "runs.parquet"
+Row = dict[str, Any]
+
+
+class RunParams(Params):
+    """One run of a list."""
+
+    scenario: str = Field(min_length=1, description="shipped name, or file beside this one")
+    controller: str | None = Field(None, description="controller; left out: the scenario's")
+    variant: str | None = Field(None, description="one of the variants; left out: none")
+    seed: int = Field(0, ge=0, lt=2**63, description="seed of all noise")
+
+
+class CampaignParams(Params):
+    """A campaign: all combinations of scenarios, controllers, variants and seeds, and single runs beside them."""
+
+    scenarios: tuple[Annotated[str, Field(min_length=1)], ...] = Field((), description="shipped names, or files beside this one")
+    controllers: tuple[str, ...] = Field((), description="controllers, with what a scenario says of them; left out: each scenario's own")
+    seeds: tuple[Annotated[int, Field(ge=0, lt=2**63)], ...] = Field((0,), min_length=1, description="seeds of all noise")
+    set: dict[str, Any] = Field({}, description="keys to change in every scenario, as a scenario file writes them")
+    variants: dict[str, dict[str, Any]] = Field({}, description="named tables of keys to change on top; left out: one without changes")
+    runs: tuple[RunParams, ...] = Field((), description="runs beside the grid")
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run: which it is in the campaign, and its scenario with all that the campaign changes."""
+
+    params: RunParams
+    scenario: AnyScenario
+
+    @property
+    def row(self) -> Row:
+        """What tells it from others."""
+        controller = self.scenario.controller.name if isinstance(self.scenario, Scenario) else None
+        return {
+            "scenario": Path(self.params.scenario).stem,
+            "controller": controller,
+            "variant": self.params.variant or "",
+            "seed": self.params.seed,
+            "scenario_sha256": self.scenario.digest,
+        }
+
+    @property
+    def key(self) -> str:
+        return ", ".join(str(value) for name, value in self.row.items() if name in ("scenario", "controller", "variant") and value) + (
+            f", seed {self.params.seed}"
+        )
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """Rows of a campaign, one a run in the order of the file: what it is, its figures, and `error`, empty where it succeeded."""
+
+    name: str
+    rows: list[Row]
+
+    @property
+    def failures(self) -> dict[str, str]:
+        return {row["key"]: row["error"] for row in self.rows if row["error"]}
+
+
+def read(file: Path, *, allow_code: bool = False) -> list[Run]:
+    """The runs of a campaign's file; allow_code: whether modules that it or its scenarios name may run.
+
+    Raises LuxloopError that names the file, the key and the remedy.
+    """
+    try:
+        params = CampaignParams.model_validate_json(json.dumps(read_toml(file)), strict=True)
+    except ValidationError as error:
+        raise LuxloopError(f"{file}: {sentence(error, CampaignParams, 'docs/campaigns.md has an example')}") from error
+    except TypeError as error:
+        raise LuxloopError(f"{file}: holds a date or a time, which has no meaning here; write a text in quotes") from error
+    n_runs = math.prod(map(len, (params.scenarios, params.controllers or [0], params.variants or [0], params.seeds))) + len(params.runs)
+    if n_runs > MOST_RUNS:
+        raise LuxloopError(f"{file}: names {n_runs:,} runs, more than {MOST_RUNS:,}; split it into several campaigns")
+    runs = dict[str, Run]()
+    for each in (_run(file, params, one, allow_code) for one in _all(params)):
+        if runs.setdefault(each.key, each).scenario.digest != each.scenario.digest:
+            raise LuxloopError(f"{file}: two different runs are both called {each.key!r}; rename a scenario's file, or give variants")
+    if not runs:
+        raise LuxloopError(f'{file}: names no runs; give scenarios = ["snowflake"], or [[runs]]')
+    return list(runs.values())
+
+
+def run_campaign(
+    file: Path,
+    out: Path,
+    *,
+    device: str = "cpu",
+    processes: int | None = None,
+    executor: Executor | None = None,
+    allow_code: bool = False,
+) -> Campaign:
+    """Do the runs that `out` does not hold yet, and write the table of all.
+
+    Raises what `read`, `loop.jobs.runner.run` and `world.folders.output_folder` raise.
+    """
+    runs = read(file, allow_code=allow_code)
+    jobs = [
+        Job(each.key, {"scenario": each.scenario.model_dump(mode="json"), "inputs": digests(each.scenario), "device": device})
+        for each in runs
+    ]
+    with output_folder(out):
+        results = run(figures_of, jobs, out / JOBS, version=digest_of_code(), processes=processes, executor=executor, title="runs")
+        found = {row.pop("key"): row for row in results.rows}
+        rows = [
+            {"key": each.key, **each.row, **_figures(found.get(each.key, {})), "error": results.failures.get(each.key, "")} for each in runs
+        ]
+        columns = list(dict.fromkeys(name for row in rows for name in row))
+        results = Results([{name: row.get(name) for name in columns} for row in rows], results.failures)
+        results.write(out / TABLE)
+    return Campaign(file.stem, results.rows)
+
+
+def figures_of(scenario: Mapping[str, Any], inputs: dict[str, str], device: str) -> Row:
+    """A job: the figures of a scenario. inputs: `loop.recording.manifest.digests` of its files, which decide the job's result.
+
+    Raises LuxloopError where the scenario cannot run, or its files are others here.
+    """
+    from loop.metrics import figures
+
+    return figures(checked(scenario, inputs), device)
+
+
+def checked(scenario: Mapping[str, Any], inputs: dict[str, str]) -> AnyScenario:
+    """A job's scenario, ready to run with one thread wherever that is, so that figures do not depend on it.
+
+    Raises LuxloopError where it is no scenario, or its files are others here.
+    """
+    import torch
+
+    torch.set_num_threads(1)
+    valid = validate_any(scenario, str(scenario["name"]))
+    here = digests(valid)
+    if others := [key for key in inputs | here if inputs.get(key) != here.get(key)]:
+        raise LuxloopError(
+            f"{valid.name}: {others[0]}: is another file here than where the run was asked for, or has changed since; put the same at "
+            "the same place on every machine and start again"
+        )
+    return valid
+
+
+def _figures(row: Row) -> Row:
+    return {name: value for name, value in row.items() if name not in ("scenario", "controller", "inputs", "device")}
+
+
+def _all(params: CampaignParams) -> Iterator[RunParams]:
+    grid = product(params.scenarios, params.controllers or (None,), params.variants or (None,), params.seeds)
+    for scenario, controller, variant, seed in grid:
+        yield RunParams(scenario=scenario, controller=controller, variant=variant, seed=seed)
+    yield from params.runs
+
+
+def _run(file: Path, params: CampaignParams, one: RunParams, allow_code: bool) -> Run:
+    if one.variant is not None and one.variant not in params.variants:
+        raise LuxloopError(f"{file}: runs: there is no variant {one.variant!r}; write its keys below [variants.{one.variant}]")
+    changes: Sequence[dict[str, Any]] = [
+        {"controller": {"name": one.controller}} if one.controller else {},
+        params.set,
+        params.variants[one.variant] if one.variant else {},
+        {"seed": one.seed},
+    ]
+    for each in changes:
+        resolve_paths(each, file.parent)
+    beside = file.parent / one.scenario
+    try:
+        scenario = load_any(str(beside) if os.path.isfile(beside) else one.scenario, changes, allow_code=True)
+        if not allow_code:  # changes are out of a file, too
+            refuse_code(scenario, one.scenario)
+        return Run(one, scenario)
+    except LuxloopError as error:
+        variant = f" {one.variant}" if one.variant else ""
+        raise LuxloopError(f"{file}:{variant} {error}") from error

@@ -1,0 +1,127 @@
+"""The report of a campaign: a table of means and worst cases over seeds, a picture, and what failed, as one page of Markdown."""
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from rich.table import Table
+
+from loop.jobs.executors import dask, local
+from loop.run import torch_device
+from loop.studies.campaign import TABLE, Campaign, Row, run_campaign
+from loop.terminal import tables
+from world.errors import LuxloopError
+from world.files import whole
+
+REPORT, PICTURE = "report.md", "report.png"
+# figure: (what it is, whether more is better)
+SHOWN = {
+    "settle_step": ("settle step", False),
+    "overshoot_percent": ("overshoot in %", False),
+    "residual_percent": ("centroid error in %", False),
+    "iou_open": ("IoU, open loop", True),
+    "iou_final": ("IoU, final", True),
+    "iou_mean": ("IoU, mean of all steps", True),
+    "dark_lx_max": ("on what must be dark, lx", False),
+    "symbol_iou_min": ("IoU of symbols, least", True),
+    "flux_lm_mean": ("flux of all lamps, lm", False),
+    "energy_j": ("energy, J", False),
+    "confidence_final_mean": ("confidence at the end", True),
+    "confidence_final_min": ("the same, least of an object", True),
+    "eyes_lx_max_after_start_up": ("on heads and windscreens, lx", False),
+}
+
+
+def do_campaign(file: Path, out: Path | None, processes: int | None, scheduler: str | None, device: str, allow_code: bool) -> bool:
+    """Run a campaign, write its report, show its table and what failed; whether nothing failed."""
+    if processes is not None and processes < 1:
+        raise LuxloopError(f"--jobs: {processes} processes can do nothing; give 1 or more")
+    if processes is not None and scheduler is not None:
+        raise LuxloopError("--jobs: is for this machine, but --scheduler has workers of its own; give one of the two")
+    folder = out or Path("runs") / file.stem
+    executor = local(processes) if scheduler is None else dask(scheduler)
+    campaign = run_campaign(file, folder, device=str(torch_device(device)), executor=executor, allow_code=allow_code)
+    for key, reason in campaign.failures.items():
+        tables.console(stderr=True).print(f"failed: {key}: {reason}", markup=False)
+    write_report(campaign, folder)
+    tables.show(overview(campaign))
+    print(f"{folder / TABLE} and {folder / REPORT} written")
+    return not campaign.failures
+
+
+def write_report(campaign: Campaign, out: Path) -> None:
+    """Write page and picture into a folder. Raises LuxloopError where that cannot be written."""
+    _draw(campaign, out / PICTURE)
+    with whole(out / REPORT) as part:
+        part.write_text(page(campaign), "utf-8")
+
+
+def overview(campaign: Campaign) -> Table:
+    """Means and worst cases over seeds for the terminal."""
+    header, *body = _lines(campaign)
+    table = tables.plain(*header)
+    for line in body:
+        table.add_row(*line)
+    return table
+
+
+def page(campaign: Campaign) -> str:
+    """The campaign as Markdown."""
+    header, *body = _lines(campaign)
+    lines = [header, ["---"] * len(header), *body]
+    table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    failed = "".join(f"- {key}: {reason}\n" for key, reason in campaign.failures.items())
+    runs = f"{len(campaign.rows)} runs, {len(campaign.failures)} failed."
+    note = f"{runs} Means over seeds, the worst in brackets; `{TABLE}` has all figures."
+    return f"# {campaign.name}\n\n{note}\n\n{table}\n\n![Figures of all runs]({PICTURE})\n" + (f"\n## Failed\n\n{failed}" if failed else "")
+
+
+def _lines(campaign: Campaign) -> list[list[str]]:
+    kinds = [kind for kind in SHOWN if any(row.get(kind) is not None for row in campaign.rows)]
+    body = [
+        [*names, str(len(some)), *(_over(some, kind) for kind in kinds)]
+        for names, some in _groups(campaign.rows, ("scenario", "controller", "variant"))
+    ]
+    return [["scenario", "controller", "variant", "seeds", *(SHOWN[kind][0] for kind in kinds)], *body]
+
+
+def _over(rows: Sequence[Row], kind: str) -> str:
+    values = [row[kind] for row in rows if row.get(kind) is not None]
+    lacking = len(rows) - len(values)
+    if not values:
+        return "–"
+    worst = min(values) if SHOWN[kind][1] else max(values)
+    return f"{np.mean(values):.3g} ({worst:.3g})" + (f", none in {lacking}" if lacking else "")
+
+
+def _groups(rows: Iterable[Row], names: Sequence[str]) -> list[tuple[tuple[str, ...], list[Row]]]:
+    groups: dict[tuple[str, ...], list[Row]] = {}
+    for row in rows:
+        groups.setdefault(tuple(str(row[name] or "") for name in names), []).append(row)
+    return list(groups.items())
+
+
+def _draw(campaign: Campaign, file: Path) -> None:
+    """A panel a figure: scenarios along x, a colour for each controller and variant, a dot for each seed."""
+    kinds = [kind for kind in SHOWN if any(row.get(kind) is not None for row in campaign.rows)] or ["settle_step"]
+    scenarios = list(dict.fromkeys(row["scenario"] for row in campaign.rows))
+    series = _groups(campaign.rows, ("controller", "variant"))
+    figure, panels = plt.subplots(
+        len(kinds), figsize=(max(6.0, 1.2 * len(scenarios) + 3), 0.6 + 1.9 * len(kinds)), sharex=True, layout="constrained", squeeze=False
+    )
+    for axes, kind in zip(panels[:, 0], kinds, strict=True):
+        for number, (names, rows) in enumerate(series):
+            offset = 0.6 * ((number + 0.5) / len(series) - 0.5)
+            points: list[tuple[float, Any]] = [
+                (scenarios.index(row["scenario"]) + offset, row[kind]) for row in rows if row.get(kind) is not None
+            ]
+            axes.plot(*np.array(points).reshape(-1, 2).T, "o", ms=4, alpha=0.7, label=", ".join(filter(None, names)) or "all")
+        axes.set_ylabel(SHOWN[kind][0].replace(", ", ",\n"), fontsize=8)
+        axes.grid(alpha=0.3)
+    panels[0, 0].legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    panels[-1, 0].set_xticks(range(len(scenarios)), scenarios, rotation=30, ha="right", fontsize=8)
+    with whole(file) as part:
+        figure.savefig(part, dpi=110, format="png")
+    plt.close(figure)

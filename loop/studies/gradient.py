@@ -1,0 +1,151 @@
+"""Tuning by gradient: run, learn from the run where the symbol is seen, descend through runs that are predicted from that, and so on."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import optuna
+import torch
+from optuna.trial import create_trial
+from torch import Tensor
+
+from loop.jobs.executors import Executor
+from loop.run import prepare
+from loop.studies.ranges import Range
+from loop.studies.study import STUDY, finished, keeping, study_in
+from loop.studies.surrogate import Learned, near
+from loop.studies.tune import FAILURES, TRACES, Task, Trace, Tuned, begun, failed, ran
+from loop.symbol.batch import Rollout, check
+from loop.symbol.simulation import Simulation
+from loop.terminal.progress import progress
+from perception.extraction import ExtractionParams
+from world.errors import LuxloopError
+from world.folders import turn
+
+STARTS, DRAWS = 24, 3  # descents at once, each through so many kinds of noise
+STEPS, RATE = 120, 0.15  # of Adam, in logits of the ranges
+FROM_ENDS = 0.02  # of a range: where values start that lie on its ends or beyond, and would have no slope there
+FAR = 0.05  # what being far off counts beside being outside of what settled symbols may have
+
+
+@dataclass(frozen=True)
+class Iteration:
+    """What has been run: values by key, None where the scenarios differ; mean cost; traces of all runs in the order of `Task.runs`."""
+
+    values: Mapping[str, float | int | None]
+    cost: float
+    traces: list[Trace]
+
+
+def tune_by_gradient(task: Task, out: Path, iterations: int, execute: Executor) -> Tuned:
+    """Go on with the study in a folder until it has so many trials; all but the first with the given values are found by descent.
+
+    Raises what `loop.studies.tune.tune` and `loop.symbol.batch.check` raise, and LuxloopError where a symbol is never seen.
+    """
+    if whole := [each.key for each in task.ranges if each.whole]:
+        raise LuxloopError(f"--key {whole[0]}: takes whole numbers, which have no gradient; leave it out, or tune without --gradient")
+    simulations = []
+    for scenario in task.scenarios:
+        if not isinstance(scenario.extraction, ExtractionParams):
+            raise LuxloopError(
+                f"{scenario.name}: extraction.kind: no error model for an own extraction; leave it out, or tune without --gradient"
+            )
+        simulations.append(prepare(scenario, task.device))
+        check(simulations[-1], [each.key for each in task.ranges])
+    with study_in(out, task.digest) as study, keeping(out, lambda: f"{finished(study)} of {iterations} iterations"):
+        shown = finished(study)
+        with progress("iterations", iterations, min(shown, iterations)) as advance:
+            while True:
+                with turn(out / STUDY):  # each iteration learns from all before, so that processes take turns
+                    space = begun(study, task, out, execute)
+                    if finished(study) >= iterations:
+                        break
+                    values = descend(task, simulations, _before(task, study))
+                    costs, traces = ran(task, task.runs(values), execute)
+                    kept = {TRACES: traces, FAILURES: failed(traces)}
+                    study.add_trial(create_trial(params=values, distributions=space, value=float(np.mean(costs)), user_attrs=kept))
+                done = finished(study)
+                advance(done - shown)
+                shown = done
+    return Tuned(task, study.user_attrs["given_cost"], study)
+
+
+def descend(task: Task, simulations: Sequence[Simulation], before: Sequence[Iteration]) -> dict[str, float]:
+    """The values of least `loss` that are found from the best ones before, and others around."""
+    scenes = [_learned(simulations, k, before) for k in range(len(simulations))]
+    generator = torch.Generator().manual_seed(task.seed * 1000 + len(before))
+    best = _logits(task, min(before, key=lambda iteration: iteration.cost).values)
+    around = torch.randn(STARTS, len(best), generator=generator, dtype=best.dtype)
+    around[0] = 0.0
+    steps = max(scenario.steps for scenario in task.scenarios)
+    noise = torch.randn(steps, DRAWS, 1, 4, generator=generator).expand(-1, -1, STARTS, -1).flatten(1, 2)
+    logits = (best + around).requires_grad_()
+    adam = torch.optim.Adam([logits], lr=RATE)
+    least, found = math.inf, best
+    for _ in range(STEPS):
+        adam.zero_grad()
+        values = {each.key: _value(each, logits[:, k]).float().repeat(DRAWS).to(task.device) for k, each in enumerate(task.ranges)}
+        predicted = [scene.predicted(each, values, noise.to(task.device)) for scene, each in zip(scenes, simulations, strict=True)]
+        losses = torch.stack([loss(rollout, each) for rollout, each in zip(predicted, simulations, strict=True)])
+        means = losses.view(-1, STARTS).mean(0)
+        if means.min() < least:
+            least, found = means.min().item(), logits[means.argmin()].detach().clone()
+        means.sum().backward()  # type: ignore[no-untyped-call]
+        adam.step()
+    return _values(task, found)
+
+
+def loss(rollout: Rollout, simulation: Simulation) -> Tensor:
+    """Share of the steps from which on the symbol is, or will once more be, outside of what settled symbols may have, softly, `[B]`.
+
+    It stands for settling and residual, whatever the objective is.
+    """
+    squares = (rollout.errors / near(simulation)).square().amax(-1)
+    ahead = squares.flip(-1).cummax(-1).values
+    return (ahead.square() / (1 + ahead.square()) + FAR * ahead.log1p()).mean(-1)
+
+
+def _before(task: Task, study: optuna.Study) -> list[Iteration]:
+    """The given values first."""
+    trials = [trial for trial in study.get_trials(deepcopy=False) if TRACES in trial.user_attrs]
+    later = [Iteration(trial.params, trial.value or 0.0, trial.user_attrs[TRACES]) for trial in trials]
+    return [Iteration(task.given, study.user_attrs["given_cost"], study.user_attrs[TRACES]), *later]
+
+
+def _learned(simulations: Sequence[Simulation], number: int, before: Sequence[Iteration]) -> Learned:
+    """Of the scenario of a number, from all its runs so far."""
+    simulation = simulations[number]
+    scenario = simulation.scenario
+    traces = [trace for iteration in before for trace in iteration.traces[number :: len(simulations)]]
+    whole = [trace for trace in traces if not isinstance(trace, str)]
+    runs = [Rollout(*(torch.tensor(part, device=simulation.device)[None] for part in trace)) for trace in whole]
+    if not any(run.seen.any() for run in runs):
+        why = next(iter(failed(traces)), "its symbol is never seen")
+        raise LuxloopError(f"{scenario.name}: {why}, so there is nothing to descend on; give other values, or tune without --gradient")
+    return Learned.of(runs, scenario.camera.latency_steps)
+
+
+def _values(task: Task, logits: Tensor) -> dict[str, float]:
+    """To six digits that count, and not out of the ranges."""
+    found = ((each, float(f"{_value(each, logit).item():.6g}")) for each, logit in zip(task.ranges, logits, strict=True))
+    return {each.key: min(max(value, each.low), each.high) for each, value in found}
+
+
+def _logits(task: Task, values: Mapping[str, float | int | None]) -> Tensor:
+    return torch.tensor([_logit(each, values[each.key]) for each in task.ranges], dtype=torch.float64)
+
+
+def _logit(each: Range, value: float | int | None) -> float:
+    low, high = (math.log(end) if each.log else end for end in (each.low, each.high))
+    at = (low + high) / 2 if value is None else math.log(value) if each.log and value > 0 else value
+    share = min(max((at - low) / (high - low), FROM_ENDS), 1 - FROM_ENDS)
+    return math.log(share / (1 - share))
+
+
+def _value(each: Range, logit: Tensor) -> Tensor:
+    share = torch.sigmoid(logit)
+    if each.log:
+        return (math.log(each.low) + share * math.log(each.high / each.low)).exp()
+    return each.low + share * (each.high - each.low)

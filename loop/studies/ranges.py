@@ -1,0 +1,94 @@
+"""Keys of a scenario that are tuned, and the ranges that they are tuned in: `controller.position.kp=0.1:2`."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from loop.scenario.model import Scenario, validate
+from loop.scenario.overrides import INDEX, overridden, toml_key
+from world.errors import LuxloopError, located
+
+Values = Mapping[str, float | int]
+
+
+@dataclass(frozen=True)
+class Range:
+    """A key and its least and largest value. log: whether factors count, not differences. whole: only whole numbers are possible."""
+
+    key: str
+    low: float
+    high: float
+    log: bool = False
+    whole: bool = False
+
+
+def parse(text: str, scenarios: Sequence[Scenario]) -> Range:
+    """A range given as KEY=LOW:HIGH or KEY=LOW:HIGH:log, for scenarios that must have that key and bear either end.
+
+    Raises LuxloopError that names the key and the remedy.
+    """
+    where = f"--key {text}"
+    key, _, ends = text.partition("=")
+    low_text, _, rest = ends.partition(":")
+    high_text, _, scale = rest.partition(":")
+    try:
+        low, high = float(low_text), float(high_text)
+    except ValueError as error:
+        raise LuxloopError(f"{where}: is not of the form key=low:high; write for example controller.position.kp=0.1:2") from error
+    if scale not in ("", "log"):
+        raise LuxloopError(f"{where}: {scale!r} is no scale; write {key}={low_text}:{high_text}:log, or leave it out")
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        turned = f"write {key}={high_text}:{low_text}" if high < low else f"give {key} two different ends"
+        raise LuxloopError(f"{where}: the range is the wrong way round or empty; {turned}")
+    if scale and low <= 0:
+        raise LuxloopError(f"{where}: a range that reaches {low:g} has no logarithm; let it begin above 0, or leave :log out")
+    with located(where):
+        found = [value_of(scenario, key) for scenario in scenarios]
+        # A number that is left out says nothing of its kind; what becomes of the lower end does.
+        kinds = found if any(value is not None for value in found) else [value_of(changed(scenarios[0], {key: _number(low_text)}), key)]
+        whole = any(isinstance(value, int) for value in kinds)
+        if whole and not (low.is_integer() and high.is_integer()):
+            fraction = f", or {key} a value with a point, such as 1.0" if ".options." in key else ""
+            raise LuxloopError(f"only whole numbers are possible; give whole ends{fraction}")
+        made = Range(key, low, high, bool(scale), whole)
+        for scenario in scenarios:
+            for end in (low, high):
+                changed(scenario, {key: int(end) if whole else end})
+    return made
+
+
+def _number(text: str) -> float | int:
+    return int(text) if text.lstrip("+-").isdecimal() else float(text)
+
+
+def value_of(scenario: Scenario, key: str) -> float | int | None:
+    """The number that a scenario has at a key, None where there is nothing. Raises LuxloopError where there is something else."""
+    table: Any = scenario.model_dump(mode="json")
+    for part in toml_key(key).replace('"', "").split("."):
+        place = INDEX.fullmatch(part)
+        if isinstance(table, list) and place:
+            table = dict(enumerate(table)).get(int(place[1]))
+        else:
+            table = table.get(part) if isinstance(table, dict) else None
+    if isinstance(table, bool) or not (table is None or isinstance(table, int | float)):
+        raise LuxloopError(f"is no number, and only numbers are tuned; {_hint(key, table)}")
+    return table
+
+
+def _hint(key: str, value: Any) -> str:
+    if isinstance(value, dict) and value:
+        return f"name one of its keys, such as {key}.{next(iter(value))}"
+    return f"name one of its items, {key}[0] to [{len(value) - 1}]" if isinstance(value, list) and value else "give the key of one"
+
+
+def changed(scenario: Scenario, values: Values) -> Scenario:
+    """The scenario with other values, which keys have as `--set` takes them. Raises LuxloopError where one is not possible."""
+    settings = [f"{key}={value!r}" for key, value in values.items()]
+    data = overridden(scenario.model_dump(mode="json"), settings)
+    return validate(data, f"{scenario.name} with {' '.join(f'{key}={value:g}' for key, value in values.items())}")
+
+
+def overlay(values: Values) -> str:
+    """Values as a TOML file for `--set`."""
+    return "".join(f"{toml_key(key)} = {value if isinstance(value, int) else repr(float(value))}\n" for key, value in values.items())

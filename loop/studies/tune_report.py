@@ -1,0 +1,164 @@
+"""The command that tunes, and its report: how the cost went down, which keys matter, what is best beside what was given."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import optuna
+from optuna.importance import PedAnovaImportanceEvaluator, get_param_importances
+from optuna.trial import TrialState
+
+from loop import objective
+from loop.jobs.executors import local
+from loop.run import torch_device
+from loop.scenario.model import load
+from loop.studies import ranges
+from loop.studies.gradient import tune_by_gradient
+from loop.studies.study import FINISHED, STUDY
+from loop.studies.tune import Task, Tuned, tune
+from loop.terminal import tables
+from loop.terminal.options import with_controller
+from world.errors import LuxloopError
+from world.files import whole
+from world.folders import turn
+
+BEST, REPORT, PICTURE = "best.toml", "report.md", "report.png"
+LEAST_FOR_IMPORTANCES = 10  # trials
+
+
+def do_tune(
+    names: Sequence[str],
+    keys: Sequence[str],
+    goal: str,
+    trials: int,
+    seeds: int,
+    seed: int,
+    controller: str | None,
+    overrides: Sequence[str],
+    out: Path | None,
+    processes: int | None,
+    device: str,
+    gradient: bool,
+    allow_code: bool,
+) -> Tuned:
+    """Tune, write what is best and a report, and say it. Raises LuxloopError before anything runs where something makes no sense."""
+    if not keys:
+        raise LuxloopError("--key: what is to be tuned? Give keys with ranges, such as --key controller.position.kp=0.1:2")
+    for name, value in (("--trials", trials), ("--seeds", seeds), ("--jobs", processes or 1)):
+        if value < 1:
+            raise LuxloopError(f"{name}: {value} is too few; give 1 or more")
+    scenarios = tuple(load(name, overrides, allow_code=allow_code, **with_controller(controller)) for name in names)
+    found = tuple(ranges.parse(key, scenarios) for key in keys)
+    task = Task(scenarios, found, objective.parse(goal), seeds, seed, str(torch_device(device)))
+    folder = out or Path("runs") / f"tune-{scenarios[0].name}"
+    tuned = (tune_by_gradient if gradient else tune)(task, folder, trials, local(processes))
+    write(tuned, folder)
+    values, cost = tuned.best
+    table = tables.plain("key", "given", "best")
+    for key, given in task.given.items():
+        table.add_row(f"[bold]{key}[/]", _number(given), _number(values.get(key, given)))
+    table.add_row("cost", _number(tuned.given_cost), _number(cost))
+    tables.show(table)
+    if failed := _failed(tuned):
+        print(failed.strip())
+    if values:
+        taken = "" if controller is None else f" --controller {controller}"
+        print(f"{folder / BEST} and {folder / REPORT} written; run it with: luxloop run {names[0]}{taken} --set {folder / BEST}")
+    else:
+        print(f"no trial is better than what was given; {folder / REPORT} written")
+    return tuned
+
+
+def write(tuned: Tuned, out: Path) -> None:
+    """Write the best values, the page and its picture into a folder. Raises LuxloopError where that cannot be."""
+    with turn(out / STUDY):  # so that of processes that share a study the last one that writes has all trials
+        values, cost = tuned.best
+        head = (
+            f"# {tuned.task.objective} of {', '.join(each.name for each in tuned.task.scenarios)}: {tuned.given_cost:.4g} -> {cost:.4g}\n"
+        )
+        if values:
+            with whole(out / BEST) as part:
+                part.write_text(head + ranges.overlay(values), "utf-8")
+        else:
+            (out / BEST).unlink(missing_ok=True)
+        _draw(tuned, out / PICTURE)
+        with whole(out / REPORT) as part:
+            part.write_text(page(tuned), "utf-8")
+
+
+def page(tuned: Tuned) -> str:
+    """The study as Markdown."""
+    task, (values, cost) = tuned.task, tuned.best
+    finished = tuned.study.get_trials(deepcopy=False, states=FINISHED)
+    pruned = sum(trial.state == TrialState.PRUNED for trial in finished)
+    importances = _importances(tuned)
+    rows = [
+        ["key", "range", "given", "best", "importance"],
+        ["---", "---", "---:", "---:", "---:"],
+        *(
+            [
+                f"`{each.key}`",
+                f"{each.low:g} to {each.high:g}",
+                _number(task.given[each.key]),
+                _number(values.get(each.key, task.given[each.key])),
+                f"{importances[each.key]:.2f}" if importances else "–",
+            ]
+            for each in task.ranges
+        ),
+        ["cost", "", _number(tuned.given_cost), _number(cost), ""],
+    ]
+    terms = "".join(f"- `{name}`: {objective.TERMS[name][2]}\n" for name in task.objective.weights)
+    names = ", ".join(each.name for each in task.scenarios)
+    what = f"{len(finished)} trials ({pruned} given up halfway) of {names} with {task.seeds} seeds each.{_failed(tuned)}"
+    table = "\n".join(f"| {' | '.join(row)} |" for row in rows)
+    return f"# Tuning\n\n{what} The cost is `{task.objective}`:\n\n{terms}\n{table}\n\n![History, and cost over each key]({PICTURE})\n"
+
+
+def _failed(tuned: Tuned) -> str:
+    failures = tuned.failures
+    return f" {len(failures)} {'runs' if len(failures) > 1 else 'run'} failed, the first: {failures[0]}." if failures else ""
+
+
+def _importances(tuned: Tuned) -> dict[str, float]:
+    """Shares of the keys in what sets the best trials apart; empty where there are too few trials."""
+    complete = tuned.study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+    if len(complete) < LEAST_FOR_IMPORTANCES or len({trial.value for trial in complete}) < 2:
+        return {}
+    return dict(get_param_importances(tuned.study, evaluator=PedAnovaImportanceEvaluator()))
+
+
+def _draw(tuned: Tuned, file: Path) -> None:
+    """Costs over trials, then over each key."""
+    trials: list[optuna.trial.FrozenTrial] = tuned.study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+    values, cost = tuned.best
+    costs = np.array([trial.value for trial in trials], dtype=float)
+    count = 1 + len(tuned.task.ranges)
+    columns = min(count, 3)
+    figure, grid = plt.subplots(
+        -(-count // columns), columns, figsize=(3.6 * columns, 2.8 * -(-count // columns)), layout="constrained", squeeze=False
+    )
+    history, *panels = grid.flat
+    history.plot([trial.number for trial in trials], costs, "o", ms=3, alpha=0.6)
+    history.plot([trial.number for trial in trials], np.minimum.accumulate(costs), label="best so far")
+    history.axhline(tuned.given_cost, color="tab:red", lw=1, label="given")
+    history.set_xlabel("trial")
+    history.set_ylabel(f"cost: {tuned.task.objective}", fontsize=8)
+    history.legend(fontsize=7)
+    for axes in panels[len(tuned.task.ranges) :]:
+        axes.remove()
+    for axes, each in zip(panels, tuned.task.ranges, strict=False):
+        axes.scatter([trial.params[each.key] for trial in trials], costs, c=[trial.number for trial in trials], s=10, cmap="viridis")
+        if (given := tuned.task.given[each.key]) is not None:
+            axes.plot(given, tuned.given_cost, "s", color="tab:red")
+        if values:
+            axes.plot(values[each.key], cost, "*", ms=11, color="tab:orange")
+        axes.set_xscale("log" if each.log else "linear")
+        axes.set_xlabel(each.key, fontsize=8)
+    with whole(file) as part:
+        figure.savefig(part, dpi=110, format="png")
+    plt.close(figure)
+
+
+def _number(value: float | int | None) -> str:
+    return "–" if value is None else f"{value:.4g}"

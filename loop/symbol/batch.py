@@ -1,0 +1,144 @@
+"""Rollouts of many gain sets at once: one world and one camera crop for all, and differentiable from gains to errors."""
+
+import copy
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from controllers.symbol.laws.lifting import Lifting
+from controllers.symbol.laws.thesis_pid import ThesisPid, ThesisPidParams
+from controllers.symbol.sensing.drawing import Drawing
+from controllers.symbol.sensing.observer import Seen
+from controllers.symbol.sensing.protocol import Look, Shown
+from loop.symbol.simulation import Lights, Simulation
+from perception.camera import expose, frame_generator
+from perception.extraction import Crop, Loss, symbol_image
+from world.errors import LuxloopError, did_you_mean
+from world.light.illumination import Transport, added_light
+
+# Keys of thesis_pid that are tensors in its law: the gains' field, which of the loops x, y, roll, pitch, and the key's unit in theirs.
+GAINS: dict[str, tuple[str, tuple[int, ...], float]] = {
+    **{
+        f"controller.{kind}.{gain}": (gain, loops, 1.0)
+        for kind, loops in (("position", (0, 1)), ("rotation", (2, 3)))
+        for gain in ("kp", "ki", "kd")
+    },
+    **{f"controller.{kind}.tracking_steps": ("tracking_time", loops, 1.0) for kind, loops in (("position", (0, 1)), ("rotation", (2, 3)))},
+    "controller.x_rate_m": ("rate_limit", (0,), 1.0),
+    "controller.y_rate_m": ("rate_limit", (1,), 1.0),
+    "controller.roll_rate_deg": ("rate_limit", (2,), math.pi / 180),
+    "controller.pitch_rate_deg": ("rate_limit", (3,), math.pi / 180),
+}
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """poses: `[B, steps, 4]` that were shown (x, y in m, roll, pitch in rad). errors: `[B, steps, 4]`, how far the symbol was seen to be
+    off in the same units, 0 where it was lost. seen: `[B, steps]` bool, whether it was not."""
+
+    poses: Tensor
+    errors: Tensor
+    seen: Tensor
+
+
+def check(simulation: Simulation, keys: Any) -> None:
+    """Raises LuxloopError where a scenario cannot be rolled out in batches, or has no such gains."""
+    scenario = simulation.scenario
+    if not isinstance(scenario.controller, ThesisPidParams):
+        raise LuxloopError(f"{scenario.name}: batched rollouts are for controller.name = thesis_pid, not {scenario.controller.name}")
+    for key in keys:
+        if key not in GAINS:
+            raise LuxloopError(f"{key}: has no gradient; {did_you_mean(key, GAINS)}")
+    if scenario.controller.warp or scenario.controller.supervisor:
+        raise LuxloopError(f"{scenario.name}: batched rollouts have no stages; leave out controller.warp and controller.supervisor")
+    changing = ("oncoming", "ambient", "noise", "drops")
+    if found := [name for name in changing if getattr(scenario.disturbances, name)]:
+        raise LuxloopError(
+            f"{scenario.name}: batched rollouts know nothing of disturbances.{found[0]}; leave it out, or tune without --gradient"
+        )
+    still = [scenario.vehicle is None, not simulation.world.moving, scenario.camera.drop_probability == 0]
+    if not (all(still) and all(isinstance(each, Transport) for each in simulation.world.lit(0.0).transports)):
+        raise LuxloopError(
+            f"{scenario.name}: batched rollouts are for scenes in which nothing moves and no frame is lost; tune without --gradient"
+        )
+
+
+def rollouts(simulation: Simulation, values: dict[str, Tensor], *, quantise: bool = True) -> Rollout:
+    """Run a standing scenario with thesis_pid for B sets of gains. values: `[B]` by the keys of GAINS, in their units.
+
+    The noise of all is that of a single run. quantise: false leaves digital numbers unrounded, for gradients; take edges = "soft" with it.
+    """
+    check(simulation, values)
+    return loops(simulation, values, lambda poses, step: look(simulation, poses, step, quantise=quantise))
+
+
+def loops(simulation: Simulation, values: dict[str, Tensor], look: Callable[[Tensor, int], Seen]) -> Rollout:
+    """The same around anything that looks at poses `[B, 4]` that are shown at a step."""
+    assert isinstance(simulation.controller, Lifting)  # of which a batch needs nothing: nothing is searched for
+    controller = with_values(simulation.controller.inner, values)
+    (batch,) = {len(value) for value in values.values()}
+    start = simulation.start().controller.inner.pid.output
+    state = controller.start(start.expand(batch, -1).to(next(iter(values.values()))))
+    late, looks, rows = simulation.scenario.camera.latency_steps, [], []
+    for step in range(simulation.scenario.steps):
+        pose = controller.drawing(state).pose
+        looks.append(look(pose, step))
+        seen = looks[step - late] if step >= late else simulation.observer.lost(pose, Loss.NO_FRAME)
+        state = controller.step(state, Look(seen, None, Shown(Drawing(pose), ())))
+        usable = (seen.code == Loss.SEEN) & seen.pose_error.isfinite().all(-1)
+        rows.append((pose, torch.where(usable[:, None], seen.pose_error, 0.0), usable))
+    return Rollout(*(torch.stack(column, 1) for column in zip(*rows, strict=True)))
+
+
+def with_values(controller: Any, values: dict[str, Tensor]) -> ThesisPid:
+    """thesis_pid with gains `[B, 4]`."""
+    gains = controller.gains
+    for key, value in values.items():
+        name, loops, unit = GAINS[key]
+        columns = list(getattr(gains, name).to(value).expand(len(value), 4).unbind(-1))
+        for loop in loops:
+            columns[loop] = unit * value
+        gains = replace(gains, **{name: torch.stack(columns, -1)})
+    made: ThesisPid = copy.copy(controller)
+    made.gains = gains
+    return made
+
+
+def look(simulation: Simulation, poses: Tensor, step: int, *, quantise: bool = True) -> Seen:
+    """What the camera sees of poses `[B, 4]` at a step, exposed only where their light can be."""
+    observer, world, camera = simulation.observer, simulation.world, simulation.scenario.camera
+    crop = simulation.projector.footprint(Drawing(poses), observer.model.eye.view, observer.params.footprint_margin_m)
+    if crop.v_stop - crop.v_start < 2 or crop.u_stop - crop.u_start < 2:
+        return observer.lost(poses, Loss.NOTHING)
+    # One by one: the few rays and pixels that each pose touches are quicker than all of a batch.
+    lights = [simulation.projector.light(pose) for pose in poses]
+    on_view, off_view = (world.lit(t_s) for t_s in world.exposures(step))
+    on, off = (
+        expose(light, camera, noise[crop.slices].to(light), quantise=quantise)
+        for light, noise in (
+            (_luminance(on_view.transports, lights, on_view.base, crop), _noise(simulation, step, 0)),
+            (off_view.off[crop.slices], _noise(simulation, step, 1)),
+        )
+    )
+    model = observer.model
+    flat = _luminance(model.transports, lights, -model.beams, crop)
+    return observer.compare(on, off, symbol_image(flat, model.limit[crop.slices], model.params), crop)
+
+
+def _noise(simulation: Simulation, step: int, frame: int) -> Tensor:
+    """Of a whole frame `[height, width]`, as in a single run."""
+    world, camera = simulation.world, simulation.scenario.camera
+    generator = frame_generator(world.seed, step, frame, simulation.device)
+    return torch.empty(camera.height_px, camera.width_px, device=simulation.device).normal_(generator=generator)
+
+
+def _luminance(transports: Any, lights: list[Lights], base: Tensor, crop: Crop) -> Tensor:
+    """Luminance `[B, h, w]` in cd/m^2 at a crop, of lights on top of a base `[height, width]`."""
+    width = base.shape[-1]
+    parts = [each.within(crop.v_start * width, crop.v_stop * width) for each in transports]
+    rows, columns = crop.slices
+    return torch.stack([added_light(parts, light, base[rows])[:, columns] for light in lights])

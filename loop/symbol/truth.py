@@ -1,0 +1,82 @@
+"""What a disturbed scenario's camera and lamps truly are. The controller keeps to what their own tables say."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from controllers.pixels.ssc import Utilisation
+from controllers.symbol.sensing.projector import DrawingModule, Projector
+from loop.scenario.disturbances import AimParams, WearParams
+from loop.scenario.model import Scenario
+from perception.camera import CameraParams
+from world.errors import LuxloopError
+from world.frames import pose_from_degrees
+from world.headlight import Headlight
+
+
+@dataclass(frozen=True)
+class LampModule:
+    """A module as it shines. beam: what it shows beside the symbol. T_world_headlight: `[4, 4]`, where the vehicle stands at its start."""
+
+    headlight: Headlight
+    beam: Utilisation
+    T_world_headlight: Tensor
+
+
+def true_camera(scenario: Scenario) -> CameraParams:
+    """The camera with its error of calibration. Raises LuxloopError where that puts it under the road."""
+    camera, error = scenario.camera, scenario.disturbances.calibration
+    half = math.tan(math.radians(camera.hfov_deg) / 2) / (1 + error.focal_percent / 100)
+    moved = {name: getattr(camera, name) + value for name, value in error if name != "focal_percent" and value}
+    if error.focal_percent:
+        moved["hfov_deg"] = math.degrees(2 * math.atan(half))
+    if error.z_m and moved["z_m"] <= 0:
+        raise LuxloopError(f"disturbances.calibration.z_m: the camera is at {moved['z_m']:.3g} m, not above the road; lower it less")
+    return camera.model_copy(update=moved)
+
+
+def true_modules(scenario: Scenario, projector: Projector) -> tuple[LampModule, ...]:
+    """The modules that draw, with errors of aim, dead and aged pixels.
+
+    Raises LuxloopError where a module lacks a pixel that is named, and where its aim puts it under the road.
+    """
+    modules, aims = projector.modules, scenario.disturbances.aim
+    return tuple(
+        LampModule(
+            worn(module, scenario.disturbances.wear, k),
+            Utilisation(module.pixel_controller.default),
+            misaimed(module.T_world_headlight, [aim for aim in aims if aim.lamp is None or module.name.startswith(f"{aim.lamp} ")]),
+        )
+        for k, module in enumerate(modules)
+    )
+
+
+def misaimed(T_world_headlight: Tensor, aims: list[AimParams]) -> Tensor:
+    """A pose `[4, 4]` moved and turned by errors, about its own origin and the vehicle's axes."""
+    T = T_world_headlight.clone()
+    for aim in aims:
+        if aim.z_m and T[2, 3] > 0 >= T[2, 3] + aim.z_m:
+            raise LuxloopError(f"disturbances.aim.z_m: the lamp is at {float(T[2, 3]) + aim.z_m:.3g} m, not above the road; lower it less")
+        error = pose_from_degrees((aim.x_m, aim.y_m, aim.z_m), aim.roll_deg, aim.pitch_deg, aim.yaw_deg).to(T)
+        T[:3, :3] = error[:3, :3] @ T[:3, :3]
+        T[:3, 3] += error[:3, 3]
+    return T
+
+
+def worn(module: DrawingModule, wear: WearParams, number: int) -> Headlight:
+    """A module's headlight with dead and aged pixels; number: of the module, for its own draw."""
+    headlight = module.pixel_controller.headlight
+    n = headlight.n_pixels
+    if wrong := [pixel for pixel in wear.dead_pixels if not 0 <= pixel < n]:
+        raise LuxloopError(f"disturbances.wear.dead_pixels: {module.name} has no pixel {wrong[0]}; give numbers from 0 to {n - 1}")
+    if not (wear.dead or wear.aged or wear.dead_pixels):
+        return headlight
+    order = np.random.default_rng(np.random.SeedSequence(wear.seed, spawn_key=(number,))).permutation(n)
+    dead = round(wear.dead * n)
+    left = np.ones(n, np.float32)
+    left[order[dead : dead + round(wear.aged * n)]] = wear.aged_factor
+    left[[*order[:dead], *wear.dead_pixels]] = 0
+    return headlight.dimmed(torch.from_numpy(left))
