@@ -1,0 +1,217 @@
+"""SuperSampling Control as a whole: primitives in, light on the road out."""
+
+import math
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from controllers.jpo.controller import Jpo
+from controllers.pixels.mrpc import MrpcParams
+from controllers.pixels.primitives import Primitives, Quantity, concatenate, road_symbol
+from controllers.pixels.ssc import Ssc
+from tests.reference import ssc as reference
+from world.errors import LuxloopError
+from world.frames import pose_from_degrees
+from world.headlight import Headlight
+from world.light.illumination import illuminance, reach, transport
+from world.presets import idealised, lamp
+from world.rendering.gbuffer import GBuffer
+
+LAMP = idealised(10, 16)
+T_LEFT = pose_from_degrees((0.0, 0.6, 0.75))
+SYMBOL = torch.rand(6, 5, generator=torch.Generator().manual_seed(1))
+TARGET = (17.0, 0.0, 0.0, 0.0)
+OUT_OF_SIGHT = (17.0, 20.0, 0.0, 0.0)
+
+
+def road_primitive(pose: tuple[float, ...] | Tensor, quantity: Quantity = "u_abs", value: float = 1.0) -> Primitives:
+    pose = torch.as_tensor(pose)
+    return road_symbol(pose, 0.0, 3.0, 8.0, SYMBOL.to(pose), value, quantity)
+
+
+def in_float64(lamp: Headlight) -> Headlight:
+    return replace(lamp, matrix=lamp.matrix.to(torch.float64))
+
+
+def test_a_base_pattern_that_goes_out_is_dark_again() -> None:
+    """Only then is the band known, which spares what follows most of the lamp; light is the same either way."""
+    lit = torch.full((LAMP.n_pixels,), 0.3)
+    ssc, primitive = Ssc.prepare(LAMP), road_primitive(TARGET)
+    burning = ssc.over(lit)
+    assert ssc.dark and not burning.dark and burning.over(torch.zeros_like(lit)).dark
+    assert burning.utilisation(primitive, T_LEFT).band is None
+    out, plain = burning.over(torch.zeros_like(lit)).utilisation(primitive, T_LEFT), ssc.utilisation(primitive, T_LEFT)
+    assert out.band == plain.band is not None and torch.equal(out.u, plain.u)
+
+
+def test_light_that_is_changed_by_its_user_changes_no_controller() -> None:
+    default = torch.rand(LAMP.n_pixels, generator=torch.Generator().manual_seed(3))
+    ssc, before = Ssc.prepare(LAMP, default=default), default.clone()
+    for pose in (TARGET, OUT_OF_SIGHT):
+        ssc.utilisation(road_primitive(pose), T_LEFT).u.mul_(0.5)
+        assert torch.equal(ssc.default, before)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_light_is_in_the_dtype_of_the_lamp(dtype: torch.dtype) -> None:
+    lamp = replace(LAMP, matrix=LAMP.matrix.to(dtype))
+    default = torch.full((LAMP.n_pixels,), 0.3, dtype=dtype)
+    for controller in (Ssc.prepare(lamp, default=default), Jpo.prepare(lamp, default=default)):
+        single, double = (
+            controller.utilisation(road_primitive(torch.tensor(TARGET, dtype=each), "E_v", 2.0), T_LEFT).u
+            for each in (torch.float32, torch.float64)
+        )
+        assert single.dtype == double.dtype == dtype
+        # Places and pictures are rounded to 6e-8 of theirs, and a ray at an outline may fall either way.
+        assert ((single - double).abs() > 1e-4).sum() < 0.02 * LAMP.n_pixels
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_values_that_are_not_finite_are_refused(value: float) -> None:
+    """One of them would spread over the pixels of its whole batch."""
+    primitive = road_primitive(TARGET, value=1.0)
+    broken = concatenate(primitive, replace(primitive, value=torch.tensor([value])))
+    batch = replace(broken, **{name: getattr(broken, name).expand(2, 2, 3) for name in ("origin", "d1", "d2", "normal")})
+    batch = replace(batch, value=torch.tensor([[1.0, 1.0], [1.0, value]]), weight=broken.weight.expand(2, 2))
+    for controller in (Ssc.prepare(LAMP), Jpo.prepare(LAMP)):
+        for scene in (broken, batch):
+            with pytest.raises(LuxloopError, match=r"value is infinite or not a number; give a finite one"):
+                controller.utilisation(scene, T_LEFT)
+
+
+def test_a_share_beside_lux_costs_no_more_than_shares_alone() -> None:
+    """Only shares above one need the mapping entry by entry, which takes ten times as long."""
+    light = lamp("ssl-hd-lores").modules[0].headlight
+    ssc = Ssc.prepare(light, default=torch.full((light.n_pixels,), 0.5))
+    share = road_symbol(torch.tensor([17.0, 1.0, 0.0, 0.0]), 0.0, 1.5, 8.0, SYMBOL, 0.5, "u_rel")
+
+    def ms(lux: float) -> float:
+        scene = concatenate(share, road_symbol(torch.tensor([17.0, -1.0, 0.0, 0.0]), 0.0, 1.5, 8.0, SYMBOL, lux, "E_v"))
+        taken = []
+        for _ in range(7):
+            before = time.process_time()
+            ssc.utilisation(scene, T_LEFT)
+            taken.append(1e3 * (time.process_time() - before))
+        return min(taken)
+
+    assert ms(5.0) < 3 * ms(0.9)  # ten times before
+
+
+@pytest.mark.parametrize(("quantity", "value"), [("I_v", 30_000.0), ("E_v", 3.0), ("u_abs", 1.0), ("u_rel", 1.5)])
+@pytest.mark.parametrize(("a_m", "a_r"), [(1.0, 1.0), (0.0, 2.0)])
+def test_equals_the_reference_from_primitive_to_pixel(quantity: Quantity, value: float, a_m: float, a_r: float) -> None:
+    lamp = in_float64(idealised(10, 4, texels_per_pixel=(3, 2)))
+    primitive = road_primitive(torch.tensor([17.0, 0.5, 0.05, -0.05], dtype=torch.float64), quantity, value)
+    default = torch.rand(40, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
+    fast = Ssc.prepare(lamp, MrpcParams(a_m=a_m, a_r=a_r), default).utilisation(primitive, T_LEFT).u
+    rays = reference.trace(primitive, lamp, T_LEFT.numpy())
+    assert sum(ray.hit for ray in rays) > 10
+    A = lamp.matrix.to_scipy().toarray()
+    expected, _ = reference.map_reduce(A, rays, MrpcParams(a_m=a_m, a_r=a_r), default.numpy(), lamp.cols)
+    np.testing.assert_allclose(fast, expected, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    "pose", [TARGET, (14.0, 2.5, 0.1, -0.1), (17.0, 3.2, 0.0, 0.0), (60.0, 0.0, 0.0, 0.0), (4.0, 0.0, 0.0, 0.0), OUT_OF_SIGHT]
+)
+@pytest.mark.parametrize("quantity", ["u_abs", "E_v"])
+def test_the_banded_form_equals_the_batched_form(pose: tuple[float, ...], quantity: Quantity) -> None:
+    ssc = Ssc.prepare(LAMP)
+    single = ssc.utilisation(road_primitive(pose, quantity), T_LEFT)
+    batch = ssc.utilisation(road_primitive(torch.tensor([pose, TARGET]), quantity), T_LEFT)
+    torch.testing.assert_close(single.u, batch.u[0], rtol=1e-4, atol=1e-5)
+    assert batch.band is None
+    assert single.band is not None
+    outside = torch.ones(LAMP.n_pixels, dtype=torch.bool)
+    outside[single.band] = False
+    assert not single.u[outside].any()
+
+
+def test_a_band_is_given_over_a_dark_base_pattern_only() -> None:
+    bright = Ssc.prepare(LAMP, default=torch.full((LAMP.n_pixels,), 0.2))
+    light = bright.utilisation(road_primitive(TARGET), T_LEFT)
+    assert light.band is None
+    assert (light.u == 0.2).sum() > LAMP.n_pixels // 2
+
+
+def test_a_symbol_out_of_sight_lights_nothing() -> None:
+    light = Ssc.prepare(LAMP).utilisation(road_primitive(OUT_OF_SIGHT), T_LEFT)
+    assert not light.u.any()
+    luminance, index = transport(reach(road(torch.tensor([[17.0]]), torch.tensor([[0.0]])), LAMP, T_LEFT), LAMP, 1).luminance(
+        light.u, light.band
+    )
+    assert luminance.shape == index.shape == (0,)
+
+
+def road(x: Tensor, y: Tensor) -> GBuffer:
+    position = torch.stack([x, y, torch.zeros_like(x)])
+    normal = torch.zeros_like(position)
+    normal[2] = 1
+    return GBuffer(position, normal, torch.full_like(x, 0.2), torch.zeros_like(x, dtype=torch.int32))
+
+
+def lit_road(lamp: Headlight, u: Tensor, x: Tensor, y: Tensor) -> Tensor:
+    surface = reach(road(x, y), lamp, T_LEFT)
+    light = torch.zeros(x.numel())
+    light[surface.index] = illuminance(surface, lamp.light_texture(u))
+    return light.view(x.shape)
+
+
+def test_the_road_gets_the_illuminance_that_was_asked_for() -> None:
+    lamp = idealised(60, 40)
+    x, y = torch.meshgrid(torch.linspace(15, 19, 81), torch.linspace(-1, 1, 21), indexing="ij")
+    primitive = road_symbol(torch.tensor(TARGET), 0.0, 4.0, 8.0, torch.ones(1, 1), 1.5, "E_v")
+    u = Ssc.prepare(lamp).utilisation(primitive, T_LEFT).u
+    assert u.max() < 1
+    light = lit_road(lamp, u, x, y)
+    # A pixel spans half a metre of road, over which the light needed for a constant illuminance changes by 3 x / 17 m, 10 %.
+    torch.testing.assert_close(light, torch.full_like(light, 1.5), rtol=0.06, atol=0)
+    assert light.mean().item() == pytest.approx(1.5, rel=0.005)
+
+
+def test_light_lies_on_the_symbol_and_not_beside_it() -> None:
+    lamp = idealised(60, 120)
+    x, y = torch.meshgrid(torch.linspace(13, 24, 111), torch.linspace(-2, 2, 81), indexing="ij")
+    primitive = road_symbol(torch.tensor(TARGET), 0.0, 2.0, 4.0, torch.ones(1, 1), 1.0, "u_abs")
+    u = Ssc.prepare(lamp).utilisation(primitive, T_LEFT).u
+    on = lit_road(lamp, u, x, y) > 0.5 * lit_road(lamp, torch.ones_like(u), x, y)
+    symbol = ((x - 17).abs() < 2) & (y.abs() < 1)
+    # A pixel is 0.6 m long and 5 cm wide there, the symbol 4 m x 2 m: a third of a pixel along each short edge is 10 % of the area.
+    assert (on ^ symbol).sum() < 0.1 * symbol.sum()
+    assert x[on].mean().item() == pytest.approx(17, abs=0.1)
+    assert y[on].mean().item() == pytest.approx(0, abs=0.02)
+
+
+@pytest.mark.parametrize("batch", [(), (2,)])
+def test_pose_gradients_are_those_of_differences(batch: tuple[int, ...]) -> None:
+    lamp = in_float64(LAMP)
+    ssc = Ssc.prepare(lamp)
+    smooth = torch.hann_window(64, periodic=False, dtype=torch.float64)
+    symbol = smooth[:, None] * smooth  # dark at the outline, so that hits and misses join without a step
+
+    def light(pose: Tensor) -> Tensor:
+        return ssc.utilisation(road_symbol(pose, 0.0, 3.0, 8.0, symbol, 1.0, "u_abs"), T_LEFT).u.square().sum(-1)
+
+    pose = torch.tensor([17.0, 0.2, 0.02, -0.03], dtype=torch.float64).expand(*batch, 4).clone().requires_grad_()
+    # Bilinear kinks every 1/64 of the symbol and a border clamped over half a texel: a hundredth.
+    assert torch.autograd.gradcheck(light, (pose,), eps=1e-5, rtol=0.01, atol=1e-3)
+
+
+def test_on_every_device(device: torch.device) -> None:
+    ssc = Ssc.prepare(LAMP.to(device))
+    light = ssc.utilisation(road_primitive(torch.tensor(TARGET, device=device)), T_LEFT)
+    expected = Ssc.prepare(LAMP).utilisation(road_primitive(TARGET), T_LEFT)
+    assert light.u.device.type == device.type
+    assert (light.band is None) == (device.type != "cpu")
+    torch.testing.assert_close(light.u.cpu(), expected.u, rtol=1e-4, atol=1e-5)
+
+
+def test_the_page_tells_every_parameter() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "ssc.md").read_text("utf-8")
+    missing = [name for name in MrpcParams.model_fields if f"`{name}`" not in page]
+    assert not missing

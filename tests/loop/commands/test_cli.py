@@ -1,0 +1,265 @@
+"""The command line: what lists, checks, help and messages say, every way to be wrong in one sentence and with its exit code."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from loop.commands import cli
+from loop.scenario import data
+from loop.scenario.model import validate
+from loop.terminal import listing
+from loop.terminal.doctor import Check
+from tests.loop.conftest import FILE, Lux, assert_one_sentence
+from world.opencrg import Crg, write_crg
+
+ROOT = Path(__file__).parents[3]
+
+
+@pytest.mark.parametrize(
+    ("kind", "some"),
+    [
+        ("scenarios", ["snowflake", "gfhb"]),
+        ("controllers", ["luxloop", "open", "thesis_pid"]),
+        ("roads", ["flat", "opencrg"]),
+        ("symbols", ["chevrons"]),
+        ("detectors", ["network", "truth"]),
+        ("lamps", ["ssl-hd"]),
+        ("examples", ["night.toml", "tune_gains.py"]),
+    ],
+)
+def test_each_kind_is_listed_for_people_and_for_programs(lux: Lux, kind: str, some: list[str]) -> None:
+    code, out, _ = lux("list", kind)
+    assert code == 0 and all(name in out for name in some)
+    code, out, _ = lux("list", kind, "--json")
+    listed = {each["name"]: each for each in json.loads(out)}
+    assert code == 0 and set(some) <= set(listed) and "package.module:Name" not in listed
+    keys = {"name", "description", "uses", "lacks"} if kind == "scenarios" else {"name", "description"}
+    assert all(set(each) == keys and each["description"] for each in listed.values())
+
+
+def test_check_and_tune_take_a_controller(lux: Lux) -> None:
+    assert "controller thesis_pid)" in lux("check", "small.toml", "--controller", "thesis_pid")[1]
+    code, _, error = lux("check", "small.toml", "--controller", "thesis_pdi")
+    assert code == cli.WRONG and "did you mean 'thesis_pid'?" in error
+    tuned = ("tune", "small.toml", "--key", "controller.position.kp=0.1:1", "--trials", "2", "--jobs", "1", "--device", "cpu")
+    code, _, error = lux(*tuned)
+    assert code == cli.WRONG and "controller.position" in error, "luxloop, the default, has no such key"
+    code, out, _ = lux(*tuned, "--controller", "thesis_pid")
+    assert code == 0 and ("--controller thesis_pid --set" in out or "no trial is better" in out)
+
+
+def test_check_for_programs_says_what_was_found_and_what_is_wrong(lux: Lux) -> None:
+    code, out, _ = lux("check", "small.toml", "--json")
+    assert code == 0
+    assert json.loads(out) == {"scenario": "small.toml", "ok": True, "steps": 3, "road": "flat", "controller": "luxloop"}
+    code, out, _ = lux("check", "gfhb", "--json", "--set", "headlight.model=hd84", "renderer=raycast")
+    found = json.loads(out)
+    assert code == 0 and found["functions"] == ["glare_free"] and found["objects"] == 5 and found["detector"] is None
+    code, out, error = lux("check", "small.toml", "--json", "--set", "camera.bitz=8")
+    found = json.loads(out)
+    assert code == cli.WRONG and found["ok"] is False and error == f"error: {found['error']}\n"
+
+
+def test_doctor_for_programs(lux: Lux) -> None:
+    code, out, _ = lux("doctor", "--json")
+    found = json.loads(out)
+    assert code == (0 if found["ok"] else 1)
+    assert all(set(check) == {"name", "status", "found", "remedy"} for check in found["checks"]) and len(found["checks"]) > 10
+
+
+def test_lists_that_need_no_model_import_no_torch() -> None:
+    listing = "for kind in ('scenarios', 'symbols', 'examples'): cli.main(['list', kind])"
+    program = f"import sys\nfrom loop import cli\n{listing}\nassert 'torch' not in sys.modules"
+    subprocess.run([sys.executable, "-c", program], check=True, stdout=subprocess.DEVNULL)
+
+
+def test_help_and_version(lux: Lux) -> None:
+    for arguments in ([], ["--help"]):
+        code, out, _ = lux(*arguments)
+        assert code == 0
+        for command in ("list", "new", "check", "schema", "doctor", "data", "run", "replay"):
+            assert re.search(rf"│ {command}\b", out)
+    code, out, _ = lux("run", "--help")
+    assert code == 0
+    for option in ("--out", "--set", "--seed", "--steps", "--controller", "--device", "--video", "--no-video", "--report", "--no-report"):
+        assert option in out
+    assert lux("--version")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        ("rum small.toml", "'run'"),
+        ("data gett x", "'get'"),
+        ("run GFBH", "'gfhb'"),
+        ("data get belgian_blok", "'belgian_block'"),
+        ("run small.toml --sede 3", "--seed"),
+        ("run small.toml --device cpuu", '"cpu"'),
+        ("run small.toml --controller thesis_pdi", "'thesis_pid'"),
+        ("run small.toml --set camera.bitz=8", "'bits'"),
+        ("run small.toml --set symbol.image=snowflak", "'snowflake'"),
+        ("run small.toml --set road.kind=bumpz", "'bumps'"),
+    ],
+)
+def test_did_you_mean(lux: Lux, arguments: str, named: str) -> None:
+    code, _, error = lux(*arguments.split())
+    assert code == 2
+    assert_one_sentence(error)
+    assert f"did you mean {named}?" in error
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        ("run", ["NAME"]),
+        ("run small.toml another", ["another", "luxloop run --help"]),
+        ("run small.toml --steps three", ["--steps", "three"]),
+        ("run small.toml --steps -1", ["steps=-1", "greater than or equal to 1"]),
+        ("run small.toml --seed -1", ["seed=-1", "greater than or equal to 0"]),
+        ("run small.toml --set steps", ["--set steps", "key=value"]),
+        ("run small.toml --set camera.bits=[8", ["camera.bits", "'[8'"]),
+        ("run nothing.toml", ["nothing.toml", "luxloop new"]),
+        ("run .", ["folder"]),
+        ("run nonexist", ["no scenario 'nonexist'; `luxloop list` shows"]),
+        ("nonexist", ["no command 'nonexist'; `luxloop --help` shows"]),
+        ("data nonexist", ["no command 'nonexist'; `luxloop data --help` shows"]),
+        ("run small.toml --out small.toml", ["small.toml", "--out"]),
+        ("run small.toml --out .", ["no recording", "new directory"]),
+        ("run small.toml --set road.kind=mixed road.bumps_m=[0.1,-0.1]", ["road.bumps_m", "[0.1, -0.1]", "[lowest, highest]"]),
+        ("run small.toml --set symbol.image=none.png", ["none.png", "does not exist"]),
+        ("run small.toml --set symbol.image=black.png", ["black.png", "black"]),
+        ("run small.toml --set symbol.image=text.png", ["text.png", "picture"]),
+        ("run small.toml --set symbol.image=empty.png", ["empty.png", "picture"]),
+        ("run small.toml --set road.kind=opencrg road.file=none.crg", ["none.crg", "check the path"]),
+        ("run small.toml --set road.kind=opencrg road.file=text.png", ["text.png", "OpenCRG"]),
+        ("run small.toml --set road.kind=opencrg road.file=short.crg", ["short.crg", "truncated"]),
+        ("run mesh.toml --set road.kind=flat", ["none.obj", "no such mesh"]),
+        ("run badmesh.toml", ["text.stl", "triangles"]),
+        ("run small.toml --set camera.yaw_deg=90", ["symbol.x_m = 17", "camera's sight"]),
+        ("run small.toml --set symbol.y_m=-9 camera.yaw_deg=-26", ["symbol.y_m = -9", "lamps' reach"]),
+        ("run small.toml --set headlight.intensity_cd=1", ["noise", "headlight.intensity_cd"]),
+        ("check small.toml --set headlight.model=hd84", ["noise", "left matrix", "6.73 x 0.6", "finer pixels"]),
+        ("check small.toml --set a=1", ["a: unknown key"]),
+        ("check mesh.toml", ["none.obj"]),
+        ("replay .", ["no recording", "luxloop run"]),
+        ("replay nowhere", ["nowhere", "luxloop run"]),
+        ("new small.toml", ["small.toml", "exists"]),
+        ("new nowhere/my.toml", ["nowhere/my.toml", "folder"]),
+    ],
+)
+def test_what_the_user_can_mend_is_one_sentence_and_leaves_nothing_behind(
+    lux: Lux, tmp_path: Path, arguments: str, named: list[str]
+) -> None:
+    cv2.imwrite("black.png", np.zeros((8, 8), np.uint8))
+    Path("text.png").write_text("no picture")
+    Path("empty.png").touch()
+    Path("text.stl").write_text("no mesh")
+    write_crg("short.crg", Crg(np.zeros((50, 5)), np.linspace(-2, 2, 5), {"reference_line_increment": 1.0, "reference_line_end_u": 49.0}))
+    Path("short.crg").write_bytes(Path("short.crg").read_bytes()[:-501])
+    objects = '[[objects]]\nkind = "mesh"\nname = "m"\nfile = "{}"\ntrack = [{{position_m = [17, 0, 0]}}]\n'
+    Path("mesh.toml").write_text(FILE + objects.format("none.obj"))
+    Path("badmesh.toml").write_text(FILE + objects.format("text.stl"))
+    before = set(tmp_path.rglob("*"))
+    code, _, error = lux(*arguments.split())
+    assert code == 2
+    assert_one_sentence(error)
+    for part in named:
+        assert part in error
+    assert set(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device here")
+def test_device_that_is_not_there(lux: Lux) -> None:
+    code, _, error = lux("run", "small.toml", "--device", "cuda")
+    assert code == 2
+    assert_one_sentence(error)
+    assert "--device cpu" in error
+
+
+def test_check(lux: Lux) -> None:
+    code, out, error = lux("check", "small.toml")
+    assert (code, error) == (0, "")
+    assert out == "small.toml: ok (3 steps, road flat, controller luxloop)\n"
+    assert "(5 steps, " in lux("check", "small.toml", "--set", "steps=5")[1]
+
+
+def test_schema_is_json(lux: Lux) -> None:
+    both, symbol, lighting = (json.loads(lux("schema", *kind)[1]) for kind in ([], ["--kind", "symbol"], ["--kind", "lighting"]))
+    assert symbol["properties"]["steps"]["minimum"] == lighting["properties"]["steps"]["minimum"] == 1
+    assert "symbol" in symbol["required"] and "lighting" in lighting["required"]
+    assert {each["$ref"] for each in both["anyOf"]} == {"#/$defs/Scenario", "#/$defs/LightingScenario"}
+
+
+def test_list_names_missing_data_and_how_to_get_it(lux: Lux, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    paved = tmp_path / "paved.toml"
+    paved.write_text('name = "paved"\ndescription = "On stones."\nroad = {file = "belgian_block"}\ncontroller = {name = "open"}\n')
+    monkeypatch.setattr(listing, "shipped", lambda: {"paved": paved})
+    monkeypatch.setenv("LUXLOOP_DATA", str(tmp_path))
+    monkeypatch.setattr(data, "cache_folder", lambda: tmp_path / "cache")
+    code, out, _ = lux("list")
+    assert code == 0
+    for part in ("paved", "open", "On stones.", "luxloop data get belgian_block"):
+        assert part in out
+    (tmp_path / "belgian_block.crg").touch()
+    (tmp_path / data.entry("belgian_block").file).parent.mkdir(exist_ok=True)
+    (tmp_path / data.entry("belgian_block").file).touch()
+    assert "luxloop data get" not in lux("list")[1]
+
+
+def test_list_knows_the_controller_that_applies_where_none_is_named() -> None:
+    assert validate({"name": "bare", "symbol": {"image": "snowflake"}}, "bare").controller.name == listing.DEFAULT_CONTROLLER
+
+
+def test_data_commands(lux: Lux, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fetched: list[tuple[str, Path | None]] = []
+
+    def get(name: str, directory: Path | None = None) -> data.Fetched:
+        fetched.append((data.entry(name).name, directory))
+        return data.Fetched(tmp_path / name, downloaded=name != "Barber")
+
+    monkeypatch.setattr(data, "get", get)
+    code, out, _ = lux("data", "list")
+    assert code == 0 and all(name in out for name in data.registry())
+    code, out, _ = lux("data", "get", "Barber", "--dir", "here")
+    assert code == 0 and "was here" in out
+    assert fetched == [("Barber", Path("here"))]
+    assert lux("data", "get", "all")[0] == 0
+    assert len(fetched) == 1 + len(data.registry())
+
+
+def test_doctor(lux: Lux, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = [Check("Python", "ok", "3.11"), Check("OpenGL", "fail", "[none]", "sudo apt-get install mesa")]
+    monkeypatch.setattr("loop.terminal.doctor.checks", lambda: found)
+    code, out, _ = lux("doctor")
+    assert code == 1
+    assert "sudo apt-get install mesa" in out and "[none]" in out
+    found.pop()
+    assert lux("doctor")[0] == 0
+
+
+def test_process_starts_quickly_and_takes_a_closed_pipe_calmly() -> None:
+    """What help and lists import is what makes them slow: torch alone takes a second."""
+    program = (
+        "import sys; from loop.commands.cli import main\n"
+        "assert main(['--help']) == 0 and main(['list']) == 0 and main(['data', 'list']) == 0\n"
+        "assert not {'torch', 'kornia', 'matplotlib', 'pyrender', 'trimesh', 'pandas'} & set(sys.modules)\n"
+        "sys.exit(main(['data', 'lits']))"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=environment)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    with subprocess.Popen(
+        [sys.executable, "-m", "loop.commands.cli", "data", "list"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment
+    ) as process:
+        assert process.stdout is not None and process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == b""
+    assert process.returncode == 1

@@ -1,0 +1,38 @@
+"""The version of the code: it follows every file that may decide a figure, new ones too, and none that only shows."""
+
+from pathlib import Path
+
+import pytest
+
+from loop.recording import digest
+
+
+@pytest.mark.parametrize(
+    ("file", "decides"),
+    [
+        ("world/headlight/new.py", True),
+        ("world/rendering/shaders/new.frag", True),
+        ("loop/new.py", True),
+        ("loop/campaign_of_roads.py", True),  # whatever its name
+        ("loop/lighting/report.py", True),
+        ("loop/new_folder/new.py", True),
+        ("loop/studies/new.py", False),
+        ("loop/pictures/new.py", False),
+    ],
+)
+def test_the_version_follows_a_file_that_is_added_or_changed(
+    file: str, decides: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(digest, "files", lambda package: tmp_path / package)
+    for package in digest.PACKAGES:
+        (tmp_path / package).mkdir()
+    versions = [digest.digest_of_code.__wrapped__()]
+    for text in ("a = 1\n", "a = 2\n"):
+        (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / file).write_text(text)
+        versions.append(digest.digest_of_code.__wrapped__())
+    assert len(set(versions)) == (3 if decides else 1)
+
+
+def test_the_folders_that_only_show_are_there() -> None:
+    assert all((Path(__file__).parents[3] / folder).is_dir() for folder in digest.SHOWING)

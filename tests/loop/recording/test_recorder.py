@@ -1,0 +1,240 @@
+"""Recordings: whatever ends a run, what was done can be read; one seed gives the same recording in any process."""
+
+import hashlib
+import json
+import math
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import pytest
+import torch
+
+from controllers.symbol.sensing.drawing import Drawing
+from loop.recording import recorder
+from loop.recording.manifest import Manifest
+from loop.recording.recorder import COLUMNS, SCHEMA, Recorder, row, table_of
+from loop.recording.replay import load
+from loop.scenario.model import Scenario, validate
+from loop.symbol.simulation import Simulation, StepResult
+from perception.extraction import Loss
+from world.errors import LuxloopError
+
+ROOT = Path(__file__).parents[3]
+
+
+def record(directory: Path, simulation: Simulation, results: list[StepResult]) -> None:
+    with Recorder(directory, simulation) as recording:
+        for result in results:
+            recording.add(result)
+
+
+def strict_json(file: Path) -> Any:
+    """JSON as the standard has it, without NaN."""
+
+    def refuse(word: str) -> None:
+        raise ValueError(f"{word} is not JSON")
+
+    return json.loads(file.read_text(), parse_constant=refuse)
+
+
+def test_documentation_names_every_column() -> None:
+    page = (ROOT / "docs" / "recordings.md").read_text()
+    columns = page.split("## Columns")[1].split("## Summary")[0]
+    documented = {name: (unit, text) for name, unit, text in re.findall(r"^\| `(\w+)` \| (.*?) \| (.*?) \|$", columns, re.MULTILINE)}
+    assert documented == COLUMNS
+
+
+def test_row_has_plain_values_in_the_units_of_their_names(small_results: list[StepResult]) -> None:
+    result = small_results[0]
+    values = row(result)
+    assert list(values) == list(COLUMNS)
+    assert {type(value) for value in values.values()} == {int, float, str}
+    assert [values[name] for name in recorder.POSE] == pytest.approx([19.0, 1.0, 5.0, -2.0])
+    assert values["z_m"] == 0.0
+    assert values["pose_error_roll_deg"] == pytest.approx(math.degrees(result.seen.pose_error[2]))
+    assert values["br_v"] == result.seen.appearance.centroids[4, 1].item()
+    assert values["centroid_error_y_percent"] == result.verdict.centroid_percent[1].item()
+    assert values["loss"] == ""
+    parts = ("render", "light", "camera", "perceive", "control")
+    assert values["step_ms"] == pytest.approx(sum(values[f"{part}_ms"] for part in parts))
+
+
+def test_lost_symbol_is_a_row_with_a_reason(small_simulation: Simulation, small_results: list[StepResult]) -> None:
+    result = small_results[0]
+    lost = replace(result, frames=None, seen=small_simulation.observer.look(None, Drawing(result.pose), result.lights))
+    values = row(lost)
+    assert values["loss"] == "no_frame"
+    assert math.isnan(values["c_u"]) and math.isnan(values["e_pitch"])
+    assert table_of([values])["c_u"].null_count == 1
+    assert {recorder.loss_name(code) for code in Loss} == {"", "no_frame", "nothing", "too_small", "too_large"}
+
+
+def test_recording_is_complete(tmp_path: Path, small_simulation: Simulation, small_results: list[StepResult]) -> None:
+    directory = tmp_path / "runs" / "small"
+    record(directory, small_simulation, small_results)
+    assert sorted(path.name for path in directory.iterdir()) == ["manifest.json", "summary.json", "trajectory.parquet"]
+    manifest = strict_json(directory / "manifest.json")
+    assert manifest["status"] == "complete"
+    assert manifest["renderer"] == small_simulation.world.source.name
+    assert validate(manifest["scenario"], "manifest") == small_simulation.scenario
+    symbol = ROOT / "scenarios" / "symbols" / "snowflake.png"
+    assert manifest["inputs"]["symbol.image"]["sha256"] == hashlib.sha256(symbol.read_bytes()).hexdigest()
+    table = pq.read_table(directory / "trajectory.parquet")
+    assert table.schema.equals(SCHEMA, check_metadata=True)
+    assert table.schema.field("pitch_deg").metadata[b"unit"] == b"deg"
+    assert table.to_pylist() == [row(result) for result in small_results]
+    summary = strict_json(directory / "summary.json")
+    assert summary["steps"] == len(small_results)
+    assert summary["iou_open"] == pytest.approx(1, abs=0.02)  # open loop on a flat road is the target itself but for shadows and facets
+
+
+@pytest.mark.parametrize("done", [1, 5])
+def test_ctrl_c_finishes_the_recording(tmp_path: Path, small_simulation: Simulation, small_results: list[StepResult], done: int) -> None:
+    with pytest.raises(KeyboardInterrupt), Recorder(tmp_path, small_simulation) as recording:
+        for result in small_results[:done]:
+            recording.add(result)
+        raise KeyboardInterrupt
+    assert load(tmp_path).manifest.status == "interrupted"
+    assert load(tmp_path).table.num_rows == done
+    assert strict_json(tmp_path / "summary.json")["steps"] == done
+
+
+@pytest.mark.parametrize("writes", range(1, 6))
+def test_death_in_the_middle_of_a_write_leaves_the_write_before(
+    tmp_path: Path, small_simulation: Simulation, small_results: list[StepResult], writes: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The process dies when it would have put the new trajectory into place."""
+    monkeypatch.setattr(recorder, "REST", 0)  # write at every step
+    recording = Recorder(tmp_path, small_simulation)
+    for result in small_results[:writes]:
+        recording.add(result)
+
+    class Killed(BaseException):
+        pass
+
+    def die(*paths: Path) -> None:
+        raise Killed
+
+    monkeypatch.setattr(os, "replace", die)
+    with pytest.raises(Killed):
+        recording.add(small_results[writes])
+    assert load(tmp_path).manifest.status == "running"
+    assert load(tmp_path).table.num_rows == writes
+
+
+RUN = """
+import itertools, json, sys
+from pathlib import Path
+from loop.recording.recorder import Recorder
+from loop.scenario.model import validate
+from loop.symbol.simulation import Simulation
+
+simulation = Simulation.prepare(validate(json.loads(sys.argv[2]), "test"))
+with Recorder(Path(sys.argv[1]), simulation) as recording:
+    for result in simulation.run():
+        recording.add(result)
+        print(result.step, flush=True)
+"""
+
+
+def start(directory: Path, scenario: Scenario, **changes: Any) -> "subprocess.Popen[str]":
+    arguments = [sys.executable, "-W", "ignore", "-c", RUN, str(directory), json.dumps({**scenario.model_dump(mode="json"), **changes})]
+    return subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True, cwd=ROOT)
+
+
+def test_kill_leaves_all_but_the_last_few_steps(tmp_path: Path, small_scenario: Scenario) -> None:
+    process = start(tmp_path, small_scenario, steps=100_000)
+    assert process.stdout is not None
+    for _ in range(40):
+        last = int(process.stdout.readline())
+    process.send_signal(signal.SIGKILL)
+    last = max([last, *map(int, process.stdout.read().split())])
+    process.wait()
+    recording = load(tmp_path)
+    assert recording.manifest.status == "running"
+    steps = recording.table["step"].to_pylist()
+    assert steps == list(range(len(steps)))
+    assert len(steps) > last - 20  # eleven times the duration of a write, 4 ms, at 5 ms a step, and twice that where the machine is busy
+
+
+def test_one_seed_gives_the_same_bits_in_two_processes(tmp_path: Path, small_scenario: Scenario) -> None:
+    processes = [start(tmp_path / name, small_scenario, steps=5) for name in ("a", "b")]
+    for process in processes:
+        process.communicate()
+        assert process.returncode == 0
+    exact = [name for name in COLUMNS if not name.endswith("_ms")]
+    a, b = (load(tmp_path / name).table.select(exact) for name in ("a", "b"))
+    assert a.num_rows == 5
+    assert a.equals(b)
+
+
+def test_another_seed_gives_another_trajectory(small_scenario: Scenario, small_results: list[StepResult]) -> None:
+    other = Simulation.prepare(small_scenario.model_copy(update={"seed": 1}))
+    _, result = other.step(other.start())
+    assert not torch.equal(result.seen.errors, small_results[0].seen.errors)
+
+
+def test_old_recording_is_replaced_as_a_whole(tmp_path: Path, small_simulation: Simulation, small_results: list[StepResult]) -> None:
+    record(tmp_path, small_simulation, small_results)
+    for name in ("report.png", "video.mp4", "notes.txt"):
+        (tmp_path / name).write_text("old")
+    Recorder(tmp_path, small_simulation).add(small_results[0])
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["manifest.json", "notes.txt", "trajectory.parquet"]
+    assert load(tmp_path).table.num_rows == 1
+
+
+def test_what_ends_before_its_first_step_leaves_all_as_it_was(
+    tmp_path: Path, small_simulation: Simulation, small_results: list[StepResult]
+) -> None:
+    old = tmp_path / "old"
+    record(old, small_simulation, small_results)
+    before = {file.name: file.read_bytes() for file in old.iterdir()}
+    for directory in (old, tmp_path / "new" / "below"):
+        with pytest.raises(KeyboardInterrupt), Recorder(directory, small_simulation):
+            raise KeyboardInterrupt
+    assert {file.name: file.read_bytes() for file in old.iterdir()} == before
+    assert list(tmp_path.iterdir()) == [old]
+
+
+@pytest.mark.parametrize(
+    ("name", "content"), [("thesis.tex", "text"), ("manifest.json", "{}"), ("manifest.json", "text"), ("trajectory.parquet", "")]
+)
+def test_directory_of_something_else_is_left_alone(tmp_path: Path, small_simulation: Simulation, name: str, content: str) -> None:
+    (tmp_path / name).write_text(content)
+    with pytest.raises(LuxloopError, match=r"holds files that are no recording.*; give an empty or a new directory"):
+        Recorder(tmp_path, small_simulation)
+    assert (tmp_path / name).read_text() == content
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_what_cannot_be_written_is_said(
+    tmp_path: Path, small_simulation: Simulation, small_results: list[StepResult], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").touch()
+    for directory in (tmp_path / "file", tmp_path / "file" / "below"):
+        with pytest.raises(LuxloopError, match=r"file.*: cannot be written \(.*\); give another directory with --out"):
+            Recorder(directory, small_simulation)
+    monkeypatch.setattr(recorder, "REST", 0)  # write at every step
+    recording = Recorder(tmp_path / "gone", small_simulation)
+    recording.add(small_results[0])
+    shutil.rmtree(tmp_path / "gone")
+    with pytest.raises(LuxloopError, match=r"gone/trajectory.parquet: cannot be written \(No such file or directory\)"):
+        recording.add(small_results[0])
+
+
+def test_manifest_names_meshes_and_says_which_file_is_missing(tmp_path: Path, small_scenario: Scenario) -> None:
+    mesh = {"kind": "mesh", "name": "cone", "file": str(tmp_path / "cone.stl"), "track": [{"position_m": [20, 2, 0]}]}
+    scenario = validate({**small_scenario.model_dump(mode="json"), "objects": [mesh]}, "test")
+    with pytest.raises(LuxloopError, match=r"cone\.stl: cannot be read .*; put it back, or name another in the scenario"):
+        Manifest.of(scenario, "rays", torch.device("cpu"))
+    (tmp_path / "cone.stl").write_bytes(b"a mesh")
+    inputs = Manifest.of(scenario, "rays", torch.device("cpu")).inputs
+    assert inputs["objects[0].file"].sha256 == hashlib.sha256(b"a mesh").hexdigest()

@@ -1,0 +1,226 @@
+"""Campaigns: a file becomes a table, a run is done once, failures are rows, and Dask's workers do the same as this machine's."""
+
+import json
+import re
+import signal
+import subprocess
+import sys
+import time
+import tomllib
+from collections import OrderedDict
+from collections.abc import Iterator
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+from loop.commands import cli
+from loop.jobs import runner as jobs
+from loop.jobs.executors import dask
+from loop.metrics import figures
+from loop.scenario.model import load
+from loop.studies import campaign
+from loop.studies.campaign import JOBS, TABLE, read, run_campaign
+from loop.studies.campaign_report import page, write_report
+from world.errors import LuxloopError
+
+ROOT = Path(__file__).parents[3]
+SMALL = """
+[set]
+steps = 3
+headlight.model = "hd84"
+camera = { width_px = 160, height_px = 90, oversampling = 1 }
+symbol = { width_m = 4.0, length_m = 8.0 }
+"""
+
+
+def written(folder: Path, text: str, name: str = "night.toml") -> Path:
+    file = folder / name
+    file.write_text(text + SMALL)
+    return file
+
+
+def test_a_grid_and_a_list_become_runs_with_their_scenarios(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text('name = "m"\n[symbol]\nimage = "chevrons"\n')
+    runs = read(
+        written(
+            tmp_path,
+            'scenarios = ["snowflake", "mine.toml"]\ncontrollers = ["open", "thesis_pid"]\nseeds = [4, 5]\n'
+            'variants.soon = {}\nvariants.late.camera.latency_steps = 2\nruns = [{ scenario = "chevrons", seed = 9 }]\n',
+        )
+    )
+    assert len(runs) == 17
+    assert len({run.key for run in runs}) == 17
+    assert runs[-1].key == "chevrons, thesis_pid, seed 9"
+    late = next(run for run in runs if run.key == "mine, open, late, seed 5")
+    assert (late.scenario.camera.latency_steps, late.scenario.seed, late.scenario.steps) == (2, 5, 3)
+    assert next(run for run in runs if run.key == "mine, open, soon, seed 5").scenario.camera.latency_steps == 0
+
+
+def test_the_example_is_what_the_docs_show() -> None:
+    example = ROOT / "scenarios" / "examples" / "night.toml"
+    assert len(read(example)) == 17
+    (shown,) = re.findall(r"^```\n(scenarios.*?)^```", (ROOT / "docs" / "campaigns.md").read_text(), re.M | re.S)
+    assert tomllib.loads(shown) == tomllib.loads(example.read_text())
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "names no runs"),
+        ('scenarios = ["snowflak"]', "did you mean 'snowflake'"),
+        ('scenario = ["snowflake"]', "unknown key; did you mean 'scenarios'"),
+        ('scenarios = ["snowflake"]\nvariants.a.camera.bit = 8', "a .*camera.bit: unknown key; did you mean 'bits'"),
+        ('runs = [{ scenario = "snowflake", variant = "b" }]', "there is no variant 'b'"),
+        ("scenarios = [2026-01-01]", "date"),
+        ('scenarios = ["flat"]\nseeds = [-1]', r"seeds\[0\]: -1 should be greater than or equal to 0"),
+        ('scenarios = ["flat", "./flat.toml"]', "two different runs are both called 'flat, thesis_pid, seed 0'"),
+    ],
+)
+def test_what_is_wrong_with_a_file_is_one_sentence(text: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "flat.toml").write_text('name = "mine"\n[symbol]\nimage = "chevrons"\n[controller]\nname = "thesis_pid"\n')
+    with pytest.raises(LuxloopError, match=rf"night\.toml.*{said}"):
+        read(written(tmp_path, text))
+
+
+def test_table_report_and_failures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Light that comes down behind the camera's sight is found only when the run begins.
+    file = written(
+        tmp_path, 'scenarios = ["flat"]\ncontrollers = ["open", "thesis_pid"]\nvariants.here = {}\nvariants.off.symbol.y_m = 15.0\n'
+    )
+    out = tmp_path / "out"
+    found = run_campaign(file, out, processes=1)
+    assert [row["variant"] for row in found.rows] == ["here", "off"] * 2
+    assert list(found.failures) == ["flat, open, off, seed 0", "flat, thesis_pid, off, seed 0"]
+    assert "out of the camera's sight" in found.rows[1]["error"]
+    table = pq.read_table(out / TABLE).to_pylist()
+    assert table == found.rows
+    assert table[0]["iou_final"] == table[0]["iou_open"] and table[1]["iou_final"] is None
+    write_report(found, out)
+    text = (out / "report.md").read_text()
+    assert text == page(found)
+    assert "4 runs, 2 failed" in text and "- flat, open, off, seed 0: flat: the target" in text
+    assert (out / "report.png").stat().st_size > 5_000
+
+    started = []
+    original = jobs._call
+    monkeypatch.setattr(jobs, "_call", lambda function, task: (started.append(task), original(function, task))[1])
+    assert run_campaign(file, out, processes=1) == found
+    assert len(started) == 2  # those that failed
+    monkeypatch.setattr(campaign, "digest_of_code", lambda: "other code")
+    run_campaign(file, out, processes=1)
+    assert len(started) == 2 + 4
+
+
+def test_a_campaign_whose_runs_all_fail_says_why(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    file = written(tmp_path, 'scenarios = ["flat"]\ncontrollers = ["nopkg.mod:Name"]\n')
+    assert cli.main(["campaign", str(file), "--jobs", "1", "--out", "new/folder", "--allow-code"]) == cli.DIFFERS
+    assert "No module named 'nopkg'" in "".join(capsys.readouterr())
+    assert "No module named 'nopkg'" in Path("new/folder/report.md").read_text()
+    assert pq.read_table(tmp_path / "new" / "folder" / TABLE).num_rows == 1
+
+
+def test_runs_that_share_a_simulation_are_as_those_that_do_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    small = ["steps=3", "headlight.model=hd84", "camera={ width_px=160, height_px=90 }", "symbol={ width_m=4.0, length_m=8.0 }"]
+    first, other = (load("flat", [*small, f"seed={seed}"]) for seed in (1, 2))
+    alone = [figures(scenario, "cpu") for scenario in (first, other)]
+    monkeypatch.setattr("loop.metrics._prepared", OrderedDict())
+    assert [figures(scenario, "cpu") for scenario in (other, first)] == alone[::-1]
+    assert alone[0] != alone[1]
+
+
+def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.chdir(tmp_path)
+    file = written(tmp_path, 'scenarios = ["flat"]\n')
+    assert cli.main(["campaign", str(file), "--jobs", "1"]) == cli.OK
+    assert (tmp_path / "runs" / "night" / TABLE).exists()
+    for wrong, said in (
+        (["--jobs", "0"], "can do nothing"),
+        (["--jobs", "2", "--scheduler", "tcp://x:1"], "one of the two"),
+        (["--scheduler", "nonsense://x"], "nobody answers"),
+    ):
+        assert cli.main(["campaign", str(file), *wrong]) == cli.WRONG
+        assert said in capsys.readouterr().err
+
+
+def test_patterns_of_light_are_compared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    text = (ROOT / "scenarios" / "examples" / "patterns.toml").read_text("utf-8").replace("seeds = [0, 1]", "seeds = [0]")
+    small = 'steps = 6\nrenderer = "raycast"\ndetector.kind = "truth"\ncamera = { width_px = 320, height_px = 180, oversampling = 1 }\n'
+    (tmp_path / "patterns.toml").write_text(f"{text}[set]\n{small}")
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["campaign", "patterns.toml", "--jobs", "1", "--device", "cpu"]) == cli.OK
+    rows = {row["variant"]: row for row in pq.read_table(tmp_path / "runs" / "patterns" / TABLE).to_pylist()}
+    assert list(rows) == ["even", "stripes", "checks"]
+    for row in rows.values():
+        assert row["confidence_final_min"] <= row["confidence_final_mean"] <= 1.0
+        assert row["flux_lm_mean"] == pytest.approx(row["lamps.left.flux_lm_mean"] + row["lamps.right.flux_lm_mean"])
+        assert row["flux_lm_mean"] <= rows["even"]["flux_lm_mean"]  # a half is dark, and the base beam the same for who is always sure
+    assert rows["stripes"]["flux_lm_mean"] < 0.98 * rows["even"]["flux_lm_mean"]
+    told = capsys.readouterr().out
+    assert "flux of all lamps, lm" in told and "confidence at the end" in told
+
+
+@pytest.fixture
+def scheduler(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
+    """Address of a scheduler and its two workers, each a process of its own."""
+    file = tmp_path / "scheduler.json"
+    command = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
+    started = [subprocess.Popen([*command, "--scheduler-file", str(file)], stderr=subprocess.DEVNULL)]
+    try:
+        deadline = time.monotonic() + 60
+        while not file.exists() or not file.read_text().endswith("}"):
+            assert time.monotonic() < deadline and started[0].poll() is None
+            time.sleep(0.05)
+        address = json.loads(file.read_text())["address"]
+        worker = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard"]
+        started += [subprocess.Popen(worker, cwd=ROOT, stderr=subprocess.DEVNULL) for _ in range(2)]
+        yield address, started[1:]
+    finally:
+        for process in started:
+            process.kill()
+            process.wait()
+
+
+@pytest.mark.slow
+def test_a_worker_killed_midway_costs_no_run(scheduler: tuple[str, list[subprocess.Popen[bytes]]], tmp_path: Path) -> None:
+    address, workers = scheduler
+    file = written(tmp_path, 'scenarios = ["flat"]\nseeds = [0, 1, 2, 3, 4, 5, 6, 7]\n')
+    execute = dask(address)
+
+    def killing(function, tasks):  # type: ignore[no-untyped-def]
+        for number, result in enumerate(execute(function, tasks)):
+            if number == 1:
+                workers[0].send_signal(signal.SIGKILL)
+            yield result
+
+    far = run_campaign(file, tmp_path / "far", executor=killing)
+    assert workers[0].wait(10) == -signal.SIGKILL
+    assert not far.failures
+    assert far == run_campaign(file, tmp_path / "near", processes=1)
+    assert len((tmp_path / "far" / JOBS).read_text().splitlines()) == 8
+
+
+def test_a_grid_beyond_all_reason_is_refused_before_its_runs_are_read(tmp_path: Path) -> None:
+    file = tmp_path / "c.toml"
+    file.write_text(f'scenarios = ["flat", "snowflake"]\nseeds = {list(range(60_000))}\n')
+    with pytest.raises(LuxloopError, match="names 120,000 runs, more than 100,000; split it"):
+        read(file)
+
+
+def test_a_name_that_no_file_can_have_is_refused_in_a_sentence(tmp_path: Path) -> None:
+    file = tmp_path / "c.toml"
+    for name, words in (("long " * 2000, "there is no scenario"), ("nul\\u0000", "a text has a NUL character"), ("", r"scenarios\[0\]")):
+        file.write_text(f'scenarios = ["{name}"]')
+        with pytest.raises(LuxloopError, match=words):
+            read(file)
+
+
+def test_an_input_that_never_ends_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "c.toml"
+    (tmp_path / "pipe").symlink_to("/dev/zero")
+    file.write_text('scenarios = ["flat"]\n[set.symbol]\nimage = "./pipe"\n')
+    with pytest.raises(LuxloopError, match=r"/dev/zero: cannot be read \(it is no regular file\)"):
+        run_campaign(file, tmp_path / "out")
