@@ -1,50 +1,103 @@
-"""The plan of the house, held by reading imports: loop -> controllers -> perception -> world, OpenGL in one room, short modules."""
+"""The plan of the house, held by reading imports: loop -> controllers -> perception -> world, folders without circles, short modules."""
 
 import ast
+from functools import cache
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[1]
-MAY_IMPORT = {
-    "world": {"world"},
-    "perception": {"world", "perception"},
-    "controllers": {"world", "perception", "controllers"},
-    "loop": {"world", "perception", "controllers", "loop", "scenarios"},
-}
-MODULES = [path.relative_to(ROOT) for package in MAY_IMPORT for path in sorted((ROOT / package).rglob("*.py"))]
+ORDER = ("world", "perception", "controllers", "loop")  # each may import those before it
+DATA = {"scenarios"}  # of loop only
+MODULES = [path.relative_to(ROOT) for package in ORDER for path in sorted((ROOT / package).rglob("*.py"))]
+FOLDERS = sorted({module.parent for module in MODULES})
+TESTS = [path.relative_to(ROOT) for package in ORDER for path in sorted((ROOT / "tests" / package).rglob("*.py"))]
+DOORS = {Path("loop/commands")}  # which may import from everywhere, and which nothing imports
 OPENGL = {"pyrender", "OpenGL", "pyglet"}
 OPENGL_AT = Path("world/rendering/rasterise.py")  # which makes the context
 DRAWS_WITH_IT = Path("world/rendering/deferred.py")
 LONGEST = 450  # lines: beyond that a module holds more than one idea
+FULLEST = 20  # modules in a folder: beyond that its name says too little of them
+NEIGHBOURS = 7  # folders of its package, half of those of loop, that a folder imports from
 
 each_module = pytest.mark.parametrize("module", MODULES, ids=str)
+each_folder = pytest.mark.parametrize("folder", FOLDERS, ids=str)
 
 
 def imported(source: str) -> set[str]:
-    """Top-level names of all packages that a module imports, at its head or inside functions."""
+    """All that a module imports, at its head or inside functions: `a.b.c` of `from a.b import c`, what begins with "." of relative
+    imports."""
     names = set()
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
-            names |= {alias.name.split(".")[0] for alias in node.names}
+            names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
-            names.add("." if node.level else (node.module or "").split(".")[0])
+            names |= {f"{'.' * node.level}{node.module or ''}.{alias.name}" for alias in node.names}
     return names
+
+
+def tops(names: set[str]) -> set[str]:
+    return {name.partition(".")[0] or "." for name in names}
+
+
+def folder_of(name: str) -> Path | None:
+    """Where a module, or that of which this is a part, lies; None where it is none of ours."""
+    for path in (Path(*name.split(".")), Path(*name.split(".")[:-1])):
+        if path.parts and path.parts[0] in ORDER:
+            if (ROOT / path).with_suffix(".py").is_file():
+                return path.parent
+            if (ROOT / path / "__init__.py").is_file():
+                return path
+    return None
+
+
+@cache
+def arrows(folder: Path) -> set[Path]:
+    """The other folders from which its modules import."""
+    sources = [(ROOT / module).read_text() for module in MODULES if module.parent == folder]
+    return {found for source in sources for name in imported(source) if (found := folder_of(name))} - {folder}
 
 
 def test_imports_are_found_wherever_they_stand() -> None:
     source = "import a.b, c as d\nfrom e.f import g\ndef h():\n    from . import i\n    import j\n"
-    assert imported(source) == {"a", "c", "e", ".", "j"}
+    assert tops(imported(source)) == {"a", "c", "e", ".", "j"}
+    names = imported("from world import plugin\nfrom world.headlight import Headlight\nimport world.light.ambient\nimport torch.fft\n")
+    assert {folder_of(name) for name in names} == {Path("world"), Path("world/headlight"), Path("world/light"), None}
 
 
 @each_module
 def test_arrows_point_one_way(module: Path) -> None:
     package = module.parts[0]
-    names = imported((ROOT / module).read_text())
+    names = tops(imported((ROOT / module).read_text()))
     assert "." not in names, f"{module}: name the package in imports"
-    forbidden = names & set(MAY_IMPORT) - MAY_IMPORT[package]
-    assert not forbidden, f"{module}: {package} must not import {forbidden}"
+    higher = set(ORDER[ORDER.index(package) + 1 :]) | (DATA if package != "loop" else set())
+    assert not names & higher, f"{module}: {package} must not import {names & higher}"
     assert not names & {"tests", "benchmarks", "examples"}
+
+
+def test_no_folders_import_each_other() -> None:
+    TopologicalSorter({folder: arrows(folder) for folder in FOLDERS}).prepare()  # raises CycleError, which names them
+
+
+@each_folder
+def test_folder_can_be_held_in_mind(folder: Path) -> None:
+    assert sum(module.parent == folder and module.name != "__init__.py" for module in MODULES) <= FULLEST
+
+
+@each_folder
+def test_only_doors_import_from_everywhere(folder: Path) -> None:
+    assert not arrows(folder) & DOORS
+    neighbours = {other for other in arrows(folder) if other.parts[0] == folder.parts[0]}
+    assert folder in DOORS or len(neighbours) <= NEIGHBOURS
+
+
+@pytest.mark.parametrize("test", TESTS, ids=str)
+def test_tests_import_nothing_higher_than_they_test(test: Path) -> None:
+    package = test.parts[1]
+    higher = (*ORDER[ORDER.index(package) + 1 :], "benchmarks")
+    found = {name for name in imported((ROOT / test).read_text()) if name.removeprefix("tests.").startswith(tuple(f"{h}." for h in higher))}
+    assert not found, f"{test}: move it to tests/{ORDER[-1]}, where it may import {found}"
 
 
 @each_module
@@ -54,9 +107,7 @@ def test_opengl_stays_in_its_room(module: Path) -> None:
         assert "PYGLET_HEADLESS" in source, f"{module}: without it pyrender needs X libraries, which a server has not"
     else:
         allowed = {"OpenGL"} if module == DRAWS_WITH_IT else set()
-        assert not imported(source) & OPENGL - allowed, (
-            f"{module}: OpenGL belongs in world/rendering/rasterise.py and world/rendering/deferred.py"
-        )
+        assert not tops(imported(source)) & OPENGL - allowed, f"{module}: OpenGL belongs in {OPENGL_AT} and {DRAWS_WITH_IT}"
 
 
 @each_module

@@ -15,11 +15,11 @@ from controllers.geometry import cuboid
 from controllers.obl.ambient import Ambient
 from controllers.obl.function import ObjectBasedParams, ObjectBasedState
 from controllers.obl.light import CELLS, NEAREST_M, ObjectLightParams, frontal
+from controllers.pixels.mrpc_params import MrpcParams
 from controllers.pixels.primitives import concatenate
 from controllers.pixels.secondary import Light, SecondaryRays
 from controllers.pixels.ssc import Ssc
 from controllers.situation import AdaptiveFunction, Situation, TrackedObject
-from loop.scenario.model import load_any
 from perception.tracking import LINGER_S
 from world.frames import inverse, pose_from_degrees, transform
 from world.presets import lamp
@@ -56,7 +56,7 @@ def on_front(each: TrackedObject, low: float, high: float, n: int = 15) -> Tenso
 def shining():  # type: ignore[no-untyped-def]
     """lx of both lamps together at points `[3, N]`, on a plane that faces each; share: of full light, below the function."""
     light = lamp("ssl-hd-lores").modules[0].headlight
-    ssc = Ssc.prepare(light, load_any("obl").ssc)
+    ssc = Ssc.prepare(light, MrpcParams(a_d=1.0))
     lights = tuple((name, Light.of(light, T)) for name, T in zip(("left lores", "right lores"), PLACES, strict=True))
 
     def lx(function: ObjectBasedParams, situation: Situation, points: Tensor, share: float = 0.0) -> Tensor:

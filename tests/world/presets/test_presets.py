@@ -1,13 +1,10 @@
 """Lamps by name: what is published of them holds, left and right are mirror images, colours keep the luminance."""
 
-import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
-from benchmarks.calibration import PUBLISHED, drawn
 from world.beams import PATTERNS
-from world.beams.rectangles import RECTANGLES
 from world.errors import LuxloopError
 from world.headlight.lamp import Lamp, direction
 from world.presets import NAMES, lamp
@@ -144,19 +141,3 @@ def test_each_beam_is_fitted_once_and_only_when_asked_for(monkeypatch: pytest.Mo
     assert (one.beam("low")[0] == 0).all() and one.beam("low") is one.beam("low")
     assert fitted == [PATTERNS["low"]]
     lamp.cache_clear()
-
-
-def mean_error(name: str, every: int) -> float:
-    light = lamp(name).modules[0].headlight
-    return float(np.mean([drawn(light, rectangle)[0] for rectangle in RECTANGLES[every // 2 :: every]]))
-
-
-def test_hd84_draws_rectangles_as_badly_as_published() -> None:
-    # Of the whole grid the mean is within 0.01 of the thesis; 18 rectangles vary by 0.2 / sqrt(18).
-    assert mean_error("hd84", every=67) == pytest.approx(PUBLISHED["hd84"], abs=0.06)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", PUBLISHED)
-def test_rectangles_come_out_as_well_as_published(name: str) -> None:
-    assert mean_error(name, every=29) == pytest.approx(PUBLISHED[name], abs=0.02)
