@@ -22,9 +22,8 @@ from tests.regression.recorded import FOLDER, ROOT, file_of, replace, told
 from world.roads.shapes import OpenCrgRoad
 
 SYMBOLS = [name for name in shipped() if not isinstance(load_any(name), LightingScenario)]
-# Thin extraction on the rough course amplifies the rounding of another processor a hundredfold in ten steps, from about step 25 visibly.
-# On the torsion track the area is 38 times what a flat road would show, and the rounding of a run shows in it from step 6 on.
-SHORTENED = {"rough_course": ["steps=15"], "torsion_track": ["steps=5"]}
+# Thin extraction on these roads amplifies the rounding of another processor a hundredfold in ten steps, from about step 25 visibly.
+SHORTENED = {"rough_course": ["steps=15"], "torsion_track": ["steps=15"]}
 COMPARED = [name for name in COLUMNS if not name.endswith("_ms")]
 
 

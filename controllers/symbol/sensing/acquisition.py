@@ -34,7 +34,6 @@ KEPT = 4  # of all that are tried
 ROUNDS = 6  # of refinement, each with half the steps of the one before
 BLUR, BLURRED_OVER = (1.0, 2.5), (7, 15)  # rows and columns of the image
 USUAL, WORTH = (0.5, 0.03, 0.03, 1 / 300), 0.005  # parameters, and what larger ones cost of the correlation
-LIT = 0.5  # of the brightest light: where an area counts as lit
 NEAREST_M, FARTHEST_M, NOWHERE_PX = 0.1, 1e3, -1e6
 LEAST_MATCH = 0.5  # of a pattern that is there
 FAINT_PX = 20.0  # fewer lit pixels are no pattern
@@ -56,9 +55,13 @@ class Acquired:
 
 @dataclass(frozen=True)
 class Pattern:
-    """Rays of a lamp. values: `[rows, cols]`, the mean of the light around them, at most 1. origin: `[3]` m. rays: `[3, rows, cols]`."""
+    """Rays of a lamp. origin: `[3]` m. rays: `[3, rows, cols]`.
+
+    values: `[rows, cols]`, the mean of the light around them, at most 1. lit: `[rows, cols]`, the share around them that is lit.
+    """
 
     values: Tensor
+    lit: Tensor
     origin: Tensor
     rays: Tensor
 
@@ -70,15 +73,17 @@ class Pattern:
             return None
         (top, bottom), (left, right) = (_extent(lit.any(dim)) for dim in (1, 0))
         n, m = GRID
-        window = pad(texture, (-left, right - grid.cols, -top, bottom - grid.rows))  # beyond the texture all is dark
-        values = adaptive_avg_pool2d(window[None, None] / texture.max(), GRID)[0, 0]
+        usual = texture[texture > 0].mean()  # which a single bright place does not decide
+        images = torch.stack([texture / texture.max(), (texture > DIM * usual).to(texture)])
+        window = pad(images, (-left, right - grid.cols, -top, bottom - grid.rows))  # beyond the texture all is dark
+        values, share = adaptive_avg_pool2d(window, GRID)
         row = top + (bottom - top) * (torch.arange(n).to(texture) + 0.5) / n
         col = left + (right - left) * (torch.arange(m).to(texture) + 0.5) / m
         y = grid.left + (grid.right - grid.left) * col / grid.cols
         z = grid.top + (grid.bottom - grid.top) * row / grid.rows
         T = T_ground_headlight.to(texture)
         rays = torch.stack([torch.ones(n, m).to(texture), y.expand(n, m), z[:, None].expand(n, m)])
-        return cls(values, T[:3, 3], (T[:3, :3] @ rays.flatten(1)).view_as(rays))
+        return cls(values, share, T[:3, 3], (T[:3, :3] @ rays.flatten(1)).view_as(rays))
 
 
 def _extent(lit: Tensor) -> tuple[int, int]:
@@ -126,7 +131,7 @@ class Acquisition:
         for pattern in self._patterns(textures):
             u, v = self._seen_at(shape[None], pattern)[0].view(2, *pattern.values.shape)
             (u_down, u_right), (v_down, v_right) = (torch.gradient(each) for each in (u, v))
-            areas.append(((u_right * v_down - u_down * v_right).abs() * (pattern.values > LIT)).sum())
+            areas.append(((u_right * v_down - u_down * v_right).abs() * pattern.lit).sum())
         return torch.stack(areas).amax() if areas else shape.new_zeros(())
 
     def _patterns(self, textures: Sequence[Tensor]) -> list[Pattern]:

@@ -67,6 +67,17 @@ def test_a_flat_road_is_found_to_be_flat() -> None:
     assert found.match - found.flat < 0.02  # what is tried last are steps of 1 mm and 0.2 per mille
 
 
+def test_one_bright_place_hides_no_area_of_the_light_around_it() -> None:
+    prepared = simulation(FLAT)
+    projector, acquisition = prepared.projector, prepared.observer.acquisition
+    (texture,) = projector.textures(projector.light(projector.target))
+    spotted, (row, col) = texture.clone(), divmod(int(texture.argmax()), texture.shape[-1])
+    spotted[row : row + 4, col : col + 4] *= 5  # as where a patch is dimmed all but at its border
+    even, uneven = (acquisition.area(torch.zeros(4), [light]) for light in (texture, spotted))
+    assert even > 900
+    torch.testing.assert_close(uneven, even, rtol=0.05, atol=0)  # edges of strokes that are dim
+
+
 @pytest.mark.parametrize(
     "disturbance",
     [
