@@ -1,6 +1,7 @@
 """The plan of the house, held by reading imports: loop -> controllers -> perception -> world, folders without circles, short modules."""
 
 import ast
+import re
 from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -113,3 +114,14 @@ def test_opengl_stays_in_its_room(module: Path) -> None:
 @each_module
 def test_module_can_be_held_in_mind(module: Path) -> None:
     assert len((ROOT / module).read_text().splitlines()) <= LONGEST
+
+
+def test_the_page_of_the_house_names_every_folder_and_only_files_that_exist() -> None:
+    page = (ROOT / "docs/architecture.md").read_text("utf-8")
+    named = re.findall(r"`((?:world|perception|controllers|loop)/[a-z_/]+\.py)`", page)
+    assert named and all((ROOT / name).is_file() for name in named)
+    rooms = page.partition("## Rooms")[2].partition("## From")[0]
+    missing = [
+        str(folder) for folder in FOLDERS if len(folder.parts) == 2 and f"`{folder.name}`" not in rooms and f"/{folder.name}`" not in rooms
+    ]
+    assert not missing
