@@ -3,10 +3,12 @@
 import gc
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryDirectory
+from typing import Any, overload
 
 import pyarrow as pa
 import torch
@@ -15,10 +17,12 @@ from controllers.symbol.sensing.projector import DrawingModule, SymbolParams
 from loop.lighting.result import LightingResult
 from loop.lighting.run import run_lighting
 from loop.lighting.simulation import LightingSimulation
-from loop.recording.recorder import REPORT, VIDEO, Recorder, no_report
+from loop.recording.recorder import REPORT, TRAJECTORY, VIDEO, Recorder, no_report
+from loop.recording.replay import read_parquet
 from loop.recording.report import Gathered, write_report
 from loop.recording.video import VideoWriter, frame_picture
-from loop.scenario.model import AnyScenario, LightingScenario, Scenario
+from loop.scenario.model import AnyScenario, LightingScenario, Scenario, load_any
+from loop.scenario.overrides import Override
 from loop.symbol.simulation import Simulation, StepResult
 from loop.symbol.truth import true_camera
 from perception.camera import CameraParams, camera_view, saturation_luminance
@@ -29,31 +33,66 @@ VIDEO_FPS = 10  # slower than the loop, so that the eye can follow its steps
 LEAST_PX = 4  # of the target in either direction; quadrants need two pixels each
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class RunResult:
+    """What a run has left; a notebook shows its report.
+
+    summary: the run in a few numbers, those of `summary.json`. trajectory: a row a step; each column names its unit
+    (`trajectory.schema.field("x_m").metadata`), `trajectory["iou"].to_numpy()` and `trajectory.to_pandas()` convert it.
+    folder: where the files lie (docs/recordings.md); one that `run` chose is removed with this result.
+    """
+
+    summary: dict[str, Any]
+    trajectory: pa.Table
+    folder: Path
+    _temporary: TemporaryDirectory[str] | None
+
+    def __repr__(self) -> str:
+        lines = {**self.summary, "folder": self.folder}
+        return "\n".join(f"{name}: {value}" for name, value in lines.items())
+
+    def _repr_png_(self) -> bytes | None:
+        report = self.folder / REPORT
+        return report.read_bytes() if report.is_file() else None
+
+
 def run(
-    scenario: AnyScenario,
-    directory: Path | str,
+    scenario: AnyScenario | str | Path,
+    folder: Path | str | None = None,
+    overrides: Sequence[Override] = (),
     *,
     device: str = "auto",
     video: bool = True,
     report: bool = True,
     on_step: Callable[[StepResult | LightingResult], None] = lambda result: None,
     on_end: Callable[[], None] = lambda: None,
-) -> dict[str, Any]:
-    """Run a scenario of either kind into a directory (`luxloop replay` reads it) and return its summary.
+    **values: Any,
+) -> RunResult:
+    """Run a scenario of either kind and record it into a folder, which `luxloop replay` reads.
 
-    on_step: called after every step. on_end: called before video and report are finished, which takes seconds. Ctrl-C ends the recording,
-    reports on the steps so far and goes on as KeyboardInterrupt.
-    Raises LuxloopError where the scenario cannot run, or another process writes into the directory; nothing is written before the first
-    step is done.
+    scenario: a shipped name or a path, which `load` reads with overrides and values (`["road.kind=bumps"], steps=20`), or a loaded one.
+    folder: where files go, in place of an older recording; None for a temporary one that lives as long as the result. device: "auto",
+    "cpu" or "cuda". video, report: whether these files are written, which takes seconds. on_step: called after every step. on_end: called
+    before video and report are finished.
+    Ctrl-C ends the recording, reports on the steps so far and goes on as KeyboardInterrupt. Raises LuxloopError where the scenario cannot
+    be read or run, or another process writes into the folder; nothing is written before the first step is done.
     """
-    directory = Path(directory)
-    with output_folder(directory):
+    if isinstance(scenario, str | Path):
+        scenario = load_any(str(scenario), overrides, **values)
+    elif overrides or values:
+        raise LuxloopError(f"{scenario.source}: is loaded already and takes no overrides; give them to load()")
+    temporary = None
+    if folder is None:
+        temporary = TemporaryDirectory(prefix="luxloop-")
+        folder = temporary.name
+    folder = Path(folder)
+    with output_folder(folder):
         if isinstance(scenario, LightingScenario):
-            summary = run_lighting(scenario, directory, torch_device(device), video, report, on_step, on_end)
+            summary = run_lighting(scenario, folder, torch_device(device), video, report, on_step, on_end)
         else:
-            summary = _run_symbol(scenario, directory, device, video, report, on_step, on_end)
+            summary = _run_symbol(scenario, folder, device, video, report, on_step, on_end)
     gc.collect()  # matplotlib leaves exceptions of its parser in cycles, and their frames hold the simulation: half a gigabyte
-    return summary
+    return RunResult(summary, read_parquet(folder / TRAJECTORY), folder, temporary)
 
 
 def _run_symbol(
@@ -84,8 +123,18 @@ def _run_symbol(
     return recorder.summary()
 
 
-def prepare(scenario: Scenario, device: str = "auto") -> Simulation:
-    """A simulation that renders and whose camera can see the symbol at its target. Raises LuxloopError where that cannot be."""
+@overload
+def prepare(scenario: Scenario, device: str = "auto") -> Simulation: ...
+@overload
+def prepare(scenario: LightingScenario, device: str = "auto") -> LightingSimulation: ...
+def prepare(scenario: AnyScenario, device: str = "auto") -> Simulation | LightingSimulation:
+    """A simulation of either kind, to be stepped: `state = simulation.start()`, `state, result = simulation.step(state)`.
+
+    scenario: a loaded one. device: "auto", "cpu" or "cuda". Raises LuxloopError where a file is missing, and of a symbol that the lamps
+    cannot draw at its target, or that the camera cannot see there.
+    """
+    if isinstance(scenario, LightingScenario):
+        return LightingSimulation.prepare(scenario, torch_device(device))
     with located(scenario.source):
         return _prepare(scenario, device)
 
@@ -153,7 +202,7 @@ def check(scenario: AnyScenario, device: str = "auto") -> dict[str, Any]:
     if isinstance(scenario, Scenario):
         prepare(scenario, device)
         return facts | {"controller": scenario.controller.name}
-    simulation = LightingSimulation.prepare(scenario, torch_device(device))
+    simulation = prepare(scenario, device)
     return (
         facts
         | _first_look(simulation)

@@ -14,7 +14,7 @@ import pytest
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ["world", "perception", "controllers", "loop", "scenarios"]
+PACKAGES = ["luxloop", "world", "perception", "controllers", "loop", "scenarios"]
 
 
 @pytest.fixture(scope="module")

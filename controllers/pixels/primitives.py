@@ -175,7 +175,13 @@ def rectangle(
     modules: Sequence[str] = (),
     shared: bool = True,
 ) -> Primitives:
-    """One rectangle `[..., 3]`, value and weight `[...]`; else as `rectangles`."""
+    """One rectangle that asks for light, as Primitives with P = 1 (T 4.2).
+
+    origin, d1, d2: `[..., 3]` m, a corner and the edges along the symbol's columns and rows. value: number or `[...]`, what it asks for
+    where the symbol is 1, of the quantity "u_abs" (utilisation 0..1), "u_rel" (multiple of the base pattern), "I_v" (cd) or "E_v" (lx).
+    normal, weight: `[..., 3]` and number or `[...]`; these, symbol, forced, priority, nearest, modules, shared and the errors raised are
+    described at `rectangles` and `Primitives`.
+    """
     return rectangles(
         origin[..., None, :],
         d1[..., None, :],
@@ -194,7 +200,7 @@ def rectangle(
 
 
 def concatenate(*parts: Primitives) -> Primitives:
-    """All primitives in one list, batch dimensions broadcast; an image that several use is kept once.
+    """All primitives of these parts in one list, batch dimensions broadcast; an image that several use is kept once.
 
     Raises LuxloopError where there is nothing to put together.
     """
@@ -242,7 +248,7 @@ def road_symbol(pose: Tensor, z_m: float, width_m: float, length_m: float, symbo
     """The thesis' four degrees of freedom (T 9.4.2): one symbol near the road, read by the driver, far end = image row 0.
 
     pose: `[..., 4]` = x, y in m of the centre, roll, pitch in rad, `R = Ry(pitch) Rx(roll)`; z and size stay fixed, yaw is zero.
-    symbol: `[h, w]` in 0..1. Returns Primitives with P = 1.
+    symbol: `[h, w]` in 0..1. value: of the quantity, as for `rectangle`. Returns Primitives with P = 1; raises LuxloopError as that does.
     """
     R = rotation(pose[..., 2], pose[..., 3], torch.zeros_like(pose[..., 3]))
     centre = torch.cat([pose[..., :2], torch.full_like(pose[..., :1], z_m)], -1)

@@ -45,11 +45,11 @@ def run_scenario(
             advance()
 
         try:
-            summary = run(scenario, out, device=device, video=video, report=report, on_step=on_step, on_end=partial(advance, 0, writing))
+            result = run(scenario, out, device=device, video=video, report=report, on_step=on_step, on_end=partial(advance, 0, writing))
         except KeyboardInterrupt as error:
             raise KeyboardInterrupt(f"{done} of {scenario.steps} steps are kept in {out}" if done else "nothing was recorded") from error
     table = shown if isinstance(scenario, LightingScenario) else tables.summary
-    tables.show(table(summary, str(out)))
+    tables.show(table(result.summary, str(out)))
 
 
 def compare_recording(directory: Path, allow_code: bool) -> bool:

@@ -49,7 +49,8 @@ def show(
 ) -> Path:
     """Draw one picture of lamps at work; returns its file.
 
-    lamps: by side, "left" and "right" or one of them. beam: a name that the lamps know, by default low, or full where they have none; or
+    lamps: by side, "left" and "right" or one of them. out: the file, whose suffix says its format.
+    beam: a name that the lamps know, by default low, or full where they have none; or
     utilisations `[n_p]` in 0..1, one a module, by side, which title names. view and style: see VIEWS. scenario: its road, objects and light
     at time_s, where the lamps are mounted and how they are turned; by default a flat road. visibility_m: meteorological optical range of
     the fog in the view "volume", by default 100.

@@ -137,7 +137,7 @@ def _beam(lamp: Lamp, files: Mapping[str, Path], folder: Path) -> tuple[Tensor, 
 def load_lamp(name: str | Path, side: Side = "left") -> Lamp:
     """A lamp by a preset's name or a file's path: .npz, .toml, or a photometric file (.ies, .ldt), which is a lamp of one pixel.
 
-    Files describe the lamp on the left of the car. The right one is its mirror image, and its beams are the same pictures: the modules'
+    side: of the car. Files describe the left lamp. The right one is its mirror image, and its beams are the same pictures: the modules'
     pixels are counted from the left again. Default beams of a description are fitted anew.
     Raises: LuxloopError with the nearest name, or that names the file and what is wrong in it.
     """

@@ -8,7 +8,7 @@ from world.photometry.text import load
 
 
 def read(path: str | Path) -> Photometry:
-    """Read an IES LM-63 or EULUMDAT file, by what it holds; where that does not tell, by its suffix, .ies or not.
+    """Read an IES LM-63 or EULUMDAT file at path, by what it holds; where that does not tell, by its suffix, .ies or not.
 
     Raises PhotometryError, a LuxloopError, with the line and what was expected there.
     """

@@ -46,7 +46,8 @@ def idealised(
 
     Published: the pixel count, the angles, "minimal overlap". Guessed: 50 kcd over the whole field (about 1.5 klm), pixels of equal
     pitch on the texture's plane, and overlap as linear edges `flank` pitches to either side of a pixel's border, so that a texel has
-    1.5 entries (0 < flank <= 0.5). texels_per_pixel: (rows, columns); at 17 m the symbol spans only 40 pixel rows, so rows are sampled
+    1.5 entries (0 < flank <= 0.5). pixel_rows, pixel_cols: their number.
+    texels_per_pixel: (rows, columns); at 17 m the symbol spans only 40 pixel rows, so rows are sampled
     four times.
     """
     vertical = _profile(pixel_rows, texels_per_pixel[0], flank)

@@ -19,6 +19,7 @@ AIMS = 5  # tried in each direction
 def aim(intensity: Intensity, set_id: str, *, traffic: Traffic = "right") -> Point:
     """The turn `(h, v)` in deg, to the right and up, with which this set judges the lamp.
 
+    intensity: cd `[N]` of directions `[3, N]` of the lamp frame. set_id: such as "r149-passing-c". traffic: side of the road it keeps to.
     A cut-off goes to its height and its shoulder to its place, a driving beam's maximum to H-V; other beams stay. Where the lamp fails
     so, the best of the aims within the set's tolerance with which it passes, if there is one. Raises LuxloopError for an unknown id.
     """

@@ -26,11 +26,12 @@ def check(
     conditional: bool = False,
     step_deg: float = STEP_DEG,
 ) -> tuple[Result, ...]:
-    """Judge one lamp's beam by the set of this id, each requirement at its worst point.
+    """Judge one lamp's beam by a set of requirements, each at its worst point.
 
-    intensity: cd `[N]` of directions `[3, N]` of the lamp frame. aim: how far the lamp is turned, deg to the right and up; `aim()` finds
+    intensity: cd `[N]` of directions `[3, N]` of the lamp frame. set_id: such as "r149-passing-c".
+    aim: how far the lamp is turned, deg to the right and up; `aim()` finds
     it. traffic: the tables are made for traffic on the right and are mirrored for the left. conditional: count the requirements, too,
-    that hold under a condition only. Raises LuxloopError for an unknown id.
+    that hold under a condition only. step_deg: distance of the points at which zones are sampled. Raises LuxloopError for an unknown id.
     """
     rules = rule_set(set_id)
     seen = aimed(intensity, aim, traffic)

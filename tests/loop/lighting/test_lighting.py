@@ -69,7 +69,7 @@ def test_objects_on_a_road_are_seen_and_tracked_at_its_height() -> None:
 def test_a_run_is_recorded_filmed_and_reported(tmp_path: Path) -> None:
     out = tmp_path / "lit"
     steps: list[int] = []
-    summary = run(scenario(), out, on_step=lambda result: steps.append(result.step))
+    summary = run(scenario(), out, on_step=lambda result: steps.append(result.step)).summary
     assert {path.name for path in out.iterdir()} == {"manifest.json", "trajectory.parquet", "summary.json", "report.png", "video.mp4"}
     assert steps == [0, 1, 2] and summary == json.loads((out / "summary.json").read_text())
     table = pq.read_table(out / "trajectory.parquet")
@@ -112,7 +112,7 @@ def test_a_report_of_one_step_in_the_dark_without_objects(tmp_path: Path) -> Non
 def test_functions_without_effect_are_told(tmp_path: Path) -> None:
     far = {"kind": "symbol", "image": "snowflake", "y_m": 60.0}  # beside all light
     late = {"kind": "glare_free", "categories": ["truck"]}
-    told = run(scenario(steps=1, lighting={"functions": [GLARE_FREE, far, late]}), tmp_path / "lit", video=False)
+    told = run(scenario(steps=1, lighting={"functions": [GLARE_FREE, far, late]}), tmp_path / "lit", video=False).summary
     assert told["idle_functions"] == ["lighting.functions[1] (symbol)", "lighting.functions[2] (glare_free)"]
 
 

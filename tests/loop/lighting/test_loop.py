@@ -49,7 +49,7 @@ def scenario(**changes: Any) -> LightingScenario:
 
 def test_everyone_is_found_tracked_placed_and_recorded(tmp_path: Path) -> None:
     out = tmp_path / "run"
-    summary = run(scenario(), out, video=False)
+    summary = run(scenario(), out, video=False).summary
     table = pq.read_table(out / "trajectory.parquet")
     confirmed = 2  # a track is reported after its third frame
     for name in ("walker", "oncoming", "parked"):
@@ -151,7 +151,7 @@ def test_scenes_without_objects_and_out_of_sight_are_recorded(tmp_path: Path) ->
         )
         table = table_of([row(result)], schema(simulation))
         assert [table[f"object.{each['name']}.{key}"].to_pylist() for each in objects for key in LOOKED_AT] == [[None]] * 3 * len(objects)
-    summary = run(scenario(objects=[behind], steps=2), tmp_path / "run", video=False)
+    summary = run(scenario(objects=[behind], steps=2), tmp_path / "run", video=False).summary
     assert summary["objects"]["walker"] == {
         **{"lx_mean": None, "lx_max": None, "confidence_final": None, "confidence_min": None},
         **{"tracks": 0, "pixels_max": 0.0, "steps_in_sight": 0, "steps_lost": 0},

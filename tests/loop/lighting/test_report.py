@@ -80,7 +80,9 @@ def _title(axes: Axes) -> str:
 
 
 def test_energy_stands_beside_that_of_standby_and_of_undimmed_beams(tmp_path: Path) -> None:
-    dimmed, full = (run(scenario([each] if each else [], objects=[]), tmp_path / str(bool(each)), video=False) for each in (HALF, None))
+    dimmed, full = (
+        run(scenario([each] if each else [], objects=[]), tmp_path / str(bool(each)), video=False).summary for each in (HALF, None)
+    )
     others, seconds = dimmed["energy_compared_j"], 4 / 30
     assert others == full["energy_compared_j"] and list(others) == ["standby", "low beam", "high beam"]
     assert others["standby"] == pytest.approx(2 * 5.0 * seconds)
@@ -160,7 +162,7 @@ def test_whom_the_tracker_loses_is_told(tmp_path: Path) -> None:
         scenario([], steps=12, objects=[WALKER, before], detector={"kind": "truth", "least_visible": 0.5}, tracker=tracker),
         tmp_path / "lost",
         video=False,
-    )
+    ).summary
     walker = summary["objects"]["walker"]
     assert walker["steps_in_sight"] == 12 and 2 <= walker["steps_lost"] <= 9
     assert walker["confidence_min"] == 0.0  # in the steps in which it is lost, though not in those before it was found
@@ -185,7 +187,7 @@ def test_a_run_that_finds_nobody_says_how_small_they_were(tmp_path: Path) -> Non
     told = {}
     for case, function, objects in (("falls", falls, [WALKER]), ("constant", HALF, [WALKER]), ("nobody", falls, [])):
         detector = {"kind": "truth", "least_height_px": 1000}
-        summary = run(scenario([function], steps=2, objects=objects, detector=detector), tmp_path / case, video=False)
+        summary = run(scenario([function], steps=2, objects=objects, detector=detector), tmp_path / case, video=False).summary
         console = Console(record=True, width=160)
         console.print(shown(summary, "here"))
         told[case] = console.export_text()

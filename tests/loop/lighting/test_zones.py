@@ -45,7 +45,7 @@ def test_zones_settle_within_10_steps_over_all_reflectances(tmp_path: Path) -> N
         {"kind": "zone", "name": f"{albedo}", "centre_m": [15, y, 1.0], "size_m": [0, 1.6, 1.6], "luminance_cd_m2": 0.6}
         for albedo, y in WALLS.items()
     ]
-    summary = run(scenario(zones), tmp_path / "zones", video=False)
+    summary = run(scenario(zones), tmp_path / "zones", video=False).summary
     table = pq.read_table(tmp_path / "zones" / "trajectory.parquet")
     lx = []
     for albedo in WALLS:
@@ -70,7 +70,7 @@ def test_a_white_wall_in_the_low_beam_settles_as_its_zone_counts_more_than_the_b
 
 def test_a_zone_behind_the_camera_keeps_its_light_and_has_no_luminance(tmp_path: Path) -> None:
     zone = {"kind": "zone", "name": "behind", "centre_m": [-15, 0, 1.0], "size_m": [0, 2, 2], "luminance_cd_m2": 0.6, "start_lx": 2.0}
-    summary = run(scenario([zone], steps=2, objects=[]), tmp_path / "zones", video=False)
+    summary = run(scenario([zone], steps=2, objects=[]), tmp_path / "zones", video=False).summary
     assert summary["zones"]["behind"] == {"luminance": None, "target": 0.6, "settled_step": None}
     table = pq.read_table(tmp_path / "zones" / "trajectory.parquet")
     assert table["zone.behind.luminance"].to_pylist() == [None, None]
@@ -107,7 +107,7 @@ def test_materials_are_told_beside_what_was_wanted(tmp_path: Path) -> None:
     ]
     told = [{**each.model_dump(exclude_none=True), "category": "other"} for each in scenario([]).objects]
     given = scenario([{"kind": "material", "lights": lights, "road_m": [12, 30]}], objects=told, steps=2)
-    summary = run(given, tmp_path / "materials", video=False)
+    summary = run(given, tmp_path / "materials", video=False).summary
     table = pq.read_table(tmp_path / "materials" / "trajectory.parquet")
     materials = summary["materials"]
     assert list(materials) == ["matt", "skin", "lane_paint", "albedo 0 to 0.3"]

@@ -1,0 +1,114 @@
+"""Closed loops around HD matrix headlights: simulate the lamp, the road and the camera, and control the light from what the camera sees.
+
+    import luxloop
+
+    result = luxloop.run("snowflake")
+    print(result.summary["iou_final"])
+
+A notebook shows `result` as the report of the run. What is named here is the public interface; the insides of `world`, `perception`,
+`controllers` and `loop` may change. Names are imported when they are first used.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from world.errors import did_you_mean
+
+if TYPE_CHECKING:
+    from controllers.functions.planner import LightingParams, Planner
+    from controllers.pixels.primitives import concatenate, rectangle, road_symbol
+    from controllers.pixels.ssc import Ssc, Utilisation
+    from controllers.situation import Situation, TrackedObject
+    from controllers.symbol.sensing.drawing import Drawing
+    from controllers.symbol.sensing.observer import Observer
+    from controllers.symbol.sensing.protocol import Look, SymbolController
+    from loop.pictures.headlight import show as show_headlight
+    from loop.run import RunResult, prepare, run
+    from loop.scenario.model import Scenario
+    from loop.scenario.model import load_any as load
+    from loop.scenario.model import validate_any as validate
+    from loop.symbol.simulation import Simulation
+    from perception.detection.protocol import Detections
+    from perception.extraction import Loss
+    from world.errors import LuxloopError
+    from world.frames import pose_from_degrees
+    from world.headlight.lamp import Lamp, Module
+    from world.lampfiles.description import load_lamp
+    from world.photometry import read as read_photometry
+    from world.presets import idealised
+    from world.regulation import aim as aim_beam
+    from world.regulation import check as check_beam
+    from world.roads.base import RoadModel
+
+__all__ = [
+    "Detections",
+    "Drawing",
+    "Lamp",
+    "LightingParams",
+    "Look",
+    "Loss",
+    "LuxloopError",
+    "Module",
+    "Observer",
+    "Planner",
+    "RoadModel",
+    "RunResult",
+    "Scenario",
+    "Simulation",
+    "Situation",
+    "Ssc",
+    "SymbolController",
+    "TrackedObject",
+    "Utilisation",
+    "aim_beam",
+    "check_beam",
+    "concatenate",
+    "idealised",
+    "load",
+    "load_lamp",
+    "pose_from_degrees",
+    "prepare",
+    "read_photometry",
+    "rectangle",
+    "road_symbol",
+    "run",
+    "show_headlight",
+    "validate",
+]
+
+_MODULES = {
+    "controllers.functions.planner": ("LightingParams", "Planner"),
+    "controllers.pixels.primitives": ("concatenate", "rectangle", "road_symbol"),
+    "controllers.pixels.ssc": ("Ssc", "Utilisation"),
+    "controllers.situation": ("Situation", "TrackedObject"),
+    "controllers.symbol.sensing.drawing": ("Drawing",),
+    "controllers.symbol.sensing.observer": ("Observer",),
+    "controllers.symbol.sensing.protocol": ("Look", "SymbolController"),
+    "loop.pictures.headlight": ("show as show_headlight",),
+    "loop.run": ("RunResult", "prepare", "run"),
+    "loop.scenario.model": ("Scenario", "load_any as load", "validate_any as validate"),
+    "loop.symbol.simulation": ("Simulation",),
+    "perception.detection.protocol": ("Detections",),
+    "perception.extraction": ("Loss",),
+    "world.errors": ("LuxloopError",),
+    "world.frames": ("pose_from_degrees",),
+    "world.headlight.lamp": ("Lamp", "Module"),
+    "world.lampfiles.description": ("load_lamp",),
+    "world.photometry": ("read as read_photometry",),
+    "world.presets": ("idealised",),
+    "world.regulation": ("aim as aim_beam", "check as check_beam"),
+    "world.roads.base": ("RoadModel",),
+}
+_HOMES = {each.split()[-1]: (module, each.split()[0]) for module, names in _MODULES.items() for each in names}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'luxloop' has no attribute {name!r}; {did_you_mean(name, __all__)}")
+    module, attribute = _HOMES[name]
+    globals()[name] = value = getattr(import_module(module), attribute)
+    return value
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,0 +1,75 @@
+"""The front door: what it names is there, documented, and imported when it is first used."""
+
+import inspect
+import re
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+import luxloop
+from world.errors import LuxloopError
+
+ROOT = Path(__file__).parents[2]
+SMALL = ["camera.width_px=320", "camera.height_px=180"]
+UNITS = r"_(m|deg|s|px|cd|percent)$"
+
+
+def test_import_takes_neither_torch_nor_numpy() -> None:
+    program = "import sys, luxloop; dir(luxloop); assert not {'torch', 'numpy', 'pydantic'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", program], cwd=ROOT, check=True)
+
+
+@pytest.mark.parametrize("name", luxloop.__all__)
+def test_name_is_what_a_type_checker_sees(name: str) -> None:
+    seen = re.search(rf"^    from (\S+) import .*?(?:(\w+) as )?\b{name}\b", inspect.getsource(luxloop), re.M)
+    assert seen, "import it under TYPE_CHECKING, too"
+    assert getattr(luxloop, name) is getattr(import_module(seen[1]), seen[2] or name)
+
+
+@pytest.mark.parametrize("name", luxloop.__all__)
+def test_name_is_documented(name: str) -> None:
+    value = getattr(luxloop, name)
+    text = inspect.getdoc(value)
+    assert text and len(text) > 20
+    if inspect.isfunction(value):
+        known = text + "".join(f" {each}" for each in inspect.signature(value).parameters if re.search(UNITS, each))
+        silent = [each for each in inspect.signature(value).parameters if not re.search(rf"\b{each}\b", known)]
+        assert not silent, f"{name}: say what these are, their shapes and units: {silent}"
+
+
+def test_dir_is_the_door() -> None:
+    assert dir(luxloop) == sorted(luxloop.__all__)
+
+
+def test_unknown_name_gives_the_nearest() -> None:
+    with pytest.raises(AttributeError, match=r"no attribute 'simulation'; did you mean 'Simulation'\?"):
+        _ = luxloop.simulation
+    assert not hasattr(luxloop, "torch")
+
+
+def test_a_run_shows_its_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = luxloop.run("snowflake", overrides=SMALL, steps=2, video=False)
+    assert result.summary["steps"] == result.trajectory.num_rows == 2
+    assert result._repr_png_().startswith(b"\x89PNG")
+    assert f"folder: {result.folder}" in repr(result)
+    folder = result.folder
+    assert {path.name for path in folder.iterdir()} == {"manifest.json", "report.png", "summary.json", "trajectory.parquet"}
+    del result
+    assert not folder.exists() and not list(tmp_path.iterdir())
+
+
+def test_a_run_of_lighting_functions_goes_where_it_is_sent(tmp_path: Path) -> None:
+    scenario = luxloop.load("path_projection", [*SMALL, "steps=1"])
+    result = luxloop.run(scenario, tmp_path / "path", video=False, report=False)
+    assert result.folder == tmp_path / "path" and result._repr_png_() is None
+    assert result.trajectory["time_s"].to_pylist() == [0.0]
+
+
+def test_overrides_of_a_loaded_scenario_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(LuxloopError, match=r"give them to load\(\)"):
+        luxloop.run(luxloop.load("snowflake"), tmp_path / "run", steps=2)
+    assert not list(tmp_path.iterdir())
