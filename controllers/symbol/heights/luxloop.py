@@ -14,7 +14,7 @@ from controllers.symbol.heights.registration import HEIGHT_M, Heights, Registrat
 from controllers.symbol.heights.sight import Sight
 from controllers.symbol.heights.stance import Stances
 from controllers.symbol.heights.sweep import sweep
-from controllers.symbol.heights.swing import TRACK_M, Swing
+from controllers.symbol.heights.swing import BodyParams, Swing
 from controllers.symbol.sensing.aim import aimed, elsewhere
 from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.observer import Observer
@@ -61,6 +61,7 @@ class LuxloopParams(Params):
     start_height_m: float = Field(
         0.0, ge=-0.3, le=0.3, description="height that the whole road is taken to have at first; 0: nothing is known"
     )
+    body: BodyParams = Field(BodyParams(), description="what the controller believes of its car's springs and wheels")
 
 
 @dataclass(frozen=True)
@@ -141,7 +142,7 @@ class Luxloop:
         """What is known of the body after a measurement, if there is one; one without axles does not swing."""
         if ego is None or ego.pivot_x_m == ego.rear_x_m:
             return before
-        return Swing.first(ego, self.reach_m, self.projector.params.x_m) if before is None else before.updated(ego)
+        return Swing.first(self.params.body, ego, self.reach_m, self.projector.params.x_m) if before is None else before.updated(ego)
 
     def _looked(self, registration: Registration, memory: Memory, look: Look, stances: Stances) -> Memory:
         """What is known after a look: nothing, where heights do not explain it."""
@@ -272,7 +273,8 @@ def _previewed(swing: Swing, memory: Memory, time_s: float, ego: Ego) -> Swing:
     way_m, driven_m = swing.unseen(), swing.way_m + swing.speed_m_s * (time_s - swing.time_s)
     x = (way_m - driven_m).to(memory.eye)
     aside = ego.yaw_rate_rad_s / ego.speed_m_s.clamp(min=1.0) * (x - ego.rear_x_m) ** 2 / 2
-    heights, information = memory.tracks(x.expand(2, -1), torch.stack([aside + TRACK_M / 2, aside - TRACK_M / 2]))
+    half_m = swing.params.track_m / 2
+    heights, information = memory.tracks(x.expand(2, -1), torch.stack([aside + half_m, aside - half_m]))
     return swing.seen(way_m, heights, ROAD_M**2 + 1 / information.clamp(min=1e-3))
 
 

@@ -8,15 +8,14 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import torch
+from pydantic import Field
 from torch import Tensor
 
 from controllers.symbol.heights.springs import PARTS, followed, news, other
 from perception.egomotion import Ego
-from world.scene.vehicle import SuspensionParams, VehicleParams, body_pose
+from world.params import Params
+from world.scene.vehicle import body_pose
 
-SPRINGS: Final = SuspensionParams()  # of a usual car
-RATES_HZ: Final = (SPRINGS.heave_hz, SPRINGS.roll_hz, SPRINGS.pitch_hz)
-TRACK_M: Final = float(VehicleParams.model_fields["track_m"].default)
 ROUGH_M: Final = 1e-4  # m^2/m by which a wheel's height walks: between classes C and D of ISO 8608, 2 pi^2 n0^2 Gd(n0)
 CELL_M: Final = 0.2  # of the road's strip, along
 BEHIND_M: Final = 2.0  # how far the strip goes beyond the rear axle
@@ -28,6 +27,16 @@ PITCH_SEEN: Final = 1.5e-4  # rad, how well looks tell how much the body has pit
 OTHER: Final = slice(6, 15)  # states of what other things shake
 LEVEL: Final = 15  # state that tells how the body was pitched when the road was seen last
 BODY: Final = 16  # states before the strip's
+
+
+class BodyParams(Params):
+    """What the controller believes of its car: how the body moves on its springs, and where the wheels roll."""
+
+    track_m: float = Field(1.6, gt=0.5, le=3, description="distance of the wheels of an axle")
+    heave_hz: float = Field(1.2, gt=0, le=10, description="natural frequency of heave")
+    pitch_hz: float = Field(1.4, gt=0, le=10, description="natural frequency of pitch")
+    roll_hz: float = Field(1.6, gt=0, le=10, description="natural frequency of roll")
+    damping: float = Field(0.35, gt=0, le=2, description="damping ratio of all three")
 
 
 @dataclass(frozen=True)
@@ -42,6 +51,7 @@ class Swing:
     pitched since the one before, None where that is not known.
     """
 
+    params: BodyParams
     time_s: float
     way_m: float
     speed_m_s: float
@@ -54,7 +64,7 @@ class Swing:
     looks: tuple[tuple[float, float | None], ...] = ()
 
     @classmethod
-    def first(cls, ego: Ego, reach_m: float, symbol_x_m: float) -> "Swing":
+    def first(cls, params: BodyParams, ego: Ego, reach_m: float, symbol_x_m: float) -> "Swing":
         """After the first measurement, with a strip up to reach_m ahead."""
         front, rear = 2 * ego.pivot_x_m - ego.rear_x_m, ego.rear_x_m
         start = math.floor((rear - BEHIND_M) / CELL_M) * CELL_M
@@ -62,7 +72,9 @@ class Swing:
         covariance = torch.diag(torch.tensor(FIRST, dtype=torch.float64).square().repeat_interleave(3))
         covariance = torch.block_diag(covariance, covariance[:1, :1], *(share * (UNEVEN_M**2 + _walk(count)) for share in (0.5, 2.0)))
         mean = torch.zeros(BODY + 2 * count, dtype=torch.float64)
-        swing = cls(ego.time_s, 0.0, float(ego.speed_m_s), start, start, (front, rear), mean, covariance, symbol_x_m - ego.pivot_x_m)
+        swing = cls(
+            params, ego.time_s, 0.0, float(ego.speed_m_s), start, start, (front, rear), mean, covariance, symbol_x_m - ego.pivot_x_m
+        )
         rest = torch.eye(len(mean), dtype=torch.float64)
         rest[:3, BODY:] = swing._bases(torch.zeros(1, dtype=torch.float64))[0]  # the body rests on the road
         return replace(swing, covariance=rest @ covariance @ rest.T)._measured(ego)
@@ -169,8 +181,8 @@ class Swing:
         share = torch.linspace(0, 1, PARTS + 1, dtype=torch.float64)
         bases = self._bases(self.way_m + self.speed_m_s * duration_s * share)
         found = bases.new_zeros(BODY, len(self.mean))
-        for mode, rate_hz in enumerate(RATES_HZ):
-            answer, at = followed(rate_hz, SPRINGS.damping, duration_s), [mode, 3 + mode]
+        for mode, rate_hz in enumerate((self.params.heave_hz, self.params.roll_hz, self.params.pitch_hz)):
+            answer, at = followed(rate_hz, self.params.damping, duration_s), [mode, 3 + mode]
             found[at, mode], found[at, 3 + mode] = answer[:, 0], answer[:, 1]
             found[at, BODY:] = answer[:, 2:] @ bases[:, mode]
         found[OTHER, OTHER] = torch.kron(other(duration_s), torch.eye(3, dtype=torch.float64))
@@ -182,7 +194,7 @@ class Swing:
         front, rear = (self._weights(way_m + axle) for axle in self.axles_m)
         none = torch.zeros_like(front)
         heave, pitch = (front + rear) / 2, (rear - front) / (self.axles_m[0] - self.axles_m[1])
-        modes = ((heave, none), (none, heave / TRACK_M), (pitch, none))
+        modes = ((heave, none), (none, heave / self.params.track_m), (pitch, none))
         return torch.stack([torch.cat(mode, 1) for mode in modes], 1)
 
     def _weights(self, way_m: Tensor) -> Tensor:
