@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from controllers.pixels.primitives import concatenate, rectangle, road_symbol
     from controllers.pixels.ssc import Ssc, Utilisation
     from controllers.situation import Situation, TrackedObject
+    from controllers.symbol import build_controller
     from controllers.symbol.sensing.drawing import Drawing
     from controllers.symbol.sensing.observer import Observer
     from controllers.symbol.sensing.protocol import Look, SymbolController
@@ -61,6 +62,7 @@ __all__ = [
     "TrackedObject",
     "Utilisation",
     "aim_beam",
+    "build_controller",
     "check_beam",
     "concatenate",
     "idealised",
@@ -81,6 +83,7 @@ _MODULES = {
     "controllers.pixels.primitives": ("concatenate", "rectangle", "road_symbol"),
     "controllers.pixels.ssc": ("Ssc", "Utilisation"),
     "controllers.situation": ("Situation", "TrackedObject"),
+    "controllers.symbol": ("build_controller",),
     "controllers.symbol.sensing.drawing": ("Drawing",),
     "controllers.symbol.sensing.observer": ("Observer",),
     "controllers.symbol.sensing.protocol": ("Look", "SymbolController"),

@@ -11,14 +11,19 @@ from typing import Any
 import cv2
 import torch
 
-from controllers.functions.planner import LightingParams, Planner
-from controllers.pixels.ssc import Ssc
-from controllers.situation import Situation, TrackedObject
-from loop.pictures.headlight import show
-from loop.scenario.model import validate
-from world.frames import pose_from_degrees
-from world.headlight.lamp import Lamp, Module
-from world.presets import idealised
+from luxloop import (
+    Lamp,
+    LightingParams,
+    Module,
+    Planner,
+    Situation,
+    Ssc,
+    TrackedObject,
+    idealised,
+    pose_from_degrees,
+    show_headlight,
+    validate,
+)
 
 MOUNTS = {"left": pose_from_degrees((0.0, 0.6, 0.75)), "right": pose_from_degrees((0.0, -0.6, 0.75))}
 TOP, BOTTOM = 0.25, 0.75  # of the picture: above is the sky, below the road before the light
@@ -67,7 +72,7 @@ def draw(name: str, folder: Path) -> None:
     scenario = validate({"name": name, "symbol": {"image": "snowflake"}, "objects": boxes, "light": {"ambient_lx": 0.02}}, name)
     lamp = Lamp("fine", (Module("fine", light),))
     out = folder / f"functions-{name}.jpg"
-    show({"left": lamp, "right": lamp}, out, beam=beam, view="driver", style="luminance", scenario=scenario)
+    show_headlight({"left": lamp, "right": lamp}, out, beam=beam, view="driver", style="luminance", scenario=scenario)
     picture = cv2.imread(str(out))
     cv2.imwrite(str(out), picture[round(TOP * len(picture)) : round(BOTTOM * len(picture))])
 

@@ -1,9 +1,11 @@
-"""How near light by material comes to what is wanted: `python material_light.py [LAMP]`, of the scenario `materials`."""
+"""How near light by material comes to what is wanted: `python material_light.py [LAMP]`, of the scenario `materials`.
+
+It imports from the inside of luxloop, which may change.
+"""
 
 import sys
 
-from loop.lighting.simulation import LightingSimulation
-from loop.scenario.model import load_any
+from luxloop import load, prepare
 from perception.materials import material_picture
 
 REACH_M = (12.0, 45.0)  # ahead, where both lamps light the road
@@ -11,7 +13,7 @@ REACH_M = (12.0, 45.0)  # ahead, where both lamps light the road
 
 def main(lamp: str = "ssl-hd-lores") -> None:
     """A line a material: wanted and mean illuminance in lx, and the share of its pixels within 30 % of what is wanted."""
-    simulation = LightingSimulation.prepare(load_any("materials", [f"headlight.model={lamp}"]))
+    simulation = prepare(load("materials", [f"headlight.model={lamp}"]))
     state = simulation.start()
     for _ in range(3):
         state, result = simulation.step(state)

@@ -1,4 +1,7 @@
-"""The pictures and times of docs/traffic.md: `python traffic.py pictures`."""
+"""The pictures and times of docs/traffic.md: `python traffic.py pictures`.
+
+It imports from the inside of luxloop, which may change.
+"""
 
 import sys
 import time
@@ -10,8 +13,7 @@ from typing import TypeVar
 import cv2
 
 from loop.assembly.build import build_scene
-from loop.lighting.simulation import LightingSimulation
-from loop.scenario.model import load_any, validate_any
+from luxloop import load, prepare, validate
 from perception.camera import CameraParams, camera_view
 from perception.ground_truth import ground_truth
 from world.rendering.face_source import face_source
@@ -26,7 +28,7 @@ SCENES = 8
 def pictures(folder: Path) -> None:
     """`night_traffic` after 1.5 s, by night and in 2000 lx; the sky is light grey by day."""
     for name, ambient_lx, white_cd_m2, sky in (("night", 0.05, 6.0, 0.0), ("day", 2000.0, 350.0, 0.8)):
-        simulation = LightingSimulation.prepare(load_any("night_traffic", [f"light.ambient_lx={ambient_lx}"]))
+        simulation = prepare(load("night_traffic", [f"light.ambient_lx={ambient_lx}"]))
         result = simulation.at(30)
         image = (result.luminance / white_cd_m2).clamp(0, 1).sqrt()
         image[simulation.camera.at(result.time_s).surfaces.object_id < 0] = sky
@@ -51,7 +53,7 @@ def times() -> None:
         return result
 
     for seed in range(SCENES):
-        scenario = validate_any({"name": "night", "lighting": {}, **varied(seed)}, f"seed {seed}")
+        scenario = validate({"name": "night", "lighting": {}, **varied(seed)}, f"seed {seed}")
         items = scenario.all_objects
         objects = timed("make the objects", lambda items=items: [item.build() for item in items])
         road = road or build_scene(scenario).bodies[0]

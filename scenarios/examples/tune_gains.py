@@ -9,12 +9,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from pydantic import BaseModel
 
-from controllers.symbol import ThesisPidParams, build_controller
-from loop.run import prepare
-from loop.scenario.model import load
-from loop.symbol.simulation import Simulation
-from world.params import Params
+from luxloop import Scenario, Simulation, build_controller, load, prepare
 
 RATES = ("x_rate_m", "y_rate_m", "roll_rate_deg", "pitch_rate_deg")
 GAINS = ("kp", "ki", "kd")
@@ -22,26 +19,26 @@ LOOPS = ("position", "rotation")
 SPREAD = 0.25  # standard deviation of a factor's logarithm: most trials stay within 0.6 and 1.6 times the scenario's value
 
 
-def varied(params: ThesisPidParams, rng: np.random.Generator) -> ThesisPidParams:
+def varied(params: BaseModel, rng: np.random.Generator) -> BaseModel:
     """The same controller with all gains and rate limits multiplied by random factors."""
 
-    def near(model: Params, keys: Sequence[str]) -> dict[str, float]:
+    def near(model: BaseModel, keys: Sequence[str]) -> dict[str, float]:
         return {key: round(float(getattr(model, key) * rng.lognormal(sigma=SPREAD)), 3) for key in keys}
 
     gains = {loop: getattr(params, loop).model_copy(update=near(getattr(params, loop), GAINS)) for loop in LOOPS}
     return params.model_copy(update=near(params, RATES) | gains)
 
 
-def cost(simulation: Simulation, params: ThesisPidParams) -> float:
+def cost(simulation: Simulation, params: BaseModel) -> float:
     """Mean of 1 - IoU over a run with this controller."""
     controller = build_controller(params, simulation.observer)
     return float(np.mean([1 - float(result.verdict.iou) for result in replace(simulation, controller=controller).run()]))
 
 
-def as_toml(params: ThesisPidParams) -> str:
+def as_toml(params: BaseModel) -> str:
     """What to write into a scenario file."""
 
-    def pairs(model: Params) -> list[str]:
+    def pairs(model: BaseModel) -> list[str]:
         return [f"{key} = {value:g}" for key, value in model if isinstance(value, float)]
 
     loops = [f"{loop} = {{ {', '.join(pairs(getattr(params, loop)))} }}" for loop in LOOPS]
@@ -56,10 +53,11 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="seed of the search; the scenario's noise keeps its own")
     given = parser.parse_args()
 
-    simulation = prepare(load(given.scenario, steps=given.steps))
-    best = simulation.scenario.controller
-    if not isinstance(best, ThesisPidParams):
-        parser.error(f"{given.scenario} has the controller {best.name}; take a scenario with thesis_pid")
+    scenario = load(given.scenario, steps=given.steps)
+    if not isinstance(scenario, Scenario) or scenario.controller.name != "thesis_pid":
+        parser.error(f"{given.scenario} is not controlled by thesis_pid; take a scenario that is")
+    simulation = prepare(scenario)
+    best = scenario.controller
     least = before = cost(simulation, best)
     print(f"as the scenario has it: {before:.4f}")
     rng = np.random.default_rng(given.seed)

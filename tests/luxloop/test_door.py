@@ -13,6 +13,7 @@ import luxloop
 from world.errors import LuxloopError
 
 ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "scenarios" / "examples").glob("*.py"))]
 SMALL = ["camera.width_px=320", "camera.height_px=180"]
 UNITS = r"_(m|deg|s|px|cd|percent)$"
 
@@ -73,3 +74,10 @@ def test_overrides_of_a_loaded_scenario_are_refused(tmp_path: Path) -> None:
     with pytest.raises(LuxloopError, match=r"give them to load\(\)"):
         luxloop.run(luxloop.load("snowflake"), tmp_path / "run", steps=2)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_pages_and_examples_import_from_the_door_or_say_that_they_do_not(page: Path) -> None:
+    text = page.read_text("utf-8")
+    inside = re.search(r"^(?:from|import) (?:world|perception|controllers|loop)\b", text, re.M)
+    assert bool(inside) == bool(re.search(r"\binside\b.*, which may change", text)), f"{page.name} imports from the inside: {inside}"
