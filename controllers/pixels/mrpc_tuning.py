@@ -75,7 +75,6 @@ def part(headlight: Headlight, wanted: Tensor) -> Part:
         pixel_rows=1,
         pixel_cols=len(pixels),
         chroma=None,
-        stored=None,
     )
     spread = pixel_spread(headlight.matrix.transposed, headlight)
     return Part(cropped, wanted.cpu()[window], torch.from_numpy(pixels.astype(np.int64)), window, spread)

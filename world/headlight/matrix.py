@@ -1,12 +1,12 @@
 """The light of one matrix module: a sparse headlight matrix over a light texture (T 2.4, 5.2)."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from world.spmv import Csr, SparseFormat, build, fastest, multiply
+from world.spmv import Csr, multiply
 from world.texels import TexelGrid, bilinear
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # of the channels of linear sRGB
@@ -18,8 +18,7 @@ class Headlight(TexelGrid):
 
     matrix: `[rows * cols, n_p]`, cd of pixel j at texel i at full utilisation. pixel_rows x pixel_cols = n_p pixels, row-major, row 0
     on top, column 0 on the left. chroma: None for one colour, else `[3, nnz]`, linear sRGB of each entry at luminance 1, so that
-    `0.2126 R + 0.7152 G + 0.0722 B = 1` (chromatic edges, T 5.1). stored: the matrix once more in the format that light textures are made
-    with, CSR where it is None; see `with_format`.
+    `0.2126 R + 0.7152 G + 0.0722 B = 1` (chromatic edges, T 5.1).
     """
 
     name: str
@@ -27,7 +26,6 @@ class Headlight(TexelGrid):
     pixel_rows: int
     pixel_cols: int
     chroma: Tensor | None = None
-    stored: SparseFormat | None = field(default=None, compare=False, repr=False)
 
     @property
     def n_pixels(self) -> int:
@@ -40,25 +38,16 @@ class Headlight(TexelGrid):
 
     def scaled(self, factor: float) -> "Headlight":
         """The same light, `factor` times as bright."""
-        return self if factor == 1 else replace(self, matrix=self.matrix.with_values(self.matrix.values * factor), stored=None)
+        return self if factor == 1 else replace(self, matrix=self.matrix.with_values(self.matrix.values * factor))
 
     def dimmed(self, left: Tensor) -> "Headlight":
         """The same light with a share `[n_p]` of each pixel's left."""
         of_entry = left.to(self.matrix.values).index_select(0, self.matrix.indices)
-        return replace(self, matrix=self.matrix.with_values(self.matrix.values * of_entry), stored=None)
+        return replace(self, matrix=self.matrix.with_values(self.matrix.values * of_entry))
 
     def light_texture(self, utilisation: Tensor) -> Tensor:
         """Luminous intensity `[..., rows, cols]` in cd of a utilisation `[..., n_p]` in 0..1: `i = A u` (T 2.4)."""
-        if self.stored is None or utilisation.requires_grad:
-            return multiply(self.matrix, utilisation).unflatten(-1, (self.rows, self.cols))
-        return self.stored.multiply(utilisation).unflatten(-1, (self.rows, self.cols))
-
-    def with_format(self, name: str = "auto") -> "Headlight":
-        """The same light, whose textures are made with the matrix in a format of `world.spmv.FORMATS`; auto is the fastest on its device.
-
-        It costs the format's memory and the time to build it, so it pays where many light textures are made (T 6.1).
-        """
-        return replace(self, stored=fastest(self.matrix) if name == "auto" else build(self.matrix, name))
+        return multiply(self.matrix, utilisation).unflatten(-1, (self.rows, self.cols))
 
     def colour_texture(self, utilisation: Tensor) -> Tensor:
         """Linear sRGB `[..., 3, rows, cols]` in cd, whose luminance is the light texture; a channel is a product of its own (T 5.1)."""
@@ -88,8 +77,7 @@ class Headlight(TexelGrid):
             right=-self.left,
             matrix=Csr(indptr, indices, self.matrix.values.cpu()[entry], self.n_pixels).to(self.matrix.values.device),
             chroma=None if self.chroma is None else self.chroma[:, entry.to(self.chroma.device)],
-            stored=None,
         )
 
     def to(self, device: torch.device) -> "Headlight":
-        return replace(self, matrix=self.matrix.to(device), chroma=None if self.chroma is None else self.chroma.to(device), stored=None)
+        return replace(self, matrix=self.matrix.to(device), chroma=None if self.chroma is None else self.chroma.to(device))

@@ -1,4 +1,8 @@
-"""Sparse matrix-vector products `i = A u` (T 2.5, 5.3), in the format that suits the lamp."""
+"""Sparse matrix-vector products `i = A u` (T 2.5, 5.3).
+
+`Csr` with `multiply` is what lamps are stored in and every run multiplies with. The other formats, `fastest`, `CapturedProduct` and the
+incremental updates are a study (docs/spmv.md) for programs that stream light textures: in a run such products take too small a share.
+"""
 
 from world.spmv.auto import fastest
 from world.spmv.csr import Csr, multiply, row_of_entries, segment_bounds

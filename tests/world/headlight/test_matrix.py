@@ -3,7 +3,6 @@
 import math
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -124,16 +123,3 @@ def test_one_colour_is_white_with_the_light_textures_luminance() -> None:
     u = torch.rand(2, lamp.n_pixels)
     assert lamp.colour_texture(u).shape == (2, 3, lamp.rows, lamp.cols)
     torch.testing.assert_close(lamp.colour_texture(u)[:, 1], lamp.light_texture(u))
-
-
-@pytest.mark.parametrize("name", ["auto", "window", "tiles"])
-def test_a_format_changes_how_textures_are_made_but_not_what_they_are(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    lamp = idealised(8, 16)
-    stored = lamp.with_format(name)
-    u = torch.rand(2, lamp.n_pixels)
-    torch.testing.assert_close(stored.light_texture(u), lamp.light_texture(u), rtol=1e-6, atol=1e-2)
-    torch.testing.assert_close(stored.scaled(2.0).light_texture(u), 2 * lamp.light_texture(u), rtol=1e-6, atol=1e-2)
-    u.requires_grad_()
-    stored.light_texture(u).sum().backward()
-    assert u.grad is not None and float(u.grad.min()) > 0
