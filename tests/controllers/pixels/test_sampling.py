@@ -1,20 +1,15 @@
-"""Earlier ways of control: what each samples, and how they bend a beam."""
-
-import math
+"""Which texels a pixel samples, and the earlier ways of control that this gives (docs/ssc.md)."""
 
 import numpy as np
 import pytest
 import scipy.sparse as sp
 import torch
 
-from controllers.pixels.emulations import EMULATIONS, angle_intensity_bend, matrix_shift_bend
-from controllers.pixels.mrpc import pixel_major
-from controllers.pixels.power import limit_power, pixel_flux
+from controllers.pixels.mrpc import MrpcParams, pixel_major
 from controllers.pixels.primitives import rectangle
 from controllers.pixels.sampling import SAMPLINGS, rectangular, sample_weights
 from controllers.pixels.ssc import Ssc
 from tests.reference import ssc as reference
-from world.errors import LuxloopError
 from world.frames import pose_from_degrees
 from world.headlight import Headlight
 from world.presets import idealised, lamp
@@ -58,7 +53,7 @@ def test_every_pixel_has_its_samples(sampling: str, samples: int, total: float) 
 def test_rendering_is_free_of_anti_aliasing() -> None:
     """One ray a pixel: it is asked for what its middle hits, all or nothing."""
     edge = wall(1.0)
-    hard, soft = (Ssc.prepare(LAMP, params).utilisation(edge, T).u for params in (EMULATIONS["rendering"], None))
+    hard, soft = (Ssc.prepare(LAMP, params).utilisation(edge, T).u for params in (MrpcParams(sampling="brightest"), None))
     assert set(hard.unique().tolist()) == {0.0, 1.0}
     assert len(soft.unique()) > 2
 
@@ -85,10 +80,18 @@ def test_rectangles_fill_gaps_with_a_little_light() -> None:
     assert dense[0, 1] < 2e-3
 
 
-@pytest.mark.parametrize("name", EMULATIONS)
-def test_every_emulation_draws_a_homogeneous_wall(name: str) -> None:
+@pytest.mark.parametrize(
+    "params",
+    [
+        MrpcParams(shape="rectangle", mapping="direct", a_x=0.5),
+        MrpcParams(mapping="maximal"),
+        *(MrpcParams(sampling=sampling) for sampling in SAMPLINGS),
+    ],
+    ids=str,
+)
+def test_every_earlier_way_draws_a_homogeneous_wall(params: MrpcParams) -> None:
     light = lamp("hd84").modules[0].headlight
-    u = Ssc.prepare(light, EMULATIONS[name]).utilisation(wall(0.5, half=100.0), T).u
+    u = Ssc.prepare(light, params).utilisation(wall(0.5, half=100.0), T).u
     torch.testing.assert_close(u, torch.full_like(u, 0.5), rtol=0, atol=1e-5)
 
 
@@ -98,48 +101,4 @@ def test_maximal_influence_asks_the_strongest_for_all() -> None:
         name="two", matrix=Csr.from_scipy(sp.csr_array(A), torch.float64), rows=1, cols=2, left=0.1, right=-0.1, bottom=-0.1, top=0.1,
         pixel_rows=1, pixel_cols=2,
     )  # fmt: skip
-    assert pixel_major(light, EMULATIONS["maximal_influence"]).share.tolist() == [1 / 3, 1 / 2]
-
-
-@pytest.mark.parametrize("bent", [angle_intensity_bend, matrix_shift_bend])
-def test_digital_bends_move_a_column_by_their_angle(bent) -> None:
-    beam = torch.zeros(8, 20)
-    beam[:, 10] = 1
-    pitch = math.radians(1.0)  # 20 columns over 20 deg, nearly
-    one = bent(beam.flatten(), LAMP, pitch).view(8, 20)
-    assert one[:, 9].min() > 0.9
-    half = bent(beam.flatten(), LAMP, pitch / 2).view(8, 20)
-    torch.testing.assert_close(half[:, 9:11], torch.full((8, 2), 0.5), rtol=0, atol=0.05)
-    torch.testing.assert_close(bent(beam.flatten(), LAMP, 0.0).view(8, 20), beam, rtol=0, atol=1e-6)
-    assert not bent(beam.flatten(), LAMP, 1.0).any(), "nothing comes in from beyond the field"
-
-
-@pytest.mark.parametrize("bent", [angle_intensity_bend, matrix_shift_bend])
-def test_one_column_of_pixels_bends_nothing(bent) -> None:
-    with pytest.raises(LuxloopError, match="one column"):
-        bent(torch.ones(4), idealised(4, 1), 0.0)
-
-
-def test_digital_bends_batch() -> None:
-    beams = torch.rand(3, 160, generator=torch.Generator().manual_seed(1))
-    for bent in (angle_intensity_bend, matrix_shift_bend):
-        for k in range(3):
-            assert torch.equal(bent(beams, LAMP, 0.05)[k], bent(beams[k], LAMP, 0.05))
-
-
-def test_a_power_limit_dims_all_alike_and_tells_by_how_much() -> None:
-    u, power = torch.tensor([[0.5, 1.0], [0.1, 0.1]]), torch.tensor([2.0, 4.0])
-    dimmed, factor = limit_power(u, power, 2.5)
-    assert factor.tolist() == [0.5, 1.0]
-    assert dimmed.tolist() == [[0.25, 0.5], u[1].tolist()]
-    assert limit_power(torch.zeros(2), power, 0.0)[1].item() == 1
-    with pytest.raises(LuxloopError, match="below zero"):
-        limit_power(u, power, -1.0)
-
-
-def test_flux_of_pixels_adds_up_to_the_lamp_s() -> None:
-    y, z = LAMP.tangents(torch.float64, torch.device("cpu"))
-    area = (LAMP.left - LAMP.right) * (LAMP.top - LAMP.bottom) / LAMP.n_texels
-    light = LAMP.light_texture(torch.ones(LAMP.n_pixels)).double()
-    expected = (light * area / (1 + y * y + z[:, None] ** 2) ** 1.5).sum().item()
-    assert pixel_flux(LAMP).sum().item() == pytest.approx(expected, rel=1e-4)
+    assert pixel_major(light, MrpcParams(mapping="maximal")).share.tolist() == [1 / 3, 1 / 2]

@@ -1,0 +1,28 @@
+"""The power limit of a lamp, and the flux of its pixels."""
+
+import pytest
+import torch
+
+from controllers.pixels.power import limit_power, pixel_flux
+from world.errors import LuxloopError
+from world.presets import idealised
+
+LAMP = idealised(8, 20)
+
+
+def test_a_power_limit_dims_all_alike_and_tells_by_how_much() -> None:
+    u, power = torch.tensor([[0.5, 1.0], [0.1, 0.1]]), torch.tensor([2.0, 4.0])
+    dimmed, factor = limit_power(u, power, 2.5)
+    assert factor.tolist() == [0.5, 1.0]
+    assert dimmed.tolist() == [[0.25, 0.5], u[1].tolist()]
+    assert limit_power(torch.zeros(2), power, 0.0)[1].item() == 1
+    with pytest.raises(LuxloopError, match="below zero"):
+        limit_power(u, power, -1.0)
+
+
+def test_flux_of_pixels_adds_up_to_the_lamp_s() -> None:
+    y, z = LAMP.tangents(torch.float64, torch.device("cpu"))
+    area = (LAMP.left - LAMP.right) * (LAMP.top - LAMP.bottom) / LAMP.n_texels
+    light = LAMP.light_texture(torch.ones(LAMP.n_pixels)).double()
+    expected = (light * area / (1 + y * y + z[:, None] ** 2) ** 1.5).sum().item()
+    assert pixel_flux(LAMP).sum().item() == pytest.approx(expected, rel=1e-4)
