@@ -70,7 +70,7 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "bl_v": ("axes", "centroid of the bottom left quadrant, v"),
     "br_u": ("axes", "centroid of the bottom right quadrant, u"),
     "br_v": ("axes", "centroid of the bottom right quadrant, v"),
-    "area_ratio": ("1", "area of the extracted symbol, as a multiple of what the flat road would show"),
+    "area_ratio": ("1", "area of the extracted symbol, as a multiple of what the flat road, or one of the acquired shape, would show"),
     "loss": ("", "why the symbol was lost: no_frame, nothing, too_small or too_large; empty where it was seen"),
     "centroid_error_x_percent": ("%", "judge: error of the centroid along x, of the symbol's length"),
     "centroid_error_y_percent": ("%", "judge: error of the centroid along y, of the symbol's width"),

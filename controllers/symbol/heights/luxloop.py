@@ -33,7 +33,8 @@ LEAST_LIT_PX = 20.0  # fewer lit pixels are no symbol
 HEIGHTS = 57  # that a sweep tries
 SEEN_BY = 0.05  # of the usual illuminance a node, with which its brightness is no longer a guess
 LOW_M = {"appearance": 0.1, "place": 0.03}  # heights up to here are found without an acquired shape, for each target
-POOR, SEARCHES = 0.08, 5  # residual above which the whole image is searched again, and how often it is for one road
+POOR, SEARCHES = 0.08, 4  # residual above which the whole image is searched again, and how often it is for one road
+UNEVEN = 0.03  # residual of a shape, above which heights explain the road better than another search would
 SAME_M = 0.05  # between heights under the target that two searches found, if the second shall be the last
 FALLEN = (-0.3, -0.03, 0.0, 0.0)  # shape of the road on which a symbol is looked for that is nowhere in the image
 FARTHEST = 3.0  # of the way to the plane z = 0: where lines of sight end that meet no acquired road
@@ -168,6 +169,7 @@ class Luxloop:
         nodes = torch.stack([*(each.mean for each in found), known.mean, torch.zeros_like(known.mean)])
         *residuals, before, flat = registration.residual(nodes, seen, textures, limit)
         least, best = min(zip(residuals, found, strict=True), key=lambda each: float(each[0]))
+        memory = replace(memory, settled=memory.settled or float(before) > UNEVEN)
         evidence = 0.0 if bool(known.information.any()) else self.params.evidence
         if least > POOR and stances.still and 0 < memory.searched < SEARCHES:
             if (again := self._acquired(memory, look)) is not None:
