@@ -90,7 +90,7 @@ def test_recording_is_complete(tmp_path: Path, small_simulation: Simulation, sma
     table = pq.read_table(directory / "trajectory.parquet")
     assert table.schema.equals(SCHEMA, check_metadata=True)
     assert table.schema.field("pitch_deg").metadata[b"unit"] == b"deg"
-    assert table.to_pylist() == [row(result) for result in small_results]
+    assert table.equals(table_of([row(result) for result in small_results]))
     summary = strict_json(directory / "summary.json")
     assert summary["steps"] == len(small_results)
     assert summary["iou_open"] == pytest.approx(1, abs=0.02)  # open loop on a flat road is the target itself but for shadows and facets
