@@ -82,6 +82,13 @@ def test_no_folders_import_each_other() -> None:
     TopologicalSorter({folder: arrows(folder) for folder in FOLDERS}).prepare()  # raises CycleError, which names them
 
 
+@pytest.mark.parametrize("package", ORDER[:-1])
+def test_package_names_its_folders(package: str) -> None:
+    text = ast.get_docstring(ast.parse((ROOT / package / "__init__.py").read_text())) or ""
+    unnamed = [folder.name for folder in FOLDERS if folder.parent == Path(package) and f"`{folder.name}" not in text]
+    assert not unnamed, f"{package}/__init__.py: say what these offer: {unnamed}"
+
+
 @each_folder
 def test_folder_can_be_held_in_mind(folder: Path) -> None:
     assert sum(module.parent == folder and module.name != "__init__.py" for module in MODULES) <= FULLEST
