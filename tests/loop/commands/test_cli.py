@@ -77,7 +77,7 @@ def test_doctor_for_programs(lux: Lux) -> None:
 
 def test_lists_that_need_no_model_import_no_torch() -> None:
     listing = "for kind in ('scenarios', 'symbols', 'examples'): cli.main(['list', kind])"
-    program = f"import sys\nfrom loop import cli\n{listing}\nassert 'torch' not in sys.modules"
+    program = f"import sys\nfrom loop.commands import cli\n{listing}\nassert 'torch' not in sys.modules"
     subprocess.run([sys.executable, "-c", program], check=True, stdout=subprocess.DEVNULL)
 
 
