@@ -8,13 +8,13 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
+from controllers.symbol.heights.body_filter import BodyFilter, BodyParams
 from controllers.symbol.heights.memory import Memory
 from controllers.symbol.heights.patch import drawn_on, placed
 from controllers.symbol.heights.registration import HEIGHT_M, Heights, Registration
 from controllers.symbol.heights.sight import Sight
 from controllers.symbol.heights.stance import Stances
 from controllers.symbol.heights.sweep import sweep
-from controllers.symbol.heights.swing import BodyParams, Swing
 from controllers.symbol.sensing.aim import aimed, elsewhere
 from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.observer import Observer
@@ -39,7 +39,7 @@ SAME_M = 0.05  # between heights under the target that two searches found, if th
 FALLEN = (-0.3, -0.03, 0.0, 0.0)  # shape of the road on which a symbol is looked for that is nowhere in the image
 FARTHEST = 3.0  # of the way to the plane z = 0: where lines of sight end that meet no acquired road
 ROAD_M = 4e-3  # how well a track's height is known at best
-PITCH_RAD = 5e-4  # usual error of a pitch that is foretold
+PITCH_RAD = 5e-4  # usual error of a pitch that is predicted
 
 Cell = Annotated[float, Field(ge=0.02, le=10)]
 Reach = Annotated[float, Field(ge=0, le=20)]
@@ -67,7 +67,7 @@ class LuxloopParams(Params):
 
 @dataclass(frozen=True)
 class LuxloopState:
-    """memory: what is known of the road, in the ground frame of time_s. swing: of the body, if it is measured. drawing: shown now.
+    """memory: what is known of the road, in the ground frame of time_s. body: what is known of it, if it is measured. drawing: shown now.
 
     level_rad: pitch of the body that the memory's heights are based on. found: the symbol has been seen.
     """
@@ -75,7 +75,7 @@ class LuxloopState:
     memory: Memory
     time_s: float
     drawing: Drawing
-    swing: Swing | None = None
+    body: BodyFilter | None = None
     level_rad: float = 0.0
     found: bool = False
 
@@ -111,8 +111,8 @@ class Luxloop:
 
         What is known of the road tells how the body has pitched since the look before, and what the wheels will come to.
         """
-        swing = self._swung(state.swing, look.ego)
-        now = None if swing is None else swing.caught_up()
+        body = self._filtered(state.body, look.ego)
+        now = None if body is None else body.caught_up()
         stances = Stances.of(look, now, state.time_s)
         memory = state.memory
         if stances.still:
@@ -121,29 +121,29 @@ class Luxloop:
             memory = memory if memory.T_ground_plane.equal(HERE) else self._nothing(self.registration)
             registration = self._fine(stances)
         memory = memory.moved(stances.since, registration.sight.eye)
-        if swing is None or now is None or stances.still or not swing.foretold(stances.time_s):
+        if body is None or now is None or stances.still or not body.predicts(stances.time_s):
             memory = self._looked(registration, memory, look, stances)
             if stances.still and not bool(memory.heights.information.any()):
                 memory = self._guessed(state, look) or memory
         else:
-            memory = memory.levelled(now.level_rad - state.level_rad, swing.pivot_x_m)
+            memory = memory.levelled(now.level_rad - state.level_rad, body.pivot_x_m)
             if look.frames is not None:
-                known, foretold = memory, now.at(stances.time_s).pitch_rad
-                memory = self._looked(registration, known.loosened(PITCH_RAD, swing.pivot_x_m), look, stances)
-                pitched = memory.pitched(known, swing.pivot_x_m)
-                swing = swing.looked(stances.time_s, None if pitched is None else foretold + pitched - now.level_rad)
-                now = swing.caught_up()
-                memory, stances = memory.levelled(now.level_rad - foretold, swing.pivot_x_m), Stances.of(look, now, state.time_s)
-        if swing is not None and look.ego is not None:
-            swing = _previewed(swing, memory, stances.time_s, look.ego)
+                known, predicted = memory, now.at(stances.time_s).pitch_rad
+                memory = self._looked(registration, known.loosened(PITCH_RAD, body.pivot_x_m), look, stances)
+                pitched = memory.pitched(known, body.pivot_x_m)
+                body = body.looked(stances.time_s, None if pitched is None else predicted + pitched - now.level_rad)
+                now = body.caught_up()
+                memory, stances = memory.levelled(now.level_rad - predicted, body.pivot_x_m), Stances.of(look, now, state.time_s)
+        if body is not None and look.ego is not None:
+            body = _previewed(body, memory, stances.time_s, look.ego)
         drawing, level_rad = self._drawn(memory, stances), 0.0 if now is None else now.level_rad
-        return LuxloopState(memory, stances.time_s, drawing, swing, level_rad, state.found or bool(look.seen.code == Loss.SEEN))
+        return LuxloopState(memory, stances.time_s, drawing, body, level_rad, state.found or bool(look.seen.code == Loss.SEEN))
 
-    def _swung(self, before: Swing | None, ego: Ego | None) -> Swing | None:
-        """What is known of the body after a measurement, if there is one; one without axles does not swing."""
+    def _filtered(self, before: BodyFilter | None, ego: Ego | None) -> BodyFilter | None:
+        """What is known of the body after a measurement, if there is one; one without axles has no filter."""
         if ego is None or ego.pivot_x_m == ego.rear_x_m:
             return before
-        return Swing.first(self.params.body, ego, self.reach_m, self.projector.params.x_m) if before is None else before.updated(ego)
+        return BodyFilter.first(self.params.body, ego, self.reach_m, self.projector.params.x_m) if before is None else before.updated(ego)
 
     def _looked(self, registration: Registration, memory: Memory, look: Look, stances: Stances) -> Memory:
         """What is known after a look: nothing, where heights do not explain it."""
@@ -270,14 +270,14 @@ class Luxloop:
         )
 
 
-def _previewed(swing: Swing, memory: Memory, time_s: float, ego: Ego) -> Swing:
+def _previewed(body: BodyFilter, memory: Memory, time_s: float, ego: Ego) -> BodyFilter:
     """With the road that the wheels will come to, as it is known at a time when it has left the light."""
-    way_m, driven_m = swing.unseen(), swing.way_m + swing.speed_m_s * (time_s - swing.time_s)
+    way_m, driven_m = body.unseen(), body.way_m + body.speed_m_s * (time_s - body.time_s)
     x = (way_m - driven_m).to(memory.eye)
     aside = ego.yaw_rate_rad_s / ego.speed_m_s.clamp(min=1.0) * (x - ego.rear_x_m) ** 2 / 2
-    half_m = swing.params.track_m / 2
+    half_m = body.params.track_m / 2
     heights, information = memory.tracks(x.expand(2, -1), torch.stack([aside + half_m, aside - half_m]))
-    return swing.seen(way_m, heights, ROAD_M**2 + 1 / information.clamp(min=1e-3))
+    return body.seen(way_m, heights, ROAD_M**2 + 1 / information.clamp(min=1e-3))
 
 
 def _believed(memory: Memory, heights: Tensor) -> Memory:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 from torch import Tensor
 
-from controllers.symbol.heights.swing import Swing, exact
+from controllers.symbol.heights.body_filter import BodyFilter, exact
 from controllers.symbol.sensing.protocol import Look
 from controllers.symbol.sensing.shape import HERE
 from world.frames import inverse
@@ -26,20 +26,20 @@ class Stances:
     following: Tensor = HERE
 
     @classmethod
-    def of(cls, look: Look, swing: Swing | None, before_s: float) -> "Stances":
-        """With the swing as it is known now; without one the vehicle stands. before_s: time_s of the look before."""
+    def of(cls, look: Look, body: BodyFilter | None, before_s: float) -> "Stances":
+        """With the body as it is known now; without one the vehicle stands. before_s: time_s of the look before."""
         now, then = look.ego, look.shown.ego
-        if now is None or then is None or swing is None:
+        if now is None or then is None or body is None:
             return cls()
         seen_s, next_s = then.time_s + then.age_s, now.time_s + now.age_s + now.period_s
         half_s = now.period_s / 2
         return cls(
             seen_s,
             exact(then.way(seen_s - before_s)),
-            swing.T_ground_body(seen_s),
-            exact(then.way(half_s)) @ swing.T_ground_body(seen_s + half_s),
+            body.T_ground_body(seen_s),
+            exact(then.way(half_s)) @ body.T_ground_body(seen_s + half_s),
             exact(now.way(next_s - seen_s)),
-            swing.T_ground_body(next_s),
+            body.T_ground_body(next_s),
         )
 
     @property

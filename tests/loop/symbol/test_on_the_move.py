@@ -1,4 +1,4 @@
-"""Road memory, the body's swing and where light is exposed: against closed forms, then in a small closed loop on the move."""
+"""Road memory, the body filter and where light is exposed: against closed forms, then in a small closed loop on the move."""
 
 import math
 from dataclasses import dataclass, replace
@@ -10,13 +10,13 @@ import torch
 from scipy.signal import lsim
 from torch import Tensor
 
+from controllers.symbol.heights.body_filter import CELL_M, BodyFilter, BodyParams
 from controllers.symbol.heights.feedforward import relief_of
 from controllers.symbol.heights.luxloop import Luxloop, laid
 from controllers.symbol.heights.memory import Memory
 from controllers.symbol.heights.registration import Heights
 from controllers.symbol.heights.sight import Sight
 from controllers.symbol.heights.springs import PARTS, followed
-from controllers.symbol.heights.swing import CELL_M, BodyParams, Swing
 from loop.scenario.model import load
 from loop.symbol.simulation import Simulation
 from perception.birdseye import Region
@@ -103,17 +103,17 @@ def nodding(time_s: float, hz: float = 1.2, amplitude: float = math.radians(0.2)
     return Ego(time_s, 1 / 30, 1 / 30, attitude, rates, torch.tensor(10.0), torch.tensor(0.0), -2.2, -3.6)
 
 
-def test_a_swing_is_foretold_two_periods_ahead() -> None:
-    swing, worst, linear = Swing.first(BODY, nodding(0), 16.0, 17.0), 0.0, 0.0
+def test_a_nod_is_predicted_two_periods_ahead() -> None:
+    body, worst, linear = BodyFilter.first(BODY, nodding(0), 16.0, 17.0), 0.0, 0.0
     for k in range(60):
         now, then = nodding(k / 30), nodding((k + 2) / 30)
-        swing = swing.updated(now)
+        body = body.updated(now)
         if k > 10:
-            worst = max(worst, float((swing.T_ground_body(then.time_s) - then.T_ground_body.double())[2, 0].abs()))
+            worst = max(worst, float((body.T_ground_body(then.time_s) - then.T_ground_body.double())[2, 0].abs()))
             linear = max(linear, float((now.after(2 / 30).T_ground_body - then.T_ground_body)[2, 0].abs()))
     # the oscillator is taken to be 8 % faster: its acceleration is off by 17 %, and known from noisy sensors a period late
     assert worst < 0.2 * linear
-    assert swing.updated(now) is swing, "the same measurement says nothing new"
+    assert body.updated(now) is body, "the same measurement says nothing new"
 
 
 def test_a_mode_follows_what_is_under_it_as_a_linear_system_does() -> None:
@@ -147,12 +147,12 @@ def springs(factor: float) -> dict[str, float]:
 
 
 @dataclass(frozen=True)
-class Linear(Swing):
+class Linear(BodyFilter):
     """No filter: the body goes on at the rates that were measured last."""
 
     ego: Ego | None = None
 
-    def foretold(self, time_s: float) -> bool:
+    def predicts(self, time_s: float) -> bool:
         return False
 
     def T_ground_body(self, time_s: float) -> Tensor:
@@ -161,7 +161,7 @@ class Linear(Swing):
 
 
 class Unfiltered(Luxloop):
-    def _swung(self, before: Swing | None, ego: Ego | None) -> Swing | None:
+    def _filtered(self, before: BodyFilter | None, ego: Ego | None) -> BodyFilter | None:
         assert ego is not None
         first = Linear.first(self.params.body, ego, self.reach_m, self.projector.params.x_m)
         return replace(cast(Linear, first if before is None else before.updated(ego)), ego=ego)
@@ -169,26 +169,26 @@ class Unfiltered(Luxloop):
 
 def driven(
     known: bool, steps: int = 30, speed_m_s: float = 20.0, suspension: float = 1.0, belief: BodyParams = BODY
-) -> tuple[list[float], list[float], Swing]:
-    """By how many m the height of the symbol's place over the body is predicted wrong, 0.1 s ahead, linearly too, and the last swing."""
+) -> tuple[list[float], list[float], BodyFilter]:
+    """Errors in m of the height of the symbol's place over the body, predicted 0.1 s ahead by the filter and linearly, and the filter."""
     params = VehicleParams(course=(CourseParams(speed_m_s=speed_m_s),), suspension=SuspensionParams(**springs(suspension)))
     motion, place = drive(params, cast(Any, Long()), steps / 30 + 1), torch.tensor([17.0, 1.0, 0.0, 1.0]).double()
-    errors, linear, swing = [], [], None
+    errors, linear, body = [], [], None
     for step in range(steps):
         ego = measured(motion, SensorParams(), step, 1 / 30, 0, torch.zeros(1, dtype=torch.float64))
-        swing = Swing.first(belief, ego, 16.0, 17.0) if swing is None else swing.updated(ego)
-        way = swing.unseen()
+        body = BodyFilter.first(belief, ego, 16.0, 17.0) if body is None else body.updated(ego)
+        way = body.unseen()
         heights = torch.from_numpy(np.stack([Long().z(way.numpy(), np.full(len(way), side * BODY.track_m / 2)) for side in (1, -1)]))
-        swing = swing.seen(way, heights, torch.full_like(heights, 1e-8 if known else 1e4))
+        body = body.seen(way, heights, torch.full_like(heights, 1e-8 if known else 1e4))
         then = ego.time_s + 0.1
         true = motion.at(then).T_ground_body
-        errors.append(float((true - swing.T_ground_body(then))[2] @ place))
+        errors.append(float((true - body.T_ground_body(then))[2] @ place))
         linear.append(float((true - ego.after(0.1).T_ground_body)[2] @ place))
-    assert swing is not None
-    return errors[10:], linear[10:], swing
+    assert body is not None
+    return errors[10:], linear[10:], body
 
 
-def test_a_body_is_foretold_on_a_road_that_was_seen_and_not_on_another() -> None:
+def test_a_body_is_predicted_on_a_road_that_was_seen_and_not_on_another() -> None:
     known, unknown = driven(True)[0], driven(False)[0]
     # cells of 0.2 m are linear: curvature 0.02 (2 pi / 6)^2 times 0.2^2 / 8 is 0.1 mm at both axles, by the lever of 19 m over 2.8 m
     assert max(map(abs, known)) < 2e-3
@@ -222,20 +222,20 @@ def test_a_wrong_belief_of_the_springs_costs_little_and_no_filter_much(suspensio
 
 
 @pytest.mark.parametrize("speed_m_s", [0.0, 3.7, 40.0])
-def test_what_is_known_of_the_swing_stays_a_covariance(speed_m_s: float) -> None:
-    *_, swing = driven(True, 60, speed_m_s)
-    assert torch.equal(swing.covariance, swing.covariance.T)
-    assert float(torch.linalg.eigvalsh(swing.covariance)[0]) > -1e-12  # of squares of cm
+def test_what_is_known_of_the_body_stays_a_covariance(speed_m_s: float) -> None:
+    *_, body = driven(True, 60, speed_m_s)
+    assert torch.equal(body.covariance, body.covariance.T)
+    assert float(torch.linalg.eigvalsh(body.covariance)[0]) > -1e-12  # of squares of cm
     # the strip goes along with the wheels, by whole cells
-    assert swing.start_m + CELL_M <= swing.way_m + swing.axles_m[1] or speed_m_s == 0
-    assert swing.way_m == pytest.approx(speed_m_s * swing.time_s)
+    assert body.start_m + CELL_M <= body.way_m + body.axles_m[1] or speed_m_s == 0
+    assert body.way_m == pytest.approx(speed_m_s * body.time_s)
 
 
 def test_looks_tell_how_the_body_pitches_between_them_and_not_how_the_road_lies() -> None:
     """A period late sensors with errors, looks without: by these the body is known better, whatever the road's tilt."""
     errors: dict[bool, list[float]] = {False: [], True: []}
     for looks, found in errors.items():
-        generator, swing = torch.Generator().manual_seed(5), None
+        generator, body = torch.Generator().manual_seed(5), None
         for k in range(90):
             ego = nodding(max(k - 1, 0) / 30)
             ego = replace(
@@ -243,11 +243,11 @@ def test_looks_tell_how_the_body_pitches_between_them_and_not_how_the_road_lies(
                 attitude=ego.attitude + 2e-4 * torch.randn(3, generator=generator),
                 rates=ego.rates + 2e-3 * torch.randn(3, generator=generator),
             )
-            swing = Swing.first(BODY, ego, 16.0, 17.0) if swing is None else swing.updated(ego)
+            body = BodyFilter.first(BODY, ego, 16.0, 17.0) if body is None else body.updated(ego)
             before, now = (float(nodding(t / 30).attitude[2]) for t in (k - 1, k))
             if looks:
-                swing = swing.looked(k / 30, now - before if k else None)
-            found.append(swing.caught_up().at(k / 30).pitch_rad - now)
+                body = body.looked(k / 30, now - before if k else None)
+            found.append(body.caught_up().at(k / 30).pitch_rad - now)
     spread = {looks: float(np.sqrt(np.mean(np.square(found[15:])))) for looks, found in errors.items()}
     assert spread[True] < 0.85 * spread[False]
     assert abs(float(np.mean(errors[True][15:]))) < spread[True] / 2, "nothing adds up"

@@ -1,4 +1,4 @@
-"""How the body swings on its springs: a Kalman filter of the body and of the road that its wheels are on and will come to.
+"""A Kalman filter of the body on its springs and of the road that its wheels are on and will come to.
 
 The rear wheels roll where the front wheels did, and these where the road was seen before: so much of what shakes the body is known.
 """
@@ -40,7 +40,7 @@ class BodyParams(Params):
 
 
 @dataclass(frozen=True)
-class Swing:
+class BodyFilter:
     """What is known of the body and the road at time_s: mean `[n]` and covariance `[n, n]` of a state, float64 on the CPU.
 
     State: heave in m, roll and pitch in rad, as the road shakes them, and their rates; the same three as other things shake them, their
@@ -64,7 +64,7 @@ class Swing:
     looks: tuple[tuple[float, float | None], ...] = ()
 
     @classmethod
-    def first(cls, params: BodyParams, ego: Ego, reach_m: float, symbol_x_m: float) -> "Swing":
+    def first(cls, params: BodyParams, ego: Ego, reach_m: float, symbol_x_m: float) -> "BodyFilter":
         """After the first measurement, with a strip up to reach_m ahead."""
         front, rear = 2 * ego.pivot_x_m - ego.rear_x_m, ego.rear_x_m
         start = math.floor((rear - BEHIND_M) / CELL_M) * CELL_M
@@ -72,12 +72,10 @@ class Swing:
         covariance = torch.diag(torch.tensor(FIRST, dtype=torch.float64).square().repeat_interleave(3))
         covariance = torch.block_diag(covariance, covariance[:1, :1], *(share * (UNEVEN_M**2 + _walk(count)) for share in (0.5, 2.0)))
         mean = torch.zeros(BODY + 2 * count, dtype=torch.float64)
-        swing = cls(
-            params, ego.time_s, 0.0, float(ego.speed_m_s), start, start, (front, rear), mean, covariance, symbol_x_m - ego.pivot_x_m
-        )
+        body = cls(params, ego.time_s, 0.0, float(ego.speed_m_s), start, start, (front, rear), mean, covariance, symbol_x_m - ego.pivot_x_m)
         rest = torch.eye(len(mean), dtype=torch.float64)
-        rest[:3, BODY:] = swing._bases(torch.zeros(1, dtype=torch.float64))[0]  # the body rests on the road
-        return replace(swing, covariance=rest @ covariance @ rest.T)._measured(ego)
+        rest[:3, BODY:] = body._bases(torch.zeros(1, dtype=torch.float64))[0]  # the body rests on the road
+        return replace(body, covariance=rest @ covariance @ rest.T)._measured(ego)
 
     @property
     def pivot_x_m(self) -> float:
@@ -94,42 +92,42 @@ class Swing:
         """The same at the last look that is taken in, as it is known now."""
         return float(self.mean[LEVEL])
 
-    def updated(self, ego: Ego) -> "Swing":
+    def updated(self, ego: Ego) -> "BodyFilter":
         """After another measurement; one that was there before changes nothing."""
         if ego.time_s <= self.time_s:
             return self
         past = tuple(look for look in self.looks if look[0] <= ego.time_s)
-        swing = replace(self, speed_m_s=float(ego.speed_m_s), looks=past).caught_up().at(ego.time_s)._measured(ego)
-        return replace(swing, looks=self.looks[len(past) :])
+        body = replace(self, speed_m_s=float(ego.speed_m_s), looks=past).caught_up().at(ego.time_s)._measured(ego)
+        return replace(body, looks=self.looks[len(past) :])
 
-    def foretold(self, time_s: float) -> bool:
+    def predicts(self, time_s: float) -> bool:
         """Whether nothing was measured yet after a time."""
         return time_s > self.time_s - 1e-6
 
-    def looked(self, time_s: float, pitched_rad: float | None) -> "Swing":
+    def looked(self, time_s: float, pitched_rad: float | None) -> "BodyFilter":
         """With another look, after which the body had pitched by so much since the one before."""
         return replace(self, looks=(*self.looks, (time_s, pitched_rad)))
 
-    def caught_up(self) -> "Swing":
+    def caught_up(self) -> "BodyFilter":
         """At the time of the last look, with all of them taken in."""
-        swing = self
+        body = self
         for time_s, pitched_rad in self.looks:
-            swing = swing.at(time_s)
-            row = swing._pitch()
+            body = body.at(time_s)
+            row = body._pitch()
             row[LEVEL] -= 1
             if pitched_rad is not None:
-                swing = swing._learnt(row[None], torch.tensor([pitched_rad]).double(), torch.tensor([PITCH_SEEN**2]).double())
+                body = body._learnt(row[None], torch.tensor([pitched_rad]).double(), torch.tensor([PITCH_SEEN**2]).double())
             taken = torch.eye(len(row), dtype=torch.float64)
-            taken[LEVEL] = swing._pitch()
-            swing = replace(swing, mean=taken @ swing.mean, covariance=taken @ swing.covariance @ taken.T)
-        return replace(swing, looks=())
+            taken[LEVEL] = body._pitch()
+            body = replace(body, mean=taken @ body.mean, covariance=taken @ body.covariance @ taken.T)
+        return replace(body, looks=())
 
     def unseen(self) -> Tensor:
         """How far along the way the strip's cells are that were not seen yet: `[k]` m."""
         cells = self._cells()
         return cells[cells > self.known_m + CELL_M / 2]
 
-    def seen(self, way_m: Tensor, heights: Tensor, variance: Tensor) -> "Swing":
+    def seen(self, way_m: Tensor, heights: Tensor, variance: Tensor) -> "BodyFilter":
         """After the road was seen so far `[k]` m along the way: heights `[2, k]` m of left and right track, of variance `[2, k]` m^2."""
         if not len(way_m):
             return self
@@ -142,12 +140,12 @@ class Swing:
         body = self._transition(time_s - self.time_s) @ self.mean
         return body_pose(_shaken(0, BODY) @ body, self.pivot_x_m)
 
-    def _measured(self, ego: Ego) -> "Swing":
+    def _measured(self, ego: Ego) -> "BodyFilter":
         rows = torch.cat([_shaken(0, len(self.mean)), _shaken(1, len(self.mean))])
         values = torch.cat([exact(ego.attitude), exact(ego.rates)])
         return self._learnt(rows, values, torch.tensor(NOISE, dtype=torch.float64).square().flatten())
 
-    def _learnt(self, rows: Tensor, values: Tensor, variance: Tensor) -> "Swing":
+    def _learnt(self, rows: Tensor, values: Tensor, variance: Tensor) -> "BodyFilter":
         """After values `[k]` of rows `[k, n]` times the state were found."""
         shared = rows @ self.covariance
         gain = torch.linalg.solve(shared @ rows.T + torch.diag(variance), shared).T
@@ -158,7 +156,7 @@ class Swing:
         heave, _, pitch = _shaken(0, len(self.mean))
         return pitch - heave / self.distance_m
 
-    def at(self, time_s: float) -> "Swing":
+    def at(self, time_s: float) -> "BodyFilter":
         """At another time, at this speed; the strip goes along by whole cells."""
         duration_s = time_s - self.time_s
         body, strip = self._transition(duration_s), slice(BODY, None)
