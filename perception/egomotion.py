@@ -33,6 +33,9 @@ class SensorParams(Params):
 EXACT: Final = SensorParams()
 
 
+STANDS_M_S = 0.1  # slower than anybody drives, and more than the noise of a speed sensor at rest
+
+
 @dataclass(frozen=True)
 class Ego:
     """The vehicle's motion as measured at `time_s`, `age_s` before the step's on frame is exposed.
@@ -51,6 +54,11 @@ class Ego:
     yaw_rate_rad_s: Tensor
     pivot_x_m: float
     rear_x_m: float
+
+    @property
+    def stands(self) -> bool:
+        """Whether the vehicle stands, as far as its sensors can say."""
+        return bool(self.speed_m_s.abs() < STANDS_M_S)
 
     @property
     def T_ground_body(self) -> Tensor:

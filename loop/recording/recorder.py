@@ -50,7 +50,7 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "cut_right": ("1", "share cut at the right border"),
     "cut_top": ("1", "share cut at the upper border"),
     "cut_bottom": ("1", "share cut at the lower border"),
-    "aim_x_m": ("m", "place on the road where the symbol is aimed, since its target cannot be lit; null for the target"),
+    "aim_x_m": ("m", "place on the road where the symbol is aimed, since its target cannot be lit as asked; null for the target"),
     "aim_y_m": ("m", "the same to the left"),
     "e_x": ("axes", "error of the centre along u, seen minus target"),
     "e_y": ("axes", "error of the centre along v"),

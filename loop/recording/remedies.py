@@ -22,8 +22,8 @@ def remedies(values: dict[str, Any]) -> list[str]:
     is_cut = cut is not None and cut > CUT
     found = [_cut(cut, values["cut_side"])] if is_cut else []
     if values["aim"] is not None:
-        ahead = f"{values['aim'][0]:.3g} m ahead"
-        found.append(f"the lamps cannot light the target on this road; the symbol lies {ahead}, the nearest place they can")
+        place = f"lies on it {values['aim'][0]:.3g} m ahead, the nearest place that the lamps light"
+        found.append(f"on this road the target cannot be lit as asked; the symbol {place}")
     if why is not None and not ((is_cut or values["aim"] is not None) and why in ("lost", "off_target")):
         found.append(_why_unsettled(values))
     if why is None and values["controller"] != "open" and (values["iou_final"] or 0.0) < (values["iou_open"] or 0.0):

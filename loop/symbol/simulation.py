@@ -151,7 +151,7 @@ class Simulation:
             ego = self.world.ego(state.step)
             shown = (*state.shown, Shown(drawing, lights, ego))
             late = self.scenario.camera.latency_steps
-            seen = self.observer.look(frames, shown[0].drawing, shown[0].lights, state.shape)
+            seen = self.observer.look(frames, shown[0].drawing, shown[0].lights, state.shape if ego.stands else None)
         with _timed(timings, "control"):
             controller = self.controller.step(state.controller, Look(seen, frames, shown[0], ego))
         timings["step"] = sum(timings.values())
@@ -159,7 +159,7 @@ class Simulation:
             verdict = self.judge(lights, time_s)
         following = SimulationState(state.step + 1, controller, plant, shown[-late:] if late else (), seen.shape)
         z = torch.zeros_like(drawing.pose[..., 0]) if drawing.z is None else drawing.z
-        aim = torch.full((2,), torch.nan) if drawing.aim is None else drawing.aim
+        aim = drawing.pose.new_full((2,), torch.nan) if drawing.aim is None else drawing.aim.to(drawing.pose)
         return following, StepResult(
             state.step, time_s, drawing.pose, z, lights, frames, seen, verdict, cut(self.projector, drawing), aim, timings
         )

@@ -34,7 +34,7 @@ HEIGHTS = 57  # that a sweep tries
 SEEN_BY = 0.05  # of the usual illuminance a node, with which its brightness is no longer a guess
 LOW_M = {"appearance": 0.1, "place": 0.03}  # heights up to here are found without an acquired shape, for each target
 POOR, SEARCHES = 0.08, 4  # residual above which the whole image is searched again, and how often it is for one road
-UNEVEN = 0.03  # residual of a shape, above which heights explain the road better than another search would
+UNEVEN = 0.03  # residual of what was known, above which heights explain the road better than another search would
 SAME_M = 0.05  # between heights under the target that two searches found, if the second shall be the last
 FALLEN = (-0.3, -0.03, 0.0, 0.0)  # shape of the road on which a symbol is looked for that is nowhere in the image
 FARTHEST = 3.0  # of the way to the plane z = 0: where lines of sight end that meet no acquired road
@@ -134,7 +134,7 @@ class Luxloop:
                 body = body.looked(stances.time_s, None if pitched is None else predicted + pitched - now.level_rad)
                 now = body.caught_up()
                 memory, stances = memory.levelled(now.level_rad - predicted, body.pivot_x_m), Stances.of(look, now, state.time_s)
-        if body is not None and look.ego is not None:
+        if body is not None and look.ego is not None and memory.T_ground_plane.equal(HERE):
             body = _previewed(body, memory, stances.time_s, look.ego)
         drawing, level_rad = self._drawn(memory, stances), 0.0 if now is None else now.level_rad
         return LuxloopState(memory, stances.time_s, drawing, body, level_rad, state.found or bool(look.seen.code == Loss.SEEN))
@@ -149,9 +149,9 @@ class Luxloop:
         """What is known after a look: nothing, where heights do not explain it."""
         if look.frames is None:
             return memory
-        frames, textures = look.frames, self.projector.textures(look.shown.lights)
+        frames, textures, searched = look.frames, self.projector.textures(look.shown.lights), memory.searched
         if stances.still and self._unsure(memory, look.shown):
-            memory = self._acquired(memory, look) or self._nothing(self.registration)
+            memory = self._acquired(memory, look) or memory
             registration = self.over(memory.T_ground_plane)[1]
         nothing = self._nothing(self.registration if stances.still else registration)
         fine = registration.sight
@@ -171,7 +171,7 @@ class Luxloop:
         least, best = min(zip(residuals, found, strict=True), key=lambda each: float(each[0]))
         memory = replace(memory, settled=memory.settled or float(before) > UNEVEN)
         evidence = 0.0 if bool(known.information.any()) else self.params.evidence
-        if least > POOR and stances.still and 0 < memory.searched < SEARCHES:
+        if least > POOR and stances.still and 0 < memory.searched == searched < SEARCHES:
             if (again := self._acquired(memory, look)) is not None:
                 return again
             memory = replace(memory, searched=SEARCHES)
@@ -200,7 +200,7 @@ class Luxloop:
     def _guessed(self, state: LuxloopState, look: Look) -> Memory | None:
         """A road to look for the symbol on that is not in the image, though it is shown for the road that was believed.
 
-        Half as high or low as that was; a flat one falls. None where the symbol has been seen before: something hides it.
+        Half as high or low as that; after a flat road one that falls, unless the symbol has been seen before, so that something hides it.
         """
         lost, before = look.seen.acquired, state.memory.shape
         if lost is None or lost.found or not look.shown.drawing.shows(state.drawing):

@@ -39,11 +39,11 @@ class Lifting:
 
     def step(self, state: LiftingState, look: Look) -> LiftingState:
         """Step the controller by what was drawn for the road as it is known; the errors of earlier light are those of another plant."""
+        if not _same(look.shown.drawing.shape, state.shape):
+            return state
         shape, losses = self._known(state, look)
         if not _same(shape, state.shape):
             return LiftingState(self.inner.start(self.projector.target), shape)
-        if not _same(look.shown.drawing.shape, shape):
-            return state
         if shape is not None:
             drawing = replace(look.shown.drawing, shape=None)
             look = replace(look, shown=replace(look.shown, drawing=drawing, lights=self.projector.draw(drawing)))
@@ -51,17 +51,16 @@ class Lifting:
 
     def _known(self, state: LiftingState, look: Look) -> tuple[Tensor | None, int]:
         """The road's shape after a look, None on the move, which shapes do not follow, and how often in a row the symbol was lost on it."""
-        moving = look.ego is not None and bool(look.ego.speed_m_s != 0)
+        moving = look.ego is not None and not look.ego.stands
         if look.seen.code.dim() or moving:
             return None, 0
         if look.seen.code == Loss.SEEN:
-            return self._beyond(look) if look.seen.acquired is None else look.seen.shape, 0
+            return self._beyond(state.shape, look) if look.seen.acquired is None else look.seen.shape, 0
         losses = state.losses + int(state.shape is not None and look.seen.code != Loss.NO_FRAME)
         return (None, 0) if losses == LOSSES else (state.shape, losses)
 
-    def _beyond(self, look: Look) -> Tensor | None:
-        """The shape on which the symbol was looked for, or that of a farther road where the symbol reaches the footprint's ends."""
-        known = look.seen.shape
+    def _beyond(self, known: Tensor | None, look: Look) -> Tensor | None:
+        """The known shape, or that of a road farther off where the symbol reaches the footprint's ends."""
         if look.frames is None or not self.observer.at_ends(look.seen):
             return known
         found = self.observer.acquire(look.frames, look.shown.lights)

@@ -18,6 +18,7 @@ def cut(projector: Projector, drawing: Drawing) -> Tensor:
     A place is cut where no module has a texel in its direction. It counts for one side: of the module whose field is nearest, the one that
     it is furthest beyond. NaN where no symbol is drawn.
     """
+    drawing = projector.on_road(drawing)
     rows, cols = (n // EVERY for n in CELLS)
     v, u = ((torch.arange(n).to(projector.symbol) + 0.5) / n for n in (rows, cols))
     rectangle = projector.rectangle(drawing)

@@ -65,19 +65,26 @@ class Observer:
         """Look at the on and off frames `[height, width]` (digital numbers) that show the light of a drawing.
 
         frames: None where the camera lost them. lights: the utilisations that were shown, one a module. shape: `[4]` of the road that the
-        look before found, None for a flat one. Of a batch `[..., height, width]` nothing is searched for.
+        look before found, None for a flat one; it is forgotten where the symbol is seen as on a flat road and no longer well on this one.
+        Of a batch `[..., height, width]` nothing is searched for.
         """
         if frames is None:
             return replace(self.lost(drawing.pose, Loss.NO_FRAME), shape=shape)
-        shape = shape if drawing.shape is None else drawing.shape
-        seen = self._expected(frames, drawing, lights, shape)
-        if seen.code.dim() or seen.code == Loss.SEEN:
+        seen = self._expected(frames, drawing, lights, shape if drawing.shape is None else drawing.shape)
+        if seen.code.dim():
+            return seen
+        if drawing.shape is None and shape is not None and (seen.code != Loss.SEEN or self.at_ends(seen)):
+            flat = self._expected(frames, drawing, lights, None)
+            seen = flat if flat.code == Loss.SEEN and not self.at_ends(flat) else seen
+        if seen.code == Loss.SEEN:
             return seen
         acquired = self.acquire(frames, lights)
         if not acquired.found:
             return replace(seen, acquired=acquired)
         found = self._expected(frames, drawing, lights, acquired.shape)
-        return replace(found, code=torch.zeros_like(found.code), acquired=acquired) if found.symbol.numel() else seen
+        if not found.symbol.numel():
+            return replace(seen, acquired=acquired)
+        return replace(found, code=torch.zeros_like(found.code), acquired=acquired)
 
     def acquire(self, frames: tuple[Tensor, Tensor], lights: Sequence[Utilisation]) -> Acquired:
         """Search the whole of on and off frames for lights `[n_p]`, one a module."""

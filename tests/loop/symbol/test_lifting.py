@@ -7,6 +7,7 @@ import torch
 
 from controllers.symbol.laws.lifting import LOSSES, Lifting
 from controllers.symbol.sensing.drawing import Drawing
+from controllers.symbol.sensing.field import cut
 from controllers.symbol.sensing.protocol import Look, Shown
 from loop.run import prepare
 from loop.scenario.model import load
@@ -127,3 +128,32 @@ def test_a_symbol_that_goes_on_beyond_its_footprint_is_searched_for() -> None:
     state, result = prepared.step(prepared.start())
     assert result.seen.code == Loss.SEEN and result.seen.shape is None
     assert state.controller.shape is not None
+
+
+def test_late_looks_at_light_for_another_road_do_not_change_the_road() -> None:
+    road = "road={kind='step', x_m=12.0, height_m=0.4, ramp_m=0.5}"
+    changes = [*SMALL, road, "controller={name='model_reference'}", "camera.latency_steps=2"]
+    prepared = prepare(load("snowflake", changes, steps=12), "cpu")
+    state, shapes = prepared.start(), []
+    for _ in range(12):
+        state, result = prepared.step(state)
+        shapes.append(state.controller.shape)
+    assert shapes[-1] is not None and all(shape is shapes[-1] or shape.equal(shapes[-1]) for shape in shapes[-5:])
+    assert float(result.verdict.iou) > 0.6  # 0.46 while three shapes follow each other for ever
+
+
+@pytest.mark.parametrize("height", [0.4, 0.8, -0.5])
+def test_a_symbol_on_a_road_that_is_flat_again_is_seen_whole(flat: Simulation, height: float) -> None:
+    drawing = Drawing(flat.projector.target)
+    lights = flat.projector.draw(drawing)
+    _, frames = flat.plant.show(flat.plant.start(), lights, 0)
+    seen = flat.observer.look(frames, drawing, lights, torch.tensor([height, 0.0, 0.0, 0.0]))
+    assert seen.code == Loss.SEEN
+    assert seen.errors.abs().max() < 0.5, "noise; a crop that cuts the symbol off moves its centroid by pixels"
+
+
+def test_what_is_cut_of_a_lifted_symbol_is_that_of_the_lifted_one(flat: Simulation) -> None:
+    drawing = Drawing(torch.tensor([13.0, 0.0, 0.0, 0.0]))
+    lifted = replace(drawing, shape=torch.zeros(4))
+    # a patch has other cells than the symbol's rectangle
+    torch.testing.assert_close(cut(flat.projector, lifted), cut(flat.projector, drawing), rtol=0, atol=0.01)
