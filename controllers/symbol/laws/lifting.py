@@ -10,6 +10,7 @@ from controllers.symbol.sensing.observer import Observer
 from controllers.symbol.sensing.protocol import Look, SymbolController
 from perception.extraction import Loss
 
+SURE = 0.85  # match with which a road is believed though the symbol is seen as on another; on grades it is above 0.9
 LOSSES = 4  # in a row, after which a shape is given up: more than after which controllers show their target again
 
 
@@ -65,7 +66,7 @@ class Lifting:
             return known
         found = self.observer.acquire(look.frames, look.shown.lights)
         risen = found.shape[0] - (0.0 if known is None else known[0])
-        return found.shape if found.found and risen.abs() > self.observer.params.footprint_margin_m else known
+        return found.shape if found.match > SURE and found.found and risen.abs() > self.observer.params.footprint_margin_m else known
 
 
 def _same(a: Tensor | None, b: Tensor | None) -> bool:

@@ -140,7 +140,8 @@ def test_ray_caster_and_rasteriser_give_the_same_run(small_scenario: Scenario, t
 @pytest.mark.parametrize("name", [name for name in COLUMNS if name not in ("step", "loss") and not name.endswith("_ms")])
 def test_every_column_is_held_at_its_tolerance(table: pa.Table, name: str) -> None:
     # a tenth of the tolerance is far above rounding
-    values, tolerance = table[name].to_numpy(), RAW[name][0]
+    values, tolerance = np.nan_to_num(table[name].to_numpy()), RAW[name][0]  # of an ordinary symbol there is no aim
+    table = changed(table, name, values)
     assert compare(table, changed(table, name, values + 0.9 * tolerance), RAW) == ()
     found = compare(table, changed(table, name, values + 1.1 * tolerance), RAW)
     assert [difference.column for difference in found] == [name]

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from controllers.symbol.laws.lifting import LOSSES, Lifting
+from controllers.symbol.sensing.acquisition import Acquired
 from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.field import cut
 from controllers.symbol.sensing.protocol import Look, Shown
@@ -105,7 +106,8 @@ def test_a_shape_begins_the_controller_anew_and_is_given_up_where_nothing_is_see
     start = torch.tensor([15.0, 1.5, 0.08, -0.03])
     before = lifting.start(start)
     lost = flat.observer.lost(start, Loss.NOTHING)
-    found = replace(lost, code=torch.tensor(0), shape=PLANE, errors=torch.ones(4), pose_error=torch.ones(4))
+    acquired = Acquired(PLANE, 0.95, 0.0)
+    found = replace(lost, code=torch.tensor(0), shape=PLANE, acquired=acquired, errors=torch.ones(4), pose_error=torch.ones(4))
 
     def shown(drawing: Drawing) -> Shown:
         return Shown(drawing, flat.projector.draw(drawing))
