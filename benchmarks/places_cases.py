@@ -21,7 +21,7 @@ STEPS = 25  # and as many more as frames are late; the thesis' controller needs 
 
 KINDS = ("grade from 3 m", "grade", "crest or sag", "cross-fall", "step", "roughness", "scan", "place, grade from 3 m", "place")
 GRADES_PERCENT = (-3, -2, -1, 1, 2, 3, 4)  # from 3 m on, seen at once from the target's pose
-ON_THE_ROAD = 6  # one of so many worlds is also run with target = "place"
+ON_THE_ROAD = 6  # every sixth world is also run with target = "place"
 BEGINS_M = (3.0, 8.0, 13.0)
 CURVED_M = 60.0  # length of a crest or sag, unless it gets too steep before
 PLACES = 16  # of each scan

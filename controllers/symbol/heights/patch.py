@@ -10,10 +10,10 @@ from controllers.symbol.sensing.projector import SymbolParams
 from controllers.symbol.sensing.shape import inclined
 from world.frames import inverse, pose, transform
 
-FOLLOWED = 4  # along and across, one of so many cells' light is followed; between them places are interpolated
+FOLLOWED = 4  # light is followed for every fourth cell along and across, and interpolated between them
 SAMPLES = (33, 17)  # of the symbol, along and across, whose light the patch must hold
 BEYOND = (0.4, 0.15)  # of the symbol's length and width, by which a patch of the plane z = 0 is larger on every side
-HIGHEST_M = 0.2  # of a road that is drawn for on such a patch
+HIGHEST_M = 0.2  # largest height of a road for which such a patch is used
 MARGIN = 0.1  # of a fitted patch's length and width, on every side
 LEAST_DEPTH_M = 0.05  # above and below a fitted patch, where the road is looked for at least
 LEAST_HEIGHT_M = 0.25  # of a lamp over a patch, which would be edge-on to it otherwise

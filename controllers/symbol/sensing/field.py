@@ -9,7 +9,7 @@ from controllers.symbol.sensing.drawing import CELLS, Drawing
 from controllers.symbol.sensing.projector import DrawingModule, Projector
 
 SIDES = ("left", "right", "top", "bottom")  # of a module's light texture
-EVERY = 8  # along and across, one of so many cells of a rectangle is looked at
+EVERY = 8  # every eighth cell of a rectangle along and across is tested
 
 
 def cut(projector: Projector, drawing: Drawing) -> Tensor:

@@ -14,7 +14,7 @@ from controllers.symbol.sensing.drawing import CELLS, Drawing, Warp
 from controllers.symbol.sensing.shape import reached
 from world.frames import inverse, pose, rotation, transform
 
-FOLLOWED = 4  # along and across, one of so many cells' light is followed; between them places are interpolated
+FOLLOWED = 4  # light is followed for every fourth cell along and across, and interpolated between them
 BEYOND = 0.1  # of the light's length and width, by which the patch is larger on every side
 FARTHEST, NOWHERE = 3.0, 1e3  # of the way to the plane z = 0 and to the patch: where lines of sight and light end that meet no road
 LEAST_HEIGHT_M = 0.25  # of a lamp over the patch, which would be edge-on to it otherwise
