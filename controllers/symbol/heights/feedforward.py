@@ -15,9 +15,9 @@ from controllers.symbol.heights.relief import Relief
 from controllers.symbol.heights.survey import Survey, SurveyState
 from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.observer import Observer
+from controllers.symbol.sensing.planes import HERE, touching
 from controllers.symbol.sensing.projector import SymbolParams
 from controllers.symbol.sensing.protocol import Look
-from controllers.symbol.sensing.shape import HERE, touching
 from perception.birdseye import Region
 from perception.camera import camera_view
 from world.errors import located

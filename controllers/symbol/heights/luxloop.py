@@ -10,7 +10,7 @@ from torch import Tensor
 
 from controllers.symbol.heights.body_filter import BodyFilter, BodyParams
 from controllers.symbol.heights.memory import Memory
-from controllers.symbol.heights.patch import drawn_on, placed
+from controllers.symbol.heights.patch import drawn_on
 from controllers.symbol.heights.registration import HEIGHT_M, Heights, Registration
 from controllers.symbol.heights.sight import Sight
 from controllers.symbol.heights.stance import Stances
@@ -18,9 +18,10 @@ from controllers.symbol.heights.sweep import sweep
 from controllers.symbol.sensing.aim import aimed, elsewhere
 from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.observer import Observer
+from controllers.symbol.sensing.planes import HERE, placed
 from controllers.symbol.sensing.projector import SymbolParams
 from controllers.symbol.sensing.protocol import Look, Shown
-from controllers.symbol.sensing.shape import HERE, reached
+from controllers.symbol.sensing.shape import reached
 from perception.birdseye import Region
 from perception.camera import camera_view
 from perception.egomotion import Ego

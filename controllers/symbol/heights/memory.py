@@ -7,7 +7,7 @@ from torch import Tensor
 
 from controllers.symbol.heights.registration import Heights
 from controllers.symbol.heights.relief import Relief
-from controllers.symbol.sensing.shape import HERE
+from controllers.symbol.sensing.planes import HERE
 from perception.birdseye import Region
 from world.frames import inverse, transform
 

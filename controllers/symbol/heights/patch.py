@@ -6,17 +6,15 @@ from torch.nn.functional import interpolate
 
 from controllers.symbol.heights.relief import Relief
 from controllers.symbol.sensing.drawing import CELLS, Drawing, Warp
+from controllers.symbol.sensing.planes import LEAST_HEIGHT_M, below_lamps, holding, placed
 from controllers.symbol.sensing.projector import SymbolParams
-from controllers.symbol.sensing.shape import inclined
 from world.frames import inverse, pose, transform
 
 FOLLOWED = 4  # light is followed for every fourth cell along and across, and interpolated between them
 SAMPLES = (33, 17)  # of the symbol, along and across, whose light the patch must hold
 BEYOND = (0.4, 0.15)  # of the symbol's length and width, by which a patch of the plane z = 0 is larger on every side
 HIGHEST_M = 0.2  # largest height of a road for which such a patch is used
-MARGIN = 0.1  # of a fitted patch's length and width, on every side
 LEAST_DEPTH_M = 0.05  # above and below a fitted patch, where the road is looked for at least
-LEAST_HEIGHT_M = 0.25  # of a lamp over a patch, which would be edge-on to it otherwise
 
 
 def drawn_on(relief: Relief, lamps: Tensor, symbol: SymbolParams, T_body_ground: Tensor, in_place: bool = False) -> Drawing:
@@ -41,11 +39,6 @@ def drawn_on(relief: Relief, lamps: Tensor, symbol: SymbolParams, T_body_ground:
     return Drawing(*placed(T_body_ground.to(T) @ T), Warp(fine[:, :2], fine[:, 2], size_m))
 
 
-def placed(T: Tensor) -> tuple[Tensor, Tensor]:
-    """Pose `[4]` and height `[]` in m of a rectangle at `[4, 4]`; the yaw of some 1e-4 that a moving body adds is left out."""
-    return torch.stack([T[0, 3], T[1, 3], torch.atan2(T[2, 1], T[2, 2]), torch.asin(-T[2, 0])]), T[2, 3]
-
-
 def _patch(relief: Relief, lamps: Tensor, symbol: SymbolParams, in_place: bool) -> tuple[Tensor, tuple[float, float], float]:
     """A rectangle that holds the light to all of the symbol: on the plane z = 0, else on the plane that fits the road behind it best.
 
@@ -62,9 +55,7 @@ def _patch(relief: Relief, lamps: Tensor, symbol: SymbolParams, in_place: bool) 
         return level, (2 * float(reach[0]), 2 * float(reach[1])), HIGHEST_M
     T = _fitted(road, lamps)
     low, high, depth = _crossings(T, road, lamps)
-    length, width = ((high - low) * (1 + 2 * MARGIN)).tolist()
-    T[:3, 3] = transform(T, torch.cat([(low + high) / 2, low.new_zeros(1)])[:, None])[:, 0]
-    return T, (length, width), depth + LEAST_DEPTH_M
+    return *holding(T, low, high), depth + LEAST_DEPTH_M
 
 
 def _crossings(T: Tensor, road: Tensor, lamps: Tensor) -> tuple[Tensor, Tensor, float]:
@@ -84,7 +75,4 @@ def _fitted(road: Tensor, lamps: Tensor) -> Tensor:
     x, y, z = road - centre
     # on a CPU the default driver, gelsy, reads pivots that torch leaves unset
     slope_x, slope_y = torch.linalg.lstsq(torch.stack([x, y], 1), z[:, None], driver="gels").solution[:, 0]
-    over = lamps - centre.T  # [m, 3]
-    falling = ((LEAST_HEIGHT_M - over[:, 2] + slope_y * over[:, 1]) / -over[:, 0]).max()
-    slope_x = torch.maximum(slope_x, falling)
-    return inclined(centre[:, 0], slope_x, slope_y)
+    return below_lamps(centre[:, 0], slope_x, slope_y, lamps)

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from torch import Tensor
 
 from controllers.symbol.heights.body_filter import BodyFilter, exact
+from controllers.symbol.sensing.planes import HERE
 from controllers.symbol.sensing.protocol import Look
-from controllers.symbol.sensing.shape import HERE
 from world.frames import inverse
 
 

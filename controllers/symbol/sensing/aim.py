@@ -6,14 +6,14 @@ import torch
 from torch import Tensor
 
 from controllers.symbol.sensing.field import beyond
+from controllers.symbol.sensing.planes import HERE, LEAST_HEIGHT_M, touching
 from controllers.symbol.sensing.projector import DrawingModule, SymbolParams
-from controllers.symbol.sensing.shape import HERE, height, reached, touching
+from controllers.symbol.sensing.shape import height, reached
 from world.frames import inverse, transform
 
 FARTHEST = 2.4  # of the target's distance: where light is too far off for an appearance
 PLACES_M, STEP_M = (5.0, 60.0), 0.25  # ahead, where the symbol may go in place of its target
 SAME_M = 1e-3  # between places
-LEAST_HEIGHT_M = 0.25  # of lamps and eye over the plane on which the symbol lies
 
 
 def aimed(shape: Tensor, symbol: SymbolParams, modules: Sequence[DrawingModule], eye: Tensor) -> Tensor:
@@ -57,7 +57,7 @@ def _touching(shape: Tensor, symbol: SymbolParams, x: Tensor) -> Tensor:
 
 
 def _lit(planes: Tensor, symbol: SymbolParams, modules: Sequence[DrawingModule], eye: Tensor) -> Tensor:
-    """Whether lamps light the middle and the corners of symbols on planes `[k, 4, 4]`, and the eye is over them: `[k, 5]`."""
+    """Whether lamps light the middle and the corners of symbols on planes `[k, 4, 4]`, and both are well over them: `[k, 5]`."""
     half_x, half_y = symbol.length_m / 2, symbol.width_m / 2
     spots = planes.new_tensor([[0, half_x, half_x, -half_x, -half_x], [0, half_y, -half_y, half_y, -half_y], [0] * 5])
     inside = _in_field(transform(planes, spots + spots.new_tensor([[symbol.x_m], [symbol.y_m], [0.0]])), modules)

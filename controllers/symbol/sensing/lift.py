@@ -11,13 +11,12 @@ from torch import Tensor
 from torch.nn.functional import interpolate
 
 from controllers.symbol.sensing.drawing import CELLS, Drawing, Warp
+from controllers.symbol.sensing.planes import below_lamps, holding, placed
 from controllers.symbol.sensing.shape import reached
 from world.frames import inverse, pose, rotation, transform
 
 FOLLOWED = 4  # light is followed for every fourth cell along and across, and interpolated between them
-BEYOND = 0.1  # of the light's length and width, by which the patch is larger on every side
 FARTHEST, NOWHERE = 3.0, 1e3  # of the way to the plane z = 0 and to the patch: where lines of sight and light end that meet no road
-LEAST_HEIGHT_M = 0.25  # of a lamp over the patch, which would be edge-on to it otherwise
 LEAST_FALL_M = 1e-3  # of lines over what they cross
 
 
@@ -43,7 +42,7 @@ def lifted(drawing: Drawing, size_m: tuple[float, float], shape: Tensor, x0_m: f
         x_there, y_there, _ = _crossed(lamp_there[:, 0], seen)
         places.append(torch.stack([-2 * y_there / width, -2 * x_there / length]).view(2, rows, cols))
     source = interpolate(torch.stack(places), scale_factor=FOLLOWED, mode="bilinear")
-    return Drawing(*_placed(patch), _warped(drawing.warp, source, size))
+    return Drawing(*placed(patch), _warped(drawing.warp, source, size))
 
 
 def _rectangle(drawing: Drawing) -> Tensor:
@@ -51,11 +50,6 @@ def _rectangle(drawing: Drawing) -> Tensor:
     x, y, roll, pitch = drawing.pose
     z = torch.zeros_like(x) if drawing.z is None else drawing.z
     return pose(torch.stack([x, y, z]), rotation(roll, pitch, torch.zeros_like(x)))
-
-
-def _placed(T: Tensor) -> tuple[Tensor, Tensor]:
-    """Pose `[4]` and height `[]` in m of a rectangle at `[4, 4]`."""
-    return torch.stack([T[0, 3], T[1, 3], torch.atan2(T[2, 1], T[2, 2]), torch.asin(-T[2, 0])]), T[2, 3]
 
 
 def _crossed(origin: Tensor, points: Tensor) -> Tensor:
@@ -71,16 +65,11 @@ def _patch(road: Tensor, shape: Tensor, x0_m: float, lamps: Tensor) -> tuple[Ten
     """
     _, b, c, d = shape
     middle = road.flatten(1).mean(1)
-    over = lamps - middle  # [m, 3]
-    falling = ((LEAST_HEIGHT_M - over[:, 2] + c * over[:, 1]) / -over[:, 0]).max()
-    pitch = -torch.maximum(b + d * (middle[0] - x0_m), falling).atan()
-    T = pose(middle, rotation((c * pitch.cos()).atan(), pitch, torch.zeros_like(pitch)))
+    T = below_lamps(middle, b + d * (middle[0] - x0_m), c, lamps)
     local, origins = transform(inverse(T), road.flatten(1)).view_as(road), transform(inverse(T), lamps.T).T
     crossings = torch.stack([_crossed(origin, points)[:2] for origin, points in zip(origins, local.unbind(1), strict=True)], 1)
     low, high = crossings.flatten(1).aminmax(dim=1)
-    length, width = ((high - low) * (1 + 2 * BEYOND)).tolist()
-    T[:3, 3] = transform(T, torch.cat([(low + high) / 2, low.new_zeros(1)])[:, None])[:, 0]
-    return T, (length, width)
+    return holding(T, low, high)
 
 
 def _warped(warp: Warp | None, source: Tensor, size_m: tuple[float, float]) -> Warp:

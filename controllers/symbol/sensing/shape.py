@@ -3,14 +3,8 @@
 The road is `z = a + b (x - x0) + c y + d (x - x0)^2 / 2`, with the shape `[4]` = a in m, b and c without unit, d in 1/m, about x0 in m.
 """
 
-from typing import Final
-
 import torch
 from torch import Tensor
-
-from world.frames import pose, rotation
-
-HERE: Final = torch.eye(4, dtype=torch.float64)  # the plane z = 0 that the vehicle stands on
 
 
 def reached(shape: Tensor, x0_m: float, origin: Tensor, rays: Tensor) -> Tensor:
@@ -33,16 +27,3 @@ def height(shape: Tensor, x0_m: float, x: Tensor, y: Tensor) -> Tensor:
     """Height in m of a road of shape `[4]` at x and y in m, broadcast."""
     a, b, c, d = shape
     return a + b * (x - x0_m) + c * y + d / 2 * (x - x0_m) ** 2
-
-
-def inclined(at: Tensor, slope_x: Tensor, slope_y: Tensor) -> Tensor:
-    """Pose `[..., 4, 4]` of a plane through places `[..., 3]` m that rises by slopes `[...]` along x and y; its x axis points along x."""
-    pitch = -slope_x.atan()
-    return pose(at, rotation((slope_y * pitch.cos()).atan(), pitch, torch.zeros_like(pitch)))
-
-
-def touching(at: Tensor, slope_x: Tensor, slope_y: Tensor, x_m: float, y_m: float) -> Tensor:
-    """The inclined plane `[..., 4, 4]` at places `[..., 3]` m, in a frame where these have the coordinates x_m, y_m, 0."""
-    T = inclined(at, slope_x, slope_y)
-    T[..., :3, 3] -= T[..., :3, :2] @ T.new_tensor([x_m, y_m])
-    return T

@@ -6,8 +6,9 @@ import pytest
 import torch
 
 from controllers.symbol.sensing.aim import aimed, elsewhere
+from controllers.symbol.sensing.planes import HERE
 from controllers.symbol.sensing.projector import Projector, SymbolParams
-from controllers.symbol.sensing.shape import HERE, height
+from controllers.symbol.sensing.shape import height
 from loop.assembly.build import build_projector
 from loop.scenario.model import load
 from world.frames import inverse, transform

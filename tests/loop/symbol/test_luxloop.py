@@ -19,9 +19,10 @@ from controllers.symbol.heights.patch import FOLLOWED, _fitted, drawn_on
 from controllers.symbol.heights.relief import Relief
 from controllers.symbol.heights.sweep import semi_global, sweep
 from controllers.symbol.sensing.drawing import CELLS, Drawing, Warp
+from controllers.symbol.sensing.planes import HERE
 from controllers.symbol.sensing.projector import SymbolParams
 from controllers.symbol.sensing.protocol import Look, Shown
-from controllers.symbol.sensing.shape import HERE, reached
+from controllers.symbol.sensing.shape import reached
 from loop.run import prepare
 from loop.scenario.model import DisturbanceParams, load
 from loop.symbol.simulation import Simulation, SimulationState

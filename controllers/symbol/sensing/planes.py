@@ -1,0 +1,47 @@
+"""Planes that lie on a road, and rectangles on them that hold the light of a symbol."""
+
+from typing import Final
+
+import torch
+from torch import Tensor
+
+from world.frames import pose, rotation, transform
+
+HERE: Final = torch.eye(4, dtype=torch.float64)  # the plane z = 0 that the vehicle stands on
+LEAST_HEIGHT_M = 0.25  # of a lamp over a plane, which would be edge-on to it otherwise
+MARGIN = 0.1  # of the length and width of the light, by which a rectangle is larger on every side
+
+
+def inclined(at: Tensor, slope_x: Tensor, slope_y: Tensor) -> Tensor:
+    """Pose `[..., 4, 4]` of a plane through places `[..., 3]` m that rises by slopes `[...]` along x and y; its x axis points along x."""
+    pitch = -slope_x.atan()
+    return pose(at, rotation((slope_y * pitch.cos()).atan(), pitch, torch.zeros_like(pitch)))
+
+
+def touching(at: Tensor, slope_x: Tensor, slope_y: Tensor, x_m: float, y_m: float) -> Tensor:
+    """The inclined plane `[..., 4, 4]` at places `[..., 3]` m, in a frame where these have the coordinates x_m, y_m, 0."""
+    T = inclined(at, slope_x, slope_y)
+    T[..., :3, 3] -= T[..., :3, :2] @ T.new_tensor([x_m, y_m])
+    return T
+
+
+def below_lamps(at: Tensor, slope_x: Tensor, slope_y: Tensor, lamps: Tensor) -> Tensor:
+    """The inclined plane `[4, 4]` at a place `[3]` m, less steep where lamps `[m, 3]` m would hardly be over it."""
+    over = lamps - at  # [m, 3]
+    steepest = ((LEAST_HEIGHT_M - over[:, 2] + slope_y * over[:, 1]) / -over[:, 0]).max()
+    return inclined(at, torch.maximum(slope_x, steepest), slope_y)
+
+
+def holding(T: Tensor, low: Tensor, high: Tensor) -> tuple[Tensor, tuple[float, float]]:
+    """Pose `[4, 4]`, length and width in m of the rectangle on a plane at `[4, 4]` from low to high x, y `[2]` m, and the MARGIN around."""
+    length, width = ((high - low) * (1 + 2 * MARGIN)).tolist()
+    centre = transform(T, torch.cat([(low + high) / 2, low.new_zeros(1)])[:, None])[:, 0]
+    return pose(centre, T[:3, :3]), (length, width)
+
+
+def placed(T: Tensor) -> tuple[Tensor, Tensor]:
+    """Pose `[4]` (x, y in m, roll, pitch in rad) and height `[]` in m of a rectangle at `[4, 4]`; its yaw is left out.
+
+    A body that moves adds a yaw of some 1e-4.
+    """
+    return torch.stack([T[0, 3], T[1, 3], torch.atan2(T[2, 1], T[2, 2]), torch.asin(-T[2, 0])]), T[2, 3]
