@@ -11,6 +11,7 @@ from typing import Any
 import torch
 from rich.console import Console
 
+from loop.terminal.tables import markdown
 from world.spmv.auto import processor
 
 Goal = tuple[str, float | None, float, bool]  # what, its value (None where it was not measured), its limit, whether that is the least
@@ -46,6 +47,20 @@ def judged(goals: Iterable[Goal]) -> list[dict[str, Any]]:
         }
         for name, value, limit, least in goals
     ]
+
+
+def goals_page(goals: Iterable[dict[str, Any]]) -> str:
+    """Goals as Markdown."""
+    rows = (
+        (
+            each["goal"],
+            "not measured" if each["value"] is None else f"{each['value']:.2f}",
+            f"{'≥' if each['at_least'] else '≤'} {each['limit']:g}",
+            {True: "reached", False: "**missed**", None: ""}[each["passed"]],
+        )
+        for each in goals
+    )
+    return markdown(("goal", "measured", "limit", ""), rows, "lrrl")
 
 
 def show_goals(console: Console, goals: Iterable[dict[str, Any]]) -> None:

@@ -6,7 +6,6 @@ Writes docs/convergence.md.
 
 import argparse
 import json
-import math
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ from loop.recording.summary import summarise
 from loop.run import prepare
 from loop.scenario import data
 from loop.scenario.model import Scenario, load
+from loop.terminal.tables import markdown, number
 
 SYMBOLS = ("distance_warning", "chevrons", "snowflake", "warning_triangle")
 ROADS = ("flat", "bumps", "grade", "mixed")
@@ -41,6 +41,7 @@ VIEWS = {
         "controller.rotation={kp=0.5, ki=0.1, kd=0.1, tracking_steps=1.9}",
     ],
 }
+COLUMNS = ("road", "symbol", "settle", "overshoot %", "error %", "error open %", "IoU open", "IoU", "SSIM", "lost steps")
 DOC = Path(__file__).parents[1] / "docs" / "convergence.md"
 
 
@@ -82,7 +83,7 @@ def document(rows: list[dict[str, Any]]) -> str:
         "",
         "Made by `python benchmarks/convergence.py`; seed 0, 40 steps, camera 1280 x 720. Each symbol starts where its shipped",
         "scenario does, rolled by 5 deg and pitched by -2 deg. *Settle* is the step from which centroid, length and shear stay near",
-        "their final values (`summary.json`), or — if they never do, or off the target. *Error* is the centroid's, along / across, in % of",
+        "their final values (`summary.json`), or – if they never do, or off the target. *Error* is the centroid's, along / across, in % of",
         "the symbol's length / width. *Open* is the flat-road primitive at the target without control.",
         "",
         "Goals on the first four roads: settle within 20 steps in the raw image and within 15 in the bird's-eye view, overshoot at most",
@@ -91,33 +92,28 @@ def document(rows: list[dict[str, Any]]) -> str:
         "them; each view has rate limits of its own. With the thesis' gains an ideal rotation loop needs 17 steps from 5 deg.",
     ]
     for part in dict.fromkeys(r["part"] for r in rows):
-        lines += ["", f"## {part[0].upper()}{part[1:]}", ""]
-        lines += ["| road | symbol | settle | overshoot % | error % | error open % | IoU open | IoU | SSIM | lost steps |"]
-        lines += ["| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |"]
-        for r in (r for r in rows if r["part"] == part):
-            settle = "—" if r["settle_step"] is None else r["settle_step"]
-            cells = [
+        cells = (
+            (
                 r["road"],
                 r["symbol"],
-                settle,
-                _number(r["overshoot_percent"], 0),
+                number(r["settle_step"]),
+                number(r["overshoot_percent"], ".0f"),
                 _pair(r["centroid_error_percent"]),
                 _pair(r["centroid_error_open_percent"]),
-                _number(r["iou_open"], 2),
-                _number(r["iou_final"], 2),
-                _number(r["ssim_final"], 3),
+                number(r["iou_open"], ".2f"),
+                number(r["iou_final"], ".2f"),
+                number(r["ssim_final"], ".3f"),
                 r["lost_steps"],
-            ]
-            lines.append(f"| {' | '.join(map(str, cells))} |")
+            )
+            for r in rows
+            if r["part"] == part
+        )
+        lines += ["", f"## {part[0].upper()}{part[1:]}", "", markdown(COLUMNS, cells, "llr")]
     return "\n".join(lines) + "\n"
 
 
-def _number(value: float | None, digits: int) -> str:
-    return "—" if value is None or math.isnan(value) else f"{value:.{digits}f}"
-
-
 def _pair(values: list[float | None]) -> str:
-    return " / ".join(_number(value, 1) for value in values)
+    return " / ".join(number(value, ".1f") for value in values)
 
 
 def main() -> None:

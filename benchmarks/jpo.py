@@ -30,6 +30,7 @@ from controllers.pixels.rthc import Setpoints  # noqa: E402
 from controllers.pixels.ssc import Ssc  # noqa: E402
 from controllers.pixels.windows import whole  # noqa: E402
 from loop.assembly.build import symbol_path  # noqa: E402
+from loop.terminal.tables import markdown  # noqa: E402
 from perception.metrics import mae  # noqa: E402
 from world.beams.rectangles import RECTANGLES  # noqa: E402
 from world.frames import pose_from_degrees  # noqa: E402
@@ -119,17 +120,13 @@ def compare(name: str, every: int) -> tuple[list[Row], float, float]:
 def report(name: str, every: int) -> str:
     rows, pair, gap = compare(name, every)
     best = np.array(rows[-1][1])
-    lines = [
-        f"`{name}`, {len(best)} rectangles, an SpMV pair takes {pair:.2g} ms, largest gap of the converged {100 * gap:.2f} %:",
-        "",
-        "| | mean MAE | over converged | worst rectangle | ms | SpMV pairs |",
-        "| --- | ---: | ---: | ---: | ---: | ---: |",
-    ]
+    lines = []
     for way, errors, ms in rows:
         ratio = np.array(errors) / best
-        cost = " | " if way == START else f"{median(ms):.1f} | {median(ms) / pair:.1f}"
-        lines.append(f"| {way} | {np.mean(errors):.4f} | {np.mean(errors) / best.mean():.3f} | {ratio.max():.3f} | {cost} |")
-    return "\n".join(lines)
+        cost = ("", "") if way == START else (f"{median(ms):.1f}", f"{median(ms) / pair:.1f}")
+        lines.append((way, f"{np.mean(errors):.4f}", f"{np.mean(errors) / best.mean():.3f}", f"{ratio.max():.3f}", *cost))
+    head = f"`{name}`, {len(best)} rectangles, an SpMV pair takes {pair:.2g} ms, largest gap of the converged {100 * gap:.2f} %:"
+    return f"{head}\n\n{markdown(('', 'mean MAE', 'over converged', 'worst rectangle', 'ms', 'SpMV pairs'), lines)}"
 
 
 def on_a_wall(y_m: float, symbol: Tensor) -> Primitives:

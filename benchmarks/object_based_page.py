@@ -15,6 +15,8 @@ from matplotlib.axes import Axes
 from object_based_cases import BEAMS, COMES, END, LOW, OURS, VARIANTS
 from object_based_goals import FOUND, GOALS, NEAR, RATE_HZ, Measured, Row, median_saved, newcomers, quantile, share, share_kept
 
+from loop.terminal.tables import markdown, number
+
 TEMPLATE = Path(__file__).with_suffix(".md")
 NAME, PICTURE = "object_based_results.md", "object-based-results.png"
 GREEN, GREY = (90, 220, 120), (110, 130, 160)
@@ -52,41 +54,36 @@ def page(measured: Measured, pairs: Sequence[Mapping[str, Any]], about: Mapping[
 
 def goals(measured: Measured) -> str:
     """A row a goal: what was measured, and what limits it where it was missed."""
-    lines = ["| goal | measured | | what limits it |", "| --- | ---: | --- | --- |"]
+    rows = []
     for goal in GOALS:
         value = goal.value(measured)
         if value is None:
-            lines.append(f"| {goal.what} | — | not measured | |")
+            rows.append((goal.what, "–", "not measured", ""))
         else:
             verdict, limited = ("reached", "") if goal.reached(value) else ("**missed**", goal.limited)
-            told = goal.form.format(value) if math.isfinite(value) else "never"
-            lines.append(f"| {goal.what} | {told} | {verdict} | {limited} |")
-    return "\n".join(lines)
+            rows.append((goal.what, goal.form.format(value) if math.isfinite(value) else "never", verdict, limited))
+    return markdown(("goal", "measured", "", "what limits it"), rows, "lrl")
 
 
 def light(rows: Sequence[Row], values: Iterable[str], field: str) -> str:
     """A row for each value of the field: what is saved beside what is kept."""
-    lines = [f"| | {' | '.join(COLUMNS)} |", f"| --- |{' ---: |' * len(COLUMNS)}"]
-    for value in values:
-        found = [row for row in rows if row[field] == value]
-        if found:
-            lines.append(f"| {value} | {' | '.join(cell(found) for cell in COLUMNS.values())} |")
-    return "\n".join(lines)
+    by_value = {value: [row for row in rows if row[field] == value] for value in values}
+    return markdown(("", *COLUMNS), ((value, *(cell(found) for cell in COLUMNS.values())) for value, found in by_value.items() if found))
 
 
 def _objects(rows: Sequence[Row], key: str) -> str:
     objects = sum(row["objects"] for row in rows if key in row)
-    return _percent(sum(row[key] for row in rows) / objects) if objects else "—"
+    return _percent(sum(row[key] for row in rows) / objects if objects else None)
 
 
 def _dazzled(rows: Sequence[Row]) -> str:
     found = [row for row in rows if "dazzled" in row]
-    return f"{np.mean([row['dazzled'] for row in found]):.1%} ({np.mean([row['dazzled_tracked'] for row in found]):.1%})" if found else "—"
+    return f"{np.mean([row['dazzled'] for row in found]):.1%} ({np.mean([row['dazzled_tracked'] for row in found]):.1%})" if found else "–"
 
 
 def _newcomer(rows: Sequence[Row]) -> str:
     times = newcomers(rows)
-    return f"{np.median(times):.2f} s ({np.mean(np.array(times) <= 0.5):.0%})" if times else "—"
+    return f"{np.median(times):.2f} s ({np.mean(np.array(times) <= 0.5):.0%})" if times else "–"
 
 
 COLUMNS: dict[str, Callable[[Sequence[Row]], str]] = {
@@ -96,67 +93,59 @@ COLUMNS: dict[str, Callable[[Sequence[Row]], str]] = {
     "W saved": lambda rows: f"{quantile(rows, 'watts_saved', 0.5):.1f}",
     "every object kept": lambda rows: _percent(share_kept(rows)),
     "objects kept": lambda rows: _objects(rows, "objects_kept"),
-    "greatest loss, median (90 % quantile)": lambda rows: f"{_number(quantile(rows, 'gap', 0.5))} ({_number(quantile(rows, 'gap', 0.9))})",
+    "greatest loss, median (90 % quantile)": lambda rows: "{} ({})".format(*(number(quantile(rows, "gap", q), ".2f") for q in (0.5, 0.9))),
     "runs with one lost": lambda rows: _percent(share(row["lost"] > 0 if "lost" in row else None for row in rows)),
     "never found": lambda rows: _objects(rows, "never_found"),
     "heads above 1 lx, frames (of tracked objects)": _dazzled,
-    "settled, median": lambda rows: _number(quantile(rows, "settle_s", 0.5), " s"),
+    "settled, median": lambda rows: number(quantile(rows, "settle_s", 0.5), ".2f", " s"),
     "newcomer lit, median (within 0.5 s)": _newcomer,
 }
 
 
 def _percent(value: float | None) -> str:
-    return "—" if value is None else f"{100 * value:.0f} %"
-
-
-def _number(value: float | None, unit: str = "") -> str:
-    return "—" if value is None else f"{value:.2f}{unit}"
+    return number(None if value is None else 100 * value, ".0f", " %")
 
 
 def zones(rows: Sequence[Row]) -> str:
-    lines = ["| full well | reflectance | steps, mean | steps, worst | error, worst |", "| ---: | ---: | ---: | ---: | ---: |"]
+    lines = []
     for saturation_e, reflectance in dict.fromkeys((row["saturation_e"], row["reflectance"]) for row in rows):
         found = [row for row in rows if (row["saturation_e"], row["reflectance"]) == (saturation_e, reflectance)]
         steps, error = [row["steps"] for row in found], max(row["error"] for row in found)
-        lines.append(f"| {saturation_e:g} e | {reflectance} | {np.mean(steps):.1f} | {max(steps)} | {error:.1%} |")
-    return "\n".join(lines)
+        lines.append((f"{saturation_e:g} e", reflectance, f"{np.mean(steps):.1f}", max(steps), f"{error:.1%}"))
+    return markdown(("full well", "reflectance", "steps, mean", "steps, worst", "error, worst"), lines, "r")
 
 
 def tracks(rows: Sequence[Row]) -> str:
-    heads = ("runs of an object", "switches", "most of one", "a minute", "frames with a track", "hidden, frames")
-    lines = [f"| situation | {' | '.join(heads)} |", f"| --- |{' ---: |' * len(heads)}"]
+    columns = ("situation", "runs of an object", "switches", "most of one", "a minute", "frames with a track", "hidden, frames")
+    lines = []
     for situation in dict.fromkeys(row["situation"] for row in rows):
         found = [row for row in rows if row["situation"] == situation]
         switches, frames = [row["switches"] for row in found], sum(row["frames"] for row in found)
         with_track = sum(row["found"] - row["lost"] for row in found) / max(frames, 1)
         rate, hidden = sum(switches) / max(frames / RATE_HZ / 60, 1e-9), max(row["hidden"] for row in found)
-        cells = (len(found), sum(switches), max(switches), f"{rate:.1f}", f"{with_track:.0%}", hidden)
-        lines.append(f"| {situation} | {' | '.join(map(str, cells))} |")
-    return "\n".join(lines)
+        lines.append((situation, len(found), sum(switches), max(switches), f"{rate:.1f}", f"{with_track:.0%}", hidden))
+    return markdown(columns, lines)
 
 
 def agreement(pairs: Sequence[Mapping[str, Any]]) -> str:
-    lines = ["| pair | scenes | MAE | DSSIM | boxes of both | of one alone (surest) | change of score, mean | most |"]
-    lines.append("| --- |" + " ---: |" * 7)
+    columns = ("pair", "scenes", "MAE", "DSSIM", "boxes of both", "of one alone (surest)", "change of score, mean", "most")
+    rows = []
     for name in pairs[0] if pairs else ():
         found = [each[name] for each in pairs]
         mae, dssim = (float(np.mean([each[key] for each in found])) for key in ("mae", "dssim"))
         changes, alone = ([value for each in found for value in each[key]] for key in ("score_changes", "alone"))
         single = f"{len(alone)} ({max(alone):.2f})" if alone else "0"
-        cells = (len(found), f"{mae:.1e}", f"{dssim:.1e}", len(changes), single, f"{np.mean(changes):.4f}", f"{max(changes):.4f}")
-        lines.append(f"| {name} | {' | '.join(map(str, cells))} |")
-    return "\n".join(lines)
+        rows.append(
+            (name, len(found), f"{mae:.1e}", f"{dssim:.1e}", len(changes), single, f"{np.mean(changes):.4f}", f"{max(changes):.4f}")
+        )
+    return markdown(columns, rows)
 
 
 def detector(measured: Measured) -> str:
     if measured.detector is None:
         return "No report of its training is here."
-    lines = ["| | goal | measured | |", "| --- | --- | ---: | --- |"]
-    lines += [
-        f"| {what} | {limit} | {'—' if value is None else f'{value:g}'} | {'reached' if reached else '**missed**'} |"
-        for what, limit, value, reached in measured.detector
-    ]
-    return "\n".join(lines)
+    rows = ((what, limit, number(value), "reached" if reached else "**missed**") for what, limit, value, reached in measured.detector)
+    return markdown(("", "goal", "measured", ""), rows, "llrl")
 
 
 def draw(measured: Measured, runs: Sequence[Mapping[str, Any]], pictures: Pictures, file: Path) -> None:

@@ -14,7 +14,6 @@ from typing import Any, cast
 import numpy as np
 import torch
 from bench import machine, on_one_thread
-from rich.table import Table
 from torch import Tensor
 
 from controllers.symbol.heights.feedforward import relief_of
@@ -117,15 +116,13 @@ def main() -> None:
     steps, begin = (2, 0) if arguments.quick else (STEPS, FROM)
     rows = [list(ROWS)[-1]] if arguments.quick else arguments.only or list(ROWS)
     where, found = machine("torch", "numpy"), dict[str, dict[str, Any]]()
-    shown = Table("mean IoU", *COLUMNS, box=None)
     for row in rows:
         each = {column: iou(ROWS[row], column, steps) for column in COLUMNS}
         found[row] = {column: float(np.nan_to_num(values)[begin:].mean()) for column, values in each.items()}
         worst = float(np.nan_to_num(np.subtract(each["open"], each["luxloop"]))[begin:].max())
         found[row]["luxloop below open, worst step"] = worst
-        shown.add_row(row, *(f"{found[row][column]:.2f}" for column in COLUMNS))
         print(json.dumps({row: found[row]}), flush=True)
-    tables.console().print(shown)
+    tables.show(tables.plain(("mean IoU", *COLUMNS), ((row, *(f"{found[row][column]:.2f}" for column in COLUMNS)) for row in rows)))
     if arguments.json:
         arguments.json.write_text(json.dumps({"machine": where, "steps": steps, "results": found}, indent=1) + "\n")
 

@@ -16,6 +16,8 @@ from places_cases import CONTROLLERS, KINDS, Place
 from places_goals import GOALS, OUTCOMES, VISIBLE, Row, outcome
 from symbol_control_cases import shared
 
+from loop.terminal.tables import markdown
+
 TEMPLATE = Path(__file__).with_suffix(".md")
 PICTURE = "places.png"
 COLUMNS = {**dict.fromkeys(CONTROLLERS, "iou"), "bound": "iou_bound"}  # and the measure of each in a table of IoUs
@@ -54,49 +56,45 @@ def page(rows: Sequence[Row], about: dict[str, Any]) -> str:
 
 def goals(rows: Sequence[Row]) -> str:
     """A row a goal: in how many worlds it holds, and in how many it has to."""
-    lines = ["| goal | worlds | to hold in | |", "| --- | ---: | ---: | --- |"]
+    lines = []
     for goal in GOALS:
         held, total = goal.of(rows)
         verdict = "not measured" if not total else "reached" if held >= goal.share * total else "**missed**"
-        lines.append(f"| {goal.what} | {held} of {total} | {goal.share:.0%} | {verdict} |")
-    return "\n".join(lines)
+        lines.append((goal.what, f"{held} of {total}", f"{goal.share:.0%}", verdict))
+    return markdown(("goal", "worlds", "to hold in", ""), lines, "lrrl")
 
 
 def table(rows: Sequence[Row], field: str, values: Iterable[Any], visible: bool = False) -> str:
     """A row for each value of the field and a column a controller and the bound: mean IoU, its worst in brackets."""
-    head = [field, "worlds", *COLUMNS, *(["visible share"] if visible else [])]
-    lines = [f"| {' | '.join(head)} |", f"| --- |{' ---: |' * (len(head) - 1)}"]
+    lines = []
     for value in values:
         found = [row for row in rows if row[field] == value]
         own = [row for row in found if row["controller"] == "luxloop"]
         cells = [_cell([r[measure] for r in (own if name == "bound" else _of(found, name))]) for name, measure in COLUMNS.items()]
         cells += [_cell([row["visible"] for row in own])] if visible else []
-        lines.append(f"| {value} | {len(own)} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+        lines.append((value, len(own), *cells))
+    return markdown((field, "worlds", *COLUMNS, *(["visible share"] if visible else [])), lines)
 
 
 def worst(rows: Sequence[Row]) -> str:
     """The worlds in which luxloop stays furthest behind the bound."""
-    lines = ["| world | open | feedforward | luxloop | bound | found at | lost steps | centroid % |", "| --- |" + " ---: |" * 7]
+    lines = []
     for row in sorted(rows, key=lambda row: row["iou"] - row["iou_bound"])[:WORST]:
         found = "never" if row["found"] is None else row["found"]
-        ious = " | ".join(f"{row[name]:.2f}" for name in ("iou_open", "iou_feedforward", "iou", "iou_bound"))
-        lines.append(f"| {row['world']} | {ious} | {found} | {row['lost']} | {row['centroid']:.0f} |")
-    return "\n".join(lines)
+        ious = (f"{row[name]:.2f}" for name in ("iou_open", "iou_feedforward", "iou", "iou_bound"))
+        lines.append((row["world"], *ious, found, row["lost"], f"{row['centroid']:.0f}"))
+    return markdown(("world", "open", "feedforward", "luxloop", "bound", "found at", "lost steps", "centroid %"), lines)
 
 
 def outcomes(rows: Sequence[Row]) -> str:
     """What becomes of luxloop's symbol where less of it can be seen, counted by visible share."""
-    lines = [
-        f"| visible share | worlds | {' | '.join(OUTCOMES)} | lost at more than half of the steps |",
-        "| --- |" + " ---: |" * (len(OUTCOMES) + 2),
-    ]
+    lines = []
     for low, high in pairwise(BINS):
         found = [row for row in rows if low <= row["visible"] < high]
         ends = [outcome(row) for row in found]
         lost = sum(row["lost"] > row["steps"] / 2 for row in found)
-        lines.append(f"| {low:g} to {high:g} | {len(found)} | {' | '.join(str(ends.count(name)) for name in OUTCOMES)} | {lost} |")
-    return "\n".join(lines)
+        lines.append((f"{low:g} to {high:g}", len(found), *(ends.count(name) for name in OUTCOMES), lost))
+    return markdown(("visible share", "worlds", *OUTCOMES, "lost at more than half of the steps"), lines)
 
 
 def _of(rows: Sequence[Row], controller: str) -> list[Row]:
@@ -105,7 +103,7 @@ def _of(rows: Sequence[Row], controller: str) -> list[Row]:
 
 def _cell(values: Sequence[float]) -> str:
     if not values:
-        return "\N{EM DASH}"
+        return "–"
     return f"{np.mean(values):.2f}" + (f" ({min(values):.2f})" if len(values) > 1 else "")
 
 

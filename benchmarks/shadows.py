@@ -20,8 +20,6 @@ import numpy as np
 import torch
 from bench import Goal, judged, machine, on_one_thread, show_goals
 from float64_rays import hidden
-from rich.box import MARKDOWN
-from rich.table import Column, Table
 from torch import Tensor
 
 from loop.scenario import data
@@ -158,15 +156,15 @@ def worst(found: list[dict[str, Any]], kind: str, way: str) -> dict[str, float]:
     return {**means, **{key: max(each[key] for each in figures) for key in ("leaked", "lost", "wrong", "leaked, outlines in")}}
 
 
-def table(found: list[dict[str, Any]]) -> Table:
-    """A row a kind of road, in percent."""
+def table(found: list[dict[str, Any]]) -> str:
+    """A row a kind of road, in percent, as Markdown."""
     keys = ("in shadow", "outlines", "leaked", "lost", "wrong")
     columns = (f"{way}: {key}" if key == keys[0] else key for way in ("standing", "moving") for key in keys)
-    shown = Table(Column("road", no_wrap=True), *columns, box=MARKDOWN)
+    rows = []
     for kind in dict.fromkeys(each["kind"] for each in found):
         figures = (worst(found, kind, way)[key] for way in ("stand", "move") for key in keys)
-        shown.add_row(kind, *(f"{100 * figure:.{1 if k % len(keys) < 2 else 3}f}" for k, figure in enumerate(figures)))
-    return shown
+        rows.append((kind, *(f"{100 * figure:.{1 if k % len(keys) < 2 else 3}f}" for k, figure in enumerate(figures))))
+    return tables.markdown(("road", *columns), rows)
 
 
 def goals(found: list[dict[str, Any]]) -> list[Goal]:
@@ -196,7 +194,7 @@ def main() -> None:
         for view, figures in of(road, plant, n)
     ]
     console.print("\nWorlds that stand and that move, %")
-    console.print(table(found))
+    print(table(found))
     verdicts = judged(goals(found))
     show_goals(console, verdicts)
     if arguments.json:

@@ -228,15 +228,11 @@ def run(quick: bool, note: Callable[[str], None]) -> dict[str, Any]:
 def shown(title: str, lamps: list[dict[str, Any]]) -> Table:
     """Median ms of every format of every lamp."""
     names = list(dict.fromkeys(name for lamp in lamps for name in lamp["ms"]))
-    table = Table("ms", *(lamp["name"] for lamp in lamps), title=title, box=None)
-    for column in table.columns[1:]:
-        column.justify = "right"
-    for name in names:
-        table.add_row(name, *(f"{lamp['ms'][name]['median']:.3f}" if name in lamp["ms"] else "" for lamp in lamps))
-    table.add_row("chosen", *(lamp["chosen"] for lamp in lamps))
-    table.add_row("times SciPy", *(f"{lamp['ratio']:.2f}" for lamp in lamps))
-    table.add_row("of copy bandwidth", *(f"{lamp['copy_share']:.0%}" for lamp in lamps))
-    return table
+    rows = [(name, *(f"{lamp['ms'][name]['median']:.3f}" if name in lamp["ms"] else "" for lamp in lamps)) for name in names]
+    rows.append(("chosen", *(lamp["chosen"] for lamp in lamps)))
+    rows.append(("times SciPy", *(f"{lamp['ratio']:.2f}" for lamp in lamps)))
+    rows.append(("of copy bandwidth", *(f"{lamp['copy_share']:.0%}" for lamp in lamps)))
+    return tables.plain(("ms", *(lamp["name"] for lamp in lamps)), rows, "lr", title=title)
 
 
 def main() -> None:

@@ -7,6 +7,9 @@ import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
+from bench import goals_page
+
+from loop.terminal.tables import markdown
 
 TEMPLATE = Path(__file__).with_suffix(".md")
 
@@ -25,11 +28,12 @@ def page(results: dict[str, Any]) -> str:
     flags, bands = ([point["ms"][kind] / point["ms"]["full"] for point in results["figure"]] for kind in ("flags", "band"))
     large = [point["ms"]["band"] / point["ms"]["full"] for point in results["figure"] if point["texels"] >= 2**20] or bands
     lamp_a, lamp_b = results["long"][:2]
+    changed = ((name, f"{ms['median']:.2f}", f"{ms['median'] / full:.2f}") for name, ms in updates["ms"].items())
     return TEMPLATE.read_text("utf-8").format(
         **results["machine"],
         minutes=max(round(results["seconds"] / 60), 1),
         copy=fixed[-1]["copy_gb_s"],
-        goals="\n".join(goal(each) for each in results["goals"]),
+        goals=goals_page(results["goals"]),
         side=fixed[0]["texels"][0],
         entries=fixed[-1]["entries"],
         fixed=times(fixed),
@@ -49,7 +53,7 @@ def page(results: dict[str, Any]) -> str:
         update_side=updates["texels"],
         dirty=updates["share"],
         square=updates["share"] ** 0.5,
-        updates="\n".join(f"| {name} | {ms['median']:.2f} | {ms['median'] / full:.2f} |" for name, ms in updates["ms"].items()),
+        updates=markdown(("update", "ms", "times full"), changed),
         flags_verdict=(
             f"never pay here, at {min(flags):.1f} to {max(flags):.0f} times a full update."
             if min(flags) >= 1
@@ -58,19 +62,6 @@ def page(results: dict[str, Any]) -> str:
         bands_verdict=f"takes {min(large):.2f} to {max(large):.2f} of a full update from a million texels on, {max(bands):.2f} at worst.",
         memory=bytes_of(memory),
     )
-
-
-def table(header: list[str], rows: list[list[str]]) -> str:
-    lines = [header, ["---", *["---:"] * (len(header) - 1)], *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
-
-
-def goal(each: dict[str, Any]) -> str:
-    if each["value"] is None:
-        measured, verdict = "not measured", ""
-    else:
-        measured, verdict = f"{each['value']:.2f}", "reached" if each["passed"] else "**missed**"
-    return f"| {each['goal']} | {'≥' if each['at_least'] else '≤'} {each['limit']:g} | {measured} | {verdict} |"
 
 
 def times(lamps: list[dict[str, Any]]) -> str:
@@ -90,7 +81,7 @@ def times(lamps: list[dict[str, Any]]) -> str:
         if thesis:
             cells.append(f"{lamp['thesis_us']:.1f}")
         rows.append(cells)
-    return table([*header, "thesis µs"] if thesis else header, rows)
+    return markdown([*header, "thesis µs"] if thesis else header, rows)
 
 
 def gpu(measured: dict[str, Any] | None) -> str:
@@ -111,7 +102,7 @@ def bytes_of(memory: list[dict[str, Any]]) -> str:
         ]
         for each in memory
     ]
-    return table(["lamp", "lit", "entries", *(f"`{name}`" for name in names)], rows)
+    return markdown(["lamp", "lit", "entries", *(f"`{name}`" for name in names)], rows)
 
 
 def draw_updates(points: list[dict[str, Any]], file: Path) -> None:

@@ -133,14 +133,13 @@ def _picture(simulation: Simulation) -> Picture | None:
 
 def table(result: dict[str, Any]) -> Table:
     """One size's results."""
-    shown = Table("ms a step", "NumPy, SciPy, pyrender", "luxloop", "ratio", title=f"{result['width']} x {result['height']} px", box=None)
-    for column in shown.columns[1:]:
-        column.justify = "right"
+    rows = []
     for part in (*PARTS, "step", "step without render"):
         ours, theirs = result["luxloop"][part], result["numpy"][part]
         ratio = "" if part == "render" else f"{theirs / ours:.0f}"
-        shown.add_row(part, f"{theirs:.1f}", f"{ours:.2f}", ratio)
-    return shown
+        rows.append((part, f"{theirs:.1f}", f"{ours:.2f}", ratio))
+    columns = ("ms a step", "NumPy, SciPy, pyrender", "luxloop", "ratio")
+    return tables.plain(columns, rows, "lr", title=f"{result['width']} x {result['height']} px")
 
 
 def main() -> None:

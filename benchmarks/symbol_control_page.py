@@ -12,6 +12,8 @@ import numpy as np
 from symbol_control_cases import CONTROLLERS, DISTURBED, DRIVING, FROM, STANDING, UNTIL, Case
 from symbol_control_goals import BEGUN, DISTURBANCES, GOALS, Judged, Row
 
+from loop.terminal.tables import markdown
+
 TEMPLATE = Path(__file__).with_suffix(".md")
 PICTURE = "symbol-control.png"
 MEASURES = {"iou": 2, "iou_least": 2, "settle": 0, "overshoot": 0, "centroid": 1, "gap": 2, "recovery": 0}  # and their digits
@@ -52,14 +54,14 @@ def page(rows: Sequence[Row], about: dict[str, Any], failed: Collection[str], ab
 
 def goals(rows: Sequence[Row], failed: Collection[str] = (), absent: Collection[str] = ()) -> str:
     """A row a goal: what was measured, and what limits it where it was missed. A scene of which a world failed is missed."""
-    lines = ["| goal | measured | | what limits it |", "| --- | ---: | --- | --- |"]
+    lines = []
     for goal in GOALS:
         if broken := [scene for scene in goal.scenes if scene in failed]:
-            lines.append(f"| {goal.what} | — | **missed** | failed: {', '.join(broken)} |")
+            lines.append((goal.what, "–", "**missed**", f"failed: {', '.join(broken)}"))
             continue
         worst = goal.worst(rows)
         if worst is None:
-            lines.append(f"| {goal.what} | — | not measured | |")
+            lines.append((goal.what, "–", "not measured", ""))
             continue
         value, where = worst
         reached = goal.reached(value)
@@ -67,35 +69,36 @@ def goals(rows: Sequence[Row], failed: Collection[str] = (), absent: Collection[
         verdict, limited = ("reached", "") if reached else ("**missed**", goal.limited)
         if without := [scene for scene in goal.scenes if scene in absent]:
             verdict += f", without {', '.join(without)}"
-        lines.append(f"| {goal.what} | {value:.{MEASURES[goal.measure] + 1}f}{place} | {verdict} | {limited} |")
-    return "\n".join(lines)
+        lines.append((goal.what, f"{value:.{MEASURES[goal.measure] + 1}f}{place}", verdict, limited))
+    return markdown(("goal", "measured", "", "what limits it"), lines, "lrl")
 
 
 def table(rows: Sequence[Row], field: str, values: Iterable[Any], measure: str) -> str:
     """A row for each value of the field and a column a controller: the mean of a measure, its worst case in brackets."""
-    lines = [f"| {field} | {' | '.join(CONTROLLERS)} |", f"| --- |{' ---: |' * len(CONTROLLERS)}"]
-    for value in values:
-        found = [row for row in rows if row[field] == value]
-        if found:
-            cells = [_cell([row for row in found if row["controller"] == name], measure) for name in CONTROLLERS]
-            lines.append(f"| {value} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+    by_value = {value: [row for row in rows if row[field] == value] for value in values}
+    return markdown(
+        (field, *CONTROLLERS),
+        (
+            (value, *(_cell([row for row in found if row["controller"] == name], measure) for name in CONTROLLERS))
+            for value, found in by_value.items()
+            if found
+        ),
+    )
 
 
 def all_latencies(rows: Sequence[Row]) -> str:
     """A row for each scene and latency, and a column a measure."""
-    lines = ["| scene | late by | IoU | settled | overshoot % | centroid % | below open loop |", "| --- | ---: |" + " ---: |" * 5]
+    lines = []
     for scene, latency in dict.fromkeys((row["scene"], row["latency"]) for row in rows):
         found = [row for row in rows if (row["scene"], row["latency"]) == (scene, latency)]
-        cells = [_cell(found, name) for name in ("iou", "settle", "overshoot", "centroid", "gap")]
-        lines.append(f"| {scene} | {latency} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+        lines.append((scene, latency, *(_cell(found, name) for name in ("iou", "settle", "overshoot", "centroid", "gap"))))
+    return markdown(("scene", "late by", "IoU", "settled", "overshoot %", "centroid %", "below open loop"), lines)
 
 
 def _cell(rows: Sequence[Row], measure: str) -> str:
     values = [row[measure] for row in rows if row[measure] is not None]
     if not values:
-        return "—"
+        return "–"
     worst, digits = (min if measure.startswith("iou") else max)(values), MEASURES[measure]
     return f"{np.mean(values):.{digits}f}" + (f" ({worst:.{digits}f})" if len(values) > 1 else "")
 

@@ -4,6 +4,7 @@ import itertools
 
 from loop.run import prepare
 from loop.scenario.model import load
+from loop.terminal.tables import markdown
 
 STEPS, MEANT = 30, 10
 BOX = '[{kind="box", name="box", size_m=[0.4, 0.5, 0.3], albedo=0.2, track=[{position_m=[15.5, 0.2, 0.0]}]}]'
@@ -27,11 +28,12 @@ def main() -> None:
     """Print the table."""
     names = ["thesis_pid", "gauss_newton"]
     columns = [f"`{name}` {stage}" for name, stage in itertools.product(names, STAGES)]
-    print("| road | open loop | survey |", " | ".join(columns), "|\n" + "| --- " * (len(columns) + 3) + "|")
+    rows = []
     for road, (scenario, changes) in ROADS.items():
         controllers = ['{name="open"}', '{name="feedforward", survey=true}']
         controllers += (f'{{name="{name}"{keys}}}' for name, keys in itertools.product(names, STAGES.values()))
-        print(f"| {road} |", " | ".join(f"{iou(scenario, changes, each):.2f}" for each in controllers), "|", flush=True)
+        rows.append((road, *(f"{iou(scenario, changes, each):.2f}" for each in controllers)))
+    print(markdown(("road", "open loop", "survey", *columns), rows))
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ from torch import Tensor
 from loop.lighting.sight import SAME
 from loop.lighting.simulation import LightingSimulation
 from loop.scenario.model import LightingScenario, validate_any
+from loop.terminal.tables import markdown
 from perception.camera import CameraParams, camera_view
 from perception.detection.protocol import Detections
 from perception.detection.suppression import overlaps
@@ -160,10 +161,10 @@ def traffic(seed: int, steps: int) -> Kept:
     return judge.kept
 
 
-def printed(name: str, runs: list[Kept]) -> None:
+def row(name: str, runs: list[Kept]) -> tuple[str | int, ...]:
     switches, seconds = sum(each.switches for each in runs), sum(each.seen for each in runs) / RATE_HZ
     lost = sum(len(numbers) > 1 for each in runs for numbers in each.numbers)
-    print(f"| {name} | {len(runs)} | {switches} | {lost} | {60 * switches / seconds:.2f} | {np.mean([each.mota for each in runs]):.3f} |")
+    return name, len(runs), switches, lost, f"{60 * switches / seconds:.2f}", f"{np.mean([each.mota for each in runs]):.3f}"
 
 
 def main() -> None:
@@ -171,15 +172,14 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=20, help="runs of each made-up scene")
     parser.add_argument("--scenes", type=int, default=0, help="scenes of random traffic, with the network")
     given = parser.parse_args()
-    print("| scene | runs | switches | objects with more than one track | switches a minute of an object | MOTA |")
-    print("| --- | --- | --- | --- | --- | --- |")
-    for name, roads in SCENES.items():
-        printed(name, [followed(roads, 110, seed) for seed in range(given.seeds)])
+    rows = [row(name, [followed(roads, 110, seed) for seed in range(given.seeds)]) for name, roads in SCENES.items()]
     crowds = range(-(-given.seeds // 2))
     for people in (5, 10, 20):
-        printed(f"{people} pedestrians to and fro for 5 s", [followed(crowd(people, seed), 150, seed) for seed in crowds])
+        rows.append(row(f"{people} pedestrians to and fro for 5 s", [followed(crowd(people, seed), 150, seed) for seed in crowds]))
     if given.scenes:
-        printed("random traffic for 2 s, with the network", [traffic(seed, 60) for seed in range(given.scenes)])
+        rows.append(row("random traffic for 2 s, with the network", [traffic(seed, 60) for seed in range(given.scenes)]))
+    columns = ("scene", "runs", "switches", "objects with more than one track", "switches a minute of an object", "MOTA")
+    print(markdown(columns, rows))
 
 
 if __name__ == "__main__":

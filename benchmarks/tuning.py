@@ -25,6 +25,7 @@ from loop.studies import ranges
 from loop.studies.tune import Task, Tuned, mean_cost
 from loop.studies.tune_report import do_tune
 from loop.symbol.batch import rollouts
+from loop.terminal.tables import markdown
 
 DOCS = Path(__file__).parents[1] / "docs" / "tuning.md"
 HEADING = "## What it brings"
@@ -150,19 +151,12 @@ def measured(size: Size, out: Path, execute: Executor, jobs: int | None) -> dict
 def section(content: dict[str, Any]) -> str:
     """The figures as a section of the page."""
     machine, size = content["machine"], content["size"]
-    rows = [
-        "| | thesis' gains | tuned | ratio | rollouts | to the best |",
-        "| --- | ---: | ---: | ---: | ---: | ---: |",
-        *(
-            f"| {each['way']} | {each['held out']['given']:.3f} | {each['held out']['best']:.3f} | {each['held out']['ratio']:.2f} "
-            f"| {each['rollouts']:.0f} | {each['rollouts to the best']:.0f} |"
-            for each in content["ways"]
-        ),
-    ]
-    goals = ["| goal | measured | limit | |", "| --- | ---: | ---: | --- |"]
-    for each in content["goals"]:
-        limit = f"{'≥' if each['at_least'] else '≤'} {each['limit']:g}"
-        goals.append(f"| {each['goal']} | {each['value']:.2f} | {limit} | {'reached' if each['passed'] else '**missed**'} |")
+    rows = []
+    for each in content["ways"]:
+        costs = each["held out"]
+        ways = (f"{costs['given']:.3f}", f"{costs['best']:.3f}", f"{costs['ratio']:.2f}")
+        rows.append((each["way"], *ways, each["rollouts"], each["rollouts to the best"]))
+    table = markdown(("", "thesis' gains", "tuned", "ratio", "rollouts", "to the best"), rows)
     command = f"python benchmarks/tuning.py{' --quick' if size['quick'] else ''} --page"
     where = f"Measured on {machine['date']} by `{command}` ({machine['processor']}, torch {machine['torch']})"
     what = (
@@ -170,7 +164,7 @@ def section(content: dict[str, Any]) -> str:
         f"{size['trials']} trials, and {size['iterations']} iterations by gradient, a run of each scenario a trial. "
         f"Costs are means over {size['held_out']} other kinds of noise."
     )
-    return "\n".join([HEADING, "", f"{where}. {what}", "", *rows, "", *goals, ""])
+    return "\n".join([HEADING, "", f"{where}. {what}", "", table, "", bench.goals_page(content["goals"]), ""])
 
 
 def written(page: str, made: str) -> str:

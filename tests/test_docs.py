@@ -23,6 +23,7 @@ from loop.run import prepare
 from loop.scenario.model import LightingScenario, Scenario, load, load_any, validate, validate_any
 from loop.scenario.overrides import TAGS
 from loop.scenario.shipped import shipped
+from loop.terminal.tables import markdown
 from world.lampfiles import description as lamp_description
 from world.lampfiles.description import LampDescription
 
@@ -226,11 +227,11 @@ def allowed(field: dict[str, Any]) -> str:
 
 
 def table(model: dict[str, Any]) -> str:
-    rows = ["| key | default | may be | meaning |", "| --- | --- | --- | --- |"]
+    rows = []
     for key, field in model["properties"].items():
         meaning = field.get("description", "which of the variants this is" if key in TAGS else "")
-        rows.append(f"| `{key}` | {default(field)} | {allowed(field)} | {meaning} |")
-    return "".join(f"{row}\n" for row in rows)
+        rows.append((f"`{key}`", default(field), allowed(field), meaning))
+    return markdown(("key", "default", "may be", "meaning"), rows, "l") + "\n"
 
 
 MARKED = re.compile(r"(?<=<!-- keys of )(\w+)( -->\n)(?:\|.*\n)*")

@@ -127,10 +127,10 @@ def _write(out: Path, judge: BeamJudge, found: Found, beams: Mapping[str, Lights
 
 def _tell(summary: dict[str, Any], played_by: str) -> None:
     beams = summary["beams"]
-    table = tables.plain("", *beams)
-    table.add_row("flux", *(f"{each['flux_lm']:.0f} lm" for each in beams.values()))
-    for key in beams["found"]["scores"]:
-        table.add_row(f"{summary['metric']}: {key}", *(f"{each['scores'][key]:.2f}" for each in beams.values()))
-    table.add_row("on eyes", *("–" if each["eyes_lx_max"] is None else f"{each['eyes_lx_max']:.2f} lx" for each in beams.values()))
-    tables.show(table)
+    rows = [("flux", *(f"{each['flux_lm']:.0f} lm" for each in beams.values()))]
+    rows += (
+        (f"{summary['metric']}: {key}", *(f"{each['scores'][key]:.2f}" for each in beams.values())) for key in beams["found"]["scores"]
+    )
+    rows += [("on eyes", *(tables.number(each["eyes_lx_max"], ".2f", " lx") for each in beams.values()))]
+    tables.show(tables.plain(("", *beams), rows))
     print(f"to see it: luxloop run {played_by}")

@@ -5,12 +5,15 @@ from pathlib import Path
 from typing import Any, Literal
 
 from cyclopts import App
+from rich.markup import escape
 
+from loop.scenario import data
 from loop.terminal import tables
-from loop.terminal.listing import Kind, listing
+from loop.terminal.listing import USES, Kind, listing
 from loop.terminal.options import DIFFERS, OK, Json
 
 data_app = App(name="data", help="Measured roads and light distributions from their public sources.")
+COLOURS = {"ok": "green", "warn": "yellow", "fail": "red"}  # of what the doctor finds
 
 
 def list_(kind: Kind = "scenarios", /, *, json: Json = False) -> None:
@@ -27,8 +30,15 @@ def list_(kind: Kind = "scenarios", /, *, json: Json = False) -> None:
     found = listing(kind)
     if json:
         tables.show_json(found)
-    else:
-        tables.show(tables.listed(kind, found))
+        return
+    scenarios = kind == "scenarios"
+    columns = (kind.removesuffix("s"), *(["controller or functions"] if scenarios else []), "what it is")
+    rows = []
+    for each in found:
+        remedy = f"\n[yellow]needs {each['lacks']}: luxloop data get {each['lacks']}[/]" if each.get("lacks") else ""
+        uses = [", ".join(each["uses"])] if scenarios else []
+        rows.append([f"[bold]{each['name']}[/]", *uses, escape(each["description"]) + remedy])
+    tables.show(tables.plain(columns, rows, caption=escape(USES[kind])))
 
 
 def schema(*, kind: Literal["symbol", "lighting"] | None = None) -> None:
@@ -61,14 +71,27 @@ def doctor(*, json: Json = False) -> int:
     if json:
         tables.show_json({"ok": all_good(found), "checks": [asdict(check) for check in found]})
     else:
-        tables.show(tables.findings(found))
+        rows = ((f"[{COLOURS[each.status]}]{each.status}[/]", *map(escape, (each.name, each.found, each.remedy))) for each in found)
+        tables.show(tables.plain(("", "what", "found", "mend it with"), rows))
     return OK if all_good(found) else DIFFERS
 
 
 @data_app.command(name="list")
 def data_list() -> None:
     """List the files that can be fetched, and which of them are on this machine."""
-    tables.show(tables.data_files())
+    rows = (
+        (
+            f"[bold]{each.name}[/]",
+            each.kind,
+            f"{each.bytes / 1e6:.1f}",
+            escape(each.licence),
+            escape(each.description),
+            escape(str(each.path)) if each.path else "[yellow]not here[/]",
+        )
+        for each in data.rows()
+    )
+    caption = "Get one with `luxloop data get NAME`, all with `luxloop data get all`."
+    tables.show(tables.plain(("name", "kind", "MB", "licence", "what it is", "where it is"), rows, caption=caption))
 
 
 @data_app.command(name="get")
@@ -82,8 +105,6 @@ def data_get(name: str, /, *, dir: Path | None = None) -> None:
     dir
         Folder to put it into, in place of luxloop's own; set LUXLOOP_DATA to this folder to use it.
     """
-    from loop.scenario import data
-
     for each in data.registry() if name == "all" else [name]:
         fetched = data.get(each, dir)
         print(f"{each}: {fetched.path}{'' if fetched.downloaded else ' (was here)'}", flush=True)

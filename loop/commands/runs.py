@@ -7,18 +7,22 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from rich.markup import escape
+from rich.table import Table
 
 from loop.lighting.replay import replay as replay_lighting
 from loop.lighting.result import LightingResult
 from loop.lighting.summary import shown
 from loop.recording.manifest import Manifest
 from loop.recording.recorder import TRAJECTORY
+from loop.recording.remedies import remedies
 from loop.recording.replay import Comparison, read_parquet, replay
 from loop.run import run
 from loop.scenario.model import LightingScenario, load_any
 from loop.symbol.simulation import StepResult
 from loop.terminal import tables
 from loop.terminal.progress import progress
+from loop.terminal.tables import number
 
 
 def _one_thread() -> None:
@@ -48,8 +52,26 @@ def run_scenario(
             result = run(scenario, out, device=device, video=video, report=report, on_step=on_step, on_end=partial(advance, 0, writing))
         except KeyboardInterrupt as error:
             raise KeyboardInterrupt(f"{done} of {scenario.steps} steps are kept in {out}" if done else "nothing was recorded") from error
-    table = shown if isinstance(scenario, LightingScenario) else tables.summary
+    table = shown if isinstance(scenario, LightingScenario) else of_symbol
     tables.show(table(result.summary, str(out)))
+
+
+def of_symbol(values: dict[str, Any], files: str) -> Table:
+    """The closing table of a run, from the summary of a symbol."""
+    x, y = values["centroid_error_percent"]
+    settled = values["settle_step"]
+    rows = {
+        "settle step": f"{settled} of {values['steps']}" if settled is not None else "not settled",
+        "centroid error": f"{number(x, '.2f')} % along, {number(y, '.2f')} % across",
+        "IoU, open loop → final": f"{number(values['iou_open'], '.3f')} → {number(values['iou_final'], '.3f')}",
+        "overshoot": number(values["overshoot_percent"], ".1f", " %"),
+        "lost steps": str(values["lost_steps"]),
+        "time a step": f"{number(values['step_ms_median'], '.1f')} ms (median)",
+        "files": files,
+    }
+    if notes := remedies(values):
+        rows["note"] = "\n".join(notes)
+    return tables.facts(rows)
 
 
 def compare_recording(directory: Path, allow_code: bool) -> bool:
@@ -66,5 +88,14 @@ def compare_recording(directory: Path, allow_code: bool) -> bool:
         console.print(f"{directory}: {comparison.steps} steps agree with the recording", markup=False)
     else:
         console.print(f"{directory}: {len(comparison.differences)} columns differ from the recording", markup=False)
-        console.print(tables.differences(comparison.differences))
+        rows = (
+            [f"[bold]{d.column}[/]", *map(_cell, (d.first_step, d.recorded, d.replayed, d.largest, d.largest_step, d.tolerance))]
+            for d in comparison.differences
+        )
+        columns = ("column", "first at step", "recorded", "replayed", "largest difference", "at step", "tolerance")
+        console.print(tables.plain(columns, rows))
     return comparison.agrees
+
+
+def _cell(value: object) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else escape(str(value))

@@ -8,7 +8,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from loop.pictures.facts import borders_deg, flux_lm, peak
-from loop.terminal.tables import plain
+from loop.terminal.tables import facts, number, plain
 from world.headlight.lamp import Lamp
 from world.lampfiles.modules import ModuleReport
 from world.photometry import Photometry
@@ -25,11 +25,9 @@ KINDS = {
 
 def presets() -> Table:
     """Lamps that are shipped."""
-    table = plain("lamp", "what it is")
-    for name, summary in SUMMARIES.items():
-        table.add_row(f"[bold]{name}[/]", escape(summary))
-    table.caption, table.caption_justify = "`luxloop headlight info LAMP` says what is published about a lamp and what is assumed.", "left"
-    return table
+    rows = ((f"[bold]{name}[/]", escape(summary)) for name, summary in SUMMARIES.items())
+    caption = "`luxloop headlight info LAMP` says what is published about a lamp and what is assumed."
+    return plain(("lamp", "what it is"), rows, caption=caption)
 
 
 def photometry(file: Photometry) -> Table:
@@ -47,10 +45,7 @@ def photometry(file: Photometry) -> Table:
         "power": f"{file.watts:g} W" if file.watts else "–",
         "tilt": file.tilt,
     }
-    table = plain("", "")
-    table.show_header = False
-    for label, value in rows.items():
-        table.add_row(f"[bold]{label}[/]", escape(value))
+    table = facts(rows)
     for warning in file.warnings:
         table.add_row("[bold yellow]odd[/]", escape(warning))
     return table
@@ -58,9 +53,8 @@ def photometry(file: Photometry) -> Table:
 
 def modules(described: Lamp) -> Table:
     """Modules of a lamp."""
-    table = plain(
-        "module", "pixels", "texture", "field in deg (left, right; down, up)", "mount", "turns", "entries a texel", "peak", "flux"
-    )
+    columns = ("module", "pixels", "texture", "field in deg (left, right; down, up)", "mount", "turns", "entries a texel", "peak", "flux")
+    table = plain(columns)
     for module in described.modules:
         light = module.headlight
         full = light.light_texture(torch.ones(light.n_pixels).to(light.matrix.values))
@@ -87,7 +81,7 @@ def modules(described: Lamp) -> Table:
 
 def beams(described: Lamp) -> Table:
     """Beams of a lamp: what they give, and where they are brightest."""
-    table = plain("beam", "peak", "where (h right, v up)", "flux", "mean utilisation")
+    rows = []
     for name in [*described.beams, "full"]:
         utilisations = described.beam(name)
         brightest = peak(described, utilisations)
@@ -97,13 +91,14 @@ def beams(described: Lamp) -> Table:
         mean = float(torch.cat(tuple(utilisations)).mean())
         place = "even" if brightest.even else f"{brightest.h_deg:+.1f}, {brightest.v_deg:+.1f} deg"
         where = place if brightest.candela else "–"
-        table.add_row(f"[bold]{escape(name)}[/]", f"{brightest.candela:,.0f} cd", where, f"{flux:,.0f} lm", f"{mean:.1%}")
-    return table
+        rows.append((f"[bold]{escape(name)}[/]", f"{brightest.candela:,.0f} cd", where, f"{flux:,.0f} lm", f"{mean:.1%}"))
+    return plain(("beam", "peak", "where (h right, v up)", "flux", "mean utilisation"), rows)
 
 
 def built(reports: Sequence[ModuleReport]) -> Table:
     """What became of the sources of a lamp that was built."""
-    table = plain("module", "pixels", "texture", "entries a texel", "light left out", "RMSE to the source", "error by fewer overlaps")
+    columns = ("module", "pixels", "texture", "entries a texel", "light left out", "RMSE to the source", "error by fewer overlaps")
+    table = plain(columns)
     for each in reports:
         before, after = each.entries_per_texel
         table.add_row(
@@ -111,7 +106,7 @@ def built(reports: Sequence[ModuleReport]) -> Table:
             f"{each.pixel_rows} x {each.pixel_cols}",
             f"{each.rows} x {each.cols}",
             f"{before:.3g}" if before == after else f"{before:.3g} → {after:.3g}",
-            "–" if each.dropped is None else f"{each.dropped:.2%}",
+            number(each.dropped, ".2%"),
             "–" if each.rmse is None else f"{each.rmse:.2%} of the peak, {each.rmse_cd:,.3g} cd",
             "–" if each.overlap is None else f"RMSE {each.overlap.rmse:.2%}, at most {each.overlap.largest:.2%}",
         )
@@ -120,28 +115,26 @@ def built(reports: Sequence[ModuleReport]) -> Table:
 
 def rules() -> Table:
     """Sets of test points."""
-    table = plain("rule", "what it is", "table", "confidence")
+    rows = []
     for name, each in sorted(sets().items()):
         also = f"\n[dim]also {each.also}[/]" if each.also else ""
-        table.add_row(f"[bold]{name}[/]{also}", escape(each.title), escape(each.table), escape(each.confidence))
-    table.caption, table.caption_justify = "Second-hand numbers for development, not for approval.", "left"
-    return table
+        rows.append((f"[bold]{name}[/]{also}", escape(each.title), escape(each.table), escape(each.confidence)))
+    return plain(("rule", "what it is", "table", "confidence"), rows, caption="Second-hand numbers for development, not for approval.")
 
 
 def results(found: Sequence[Result], title: str) -> Table:
     """What a check found, a row a requirement."""
-    table = plain("test point", "worst at h, v in deg", "value", "limit", "margin", "verdict")
-    table.title, table.title_justify = escape(title), "left"
+    rows = []
     for each in found:
         where = "" if each.where is None else f"{each.where[0]:+.2f}, {each.where[1]:+.2f}"
         margin = "" if each.verdict == "not applicable" else f"{each.margin:+.0%}"
         note = f"\n[dim]{escape(each.note)}[/]" if each.note and each.verdict == "not applicable" else ""
         verdict = f"[{VERDICTS[each.verdict]}]{each.verdict}[/]"
-        table.add_row(f"[bold]{escape(each.id)}[/]{note}", where, f"{each.value:,.5g}", each.limits, margin, verdict)
+        rows.append((f"[bold]{escape(each.id)}[/]{note}", where, f"{each.value:,.5g}", each.limits, margin, verdict))
     failed = sum(each.verdict == "fail" for each in found)
-    table.caption = "passes" if passes(found) else f"{failed} of {len(found)} requirements fail"
-    table.caption_justify = "left"
-    return table
+    caption = "passes" if passes(found) else f"{failed} of {len(found)} requirements fail"
+    columns = ("test point", "worst at h, v in deg", "value", "limit", "margin", "verdict")
+    return plain(columns, rows, title=escape(title), caption=caption)
 
 
 def _turned(T: torch.Tensor) -> str:

@@ -1,6 +1,5 @@
 """The report of an evaluation: tables beside the thesis' own, and figures, as one page of Markdown (T 8.4, 8.5, B.4)."""
 
-from collections.abc import Sequence
 from pathlib import Path
 
 from rich.table import Table
@@ -8,6 +7,7 @@ from rich.table import Table
 from loop.evaluation import figures as evaluate_figures
 from loop.evaluation.evaluate import LAMPS, ROWS, Evaluation, evaluate, summary
 from loop.terminal import tables
+from loop.terminal.tables import number
 from world.errors import LuxloopError
 from world.files import whole
 
@@ -85,14 +85,16 @@ def write_report(evaluation: Evaluation, out: Path) -> None:
 
 def overview(evaluation: Evaluation) -> Table:
     """Means of all lamps for the terminal."""
-    shown = tables.plain("lamp", "setpoints", "MAE joint", "MAE MRPC", "MRPC / joint", "thesis", "with options", "corrected")
+    columns = ("lamp", "setpoints", "MAE joint", "MAE MRPC", "MRPC / joint", "thesis", "with options", "corrected")
+    rows = []
     for name in evaluation.lamps:
         values = summary(evaluation.of(name).setpoints)
         joint, mrpc, ratio, *others = (
             f"{values[f'{key}_mean']:.3f}" for key in ("jpo", "mrpc", "mrpc_ratio", "options_ratio", "corrected_ratio")
         )
-        shown.add_row(f"[bold]{name}[/]", f"{values['setpoints']:g}", joint, mrpc, ratio, f"{THESIS[name]['mrpc_ratio'][0]:g}", *others)
-    return shown
+        thesis = f"{THESIS[name]['mrpc_ratio'][0]:g}"
+        rows.append([f"[bold]{name}[/]", f"{values['setpoints']:g}", joint, mrpc, ratio, thesis, *others])
+    return tables.plain(columns, rows)
 
 
 def page(evaluation: Evaluation, images: str) -> str:
@@ -103,11 +105,11 @@ def page(evaluation: Evaluation, images: str) -> str:
 def _lamp(one: Evaluation, name: str, images: str) -> list[str]:
     values = summary(one.setpoints)
     measured = [
-        [text, _number(values[f"{key}_mean"]), _number(values[f"{key}_median"]), *map(_number, THESIS[name].get(key, (None, None)))]
+        [text, *(number(value, ".3f") for value in (values[f"{key}_mean"], values[f"{key}_median"], *THESIS[name].get(key, (None, None))))]
         for key, text in MEASURES.items()
     ]
     count = f"{values['setpoints']:g} rectangles of 10,000 cd; the joint optima are proved within {100 * values['gap']:.2g} %."
-    parts = [f"## {name}", count, _table(["", "mean", "median", "mean in the thesis", "median in the thesis"], measured)]
+    parts = [f"## {name}", count, tables.markdown(["", "mean", "median", "mean in the thesis", "median in the thesis"], measured)]
     kinds = list(CAPTIONS) if one.sensitivity else [kind for kind in CAPTIONS if kind != "sensitivity"]
     for kind in kinds:
         if kind == "sensitivity":
@@ -125,20 +127,10 @@ def _changes(one: Evaluation, name: str) -> list[str]:
     reference = rows.pop("reference")
     body = []
     for (key, row), thesis in zip(rows.items(), THESIS_ROWS[name], strict=True):
-        a_m = "–" if row["best_a_m"] is None else f"{row['best_a_m']:.2f}"
         changes = [f"{100 * (row[error] / reference[error] - 1):+.1f} ({value:+.1f})" for error, value in zip(errors, thesis, strict=True)]
-        body.append([key, a_m, f"{row['best_a_x']:.2f}", f"{row['best_a_r']:.2f}", *changes])
+        body.append([key, *(number(row[f"best_{name}"], ".2f") for name in ("a_m", "a_x", "a_r")), *changes])
     text = (
         "A rectangle of 8.9° x 7.7°, as T tables 8.2 and 8.3 have it: change in % (the thesis' in brackets) against pixels taken as their "
         f"bounding rectangles at half of their peak, without mapping, whose MAE is {reference['mae']:.3f}."
     )
-    return [text, _table(["tuned", "a_m", "a_x", "a_r", "MAE", "RMSE", "DSSIM", "MARE"], body)]
-
-
-def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = [header, ["---", *["---:"] * (len(header) - 1)], *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
-
-
-def _number(value: float | None) -> str:
-    return "" if value is None else f"{value:.3f}"
+    return [text, tables.markdown(["tuned", "a_m", "a_x", "a_r", "MAE", "RMSE", "DSSIM", "MARE"], body)]

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
-from rich.markup import escape
 from rich.table import Table
 
 from controllers.zones.material import Quantity
 from loop.recording.summary import column
+from loop.terminal.tables import facts, number
 
 START_UP_S = 1.0  # in which functions that learn begin with more light than they come to need
 SETTLED = 0.05  # greatest deviation of a zone from its target, as a share of it
@@ -162,12 +162,11 @@ def _recognised(table: pa.Table, name: str) -> dict[str, Any]:
 
 def shown(values: dict[str, Any], files: str) -> Table:
     """The closing table of a run."""
-    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
     rows = {"steps": str(values["steps"])}
     for side, lamp in values["lamps"].items():
         dimmed = f", dimmed to {100 * lamp['power_factor_min']:.0f} % in the worst step" if (lamp["power_factor_min"] or 1.0) < 1 else ""
         rows[f"{side} lamp"] = (
-            f"{_number(lamp['flux_lm_mean'], '.0f')} lm (mean), {_number(lamp['power_share_max'], '.1%')} of its power at most{dimmed}"
+            f"{number(lamp['flux_lm_mean'], '.0f')} lm (mean), {number(lamp['power_share_max'], '.1%')} of its power at most{dimmed}"
         )
     for name, light in values["objects"].items():
         mean, most = light["lx_mean"], light["lx_max"]
@@ -176,7 +175,7 @@ def shown(values: dict[str, Any], files: str) -> Table:
         rows["on what must be dark"] = f"{values['dark_lx_max']:.3g} lx at most"
     for name, zone in values.get("zones", {}).items():
         when = "not settled" if zone["settled_step"] is None else f"within 5 % from step {zone['settled_step']} on"
-        rows[f"zone {name}"] = f"{_number(zone['luminance'], '.3g')} of {zone['target']:.3g} cd/m^2, {when}"
+        rows[f"zone {name}"] = f"{number(zone['luminance'], '.3g')} of {zone['target']:.3g} cd/m^2, {when}"
     for name, each in values.get("materials", {}).items():
         unit = UNITS[each["quantity"]]
         share = f" ({each['median'] / each['wanted']:.0%} of it)" if each["median"] is not None and each["wanted"] else ""
@@ -214,11 +213,9 @@ def shown(values: dict[str, Any], files: str) -> Table:
             word, gone = ("lost", each["steps_lost"]) if each["tracks"] else ("missed", each["steps_in_sight"])
             large = "" if each["tracks"] else f", of {each['pixels_max']:.0f} px at most"
             rows[f"{word} {name}"] = f"no track shows it in {gone} of the {each['steps_in_sight']} steps in which it is in sight{large}"
-    rows["time a step"] = f"{_number(values['control_ms_median'], '.1f')} ms (median) for planning and all lamps"
+    rows["time a step"] = f"{number(values['control_ms_median'], '.1f')} ms (median) for planning and all lamps"
     rows["files"] = files
-    for label, value in rows.items():
-        table.add_row(f"[bold]{escape(label)}[/]", escape(value))
-    return table
+    return facts(rows)
 
 
 def _of_energy(own_j: float, compared_j: Mapping[str, float]) -> str:
@@ -232,7 +229,3 @@ def _on_eyes(most_lx: float, later_lx: float | None) -> str:
     if later_lx is None:
         return f"{most_lx:.3g} lx at most, all within the first {START_UP_S:g} s"
     return f"{later_lx:.3g} lx at most from {START_UP_S:g} s on, {most_lx:.3g} lx with the start-up before"
-
-
-def _number(value: float | None, form: str) -> str:
-    return "–" if value is None else format(value, form)

@@ -60,31 +60,26 @@ def write_report(campaign: Campaign, out: Path) -> None:
 
 def overview(campaign: Campaign) -> Table:
     """Means and worst cases over seeds for the terminal."""
-    header, *body = _lines(campaign)
-    table = tables.plain(*header)
-    for line in body:
-        table.add_row(*line)
-    return table
+    return tables.plain(*_figures(campaign))
 
 
 def page(campaign: Campaign) -> str:
     """The campaign as Markdown."""
-    header, *body = _lines(campaign)
-    lines = [header, ["---"] * len(header), *body]
-    table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    table = tables.markdown(*_figures(campaign), "lllr")
     failed = "".join(f"- {key}: {reason}\n" for key, reason in campaign.failures.items())
     runs = f"{len(campaign.rows)} runs, {len(campaign.failures)} failed."
     note = f"{runs} Means over seeds, the worst in brackets; `{TABLE}` has all figures."
     return f"# {campaign.name}\n\n{note}\n\n{table}\n\n![Figures of all runs]({PICTURE})\n" + (f"\n## Failed\n\n{failed}" if failed else "")
 
 
-def _lines(campaign: Campaign) -> list[list[str]]:
+def _figures(campaign: Campaign) -> tuple[list[str], list[list[str]]]:
+    """Columns, and a row for each scenario, controller and variant."""
     kinds = [kind for kind in SHOWN if any(row.get(kind) is not None for row in campaign.rows)]
     body = [
         [*names, str(len(some)), *(_over(some, kind) for kind in kinds)]
         for names, some in _groups(campaign.rows, ("scenario", "controller", "variant"))
     ]
-    return [["scenario", "controller", "variant", "seeds", *(SHOWN[kind][0] for kind in kinds)], *body]
+    return ["scenario", "controller", "variant", "seeds", *(SHOWN[kind][0] for kind in kinds)], body
 
 
 def _over(rows: Sequence[Row], kind: str) -> str:

@@ -19,6 +19,7 @@ from loop.studies.study import FINISHED, STUDY
 from loop.studies.tune import Task, Tuned, tune
 from loop.terminal import tables
 from loop.terminal.options import with_controller
+from loop.terminal.tables import number
 from world.errors import LuxloopError
 from world.files import whole
 from world.folders import turn
@@ -55,11 +56,9 @@ def do_tune(
     tuned = (tune_by_gradient if gradient else tune)(task, folder, trials, local(processes))
     write(tuned, folder)
     values, cost = tuned.best
-    table = tables.plain("key", "given", "best")
-    for key, given in task.given.items():
-        table.add_row(f"[bold]{key}[/]", _number(given), _number(values.get(key, given)))
-    table.add_row("cost", _number(tuned.given_cost), _number(cost))
-    tables.show(table)
+    rows = [(f"[bold]{key}[/]", given, values.get(key, given)) for key, given in task.given.items()]
+    rows.append(("cost", tuned.given_cost, cost))
+    tables.show(tables.plain(("key", "given", "best"), ((name, number(given, ".4g"), number(best, ".4g")) for name, given, best in rows)))
     if failed := _failed(tuned):
         print(failed.strip())
     if values:
@@ -94,24 +93,22 @@ def page(tuned: Tuned) -> str:
     pruned = sum(trial.state == TrialState.PRUNED for trial in finished)
     importances = _importances(tuned)
     rows = [
-        ["key", "range", "given", "best", "importance"],
-        ["---", "---", "---:", "---:", "---:"],
         *(
             [
                 f"`{each.key}`",
                 f"{each.low:g} to {each.high:g}",
-                _number(task.given[each.key]),
-                _number(values.get(each.key, task.given[each.key])),
-                f"{importances[each.key]:.2f}" if importances else "–",
+                number(task.given[each.key], ".4g"),
+                number(values.get(each.key, task.given[each.key]), ".4g"),
+                number(importances.get(each.key), ".2f"),
             ]
             for each in task.ranges
         ),
-        ["cost", "", _number(tuned.given_cost), _number(cost), ""],
+        ["cost", "", number(tuned.given_cost, ".4g"), number(cost, ".4g"), ""],
     ]
     terms = "".join(f"- `{name}`: {objective.TERMS[name][2]}\n" for name in task.objective.weights)
     names = ", ".join(each.name for each in task.scenarios)
     what = f"{len(finished)} trials ({pruned} given up halfway) of {names} with {task.seeds} seeds each.{_failed(tuned)}"
-    table = "\n".join(f"| {' | '.join(row)} |" for row in rows)
+    table = tables.markdown(("key", "range", "given", "best", "importance"), rows, "llr")
     return f"# Tuning\n\n{what} The cost is `{task.objective}`:\n\n{terms}\n{table}\n\n![History, and cost over each key]({PICTURE})\n"
 
 
@@ -158,7 +155,3 @@ def _draw(tuned: Tuned, file: Path) -> None:
     with whole(file) as part:
         figure.savefig(part, dpi=110, format="png")
     plt.close(figure)
-
-
-def _number(value: float | int | None) -> str:
-    return "–" if value is None else f"{value:.4g}"

@@ -13,6 +13,7 @@ from rich.table import Table
 
 from loop.recording.report import FOUR, STYLE
 from loop.terminal import tables
+from loop.terminal.tables import number
 from loop.training.judge import AGREE, ALONE_LX, AROUND_LX, FOUND_IOU, HEIGHT_PX, JUDGED_LX, VISIBLE
 from loop.training.scenes import CLASSES
 from world.files import whole
@@ -43,44 +44,37 @@ def goals(report: Report) -> list[tuple[str, str, float | None, bool]]:
 
 def overview(report: Report) -> Table:
     """The goals for the terminal."""
-    shown = tables.plain(f"{report['scenes']} scenes held out", "goal", "reached", "")
-    for name, limit, value, reached in goals(report):
-        shown.add_row(name, limit, _told(value), "yes" if reached else "[bold]no[/]")
-    return shown
+    rows = ((name, limit, number(value), "yes" if reached else "[bold]no[/]") for name, limit, value, reached in goals(report))
+    return tables.plain((f"{report['scenes']} scenes held out", "goal", "reached", ""), rows)
 
 
 def page(report: Report) -> str:
     """The report as Markdown."""
     training, found, alone = report["training"], report["well_lit"], report["alone"]
-    kept = ", ".join(f"{name} {_told(value)}" for name, value in alone["kept_by_class"].items())
-    by_class = ", ".join(f"{name} {_told(value)}" for name, value in found["recall_by_class"].items())
-    rows = "\n".join(
-        f"| {name} | {limit} | {_told(value)} | {'yes' if reached else 'no'} |" for name, limit, value, reached in goals(report)
-    )
-    others = "; ".join(f"{_told(each['recall'])} at {each['false_a_frame']:g} with {each['score']:g}" for each in report["by_score"])
+    kept = ", ".join(f"{name} {number(value)}" for name, value in alone["kept_by_class"].items())
+    by_class = ", ".join(f"{name} {number(value)}" for name, value in found["recall_by_class"].items())
+    rows = ((name, limit, number(value), "yes" if reached else "no") for name, limit, value, reached in goals(report))
+    others = "; ".join(f"{number(each['recall'])} at {each['false_a_frame']:g} with {each['score']:g}" for each in report["by_score"])
     right = ", ".join(
-        f"{_told(each['right'])} of {each['boxes']} with {each['from']:g} to {each['to']:g} ({_told(each['score'])} in the mean)"
+        f"{number(each['right'])} of {each['boxes']} with {each['from']:g} to {each['to']:g} ({number(each['score'])} in the mean)"
         for each in report["right"]
     )
     learnt = training["scenes"] - training["calibrated_on"]
     asked = f"{training['calibrated_on']} more" if learnt else "the same, since so few leave none for that"
-    minutes = ", ".join(f"{name} {_told(value)} min" for name, value in training.get("minutes", {}).items())
+    minutes = ", ".join(f"{name} {number(value)} min" for name, value in training.get("minutes", {}).items())
     lx = report["confidence"]["lx"]
-    header = f"| median confidence at lx | {' | '.join(f'{each:g}' for each in lx)} |\n| --- |{' ---: |' * len(lx)}"
     curves = {"all": report["confidence"]["all"], "all, at night": report["confidence_at_night"]["all"]}
     curves |= {name: report["confidence"][name] for name in CLASSES}
-    medians = "\n".join(f"| {name} | {' | '.join(_told(each, '.2f') for each in of['median'])} |" for name, of in curves.items())
+    medians = ((name, *(number(each, ".2f") for each in of["median"])) for name, of in curves.items())
     return f"""Trained on {report["date"]} on {learnt or training["scenes"]} scenes, {training["epochs"]} epochs \
 ({training["examples"]} examples), seed {training["seed"]}{f" ({minutes})" if minutes else ""}; calibrated on {asked}; \
 judged on {report["scenes"]} others with {found["objects"]} objects, which share no object with them.
 
-| | goal | measured | reached |
-| --- | --- | ---: | --- |
-{rows}
+{tables.markdown(("", "goal", "measured", "reached"), rows, "llrl")}
 
 An object counts where it is at least {HEIGHT_PX} px tall and {VISIBLE:.0%} visible. It is found by a box of a score of at least \
 {report["sure"]:g} whose IoU with it is {FOUND_IOU:g} or more; a box on nothing is false, one on a smaller or more hidden object neither. \
-Precision is {found["precision"]:g}, the class of what is found is right in {_told(found["class_accuracy"], ".1%")}, recall by class: \
+Precision is {found["precision"]:g}, the class of what is found is right in {number(found["class_accuracy"], ".1%")}, recall by class: \
 {by_class}. \
 Recall at false boxes a frame with other scores: {others}. A frame takes {report["ms_a_frame"]:g} ms of processor time.
 
@@ -94,16 +88,11 @@ object's confidence is the best score of its class among boxes on it, 0 where th
 
 Object-based light is {ALONE_LX:g} lx on objects amid {AROUND_LX:g} lx, with heads and windscreens roughly as dark as `object_based` \
 leaves them by default. Of {alone["objects"]} objects that are found in full light of {ALONE_LX:g} lx everywhere the confidence falls \
-by no more than {AGREE:g} in {_told(alone["kept"], ".0%")} ({kept}); its median change is {_told(alone["median_change"], "+g")}. \
+by no more than {AGREE:g} in {number(alone["kept"], ".0%")} ({kept}); its median change is {number(alone["median_change"], "+g")}. \
 Near 1 the same loss of certainty is a smaller one of confidence: from 0.99 to 0.94 it is as large as from 0.5 to 0.14.
 
-{header}
-{medians}
+{tables.markdown(("median confidence at lx", *(f"{each:g}" for each in lx)), medians)}
 """
-
-
-def _told(value: float | None, format_: str = "g") -> str:
-    return "-" if value is None else f"{value:{format_}}"
 
 
 def confidence_figure(report: Report) -> Figure:

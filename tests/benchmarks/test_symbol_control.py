@@ -88,7 +88,7 @@ def test_what_failed_or_is_not_here_is_not_passed_over(benchmark: Any) -> None:
     (all_here,) = (line for line in goals(rows).splitlines() if "measured roads" in line)
     assert all_here.endswith("| reached |  |")
     (broken,) = (line for line in goals(rows, failed=["flat"]).splitlines() if "measured roads" in line)
-    assert broken.endswith("| — | **missed** | failed: flat |")
+    assert broken.endswith("| – | **missed** | failed: flat |")
     (partly,) = (line for line in goals(rows, absent=["torsion track"]).splitlines() if "measured roads" in line)
     assert partly.endswith("| reached, without torsion track |  |")
 
@@ -132,7 +132,7 @@ def test_the_page_is_written_and_a_second_run_does_nothing_again(benchmark: Any,
     assert opened["gap"] == 0 and opened["settle"] == 0, "the open loop never moves"
     page = (tmp_path / "symbol_control.md").read_text("utf-8")
     assert f"| curb | {opened['iou']:.2f} |" in page
-    assert "| Mean IoU at least 0.92 at 5 m/s | — | not measured | |" in page
+    assert "| Mean IoU at least 0.92 at 5 m/s | – | not measured |  |" in page
     assert (tmp_path / "images" / "symbol-control.png").stat().st_size > 10_000
     monkeypatch.setattr(symbol_control_cases, "prepare", None)  # a job done again would fail
     benchmark.main()
