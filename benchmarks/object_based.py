@@ -104,7 +104,7 @@ def example() -> object_based_page.Pictures:
     pictures = {}
     for name, each in lights.items():
         frame = expose(view.light(each)[1] + view.base, camera, frame_generator(0, COMES, 0)) / (2**camera.bits - 1)
-        found = sight.find(frame, simulation.truth(view))
+        found = sight.find(frame, view)
         flux = sum(flux_by_side(simulation.modules, each).values())
         pictures[f"{name}: {flux:.0f} lm"] = (frame.numpy(), found.boxes.tolist(), found.scores.amax(-1).tolist())
     return pictures

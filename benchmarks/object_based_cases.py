@@ -11,7 +11,6 @@ from torch import Tensor
 
 from controllers.functions.planner import Planner
 from controllers.obl.function import ObjectBasedState
-from loop.lighting.known import Known
 from loop.lighting.lamps import flux_by_side
 from loop.lighting.result import LightingResult
 from loop.lighting.sight import Sight, pairs
@@ -137,9 +136,8 @@ def illuminated(scenario: Mapping[str, Any], variants: Mapping[str, Mapping[str,
             runs[key].add(result, shared)
         if step in END or step in LATE:
             view = shared.camera.at(step / shared.scenario.rate_hz)
-            known = shared.truth(view)
-            counting.add(known.objects, step)
-            seen.add(view, known, beams, step)
+            counting.add(view.objects, step)
+            seen.add(view, beams, step)
     names = counting.names
     return {
         "objects": {name: counting.categories[name] for name in names},
@@ -198,15 +196,15 @@ class References:
         self.scores: dict[str, list[dict[str, list[float]]]] = {beam: [{} for _ in range(seeds)] for beam in BEAMS}
         self._last: tuple[LitScene, dict[str, Tensor]] | None = None
 
-    def add(self, view: LitScene, known: Known, beams: Mapping[str, Sequence[Tensor]], step: int) -> None:
+    def add(self, view: LitScene, beams: Mapping[str, Sequence[Tensor]], step: int) -> None:
         if self._last is None or self._last[0] is not view:
             self._last = (view, {beam: view.light(lights)[1] + view.base for beam, lights in beams.items()})
         for beam, luminance in self._last[1].items():
             for seed, scores in enumerate(self.scores[beam]):
                 frame = expose(luminance, self.camera, frame_generator(seed, step, 0, luminance.device))
-                found = self.sight.find(frame / (2**self.camera.bits - 1), known)
-                its_box = dict(pairs(known.boxes, found.boxes.double().cpu()))
-                for k, each in enumerate(known.objects):
+                found = self.sight.find(frame / (2**self.camera.bits - 1), view)
+                its_box = dict(pairs(view.boxes, found.boxes.double().cpu()))
+                for k, each in enumerate(view.objects):
                     if (step in LATE) == (each.name == NEWCOMER):
                         scores.setdefault(each.name, []).append(float(found.scores[its_box[k]].max()) if k in its_box else 0.0)
 
@@ -240,7 +238,7 @@ class Run:
                 if loop.settled and search[1] is None:
                     search[1] = result.step
         if (result.look.eyes_lx_max or 0.0) > DAZZLING_LX:
-            self.dazzled += dazzled(result, shared.truth(shared.camera.at(result.time_s)))
+            self.dazzled += dazzled(result, shared.camera.at(result.time_s))
         if result.step >= COMES:
             self.newcomer_lx.append(_rounded(result.objects[NEWCOMER].lx_mean))
 
@@ -260,13 +258,13 @@ class Run:
         }
 
 
-def dazzled(result: LightingResult, known: Known) -> list[tuple[int, str, float, bool]]:
+def dazzled(result: LightingResult, view: LitScene) -> list[tuple[int, str, float, bool]]:
     """Whose heads and windscreens get more than DAZZLING_LX in this step, how much, and whether a track shows them."""
     assert result.look is not None
     found = []
-    for each in known.objects:
-        pixels = known.pixels[each.object_id - 1]
-        most = float(result.illuminance.flatten()[pixels].where(known.eyes.flatten()[pixels], 0.0).max())
+    for each in view.objects:
+        pixels = view.pixels[each.object_id - 1]
+        most = float(result.illuminance.flatten()[pixels].where(view.eyes.flatten()[pixels], 0.0).max())
         if most > DAZZLING_LX:
             its_track = result.look.recognised[each.name].track
             found.append((result.step, each.name, round(most, 3), its_track is not None))

@@ -119,14 +119,14 @@ def tracked(situation: str, scenario: Mapping[str, Any], seeds: int) -> dict[str
     hidden: dict[str, int] = {}
     matches: list[Mapping[str, int]] = [{} for _ in own]
     for step in range(shared.scenario.steps):
-        known = shared.truth(shared.camera.at(step / shared.scenario.rate_hz))
-        shown = {each.name: each.visible * each.inside for each in known.objects}
+        view = shared.camera.at(step / shared.scenario.rate_hz)
+        shown = {each.name: each.visible * each.inside for each in view.objects}
         hidden |= {name: hidden.get(name, 0) + (share < HIDDEN) for name, share in shown.items()}
         for k, each in enumerate(simulations):
             states[k], result = each.step(states[k])
             assert result.look is not None
-            names, numbers = [each.name for each in known.objects], result.look.tracks.number.tolist()
-            matches[k] = matched(matches[k], names, numbers, overlaps(known.boxes, result.look.boxes))
+            names, numbers = [each.name for each in view.objects], result.look.tracks.number.tolist()
+            matches[k] = matched(matches[k], names, numbers, overlaps(view.boxes, result.look.boxes))
             for name in names:
                 if shown[name] >= SHOWN:
                     tracks[k].setdefault(name, []).append(matches[k].get(name))
@@ -187,7 +187,7 @@ def _frame(simulation: LightingSimulation, noise: int = 0) -> tuple[Tensor, Dete
     lights = [module.lamp.beam("high")[module.number].to(module.flux) for module in simulation.modules]
     luminance = view.light(lights)[1] + view.base
     frame = expose(luminance, camera, frame_generator(noise, 0, 0)) / (2**camera.bits - 1)
-    return frame, simulation.sight.find(frame, simulation.truth(view))
+    return frame, simulation.sight.find(frame, view)
 
 
 def _with_less_overlap(simulation: LightingSimulation) -> LightingSimulation:

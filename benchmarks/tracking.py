@@ -152,9 +152,9 @@ def traffic(seed: int, steps: int) -> Kept:
     simulation, judge = LightingSimulation.prepare(scenario), Judge(len(scenario.all_objects))
     for result in simulation.run():
         assert result.look is not None
-        known = simulation.truth(simulation.camera.at(result.time_s))
+        view = simulation.camera.at(result.time_s)
         boxes, shown = torch.zeros(len(scenario.all_objects), 4, dtype=torch.float64), [False] * len(scenario.all_objects)
-        for each, box in zip(known.objects, known.boxes, strict=True):
+        for each, box in zip(view.objects, view.boxes, strict=True):
             boxes[each.object_id - 1] = box
             shown[each.object_id - 1] = each.visible >= 1 - HIDDEN and float(box[3] - box[1]) >= 24 and each.category in CLASSES
         judge.look(boxes, shown, result.look.boxes, result.look.tracks.number.tolist())

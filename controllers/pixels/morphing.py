@@ -1,6 +1,7 @@
 """Moving a beam digitally: its light texture on a screen before the lamp, which SSC draws anew with the pixels there are (T 7.3.2)."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -64,17 +65,22 @@ def screen(texture: Tensor, headlight: Headlight, morph: Morph) -> Primitives:
 
 @dataclass(frozen=True)
 class Morphing:
-    """A beam that can be moved; ssc: how it is mapped, apart from the parameters of the primitives over it."""
+    """A beam, utilisation `[n_p]`, that can be moved; params: how it is mapped, apart from those of the primitives over it."""
 
-    ssc: Ssc
-    texture: Tensor
+    headlight: Headlight
+    beam: Tensor
+    params: MrpcParams = STRAIGHT
 
-    @classmethod
-    def prepare(cls, headlight: Headlight, beam: Tensor, params: MrpcParams = STRAIGHT) -> "Morphing":
-        """beam: utilisation `[n_p]`."""
-        return cls(Ssc.prepare(headlight, params), headlight.light_texture(beam.to(headlight.matrix.values)))
+    @cached_property
+    def ssc(self) -> Ssc:
+        return Ssc.prepare(self.headlight, self.params)
+
+    @cached_property
+    def texture(self) -> Tensor:
+        """`[rows, cols]` cd, of the beam where it is."""
+        return self.headlight.light_texture(self.beam.to(self.headlight.matrix.values))
 
     def utilisation(self, morph: Morph) -> Tensor:
         """Utilisation `[..., n_p]` of the moved beam; nothing shines where its texture does not reach."""
         T = torch.eye(4, dtype=self.texture.dtype, device=self.texture.device)
-        return self.ssc.utilisation(screen(self.texture, self.ssc.headlight, morph), T).u
+        return self.ssc.utilisation(screen(self.texture, self.headlight, morph), T).u

@@ -9,9 +9,9 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from loop.lighting.known import Known, categories
 from loop.lighting.sight import SAME
 from loop.lighting.simulation import LightingSimulation
+from loop.lighting.view import LitScene
 from perception.camera import expose, frame_generator, luminance_of, noise_std
 from perception.detection.network import Network, NetworkDetector, boxes_of, middles, prepared
 from perception.detection.protocol import Detector
@@ -53,13 +53,12 @@ class BeamJudge:
     simulation: LightingSimulation
     goal: BeamGoal
     detector: Detector | None
-    known: Known
+    scene: LitScene
 
     @classmethod
     def prepare(cls, simulation: LightingSimulation, goal: BeamGoal, detector: Detector | None) -> "BeamJudge":
         """Raises LuxloopError where there is nothing to be seen."""
-        told = [each.category for each in simulation.scenario.all_objects]
-        judge = cls(simulation, goal, detector, Known(simulation.camera.at(0.0), categories(simulation.scenario), told))
+        judge = cls(simulation, goal, detector, simulation.camera.at(0.0))
         if not judge.masks:
             raise LuxloopError("objects: none with a category that counts is in the camera's sight at the start; put one there")
         return judge
@@ -67,10 +66,10 @@ class BeamJudge:
     @cached_property
     def masks(self) -> dict[str, Tensor]:
         """Pixels of the objects that count, by name: in sight, and of a class that the detector has."""
-        ids, classes = self.known.lit.surfaces.object_id, None if self.detector is None else self.detector.classes
+        ids, classes = self.scene.surfaces.object_id, None if self.detector is None else self.detector.classes
         return {
             each.name: ids == each.object_id
-            for each in self.known.objects
+            for each in self.scene.objects
             if each.visible >= SEEN and each.pixels >= LEAST_PX and (classes is None or each.category in classes)
         }
 
@@ -82,15 +81,15 @@ class BeamJudge:
 
     def judged(self, lights: Sequence[Tensor], step: int = 0) -> Judgement:
         """Differentiable in the utilisations `[n_p]`, one a module, if the metric is or the detector is the network."""
-        illuminance, luminance = self.known.lit.light(lights)
-        luminance = luminance + self.known.lit.base
+        illuminance, luminance = self.scene.light(lights)
+        luminance = luminance + self.scene.base
         scores = self.scores(luminance, step)
         share = sum((u * module.flux).sum() for u, module in zip(lights, self.simulation.modules, strict=True)) / self._most_lm
         loss = -scores.clamp(min=FAINTEST).log().mean() + self.goal.energy * share
         if self.goal.unevenness:
             loss = loss + self.goal.unevenness * torch.stack([unevenness(illuminance, mask, 1.0) for mask in self.masks.values()]).mean()
-        if self.goal.glare and bool(self.known.eyes.any()):
-            loss = loss + self.goal.glare * (illuminance[self.known.eyes] - DAZZLING_LX).clamp(min=0).mean()
+        if self.goal.glare and bool(self.scene.eyes.any()):
+            loss = loss + self.goal.glare * (illuminance[self.scene.eyes] - DAZZLING_LX).clamp(min=0).mean()
         return Judgement(scores, loss, torch.as_tensor(share), luminance)
 
     def scores(self, luminance: Tensor, step: int) -> Tensor:
@@ -130,13 +129,13 @@ class BeamJudge:
     @cached_property
     def boxes(self) -> Tensor:
         """Of the objects that count, `[n, 4]` px."""
-        return torch.stack([box for each, box in zip(self.known.objects, self.known.boxes, strict=True) if each.name in self.masks])
+        return torch.stack([box for each, box in zip(self.scene.objects, self.scene.boxes, strict=True) if each.name in self.masks])
 
     @cached_property
     def _labels(self) -> Tensor:
         assert self.detector is not None
         classes = list(self.detector.classes)
-        return torch.tensor([classes.index(each.category) for each in self.known.objects if each.category and each.name in self.masks])
+        return torch.tensor([classes.index(each.category) for each in self.scene.objects if each.category and each.name in self.masks])
 
     @cached_property
     def _most_lm(self) -> float:

@@ -103,7 +103,7 @@ def _summary(judge: BeamJudge, method: str, found: Found, beams: Mapping[str, Li
 def _figures(judge: BeamJudge, lights: Lights) -> dict[str, Any]:
     seen = [judge.judged(lights, step) for step in range(FRAMES)]
     scores = torch.stack([each.scores.double().cpu() for each in seen]).mean(0).tolist()
-    eyes = judge.known.lit.light(lights)[0][judge.known.eyes]
+    eyes = judge.scene.light(lights)[0][judge.scene.eyes]
     return {
         "flux_lm": sum(flux_by_side(judge.simulation.modules, lights).values()),
         "scores": dict(zip(judge.masks, scores, strict=True)),

@@ -1,7 +1,7 @@
 """The car's lamps, ready to be driven: every module that shines, with its pixel controller and its base beams."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -27,7 +27,10 @@ from world.lampfiles.utilisations import RawUtilisation, read_sequence
 
 @dataclass(frozen=True, eq=False)
 class ShiningModule:
-    """One module of a lamp. number: its place in the lamp. flux: `[n_p]` lm at full utilisation, which stands for power as well."""
+    """One module of a lamp. number: its place in the lamp. flux: `[n_p]` lm at full utilisation, which stands for power as well.
+
+    beams: all that its base beam may come to, by name; none where it shows raw utilisations.
+    """
 
     side: str
     lamp: Lamp
@@ -35,9 +38,8 @@ class ShiningModule:
     controller: PixelController
     T_world_module: Tensor
     flux: Tensor
+    beams: Mapping[str, Morphing]
     raw: RawUtilisation | None = None
-    _straight: dict[str, Tensor] = field(default_factory=dict, init=False, repr=False)
-    _morphings: dict[str, Morphing] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def name(self) -> str:
@@ -49,20 +51,12 @@ class ShiningModule:
         return self.controller.headlight
 
     def base(self, plan: Plan) -> Tensor:
-        """Utilisation `[n_p]` below all functions: the raw one, else a base beam, morphed and dimmed.
-
-        Raises LuxloopError where the lamp has no such beam.
-        """
+        """Utilisation `[n_p]` below all functions: the raw one, else a base beam, morphed and dimmed."""
         if self.raw is not None:
             return self.raw.at(plan.time_s).to(self.flux)
-        beam, name = plan.base, plan.base.name
-        if name not in self._straight:
-            self._straight[name] = self.lamp.beam(name)[self.number].to(self.flux)
-        if beam == BaseBeam(name, share=beam.share):
-            return beam.share * self._straight[name] if beam.share < 1 else self._straight[name]
-        if name not in self._morphings:
-            self._morphings[name] = Morphing.prepare(self.headlight, self._straight[name])
-        return beam.share * self._morphings[name].utilisation(beam.morph)
+        beam = plan.base
+        moved = self.beams[beam.name]
+        return beam.share * (moved.beam if beam == BaseBeam(beam.name, share=beam.share) else moved.utilisation(beam.morph))
 
     def utilisation(self, plan: Plan, secondary: SecondaryRays) -> Tensor:
         """Utilisation `[n_p]` of base beam and functions; secondary: what this module's rays ask where they hit."""
@@ -83,7 +77,7 @@ class LampPower:
 
 
 def shining_modules(scenario: LightingScenario, device: torch.device) -> tuple[ShiningModule, ...]:
-    """All modules of a scenario's lamps. Raises LuxloopError where there is no such lamp, module or movement."""
+    """All modules of a scenario's lamps. Raises LuxloopError where there is no such lamp, module, beam or movement."""
     return tuple(module for side in scenario.headlight.lamps for module in _modules_of(side, scenario, device))
 
 
@@ -106,7 +100,10 @@ def _modules_of(side: str, scenario: LightingScenario, device: torch.device) -> 
         T_world_module = T_world_lamp @ turned(module, side, params).T_lamp_module
         light = module.headlight.scaled(scale).to(device)
         controller, raw = pixel_controller(scenario, light), _raw(scenario, f"{side} {module.name}", light)
-        yield ShiningModule(side, lamp, names.index(module.name), controller, T_world_module.to(device), pixel_flux(light), raw)
+        number, flux = names.index(module.name), pixel_flux(light)
+        base = scenario.lighting.base.names if raw is None else ()
+        beams: dict[str, Morphing] = {name: Morphing(controller.headlight, lamp.beam(name)[number].to(flux)) for name in base}
+        yield ShiningModule(side, lamp, number, controller, T_world_module.to(device), flux, beams, raw)
 
 
 def _raw(scenario: LightingScenario, name: str, headlight: Headlight) -> RawUtilisation | None:

@@ -55,7 +55,7 @@ def observed_symbols(
     found = []
     for p in pictures(primitives):
         view = picture_view(*(each[p].double() for each in (who.eye, who.origin, who.d1, who.d2)))
-        seen = Looker(camera.scene, view, camera.modules, camera.source, camera.device).at(time_s)
+        seen = camera.through(view).at(time_s)
         (_, drawn), (_, full) = seen.light(lights), seen.light(white)
         symbol = primitives.symbols[int(primitives.symbol_of[p])].to(drawn)
         wanted = torch.nn.functional.interpolate(symbol[None, None], drawn.shape, mode="bilinear")[0, 0]

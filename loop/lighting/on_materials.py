@@ -9,7 +9,7 @@ from torch import Tensor
 
 from controllers.situation import Situation
 from controllers.zones.material import MaterialLightParams, MaterialParams, MaterialState, Quantity
-from loop.lighting.known import Known
+from loop.lighting.view import LitScene
 from world.frames import inverse, transform
 
 
@@ -36,7 +36,7 @@ def on_materials(
     states: Sequence[Any],
     now: Situation,
     told: Mapping[str, int],
-    known: Known,
+    view: LitScene,
     illuminance: Tensor,
     luminance: Tensor,
 ) -> Mapping[str, OnMaterial]:
@@ -48,7 +48,7 @@ def on_materials(
     found: dict[str, OnMaterial] = {}
     for function, state in zip(functions, states, strict=True):
         if isinstance(function, MaterialParams):
-            asked, (picture, names) = _asked(function, state, now, told, known), known.materials
+            asked, (picture, names) = _asked(function, state, now, told, view), view.materials
             for number, light in enumerate(function.lights):
                 mine, arriving = asked & (state.light == number), illuminance if light.quantity == "lx" else luminance
                 for label, name in _named(light):
@@ -64,9 +64,9 @@ def _named(light: MaterialLightParams) -> Iterator[tuple[str, str]]:
     yield from ((f"{name} {chosen}".strip(), name) for name in light.materials or ("",))
 
 
-def _asked(function: MaterialParams, state: MaterialState, now: Situation, told: Mapping[str, int], known: Known) -> Tensor:
+def _asked(function: MaterialParams, state: MaterialState, now: Situation, told: Mapping[str, int], view: LitScene) -> Tensor:
     """Where a function asks for light, `[height, width]` bool."""
-    surfaces = known.lit.surfaces
+    surfaces = view.surfaces
     ids = torch.tensor([told[each.name] for each in function.selected(now) if each.name in told])
     standing = torch.isin(surfaces.object_id, ids.to(surfaces.object_id)) & ~state.ground
     if function.road_m is None:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from loop.lighting.known import Known
 from loop.lighting.sight import Recognised, name_of
+from loop.lighting.view import LitScene
 
 
 @dataclass(frozen=True)
@@ -29,11 +29,11 @@ def told_as(watched: Mapping[str, int], recognised: Mapping[str, Recognised] | N
     return {name_of(track): number for name, number in watched.items() if (track := tracks.get(name)) is not None}
 
 
-def on_objects(watched: Mapping[str, int], dark: frozenset[int], known: Known, illuminance: Tensor) -> Mapping[str, OnObject]:
+def on_objects(watched: Mapping[str, int], dark: frozenset[int], view: LitScene, illuminance: Tensor) -> Mapping[str, OnObject]:
     """By name. watched: ids of those that are meant. dark: ids of those that must be. illuminance: `[height, width]` lx."""
     found = {}
     for name, number in watched.items():
-        lx = illuminance.flatten()[known.pixels[number - 1]]
+        lx = illuminance.flatten()[view.pixels[number - 1]]
         low, mean, high = (float(value) for value in (lx.min(), lx.mean(), lx.max())) if len(lx) else [math.nan] * 3
         found[name] = OnObject(len(lx), low, mean, high, number in dark)
     return found

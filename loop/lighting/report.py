@@ -20,7 +20,6 @@ from loop.lighting.observed import ObservedSymbol
 from loop.lighting.picture import WALL_DEG, measured, wall_light, white_of
 from loop.lighting.result import LightingResult
 from loop.lighting.simulation import LightingSimulation
-from loop.lighting.view import Looker
 from loop.pictures.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, birdseye
 from loop.recording.report import NIGHT, STYLE
 from loop.recording.summary import column
@@ -122,9 +121,7 @@ def _observed(figure: SubFigure, observed: Sequence[tuple[LightingResult, Observ
 
 
 def _from_above(axes: Axes, simulation: LightingSimulation, last: LightingResult) -> None:
-    view = birdseye()
-    looker = Looker(simulation.scene, view, simulation.modules, simulation.camera.source, simulation.device)
-    light = looker.at(last.time_s).light(last.lights)[0].cpu().numpy()
+    light = simulation.camera.through(birdseye()).at(last.time_s).light(last.lights)[0].cpu().numpy()
     extent = (*BIRDSEYE_X_M, *BIRDSEYE_Y_M)
     most = float(light.max().clip(1, BRIGHTEST_ROAD_LX))
     scale = LogNorm(FAINTEST_ROAD_LX, most)

@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.nn.functional import one_hot
 
 from controllers.situation import TrackedObject
-from loop.lighting.known import Known
+from loop.lighting.view import LitScene
 from perception.detection.build import detector
 from perception.detection.params import AnyParams, TruthParams
 from perception.detection.protocol import Detections, Detector
@@ -51,10 +51,10 @@ class Sight:
         classes = get_args(Category) if finds is None else finds.classes
         return cls(finds, params, Tracker(classes, view, tracker))
 
-    def find(self, frame: Tensor, known: Known) -> Detections:
+    def find(self, frame: Tensor, view: LitScene) -> Detections:
         """frame: `[height, width]`, digital numbers as a share of the largest. Raises LuxloopError where one's own detector fails at it."""
         if isinstance(self.params, TruthParams):
-            return known.detections(self.params, self.tracker.classes)
+            return view.detections(self.params, self.tracker.classes)
         assert self.detector is not None
         return self.detector.detect(frame[None])[0]
 
@@ -98,13 +98,13 @@ def name_of(number: int) -> str:
     return f"track {number}"
 
 
-def recognised(known: Known, tracked: Tensor, tracks: Tracks, found: Detections) -> Mapping[str, Recognised]:
+def recognised(view: LitScene, tracked: Tensor, tracks: Tracks, found: Detections) -> Mapping[str, Recognised]:
     """What is made of each object in sight, by its name. tracked: boxes `[n, 4]` px of the tracks."""
     boxes, scores = found.boxes.double().cpu(), found.scores.double().cpu()
-    its_track = dict(pairs(known.boxes, tracked))
-    its_box = dict(pairs(known.boxes, boxes))
+    its_track = dict(pairs(view.boxes, tracked))
+    its_box = dict(pairs(view.boxes, boxes))
     whole, sure = {}, tracks.confidence.amax(-1)
-    for k, each in enumerate(known.objects):
+    for k, each in enumerate(view.objects):
         row, column = its_track.get(k), its_box.get(k)
         whole[each.name] = Recognised(
             None if row is None else int(tracks.number[row]),
@@ -114,10 +114,10 @@ def recognised(known: Known, tracked: Tensor, tracks: Tracks, found: Detections)
     return whole
 
 
-def false_positives(known: Known, found: Detections, least: float) -> int:
+def false_positives(view: LitScene, found: Detections, least: float) -> int:
     """Number of detections with at least that score that overlap no object."""
     boxes = found.boxes[found.scores.amax(-1) >= least].double().cpu()
-    return int((~(overlaps(boxes, known.boxes) >= SAME).any(-1)).sum())
+    return int((~(overlaps(boxes, view.boxes) >= SAME).any(-1)).sum())
 
 
 def pairs(objects: Tensor, boxes: Tensor) -> list[tuple[int, int]]:

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
@@ -15,7 +15,6 @@ from controllers.pixels.secondary import Light, SecondaryRays, scene_caster
 from controllers.pixels.windows import projected_windows
 from controllers.situation import Seen, Situation, TrackedObject
 from loop.assembly.build import build_scene
-from loop.lighting.known import Known, categories
 from loop.lighting.lamps import LampPower, ShiningModule, driven, shining_modules
 from loop.lighting.names import check_names
 from loop.lighting.observed import in_white, observed_symbols
@@ -23,7 +22,7 @@ from loop.lighting.on_materials import on_materials
 from loop.lighting.on_objects import on_objects, told_as
 from loop.lighting.result import LightingResult, LightingState, Look
 from loop.lighting.sight import Sight, false_positives, recognised
-from loop.lighting.view import LitScene, Looker
+from loop.lighting.view import LitScene, Looker, categories
 from loop.lighting.zoned import in_zones
 from loop.scenario.model import DrivingParams, LightingScenario
 from loop.scenario.shipped import named
@@ -48,7 +47,6 @@ class LightingSimulation:
     lights: tuple[tuple[str, Light], ...]
     camera: Looker
     sight: Sight | None = None
-    _known: list[Known] = field(default_factory=list, repr=False)
 
     @classmethod
     def prepare(cls, scenario: LightingScenario, device: torch.device | str = "cpu") -> "LightingSimulation":
@@ -62,22 +60,19 @@ class LightingSimulation:
         scene = build_scene(scenario)
         modules = shining_modules(scenario, device)
         check_names(scenario, modules)
-        camera = Looker(scene, camera_view(scenario.camera), modules, face_source(scenario.renderer), device)
+        camera = Looker(scene, camera_view(scenario.camera), modules, scenario.all_objects, face_source(scenario.renderer), device)
         lights = tuple((module.name, Light.of(module.headlight, module.T_world_module)) for module in modules)
         given = scenario.detector
         sight = None if given is None else Sight.prepare(given, scenario.tracker, camera.view, device)
         simulation = cls(scenario, device, planner, scene, modules, lights, camera, sight)
         planner.plan(simulation.situation(0.0))
-        for module in modules:
-            for name in scenario.lighting.base.names if module.raw is None else ():
-                module.lamp.beam(name)
         return simulation
 
     @cached_property
     def watched(self) -> Mapping[str, int]:
         """Objects that are recorded, by name, and their ids: those that a tracker is told of, with a detector all that it ought to find."""
         told = [item.category for item in self.scenario.all_objects]
-        wanted = enumerate(zip(self.scene.objects, told if self.sight is None else categories(self.scenario), strict=True), 1)
+        wanted = enumerate(zip(self.scene.objects, told if self.sight is None else categories(self.camera.given), strict=True), 1)
         return {body.name: number for number, (body, category) in wanted if category is not None}
 
     def situation(self, time_s: float, tracks: Tracks | None = None) -> Situation:
@@ -113,17 +108,16 @@ class LightingSimulation:
         luminance += seen.base
         frame = expose(luminance, self.scenario.camera, frame_generator(self.scenario.seed, state.step, 0, self.device))
         looked = time.perf_counter()
-        known = self.truth(seen)
-        tracks, look = self._look(state.tracks, frame, known, illuminance, time_s)
-        functions = self.planner.step(state.functions, self._learnt(now, known, frame, tracks)) if self.planner.learns else state.functions
+        tracks, look = self._look(state.tracks, frame, seen, illuminance, time_s)
+        functions = self.planner.step(state.functions, self._learnt(now, seen, frame, tracks)) if self.planner.learns else state.functions
         found = time.perf_counter()
         masked = frozenset(each.name for each in now.objects if self.masked(each, now))
         told = told_as(self.watched, None if look is None else look.recognised)
-        objects = on_objects(self.watched, frozenset(told[name] for name in masked & told.keys()), known, illuminance)
+        objects = on_objects(self.watched, frozenset(told[name] for name in masked & told.keys()), seen, illuminance)
         white = in_white(plan)
         symbols = () if white is None else observed_symbols(plan, lights, self._driven(white, time_s)[0], self.camera, time_s)
         zones = in_zones(self.planner.functions, state.functions, luminance, self.camera.view)
-        materials = on_materials(self.planner.functions, functions, now, told, known, illuminance, luminance)
+        materials = on_materials(self.planner.functions, functions, now, told, seen, illuminance, luminance)
         stop = time.perf_counter()
         taken = {"plan": planned - start, "light": lit - planned, "look": looked - lit + stop - found, "find": found - looked}
         timings = {part: 1e3 * seconds for part, seconds in taken.items()}
@@ -189,33 +183,27 @@ class LightingSimulation:
         told = ((body, item.category) for body, item in zip(self.scene.objects, self.scenario.all_objects, strict=True))
         return tuple(TrackedObject.of(body, category, time_s) for body, category in told if category is not None)
 
-    def truth(self, lit: LitScene) -> Known:
-        """The truth about a look at the scene, which serves until something moves."""
-        if not self._known or self._known[0].lit is not lit:
-            self._known[:] = [Known(lit, categories(self.scenario), [each.category for each in self.scenario.all_objects])]
-        return self._known[0]
-
     def _look(
-        self, tracks: Tracks | None, frame: Tensor, known: Known, illuminance: Tensor, time_s: float
+        self, tracks: Tracks | None, frame: Tensor, seen: LitScene, illuminance: Tensor, time_s: float
     ) -> tuple[Tracks | None, Look | None]:
         """The tracks after a frame, and what was found in it."""
         if self.sight is None or tracks is None:
             return tracks, None
         frame = frame / (2**self.scenario.camera.bits - 1)
-        found = self.sight.find(frame, known)
+        found = self.sight.find(frame, seen)
         tracks = self.sight.follow(tracks, found, frame, time_s)
         boxes, present = self.sight.tracker.boxes(tracks.present), tracks.present
-        eyes = illuminance[known.eyes]
-        made = recognised(known, boxes, present, found)
-        false = false_positives(known, found, self.scenario.tracker.start_score)
+        eyes = illuminance[seen.eyes]
+        made = recognised(seen, boxes, present, found)
+        false = false_positives(seen, found, self.scenario.tracker.start_score)
         return tracks, Look(found, present, boxes, made, false, float(eyes.max()) if len(eyes) else None)
 
-    def _learnt(self, now: Situation, known: Known, frame: Tensor, tracks: Tracks | None) -> Situation:
+    def _learnt(self, now: Situation, view: LitScene, frame: Tensor, tracks: Tracks | None) -> Situation:
         """The situation once the frame is there."""
-        camera, surfaces = self.scenario.camera, known.lit.surfaces
+        camera = self.scenario.camera
         luminance, most = luminance_of(frame, camera), saturation_luminance(camera)
         looks = any(function.kind == "material" for function in self.scenario.lighting.functions)
-        materials = (surfaces.albedo, *known.materials) if looks else ()
+        materials = (view.surfaces.albedo, *view.materials) if looks else ()
         seen = Seen(now.time_s, self.camera.view, luminance, most, *materials)
         objects = now.objects if self.sight is None or tracks is None else self.sight.objects(tracks, now.time_s)
         return replace(now, objects=objects, seen=seen)

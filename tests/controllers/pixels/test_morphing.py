@@ -33,22 +33,22 @@ def centre(u: torch.Tensor) -> tuple[float, float]:
 
 
 def test_an_unmoved_beam_is_the_beam() -> None:
-    same = Morphing.prepare(LAMP, BEAM, PLAIN).utilisation(bend(0.0))
+    same = Morphing(LAMP, BEAM, PLAIN).utilisation(bend(0.0))
     assert (same[BEAM == 0.8] - 0.8).abs().max() < 0.07  # pixels overlap by a fifth, which mapping and reduction blur at edges
     assert same.sum().item() == pytest.approx(BEAM.sum().item(), rel=1e-3)  # a_r = 1 conserves light
 
 
 @pytest.mark.parametrize("yaw_deg", [-3.0, 1.0, 4.0])
 def test_bend_moves_the_beam_by_its_angle(yaw_deg: float) -> None:
-    before, after = centre(BEAM), centre(Morphing.prepare(LAMP, BEAM, PLAIN).utilisation(bend(math.radians(yaw_deg))))
+    before, after = centre(BEAM), centre(Morphing(LAMP, BEAM, PLAIN).utilisation(bend(math.radians(yaw_deg))))
     assert math.degrees(after[0] - before[0]) == pytest.approx(yaw_deg, abs=0.03)  # a texel is 0.25 deg wide
     assert math.degrees(after[1] - before[1]) == pytest.approx(0, abs=0.02)
 
 
 def test_level_lowers_and_roll_turns_right_side_down() -> None:
-    morphing = Morphing.prepare(LAMP, BEAM, PLAIN)
+    morphing = Morphing(LAMP, BEAM, PLAIN)
     assert math.degrees(centre(BEAM)[1] - centre(morphing.utilisation(level(math.radians(1.0))))[1]) == pytest.approx(1.0, abs=0.03)
-    bar = Morphing.prepare(LAMP, spot(slice(8, 10), slice(0, 40)), PLAIN)
+    bar = Morphing(LAMP, spot(slice(8, 10), slice(0, 40)), PLAIN)
     rolled = bar.utilisation(roll(math.radians(5.0))).view(20, 40)
     left, right = (rolled[:, part].sum(1) @ torch.arange(20.0) / rolled[:, part].sum() for part in (slice(2, 12), slice(28, 38)))
     assert right > left + 1, "rows count downwards"
@@ -56,13 +56,13 @@ def test_level_lowers_and_roll_turns_right_side_down() -> None:
 
 def test_size_stretches_about_the_middle() -> None:
     T = torch.eye(4, dtype=torch.float64)
-    wide = Morphing.prepare(LAMP, BEAM, PLAIN).utilisation(Morph(T, width=1.5))
+    wide = Morphing(LAMP, BEAM, PLAIN).utilisation(Morph(T, width=1.5))
     assert wide.sum().item() == pytest.approx(1.5 * BEAM.sum().item(), rel=0.02)  # the same intensity over more of the field
     assert centre(wide)[0] == pytest.approx(centre(BEAM)[0], abs=math.radians(0.02))
 
 
 def test_morphs_add_up_and_batch() -> None:
-    morphing = Morphing.prepare(LAMP, BEAM, PLAIN)
+    morphing = Morphing(LAMP, BEAM, PLAIN)
     both = morphing.utilisation(bend(0.02).then(level(0.01)))
     stacked = Morph(torch.stack([bend(0.02).then(level(0.01)).T_headlight_screen, bend(0.0).T_headlight_screen]))
     batch = morphing.utilisation(stacked)
@@ -76,15 +76,15 @@ def test_edge_darkening_spares_the_border_of_a_vignetted_field() -> None:
     weak = LAMP.matrix.with_values(LAMP.matrix.values * vignette[LAMP.matrix.indices.long()])
     lamp = type(LAMP)(**{**vars(LAMP), "matrix": weak})
     beam, moved = torch.ones(lamp.n_pixels), bend(math.radians(2.5))
-    plain = Morphing.prepare(lamp, beam, PLAIN).utilisation(moved).view(20, 40)
-    dimmed = Morphing.prepare(lamp, beam, MrpcParams(a_d=1.0)).utilisation(moved).view(20, 40)
+    plain = Morphing(lamp, beam, PLAIN).utilisation(moved).view(20, 40)
+    dimmed = Morphing(lamp, beam, MrpcParams(a_d=1.0)).utilisation(moved).view(20, 40)
     assert plain[10, 1].item() == pytest.approx(1.0)
     assert dimmed[10, 1] < 0.5
     torch.testing.assert_close(dimmed[10, 16:24], plain[10, 16:24], rtol=0, atol=1e-6)
 
 
 def test_primitives_lie_over_the_morphed_beam() -> None:
-    moved = Morphing.prepare(LAMP, BEAM).utilisation(bend(math.radians(2.0)))
+    moved = Morphing(LAMP, BEAM).utilisation(bend(math.radians(2.0)))
     wall = [torch.tensor(v) for v in ((10.0, 0.5, 0.3), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0), (-1.0, 0.0, 0.0))]
     half = rectangle(*wall[:3], 0.5, "u_rel", normal=wall[3])
     u = Ssc.prepare(LAMP).over(moved).utilisation(half, pose_from_degrees((0.0, 0.0, 0.0))).u
@@ -94,6 +94,6 @@ def test_primitives_lie_over_the_morphed_beam() -> None:
 
 
 def test_on_every_device(device: torch.device) -> None:
-    u = Morphing.prepare(LAMP.to(device), BEAM.to(device)).utilisation(bend(0.03))
+    u = Morphing(LAMP.to(device), BEAM.to(device)).utilisation(bend(0.03))
     assert u.device.type == device.type
-    torch.testing.assert_close(u.cpu(), Morphing.prepare(LAMP, BEAM).utilisation(bend(0.03)), rtol=0, atol=1e-4)
+    torch.testing.assert_close(u.cpu(), Morphing(LAMP, BEAM).utilisation(bend(0.03)), rtol=0, atol=1e-4)
