@@ -49,7 +49,7 @@ def build_controller(params: AnyParams, observer: Observer) -> SymbolController:
         case FeedforwardParams():
             return Surveyed(params, observer) if params.survey else Feedforward(params, observer)
         case ThesisPidParams():
-            return staged(params, ThesisPid(params, observer.projector.target), observer)
+            return staged(params, ThesisPid.prepare(params, observer.projector.target), observer)
         case LuxloopParams():
             return Luxloop(params, observer)
         case OwnParams():

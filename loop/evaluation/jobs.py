@@ -1,7 +1,6 @@
 """What an evaluation computes: jobs for `loop.jobs.runner`, each a function of plain values, and the version that its results have."""
 
 from dataclasses import replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -40,7 +39,6 @@ CORRECTIONS = 3  # a product with the matrix and one with its transpose each
 GAP = 1e-3  # by how much the joint optimum may be lower than what is called so
 
 
-@lru_cache(maxsize=2)
 def headlight(name: str) -> Headlight:
     return lamp(name).finest.headlight
 
@@ -133,15 +131,10 @@ def _errors(name: str, control: TextureControl, trial: Trial) -> dict[str, float
     light[control.part.window] = control.part.headlight.light_texture(control.utilisation(trial))
     target[control.part.window] = control.part.wanted
     rows, cols = ((target > 0).any(axis).sum() for axis in (1, 0))
-    structure = dssim(light, target, float(rows + cols), _peak_cd(name))
+    structure = dssim(light, target, float(rows + cols), whole.peak_cd)
     return {
         "mae": float(mae(light, target)),
         "rmse": float(rmse(light, target)),
         "dssim": float(structure),
         "mare": float(mare(light, target)),
     }
-
-
-@lru_cache(maxsize=2)
-def _peak_cd(name: str) -> float:
-    return headlight(name).peak_cd

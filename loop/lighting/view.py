@@ -20,7 +20,7 @@ from world.rendering.face_source import FaceSource
 from world.rendering.gbuffer import GBuffer
 from world.rendering.surfaces import surface_source
 from world.scene.scene import Key, Scene
-from world.scene.triangles import Triangles
+from world.scene.triangles import NOTHING, Triangles
 from world.traffic.making import EYES
 from world.traffic.objects import ObjectParams
 from world.traffic.tracked import ROAD_USERS, Category
@@ -117,7 +117,10 @@ class LitScene:
 
 
 class Looker:
-    """Looks at a scene through one view; what has been rendered serves until something moves. given: what the scene's objects are."""
+    """Looks at a scene through one view; what has been rendered serves until something moves. given: what the scene's objects are.
+
+    before: see `Scene.at`.
+    """
 
     def __init__(
         self,
@@ -127,26 +130,28 @@ class Looker:
         given: tuple[ObjectParams, ...],
         source: FaceSource,
         device: torch.device,
+        before: Triangles = NOTHING,
     ) -> None:
         self.scene, self.view, self.modules, self.given, self.source, self.device = scene, view, modules, given, source, device
         self.surfaces = surface_source(source, scene.moves)
         self._time_s: float | None = None
         self._key: Key | None = None
+        self._triangles = before
         self._lit: LitScene
 
     def through(self, view: View) -> "Looker":
         """Another one, who looks at the same through this view."""
-        return Looker(self.scene, view, self.modules, self.given, self.source, self.device)
+        return Looker(self.scene, view, self.modules, self.given, self.source, self.device, self._triangles)
 
     def at(self, time_s: float) -> LitScene:
         """The scene at a time."""
         if time_s != self._time_s:
             key = self.scene.key_at(time_s)
             if key != self._key:
-                triangles = self.scene.at(time_s)
+                triangles = self.scene.at(time_s, before=self._triangles)
                 surfaces = self.surfaces.gbuffer(triangles, self.view).to(self.device)
                 base = ambient_luminance(surfaces, self.scene.ambient_lx, self.scene.street_lamps, self.scene.spotlights_at(time_s))
                 modules = tuple(ModuleOnScene(module, surfaces, triangles) for module in self.modules)
-                self._key, self._lit = key, LitScene(self.view, triangles, surfaces, base, modules, self.given)
+                self._key, self._triangles, self._lit = key, triangles, LitScene(self.view, triangles, surfaces, base, modules, self.given)
             self._time_s = time_s
         return self._lit

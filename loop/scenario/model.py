@@ -357,8 +357,7 @@ def validate_any(data: Mapping[str, Any], source: str) -> AnyScenario:
         scenario: AnyScenario = kind.model_validate_json(json.dumps(data), strict=True)
     except ValidationError as error:
         raise LuxloopError(f"{source}: {sentence(error, kind, EXAMPLES[kind])}") from error
-    vars(scenario)["source"] = source
-    return scenario
+    return scenario.model_copy(update={"source": source})
 
 
 def _kind(data: Mapping[str, Any]) -> type[AnyScenario]:

@@ -1,6 +1,5 @@
 """Rollouts of many gain sets at once: one world and one camera crop for all, and differentiable from gains to errors."""
 
-import copy
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -103,8 +102,7 @@ def with_values(controller: Any, values: dict[str, Tensor]) -> ThesisPid:
         for loop in loops:
             columns[loop] = unit * value
         gains = replace(gains, **{name: torch.stack(columns, -1)})
-    made: ThesisPid = copy.copy(controller)
-    made.gains = gains
+    made: ThesisPid = replace(controller, gains=gains)
     return made
 
 

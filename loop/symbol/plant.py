@@ -22,7 +22,7 @@ from world.rendering.face_source import FaceSource
 from world.rendering.gbuffer import GBuffer
 from world.rendering.surfaces import surface_source
 from world.scene.scene import Scene
-from world.scene.triangles import Triangles
+from world.scene.triangles import NOTHING, Triangles
 from world.scene.vehicle import STANDING, Motion
 from world.view import View
 
@@ -95,6 +95,7 @@ class SimulatedPlant:
         beams = [module.beam for module in self.modules]
         self.beams = beams if any(bool(beam.u.any()) for beam in beams) else None
         self._lit: OrderedDict[Any, LitView] = OrderedDict()
+        self._triangles = NOTHING
 
     def start(self) -> tuple[Frames | None, ...]:
         """As many missing frames as the camera is late."""
@@ -136,7 +137,7 @@ class SimulatedPlant:
 
     def _render(self, t_s: float) -> LitView:
         vehicle, samples = self.motion.at(t_s), self.camera.oversampling
-        triangles = self.scene.at(t_s, vehicle.T_world_ground)
+        self._triangles = triangles = self.scene.at(t_s, vehicle.T_world_ground, self._triangles)
         view = camera_view(self.camera, samples)
         view = replace(view, T_world_view=vehicle.T_world_body @ view.T_world_view)
         surfaces = self.surfaces.gbuffer(triangles, view).to(self.device)

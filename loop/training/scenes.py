@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -181,7 +181,7 @@ def _road_seed(seed: int) -> int:
     return first + seed % ROADS
 
 
-@cache
+@lru_cache(ROADS)
 def _road(seed: int) -> tuple[Body | RoadTiles, SurfaceSource]:
     scenario = _scenario(seed).model_copy(update={"objects": (), "traffic": None})
     ground = build_scene(scenario).bodies[0]
@@ -189,17 +189,11 @@ def _road(seed: int) -> tuple[Body | RoadTiles, SurfaceSource]:
     return ground, surface_source(face_source(), moving=True)
 
 
-@cache
-def _lamp() -> Headlight:
-    """1 cd into all directions that the camera sees."""
-    matrix = Csr.from_scipy(sp.csr_matrix(np.ones((4, 1))))
-    return Headlight(rows=2, cols=2, left=0.4, right=-0.4, bottom=-0.3, top=0.3, name="even", matrix=matrix, pixel_rows=1, pixel_cols=1)
-
-
 def _sent_back(surfaces: GBuffer, triangles: Triangles, distance: Tensor) -> Tensor:
     """Luminance in cd/m^2 for each lx on a surface that faces the lamps."""
     found = torch.zeros(distance.numel())
-    lamp = _lamp()
+    even = Csr.from_scipy(sp.csr_matrix(np.ones((4, 1))))  # 1 cd into all directions that the camera sees
+    lamp = Headlight(rows=2, cols=2, left=0.4, right=-0.4, bottom=-0.3, top=0.3, name="even", matrix=even, pixel_rows=1, pixel_cols=1)
     texture = lamp.light_texture(torch.ones(1))
     for place in LAMPS_M:
         T_world_lamp = pose_from_degrees(place)

@@ -1,8 +1,8 @@
 """Figures: bodies whose shape changes with the way that they have come, as legs do."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass
+from functools import cache, cached_property
 from typing import Final
 
 import torch
@@ -25,7 +25,6 @@ class Figure:
     cycle_m: float
     track: PoseTrack
     start: float = 0.0
-    _made: dict[float, Body] = field(default_factory=dict, init=False, repr=False)
 
     def phase_at(self, t_s: float) -> float:
         """Share of the cycle at a time, in steps of one shape."""
@@ -33,15 +32,15 @@ class Figure:
 
     def at(self, t_s: float) -> Body:
         """The shape at a time."""
-        return self._of(self.phase_at(t_s))
+        return self.made(self.phase_at(t_s))
 
     @cached_property
     def bounds(self) -> Tensor:
         """Lowest and highest coordinates of all shapes in the body frame, `[2, 3]` float64 m."""
-        low, high = torch.stack([self._of(k / SHAPES).bounds for k in range(SHAPES)], 1)
+        low, high = torch.stack([self.made(k / SHAPES).bounds for k in range(SHAPES)], 1)
         return torch.stack([low.amin(0), high.amax(0)])
 
-    def _of(self, phase: float) -> Body:
-        if phase not in self._made:
-            self._made[phase] = self.shape(phase)
-        return self._made[phase]
+    @cached_property
+    def made(self) -> Callable[[float], Body]:
+        """As shape, but the same body for the same share, so that what is derived of it serves again."""
+        return cache(self.shape)

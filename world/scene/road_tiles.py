@@ -1,8 +1,9 @@
 """A road along a drive: tiles across it, fine near the vehicle and coarse far ahead, made when they come into sight."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import lru_cache
-from typing import Any, Final
+from functools import cached_property, lru_cache
+from typing import Final
 
 import numpy as np
 import torch
@@ -35,10 +36,11 @@ class RoadTiles:
     texture: Texture | SpottedTexture | None
     name: str = "road"
     track: PoseTrack = field(default_factory=PoseTrack.static)
-    _tile: Any = field(init=False, repr=False)
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "_tile", lru_cache(KEPT_TILES)(self._make))
+    @cached_property
+    def _tile(self) -> Callable[[int, int, bool], Placed]:
+        """As `_make`, for tiles that were in sight just now."""
+        return lru_cache(KEPT_TILES)(self._make)
 
     def near(self, object_id: int, T_world_ground: Tensor) -> tuple[Placed, ...]:
         """The tiles in sight of a vehicle at `T_world_ground` `[4, 4]`, as parts of the body `object_id`."""

@@ -1,6 +1,6 @@
 """The scene: bodies that come, move and go, and the light that is there without the headlights."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import torch
 from pydantic import Field
@@ -11,7 +11,7 @@ from world.params import Metres, Params
 from world.scene.body import Body, PoseTrack, Spotlight
 from world.scene.figure import Figure
 from world.scene.road_tiles import RoadTiles
-from world.scene.triangles import Placed, Triangles
+from world.scene.triangles import NOTHING, Placed, Triangles
 
 __all__ = ["Body", "PoseTrack", "Scene", "StreetLamp"]
 
@@ -33,7 +33,6 @@ class Scene:
     bodies: tuple[Body | RoadTiles | Figure, ...]
     ambient_lx: float = 0.0
     street_lamps: tuple[StreetLamp, ...] = ()
-    _last_placed: dict[int, Placed] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def objects(self) -> tuple[Body | Figure, ...]:
@@ -53,23 +52,23 @@ class Scene:
             if body.track.visible_at(t_s)
         )
 
-    def at(self, t_s: float, T_world_ground: Tensor | None = None) -> Triangles:
-        """The scene's triangles at a time. Bodies that stood still since the last call are reused with all that was derived from them.
+    def at(self, t_s: float, T_world_ground: Tensor | None = None, before: Triangles = NOTHING) -> Triangles:
+        """The scene's triangles at a time.
 
-        T_world_ground: `[4, 4]`, where the vehicle is that looks at it; default: at the world's origin.
+        T_world_ground: `[4, 4]`, where the vehicle is that looks at it; default: at the world's origin. before: those of another time, of
+        which bodies that have not moved since are reused with all that was derived from them.
         """
         here = torch.eye(4, dtype=torch.float64) if T_world_ground is None else T_world_ground
-        return Triangles(tuple(placed for i, _ in self.key_at(t_s) for placed in self._place(i, t_s, here)))
+        known = {placed.object_id: placed for placed in before.placed}
+        return Triangles(tuple(placed for i, _ in self.key_at(t_s) for placed in self._place(i, t_s, here, known.get(i))))
 
-    def _place(self, i: int, t_s: float, T_world_ground: Tensor) -> tuple[Placed, ...]:
+    def _place(self, i: int, t_s: float, T_world_ground: Tensor, before: Placed | None) -> tuple[Placed, ...]:
         body = self.bodies[i]
         if isinstance(body, RoadTiles):
             return body.near(i, T_world_ground)
         T, shape = body.track.pose_at(t_s), body.at(t_s) if isinstance(body, Figure) else body
-        last = self._last_placed.get(i)
-        if last is None or last.body is not shape or not last.T_world_body.equal(T):
-            self._last_placed[i] = Placed(i, shape, T)
-        return (self._last_placed[i],)
+        rests = before is not None and before.body is shape and before.T_world_body.equal(T)
+        return (before if before is not None and rests else Placed(i, shape, T),)
 
     def spotlights_at(self, t_s: float) -> tuple[Spotlight, ...]:
         """The lamps of all bodies that are there at a time, in the world."""

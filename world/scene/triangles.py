@@ -47,6 +47,9 @@ class Triangles:
             first += placed.n_faces
 
 
+NOTHING = Triangles(())
+
+
 @dataclass(frozen=True)
 class Hits:
     """Rays on one body, M of them. pixels: `[M]`, index of the ray. faces: `[M]`, index of the body's face.

@@ -12,7 +12,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from controllers.pid import PidParams, PidState, pid_gains, pid_reset, pid_step
+from controllers.pid import PidGains, PidParams, PidState, pid_gains, pid_reset, pid_step
 from controllers.symbol.laws.stages import StagedParams
 from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.protocol import Look
@@ -58,10 +58,17 @@ class ThesisPidState:
     losses: Tensor
 
 
+@dataclass(frozen=True, eq=False)
 class ThesisPid:
-    """Four PIDs; target: the flat-road pose `[4]` (x, y in m, roll, pitch in rad)."""
+    """Four PIDs; target: the flat-road pose `[4]` (x, y in m, roll, pitch in rad). losses_to_reset: as in its parameters."""
 
-    def __init__(self, params: ThesisPidParams, target: Tensor) -> None:
+    gains: PidGains
+    target: Tensor
+    losses_to_reset: int
+
+    @classmethod
+    def prepare(cls, params: ThesisPidParams, target: Tensor) -> "ThesisPid":
+        """target: as above."""
         radians = math.radians
         loops = [
             (params.position, params.x_range_m, params.x_rate_m),
@@ -69,7 +76,7 @@ class ThesisPid:
             (params.rotation, tuple(map(radians, params.roll_range_deg)), radians(params.roll_rate_deg)),
             (params.rotation, tuple(map(radians, params.pitch_range_deg)), radians(params.pitch_rate_deg)),
         ]
-        self.gains = pid_gains(
+        gains = pid_gains(
             [
                 PidParams(
                     kp=tuning.kp,
@@ -86,8 +93,7 @@ class ThesisPid:
             target.dtype,
             target.device,
         )
-        self.target = target
-        self.losses_to_reset = params.losses_to_reset
+        return cls(gains, target, params.losses_to_reset)
 
     def start(self, pose: Tensor) -> ThesisPidState:
         """State that shows the pose `[..., 4]` first."""

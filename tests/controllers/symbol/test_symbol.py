@@ -239,7 +239,7 @@ def report(pose_error: Tensor, code: Tensor | int = Loss.SEEN) -> Look:
 
 
 def thesis_pid() -> ThesisPid:
-    return ThesisPid(PARAMS, TARGET)
+    return ThesisPid.prepare(PARAMS, TARGET)
 
 
 RANGES = torch.tensor([[8.0, 40.0], [-6.0, 6.0], [math.radians(-7), math.radians(7)], [math.radians(-4), math.radians(2.2)]])
@@ -326,7 +326,7 @@ def test_a_batch_of_states_equals_singles(device: torch.device) -> None:
     generator = torch.Generator().manual_seed(1)
     errors = torch.randn(6, 5, 4, generator=generator) * 0.2
     codes = torch.randint(0, 5, (6, 5), generator=generator)
-    batched = ThesisPid(PARAMS, TARGET.to(device))
+    batched = ThesisPid.prepare(PARAMS, TARGET.to(device))
     state = batched.start(START.expand(5, 4).to(device))
     singles = [thesis_pid().start(START) for _ in range(5)]
     for error, code in zip(errors, codes, strict=True):

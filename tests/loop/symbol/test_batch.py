@@ -50,7 +50,7 @@ def test_each_rollout_is_the_run_with_its_gains(simulation: Simulation) -> None:
 
 def test_every_gain_arrives_where_parameters_would_put_it(simulation: Simulation) -> None:
     for key in GAINS:
-        expected = ThesisPid(changed(simulation.scenario, {key: 0.37}).controller, simulation.projector.target).gains
+        expected = ThesisPid.prepare(changed(simulation.scenario, {key: 0.37}).controller, simulation.projector.target).gains
         made = with_values(simulation.controller.inner, {key: torch.tensor([0.1, 0.37])}).gains
         for name in ("kp", "ki", "kd", "rate_limit", "tracking_time"):
             torch.testing.assert_close(getattr(made, name).expand(2, 4)[1], getattr(expected, name))

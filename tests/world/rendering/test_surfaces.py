@@ -16,6 +16,7 @@ from world.rendering.raycast import RayCaster, sees
 from world.rendering.surfaces import ExactSurfaces, QuickSurfaces, SurfaceSource, surface_source
 from world.scene.body import Body, PoseTrack
 from world.scene.scene import Scene
+from world.scene.triangles import NOTHING
 from world.traffic.objects import BoxParams
 
 SURFACE = RoadSurfaceParams(markings=True, beads=True)
@@ -100,8 +101,9 @@ def test_what_stands_still_is_seen_the_same_in_every_further_look():
     moving = replace(box, track=PoseTrack((0.0, 3.0), torch.stack([pose_from_degrees((x, -3.0 + 6 * (x < 15), 0)) for x in (12.0, 25.0)])))
     going, coming = (replace(sheet, track=replace(sheet.track, **life)) for life in ({"vanishes_s": 1.5}, {"appears_s": 1.5}))
     world, again, view = Scene((road, moving, going, box, coming)), quick(), camera()
+    triangles = NOTHING
     for t_s in (0.0, 0.5, 1.0, 1.5, 2.0, 2.0, 3.0):
-        triangles = world.at(t_s)
+        triangles = world.at(t_s, before=triangles)
         seen, fresh = (way.gbuffer(triangles, view) for way in (again, quick()))
         same = seen.object_id == fresh.object_id  # but where depths are equal to 24 bits, at a foot on the road
         assert same.float().mean() > 0.9999 and set(seen.object_id.unique().tolist()) == set(fresh.object_id.unique().tolist())

@@ -61,7 +61,8 @@ def test_a_body_is_there_from_appearing_until_just_before_vanishing():
 
 def test_only_what_moved_is_rebuilt():
     scene = Scene((Body("road", flat()), box(track=TURN, vanishes_s=3.0).build()))
-    before, same, after = scene.at(0.0), scene.at(0.5), scene.at(1.5)
+    before = scene.at(0.0)
+    same, after = scene.at(0.5, before=before), scene.at(1.5, before=before)
     assert scene.key_at(0.0) == scene.key_at(0.5) != scene.key_at(1.5)
     assert before.placed[0] is after.placed[0]
     assert before.placed[1] is same.placed[1] is not after.placed[1]
