@@ -110,7 +110,7 @@ class Baseline:
 
     def __init__(self, simulation: Simulation, picture: Picture | None) -> None:
         self.picture, self.camera, self.params = picture, simulation.scenario.camera, simulation.scenario.extraction
-        projector, plant, self.model = simulation.projector, simulation.world, simulation.observer.model
+        projector, world, self.model = simulation.projector, simulation.world, simulation.observer.model
         (lamp,) = projector.modules
         self.projector, self.headlight = projector, lamp.pixel_controller.headlight
         self.noise = np.random.default_rng(simulation.scenario.seed) if self.camera.noise else None
@@ -124,11 +124,11 @@ class Baseline:
         self.rays = (self.T_world_lamp[:3, :3] @ rays).astype(np.float32)
         self.symbol = projector.symbol.numpy()
 
-        triangles, view = plant.scene.at(0.0), camera_view(self.camera, self.camera.oversampling)
-        surfaces = gbuffer(triangles, view, plant.source.face_ids(triangles, view))
+        triangles, view = world.scene.at(0.0), camera_view(self.camera, self.camera.oversampling)
+        surfaces = gbuffer(triangles, view, world.source.face_ids(triangles, view))
         self.surfaces = Surfaces.of(surfaces, sees(triangles, lamp.T_world_headlight[:3, 3], surfaces.position.flatten(1)).numpy())
         self.flat = Surfaces.of(flat_road(view, simulation.scenario.surface.albedo))
-        self.base = plant.lit(0.0).base.numpy()
+        self.base = world.lit(0.0).base.numpy()
         self.limit = self.model.limit.numpy()
         self.target, self.gains = self.model.target.numpy(), self.model.gains.numpy()
 

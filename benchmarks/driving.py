@@ -10,8 +10,6 @@ import json
 import os
 import sys
 import time
-from collections import OrderedDict
-from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
@@ -22,11 +20,11 @@ from rich.table import Table
 from step import machine
 
 from loop.scenario.model import load
-from loop.symbol.plant import SimulatedPlant
 from loop.symbol.simulation import Simulation, SimulationState, StepResult
+from loop.symbol.world import World
 from loop.terminal import tables
 from world.light.illumination import added_light
-from world.rendering.surfaces import ExactSurfaces, QuickSurfaces
+from world.rendering.surfaces import QuickSurfaces
 
 BOX = '{ kind = "box", name = "box", size_m = [1, 1, 1], track = [{ position_m = [20, 2, 0] }, { time_s = 2, position_m = [20, -2, 0] }] }'
 CASES: tuple[tuple[str, tuple[str, ...]], ...] = (
@@ -50,43 +48,39 @@ class Clock:
         return 1e3 * (self.last - before)
 
 
-def exactly(plant: SimulatedPlant) -> SimulatedPlant:
-    """The same plant, rendering as for a world that stands."""
-    exact = copy(plant)
-    exact.surfaces, exact.moving, exact._lit = ExactSurfaces(plant.source), False, OrderedDict()
-    return exact
+def exactly(world: World) -> World:
+    """The same, rendered as a world that stands."""
+    return World(world.scene, world.modules, world.camera, world.source, world.device, world.motion, moving=False)
 
 
-def rendered(plant: SimulatedPlant, step: int) -> float:
+def rendered(world: World, exposures: tuple[float, float]) -> float:
     """ms to render a step's on and off view."""
     clock = Clock()
-    on_s, off_s = plant.exposures(step)
-    _ = plant.lit(on_s).transports, plant.lit(off_s).off
+    world.render(*exposures)
     return clock.lap()
 
 
-def lit(plant: SimulatedPlant, result: StepResult) -> float:
+def lit(world: World, result: StepResult) -> float:
     """ms to light a step's on view once: where worlds move, this casts the rays of shadows."""
     clock = Clock()
-    plant.lit(result.time_s).luminance(result.lights)
+    world.lit(result.time_s).luminance(result.lights)
     return clock.lap()
 
 
 def parts(simulation: Simulation, result: StepResult) -> dict[str, float]:
     """ms of what the two views consist of."""
-    plant, found = simulation.world, {}
-    assert isinstance(plant.surfaces, QuickSurfaces), "there is no OpenGL here, so that nothing is rendered the quick way"
-    vehicle = plant.motion.at(result.time_s)
-    view = replace(plant.view, T_world_view=vehicle.T_world_body @ plant.view.T_world_view)
-    samples = plant.camera.oversampling
+    world, found = simulation.world, {}
+    assert isinstance(world.surfaces, QuickSurfaces), "there is no OpenGL here, so that nothing is rendered the quick way"
+    vehicle, view = world.motion.at(result.time_s), world.view_at(result.time_s)
+    samples = world.camera.oversampling
     view = replace(view, height=view.height * samples, fy=view.fy * samples, cy=view.cy * samples)
     clock = Clock()
-    triangles = plant.scene.at(result.time_s, vehicle.T_world_ground)
+    triangles = world.scene.at(result.time_s, vehicle.T_world_ground)
     found["tiles"] = clock.lap()
-    surfaces = plant.surfaces.gbuffer(triangles, view)
+    surfaces = world.surfaces.gbuffer(triangles, view)
     found["G-buffer, one view"] = clock.lap()
-    transports = plant._transports(triangles, surfaces, vehicle.T_world_body)
-    added_light(transports, result.lights, torch.zeros(plant.view.height, plant.view.width))
+    transports = world._transports(triangles, surfaces, vehicle.T_world_body)
+    added_light(transports, result.lights, torch.zeros(world.view.height, world.view.width))
     found["light and shadows"] = clock.lap()
     return found
 
@@ -100,13 +94,14 @@ def measure(name: str, overrides: tuple[str, ...], steps: int) -> dict[str, Any]
     shares: list[dict[str, float]] = []
     for step in range(steps + 1):
         clock = Clock()
-        views = rendered(simulation.world, step)
+        exposures = simulation.plant.exposures(step)
+        views = rendered(simulation.world, exposures)
         following, result = simulation.step(state)
         whole = clock.lap()
         simulation.judge(result.lights, result.time_s)
         laps["step"].append(whole - clock.lap())
         laps["quick"].append(views + lit(simulation.world, result))
-        laps["exact"].append(rendered(exact, step) + lit(exact, result))
+        laps["exact"].append(rendered(exact, exposures) + lit(exact, result))
         shares.append(parts(simulation, result))
         state = following
     camera = simulation.scenario.camera
@@ -117,7 +112,7 @@ def measure(name: str, overrides: tuple[str, ...], steps: int) -> dict[str, Any]
         "steps": steps,
         "ms": ms,
         "parts ms": {key: median(each[key] for each in shares[1:]) for key in shares[0]},
-        "step to real time, ratio": ms["step"] / (1e3 * simulation.world.period_s),
+        "step to real time, ratio": ms["step"] * simulation.scenario.rate_hz / 1e3,
         "exact to quick, ratio": ms["exact"] / ms["quick"],
     }
 

@@ -24,8 +24,8 @@ from torch import Tensor
 
 from loop.scenario import data
 from loop.scenario.model import load
-from loop.symbol.plant import SimulatedPlant
 from loop.symbol.simulation import Simulation
+from loop.symbol.world import World
 from loop.terminal import tables
 from world.frames import pose, pose_from_degrees
 from world.headlight import Headlight
@@ -126,24 +126,24 @@ def measure(
     }
 
 
-def standing(road: Road, plant: SimulatedPlant, n: int) -> Iterator[tuple[str, dict[str, float]]]:
+def standing(road: Road, world: World, n: int) -> Iterator[tuple[str, dict[str, float]]]:
     """Figures of a car that stands on a road, by view."""
     triangles = Scene((Body("road", road_mesh(road), smooth=True),)).at(0.0)
-    (module,) = plant.modules
-    for name, view in (("camera", plant.view), ("above", from_above())):
+    (module,) = world.modules
+    for name, view in (("camera", world.view), ("above", from_above())):
         exact = ExactSurfaces(face_source("raycast")).gbuffer(triangles, view)
-        found = surface_source(plant.source, moving=False).gbuffer(triangles, view)
+        found = surface_source(world.source, moving=False).gbuffer(triangles, view)
         yield name, measure(triangles, view, exact, found, module.headlight, module.T_world_headlight, n)
 
 
-def moving(road: Road, plant: SimulatedPlant, n: int) -> Iterator[tuple[str, dict[str, float]]]:
+def moving(road: Road, world: World, n: int) -> Iterator[tuple[str, dict[str, float]]]:
     """Figures of a car that drives on a road, by place."""
-    tiles, (module,) = RoadTiles(road, (0.0, 0.0), 0.2, None), plant.modules
-    surfaces = surface_source(plant.source, moving=True)
+    tiles, (module,) = RoadTiles(road, (0.0, 0.0), 0.2, None), world.modules
+    surfaces = surface_source(world.source, moving=True)
     for x_m in DRIVEN_M:
         T_world_body = pose_from_degrees((x_m, 0.0, float(road.z(x_m, 0.0))))
         triangles = Scene((tiles,)).at(0.0, T_world_body)  # type: ignore[arg-type]
-        view = replace(plant.view, T_world_view=T_world_body @ plant.view.T_world_view)
+        view = replace(world.view, T_world_view=T_world_body @ world.view.T_world_view)
         exact = ExactSurfaces(face_source("raycast")).gbuffer(triangles, view)
         T_world_lamp = T_world_body @ module.T_world_headlight
         yield f"{x_m} m", measure(triangles, view, exact, surfaces.gbuffer(triangles, view), module.headlight, T_world_lamp, n)
@@ -186,12 +186,12 @@ def main() -> None:
     console, where = tables.console(), machine("torch", "embreex")
     console.print(", ".join(f"{key} {value}" for key, value in where.items()), markup=False)
     n = 1000 if arguments.quick else arguments.points
-    plant = Simulation.prepare(load("snowflake", ("camera.width_px=640", "camera.height_px=480", "camera.oversampling=1"))).world
+    world = Simulation.prepare(load("snowflake", ("camera.width_px=640", "camera.height_px=480", "camera.oversampling=1"))).world
     found = [
         {"road": name, "kind": kind, "way": way, "view": view, **figures}
         for name, kind, road in roads(arguments.quick)
         for way, of in (("stand", standing), ("move", moving))
-        for view, figures in of(road, plant, n)
+        for view, figures in of(road, world, n)
     ]
     console.print("\nWorlds that stand and that move, %")
     print(table(found))

@@ -54,16 +54,16 @@ class Stopwatch:
 
 def luxloop_step(simulation: Simulation, state: SimulationState, lap: Lap) -> tuple[SimulationState, torch.Tensor]:
     """`Simulation.step` part by part, without the judge. Returns the next state and the four errors in px."""
-    plant = simulation.world
-    lit = plant.lit(state.step * plant.period_s)
+    scenario = simulation.scenario
+    lit = simulation.world.lit(simulation.plant.exposures(state.step)[0])
     lap("render")
     drawing = simulation.controller.drawing(state.controller)
     lights = simulation.projector.draw(drawing)
     lap("light")
     lit_on = added_light(lit.transports, lights, lit.base)
     lap("luminance")
-    noise = (frame_generator(plant.seed, state.step, frame) for frame in (0, 1))
-    frames = (expose(lit_on, plant.camera, next(noise)), expose(lit.off, plant.camera, next(noise)))
+    noise = (frame_generator(scenario.seed, state.step, frame) for frame in (0, 1))
+    frames = (expose(lit_on, scenario.camera, next(noise)), expose(lit.off, scenario.camera, next(noise)))
     lap("camera")
     seen = simulation.observer.look(frames, drawing, lights)
     lap("perceive")

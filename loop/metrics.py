@@ -1,6 +1,5 @@
 """A run in one row of plain figures, without files: what campaigns tabulate and tuning minimises."""
 
-import copy
 from collections import OrderedDict
 from dataclasses import replace
 from typing import Any
@@ -20,6 +19,7 @@ from loop.recording.summary import column
 from loop.run import prepare, torch_device
 from loop.scenario.model import AnyScenario, LightingScenario, Scenario
 from loop.symbol.batch import Rollout
+from loop.symbol.plant import SimulatedPlant
 from loop.symbol.simulation import Simulation
 from perception.extraction import Loss
 
@@ -79,10 +79,9 @@ def _simulation(scenario: Scenario, device: str) -> Simulation:
 
 def with_seed(simulation: Simulation, seed: int) -> Simulation:
     """The same with other noise."""
-    world = copy.copy(simulation.world)
-    world.seed = seed
+    assert isinstance(simulation.plant, SimulatedPlant)
     scenario = simulation.scenario.model_copy(update={"seed": seed})
-    return replace(simulation, scenario=scenario, plant=world, world=world)
+    return replace(simulation, scenario=scenario, plant=replace(simulation.plant, seed=seed))
 
 
 def _flat(values: dict[str, Any]) -> dict[str, Any]:

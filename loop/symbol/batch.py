@@ -114,7 +114,7 @@ def look(simulation: Simulation, poses: Tensor, step: int, *, quantise: bool = T
         return observer.lost(poses, Loss.NOTHING)
     # One by one: the few rays and pixels that each pose touches are quicker than all of a batch.
     lights = [simulation.projector.light(pose) for pose in poses]
-    on_view, off_view = (world.lit(t_s) for t_s in world.exposures(step))
+    on_view, off_view = (world.lit(t_s) for t_s in simulation.plant.exposures(step))
     on, off = (
         expose(light, camera, noise[crop.slices].to(light), quantise=quantise)
         for light, noise in (
@@ -129,8 +129,8 @@ def look(simulation: Simulation, poses: Tensor, step: int, *, quantise: bool = T
 
 def _noise(simulation: Simulation, step: int, frame: int) -> Tensor:
     """Of a whole frame `[height, width]`, as in a single run."""
-    world, camera = simulation.world, simulation.scenario.camera
-    generator = frame_generator(world.seed, step, frame, simulation.device)
+    camera = simulation.scenario.camera
+    generator = frame_generator(simulation.scenario.seed, step, frame, simulation.device)
     return torch.empty(camera.height_px, camera.width_px, device=simulation.device).normal_(generator=generator)
 
 

@@ -19,6 +19,7 @@ from loop.assembly.build import build_motion, build_projector, build_road, build
 from loop.scenario.model import Scenario
 from loop.symbol.plant import Frames, Plant, SimulatedPlant
 from loop.symbol.truth import true_camera, true_modules
+from loop.symbol.world import World
 from perception.birdseye import BirdsEye, Region, birds_eye, cells, region_around
 from perception.camera import CameraParams
 from perception.judge import CELL_M, Target, Verdict, judge, target
@@ -70,8 +71,8 @@ class StepResult:
 class Simulation:
     """A scenario made ready to run on one device.
 
-    plant: what is controlled. world: the simulated scene that the judge looks at; in simulation both are the same. plane: of the vehicle as
-    it stands at first, see `plane_at`.
+    plant: what is controlled. world: what the judge looks at, and in simulation the plant's. plane: of the vehicle as it stands at first,
+    see `plane_at`.
     """
 
     scenario: Scenario
@@ -80,7 +81,7 @@ class Simulation:
     observer: Observer
     controller: SymbolController
     plant: Plant
-    world: SimulatedPlant
+    world: World
     plane: BirdsEye
     goal: Target
 
@@ -99,18 +100,7 @@ class Simulation:
 
         model = model_of(scenario.camera)
         judged = model if camera == scenario.camera else model_of(camera)  # the judge knows where the camera is
-        world = SimulatedPlant(
-            scene,
-            true_modules(scenario, projector),
-            camera,
-            face_source(scenario.renderer),
-            scenario.rate_hz,
-            scenario.seed,
-            device,
-            motion,
-            scenario.sensors,
-            scenario.disturbances,
-        )
+        world = World(scene, true_modules(scenario, projector), camera, face_source(scenario.renderer), device, motion)
         observer = Observer(projector, model, scenario.camera, scenario.extraction)
         return cls(
             scenario=scenario,
@@ -118,7 +108,7 @@ class Simulation:
             projector=projector,
             observer=observer,
             controller=build_symbol_controller(scenario, observer),
-            plant=world,
+            plant=SimulatedPlant(world, scenario.rate_hz, scenario.seed, scenario.sensors, scenario.disturbances),
             world=world,
             plane=_plane(scenario, world.view, _road(scenario, motion, 0.0), device),
             goal=target(
@@ -139,16 +129,16 @@ class Simulation:
     def step(self, state: SimulationState) -> tuple[SimulationState, StepResult]:
         """One control step."""
         timings: dict[str, float] = {}
-        time_s, off_time_s = self.world.exposures(state.step)
+        time_s, off_time_s = self.plant.exposures(state.step)
         with _timed(timings, "render"):
-            _ = self.world.lit(time_s).transports, self.world.lit(off_time_s).off
+            self.world.render(time_s, off_time_s)
         with _timed(timings, "light"):
             drawing = self.controller.drawing(state.controller)
             lights = self.projector.draw(drawing)
         with _timed(timings, "camera"):
             plant, frames = self.plant.show(state.plant, lights, state.step)
         with _timed(timings, "perceive"):
-            ego = self.world.ego(state.step)
+            ego = self.plant.ego(state.step)
             shown = (*state.shown, Shown(drawing, lights, ego))
             late = self.scenario.camera.latency_steps
             seen = self.observer.look(frames, shown[0].drawing, shown[0].lights, state.shape if ego.stands else None)

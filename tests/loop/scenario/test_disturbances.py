@@ -1,7 +1,6 @@
 """What a disturbance does to frames and to the light on the road, where the controller knows nothing of it."""
 
 import math
-from copy import copy
 from typing import Any
 
 import pytest
@@ -15,6 +14,7 @@ from loop.scenario.model import Scenario, validate
 from loop.symbol.plant import SimulatedPlant
 from loop.symbol.simulation import Simulation, StepResult
 from loop.symbol.truth import true_camera, true_modules, worn
+from loop.symbol.world import World
 from perception.camera import luminance_of, saturation_luminance
 from tests.loop.conftest import SMALL
 from world.errors import LuxloopError
@@ -38,12 +38,14 @@ def plain() -> Simulation:
     return prepared()
 
 
-def frames(simulation: Simulation, step: int = 0, noisy: bool = False, **disturbances: Any) -> tuple[Tensor, Tensor] | None:
+def disturbed(world: World, **disturbances: Any) -> SimulatedPlant:
+    return SimulatedPlant(world, 30.0, 0, disturbances=DisturbanceParams.model_validate(disturbances))
+
+
+def frames(simulation: Simulation, step: int = 0, **disturbances: Any) -> tuple[Tensor, Tensor] | None:
     """Luminance in cd/m^2 of a step's on and off frame with the symbol at its target, on the same road in the same light."""
-    world = copy(simulation.world)
-    world.disturbances = DisturbanceParams.model_validate(disturbances)
-    world.camera = world.camera.model_copy(update={"noise": noisy})
-    _, seen = world.show((), simulation.projector.light(simulation.projector.target), step)
+    world = simulation.world
+    _, seen = disturbed(world, **disturbances).show((), simulation.projector.light(simulation.projector.target), step)
     return None if seen is None else (luminance_of(seen[0], world.camera), luminance_of(seen[1], world.camera))
 
 
@@ -81,11 +83,11 @@ def test_a_car_drives_towards_a_headlamp_that_stands(plain: Simulation) -> None:
     lamp = {"position_m": (60.0, 2.0, 0.65), "diameter_m": 0.5, "veil": 0.0, "intensity_cd": 5.0}
     scene, modules, camera, source = plain.world.scene, plain.world.modules, plain.world.camera, plain.world.source
     motion = drive(VehicleParams.model_validate({"course": [{"speed_m_s": 20.0}]}), Flat(), 1.0)
-    disturbances = DisturbanceParams.model_validate({"oncoming": [lamp]})
-    world = SimulatedPlant(scene, modules, camera, source, 30.0, 0, plain.device, motion, disturbances=disturbances)
+    world = World(scene, modules, camera, source, plain.device, motion)
+    plant = disturbed(world, oncoming=[lamp])
     dark = torch.zeros(camera.height_px, camera.width_px, device=plain.device)
     for step, frame, distance in ((0, 0, 60.0), (15, 0, 50.0), (15, 1, 50.0 - 20 / 60)):
-        image = world.exposed(dark, dark, step, frame)
+        image = plant.exposed(dark, dark, step, frame)
         u, v = torch.arange(camera.width_px) + 0.5, torch.arange(camera.height_px) + 0.5
         middle = [float((image.sum(dim).cpu() * at).sum() / image.sum()) for dim, at in ((0, u), (1, v))]
         uv, _ = world.view.project(torch.tensor([[distance], [2.0], [0.65]], dtype=torch.float64))
@@ -99,29 +101,27 @@ def test_noise_is_as_many_times_as_wide(plain: Simulation) -> None:
     _, level = frames(plain, **bright)
     inside = (level > 0.25 * saturation_luminance(plain.world.camera)) & (level < 0.75 * saturation_luminance(plain.world.camera))
     assert int(inside.sum()) > 10_000 and quiet[inside].max() < 0.1
-    once, ten = (float((frames(plain, 2, True, **bright, noise=[{"factor": f}])[1] - level)[inside].std()) for f in (0.5, 4.0))
+    noisy = prepared(camera=SMALL["camera"])
+    once, ten = (float((frames(noisy, 2, **bright, noise=[{"factor": f}])[1] - level)[inside].std()) for f in (0.5, 4.0))
     assert ten / once == pytest.approx(8, rel=0.02)  # the same numbers eight times as large; beyond 3.5 sigma a few are clamped
 
 
 def test_frames_are_lost_when_listed_and_as_often_as_they_shall(plain: Simulation) -> None:
     spells = [{"from_step": 2, "until_step": 4}, {"from_step": 7, "until_step": 8}]
     assert [step for step in range(10) if frames(plain, step, drops=spells) is None] == [2, 3, 7]
-    world = copy(plain.world)
-    world.disturbances = DisturbanceParams.model_validate({"drops": [{"probability": 0.5}, {"probability": 0.2, "from_step": 1000}]})
-    lost = [world._dropped(step) for step in range(2000)]
-    assert lost == [world._dropped(step) for step in range(2000)]
+    plant = disturbed(plain.world, drops=[{"probability": 0.5}, {"probability": 0.2, "from_step": 1000}])
+    lost = [plant._dropped(step) for step in range(2000)]
+    assert lost == [plant._dropped(step) for step in range(2000)]
     # 0.5, and 1 - 0.5 * 0.8 where both hold; three standard errors of a share of a thousand are 0.048
     assert sum(lost[:1000]) / 1000 == pytest.approx(0.5, abs=0.048) and sum(lost[1000:]) / 1000 == pytest.approx(0.6, abs=0.048)
 
 
 def test_a_batch_is_disturbed_as_each_of_it_alone(plain: Simulation) -> None:
-    world = copy(plain.world)
-    lamp = {"position_m": (40.0, 2.0, 0.65)}
-    world.disturbances = DisturbanceParams.model_validate({"oncoming": [lamp], "ambient": [{"factor": 3.0, "frames": "off"}]})
+    plant = disturbed(plain.world, oncoming=[{"position_m": (40.0, 2.0, 0.65)}], ambient=[{"factor": 3.0, "frames": "off"}])
     (light,) = plain.projector.light(plain.projector.target)
-    _, batch = world.show((), [Utilisation(torch.stack([light.u, 0.5 * light.u]))], 0)
+    _, batch = plant.show((), [Utilisation(torch.stack([light.u, 0.5 * light.u]))], 0)
     for k, share in enumerate((1.0, 0.5)):
-        _, alone = world.show((), [Utilisation(share * light.u)], 0)
+        _, alone = plant.show((), [Utilisation(share * light.u)], 0)
         for together, single in zip(batch, alone, strict=True):
             assert (together[k] - single).abs().max() <= 1  # sums in another order may round to the next level
 
@@ -190,12 +190,12 @@ def test_two_lamps_draw_one_symbol_until_one_is_aimed_aside(plain: Simulation) -
     assert y_percent == pytest.approx(-100 * math.tan(math.radians(1)) * 17 / 2 / 2, rel=0.2) and float(apart.verdict.iou) < 0.8
 
 
-def worn_world(plain: Simulation, **wear: Any) -> SimulatedPlant:
+def worn_world(plain: Simulation, **wear: Any) -> World:
     """The plain simulation's world in the light of worn lamps."""
     disturbances = DisturbanceParams.model_validate({"wear": wear})
     modules = true_modules(plain.scenario.model_copy(update={"disturbances": disturbances}), plain.projector)
     world = plain.world
-    return SimulatedPlant(world.scene, modules, world.camera, world.source, 1 / world.period_s, world.seed, world.device)
+    return World(world.scene, modules, world.camera, world.source, world.device)
 
 
 def test_worn_pixels_give_as_much_less_light(plain: Simulation) -> None:

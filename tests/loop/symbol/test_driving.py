@@ -62,9 +62,9 @@ def test_the_judge_looks_at_the_ground_under_the_car(nodding):
 
 
 def test_sensors_tell_what_the_vehicle_does(nodding, small_simulation):
-    ego = nodding.world.ego(3)
+    ego = nodding.plant.ego(3)
     assert (float(ego.speed_m_s), ego.time_s, ego.age_s) == pytest.approx((22.0, 2 / 30, 1 / 30))
-    assert torch.equal(small_simulation.world.ego(3).T_ground_body.cpu(), torch.eye(4))
+    assert torch.equal(small_simulation.plant.ego(3).T_ground_body.cpu(), torch.eye(4))
 
 
 def test_a_course_out_of_order_is_told():

@@ -3,7 +3,6 @@
 import ctypes
 import math
 import sys
-from copy import copy
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
@@ -25,6 +24,7 @@ from controllers.symbol.sensing.protocol import Look, Shown
 from controllers.symbol.sensing.shape import reached
 from loop.run import prepare
 from loop.scenario.model import DisturbanceParams, load
+from loop.symbol.plant import SimulatedPlant
 from loop.symbol.simulation import Simulation, SimulationState
 from perception.birdseye import Region
 
@@ -198,9 +198,8 @@ def on_bumps(*more: str) -> tuple[list[SimulationState], list[float]]:
 
 def disturbed(prepared: Simulation, **disturbances: Any) -> Simulation:
     """The same in the same world, of which nothing is rendered again."""
-    world = copy(prepared.world)
-    world.disturbances = DisturbanceParams(**disturbances)
-    return replace(prepared, plant=world, world=world)
+    assert isinstance(prepared.plant, SimulatedPlant)
+    return replace(prepared, plant=replace(prepared.plant, disturbances=DisturbanceParams(**disturbances)))
 
 
 def opened(prepared: Simulation) -> float:
