@@ -1,7 +1,7 @@
 """The lamps of the thesis' tables A.1 and A.2, and others of any overlap, as headlight matrices."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sp
@@ -35,13 +35,13 @@ def adaptive_side(cols: int) -> int:
 def of_the_thesis(rows: int, cols: int, side: int, thesis_us: float | None = None) -> Lamp:
     """+-4 x +-8 deg in a square texture of +-8.1 deg."""
     grid = TexelGrid.from_degrees(side, side, 8.1, -8.1, -8.1, 8.1)
-    return overlapping(f"{rows} x {cols}", rows, cols, grid, 4.0, 8.0, 1 + OVERLAP, thesis_us)
+    return replace(overlapping(f"{rows} x {cols}", rows, cols, grid, 4.0, 8.0, 1 + OVERLAP), thesis_us=thesis_us)
 
 
 def with_long_rows(rows: int, cols: int, texel_rows: int, texel_cols: int, entries: int) -> Lamp:
     """+-5 x +-20 deg, all of the texture lit, each texel by as many pixels."""
     grid = TexelGrid.from_degrees(texel_rows, texel_cols, 20.0, -20.0, -5.0, 5.0)
-    return overlapping(f"{rows} x {cols}, {entries} entries", rows, cols, grid, 5.0, 20.0, math.sqrt(entries), None)
+    return overlapping(f"{rows} x {cols}, {entries} entries", rows, cols, grid, 5.0, 20.0, math.sqrt(entries))
 
 
 def disjoint(cols: int, texel_rows: int) -> Lamp:
@@ -55,9 +55,7 @@ def disjoint(cols: int, texel_rows: int) -> Lamp:
     return Lamp(f"{rows} x {cols}", rows, cols, grid, sp.csr_matrix(arrays, shape=(len(indices), rows * cols)))
 
 
-def overlapping(
-    name: str, rows: int, cols: int, grid: TexelGrid, half_height_deg: float, half_width_deg: float, reach: float, thesis_us: float | None
-) -> Lamp:
+def overlapping(name: str, rows: int, cols: int, grid: TexelGrid, half_height_deg: float, half_width_deg: float, reach: float) -> Lamp:
     """Pixels of equal angles; each lights the texels whose centres lie within `reach` times its pitch."""
     z = np.degrees(np.arctan(grid.top + (np.arange(grid.rows) + 0.5) / grid.rows * (grid.bottom - grid.top)))
     y = np.degrees(np.arctan(grid.left + (np.arange(grid.cols) + 0.5) / grid.cols * (grid.right - grid.left)))
@@ -65,7 +63,7 @@ def overlapping(
     matrix = sp.csr_matrix(sp.kron(vertical, horizontal, "csr"))
     matrix.sort_indices()
     arrays = (matrix.data.astype(np.float32), matrix.indices.astype(np.int32), matrix.indptr.astype(np.int32))
-    return Lamp(name, rows, cols, grid, sp.csr_matrix(arrays, shape=matrix.shape), thesis_us)
+    return Lamp(name, rows, cols, grid, sp.csr_matrix(arrays, shape=matrix.shape))
 
 
 def _axis(angle_deg: np.ndarray, n: int, half_deg: float, reach: float) -> sp.csr_matrix:

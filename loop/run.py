@@ -3,7 +3,7 @@
 import gc
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +22,6 @@ from loop.recording.replay import read_parquet
 from loop.recording.report import Gathered, write_report
 from loop.recording.video import VideoWriter, frame_picture
 from loop.scenario.model import AnyScenario, LightingScenario, Scenario, load_any
-from loop.scenario.overrides import Override
 from loop.symbol.simulation import Simulation, StepResult
 from loop.symbol.truth import true_camera
 from perception.camera import CameraParams, camera_view, saturation_luminance
@@ -59,7 +58,6 @@ class RunResult:
 def run(
     scenario: AnyScenario | str | Path,
     folder: Path | str | None = None,
-    overrides: Sequence[Override] = (),
     *,
     device: str = "auto",
     video: bool = True,
@@ -70,7 +68,7 @@ def run(
 ) -> RunResult:
     """Run a scenario of either kind and record it into a folder, which `luxloop replay` reads.
 
-    scenario: a shipped name or a path, which `load` reads with overrides and values (`["road.kind=bumps"], steps=20`), or a loaded one.
+    scenario: a shipped name or a path, or a loaded one. values: what `load` reads it with (`overrides=["road.kind=bumps"], steps=20`).
     folder: where files go, in place of an older recording; None for a temporary one that lives as long as the result. device: "auto",
     "cpu" or "cuda". video, report: whether these files are written, which takes seconds. on_step: called after every step. on_end: called
     before video and report are finished.
@@ -78,8 +76,8 @@ def run(
     be read or run, or another process writes into the folder; nothing is written before the first step is done.
     """
     if isinstance(scenario, str | Path):
-        scenario = load_any(str(scenario), overrides, **values)
-    elif overrides or values:
+        scenario = load_any(str(scenario), **values)
+    elif values:
         raise LuxloopError(f"{scenario.source}: is loaded already and takes no overrides; give them to load()")
     temporary = None
     if folder is None:

@@ -101,7 +101,7 @@ class Sampled:
             bound = torch.where(low[held] > 0, low[held], high[held])
             weights = torch.cat([weight, WEIGHT_OF_LIMITS ** (round_ + 1) / (bound + EVEN_CD)])
             lows, highs = torch.cat([target, low[held]]), torch.cat([target, high[held]])
-            u = solve(rows, lows, highs, weight=weights, upper=upper, start=u, iterations=60, tolerance=1e-5)
+            u = solve(rows, (lows, highs), weight=weights, upper=upper, start=u, iterations=60, tolerance=1e-5)
         return pattern_alone
 
 

@@ -10,8 +10,7 @@ CHECKED_EVERY = 10  # iterations between looks at the progress, each of which wa
 
 def solve(
     matrix: Csr,
-    low: Tensor,
-    high: Tensor | None = None,
+    wanted: Tensor | tuple[Tensor, Tensor],
     *,
     weight: Tensor | None = None,
     upper: Tensor | None = None,
@@ -21,12 +20,12 @@ def solve(
 ) -> Tensor:
     """u `[..., n]` in `0..upper` with the least `sum (weight * distance of A u from low..high)^2` (T 3.5.2).
 
-    matrix: A `[m, n]`, several modules side by side. low, high: `[..., m]`, the wanted values, or bounds between which any value is
-    welcome, infinite where there is none; high is low unless given. weight: `[m]` or `[..., m]`, 1 by default. upper: `[n]` or
+    matrix: A `[m, n]`, several modules side by side. wanted: `[..., m]`, or the bounds low and high between which any value is welcome,
+    infinite where there is none. weight: `[m]` or `[..., m]`, 1 by default. upper: `[n]` or
     `[..., n]`, 1 by default. start: `[..., n]`, taken up warm; a pixel that reaches no row keeps it. Stops when ten steps in a row move no
     pixel by more than the tolerance. Accelerated projected gradient with restarts, all batch entries at once.
     """
-    high = low if high is None else high
+    low, high = wanted if isinstance(wanted, tuple) else (wanted, wanted)
     squared = torch.ones_like(low) if weight is None else weight.to(low).square().expand(low.shape)
     upper = low.new_ones(matrix.n_cols) if upper is None else upper.to(low)
     u = low.new_zeros(*low.shape[:-1], matrix.n_cols) if start is None else start.to(low).expand(*low.shape[:-1], -1).clone()

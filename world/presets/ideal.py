@@ -13,17 +13,17 @@ NOTES = """Published (thesis, T 9.4.3): 332 x 1024 pixels, +-10 deg by +1.5 to -
 Guessed: 50 kcd over the whole field, pixels of equal pitch on the texture's plane, linear edges 0.2 pitches to either side."""
 
 
-def _profile(pixels: int, texels_per_pixel: int, flank: float) -> sp.csr_array:
-    """Trapezoid profile of a line of pixels, `[pixels * texels_per_pixel, pixels]`; the profiles of neighbours add up to one.
+FLANK = 0.2  # half the width of a pixel's sloping edge, in pixel pitches
 
-    flank: half the width of the sloping edge, in pixel pitches.
-    """
+
+def _profile(pixels: int, texels_per_pixel: int) -> sp.csr_array:
+    """Trapezoid profile of a line of pixels, `[pixels * texels_per_pixel, pixels]`; the profiles of neighbours add up to one."""
     texel = (np.arange(pixels * texels_per_pixel) + 0.5) / texels_per_pixel
     nearest = np.floor(texel).astype(int)
     row, col, weight = [], [], []
     for offset in (-1, 0, 1):
         pixel = nearest + offset
-        w = np.clip((0.5 + flank - np.abs(texel - pixel - 0.5)) / (2 * flank), 0, 1)
+        w = np.clip((0.5 + FLANK - np.abs(texel - pixel - 0.5)) / (2 * FLANK), 0, 1)
         keep = (w > 0) & (pixel >= 0) & (pixel < pixels)
         row.append(np.flatnonzero(keep))
         col.append(pixel[keep])
@@ -40,18 +40,17 @@ def idealised(
     top_deg: float = 1.5,
     bottom_deg: float = -3.5,
     intensity_cd: float = 50_000.0,
-    flank: float = 0.2,
 ) -> Headlight:
     """The thesis' idealised lamp (T 9.4.3): 332 x 1024 pixels, +-10 deg, +1.5 to -3.5 deg, minimal overlap.
 
     Published: the pixel count, the angles, "minimal overlap". Guessed: 50 kcd over the whole field (about 1.5 klm), pixels of equal
-    pitch on the texture's plane, and overlap as linear edges `flank` pitches to either side of a pixel's border, so that a texel has
-    1.5 entries (0 < flank <= 0.5). pixel_rows, pixel_cols: their number.
+    pitch on the texture's plane, and overlap as linear edges FLANK pitches to either side of a pixel's border, so that a texel has
+    1.5 entries. pixel_rows, pixel_cols: their number.
     texels_per_pixel: (rows, columns); at 17 m the symbol spans only 40 pixel rows, so rows are sampled
     four times.
     """
-    vertical = _profile(pixel_rows, texels_per_pixel[0], flank)
-    horizontal = _profile(pixel_cols, texels_per_pixel[1], flank)
+    vertical = _profile(pixel_rows, texels_per_pixel[0])
+    horizontal = _profile(pixel_cols, texels_per_pixel[1])
     side = math.tan(math.radians(half_width_deg))
     return Headlight(
         name=f"idealised-{pixel_rows}x{pixel_cols}",

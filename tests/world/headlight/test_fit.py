@@ -56,11 +56,11 @@ def test_values_between_bounds_cost_nothing_and_bounds_hold_where_they_can() -> 
     inf = float("inf")
     low = torch.tensor([0.2, 0.5, -inf], dtype=torch.float64)
     high = torch.tensor([inf, inf, 0.3], dtype=torch.float64)
-    u = solve(matrix, low, high, iterations=2000, tolerance=1e-9)
+    u = solve(matrix, (low, high), iterations=2000, tolerance=1e-9)
     light = multiply(matrix, u)
     assert bool((light >= low - 1e-6).all()) and bool((light <= high + 1e-6).all())
     welcome = torch.tensor([0.8, 0.25], dtype=torch.float64)
-    assert torch.equal(solve(matrix, low, high, start=welcome), welcome)
+    assert torch.equal(solve(matrix, (low, high), start=welcome), welcome)
 
 
 def test_a_warm_start_at_the_optimum_stays_and_pixels_without_light_keep_their_start() -> None:
