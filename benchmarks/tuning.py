@@ -119,7 +119,7 @@ def measured(size: Size, out: Path, execute: Executor, jobs: int | None) -> dict
     task = Task(scenarios, tuple(ranges.parse(key, scenarios) for key in KEYS), objective.parse(GOAL))
 
     def by(way: str, count: int, gradient: bool) -> dict[str, Any]:
-        tuned = do_tune(size.scenarios, KEYS, GOAL, count, 1, 0, SETTINGS, out / way, jobs, "cpu", gradient)
+        tuned = do_tune(task, out / way, count, jobs, gradient, size.scenarios[0])
         return found(way, tuned, size, execute)
 
     ways = [by("trials", size.trials, False), by("gradient", size.iterations, True)]

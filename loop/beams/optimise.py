@@ -16,7 +16,7 @@ from loop.lighting.lamps import flux_by_side
 from loop.lighting.simulation import LightingSimulation
 from loop.recording.manifest import write_json
 from loop.run import torch_device
-from loop.scenario.model import LightingScenario, load_any
+from loop.scenario.model import AnyScenario, LightingScenario
 from loop.terminal import tables
 from loop.terminal.progress import progress
 from perception.detection.build import detector
@@ -35,9 +35,9 @@ RAW, PICTURE, SUMMARY = "raw.toml", "beam.png", "beam.json"
 
 
 def optimise_beam(
-    name: str, overrides: list[str], weights: Mapping[str, Any], method: Method, steps: int | None, out: Path, device: str, allow_code: bool
+    scenario: AnyScenario, weights: Mapping[str, Any], method: Method, steps: int | None, out: Path, device: str, played_by: str
 ) -> dict[str, Any]:
-    """Search, write and tell; what was found in numbers. weights: of a `BeamGoal`.
+    """Search, write and tell; what was found in numbers. weights: of a `BeamGoal`. played_by: arguments of `luxloop run`, `--set` last.
 
     Raises LuxloopError for weights below zero, scenarios of a symbol or without objects in sight, and, before the search, a folder that
     cannot be made.
@@ -46,9 +46,8 @@ def optimise_beam(
         goal = BeamGoal(**weights)
     except ValidationError as error:
         raise LuxloopError(f"--{sentence(error, BeamGoal, '')}") from error
-    scenario = load_any(name, overrides, allow_code=allow_code)
     if not isinstance(scenario, LightingScenario):
-        raise LuxloopError(f"{name}: has a [symbol]; a beam is optimised for a scenario with [lighting]")
+        raise LuxloopError(f"{scenario.source}: has a [symbol]; a beam is optimised for a scenario with [lighting]")
     if steps is not None and steps < 1:
         raise LuxloopError(f"--steps {steps}: nothing can be found in that; give 1 or more")
     scenario = scenario.model_copy(update={"lighting": scenario.lighting.model_copy(update={"functions": ()})})
@@ -65,7 +64,7 @@ def optimise_beam(
         beams = {"before": start, "before, as much flux": as_dim, "found": found.lights}
         summary = _summary(judge, method, found, beams)
         _write(out, judge, found, beams, summary)
-    _tell(summary, shlex.join([name, "--set", *overrides, str(out / RAW)]))
+    _tell(summary, f"{played_by} {shlex.quote(str(out / RAW))}")
     return summary
 
 

@@ -207,9 +207,11 @@ def run(
         Whether to write report.png, which takes seconds.
     """
     from loop.commands.runs import run_scenario
+    from loop.scenario.model import load_any
 
     given = {key: value for key, value in {"seed": seed, "steps": steps}.items() if value is not None} | with_controller(controller)
-    run_scenario(name, out or Path("runs") / Path(name).stem, set or [], given, device, video, report, allow_code)
+    scenario = load_any(name, set or [], allow_code=allow_code, **given)
+    run_scenario(scenario, out or Path("runs") / Path(name).stem, device, video, report)
 
 
 @app.command

@@ -1,7 +1,7 @@
 """The commands that run the loop, and tell how far it is."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from loop.recording.recorder import TRAJECTORY
 from loop.recording.remedies import remedies
 from loop.recording.replay import Comparison, read_parquet, replay
 from loop.run import run
-from loop.scenario.model import LightingScenario, load_any
+from loop.scenario.model import AnyScenario, LightingScenario
 from loop.symbol.simulation import StepResult
 from loop.terminal import tables
 from loop.terminal.progress import progress
@@ -31,11 +31,8 @@ def _one_thread() -> None:
         torch.set_num_threads(1)
 
 
-def run_scenario(
-    name: str, out: Path, overrides: Sequence[str], values: dict[str, Any], device: str, video: bool, report: bool, allow_code: bool
-) -> None:
+def run_scenario(scenario: AnyScenario, out: Path, device: str, video: bool, report: bool) -> None:
     """Run, and say how it went and where the files lie. Raises KeyboardInterrupt that says what was kept."""
-    scenario = load_any(name, overrides, allow_code=allow_code, **values)
     _one_thread()
     done = 0
     wanted = [name for name, is_wanted in (("report", report), ("video", video)) if is_wanted]

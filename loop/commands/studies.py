@@ -1,9 +1,10 @@
 """The commands that do many runs: evaluate, campaign, tune, optimise-beam, train-detector."""
 
+import shlex
 from pathlib import Path
 from typing import Literal
 
-from loop.terminal.options import DIFFERS, OK, AllowCode, Device, Keys
+from loop.terminal.options import DIFFERS, OK, AllowCode, Device, Keys, with_controller
 
 
 def evaluate(
@@ -107,9 +108,18 @@ def tune(
     gradient
         Gradient descent through differentiable runs, a trial an iteration; for gains and rate limits of thesis_pid where nothing moves.
     """
+    from loop import objective as objectives
+    from loop.run import torch_device
+    from loop.scenario.model import load
+    from loop.studies import ranges
+    from loop.studies.tune import Task
     from loop.studies.tune_report import do_tune
 
-    do_tune(names, key or [], objective, trials, seeds, seed, controller, set or [], out, jobs, device, gradient, allow_code)
+    scenarios = tuple(load(name, set or [], allow_code=allow_code, **with_controller(controller)) for name in names)
+    tuned = tuple(ranges.parse(each, scenarios) for each in key or [])
+    task = Task(scenarios, tuned, objectives.parse(objective), seeds, seed, str(torch_device(device)))
+    taken = "" if controller is None else f" --controller {controller}"
+    do_tune(task, out or Path("runs") / f"tune-{scenarios[0].name}", trials, jobs, gradient, f"{names[0]}{taken}")
 
 
 def optimise_beam(
@@ -153,9 +163,11 @@ def optimise_beam(
         Where to compute; auto takes CUDA where there is any.
     """
     from loop.beams.optimise import optimise_beam
+    from loop.scenario.model import load_any
 
     goal = {"metric": metric, "energy": energy, "unevenness": unevenness, "glare": glare}
-    optimise_beam(name, set or [], goal, method, steps, out or Path("runs") / f"beam-{Path(name).stem}", device, allow_code)
+    scenario, played_by = load_any(name, set or [], allow_code=allow_code), shlex.join([name, "--set", *(set or [])])
+    optimise_beam(scenario, goal, method, steps, out or Path("runs") / f"beam-{Path(name).stem}", device, played_by)
 
 
 def train_detector(

@@ -1,6 +1,5 @@
 """The command that tunes, and its report: how the cost went down, which keys matter, what is best beside what was given."""
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -11,14 +10,11 @@ from optuna.trial import TrialState
 
 from loop import objective
 from loop.jobs.executors import local
-from loop.run import torch_device
-from loop.scenario.model import load
 from loop.studies import ranges
 from loop.studies.gradient import tune_by_gradient
 from loop.studies.study import FINISHED, STUDY
 from loop.studies.tune import Task, Tuned, tune
 from loop.terminal import tables
-from loop.terminal.options import with_controller
 from loop.terminal.tables import number
 from world.errors import LuxloopError
 from world.files import whole
@@ -28,31 +24,16 @@ BEST, REPORT, PICTURE = "best.toml", "report.md", "report.png"
 LEAST_FOR_IMPORTANCES = 10  # trials
 
 
-def do_tune(
-    names: Sequence[str],
-    keys: Sequence[str],
-    goal: str,
-    trials: int,
-    seeds: int,
-    seed: int,
-    controller: str | None,
-    overrides: Sequence[str],
-    out: Path | None,
-    processes: int | None,
-    device: str,
-    gradient: bool,
-    allow_code: bool,
-) -> Tuned:
-    """Tune, write what is best and a report, and say it. Raises LuxloopError before anything runs where something makes no sense."""
-    if not keys:
+def do_tune(task: Task, folder: Path, trials: int, processes: int | None, gradient: bool, played_by: str) -> Tuned:
+    """Tune, write what is best and a report into the folder, and say it. played_by: arguments of `luxloop run` beside `--set`.
+
+    Raises LuxloopError before anything runs where something makes no sense.
+    """
+    if not task.ranges:
         raise LuxloopError("--key: what is to be tuned? Give keys with ranges, such as --key controller.position.kp=0.1:2")
-    for name, value in (("--trials", trials), ("--seeds", seeds), ("--jobs", processes or 1)):
+    for name, value in (("--trials", trials), ("--seeds", task.seeds), ("--jobs", processes or 1)):
         if value < 1:
             raise LuxloopError(f"{name}: {value} is too few; give 1 or more")
-    scenarios = tuple(load(name, overrides, allow_code=allow_code, **with_controller(controller)) for name in names)
-    found = tuple(ranges.parse(key, scenarios) for key in keys)
-    task = Task(scenarios, found, objective.parse(goal), seeds, seed, str(torch_device(device)))
-    folder = out or Path("runs") / f"tune-{scenarios[0].name}"
     tuned = (tune_by_gradient if gradient else tune)(task, folder, trials, local(processes))
     write(tuned, folder)
     values, cost = tuned.best
@@ -62,8 +43,7 @@ def do_tune(
     if failed := _failed(tuned):
         print(failed.strip())
     if values:
-        taken = "" if controller is None else f" --controller {controller}"
-        print(f"{folder / BEST} and {folder / REPORT} written; run it with: luxloop run {names[0]}{taken} --set {folder / BEST}")
+        print(f"{folder / BEST} and {folder / REPORT} written; run it with: luxloop run {played_by} --set {folder / BEST}")
     else:
         print(f"no trial is better than what was given; {folder / REPORT} written")
     return tuned
