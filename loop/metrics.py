@@ -1,7 +1,7 @@
 """A run in one row of plain figures, without files: what campaigns tabulate and tuning minimises."""
 
-from collections import OrderedDict
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -23,8 +23,7 @@ from loop.symbol.plant import SimulatedPlant
 from loop.symbol.simulation import Simulation
 from perception.extraction import Loss
 
-KEPT = 4  # simulations made ready, half a gigabyte each: runs that differ by controller or seed alone share one
-_prepared: OrderedDict[Any, Simulation] = OrderedDict()
+KEPT = 4  # simulations made ready, half a gigabyte each
 
 
 def figures(scenario: AnyScenario, device: str = "auto") -> dict[str, float | str | None]:
@@ -68,20 +67,25 @@ def traced(scenario: Scenario, device: str = "auto") -> tuple[dict[str, float | 
 
 def _simulation(scenario: Scenario, device: str) -> Simulation:
     """A simulation of the scenario; all but controller and noise is taken from one that is ready where there is one."""
-    key = (scenario.model_dump_json(exclude={"controller", "seed"}), *digests(scenario).items(), device)
-    if key not in _prepared:
-        _prepared[key] = prepare(scenario, device)
-        if len(_prepared) > KEPT:
-            _prepared.popitem(last=False)
-    ready = with_seed(_prepared[key], scenario.seed)
-    return replace(ready, scenario=scenario, controller=build_symbol_controller(scenario, ready.observer))
+    ready = _prepared(_Shared(scenario, device, scenario.model_dump_json(exclude={"controller", "seed"}), (*digests(scenario).items(),)))
+    assert isinstance(ready.plant, SimulatedPlant)
+    plant, controller = replace(ready.plant, seed=scenario.seed), build_symbol_controller(scenario, ready.observer)
+    return replace(ready, scenario=scenario, plant=plant, controller=controller)
 
 
-def with_seed(simulation: Simulation, seed: int) -> Simulation:
-    """The same with other noise."""
-    assert isinstance(simulation.plant, SimulatedPlant)
-    scenario = simulation.scenario.model_copy(update={"seed": seed})
-    return replace(simulation, scenario=scenario, plant=replace(simulation.plant, seed=seed))
+@dataclass(frozen=True)
+class _Shared:
+    """What runs of scenarios share that differ by controller or seed alone. files: names and digests of those that they read."""
+
+    scenario: Scenario = field(compare=False)
+    device: str
+    decisive: str
+    files: tuple[tuple[str, str], ...]
+
+
+@lru_cache(KEPT)
+def _prepared(shared: _Shared) -> Simulation:
+    return prepare(shared.scenario, shared.device)
 
 
 def _flat(values: dict[str, Any]) -> dict[str, Any]:

@@ -7,7 +7,6 @@ import subprocess
 import sys
 import time
 import tomllib
-from collections import OrderedDict
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,7 +16,7 @@ import pytest
 from loop.commands import cli
 from loop.jobs import runner as jobs
 from loop.jobs.executors import dask
-from loop.metrics import figures
+from loop.metrics import _prepared, figures
 from loop.scenario.model import load
 from loop.studies import campaign
 from loop.studies.campaign import JOBS, TABLE, read, run_campaign
@@ -123,11 +122,11 @@ def test_a_campaign_whose_runs_all_fail_says_why(
     assert pq.read_table(tmp_path / "new" / "folder" / TABLE).num_rows == 1
 
 
-def test_runs_that_share_a_simulation_are_as_those_that_do_not(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_runs_that_share_a_simulation_are_as_those_that_do_not() -> None:
     small = ["steps=3", "headlight.model=hd84", "camera={ width_px=160, height_px=90 }", "symbol={ width_m=4.0, length_m=8.0 }"]
     first, other = (load("flat", [*small, f"seed={seed}"]) for seed in (1, 2))
     alone = [figures(scenario, "cpu") for scenario in (first, other)]
-    monkeypatch.setattr("loop.metrics._prepared", OrderedDict())
+    _prepared.cache_clear()
     assert [figures(scenario, "cpu") for scenario in (other, first)] == alone[::-1]
     assert alone[0] != alone[1]
 
