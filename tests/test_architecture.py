@@ -21,6 +21,10 @@ OPENGL_AT = Path("world/rendering/rasterise.py")  # which makes the context
 DRAWS_WITH_IT = Path("world/rendering/deferred.py")
 LONGEST = 450  # lines: beyond that a module holds more than one idea
 FULLEST = 20  # modules in a folder: beyond that its name says too little of them
+PARAMETERS = 7  # beyond that a function lacks a value that some of them are parts of
+MANY = {"primitives.py: rectangle", "primitives.py: rectangles", "headlight.py: show", "sight.py: prepare"}  # each value stands by itself
+GROWS = r"\.(add|append|clear|extend|insert|pop|popitem|remove|setdefault|update)\("
+TRICKS = re.compile(r"object\.__setattr__|\bcopy\.copy\(|from copy import copy\b|vars\(.*?\)\[.*\] = |^ +global ", re.M)
 NEIGHBOURS = 7  # folders of its package, half of those of loop, that a folder imports from
 
 each_module = pytest.mark.parametrize("module", MODULES, ids=str)
@@ -122,6 +126,27 @@ def test_opengl_stays_in_its_room(module: Path) -> None:
 @each_module
 def test_module_can_be_held_in_mind(module: Path) -> None:
     assert len((ROOT / module).read_text().splitlines()) <= LONGEST
+
+
+@each_module
+def test_values_stay_as_they_are(module: Path) -> None:
+    tree = ast.parse((ROOT / module).read_text())
+    source = ast.unparse(tree)
+    assert not TRICKS.search(source), f"{module}: make another value with `replace`"
+    for name in re.findall(r"^(\w+)(?:: .+)? = ", source, re.M):
+        assert not re.search(rf"^ +{name}(\[.*\] = |{GROWS})", source, re.M), f"{module}: {name} is written while it runs"
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ClassDef) and any("frozen=True" in ast.unparse(each) for each in node.decorator_list):
+            written = re.search(rf"^ +self\.\w+(\[.*\])? [-+*/|]?= |\bself\.\w+{GROWS}", ast.unparse(node), re.M)
+            assert not written, f"{module}: {node.name} is frozen"
+
+
+@each_module
+def test_functions_take_few_values(module: Path) -> None:
+    for node in ast.walk(ast.parse((ROOT / module).read_text())):
+        if isinstance(node, ast.FunctionDef) and "Parameters\n---" not in (ast.get_docstring(node) or ""):  # as those of commands have
+            names = [each.arg for each in (*node.args.args, *node.args.kwonlyargs) if each.arg not in ("self", "cls")]
+            assert len(names) <= PARAMETERS or f"{module.name}: {node.name}" in MANY, f"{module}: {node.name} takes {len(names)}"
 
 
 def test_the_page_of_the_house_names_every_folder_and_only_files_that_exist() -> None:
