@@ -1,6 +1,6 @@
 """The car's lamps, ready to be driven: every module that shines, with its pixel controller and its base beams."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -13,42 +13,26 @@ from controllers.pixels.power import limit_power, pixel_flux
 from controllers.pixels.primitives import meant
 from controllers.pixels.secondary import SecondaryRays
 from controllers.pixels.ssc import PixelController
-from loop.assembly.build import turned
+from loop.assembly.lamps import MountedModule, mounted
 from loop.assembly.pixel_control import pixel_controller
 from loop.scenario.model import LightingScenario
 from loop.scenario.shipped import named
 from world.errors import LuxloopError, located
-from world.frames import pose_from_degrees
 from world.headlight import Headlight
-from world.headlight.lamp import Lamp
-from world.lampfiles.description import load_lamp
 from world.lampfiles.utilisations import RawUtilisation, read_sequence
 
 
 @dataclass(frozen=True, eq=False)
-class ShiningModule:
-    """One module of a lamp. number: its place in the lamp. flux: `[n_p]` lm at full utilisation, which stands for power as well.
+class ShiningModule(MountedModule):
+    """A module with its pixel controller. flux: `[n_p]` lm at full utilisation, which stands for power as well.
 
     beams: all that its base beam may come to, by name; none where it shows raw utilisations.
     """
 
-    side: str
-    lamp: Lamp
-    number: int
     controller: PixelController
-    T_world_module: Tensor
     flux: Tensor
     beams: Mapping[str, Morphing]
     raw: RawUtilisation | None = None
-
-    @property
-    def name(self) -> str:
-        """As lighting functions name it, "left hires"."""
-        return f"{self.side} {self.lamp.modules[self.number].name}"
-
-    @property
-    def headlight(self) -> Headlight:
-        return self.controller.headlight
 
     def base(self, plan: Plan) -> Tensor:
         """Utilisation `[n_p]` below all functions: the raw one, else a base beam, morphed and dimmed."""
@@ -77,33 +61,15 @@ class LampPower:
 
 
 def shining_modules(scenario: LightingScenario, device: torch.device) -> tuple[ShiningModule, ...]:
-    """All modules of a scenario's lamps. Raises LuxloopError where there is no such lamp, module, beam or movement."""
-    return tuple(module for side in scenario.headlight.lamps for module in _modules_of(side, scenario, device))
-
-
-def _modules_of(side: str, scenario: LightingScenario, device: torch.device) -> Iterator[ShiningModule]:
-    params = scenario.headlight
-    lamp = load_lamp(params.model, "left" if side == "left" else "right")
-    names = [module.name for module in lamp.modules]
-    if strange := [name for name in params.modules or () if name not in names]:
-        raise LuxloopError(
-            f"headlight.modules: lamp {params.model!r} has no module {strange[0]!r}, it has {', '.join(names)}; name these here, and in "
-            "the modules of lighting.functions and lighting.raw"
-        )
-    chosen = [lamp.module(name) for name in params.modules or names]
-    peak_cd = max(module.headlight.peak_cd for module in chosen)
-    if not peak_cd > 0:
-        raise LuxloopError(f"headlight.modules: {', '.join(module.name for module in chosen)} give no light; name others")
-    scale = 1.0 if params.intensity_cd is None else params.intensity_cd / peak_cd
-    T_world_lamp = pose_from_degrees((0.0, (0.5 if side == "left" else -0.5) * params.distance_m, params.height_m))
-    for module in chosen:
-        T_world_module = T_world_lamp @ turned(module, side, params).T_lamp_module
-        light = module.headlight.scaled(scale).to(device)
-        controller, raw = pixel_controller(scenario, light), _raw(scenario, f"{side} {module.name}", light)
-        number, flux = names.index(module.name), pixel_flux(light)
+    """The modules of a scenario's lamps that shine, all where it names none. Raises LuxloopError as `mounted`, and for a beam."""
+    modules = []
+    for each in mounted(scenario.headlight, device, lambda lamp: lamp.modules):
+        light, flux, raw = each.headlight, pixel_flux(each.headlight), _raw(scenario, each.name, each.headlight)
         base = scenario.lighting.base.names if raw is None else ()
-        beams: dict[str, Morphing] = {name: Morphing(controller.headlight, lamp.beam(name)[number].to(flux)) for name in base}
-        yield ShiningModule(side, lamp, number, controller, T_world_module.to(device), flux, beams, raw)
+        beams: dict[str, Morphing] = {name: Morphing(light, each.lamp.beam(name)[each.number].to(flux)) for name in base}
+        controller = pixel_controller(scenario, light)
+        modules.append(ShiningModule(each.side, each.lamp, each.number, light, each.T_world_module, controller, flux, beams, raw))
+    return tuple(modules)
 
 
 def _raw(scenario: LightingScenario, name: str, headlight: Headlight) -> RawUtilisation | None:

@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from loop.assembly.build import turned
+from loop.assembly.lamps import turned
 from loop.pictures import charts
 from loop.pictures.overview import draw_overview
 from loop.pictures.panels import WALL_M, draw_birdseye, draw_eye, draw_pixels, draw_texture, draw_wall
@@ -67,7 +67,7 @@ def show(
         raise LuxloopError(f"visibility of {visibility_m:g} m: give a number greater than 0")
     name, patterns = _patterns(lamps, beam, title)
     mount = scenario.headlight if scenario else HeadlightParams()
-    car = LitCar({side: turned(lamp, side, mount) for side, lamp in lamps.items()}, patterns, mount.height_m, mount.distance_m)
+    car = LitCar({side: turned(lamp, side, mount) for side, lamp in lamps.items()}, patterns, mount)
     with rc_context(STYLE):
         write(_draw(car, name, view, style, Road(scenario, time_s), visibility_m), out)
     return out

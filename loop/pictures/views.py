@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from weakref import WeakKeyDictionary
 
@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from loop.assembly.build import build_scene
-from loop.scenario.model import WorldScenario, validate
+from loop.assembly.lamps import T_world_lamp
+from loop.scenario.model import HeadlightParams, WorldScenario, validate
 from world.frames import R_ISO_OPENCV, pose, pose_from_degrees
 from world.headlight.lamp import Lamp, direction
 from world.headlight.matrix import LUMINANCE
@@ -43,25 +44,23 @@ class LitCar:
 
     lamps: Mapping[str, Lamp]
     patterns: Mapping[str, Sequence[Tensor]]
-    height_m: float = 0.75
-    distance_m: float = 1.2
-
-    def T_world_lamp(self, side: str) -> Tensor:
-        return pose_from_degrees((0.0, (0.5 if side == "left" else -0.5) * self.distance_m, self.height_m))
+    mount: HeadlightParams = field(default_factory=HeadlightParams)
 
     @property
     def T_world_middle(self) -> Tensor:
         """Pose `[4, 4]` that angles are measured from: of the only lamp, or of the middle between two."""
         if len(self.lamps) == 1:
-            return self.T_world_lamp(next(iter(self.lamps)))
-        return pose_from_degrees((0.0, 0.0, self.height_m))
+            return T_world_lamp(next(iter(self.lamps)), self.mount)
+        return pose_from_degrees((0.0, 0.0, self.mount.height_m))
 
     @cached_property
     def sources(self) -> tuple[Source, ...]:
         """All modules that shine, in colour if any of them is coloured."""
         colour = any(module.headlight.chroma is not None for lamp in self.lamps.values() for module in lamp.modules)
         return tuple(
-            source for side, lamp in self.lamps.items() for source in sources(lamp, self.patterns[side], self.T_world_lamp(side), colour)
+            source
+            for side, lamp in self.lamps.items()
+            for source in sources(lamp, self.patterns[side], T_world_lamp(side, self.mount), colour)
         )
 
     def intensity(self, h_deg: Tensor, v_deg: Tensor) -> Tensor:

@@ -216,7 +216,8 @@ WRONG = {
     "when": ({"lighting": {"functions": [SYMBOL | {"when": {"names": ["x"]}}]}}, ["functions[0].when.names", "'x'", "van"]),
     "unless": ({"lighting": {"functions": [SYMBOL | {"unless": {"names": ["x"]}}]}}, ["functions[0].unless.names", "'x'", "van"]),
     "picture": ({"lighting": {"functions": [SYMBOL | {"observer": {"centre_m": [10, 0, 2]}}]}}, ["functions[0]: ", "lower the picture"]),
-    "lamp": ({"headlight": {"model": "hd84", "modules": ["lores"]}}, ["headlight.modules", "'hd84'", "'lores'", "matrix", "functions"]),
+    "lamp": ({"headlight": {"model": "hd84", "modules": ["lores"]}}, ["headlight.modules", "'hd84'", "'lores'", "matrix"]),
+    "movement": ({"headlight": {"model": "hd84", "swivel_deg": 5.0}}, ["headlight.swivel_deg", "matrix", "can turn"]),
     "beam of the lamp's modules": ({"headlight": {"model": "hd84", "modules": ["hires"]}}, ["'hires'", "matrix"]),
 }
 

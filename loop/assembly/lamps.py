@@ -1,0 +1,70 @@
+"""The modules of the car's lamps that a scenario chooses: where they are mounted, how they are turned, how bright they are."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import torch
+from torch import Tensor
+
+from loop.scenario.model import HeadlightParams
+from world.errors import LuxloopError, located
+from world.frames import pose_from_degrees
+from world.headlight import Headlight
+from world.headlight.lamp import Lamp, Module
+from world.lampfiles.description import load_lamp
+
+TurnedPart = TypeVar("TurnedPart", Lamp, Module)
+
+
+@dataclass(frozen=True, eq=False)
+class MountedModule:
+    """One module of a lamp on the car. number: its place in the lamp. headlight: its light with the scenario's intensity."""
+
+    side: str
+    lamp: Lamp
+    number: int
+    headlight: Headlight
+    T_world_module: Tensor
+
+    @property
+    def name(self) -> str:
+        """As lighting functions name it, "left hires"."""
+        return f"{self.side} {self.lamp.modules[self.number].name}"
+
+
+def mounted(params: HeadlightParams, device: torch.device, unnamed: Callable[[Lamp], Sequence[Module]]) -> Iterator[MountedModule]:
+    """The modules that a scenario names in each of its lamps, those that `unnamed` chooses where it names none.
+
+    Raises LuxloopError where there is no such lamp, module or movement, and where the modules of a lamp give no light.
+    """
+    for side in params.lamps:
+        lamp = load_lamp(params.model, side)
+        with located("headlight.modules"):
+            modules = unnamed(lamp) if params.modules is None else [lamp.module(name) for name in params.modules]
+        names = ", ".join(module.name for module in modules)
+        for movement in ("swivel_deg", "level_deg"):
+            if getattr(params, movement) and not any(any(getattr(module, movement)) for module in modules):
+                raise LuxloopError(f"headlight.{movement}: none of the modules ({names}) can turn so; leave it out or name others")
+        peak_cd = max(module.headlight.peak_cd for module in modules)
+        if not peak_cd > 0:
+            raise LuxloopError(f"headlight.modules: {names} give no light; name others")
+        scale = 1.0 if params.intensity_cd is None else params.intensity_cd / peak_cd
+        for module in modules:
+            number = [each.name for each in lamp.modules].index(module.name)
+            T_world_module = T_world_lamp(side, params) @ turned(module, side, params).T_lamp_module
+            yield MountedModule(side, lamp, number, module.headlight.scaled(scale).to(device), T_world_module.to(device))
+
+
+def T_world_lamp(side: str, params: HeadlightParams) -> Tensor:
+    """Pose `[4, 4]` of a lamp on the car."""
+    return pose_from_degrees((0.0, (0.5 if side == "left" else -0.5) * params.distance_m, params.height_m))
+
+
+def turned(part: TurnedPart, side: str, params: HeadlightParams) -> TurnedPart:
+    """A lamp or module turned as a scenario says. Raises LuxloopError that names the lamp's side where it cannot be turned so far."""
+    try:
+        return part.turned(params.swivel_deg, params.level_deg)
+    except LuxloopError as error:
+        mirrored = "; a right lamp is the left one's mirror image, and so is its range" if side == "right" else ""
+        raise LuxloopError(f"headlight: {side} lamp, {error}{mirrored}") from error
