@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from torch import Tensor
 
 from controllers.geometry import cuboid
-from controllers.pixels.primitives import Primitives, rectangles
+from controllers.pixels.primitives import Primitives, rectangle
 from controllers.situation import LAYERS, MASK, SelectionParams, Situation, TrackedObject, fade
 from perception.tracking import LINGER_S
 from world.frames import inverse, transform
@@ -61,10 +61,10 @@ class GlareFreeParams(SelectionParams):
         dark = share == 1
         quantity: Literal["u_abs", "u_rel"] = "u_abs" if dark else "u_rel"
         weight, priority = math.inf if dark else FADING, (MASK + dark) * LAYERS + LAYERS - 1
-        parts = [rectangles(*mask, 1 - share, quantity, weight=weight, forced=True, priority=priority)]
+        parts = [rectangle(*mask, 1 - share, quantity, weight=weight, forced=True, priority=priority)]
         for layer, zone in enumerate(self.soft_zones, 1):
             box = cuboid(T, *enlarged(each, margin + zone.margin_m, lamps))
-            parts.append(rectangles(*box, 1 - share * (1 - zone.u_rel), "u_rel", forced=True, priority=MASK * LAYERS + LAYERS - 1 - layer))
+            parts.append(rectangle(*box, 1 - share * (1 - zone.u_rel), "u_rel", forced=True, priority=MASK * LAYERS + LAYERS - 1 - layer))
         return tuple(parts)
 
 

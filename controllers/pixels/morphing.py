@@ -57,10 +57,10 @@ def screen(texture: Tensor, headlight: Headlight, morph: Morph) -> Primitives:
     middle_y, middle_z = (headlight.left + headlight.right) / 2, (headlight.top + headlight.bottom) / 2
     half_y, half_z = morph.width * (headlight.left - headlight.right) / 2, morph.height * (headlight.top - headlight.bottom) / 2
     corners = [[1.0, middle_y + half_y, middle_z + half_z], [0.0, -2 * half_y, 0.0], [0.0, 0.0, -2 * half_z], [-1.0, 0.0, 0.0]]
-    T = morph.T_headlight_screen.to(texture)
+    T = morph.T_headlight_screen.to(texture)[..., None, :, :]
     origin, d1, d2, normal = (SCREEN_M * (T[..., :3, :3] @ texture.new_tensor(vector)) for vector in corners)
     peak = texture.max().clamp(min=torch.finfo(texture.dtype).tiny)
-    return rectangle(origin + T[..., :3, 3], d1, d2, peak.expand(T.shape[:-2]), "I_v", normal=normal, symbol=texture / peak)
+    return rectangle(origin + T[..., :3, 3], d1, d2, peak, "I_v", normal=normal, symbol=texture / peak)
 
 
 @dataclass(frozen=True)

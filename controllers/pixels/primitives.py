@@ -105,7 +105,7 @@ class Primitives:
         return replace(self, **moved, symbols=tuple(symbol.to(target) for symbol in self.symbols), observer=observer)
 
 
-def rectangles(
+def rectangle(
     origin: Tensor,
     d1: Tensor,
     d2: Tensor,
@@ -121,9 +121,12 @@ def rectangles(
     modules: Sequence[str] = (),
     shared: bool = True,
 ) -> Primitives:
-    """Rectangles `[..., P, 3]` that share everything but place, setpoint and weight (each a number or `[..., P]`).
+    """One rectangle that asks for light (T 4.2), or several that share everything but place, setpoint and weight.
 
-    normal: default d1 x d2; of any length. symbol: `[h, w]` in 0..1 or `[2, h, w]` with its opacity, homogeneous where there is none.
+    origin, d1, d2: `[3]` or `[..., P, 3]` m, a corner and the edges along the symbol's columns and rows. value: number or `[..., P]`, what
+    it asks for where the symbol is 1, of the quantity "u_abs" (utilisation 0..1), "u_rel" (multiple of the base pattern), "I_v" (cd) or
+    "E_v" (lx). normal: default d1 x d2; of any length. symbol: `[h, w]` in 0..1 or `[2, h, w]` with its opacity, homogeneous where there
+    is none. weight: number or `[..., P]`. The others are described at `Primitives`.
     Raises LuxloopError for a quantity that there is not, for a symbol that is no image, and for a weight below zero or NaN where the host
     knows it.
     """
@@ -134,7 +137,7 @@ def rectangles(
         raise LuxloopError(f"a primitive's symbol is an image [rows, columns], or two with its opacity, not of shape {list(symbol.shape)}")
     if (not isinstance(weight, Tensor) or weight.device.type == "cpu") and not bool((torch.as_tensor(weight) >= 0).all()):
         raise LuxloopError("a primitive's weight is below zero or not a number; give 0 to infinity")
-    origin, d1, d2 = torch.broadcast_tensors(origin, d1, d2)
+    origin, d1, d2 = torch.broadcast_tensors(*torch.atleast_2d(origin, d1, d2))
     normal = torch.linalg.cross(d1, d2) if normal is None else normal.to(origin).expand_as(origin)
     P = origin.shape[-2]
 
@@ -156,46 +159,6 @@ def rectangles(
         torch.full((P,), nearest),
         (tuple(modules),) * P,
         torch.full((P,), shared),
-    )
-
-
-def rectangle(
-    origin: Tensor,
-    d1: Tensor,
-    d2: Tensor,
-    value: float | Tensor,
-    quantity: Quantity = "u_abs",
-    *,
-    normal: Tensor | None = None,
-    symbol: Tensor | None = None,
-    weight: float | Tensor = 1.0,
-    forced: bool = False,
-    priority: int = 0,
-    nearest: bool = False,
-    modules: Sequence[str] = (),
-    shared: bool = True,
-) -> Primitives:
-    """One rectangle that asks for light, as Primitives with P = 1 (T 4.2).
-
-    origin, d1, d2: `[..., 3]` m, a corner and the edges along the symbol's columns and rows. value: number or `[...]`, what it asks for
-    where the symbol is 1, of the quantity "u_abs" (utilisation 0..1), "u_rel" (multiple of the base pattern), "I_v" (cd) or "E_v" (lx).
-    normal, weight: `[..., 3]` and number or `[...]`; these, symbol, forced, priority, nearest, modules, shared and the errors raised are
-    described at `rectangles` and `Primitives`.
-    """
-    return rectangles(
-        origin[..., None, :],
-        d1[..., None, :],
-        d2[..., None, :],
-        value[..., None] if isinstance(value, Tensor) else value,
-        quantity,
-        normal=None if normal is None else normal[..., None, :],
-        symbol=symbol,
-        weight=weight[..., None] if isinstance(weight, Tensor) else weight,
-        forced=forced,
-        priority=priority,
-        nearest=nearest,
-        modules=modules,
-        shared=shared,
     )
 
 
@@ -250,6 +213,7 @@ def road_symbol(pose: Tensor, z_m: float, width_m: float, length_m: float, symbo
     pose: `[..., 4]` = x, y in m of the centre, roll, pitch in rad, `R = Ry(pitch) Rx(roll)`; z and size stay fixed, yaw is zero.
     symbol: `[h, w]` in 0..1. value: of the quantity, as for `rectangle`. Returns Primitives with P = 1; raises LuxloopError as that does.
     """
+    pose = pose[..., None, :]
     R = rotation(pose[..., 2], pose[..., 3], torch.zeros_like(pose[..., 3]))
     centre = torch.cat([pose[..., :2], torch.full_like(pose[..., :1], z_m)], -1)
     forward, left, up = R.unbind(-1)
