@@ -87,11 +87,10 @@ def load(path: Path, rate_hz: float | None = None, repeat: bool = True) -> Symbo
         raise LuxloopError(
             f"symbol {path} does not exist: give the path of a picture, SVG, video or folder, or the name of a shipped symbol"
         )
-    suffix = path.suffix.lower()
-    if suffix in VIDEOS:
+    if path.suffix.lower() in VIDEOS:
         images, own_hz = video(path)
         return _lit(Frames(images, rate_hz or own_hz, repeat), path)
-    return _lit(Still(_drawn(path) if suffix in DRAWINGS else picture(path)), path)
+    return _lit(Still(_picture(path)), path)
 
 
 def load_still(path: Path) -> Tensor:
@@ -101,19 +100,19 @@ def load_still(path: Path) -> Tensor:
     return load(path).at(0.0)
 
 
-def picture(path: Path) -> Tensor:
-    """Grey image `[h, w]` float32 in 0..1 of a picture of 8 or 16 bits."""
-    return torch.from_numpy(_grey(_content(path), path))
-
-
-def _content(path: Path) -> bytes:
+def _picture(path: Path) -> Tensor:
+    """Grey image `[h, w]` float32 in 0..1 of a picture of 8 or 16 bits, or of an SVG, drawn so that its longer side has DRAWN_PX."""
     try:
-        return content(path)
+        coded = content(path)
     except OSError as error:
         raise LuxloopError(f"symbol {path} cannot be read ({error.strerror}): check the path and its permissions") from error
-
-
-def _grey(coded: bytes, path: Path) -> np.ndarray:
+    if path.suffix.lower() in DRAWINGS:
+        try:
+            coded = resvg_py.svg_to_bytes(svg_string=self_contained(coded), width=DRAWN_PX, height=DRAWN_PX)
+        except ValueError as error:
+            raise LuxloopError(
+                f"symbol {path} is no SVG that can be drawn ({error}): export it again as plain SVG, or save it as a PNG"
+            ) from error
     image = decoded(coded, f"symbol {path}")
     if image is None or image.dtype.kind != "u":
         raise LuxloopError(f"symbol {path} cannot be read as a picture of 8 or 16 bits: save it as an 8-bit PNG")
@@ -121,25 +120,14 @@ def _grey(coded: bytes, path: Path) -> np.ndarray:
     if grey.ndim == 3:
         alpha = grey[..., 3] if grey.shape[2] == 4 else 1.0
         grey = cv2.cvtColor(grey[..., :3], cv2.COLOR_BGR2GRAY) * alpha
-    return np.ascontiguousarray(grey)
-
-
-def _drawn(path: Path) -> Tensor:
-    """An SVG, drawn so that its longer side has DRAWN_PX."""
-    try:
-        coded = resvg_py.svg_to_bytes(svg_string=self_contained(_content(path)), width=DRAWN_PX, height=DRAWN_PX)
-    except ValueError as error:
-        raise LuxloopError(
-            f"symbol {path} is no SVG that can be drawn ({error}): export it again as plain SVG, or save it as a PNG"
-        ) from error
-    return torch.from_numpy(_grey(coded, path))
+    return torch.from_numpy(np.ascontiguousarray(grey))
 
 
 def _sequence(folder: Path) -> Tensor:
     files = sorted(file for file in folder.iterdir() if file.suffix.lower() in PICTURES)
     if not files:
         raise LuxloopError(f"symbol folder {folder} holds no pictures ({', '.join(PICTURES)}): put a numbered sequence of PNGs into it")
-    images = [picture(file) for file in files]
+    images = [_picture(file) for file in files]
     for file, image in zip(files, images, strict=True):
         if image.shape != images[0].shape:
             sizes = " and ".join(f"{w} x {h}" for h, w in (images[0].shape, image.shape))
