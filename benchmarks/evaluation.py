@@ -6,7 +6,7 @@ Goes on where an earlier run in the same folder was, and writes docs/evaluation.
 import argparse
 from pathlib import Path
 
-from loop.evaluation import figures as evaluate_figures
+from loop.evaluation import figures
 from loop.evaluation.evaluate import evaluate
 from loop.evaluation.report import page
 
@@ -23,7 +23,7 @@ def main() -> None:
     found = evaluate(given.out, quick=given.quick, processes=given.jobs)
     for key, reason in found.failures.items():
         print(f"failed: {key}: {reason}")
-    evaluate_figures.draw(found, DOCS / "images", "evaluation-")
+    figures.draw(found, DOCS / "images", "evaluation-")
     (DOCS / "evaluation.md").write_text(HEAD + "\n" + page(found, "images/evaluation-"), "utf-8")
     print(f"written: {DOCS / 'evaluation.md'}")
 

@@ -24,7 +24,7 @@ from loop.scenario.model import LightingScenario, Scenario, load, load_any, vali
 from loop.scenario.overrides import TAGS
 from loop.scenario.shipped import shipped
 from loop.terminal.tables import markdown
-from world.lampfiles import description as lamp_description
+from world.lampfiles import description
 from world.lampfiles.description import LampDescription
 
 ROOT = Path(__file__).parents[1]
@@ -129,7 +129,7 @@ def test_parts_of_ones_own_run(code: str, module: str, tables: str, tmp_path: Pa
 @pytest.mark.parametrize("page", with_blocks("toml lamp"))
 def test_lamp_snippets_are_valid(page: Path) -> None:
     for block in blocks(page, "toml lamp"):
-        lamp_description.validate(tomllib.loads(block), str(page))
+        description.validate(tomllib.loads(block), str(page))
 
 
 @pytest.mark.parametrize("page", with_blocks("toml"))

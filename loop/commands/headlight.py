@@ -23,7 +23,7 @@ PHOTOMETRIC = (".ies", ".ldt")
 @headlight_app.command(name="list")
 def list_() -> None:
     """Show the lamps that come with luxloop."""
-    from loop.commands.tables import presets
+    from loop.commands.headlight_tables import presets
 
     tables.show(presets())
 
@@ -37,7 +37,7 @@ def info(lamp: str, /) -> None:
     lamp
         Name of a preset (see `luxloop headlight list`), a lamp file (.npz), a description (.toml) or a photometric file (.ies, .ldt).
     """
-    from loop.commands import tables as headlight_tables
+    from loop.commands import headlight_tables
 
     if Path(lamp).suffix.lower() in PHOTOMETRIC:
         from world.photometry import read
@@ -165,7 +165,7 @@ def build(description: Path, /, *, out: Path | None = None) -> None:
     out
         Lamp file to write; by default the description's name with .npz.
     """
-    from loop.commands import tables as headlight_tables
+    from loop.commands import headlight_tables
     from world.lampfiles.archive import save
     from world.lampfiles.description import build as build_lamp
 
@@ -219,7 +219,7 @@ def export(
 @headlight_app.command
 def rules() -> None:
     """Show the sets of test points that `check` knows, and how sure their numbers are."""
-    from loop.commands import tables as headlight_tables
+    from loop.commands import headlight_tables
 
     tables.show(headlight_tables.rules())
 
@@ -252,7 +252,7 @@ def check(
     traffic
         Side of the road that the traffic drives on; for the left, the tables are mirrored and default beams are fitted to it.
     """
-    from loop.commands import tables as headlight_tables
+    from loop.commands import headlight_tables
     from loop.commands.check import judge
     from world.lampfiles.description import for_traffic, load_lamp
     from world.regulation import passes

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from controllers.pixels.mrpc_tuning import OPTIONS, THESIS
-from loop.evaluation import jobs as work
-from loop.jobs.runner import Job, Results, run
+from loop.evaluation import jobs
+from loop.jobs.runner import Job, Results, digest_of, run
+from loop.recording.digest import digest_of_code
 from world.beams.rectangles import QUICK, RECTANGLES, Rectangle
 from world.folders import output_folder
 
@@ -67,15 +68,15 @@ def evaluate(
     """
     chosen = setpoints or (QUICK if quick else RECTANGLES)
     parts: dict[str, tuple[Callable[..., Row], list[Job]]] = {
-        SETPOINTS: (work.setpoint, [job for name in lamps for job in _setpoints(name, chosen)]),
-        TABLES: (work.table_row, [job for name in lamps for job in _tables(name)]),
-        SENSITIVITY: (work.sensitivity_row, [job for name in lamps for job in _sensitivities(name, grid or (8 if quick else 40))]),
+        SETPOINTS: (jobs.setpoint, [job for name in lamps for job in _setpoints(name, chosen)]),
+        TABLES: (jobs.table_row, [job for name in lamps for job in _tables(name)]),
+        SENSITIVITY: (jobs.sensitivity_row, [job for name in lamps for job in _sensitivities(name, grid or (8 if quick else 40))]),
     }
-    version = work.version()
+    version = digest_of_code() + digest_of(jobs)
     results = {}
     with output_folder(out):
-        for file, (function, jobs) in parts.items():
-            results[file] = run(function, jobs, out / JOBS, version=version, processes=processes, title=file.removesuffix(".parquet"))
+        for file, (function, wanted) in parts.items():
+            results[file] = run(function, wanted, out / JOBS, version=version, processes=processes, title=file.removesuffix(".parquet"))
             if results[file].rows:
                 results[file].write(out / file)
             else:

@@ -1,4 +1,4 @@
-"""What an evaluation computes: jobs for `loop.jobs.runner`, each a function of plain values, and the version that its results have."""
+"""What an evaluation computes: jobs for `loop.jobs.runner`, each a function of plain values."""
 
 from dataclasses import replace
 from typing import Any
@@ -8,24 +8,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from controllers.jpo import mae as jpo_mae
-from controllers.jpo import part as jpo_part
 from controllers.jpo.mae import least_error
 from controllers.jpo.part import wanted
-from controllers.pixels import mrpc_tuning as tuning
-from controllers.pixels import sampling
-from controllers.pixels import sharpening as raising
 from controllers.pixels.mrpc_tuning import OPTIONS, THESIS, Part, TextureControl, Trial, part, tune
-from loop.jobs.runner import digest_of
-from perception import metrics
 from perception.metrics import dssim, mae, mare, rmse
-from world import presets, texels
-from world.beams import rectangles
 from world.beams.rectangles import Rectangle
-from world.headlight import Headlight, fit, parametric
-from world.headlight import matrix as headlights
-from world.presets import hd84, lamp, modules, ssl_hd
-from world.spmv import csr
+from world.headlight import Headlight
+from world.presets import lamp
 
 # One set for all setpoints, beside the default: medians of the thesis' optima (T B.4).
 THESIS_MEDIAN = {"hd84": Trial(0.99, 0.87, 0.001), "ssl-hd-lores": Trial(1.025, 0.98, 0.001)}
@@ -41,14 +30,6 @@ GAP = 1e-3  # by how much the joint optimum may be lower than what is called so
 
 def headlight(name: str) -> Headlight:
     return lamp(name).finest.headlight
-
-
-def version() -> str:
-    """Changes with everything that decides a result."""
-    import loop.evaluation.jobs as here
-
-    control = (jpo_mae, jpo_part, tuning, raising, sampling, fit, csr)
-    return digest_of(here, rectangles, metrics, *control, headlights, texels, parametric, presets, modules, hd84, ssl_hd)
 
 
 def setpoint(name: str, h: float, v: float, width: float, height: float, turn: float) -> dict[str, Any]:

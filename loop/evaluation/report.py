@@ -4,7 +4,7 @@ from pathlib import Path
 
 from rich.table import Table
 
-from loop.evaluation import figures as evaluate_figures
+from loop.evaluation import figures
 from loop.evaluation.evaluate import LAMPS, ROWS, Evaluation, evaluate, summary
 from loop.terminal import tables
 from loop.terminal.tables import number
@@ -76,7 +76,7 @@ def run_evaluation(out: Path, lamp: str | None, quick: bool, processes: int | No
 def write_report(evaluation: Evaluation, out: Path) -> None:
     """Draw the figures and write the page into a folder. Raises LuxloopError where that cannot be written."""
     try:
-        evaluate_figures.draw(evaluation, out / FIGURES)
+        figures.draw(evaluation, out / FIGURES)
     except OSError as error:
         raise LuxloopError(f"{out / FIGURES}: cannot be made a folder ({error.strerror}); give another folder with --out") from error
     with whole(out / REPORT) as part:

@@ -26,8 +26,7 @@ from tests.fuzz import mutations
 from world.headlight import Headlight
 from world.headlight.lamp import Lamp, Module
 from world.headlight.pixel_sources import TableSource
-from world.lampfiles import archive as lampfile
-from world.lampfiles import description as lamp_description
+from world.lampfiles import archive, description
 from world.lampfiles.utilisations import read_utilisation
 from world.opencrg import Crg, write_crg
 from world.photometry import lm63
@@ -191,11 +190,11 @@ def _lamp_files(folder: Path) -> dict[str, bytes]:
     matrix = Csr(torch.arange(0, 26, 2).int(), torch.arange(24).int() % 6, torch.from_numpy(generator.random(24)).float() * 1e4, 6)
     light = Headlight(name="light", rows=3, cols=4, left=0.1, right=-0.3, bottom=-0.2, top=0.1, matrix=matrix, pixel_rows=2, pixel_cols=3)
     lamp = Lamp("lamp", (Module("matrix", light, swivel_deg=(-5.0, 9.0)),), {"low": (torch.rand(6),)}, "made up")
-    return _written(folder, ("lamp.npz", lambda path: lampfile.save(path, lamp)))
+    return _written(folder, ("lamp.npz", lambda path: archive.save(path, lamp)))
 
 
 def _read_lamp(path: Path) -> None:
-    for module in lampfile.load(path).modules:
+    for module in archive.load(path).modules:
         module.headlight.light_texture(torch.ones(module.headlight.n_pixels))
 
 
@@ -330,7 +329,7 @@ ALL: dict[str, Kind] = {
     "override": Kind(_overrides, _override, lambda path: load_any(path.stem, [path.read_text()]), 12),
     "manifest": Kind(_manifests, _json, _read_manifest, 8),
     "campaign": Kind(lambda folder: {"c.toml": CAMPAIGN}, _text, campaign.read, 2),
-    "lamp description": Kind(lambda folder: {"lamp.toml": LAMP}, _text, lamp_description.build, 6),
+    "lamp description": Kind(lambda folder: {"lamp.toml": LAMP}, _text, description.build, 6),
     "lamp file": Kind(_lamp_files, mutations.of_archive, _read_lamp, 12),
     "table": Kind(_tables, _damaged_table, lambda path: TableSource(path=path, rows=2).pixels(), 8),
     "photometry": Kind(_photometry, _text, _read_photometry, 8),

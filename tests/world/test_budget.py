@@ -12,7 +12,7 @@ from world.budget import BUDGET_BYTES, afford
 from world.errors import LuxloopError
 from world.files import content
 from world.images import decoded
-from world.lampfiles import archive as lampfile
+from world.lampfiles import archive
 
 
 def npy_header(text: str) -> bytes:
@@ -69,12 +69,12 @@ def test_archives_that_unpack_to_more_than_the_budget_are_refused(tmp_path: Path
 def test_headers_that_are_damaged_are_told_in_a_sentence(header: str, tmp_path: Path) -> None:
     file = npz(tmp_path / "a.npz", header=npy_header(header))
     with pytest.raises(LuxloopError, match="damaged, or no lamp file"):
-        lampfile.load(file)
+        archive.load(file)
 
 
 def test_entries_that_are_no_arrays_are_told_in_a_sentence(tmp_path: Path) -> None:
     with pytest.raises(LuxloopError, match="damaged, or no lamp file"):
-        lampfile.load(npz(tmp_path / "a.npz", header=b"not an array"))
+        archive.load(npz(tmp_path / "a.npz", header=b"not an array"))
 
 
 def test_pictures_declare_no_more_pixels_than_the_budget_bears() -> None:

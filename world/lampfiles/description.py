@@ -18,7 +18,7 @@ from world.errors import LuxloopError, did_you_mean
 from world.files import files_at
 from world.headlight.lamp import Lamp
 from world.headlight.pixel_sources import SUFFIXES, FileSource
-from world.lampfiles import archive as lampfile
+from world.lampfiles import archive
 from world.lampfiles.modules import ModuleParams, ModuleReport, build_module
 from world.lampfiles.utilisations import read_utilisation
 from world.params import Params
@@ -153,7 +153,7 @@ def load_lamp(name: str | Path, side: Side = "left") -> Lamp:
         raise LuxloopError(f"lamp file {path} does not exist; check the path, or name one of {', '.join(presets.NAMES)}")
     if suffix == ".toml":
         return build(path, side)[0]
-    lamp = lampfile.load(path) if suffix == ".npz" else _of_one_pixel(path)
+    lamp = archive.load(path) if suffix == ".npz" else _of_one_pixel(path)
     return lamp if side == "left" else replace(lamp, modules=tuple(module.mirrored() for module in lamp.modules))
 
 

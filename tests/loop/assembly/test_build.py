@@ -10,7 +10,7 @@ from loop.scenario.model import Scenario, load
 from world.errors import LuxloopError
 from world.frames import pose_from_degrees
 from world.headlight.lamp import Lamp, Module
-from world.lampfiles import archive as lampfile
+from world.lampfiles import archive
 from world.presets import idealised
 
 CPU = torch.device("cpu")
@@ -23,7 +23,7 @@ def lamp_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     mount = pose_from_degrees((0.0, 0.1, 0.05), pitch_deg=0.5)
     modules = (Module("wide", wide), Module("narrow", narrow, mount, swivel_deg=(-5.0, 12.0), level_deg=(-1.0, 2.0)))
     path = tmp_path_factory.mktemp("lamp") / "two.npz"
-    lampfile.save(path, Lamp("two", modules))
+    archive.save(path, Lamp("two", modules))
     return path
 
 
@@ -77,6 +77,6 @@ def test_what_the_lamp_has_not_is_named(scenario: Scenario, values: dict, words:
 
 
 def test_modules_that_give_no_light_cannot_be_scaled(tmp_path: Path) -> None:
-    lampfile.save(tmp_path / "dark.npz", Lamp("dark", (Module("main", idealised(4, 8).scaled(0.0)),)))
+    archive.save(tmp_path / "dark.npz", Lamp("dark", (Module("main", idealised(4, 8).scaled(0.0)),)))
     with pytest.raises(LuxloopError, match="main give no light"):
         build_projector(load("flat", [f"headlight.model={tmp_path / 'dark.npz'}", "headlight.intensity_cd=1000"]), CPU)

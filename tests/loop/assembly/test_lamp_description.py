@@ -15,7 +15,7 @@ from loop.scenario.model import load_any
 from world import presets
 from world.errors import LuxloopError
 from world.headlight.lamp import direction
-from world.lampfiles import archive as lampfile
+from world.lampfiles import archive
 from world.lampfiles.description import build, describe, load_lamp
 from world.lampfiles.utilisations import read_utilisation
 from world.photometry import lm63
@@ -65,7 +65,7 @@ def test_the_documented_way_from_files_to_a_lamp_works(tmp_path: Path) -> None:
     for row, column in np.ndindex(3, 28):
         pixel_file(tmp_path / "pixels" / f"r{row}_c{column}.ies")
     lamp, (report,) = build(write(tmp_path, description))
-    lampfile.save(tmp_path / "mylamp.npz", replace(lamp, beams={}))  # fitting is tested elsewhere
+    archive.save(tmp_path / "mylamp.npz", replace(lamp, beams={}))  # fitting is tested elsewhere
     assert load_lamp(tmp_path / "mylamp.npz").name == "mylamp"
     assert (report.pixel_rows, report.pixel_cols) == (3, 28)
 
@@ -190,7 +190,7 @@ def test_what_is_a_lamp_already_needs_no_building(name: str, words: str) -> None
 def test_lamps_come_by_name_and_by_file(tmp_path: Path) -> None:
     assert load_lamp("hd84", "right") is presets.lamp("hd84", "right")
     described = load_lamp(write(tmp_path, MATRIX))
-    lampfile.save(tmp_path / "lamp.npz", described)
+    archive.save(tmp_path / "lamp.npz", described)
     stored = load_lamp(str(tmp_path / "lamp.npz"))
     assert torch.equal(stored.modules[0].headlight.matrix.values, described.modules[0].headlight.matrix.values)
     single = load_lamp(pixel_file(tmp_path / "spot.ies"))
@@ -203,7 +203,7 @@ def test_the_right_lamp_mirrors_the_left_one(tmp_path: Path) -> None:
     text = MATRIX.replace("left_deg = 8", "left_deg = 16") + "mount = { y_m = 0.1, yaw_deg = 3 }\nswivel_deg = [-5, 10]"
     path = write(tmp_path, text)
     left = load_lamp(path)
-    lampfile.save(tmp_path / "lamp.npz", left)
+    archive.save(tmp_path / "lamp.npz", left)
     h = torch.linspace(-20, 20, 41)
     for right in (load_lamp(path, "right"), load_lamp(tmp_path / "lamp.npz", "right")):
         assert right.modules[0].swivel_deg == (-10, 5)

@@ -11,10 +11,9 @@ from scipy.optimize import linprog
 
 from controllers.pixels.mrpc_tuning import part
 from loop.evaluation import evaluate as evaluation
-from loop.evaluation import jobs as evaluate_jobs
-from loop.evaluation import report as evaluate_report
+from loop.evaluation import jobs, report
 from loop.evaluation.evaluate import JOBS, ROWS, SETPOINTS, Evaluation, evaluate, summary
-from loop.jobs import runner as jobs
+from loop.jobs import runner
 from perception.metrics import mae
 from world.beams.rectangles import Rectangle
 from world.errors import LuxloopError
@@ -41,8 +40,8 @@ def small() -> Iterator[Headlight]:
     )
     light = headlight("small", pixels, TexelGrid.from_degrees(24, 64, 14, -14, -5, 5))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(evaluate_jobs, "headlight", lambda name: light)
-        patch.setattr(evaluate_jobs, "_peak_cd", lambda name: light.peak_cd)
+        patch.setattr(jobs, "headlight", lambda name: light)
+        patch.setattr(jobs, "_peak_cd", lambda name: light.peak_cd)
         patch.setattr("loop.evaluation.figures.headlight", lambda name: light)
         patch.setattr("controllers.pixels.mrpc_tuning.POPULATION", 4)
         patch.setattr("controllers.pixels.mrpc_tuning.GENERATIONS", 5)
@@ -62,7 +61,7 @@ def found(folder: Path) -> Evaluation:
 def test_joint_optimum_is_that_of_a_linear_programme(small: Headlight) -> None:
     for rectangle in RECTANGLES:
         some = part(small, rectangle.texture(small))
-        u, gap = evaluate_jobs.joint_optimum(some)
+        u, gap = jobs.joint_optimum(some)
         A = some.headlight.matrix.to_scipy().astype(np.float64) / 1e4
         s = some.wanted.flatten().double().numpy() / 1e4
         one = sp.identity(len(s))
@@ -71,14 +70,14 @@ def test_joint_optimum_is_that_of_a_linear_programme(small: Headlight) -> None:
         found = linprog(cost, sp.vstack([sp.hstack([A, -one]), sp.hstack([-A, -one])]), np.concatenate([s, -s]), bounds=bounds)
         least = found.fun / (s > 0).sum()
         reached = float(mae(some.headlight.light_texture(u), some.wanted))
-        assert gap <= evaluate_jobs.GAP
-        assert least - 1e-5 <= reached <= least * (1 + evaluate_jobs.GAP) + 1e-5  # u is rounded to float32
+        assert gap <= jobs.GAP
+        assert least - 1e-5 <= reached <= least * (1 + jobs.GAP) + 1e-5  # u is rounded to float32
 
 
 def test_mrpc_is_never_better_than_the_joint_optimum(found: Evaluation) -> None:
     assert found.failures == {}
     for row in found.setpoints:
-        assert row["jpo_mae"] <= row["mrpc_mae"] * (1 + evaluate_jobs.GAP)
+        assert row["jpo_mae"] <= row["mrpc_mae"] * (1 + jobs.GAP)
         assert row["options_mae"] <= row["mrpc_mae"] + 1e-9
         assert row["mrpc_mae"] <= min(row["median_mae"], row["default_mae"]) * 1.1  # a short search of the three
     values = summary(found.setpoints)
@@ -90,7 +89,7 @@ def test_mrpc_is_never_better_than_the_joint_optimum(found: Evaluation) -> None:
 def test_stored_utilisations_give_the_error(found: Evaluation, small: Headlight) -> None:
     for row, rectangle in zip(found.setpoints, RECTANGLES, strict=True):
         for control in ("mrpc", "jpo"):
-            light = torch.from_numpy(evaluate_jobs.light_of("hd84", row["pixels"], row[f"{control}_u"]))
+            light = torch.from_numpy(jobs.light_of("hd84", row["pixels"], row[f"{control}_u"]))
             assert float(mae(light, rectangle.texture(small))) == pytest.approx(row[f"{control}_mae"], abs=1e-3)  # stored with 5 digits
 
 
@@ -104,8 +103,8 @@ def test_an_evaluation_goes_on_where_it_was(found: Evaluation, folder: Path, tmp
     lines = (folder / JOBS).read_text().splitlines()
     (tmp_path / JOBS).write_text("\n".join([*lines[1:], lines[0][:40]]))
     started = []
-    original = jobs._call
-    monkeypatch.setattr(jobs, "_call", lambda function, task: (started.append(task), original(function, task))[1])
+    original = runner._call
+    monkeypatch.setattr(runner, "_call", lambda function, task: (started.append(task), original(function, task))[1])
     again = evaluate(tmp_path, ["hd84"], processes=1, setpoints=RECTANGLES, grid=2)
     assert len(started) == 1
     assert again == found
@@ -119,27 +118,27 @@ def test_a_part_that_fails_leaves_no_older_table(tmp_path: Path, monkeypatch: py
     tables = ("setpoints", "tables", "sensitivity")
     for table, function in zip(tables, ("setpoint", "table_row", "sensitivity_row"), strict=True):
         (tmp_path / f"{table}.parquet").write_text("older")
-        monkeypatch.setattr(evaluate_jobs, function, failing)
+        monkeypatch.setattr(jobs, function, failing)
     assert evaluate(tmp_path, ["hd84"], processes=1, setpoints=RECTANGLES, grid=1).failures
     assert not list(tmp_path.glob("*.parquet"))
 
 
 def test_figures_and_report(found: Evaluation, tmp_path: Path) -> None:
-    evaluate_report.write_report(found, tmp_path)
+    report.write_report(found, tmp_path)
     text = (tmp_path / "report.md").read_text()
-    for kind in evaluate_report.CAPTIONS:
+    for kind in report.CAPTIONS:
         assert f"(figures/{kind}-hd84.png)" in text
         assert (tmp_path / "figures" / f"{kind}-hd84.png").stat().st_size > 5_000
     assert "| ratio MRPC / joint, tuned for each setpoint |" in text and "1.081" in text
     assert "| exclusion, mapping, free shape, reduction |" in text
-    assert "sensitivity" not in evaluate_report.page(Evaluation(found.setpoints, [], [], {}), "")
+    assert "sensitivity" not in report.page(Evaluation(found.setpoints, [], [], {}), "")
 
 
 def test_command_says_how_it_went(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(evaluation, "QUICK", [RECTANGLES[0], Rectangle(80, 0, 1, 1)])
     monkeypatch.setattr(evaluation, "ROWS", {})
     monkeypatch.setattr(evaluation, "_sensitivities", lambda name, steps: [])
-    assert not evaluate_report.run_evaluation(tmp_path, "hd84", True, 1)
+    assert not report.run_evaluation(tmp_path, "hd84", True, 1)
     said = capsys.readouterr()
     assert "covers no texel" in said.err
     assert "report.md written" in said.out
@@ -149,7 +148,7 @@ def test_command_says_how_it_went(tmp_path: Path, capsys: pytest.CaptureFixture[
 @pytest.mark.parametrize(("lamp", "processes", "message"), [("hd85", 1, "the lamps are hd84, ssl-hd-lores"), ("hd84", 0, "1 or more")])
 def test_wrong_options_are_refused(lamp: str, processes: int, message: str, tmp_path: Path) -> None:
     with pytest.raises(LuxloopError, match=message):
-        evaluate_report.run_evaluation(tmp_path, lamp, True, processes)
+        report.run_evaluation(tmp_path, lamp, True, processes)
 
 
 def test_the_page_has_the_words_of_its_template() -> None:

@@ -13,7 +13,7 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
-from loop.jobs import runner as jobs
+from loop.jobs import runner
 from loop.jobs.runner import Job, Results, run
 from world.errors import LuxloopError
 
@@ -201,5 +201,5 @@ def test_parquet(tmp_path: Path) -> None:
 
 
 def test_versions_follow_the_source() -> None:
-    assert jobs.digest_of(jobs) != jobs.digest_of(jobs, json)
-    assert jobs.digest_of(jobs) == jobs.digest_of(jobs)
+    assert runner.digest_of(runner) != runner.digest_of(runner, json)
+    assert runner.digest_of(runner) == runner.digest_of(runner)

@@ -21,7 +21,7 @@ from loop.run import run
 from loop.scenario.model import DrivingParams, LightingScenario, validate_any
 from perception.camera import CameraParams, noise_std
 from world.errors import LuxloopError
-from world.lampfiles import archive as lampfile
+from world.lampfiles import archive
 from world.presets import lamp
 
 BOX = {
@@ -233,7 +233,7 @@ def test_what_is_not_there_is_named_in_a_sentence(changes: dict[str, Any], named
 def test_every_beam_that_may_come_is_asked_for_beforehand(tmp_path: Path, beam: str, lacking: str) -> None:
     """Not on the motorway, after minutes of town."""
     hd84 = lamp("hd84")
-    lampfile.save(tmp_path / "own.npz", replace(hd84, beams={name: hd84.beam("full") for name in ("low", "town", "adverse")}))
+    archive.save(tmp_path / "own.npz", replace(hd84, beams={name: hd84.beam("full") for name in ("low", "town", "adverse")}))
     with pytest.raises(LuxloopError, match=f"no beam '{lacking}'; it has low, town"):
         LightingSimulation.prepare(scenario(headlight={"model": str(tmp_path / "own.npz")}, lighting={"base": {"beam": beam}}))
 

@@ -10,9 +10,7 @@ import torch
 from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 
-from loop.pictures import headlight as headlight_pictures
-from loop.pictures import overview as headlight_overview
-from loop.pictures import views as headlight_views
+from loop.pictures import headlight, overview, views
 from loop.pictures.charts import distance_marks, isolines, map_frame, object_outlines, steps
 from loop.pictures.facts import borders_deg, flux_lm, peak
 from loop.pictures.headlight import show
@@ -146,8 +144,8 @@ def test_fog_scatters_the_light_of_the_sky_too(lamps: dict[str, Lamp]) -> None:
 
 def test_shadow_maps_of_the_air_are_rendered_once_for_all_views(car: LitCar, monkeypatch: pytest.MonkeyPatch) -> None:
     rendered = []
-    whole = headlight_views.shadow_map
-    monkeypatch.setattr(headlight_views, "shadow_map", lambda *given: rendered.append(given) or whole(*given))
+    whole = views.shadow_map
+    monkeypatch.setattr(views, "shadow_map", lambda *given: rendered.append(given) or whole(*given))
     bumpy = Road(scenario(road={"kind": "speed_bump"}))
     for view in (driver(32), driver(64)):
         bumpy.look(car, view, Medium.fog(100.0))
@@ -242,10 +240,10 @@ def test_coloured_light_counts_as_the_eye_weighs_it() -> None:
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch, road: Road) -> None:
     """Small views of a road that is there already."""
-    monkeypatch.setattr(headlight_pictures, "DPI", 50)
-    monkeypatch.setattr(headlight_pictures, "Road", lambda scenario, time_s: road)
-    monkeypatch.setattr(headlight_pictures, "beside", lambda: beside(160))
-    for module in (headlight_pictures, headlight_overview):
+    monkeypatch.setattr(headlight, "DPI", 50)
+    monkeypatch.setattr(headlight, "Road", lambda scenario, time_s: road)
+    monkeypatch.setattr(headlight, "beside", lambda: beside(160))
+    for module in (headlight, overview):
         monkeypatch.setattr(module, "driver", lambda width_px=320: driver(320))
         monkeypatch.setattr(module, "birdseye", lambda cell_m=0.5, x_m=BIRDSEYE_X_M: birdseye(0.5, x_m))
 
@@ -287,7 +285,7 @@ def test_lamps_are_on_the_left_and_on_the_right(sides: tuple[str, ...], lamps: d
 
 def test_a_scenario_turns_the_modules_that_can_be_turned(bending: dict[str, Lamp], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cars: list[LitCar] = []
-    monkeypatch.setattr(headlight_pictures, "draw_wall", lambda axes, car, style: cars.append(car))
+    monkeypatch.setattr(headlight, "draw_wall", lambda axes, car, style: cars.append(car))
     turned = scenario(headlight={"swivel_deg": 12.0, "height_m": 0.9})
     show(bending, tmp_path / "wall.png", view="wall", beam="full", scenario=turned)
     main, bend, *_ = cars[0].sources
@@ -334,7 +332,7 @@ def test_a_folder_that_cannot_be_written_is_named(lamps: dict[str, Lamp], tmp_pa
 
 def test_left_and_right_textures_are_to_one_scale_and_to_the_right(lamps: dict[str, Lamp]) -> None:
     half = {"left": (torch.full((800,), 0.5),), "right": (torch.ones(800),)}
-    figure = headlight_pictures._modules(LitCar(lamps, half), "half", "texture")
+    figure = headlight._modules(LitCar(lamps, half), "half", "texture")
     shown = [axes.images[0] for axes in figure.axes if axes.images]
     assert [image.get_clim() for image in shown] == [(0, pytest.approx(50.0))] * 2
     assert shown[0].get_extent()[:2] == pytest.approx((-math.tan(math.radians(12)), math.tan(math.radians(12))))
@@ -342,7 +340,7 @@ def test_left_and_right_textures_are_to_one_scale_and_to_the_right(lamps: dict[s
 
 def test_pixels_are_numbered_at_their_middle(lamps: dict[str, Lamp]) -> None:
     car = LitCar({"left": lamps["left"]}, {"left": lamps["left"].beam("full")})
-    (shown,) = headlight_pictures._modules(car, "full", "pixels").axes[0].images
+    (shown,) = headlight._modules(car, "full", "pixels").axes[0].images
     assert shown.get_extent() == [-0.5, 39.5, 19.5, -0.5]
 
 

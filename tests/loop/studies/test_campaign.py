@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from loop.commands import cli
-from loop.jobs import runner as jobs
+from loop.jobs import runner
 from loop.jobs.executors import dask
 from loop.metrics import _prepared, figures
 from loop.scenario.model import load
@@ -102,8 +102,8 @@ def test_table_report_and_failures(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert (out / "report.png").stat().st_size > 5_000
 
     started = []
-    original = jobs._call
-    monkeypatch.setattr(jobs, "_call", lambda function, task: (started.append(task), original(function, task))[1])
+    original = runner._call
+    monkeypatch.setattr(runner, "_call", lambda function, task: (started.append(task), original(function, task))[1])
     assert run_campaign(file, out, processes=1) == found
     assert len(started) == 2  # those that failed
     monkeypatch.setattr(campaign, "digest_of_code", lambda: "other code")
