@@ -7,8 +7,6 @@ steps in turn, with one thread, in process time: so it tells what one core does,
 
 import argparse
 import json
-import os
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -16,8 +14,8 @@ from statistics import median
 from typing import Any
 
 import torch
+from bench import machine, on_one_thread
 from rich.table import Table
-from step import machine
 
 from loop.scenario.model import load
 from loop.symbol.simulation import Simulation, SimulationState, StepResult
@@ -151,8 +149,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    # OpenMP and Mesa read these when they are loaded.
-    threads = {"OMP_NUM_THREADS": "1", "LP_NUM_THREADS": "1"}
-    if any(os.environ.get(name) != value for name, value in threads.items()):
-        os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, **threads})
+    on_one_thread("OMP_NUM_THREADS", "LP_NUM_THREADS")
     main()

@@ -15,7 +15,6 @@ from typing import Any
 import bench
 import torch
 from optuna.trial import TrialState
-from rich.console import Console
 
 from loop import objective
 from loop.jobs.executors import Executor, local
@@ -25,7 +24,7 @@ from loop.studies import ranges
 from loop.studies.tune import Task, Tuned, mean_cost
 from loop.studies.tune_report import do_tune
 from loop.symbol.batch import rollouts
-from loop.terminal.tables import markdown
+from loop.terminal import tables
 
 DOCS = Path(__file__).parents[1] / "docs" / "tuning.md"
 HEADING = "## What it brings"
@@ -156,7 +155,7 @@ def section(content: dict[str, Any]) -> str:
         costs = each["held out"]
         ways = (f"{costs['given']:.3f}", f"{costs['best']:.3f}", f"{costs['ratio']:.2f}")
         rows.append((each["way"], *ways, each["rollouts"], each["rollouts to the best"]))
-    table = markdown(("", "thesis' gains", "tuned", "ratio", "rollouts", "to the best"), rows)
+    table = tables.markdown(("", "thesis' gains", "tuned", "ratio", "rollouts", "to the best"), rows)
     command = f"python benchmarks/tuning.py{' --quick' if size['quick'] else ''} --page"
     where = f"Measured on {machine['date']} by `{command}` ({machine['processor']}, torch {machine['torch']})"
     what = (
@@ -186,7 +185,7 @@ def main() -> None:
     print(made)
     if given.page:
         given.page.write_text(written(given.page.read_text("utf-8"), made), "utf-8")
-    bench.show_goals(Console(width=160), content["goals"])
+    bench.show_goals(tables.console(), content["goals"])
 
 
 if __name__ == "__main__":
