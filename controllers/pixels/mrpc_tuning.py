@@ -1,7 +1,7 @@
 """Tuning of MapReduce control for one wanted light texture: which a_m, a_x and a_r come closest to it (T 8.4, 8.5).
 
-Only pixels that reach a lit setpoint matter, and a trial costs little more than a look at each of their entries. `controllers.pixels.mrpc`
-is what drives lamps; the tests hold the two together.
+Only pixels that reach a lit setpoint matter, and a trial costs little more than a look at each of their entries: a tenth of the time of
+`controllers.pixels.mrpc`, which drives lamps and turns the matrix around for each set of parameters. The tests hold the two together.
 """
 
 import math

@@ -21,7 +21,8 @@ def sources_of(module: str, folder: Path | None = None) -> dict[str, Path]:
     """Files by module, without running any: the module, the packages around it, and all that these import, at their heads or in functions.
 
     Followed is what lies in the folder, by default that in which Python finds the module; of an installed one, its own package. Empty where
-    there is no such module, or it is Python's own. Raises LuxloopError where a file is not Python.
+    there is no such module, or it is Python's own. Raises LuxloopError where a file is not Python. The standard library's modulefinder
+    fails at packages without `__init__.py` and at relative imports that find nothing.
     """
     top = module.partition(".")[0]
     folder = folder or _folder_of(top)
