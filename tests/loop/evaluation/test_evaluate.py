@@ -41,7 +41,6 @@ def small() -> Iterator[Headlight]:
     light = headlight("small", pixels, TexelGrid.from_degrees(24, 64, 14, -14, -5, 5))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(jobs, "headlight", lambda name: light)
-        patch.setattr(jobs, "_peak_cd", lambda name: light.peak_cd)
         patch.setattr("loop.evaluation.figures.headlight", lambda name: light)
         patch.setattr("controllers.pixels.mrpc_tuning.POPULATION", 4)
         patch.setattr("controllers.pixels.mrpc_tuning.GENERATIONS", 5)
