@@ -16,7 +16,7 @@ from loop.lighting.result import LightingResult
 from loop.lighting.sight import Sight, pairs
 from loop.lighting.simulation import LightingSimulation
 from loop.lighting.view import LitScene
-from loop.scenario.model import LightingScenario, load_any, validate_any
+from loop.scenario.model import LightingScenario, load_any, validate_lighting
 from loop.scenario.overrides import Override
 from perception.camera import CameraParams, expose, frame_generator
 from perception.ground_truth import Truth
@@ -106,9 +106,7 @@ def _newcomer(rng: np.random.Generator, others: np.ndarray) -> dict[str, Any]:
 
 def lit(plain: Mapping[str, Any], lighting: Mapping[str, Any] = BARE, seed: int = 0) -> LightingScenario:
     """A scenario with its lighting, and a seed of noise."""
-    found = validate_any({**plain, "seed": seed, "lighting": lighting}, str(plain["name"]))
-    assert isinstance(found, LightingScenario)
-    return found
+    return validate_lighting({**plain, "seed": seed, "lighting": lighting}, str(plain["name"]))
 
 
 def beside(shared: LightingSimulation, scenario: LightingScenario) -> LightingSimulation:

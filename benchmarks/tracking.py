@@ -14,7 +14,7 @@ from torch import Tensor
 
 from loop.lighting.sight import SAME
 from loop.lighting.simulation import LightingSimulation
-from loop.scenario.model import LightingScenario, validate_any
+from loop.scenario.model import validate_lighting
 from loop.terminal.tables import markdown
 from perception.camera import CameraParams, camera_view
 from perception.detection.protocol import Detections
@@ -134,7 +134,7 @@ def crowd(people: int, seed: int) -> list[Road]:
 
 def traffic(seed: int, steps: int) -> Kept:
     """Random traffic through the whole chain, in a bright beam, with the network's detections."""
-    scenario = validate_any(
+    scenario = validate_lighting(
         {
             "name": "traffic",
             "steps": steps,
@@ -148,7 +148,6 @@ def traffic(seed: int, steps: int) -> Kept:
         },
         f"seed {seed}",
     )
-    assert isinstance(scenario, LightingScenario)
     simulation, judge = LightingSimulation.prepare(scenario), Judge(len(scenario.all_objects))
     for result in simulation.run():
         assert result.look is not None

@@ -20,7 +20,7 @@ from pydantic import BaseModel
 from loop.commands import cli
 from loop.lighting.simulation import LightingSimulation
 from loop.run import prepare
-from loop.scenario.model import LightingScenario, Scenario, load, load_any, validate, validate_any
+from loop.scenario.model import LightingScenario, Scenario, load, load_any, validate, validate_lighting
 from loop.scenario.overrides import TAGS
 from loop.scenario.shipped import shipped
 from loop.terminal.tables import markdown
@@ -141,7 +141,7 @@ def test_scenario_snippets_are_valid(page: Path) -> None:
 @pytest.mark.parametrize("page", with_blocks("toml lighting"))
 def test_lighting_snippets_are_valid(page: Path) -> None:
     for block in blocks(page, "toml lighting"):
-        assert isinstance(validate_any({"name": "snippet", **tomllib.loads(block)}, str(page)), LightingScenario)
+        validate_lighting({"name": "snippet", **tomllib.loads(block)}, str(page))
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)

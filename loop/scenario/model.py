@@ -295,6 +295,14 @@ def validate(data: Mapping[str, Any], source: str) -> Scenario:
     return _of_a_symbol(validate_any(data, source), source)
 
 
+def validate_lighting(data: Mapping[str, Any], source: str) -> LightingScenario:
+    """Check the scenario of lighting functions, as `validate_any` does. Raises LuxloopError for that of a symbol as well."""
+    scenario = validate_any(data, source)
+    if isinstance(scenario, Scenario):
+        raise LuxloopError(f"{source}: is the scenario of a [symbol], but this needs one with [lighting]; `luxloop run` runs both kinds")
+    return scenario
+
+
 def load_any(name: str, overrides: Sequence[Override] = (), *, allow_code: bool = False, **values: Any) -> AnyScenario:
     """Read a scenario by shipped name or path; values are top-level keys, overrides on top of them.
 

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from loop.assembly.build import build_scene
-from loop.scenario.model import LightingScenario, validate_any
+from loop.scenario.model import LightingScenario, validate_lighting
 from perception.camera import CameraParams, camera_view
 from perception.ground_truth import ground_truth
 from world.files import whole
@@ -171,9 +171,7 @@ def _scenario(seed: int) -> LightingScenario:
     traffic = tables["traffic"]
     for key in ("pedestrians", "cyclists", "animals"):  # nights are emptier than what is worth drawing
         traffic[key] += 1
-    scenario = validate_any({"name": "training", "lighting": {}, **tables}, f"seed {seed}")
-    assert isinstance(scenario, LightingScenario)
-    return scenario
+    return validate_lighting({"name": "training", "lighting": {}, **tables}, f"seed {seed}")
 
 
 def _road_seed(seed: int) -> int:

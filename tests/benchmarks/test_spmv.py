@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import spmv_lamps
 
 ROOT = Path(__file__).parents[2]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'benchmarks'}", "OMP_NUM_THREADS": "1"}
@@ -75,10 +76,7 @@ def test_a_format_that_does_other_work_is_refused() -> None:
     assert "not the same work" in done.stderr
 
 
-def test_lamps_are_those_of_the_tables(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
-    import spmv_lamps
-
+def test_lamps_are_those_of_the_tables() -> None:
     assert [spmv_lamps.adaptive_side(cols) for _, cols in spmv_lamps.SIZES] == [256, 576, 1728, 3008, 3840]
     lamp = spmv_lamps.of_the_thesis(45, 90, 512)
     lengths = np.diff(lamp.matrix.indptr)

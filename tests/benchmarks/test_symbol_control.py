@@ -7,22 +7,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import symbol_control
+import symbol_control_cases
+from symbol_control_cases import trajectories
+from symbol_control_goals import GOALS, Goal
+from symbol_control_page import goals
 
 from loop.recording.recorder import row
 from loop.run import prepare
 from loop.scenario.model import load, validate
 
-ROOT = Path(__file__).parents[2]
 TINY = ("camera={width_px=320, height_px=240}",)
-
-
-@pytest.fixture
-def benchmark(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """The program, whose modules lie beside each other."""
-    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
-    import symbol_control
-
-    return symbol_control
 
 
 def judged(iou: list[float | None], settle_step: int | None = 3, centroid: float | None = 1.0) -> dict[str, Any]:
@@ -30,43 +25,39 @@ def judged(iou: list[float | None], settle_step: int | None = 3, centroid: float
     return {"settle_step": settle_step, "overshoot_percent": None, "iou": iou, **offsets}
 
 
-def measured(benchmark: Any, part: str, own: dict[str, Any], undisturbed: dict[str, Any] | None = None) -> dict[str, Any]:
-    import symbol_control_cases
-
+def measured(part: str, own: dict[str, Any], undisturbed: dict[str, Any] | None = None) -> dict[str, Any]:
     case = symbol_control_cases.Case(part, "mixed", 0, 0, load("snowflake"))
     opened = judged([0.5] * len(own["iou"]))
     reference = None if undisturbed is None else {"open": opened, "luxloop": undisturbed}
-    return benchmark.measures(case, {"open": opened, "luxloop": own}, reference)[1]
+    return symbol_control.measures(case, {"open": opened, "luxloop": own}, reference)[1]
 
 
-def test_the_open_loop_is_the_yardstick_after_step_ten_alone(benchmark: Any) -> None:
+def test_the_open_loop_is_the_yardstick_after_step_ten_alone() -> None:
     iou = [0.0] * 11 + [0.9] * 8 + [0.3, 0.9]
-    found = measured(benchmark, "standing", judged(iou))
+    found = measured("standing", judged(iou))
     assert found["gap"] == pytest.approx(0.2)
     assert found["iou_least"] == 0.3
-    assert measured(benchmark, "standing", judged([0.0] * 11 + [0.9] * 10))["gap"] == pytest.approx(-0.4)
+    assert measured("standing", judged([0.0] * 11 + [0.9] * 10))["gap"] == pytest.approx(-0.4)
 
 
-def test_the_end_is_five_steps_and_a_drives_end_all_after_the_tenth(benchmark: Any) -> None:
+def test_the_end_is_five_steps_and_a_drives_end_all_after_the_tenth() -> None:
     iou: list[float | None] = [0.1] * 11 + [0.4] * 5 + [0.8] * 5
-    assert measured(benchmark, "standing", judged(iou))["iou"] == pytest.approx(0.8)
-    assert measured(benchmark, "driving", judged(iou))["iou"] == pytest.approx(0.6)
+    assert measured("standing", judged(iou))["iou"] == pytest.approx(0.8)
+    assert measured("driving", judged(iou))["iou"] == pytest.approx(0.6)
 
 
-def test_what_never_settles_counts_with_all_steps_and_darkness_as_all_of_the_symbol(benchmark: Any) -> None:
-    found = measured(benchmark, "standing", judged([0.0] * 20, settle_step=None, centroid=None))
+def test_what_never_settles_counts_with_all_steps_and_darkness_as_all_of_the_symbol() -> None:
+    found = measured("standing", judged([0.0] * 20, settle_step=None, centroid=None))
     assert (found["settle"], found["centroid"], found["iou"]) == (20, 100.0, 0.0)
 
 
 @pytest.mark.parametrize(("worse", "steps"), [([], 0), ([31], 2), ([25, 33], 4), ([49], 20)])
-def test_recovered_is_when_the_undisturbed_run_is_reached_for_good(benchmark: Any, worse: list[int], steps: int) -> None:
+def test_recovered_is_when_the_undisturbed_run_is_reached_for_good(worse: list[int], steps: int) -> None:
     own = [0.7 if step in worse else 0.9 for step in range(50)]
-    assert measured(benchmark, "disturbed", judged(own), judged([0.9] * 50))["recovery"] == steps
+    assert measured("disturbed", judged(own), judged([0.9] * 50))["recovery"] == steps
 
 
-def test_goals_take_the_worst_mean_over_seeds_and_of_luxloop_alone(benchmark: Any) -> None:
-    from symbol_control_goals import GOALS, Goal
-
+def test_goals_take_the_worst_mean_over_seeds_and_of_luxloop_alone() -> None:
     def run(scene: str, seed: int, iou: float, controller: str = "luxloop") -> dict[str, Any]:
         return {"part": "standing", "scene": scene, "latency": 2, "seed": seed, "controller": controller, "iou": iou}
 
@@ -80,9 +71,7 @@ def test_goals_take_the_worst_mean_over_seeds_and_of_luxloop_alone(benchmark: An
     assert all(each.scenes and each.limited for each in GOALS)
 
 
-def test_what_failed_or_is_not_here_is_not_passed_over(benchmark: Any) -> None:
-    from symbol_control_page import goals
-
+def test_what_failed_or_is_not_here_is_not_passed_over() -> None:
     run = {"part": "standing", "latency": 0, "seed": 0, "controller": "luxloop", "centroid": 0.1}
     rows = [run | {"scene": scene} for scene in ("flat", "Belgian block", "curb")]
     (all_here,) = (line for line in goals(rows).splitlines() if "measured roads" in line)
@@ -93,19 +82,17 @@ def test_what_failed_or_is_not_here_is_not_passed_over(benchmark: Any) -> None:
     assert partly.endswith("| reached, without torsion track |  |")
 
 
-def test_a_symbol_that_is_never_seen_overshoots(benchmark: Any) -> None:
+def test_a_symbol_that_is_never_seen_overshoots() -> None:
     dark = judged([0.0] * 20, settle_step=None, centroid=None) | {
         "centroid_error_x_percent": [None] * 20,
         "centroid_error_y_percent": [None] * 20,
     }
-    assert measured(benchmark, "standing", dark)["overshoot"] == 100.0
-    assert measured(benchmark, "standing", judged([0.9] * 20))["overshoot"] is None, "it began in its place"
+    assert measured("standing", dark)["overshoot"] == 100.0
+    assert measured("standing", judged([0.9] * 20))["overshoot"] is None, "it began in its place"
 
 
-def test_controllers_side_by_side_run_as_each_does_alone(benchmark: Any) -> None:
+def test_controllers_side_by_side_run_as_each_does_alone() -> None:
     """Rendered views are shared, noise and states are not."""
-    from symbol_control_cases import trajectories
-
     scenario = load("snowflake", (*TINY, "camera.latency_steps=1"), steps=5).model_dump(mode="json", exclude={"controller"})
     tables = {"thesis_pid": {"name": "thesis_pid"}, "luxloop": {"name": "luxloop"}}
     together = trajectories(scenario, tables)["judged"]
@@ -114,17 +101,15 @@ def test_controllers_side_by_side_run_as_each_does_alone(benchmark: Any) -> None
         assert together[name]["iou"] == [round(iou, 4) for iou in alone]
 
 
-def test_the_page_is_written_and_a_second_run_does_nothing_again(benchmark: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import symbol_control_cases
-
+def test_the_page_is_written_and_a_second_run_does_nothing_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def few(seeds: int, quick: bool) -> Iterator[Any]:
         assert seeds == 1 and quick
         yield symbol_control_cases.Case("standing", "curb", 0, 0, load("curb", TINY, steps=13))
 
-    monkeypatch.setattr(benchmark, "cases", few)
+    monkeypatch.setattr(symbol_control, "cases", few)
     arguments = ["--quick", "--jobs", "1", "--out", str(tmp_path / "run"), "--page", str(tmp_path), "--json", str(tmp_path / "rows.json")]
     monkeypatch.setattr(sys, "argv", ["symbol_control.py", *arguments])
-    benchmark.main()
+    symbol_control.main()
     kept = (tmp_path / "run" / "jobs.jsonl").read_bytes()
     rows = json.loads((tmp_path / "rows.json").read_text())
     assert [row["controller"] for row in rows] == list(symbol_control_cases.CONTROLLERS)
@@ -135,8 +120,8 @@ def test_the_page_is_written_and_a_second_run_does_nothing_again(benchmark: Any,
     assert "| Mean IoU at least 0.92 at 5 m/s | – | not measured |  |" in page
     assert (tmp_path / "images" / "symbol-control.png").stat().st_size > 10_000
     monkeypatch.setattr(symbol_control_cases, "prepare", None)  # a job done again would fail
-    benchmark.main()
+    symbol_control.main()
     assert (tmp_path / "run" / "jobs.jsonl").read_bytes() == kept
-    monkeypatch.setattr(benchmark, "digests", lambda scenario: {"road.file": "of another scan"})
+    monkeypatch.setattr(symbol_control, "digests", lambda scenario: {"road.file": "of another scan"})
     with pytest.raises(SystemExit, match="failed: curb"):  # so it is done again
-        benchmark.main()
+        symbol_control.main()

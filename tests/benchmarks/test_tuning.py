@@ -1,26 +1,14 @@
 """The benchmark of tuning: rollouts are counted as they were made, and figures go where they belong on the page."""
 
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import optuna
-import pytest
+import tuning
 from optuna.distributions import BaseDistribution, FloatDistribution
 from optuna.trial import TrialState, create_trial
 
-ROOT = Path(__file__).parents[2]
 
-
-@pytest.fixture
-def tuning(monkeypatch: pytest.MonkeyPatch) -> Any:
-    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
-    import tuning
-
-    return tuning
-
-
-def test_rollouts_are_those_of_all_runs_until_a_trial_was_as_good(tuning: Any) -> None:
+def test_rollouts_are_those_of_all_runs_until_a_trial_was_as_good() -> None:
     study = optuna.create_study()
     for value, state in ((0.6, "COMPLETE"), (0.9, "PRUNED"), (0.3, "COMPLETE"), (0.2, "COMPLETE")):
         space: dict[str, BaseDistribution] = {"kp": FloatDistribution(0, 1)}
@@ -31,14 +19,14 @@ def test_rollouts_are_those_of_all_runs_until_a_trial_was_as_good(tuning: Any) -
     assert tuning.rolled_out(tuned, 0.1) == tuning.rolled_out(tuned)
 
 
-def test_figures_take_the_place_of_their_section_alone(tuning: Any) -> None:
+def test_figures_take_the_place_of_their_section_alone() -> None:
     page = f"# Tuning\n\nWhy.\n\n{tuning.HEADING}\n\nOld.\n\n## After it\n\nNext.\n"
     made = f"{tuning.HEADING}\n\nNew.\n"
     assert tuning.written(page, made) == page.replace("Old.", "New.")
     assert tuning.HEADING + "\n" in tuning.DOCS.read_text("utf-8")
 
 
-def test_the_section_says_what_was_missed(tuning: Any) -> None:
+def test_the_section_says_what_was_missed() -> None:
     way = {"way": "gradient", "held out": {"given": 0.6, "best": 0.36, "ratio": 0.6}, "rollouts": 9, "rollouts to the best": 5}
     content = {
         "machine": {"date": "2026-01-02", "processor": "a processor", "torch": "2"},

@@ -1,6 +1,7 @@
 """A small, fast simulation that the tests of recordings share, and a command line in a folder of its own."""
 
 import re
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -55,6 +56,14 @@ def small_simulation(small_scenario: Scenario) -> Simulation:
 @pytest.fixture(scope="session")
 def small_results(small_simulation: Simulation) -> list[StepResult]:
     return list(small_simulation.run())
+
+
+@pytest.fixture
+def own(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The test's `OWN`, the text of a module that a user wrote, can be named in scenarios as `own`."""
+    (tmp_path / "own.py").write_text(request.module.OWN)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "own", raising=False)
 
 
 @pytest.fixture

@@ -1,7 +1,5 @@
 """Pixel controllers by name: each drives both kinds of scenarios, and keeps masks dark."""
 
-import sys
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,7 +10,7 @@ from controllers.pixels.ssc import Ssc
 from loop.assembly.build import build_projector
 from loop.assembly.pixel_control import pixel_controller
 from loop.lighting.simulation import LightingSimulation
-from loop.scenario.model import LightingScenario, Scenario, validate, validate_any
+from loop.scenario.model import LightingScenario, Scenario, validate, validate_lighting
 from perception.metrics import mae
 from world.errors import LuxloopError
 
@@ -56,7 +54,7 @@ def lit(**changes: Any) -> LightingScenario:
     pole = {"kind": "box", "name": "pole", "category": "other", "size_m": [0.05, 0.05, 2], "track": [{"position_m": [12, -1.5, 0]}]}
     mask = {"kind": "glare_free", "categories": ["car", "other"], "soft_zones": [{"margin_m": 0.6, "u_rel": 0.4}]}
     lane = {"kind": "lane", "value": 0.8}
-    found = validate_any(
+    return validate_lighting(
         {
             "name": "lit",
             "headlight": {"model": "hd84"},
@@ -69,16 +67,6 @@ def lit(**changes: Any) -> LightingScenario:
         },
         "lit",
     )
-    assert isinstance(found, LightingScenario)
-    return found
-
-
-@pytest.fixture
-def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    (tmp_path / "half_lit.py").write_text(OWN)
-    monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.delitem(sys.modules, "half_lit", raising=False)
-    return "half_lit:Half"
 
 
 @pytest.mark.parametrize(("model", "objective"), [("hd84", "mae"), ("hd84", "least_squares"), ("ssl-hd-lores", "mae")])
@@ -120,12 +108,13 @@ def test_a_symbol_is_drawn_by_the_controller_that_is_named() -> None:
     assert not torch.equal(ssc.light(ssc.target)[0].u, jpo.light(jpo.target)[0].u)
 
 
-def test_one_of_the_users_own_drives_both_kinds(own: str) -> None:
-    simulation = LightingSimulation.prepare(lit(pixel_controller=own))
+@pytest.mark.usefixtures("own")
+def test_one_of_the_users_own_drives_both_kinds() -> None:
+    simulation = LightingSimulation.prepare(lit(pixel_controller="own:Half"))
     beams = [module.base(simulation.planner.plan(simulation.situation(0.0))) for module in simulation.modules]
     for u, beam in zip(simulation.at(0).lights, beams, strict=True):
         torch.testing.assert_close(u, 0.5 * beam, rtol=0, atol=0)
-    scenario: Scenario = validate({**SYMBOL, "pixel_controller": own}, "own")
+    scenario: Scenario = validate({**SYMBOL, "pixel_controller": "own:Half"}, "own")
     projector = build_projector(scenario, torch.device("cpu"))
     assert not projector.light(projector.target)[0].u.any()
 
@@ -135,13 +124,14 @@ WRONG = {
     "table of the other": ({"jpo": {"iterations": 5}}, ["jpo", 'pixel_controller = "jpo"', "'ssc'"]),
     "unknown key": ({"pixel_controller": "jpo", "jpo": {"iteration": 5}}, ["jpo.iteration", "'iterations'"]),
     "package that is not there": ({"pixel_controller": "no_such_package:Half"}, ["no_such_package:Half", "No module", "PYTHONPATH"]),
-    "class that is not there": ({"pixel_controller": "half_lit:Haalf"}, ["half_lit:Haalf", "no Haalf"]),
-    "no controller": ({"pixel_controller": "half_lit:Unfinished"}, ["half_lit:Unfinished", "no method prepare", "utilisation, over"]),
+    "class that is not there": ({"pixel_controller": "own:Haalf"}, ["own:Haalf", "no Haalf"]),
+    "no controller": ({"pixel_controller": "own:Unfinished"}, ["own:Unfinished", "no method prepare", "utilisation, over"]),
 }
 
 
+@pytest.mark.usefixtures("own")
 @pytest.mark.parametrize(("changes", "words"), WRONG.values(), ids=WRONG.keys())
-def test_what_cannot_drive_is_named_in_a_sentence(own: str, changes: dict[str, Any], words: list[str]) -> None:
+def test_what_cannot_drive_is_named_in_a_sentence(changes: dict[str, Any], words: list[str]) -> None:
     with pytest.raises(LuxloopError) as caught:
         scenario = lit(**changes)
         pixel_controller(scenario, LightingSimulation.prepare(lit()).modules[0].headlight)

@@ -7,7 +7,7 @@ import torch
 
 from loop.lighting.result import LightingResult
 from loop.lighting.simulation import LightingSimulation
-from loop.scenario.model import LightingScenario, load_any, validate_any
+from loop.scenario.model import LightingScenario, load_any, validate_lighting
 from loop.scenario.shipped import shipped
 from perception.camera import CameraParams, camera_view
 from world.light.illumination import illuminance, reach
@@ -38,7 +38,7 @@ def scenario(model: str, **lighting: Any) -> LightingScenario:
         return [{"time_s": float(k), "position_m": (x, y, 0.0), "yaw_deg": yaw} for k, (x, y, yaw) in enumerate(PLACES[name])]
 
     boxes = [{"kind": "box", "name": name, "category": "other", "size_m": size, "track": track(name)} for name, size in SIZES.items()]
-    found = validate_any(
+    return validate_lighting(
         {
             "name": model,
             "steps": 3,
@@ -52,8 +52,6 @@ def scenario(model: str, **lighting: Any) -> LightingScenario:
         },
         model,
     )
-    assert isinstance(found, LightingScenario)
-    return found
 
 
 def views(simulation: LightingSimulation) -> dict[str, View]:
@@ -112,9 +110,7 @@ def test_a_mask_that_fades_lights_no_other_masked_body() -> None:
     boxes = [box("car", 50.0, 0.0), box("before", 20.0, 0.0, vanishes_s=0.1), box("beside", 48.0, 3.0, vanishes_s=0.1)]
     fading = scenario("hd84").model_dump(mode="json") | {"rate_hz": 4, "objects": boxes}
     fading["lighting"]["functions"] = [{"kind": "glare_free"}]
-    found = validate_any(fading, "fading")
-    assert isinstance(found, LightingScenario)
-    simulation = LightingSimulation.prepare(found)
+    simulation = LightingSimulation.prepare(validate_lighting(fading, "fading"))
     for step in (1, 2):
         result = simulation.at(step)
         assert result.dark_lx_max == 0.0 and result.objects["car"].masked

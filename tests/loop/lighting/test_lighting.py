@@ -18,7 +18,7 @@ from loop.lighting.report import lit_part
 from loop.lighting.simulation import LightingSimulation, driving
 from loop.pictures.views import BIRDSEYE_X_M, BIRDSEYE_Y_M
 from loop.run import run
-from loop.scenario.model import DrivingParams, LightingScenario, validate_any
+from loop.scenario.model import DrivingParams, LightingScenario, validate_lighting
 from perception.camera import CameraParams, noise_std
 from world.errors import LuxloopError
 from world.lampfiles import archive
@@ -48,9 +48,7 @@ def scenario(**changes: Any) -> LightingScenario:
         "lighting": {"base": {"beam": "high"}, "functions": [GLARE_FREE]},
         "renderer": "raycast",
     }
-    found = validate_any(base | changes, "lit")
-    assert isinstance(found, LightingScenario)
-    return found
+    return validate_lighting(base | changes, "lit")
 
 
 def test_objects_on_a_road_are_seen_and_tracked_at_its_height() -> None:

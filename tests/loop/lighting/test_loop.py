@@ -19,7 +19,7 @@ from loop.lighting.summary import shown
 from loop.recording.manifest import input_files
 from loop.recording.recorder import table_of
 from loop.run import run
-from loop.scenario.model import LightingScenario, validate_any
+from loop.scenario.model import LightingScenario, validate_lighting
 from perception.detection.protocol import Detections
 from world.errors import LuxloopError
 
@@ -42,9 +42,7 @@ def scenario(**changes: Any) -> LightingScenario:
         "lighting": {"base": {"beam": "low"}, "functions": [OBL, {"kind": "glare_free"}]},
         "renderer": "raycast",
     }
-    found = validate_any(base | changes, "closed")
-    assert isinstance(found, LightingScenario)
-    return found
+    return validate_lighting(base | changes, "closed")
 
 
 def test_everyone_is_found_tracked_placed_and_recorded(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import torch
 
 from loop.lighting.simulation import LightingSimulation
 from loop.recording.manifest import input_files
-from loop.scenario.model import LightingScenario, load_any, validate_any
+from loop.scenario.model import LightingScenario, load_any, validate_any, validate_lighting
 from world.errors import LuxloopError
 from world.lampfiles.utilisations import read_sequence
 from world.photometry.distribution import Array
@@ -25,9 +25,7 @@ def scenario(raw: Any, **changes: Any) -> LightingScenario:
     lighting = {"raw": raw, **changes.pop("lighting", {})}
     camera = {"width_px": 160, "height_px": 90}
     given = {"name": "raw", "rate_hz": 10, "headlight": {"model": "hd84"}, "camera": camera, "renderer": "raycast", "lighting": lighting}
-    found = validate_any(given | changes, "raw")
-    assert isinstance(found, LightingScenario)
-    return found
+    return validate_lighting(given | changes, "raw")
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,7 @@ from loop.lighting.simulation import LightingSimulation
 from loop.lighting.summary import eyes_lx, lost_steps, shown, steps_of_nothing
 from loop.recording.report import STYLE
 from loop.run import check, in_words, run
-from loop.scenario.model import LightingScenario, validate_any
+from loop.scenario.model import LightingScenario, validate_lighting
 
 WALKER = {"kind": "pedestrian", "name": "walker", "seed": 3, "track": [{"position_m": [15, -2, 0]}]}
 ZONE = {"kind": "zone", "name": "wall", "centre_m": [14, 1, 1.0], "size_m": [0, 1.6, 1.6], "luminance_cd_m2": 0.1}
@@ -39,9 +39,7 @@ def scenario(functions: list[dict[str, Any]], beam: str = "high", **changes: Any
         "lighting": {"base": {"beam": beam}, "functions": functions},
         "renderer": "raycast",
     }
-    found = validate_any(base | changes, "told")
-    assert isinstance(found, LightingScenario)
-    return found
+    return validate_lighting(base | changes, "told")
 
 
 def test_every_chart_is_there_and_no_legend_lies_over_one(tmp_path: Path) -> None:

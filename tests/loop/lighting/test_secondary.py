@@ -9,7 +9,7 @@ import torch
 from loop.lighting.observed import WIDTH_PX, observed_symbols, picture_view
 from loop.lighting.result import LightingResult
 from loop.lighting.simulation import LightingSimulation
-from loop.scenario.model import LightingScenario, load_any, validate_any
+from loop.scenario.model import LightingScenario, load_any, validate_lighting
 from loop.scenario.shipped import shipped
 from perception.camera import CameraParams
 
@@ -30,8 +30,7 @@ def run(lighting: dict[str, Any], **changes: Any) -> tuple[LightingSimulation, L
         "lighting": {"functions": [CARPET], **lighting},
         "renderer": "raycast",
     }
-    scenario = validate_any(base | changes, "carpet")
-    assert isinstance(scenario, LightingScenario)
+    scenario = validate_lighting(base | changes, "carpet")
     simulation = LightingSimulation.prepare(scenario)
     return simulation, simulation.at(0)
 

@@ -12,7 +12,7 @@ from loop.lighting.marks import marks
 from loop.lighting.simulation import LightingSimulation
 from loop.lighting.summary import shown
 from loop.run import run
-from loop.scenario.model import LightingScenario, validate_any
+from loop.scenario.model import LightingScenario, validate_lighting
 from world.errors import LuxloopError
 
 CAMERA = {"width_px": 320, "height_px": 180, "oversampling": 1, "saturation_e": 2000, "pitch_deg": 1.5}
@@ -35,9 +35,7 @@ def scenario(functions: list[dict[str, Any]], **changes: Any) -> LightingScenari
         "lighting": {"functions": functions},
         "renderer": "raycast",
     }
-    found = validate_any(base | changes, "zones")
-    assert isinstance(found, LightingScenario)
-    return found
+    return validate_lighting(base | changes, "zones")
 
 
 def test_zones_settle_within_10_steps_over_all_reflectances(tmp_path: Path) -> None:

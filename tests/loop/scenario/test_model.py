@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from loop.scenario.model import LightingScenario, Scenario, load, load_any, validate, validate_any
+from loop.scenario.model import LightingScenario, Scenario, load, load_any, validate, validate_any, validate_lighting
 from loop.scenario.shipped import shipped
 from world.errors import LuxloopError
 
@@ -226,6 +226,8 @@ def test_the_kinds_are_told_apart_by_their_tables(file: Path) -> None:
     assert (scenario.steps, scenario.lighting.power_limit, scenario.headlight.lamps) == (2, 0.5, ("left", "right"))
     assert scenario.lighting.functions[0].image == str(file.parent / "mine.svg")  # type: ignore[union-attr]
     assert "is a lighting scenario" in failure(file)
+    with pytest.raises(LuxloopError, match=r"^mine: is the scenario of a \[symbol\]"):
+        validate_lighting({"name": "mine", "symbol": {"image": "snowflake"}}, "mine")
     assert validate_any(json.loads(json.dumps(scenario.model_dump(mode="json"))), "manifest.json") == scenario
 
 

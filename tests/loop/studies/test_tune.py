@@ -2,7 +2,9 @@
 
 import re
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 import torch
@@ -152,20 +154,23 @@ def test_what_is_best_is_better_and_can_be_run(tuned: Tuned, scenario: Scenario,
     assert (tmp_path / PICTURE).stat().st_size > 5_000
 
 
+def interrupted(monkeypatch: pytest.MonkeyPatch, module: ModuleType, name: str, at: int) -> None:
+    """Ctrl-C in place of a function's call of that number."""
+    original, calls = getattr(module, name), count(1)
+
+    def stopping(*arguments: object) -> object:
+        if next(calls) == at:
+            raise KeyboardInterrupt
+        return original(*arguments)
+
+    monkeypatch.setattr(module, name, stopping)
+
+
 @pytest.mark.slow
 def test_a_seeded_study_is_the_same_with_more_processes_and_after_a_stop(
     tuned: Tuned, scenario: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    original, asked = module._try, 0
-
-    def stopping(*arguments: object) -> None:
-        nonlocal asked
-        asked += 1
-        if asked == 3:
-            raise KeyboardInterrupt
-        original(*arguments)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(module, "_try", stopping)
+    interrupted(monkeypatch, module, "_try", 3)
     with pytest.raises(KeyboardInterrupt, match="3 of 5 trials are kept"):
         tune(task(scenario), tmp_path, 5, local(1))
     assert trials(tune(task(scenario), tmp_path, 5, local(2))) == trials(tuned)
@@ -269,16 +274,7 @@ def test_descent_learns_from_its_runs_and_goes_on_after_a_stop(tmp_path: Path, m
         for values, _, _ in (start, *others)
     )
     assert len(after) == 2 and min(after) < before
-    original, asked = gradient.ran, 0
-
-    def stopping(*arguments: object) -> object:
-        nonlocal asked
-        asked += 1
-        if asked == 2:
-            raise KeyboardInterrupt
-        return original(*arguments)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(gradient, "ran", stopping)
+    interrupted(monkeypatch, gradient, "ran", 2)
     with pytest.raises(KeyboardInterrupt, match="2 of 3 iterations are kept"):
         gradient.tune_by_gradient(slow, tmp_path / "stopped", 3, local(1))
     assert trials(gradient.tune_by_gradient(slow, tmp_path / "stopped", 3, local(1))) == trials(tuned)

@@ -1,7 +1,5 @@
 """Controllers of the user's own: named in the scenario, checked with a sentence each."""
 
-from pathlib import Path
-
 import pytest
 
 from controllers.symbol.sensing.drawing import Drawing
@@ -9,7 +7,7 @@ from loop.run import prepare
 from loop.scenario.model import load
 from world.errors import LuxloopError
 
-HALFWAY = """
+OWN = """
 from controllers.symbol.sensing.drawing import Drawing
 
 class Halfway:
@@ -29,15 +27,9 @@ class Speechless:
 SMALL = ["camera.width_px=320", "camera.height_px=180", "camera.oversampling=2"]
 
 
-@pytest.fixture
-def mine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "halfway_controllers.py").write_text(HALFWAY)
-    monkeypatch.syspath_prepend(tmp_path)
-
-
-@pytest.mark.usefixtures("mine")
+@pytest.mark.usefixtures("own")
 def test_a_controller_of_ones_own_is_named_in_the_scenario() -> None:
-    scenario = load("flat", [*SMALL, "controller={name='halfway_controllers:Halfway', options={share=0.25}}"])
+    scenario = load("flat", [*SMALL, "controller={name='own:Halfway', options={share=0.25}}"])
     simulation = prepare(scenario, "cpu")
     state, first = simulation.step(simulation.start())
     _, second = simulation.step(state)
@@ -48,15 +40,15 @@ def test_a_controller_of_ones_own_is_named_in_the_scenario() -> None:
     assert again == scenario, "recordings hold it"
 
 
-@pytest.mark.usefixtures("mine")
+@pytest.mark.usefixtures("own")
 @pytest.mark.parametrize(
     ("controller", "words"),
     [
         ("{name='no_such_module_at_all:Halfway'}", ["no_such_module_at_all", "PYTHONPATH"]),
-        ("{name='halfway_controllers:Quarterway'}", ["halfway_controllers", "no Quarterway"]),
-        ("{name='halfway_controllers:Halfway', options={gain=1}}", ["controller.options", "gain"]),
-        ("{name='halfway_controllers:Speechless'}", ["no method start", "drawing"]),
-        ("{name='halfway_controllers:'}", ["controller.name", "pattern"]),
+        ("{name='own:Quarterway'}", ["own", "no Quarterway"]),
+        ("{name='own:Halfway', options={gain=1}}", ["controller.options", "gain"]),
+        ("{name='own:Speechless'}", ["no method start", "drawing"]),
+        ("{name='own:'}", ["controller.name", "pattern"]),
     ],
 )
 def test_what_is_wrong_with_it_is_said_in_a_sentence(controller: str, words: list[str]) -> None:

@@ -1,6 +1,5 @@
 """Extractions of the user's own: the whole symbol loop looks with them, and what is wrong is said in a sentence."""
 
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -13,7 +12,7 @@ from loop.symbol.simulation import Simulation
 from perception.extraction import ExtractionParams, OwnExtractionParams, symbol_image
 from world.errors import LuxloopError
 
-EXTRACTIONS = """
+OWN = """
 import torch
 from perception import extraction
 
@@ -41,24 +40,18 @@ class Blind:
 SMALL = ["camera.width_px=320", "camera.height_px=180", "camera.oversampling=2"]
 
 
-@pytest.fixture
-def extractions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "own_extractions.py").write_text(EXTRACTIONS)
-    monkeypatch.syspath_prepend(tmp_path)
-
-
 def looked(*overrides: Any) -> tuple[Simulation, Tensor]:
     """Errors of three steps on bumps."""
     simulation = prepare(load("flat", [*SMALL, "road.kind=bumps", *overrides], steps=3), "cpu")
     return simulation, torch.stack([result.seen.errors for result in simulation.run()])
 
 
-@pytest.mark.usefixtures("extractions")
+@pytest.mark.usefixtures("own")
 @pytest.mark.parametrize("controller", ["luxloop", "model_reference"])
 def test_the_loop_looks_with_it(controller: str) -> None:
     """Ours by another name sees, expects and registers the same, bit for bit; other edges do not."""
     named = f"controller.name={controller}"
-    own = "extraction={kind='own_extractions:Ours', options={edges='binary'}, area_low=0.3}"
+    own = "extraction={kind='own:Ours', options={edges='binary'}, area_low=0.3}"
     _, as_own = looked(named, own)
     simulation, as_ours = looked(named, "extraction={edges='binary', area_low=0.3}")
     _, by_default = looked(named, "extraction.area_low=0.3")
@@ -68,18 +61,18 @@ def test_the_loop_looks_with_it(controller: str) -> None:
     assert type(scenario).model_validate_json(scenario.model_dump_json()) == scenario, "recordings hold it"
 
 
-@pytest.mark.usefixtures("extractions")
+@pytest.mark.usefixtures("own")
 @pytest.mark.parametrize(
     ("extraction", "words"),
     [
         ({"kind": "no_such_extractions:Ours"}, ["No module named 'no_such_extractions'", "PYTHONPATH"]),
-        ({"kind": "own_extractions:Theirs"}, ["own_extractions has no Theirs"]),
-        ({"kind": "own_extractions:Ours", "options": {"edge": "grey"}}, ["extraction.options", "edge"]),
-        ({"kind": "own_extractions:Blind"}, ["no method symbol_image"]),
-        ({"kind": "own_extractions:Pooled"}, ["float32", "an image like that"]),
-        ({"kind": "own_extractions:Listed"}, ["gives list"]),
-        ({"kind": "own_extractions:Elsewhere"}, ["on meta for", "on cpu"]),
-        ({"kind": "own_extractions:Ours", "edges": "grey"}, ["extraction.edges", "unknown key"]),
+        ({"kind": "own:Theirs"}, ["own has no Theirs"]),
+        ({"kind": "own:Ours", "options": {"edge": "grey"}}, ["extraction.options", "edge"]),
+        ({"kind": "own:Blind"}, ["no method symbol_image"]),
+        ({"kind": "own:Pooled"}, ["float32", "an image like that"]),
+        ({"kind": "own:Listed"}, ["gives list"]),
+        ({"kind": "own:Elsewhere"}, ["on meta for", "on cpu"]),
+        ({"kind": "own:Ours", "edges": "grey"}, ["extraction.edges", "unknown key"]),
         ({"kind": "differentiall"}, ["extraction.kind", "did you mean 'differential'"]),
     ],
 )

@@ -1,6 +1,5 @@
 """Roads of the user's own: wherever a road is named, and refused in a sentence."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from world.errors import LuxloopError
 from world.roads.own import OwnRoad
 from world.roads.shapes import SpeedBump
 
-ROADS = """
+OWN = """
 import numpy as np
 from world.roads.base import MeshGrid, RoadModel
 from world.roads.shapes import SpeedBump
@@ -50,16 +49,10 @@ class Heightless:
 SMALL = ["camera.width_px=320", "camera.height_px=180", "camera.oversampling=2"]
 
 
-@pytest.fixture
-def roads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "own_roads.py").write_text(ROADS)
-    monkeypatch.syspath_prepend(tmp_path)
-
-
-@pytest.mark.usefixtures("roads")
+@pytest.mark.usefixtures("own")
 def test_it_lies_and_is_believed_in_as_the_same_road_of_ours() -> None:
     """A speed bump by another name shows and draws bit for bit the same; `luxloop check` would call it by its name."""
-    own = "{kind='own_roads:Bump', options={height_m=0.05}}"
+    own = "{kind='own:Bump', options={height_m=0.05}}"
     ours = "{kind='speed_bump', height_m=0.05}"
     runs = []
     for road in (own, ours):
@@ -74,30 +67,30 @@ def test_it_lies_and_is_believed_in_as_the_same_road_of_ours() -> None:
     assert type(scenario).model_validate_json(scenario.model_dump_json()) == scenario, "recordings hold it"
 
 
-@pytest.mark.usefixtures("roads")
+@pytest.mark.usefixtures("own")
 def test_heights_are_one_a_place() -> None:
     x, y = np.linspace(0, 3, 4)[:, None], np.linspace(-1, 1, 3)
-    np.testing.assert_array_equal(OwnRoad(kind="own_roads:Along", options={"rise": 0.5}).z(x, y), np.broadcast_to(0.5 * x, (4, 3)))
-    own, bump = OwnRoad(kind="own_roads:Bump", options={"height_m": 0.08}), SpeedBump()
+    np.testing.assert_array_equal(OwnRoad(kind="own:Along", options={"rise": 0.5}).z(x, y), np.broadcast_to(0.5 * x, (4, 3)))
+    own, bump = OwnRoad(kind="own:Bump", options={"height_m": 0.08}), SpeedBump()
     np.testing.assert_array_equal(own.z(17.0, [0, 1]), bump.z(17.0, [0, 1]))
     assert own.grid() == bump.grid()
 
 
-@pytest.mark.usefixtures("roads")
+@pytest.mark.usefixtures("own")
 @pytest.mark.parametrize(
     ("road", "words"),
     [
         ({"kind": "no_such_roads:Along"}, ["No module named 'no_such_roads'", "PYTHONPATH"]),
-        ({"kind": "own_roads:Across"}, ["own_roads has no Across"]),
-        ({"kind": "own_roads:Along", "options": {"rise": "much"}}, ["road.options", "rise", "valid number"]),
-        ({"kind": "own_roads:Along", "options": {"raise": 1}}, ["road.options", "raise"]),
-        ({"kind": "own_roads:Heightless"}, ["no method z", "z, grid"]),
-        ({"kind": "own_roads:Shapeless"}, ["(3,)", "one a place"]),
-        ({"kind": "own_roads:Bottomless"}, ["no finite number"]),
-        ({"kind": "own_roads:Mistyped"}, ["z fails", "sinn"]),
-        ({"kind": "own_roads:Meshless"}, ["grid gives float", "MeshGrid"]),
-        ({"kind": "own_roads:"}, ["road.kind", "pattern"]),
-        ({"kind": "own_roads:Along", "rise": 1}, ["road.rise", "unknown key"]),
+        ({"kind": "own:Across"}, ["own has no Across"]),
+        ({"kind": "own:Along", "options": {"rise": "much"}}, ["road.options", "rise", "valid number"]),
+        ({"kind": "own:Along", "options": {"raise": 1}}, ["road.options", "raise"]),
+        ({"kind": "own:Heightless"}, ["no method z", "z, grid"]),
+        ({"kind": "own:Shapeless"}, ["(3,)", "one a place"]),
+        ({"kind": "own:Bottomless"}, ["no finite number"]),
+        ({"kind": "own:Mistyped"}, ["z fails", "sinn"]),
+        ({"kind": "own:Meshless"}, ["grid gives float", "MeshGrid"]),
+        ({"kind": "own:"}, ["road.kind", "pattern"]),
+        ({"kind": "own:Along", "rise": 1}, ["road.rise", "unknown key"]),
         ({"kind": "washboard"}, ["road.kind", "package.module:Name"]),
     ],
 )
