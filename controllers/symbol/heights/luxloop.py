@@ -20,7 +20,7 @@ from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.observer import Observer
 from controllers.symbol.sensing.planes import HERE, placed
 from controllers.symbol.sensing.projector import SymbolParams
-from controllers.symbol.sensing.protocol import Look, Shown
+from controllers.symbol.sensing.protocol import Look
 from controllers.symbol.sensing.shape import reached
 from perception.birdseye import Region
 from perception.camera import camera_view
@@ -36,6 +36,7 @@ SEEN_BY = 0.05  # of the usual illuminance a node, with which its brightness is 
 LOW_M = {"appearance": 0.1, "place": 0.03}  # heights up to here are found without an acquired shape, for each target
 POOR, SEARCHES = 0.08, 4  # residual above which the whole image is searched again, and how often it is for one road
 UNEVEN = 0.03  # residual of what was known, above which heights explain the road better than another search would
+EXPLAINED = 5e-4  # residual with which a known road is kept as it is while the vehicle stands: further looks would fit their noise
 SAME_M = 0.05  # between heights under the target that two searches found, if the second shall be the last
 FALLEN = (-0.3, -0.03, 0.0, 0.0)  # shape of the road on which a symbol is looked for that is nowhere in the image
 FARTHEST = 3.0  # of the way to the plane z = 0: where lines of sight end that meet no acquired road
@@ -70,7 +71,8 @@ class LuxloopParams(Params):
 class LuxloopState:
     """memory: what is known of the road, in the ground frame of time_s. body: what is known of it, if it is measured. drawing: shown now.
 
-    level_rad: pitch of the body that the memory's heights are based on. found: the symbol has been seen.
+    level_rad: pitch of the body that the memory's heights are based on. first: drawn first for an acquired road, until a look shows it.
+    sought: the symbol has been seen, or looked for on a road that falls.
     """
 
     memory: Memory
@@ -78,7 +80,8 @@ class LuxloopState:
     drawing: Drawing
     body: BodyFilter | None = None
     level_rad: float = 0.0
-    found: bool = False
+    first: Drawing | None = None
+    sought: bool = False
 
 
 class Luxloop:
@@ -115,7 +118,9 @@ class Luxloop:
         body = self._filtered(state.body, look.ego)
         now = None if body is None else body.caught_up()
         stances = Stances.of(look, now, state.time_s)
-        memory = state.memory
+        memory, first, sought = state.memory, state.first, state.sought or bool(look.seen.code == Loss.SEEN)
+        if anew := look.frames is not None and first is not None and look.shown.drawing.shows(first):
+            first = None
         if stances.still:
             registration = self.over(memory.T_ground_plane)[1]
         else:
@@ -123,9 +128,9 @@ class Luxloop:
             registration = self._fine(stances)
         memory = memory.moved(stances.since, registration.sight.eye)
         if body is None or now is None or stances.still or not body.predicts(stances.time_s):
-            memory = self._looked(registration, memory, look, stances)
-            if stances.still and not bool(memory.heights.information.any()):
-                memory = self._guessed(state, look) or memory
+            memory = self._looked(registration, memory, look, stances, anew)
+            if stances.still and not bool(memory.heights.information.any()) and (guess := self._guessed(state, look)) is not None:
+                memory, sought = guess, True
         else:
             memory = memory.levelled(now.level_rad - state.level_rad, body.pivot_x_m)
             if look.frames is not None:
@@ -138,7 +143,9 @@ class Luxloop:
         if body is not None and look.ego is not None and memory.T_ground_plane.equal(HERE):
             body = _previewed(body, memory, stances.time_s, look.ego)
         drawing, level_rad = self._drawn(memory, stances), 0.0 if now is None else now.level_rad
-        return LuxloopState(memory, stances.time_s, drawing, body, level_rad, state.found or bool(look.seen.code == Loss.SEEN))
+        if memory.shape is not state.memory.shape:
+            first = None if memory.shape is None else drawing
+        return LuxloopState(memory, stances.time_s, drawing, body, level_rad, first, sought)
 
     def _filtered(self, before: BodyFilter | None, ego: Ego | None) -> BodyFilter | None:
         """What is known of the body after a measurement, if there is one; one without axles has no filter."""
@@ -146,12 +153,13 @@ class Luxloop:
             return before
         return BodyFilter.first(self.params.body, ego, self.reach_m, self.projector.params.x_m) if before is None else before.updated(ego)
 
-    def _looked(self, registration: Registration, memory: Memory, look: Look, stances: Stances) -> Memory:
-        """What is known after a look: nothing, where heights do not explain it."""
+    def _looked(self, registration: Registration, memory: Memory, look: Look, stances: Stances, anew: bool = False) -> Memory:
+        """What is known after a look: nothing, where heights do not explain it. anew: it shows first an acquired road's light."""
         if look.frames is None:
             return memory
         frames, textures, searched = look.frames, self.projector.textures(look.shown.lights), memory.searched
-        if stances.still and self._unsure(memory, look.shown):
+        unsure = not bool(memory.heights.information.any()) or (anew and not memory.settled and searched < SEARCHES)
+        if stances.still and unsure:
             memory = self._acquired(memory, look) or memory
             registration = self.over(memory.T_ground_plane)[1]
         nothing = self._nothing(self.registration if stances.still else registration)
@@ -163,31 +171,34 @@ class Luxloop:
             there = fine.symbol(fine.luminance(textures, fine.on_pixels(known.mean)[None])[0], limit) * fine.inside
             return memory if float(there.sum()) * fine.step < LEAST_LIT_PX else nothing
         limit = limit / fine.on_pixels(memory.brightness)  # of the light that the assumed road would show
-        found = [registration.refine(known.mean, known, seen, textures, limit)]
-        if float(registration.residual(found[0].mean[None], seen, textures, limit)[0]) > self.params.sweep_above:
+        informed = bool(known.information.any())
+        before, flat = registration.residual(torch.stack([known.mean, torch.zeros_like(known.mean)]), seen, textures, limit).tolist()
+        if stances.still and informed and before < min(EXPLAINED, flat):
+            return memory
+        least, best = self._refined(registration, known, known.mean, seen, textures, limit)
+        if least > self.params.sweep_above:
             swept = self._swept(memory, frames, textures, stances)
-            found.append(registration.refine(swept, known, seen, textures, limit))
-        nodes = torch.stack([*(each.mean for each in found), known.mean, torch.zeros_like(known.mean)])
-        *residuals, before, flat = registration.residual(nodes, seen, textures, limit)
-        least, best = min(zip(residuals, found, strict=True), key=lambda each: float(each[0]))
-        memory = replace(memory, settled=memory.settled or float(before) > UNEVEN)
-        evidence = 0.0 if bool(known.information.any()) else self.params.evidence
-        if least > POOR and stances.still and 0 < memory.searched == searched < SEARCHES:
-            if (again := self._acquired(memory, look)) is not None:
-                return again
-            memory = replace(memory, searched=SEARCHES)
-        if least > flat - evidence:
+            again = self._refined(registration, known, swept, seen, textures, limit)
+            least, best = min((least, best), again, key=lambda each: each[0])
+        memory = replace(memory, settled=memory.settled or before > UNEVEN)
+        if least > POOR and stances.still and memory.searched == searched < SEARCHES:
+            if (acquired := self._acquired(memory, look)) is not None:
+                return acquired
+            memory = replace(memory, searched=searched + 1)
+        if least > flat - (0.0 if informed else self.params.evidence):
             return nothing
         information = known.information + best.information
         gain = best.information.trace() / information.trace().clamp(min=1)  # of this look beside all earlier ones
         brightness = _brightness(fine, best.mean, memory.brightness, contrast, seen, textures)
-        share = (least / before).nan_to_num(1.0).clamp(max=1) if stances.still else self.params.memory
+        share = (least / before if least < before else 1.0) if stances.still else self.params.memory
         return replace(memory, heights=replace(best, information=share * information), brightness=memory.brightness.lerp(brightness, gain))
 
-    def _unsure(self, memory: Memory, shown: Shown) -> bool:
-        """Whether nothing is known, or a road that was acquired from afar can be acquired anew from light that was drawn for it."""
-        anew = memory.shape is not None and not memory.settled and memory.searched < SEARCHES and shown.drawing.warp is not None
-        return anew or not bool(memory.heights.information.any())
+    def _refined(
+        self, registration: Registration, known: Heights, nodes: Tensor, seen: Tensor, textures: tuple[Tensor, ...], limit: Tensor
+    ) -> tuple[float, Heights]:
+        """Heights from nodes `[n]` on, and what they leave unexplained."""
+        found = registration.refine(nodes, known, seen, textures, limit)
+        return float(registration.residual(found.mean[None], seen, textures, limit)[0]), found
 
     def _acquired(self, memory: Memory, look: Look) -> Memory | None:
         """The road that explains where in the whole image the symbol is; None where a road near the plane may, which looks find without."""
@@ -208,7 +219,7 @@ class Luxloop:
             return None
         if before is not None:
             return self._shaped(state.memory, before / 2) if state.memory.searched < SEARCHES else None
-        return None if state.found or lost.match else self._shaped(state.memory, self.projector.target.new_tensor(FALLEN))
+        return None if state.sought or lost.match else self._shaped(state.memory, self.projector.target.new_tensor(FALLEN))
 
     def _shaped(self, before: Memory, shape: Tensor) -> Memory:
         """A road of shape `[4]`, over the plane on which the symbol is aimed there."""

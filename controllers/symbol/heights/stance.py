@@ -9,6 +9,8 @@ from controllers.symbol.sensing.planes import HERE
 from controllers.symbol.sensing.protocol import Look
 from world.frames import inverse
 
+EVEN = 2e-3  # in m and rad: smaller movements of a body that stands are taken for errors of its sensors
+
 
 @dataclass(frozen=True)
 class Stances:
@@ -27,16 +29,19 @@ class Stances:
 
     @classmethod
     def of(cls, look: Look, body: BodyFilter | None, before_s: float) -> "Stances":
-        """With the body as it is known now; without one the vehicle stands. before_s: time_s of the look before."""
+        """With the body as it is known now; without one the vehicle stands on even wheels. before_s: time_s of the look before."""
         now, then = look.ego, look.shown.ego
         if now is None or then is None or body is None:
             return cls()
         seen_s, next_s = then.time_s + then.age_s, now.time_s + now.age_s + now.period_s
         half_s = now.period_s / 2
+        on = body.T_ground_body(seen_s)
+        if now.stands and then.stands and bool(((on - HERE).abs() < EVEN).all()):
+            return cls()
         return cls(
             seen_s,
             exact(then.way(seen_s - before_s)),
-            body.T_ground_body(seen_s),
+            on,
             exact(then.way(half_s)) @ body.T_ground_body(seen_s + half_s),
             exact(now.way(next_s - seen_s)),
             body.T_ground_body(next_s),
