@@ -126,7 +126,7 @@ def rectangle(
     origin, d1, d2: `[3]` or `[..., P, 3]` m, a corner and the edges along the symbol's columns and rows. value: number or `[..., P]`, what
     it asks for where the symbol is 1, of the quantity "u_abs" (utilisation 0..1), "u_rel" (multiple of the base pattern), "I_v" (cd) or
     "E_v" (lx). normal: default d1 x d2; of any length. symbol: `[h, w]` in 0..1 or `[2, h, w]` with its opacity, homogeneous where there
-    is none. weight: number or `[..., P]`. The others are described at `Primitives`.
+    is none. weight: number or `[..., P]`. forced, priority, nearest, modules, shared: see `Primitives`.
     Raises LuxloopError for a quantity that there is not, for a symbol that is no image, and for a weight below zero or NaN where the host
     knows it.
     """
