@@ -7,6 +7,7 @@ from loop.recording.summary import FINAL
 CUT = 0.02  # of a symbol; less than that costs no more IoU than two runs may differ by in docs/symbol_control.md
 PLANE_M = 0.2  # roads nearer to the plane z = 0 are drawn for on it
 SHORT = 40  # steps, as the shipped scenarios have: thesis_pid still moves after 20 that began 40 m ahead, and settles in 40
+AT_ONCE = ("open", "feedforward", "luxloop")  # controllers that show the symbol at its target, wherever it starts
 BORDERS = {"left": "left", "right": "right", "top": "upper", "bottom": "lower"}
 INTO_THE_FIELD = {
     "left": "bring symbol.y_m nearer to 0",
@@ -27,7 +28,7 @@ def remedies(values: dict[str, Any]) -> list[str]:
     if why is not None and not ((is_cut or values["aim"] is not None) and why in ("lost", "off_target")):
         found.append(_why_unsettled(values))
     if why is None and values["controller"] != "open" and (values["iou_final"] or 0.0) < (values["iou_open"] or 0.0):
-        found.append("the symbol lies worse than without control")
+        found.append(f"the symbol lies worse than without control; {_of_controller(values['controller'])}")
     return found
 
 
@@ -50,18 +51,24 @@ def _why_unsettled(values: dict[str, Any]) -> str:
             if values["controller"] == "luxloop":
                 return f"{what}, as it does where the car or an object moves; if none does, lower symbol.x_m, as a nearer symbol moves less"
         case "lost" if values["lost_steps"] == values["steps"]:
-            other = "" if values["controller"] == "luxloop" else ', and try controller.name = "luxloop"'
-            return f"the camera never saw the symbol, whose light may pass over a road that falls; lower start.x_m{other}"
+            what = "the camera never saw the symbol, whose light may pass over a road that falls"
+            if values["controller"] not in AT_ONCE:
+                return f'{what}; lower start.x_m, and try controller.name = "luxloop"'
         case "lost":
             what = f"the camera lost the symbol in {values['lost_steps']} of {values['steps']} steps and at the end"
         case _:
             what = f"the symbol lies {max(off):.0f} % of its size off its target" if off else "no light of the symbol reaches its target"
     if values["z_m_final"] and abs(values["z_m_final"]) > PLANE_M:
         what += f", drawn for a road {abs(values['z_m_final']):.1f} m {'above' if values['z_m_final'] > 0 else 'below'} the plane z = 0"
-    match values["controller"]:
+    return f"{what}; {_of_controller(values['controller'])}"
+
+
+def _of_controller(name: str) -> str:
+    """What helps on a road on which a controller does not lay the symbol right."""
+    match name:
         case "luxloop":
-            return f"{what}; lower symbol.x_m, as its light is brighter on a nearer road, and the road moves it less"
+            return "lower symbol.x_m, as its light is brighter on a nearer road, and the road moves it less"
         case "feedforward":
-            return f"{what}; give the road as it is in controller.road, or, near the plane z = 0, measure it with controller.survey = true"
+            return "give the road as it is in controller.road, or, near the plane z = 0, measure it with controller.survey = true"
         case _:
-            return f'{what}; try controller.name = "luxloop", which draws for the heights of the road that it finds'
+            return 'try controller.name = "luxloop", which draws for the heights of the road that it finds'

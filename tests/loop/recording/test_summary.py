@@ -179,9 +179,17 @@ def test_how_far_the_road_lies_off_the_plane_is_said_where_it_is_drawn_for() -> 
     )
 
 
-def test_a_symbol_that_was_never_seen_starts_too_far() -> None:
-    (said,) = remedies(summarise(table(loss=["nothing"] * 40), "name", "luxloop", 0.0))
-    assert said.startswith("the camera never saw the symbol") and said.endswith("lower start.x_m")
+@pytest.mark.parametrize(
+    ("controller", "key"),
+    [("thesis_pid", "start.x_m"), ("open", "controller.name"), ("feedforward", "controller.road"), ("luxloop", "symbol.x_m")],
+)
+def test_a_symbol_that_was_never_seen_starts_too_far_only_where_a_controller_moves_it(controller: str, key: str) -> None:
+    (said,) = remedies(summarise(table(loss=["nothing"] * 40), "name", controller, 0.0))
+    assert said.startswith("the camera never saw the symbol") and key in said
+    assert ("start.x_m" in said) == (controller == "thesis_pid")
+
+
+def test_a_symbol_that_was_lost_is_counted() -> None:
     (lost,) = remedies(summarise(table(loss=[""] * 20 + ["nothing"] * 20), "name", "luxloop", 0.0))
     assert lost.startswith("the camera lost the symbol in 20 of 40 steps")
 
