@@ -123,7 +123,7 @@ class Road:
         surfaces = gbuffer(self._triangles, view, self._face_source.face_ids(self._triangles, view))
         extinction = air.extinction_per_m if air else 0.0
         illuminance, luminance = surface_light(surfaces, car.sources, self._shades, extinction)
-        others = self._scene.spotlights_at(0.0)
+        others = self._scene.spotlights_at(self.time_s)
         luminance = luminance + ambient_luminance(surfaces, self._scene.ambient_lx, self._scene.street_lamps, others)
         if air:
             shadows = None if self._shades is None else [self._shadow(source) for source in car.sources]

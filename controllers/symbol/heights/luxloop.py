@@ -276,10 +276,7 @@ class Luxloop:
 
     def _sight(self, stances: Stances, step: int, samples: int) -> Sight:
         """How the body sees the road when the two frames are exposed."""
-        seer, cell_m = self.observer, self.params.cell_m
-        return Sight.prepare(
-            self.projector, seer.camera, seer.params, seer.model.albedo, self.region, cell_m, step, samples, stances.on, stances.off
-        )
+        return Sight.prepare(self.observer, self.region, self.params.cell_m, step, samples, stances.on, stances.off)
 
 
 def _previewed(body: BodyFilter, memory: Memory, time_s: float, ego: Ego) -> BodyFilter:

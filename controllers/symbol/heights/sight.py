@@ -9,7 +9,8 @@ from kornia.geometry.transform import remap
 from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
-from controllers.symbol.sensing.projector import Projector
+from controllers.symbol.sensing.observer import Observer
+from controllers.symbol.sensing.planes import HERE
 from perception.birdseye import Region
 from perception.camera import CameraParams, average_rows, camera_view, luminance_of
 from perception.extraction import Crop, Extraction, difference, symbol_image, threshold
@@ -77,21 +78,17 @@ class Sight:
     @classmethod
     def prepare(
         cls,
-        projector: Projector,
-        camera: CameraParams,
-        params: Extraction,
-        albedo: float,
+        observer: Observer,
         region: Region,
         cell_m: tuple[float, float],
         step: int,
         samples: int,
-        T_ground_on: Tensor | None = None,
-        T_ground_off: Tensor | None = None,
+        T_on: Tensor = HERE,
+        T_off: Tensor = HERE,
     ) -> "Sight":
-        """cell_m: of the nodes, along and across. step, samples: as above. T_ground_on, T_ground_off: body `[4, 4]` in on and off frame."""
+        """cell_m: of the nodes, along and across. step, samples: as above. T_on, T_off: `T_ground_body` `[4, 4]` in on and off frame."""
+        projector, camera = observer.projector, observer.camera
         device = projector.symbol.device
-        standing = torch.eye(4, dtype=torch.float64)
-        T_on, T_off = (standing if T is None else T for T in (T_ground_on, T_ground_off))
         whole, view = (_from(T_on, camera_view(camera, rows)) for rows in (1, samples))
         x, y = torch.tensor([[region.x_near_m, region.x_far_m], [region.y_left_m, region.y_right_m]], dtype=torch.float64)
         corners = torch.stack([x.repeat_interleave(2), y.repeat(2), torch.zeros(4, dtype=torch.float64)])
@@ -110,7 +107,7 @@ class Sight:
             T, origin = inverse(T_ground_headlight), T_ground_headlight[:3, 3]
             on_plane = torch.einsum("ij,jhw->ihw", T[:3, :3], ground) + T[:3, 3, None, None]
             per_m = torch.einsum("ij,jhw->ihw", T[:3, :3], (eye[:, None, None] - ground) / eye[2])
-            factor = albedo * origin[2] / (ground - origin[:, None, None]).norm(dim=0) ** 3 / math.pi
+            factor = observer.model.albedo * origin[2] / (ground - origin[:, None, None]).norm(dim=0) ** 3 / math.pi
             parts = (part.float().to(device) for part in (on_plane, per_m, factor, origin))
             lamps.append(LampSight(module.pixel_controller.headlight, *parts))
         middle = average_rows(ground, samples)
@@ -125,7 +122,8 @@ class Sight:
         inside = (inside_x & inside_y).float()
         node, weight, seen = node.to(device), weight.to(device), inside.to(device)
         off = None if T_off.equal(T_on) else _place_in_image(whole, _from(T_off, camera_view(camera)), crop).to(device)
-        return cls(region, crop, eye.float().to(device), step, samples, tuple(lamps), rows, cols, node, weight, seen, camera, params, off)
+        origin, params = eye.float().to(device), observer.params
+        return cls(region, crop, origin, step, samples, tuple(lamps), rows, cols, node, weight, seen, camera, params, off)
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -39,7 +39,7 @@ class Survey:
     def __init__(self, observer: Observer, region: Region) -> None:
         modules = observer.projector.modules
         self.headlight = modules[0].pixel_controller.headlight
-        self.sight = Sight.prepare(observer.projector, observer.camera, observer.params, observer.model.albedo, region, CELL_M, 2, 1)
+        self.sight = Sight.prepare(observer, region, CELL_M, 2, 1)
         rows = self.headlight.pixel_rows
         codes = cv2.structured_light.GrayCodePattern.create(1, rows).generate()[1]
         others = tuple(each.pixel_controller.default for each in modules[1:])

@@ -1,6 +1,7 @@
 """Pictures of headlamps: what they are drawn from has the right values, and files come whole or not at all."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -106,6 +107,17 @@ def test_objects_of_a_scenario_throw_shadows(car: LitCar) -> None:
     seen = Road(scenario(objects=[box])).look(car, birdseye(0.5))
     behind, before = (round((x - BIRDSEYE_X_M[0]) / 0.5) for x in (30.0, 15.0))
     assert seen.illuminance[40, behind] == 0 and seen.illuminance[40, before] > 0.5
+
+
+def test_lamps_of_a_car_that_drives_shine_where_it_is_then(car: LitCar) -> None:
+    track = [{"time_s": t, "position_m": [40.0 - 10 * t, 3.5, 0.0], "yaw_deg": 180.0} for t in (0.0, 2.0)]
+    oncoming = scenario(light={"ambient_lx": 0.0}, objects=[{"kind": "car", "name": "car", "track": track}])
+    dark = replace(car, patterns={side: tuple(torch.zeros_like(u) for u in pattern) for side, pattern in car.patterns.items()})
+    lit = [Road(oncoming, time_s).look(dark, birdseye(0.5)).luminance for time_s in (0.0, 2.0)]
+    # light on the road ahead of the car, without the lamps themselves, which are bright: 20 m nearer
+    on_road = [np.where(luminance < 10, luminance, 0).sum(0) for luminance in lit]
+    before, after = (float(each @ np.arange(len(each)) / each.sum()) for each in on_road)
+    assert after - before == pytest.approx(-20.0 / 0.5, abs=5.0)  # the map ends where the nearest light is
 
 
 def test_fog_veils_what_is_far_and_shows_the_beam(car: LitCar, road: Road) -> None:
