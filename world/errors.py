@@ -2,24 +2,40 @@
 
 import difflib
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Final
 
 LONGEST_WORD: Final = 200  # characters: what is longer is input
-LONGEST_MESSAGE: Final = 1000
+LONGEST_SENTENCE: Final = 1000
+MOST_ERRORS: Final = 10  # of a file that are listed
 
 NEAR = 0.7  # share of the letters that two near names have in common, in the same order
 
 
 class LuxloopError(ValueError):
-    """Bad input; the message is one sentence that names the file, the key or line, and the remedy. Long input in it is cut short, and its
-    control characters are question marks."""
+    """Bad input; the message is one sentence that names the file, the key or line, and the remedy, or, for several errors, their file and
+    number and then a line each. Long input in it is cut short, and its control characters are question marks."""
 
-    def __init__(self, message: str) -> None:
-        shown = re.sub(r"[\0-\x08\x0e-\x1f\x7f-\x9f]", "?", message)  # input must not control the terminal
-        words = re.sub(rf"\S{{{LONGEST_WORD},}}", lambda word: _short(word[0], LONGEST_WORD), shown)
-        super().__init__(_short(words, LONGEST_MESSAGE))
+    def __init__(self, *sentences: str) -> None:
+        super().__init__(*map(_line, sentences))
+
+    def __str__(self) -> str:
+        return "\n  ".join(self.args)
+
+
+def all_of(sentences: Sequence[str]) -> LuxloopError:
+    """The error of a sentence, or of several: their number, and a line each for the first ten."""
+    if len(sentences) == 1:
+        return LuxloopError(sentences[0])
+    left_out = len(sentences) - MOST_ERRORS
+    return LuxloopError(f"{len(sentences)} errors", *sentences[:MOST_ERRORS], *([f"and {left_out} more"] if left_out > 0 else []))
+
+
+def _line(sentence: str) -> str:
+    shown = re.sub(r"[\0-\x1f\x7f-\x9f]", "?", re.sub(r"[\t-\r]+", " ", sentence))  # input must not control the terminal
+    words = re.sub(rf"\S{{{LONGEST_WORD},}}", lambda word: _short(word[0], LONGEST_WORD), shown)
+    return _short(words, LONGEST_SENTENCE)
 
 
 def _short(text: str, longest: int) -> str:
@@ -34,12 +50,20 @@ def located(place: str) -> Iterator[None]:
     try:
         yield
     except LuxloopError as error:
-        raise LuxloopError(f"{place}: {error}") from error
+        first, *others = error.args
+        raise LuxloopError(f"{place}: {first}", *others) from error
 
 
 def did_you_mean(given: str, known: Iterable[str], otherwise: str = "") -> str:
-    """The known name that is near the given one, else `otherwise`, by default all known names. One wrong letter is always near."""
+    """The known name that is near the given one, else `otherwise`, by default all known names."""
+    names = list(known)
+    meant = near(given, names)
+    return f"did you mean {meant!r}?" if meant else otherwise or f"known are {', '.join(names)}"
+
+
+def near(given: str, known: Iterable[str]) -> str | None:
+    """The known name that is near the given one, None where there is none. One wrong letter is always near."""
     names = {name.lower(): name for name in known}
     letters = max(len(given), 2)
-    near = difflib.get_close_matches(given.lower(), names, 1, min(NEAR, (letters - 1) / letters))
-    return f"did you mean {names[near[0]]!r}?" if near else otherwise or f"known are {', '.join(names.values())}"
+    found = difflib.get_close_matches(given.lower(), names, 1, min(NEAR, (letters - 1) / letters))
+    return names[found[0]] if found else None

@@ -17,7 +17,7 @@ from typing import Annotated, Any, Final
 from pydantic import BaseModel, Discriminator, Field, GetCoreSchemaHandler, ValidationError
 from pydantic_core.core_schema import CoreSchema, no_info_after_validator_function, str_schema
 
-from world.errors import LuxloopError, did_you_mean
+from world.errors import MOST_ERRORS, LuxloopError, all_of, did_you_mean, near
 
 OWN: Final = "package.module:Name"
 PATTERN: Final = r"^(.*/)?[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*$"
@@ -210,16 +210,20 @@ def _fitting(made_by: Callable[..., Any], name: str, table: str, given: Sequence
     if any(each.kind == Parameter.VAR_KEYWORD for each in left):
         return
     known = [each.name for each in left if each.kind in (Parameter.POSITIONAL_OR_KEYWORD, Parameter.KEYWORD_ONLY)]
-    if strange := [key for key in options if key not in known]:
-        remedy = did_you_mean(strange[0], known) if known else "leave it out, for it takes none"
-        raise LuxloopError(f"{table}.{strange[0]}: {name} has no option of this name; {remedy}")
-    if lacking := [each.name for each in left if each.default is Parameter.empty and each.name in known and each.name not in options]:
-        raise LuxloopError(f"{table}.{lacking[0]}: is missing, and {name} has no default for it; add it")
+    strange = [key for key in options if key not in known]
+    here = {*options, *(near(key, known) for key in strange)}
+    lacking = [each.name for each in left if each.default is Parameter.empty and each.name in known and each.name not in here]
+    wrong = [
+        f"{table}.{key}: {name} has no option of this name; {did_you_mean(key, known) if known else 'leave it out, for it takes none'}"
+        for key in strange
+    ]
+    wrong += [f"{table}.{key}: is missing, and {name} has no default for it; add it" for key in lacking]
+    if wrong:
+        raise all_of(wrong)
 
 
 def in_a_line(error: Exception) -> str:
     """What went wrong, for the end of a sentence."""
     if isinstance(error, ValidationError):
-        first = error.errors(include_url=False)[0]
-        return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+        return "; ".join(f"{'.'.join(map(str, each['loc']))}: {each['msg']}" for each in error.errors(include_url=False)[:MOST_ERRORS])
     return " ".join(f"{type(error).__name__}: {error}".split())

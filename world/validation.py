@@ -1,14 +1,15 @@
-"""TOML files read, and pydantic's errors told in one sentence that names the key and the remedy."""
+"""Reads TOML files, and turns pydantic's errors into sentences that name the key and the remedy."""
 
 import json
 import tomllib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from datetime import date, time
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from world.errors import LuxloopError, did_you_mean
+from world.errors import LuxloopError, all_of, did_you_mean, near
 from world.files import content, reading
 from world.plugin import OWN
 
@@ -22,8 +23,10 @@ WANTED = {
     "tuple_type": "a list in [brackets]",
 }
 TABLE_ERRORS = ("model_type", "model_attributes_type", "dict_type")
+MISSING = ("missing", "union_tag_not_found")
 KEY_ITSELF = "[key]"  # how pydantic calls a key that is none, after it
 SHOWN_CHARACTERS = 60
+Model = TypeVar("Model", bound=BaseModel)
 DEEPEST = 50  # levels of tables and lists in a file; a scenario has up to six
 
 
@@ -70,25 +73,59 @@ def _unworkable(value: Any, levels: int) -> str:
     return next(filter(None, (_unworkable(each, levels - 1) for each in inner)), "")
 
 
-def sentence(error: ValidationError, model: type[BaseModel], example: str) -> str:
-    """The first thing wrong, in a sentence; unknown keys come first, since a typo also makes its key seem missing.
+def validated(model: type[Model], data: Mapping[str, Any], example: str) -> Model:
+    """The model of a file's plain data. example: where to find a complete file, for those who lack a key.
 
-    example: where to find a complete file, for those who lack a key.
+    Raises LuxloopError with all errors, each with its key and remedy.
     """
-    details = [each for each in error.errors(include_url=False) if not _follows(each, error)]
-    details.sort(key=lambda detail: detail["type"] != "extra_forbidden")
-    detail = details[0]
+    dates = dict.fromkeys(_dates(data))
+    wrong = [f"{key}: is a date or a time, which has no meaning here; write a number or a text in quotes" for key in dates]
+    try:
+        # By way of JSON, where strict still takes a list for a tuple and a text for a path.
+        valid = model.model_validate_json(json.dumps(data, default=str), strict=True)
+    except ValidationError as error:
+        wrong += [each for each in sentences(error, model, example) if each.partition(": ")[0] not in dates]
+    if wrong:
+        raise all_of(wrong)
+    return valid
+
+
+def _dates(data: Any, within: str = "") -> Iterator[str]:
+    """Keys whose values are dates or times, which TOML has and JSON has not."""
+    if isinstance(data, date | time):
+        yield within
+    elif isinstance(data, Mapping):
+        for key, value in data.items():
+            yield from _dates(value, f"{within}.{key}".strip("."))
+    elif isinstance(data, list | tuple):
+        for k, value in enumerate(data):
+            yield from _dates(value, f"{within}[{k}]")
+
+
+def sentences(error: ValidationError, model: type[BaseModel], example: str) -> list[str]:
+    """All that is wrong, a sentence each, unknown keys first. example: as in `validated`, for the first key that is missing.
+
+    An error that another one causes is left out: a list is too short without its wrong items, a key is missing whose name has a slip, and
+    a default is not made without the wrong values that it depends on.
+    """
+    details = error.errors(include_url=False)
+    unknown = [each["loc"] for each in details if each["type"] == "extra_forbidden"]
+    caused: dict[str, set[Any]] = {
+        "too_short": {each["loc"][:k] for each in details for k in range(len(each["loc"]))},
+        "missing": {(*place[:-1], near(str(place[-1]), _place(model, place)[1])) for place in unknown},
+        "default_factory_not_called": {each["loc"] for each in details},
+    }
+    own = [each for each in details if each["loc"] not in caused.get(each["type"], ())]
+    lacking = next((each for each in own if each["type"] in MISSING), None)
+    ordered = sorted(own, key=lambda each: each["type"] != "extra_forbidden")
+    return [_sentence(each, model, f" ({example})" if each is lacking else "") for each in ordered]
+
+
+def _sentence(detail: Any, model: type[BaseModel], example: str) -> str:
     key, fields = _place(model, detail["loc"])
     if detail["type"].startswith("union_tag") and isinstance(detail["input"], dict):
         key = f"{key}.{_discriminator(detail)}"
-    more = f" (and {len(details) - 1} more to mend)" if len(details) > 1 else ""
-    return f"{key}: {_what(detail, fields, example)}{more}" if key else f"{_what(detail, fields, example)}{more}"
-
-
-def _follows(detail: Any, error: ValidationError) -> bool:
-    """Whether a list is called too short only because its items are wrong."""
-    place = detail["loc"]
-    return detail["type"] == "too_short" and any(place == each["loc"][: len(place)] and place != each["loc"] for each in error.errors())
+    return f"{key}: {_what(detail, fields, example)}" if key else _what(detail, fields, example)
 
 
 def _what(detail: Any, fields: dict[str, Any], example: str) -> str:
@@ -97,8 +134,8 @@ def _what(detail: Any, fields: dict[str, Any], example: str) -> str:
         return f"unknown key; {did_you_mean(str(detail['loc'][-1]), fields)}"
     if kind in TABLE_ERRORS or (kind == "union_tag_not_found" and not isinstance(given, dict)):
         return f"{_shown(given)} is no table of keys; write key = value below a [header]"
-    if kind in ("missing", "union_tag_not_found"):
-        return f"is missing; add it ({example})"
+    if kind in MISSING:
+        return f"is missing; add it{example}"
     if kind == "union_tag_invalid":
         return f"there is no {context['tag']!r}; {did_you_mean(context['tag'], _quoted(context['expected_tags']))}"
     if kind == "literal_error":

@@ -23,10 +23,10 @@ from perception.detection.build import detector
 from perception.detection.network import NetworkDetector
 from perception.detection.params import NetworkParams, TruthParams
 from perception.detection.protocol import Detector
-from world.errors import LuxloopError, located
+from world.errors import LuxloopError, all_of, located
 from world.files import whole
 from world.folders import output_folder
-from world.validation import sentence
+from world.validation import sentences
 
 Method = Literal["auto", "gradient", "sampling"]
 STEPS: Mapping[str, int] = {"gradient": 80, "sampling": 150}
@@ -45,7 +45,7 @@ def optimise_beam(
     try:
         goal = BeamGoal(**weights)
     except ValidationError as error:
-        raise LuxloopError(f"--{sentence(error, BeamGoal, '')}") from error
+        raise all_of([f"--{each}" for each in sentences(error, BeamGoal, "")]) from error
     if not isinstance(scenario, LightingScenario):
         raise LuxloopError(f"{scenario.source}: has a [symbol]; a beam is optimised for a scenario with [lighting]")
     if steps is not None and steps < 1:

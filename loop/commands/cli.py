@@ -67,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except LuxloopError as error:
         if DEBUG in tokens:
             traceback.print_exception(error)
-        _say(f"error: {error}")
+        print(f"error: {error}", file=sys.stderr)
         return WRONG
     except CycloptsError as error:
         _say(f"error: {_complaint(error)}")

@@ -26,7 +26,7 @@ from world.params import Params
 from world.plugin import named as named_parts
 from world.roads.shapes import OpenCrgRoad
 from world.traffic.objects import MeshParams
-from world.validation import parsed_json, sentence
+from world.validation import parsed_json, sentences
 
 FILE = "manifest.json"
 FORMAT_VERSION: Final = 1
@@ -99,7 +99,7 @@ class Manifest(Params):
         try:
             return cls.model_validate(stored)
         except ValidationError as error:
-            raise LuxloopError(f"{file}: damaged, {sentence(error, cls, '`luxloop run` writes it')}; record the run again") from error
+            raise LuxloopError(f"{file}: damaged, {sentences(error, cls, '`luxloop run` writes it')[0]}; record the run again") from error
 
     def write(self, directory: Path) -> None:
         """Write to the recording's directory, whole or not at all."""

@@ -5,12 +5,11 @@ import hashlib
 import json
 import re
 from collections.abc import Mapping, Sequence
-from datetime import date, time
 from functools import cached_property
 from itertools import pairwise
 from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from controllers.functions.planner import LightingParams
 from controllers.jpo.controller import JpoParams
@@ -28,7 +27,7 @@ from perception.detection.params import DetectorParams
 from perception.egomotion import SensorParams
 from perception.extraction import Extraction, ExtractionParams
 from perception.tracking import TrackerParams
-from world.errors import LuxloopError, did_you_mean
+from world.errors import LuxloopError, did_you_mean, located
 from world.materials.library import RoadSurfaceParams
 from world.materials.spots import SpotParams
 from world.params import Params
@@ -38,7 +37,7 @@ from world.scene.scene import StreetLamp
 from world.scene.vehicle import VehicleParams
 from world.traffic.generator import TrafficParams
 from world.traffic.objects import ObjectParams
-from world.validation import read_toml, sentence
+from world.validation import read_toml, validated
 
 SCHEMA_VERSION: Final = 1
 PIXEL_CONTROLLERS = ("ssc", "jpo")
@@ -338,9 +337,6 @@ def validate_any(data: Mapping[str, Any], source: str) -> AnyScenario:
         raise LuxloopError(
             f"{source}: schema_version: this luxloop reads version {SCHEMA_VERSION}, not {version!r}; get another luxloop for it"
         )
-    key = _key_of_date(data)
-    if key:
-        raise LuxloopError(f"{source}: {key}: is a date or a time, which has no meaning here; write a number or a text in quotes")
     lighting = data.get("lighting")
     if "symbol" in data and isinstance(lighting, Mapping) and lighting.get("raw"):
         raise LuxloopError(
@@ -360,12 +356,8 @@ def validate_any(data: Mapping[str, Any], source: str) -> AnyScenario:
     if "controller" in data and "lighting" in data:
         raise LuxloopError(f"{source}: controller: a scenario with [lighting] has no controller; leave it out")
     kind = _kind(data)
-    try:
-        # By way of JSON, where strict still takes a list for a tuple and a text for a path.
-        scenario: AnyScenario = kind.model_validate_json(json.dumps(data), strict=True)
-    except ValidationError as error:
-        raise LuxloopError(f"{source}: {sentence(error, kind, EXAMPLES[kind])}") from error
-    return scenario.model_copy(update={"source": source})
+    with located(source):
+        return validated(kind, data, EXAMPLES[kind]).model_copy(update={"source": source})
 
 
 def _kind(data: Mapping[str, Any]) -> type[AnyScenario]:
@@ -389,14 +381,3 @@ def _of_a_symbol(scenario: AnyScenario, source: str) -> Scenario:
     if isinstance(scenario, LightingScenario):
         raise LuxloopError(f"{source}: is a lighting scenario, but this needs one with a [symbol]; `luxloop run` runs both kinds")
     return scenario
-
-
-def _key_of_date(data: Any) -> str:
-    """The first key whose value is a date or a time, which TOML has and JSON has not; empty if there is none."""
-    items = data.items() if isinstance(data, Mapping) else enumerate(data) if isinstance(data, list) else ()
-    for key, value in items:
-        if isinstance(value, date | time):
-            return str(key)
-        if inner := _key_of_date(value):
-            return f"{key}.{inner}"
-    return ""

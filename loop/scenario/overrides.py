@@ -5,7 +5,7 @@ import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from world import plugin
 from world.errors import LuxloopError
@@ -13,17 +13,35 @@ from world.validation import parsed_toml, read_toml
 
 Override = str | Mapping[str, Any]
 INDEX = re.compile(r"\[(\d+)\]")  # of a list's item in --set lighting.functions[0].margin_m=0.5
-TAGS = ("kind", "name")  # keys that tell the variants of a table apart
+CLEARED: Final = object()  # in place of what goes back to its default
+REQUIRED = ("symbol", "lighting")  # tables that one kind of scenario has no default of: what is cleared are their keys
+TAGS = ("kind", "name")  # keys that tell the variants of a table apart: the first that it has
 
 
 def overridden(data: Mapping[str, Any], overrides: Sequence[Override]) -> dict[str, Any]:
-    """Plain data of a scenario with other values, of later overrides where several set a key. Raises LuxloopError where one is none."""
-    changes: dict[str, Any] = {}
-    for override in overrides:
-        _merge(changes, tables(override))
+    """Plain data of a scenario with other values, of later overrides where several set a key. Raises LuxloopError where one is none.
+
+    Variants of tables are chosen first, so that an override of a key may come before that of its table's variant.
+    """
+    given = [tables(override) for override in overrides]
     changed = copy.deepcopy(dict(data))
-    _merge(changed, changes)
-    return changed
+    for changes in (*map(_variants, given), *given):
+        _merge(changed, changes)
+    left: dict[str, Any] = _uncleared(changed)
+    return left
+
+
+def _uncleared(data: Any) -> Any:
+    """Plain data without what was cleared."""
+    if isinstance(data, dict):
+        return {key: _uncleared(value) for key, value in data.items() if value is not CLEARED}
+    return [_uncleared(value) for value in data if value is not CLEARED] if isinstance(data, list) else data
+
+
+def _variants(changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Those of the changes that choose variants of tables."""
+    chosen = {key: _variants(value) if isinstance(value, dict) else key in TAGS and value for key, value in changes.items()}
+    return {key: value for key, value in chosen.items() if value}
 
 
 def texts(data: Any) -> Iterator[str]:
@@ -70,10 +88,11 @@ def _parsed(text: str) -> dict[str, Any]:
 
 
 def _merge(into: dict[str, Any], changes: Mapping[str, Any], within: str = "") -> None:
-    """Lay changes over nested tables; a table that becomes another variant, by its `kind` or `name`, starts anew.
+    """Lay changes over nested tables; a table that becomes another variant starts anew.
 
-    Changes of list items stand under the keys "[0]", "[1]" and so on. within: key of the table, for messages. Raises LuxloopError where
-    there is no such item.
+    An empty table clears a key that is there; elsewhere, as in a table that starts anew, it is one with defaults, as in a file. Changes of
+    list items stand under the keys "[0]", "[1]" and so on. within: key of the table, for messages. Raises LuxloopError where there is no
+    such item.
     """
     for key, value in changes.items():
         old, whole = into.get(key), within + key if INDEX.fullmatch(key) else f"{within}.{key}".strip(".")
@@ -89,10 +108,17 @@ def _merge(into: dict[str, Any], changes: Mapping[str, Any], within: str = "") -
                 f"{whole}: is a list and has no {next(iter(value), 'table')!r}; write --set '{whole}[0].KEY=VALUE' for its first, "
                 f"--set '{whole}=[...]' for all of it, or change a copy, `luxloop new FILE --like NAME`"
             )
-        elif isinstance(old, dict) and isinstance(value, dict) and all(old.get(tag, new) == new for tag in TAGS if (new := value.get(tag))):
+        elif value == {} and key in into:
+            into[key] = {} if whole in REQUIRED else CLEARED
+        elif isinstance(old, dict) and isinstance(value, dict) and _same_variant(old, value):
             _merge(old, value, whole)
         else:
             into[key] = value
+
+
+def _same_variant(table: Mapping[str, Any], changes: Mapping[str, Any]) -> bool:
+    tag = next((tag for tag in TAGS if tag in table), "")
+    return tag not in changes or changes[tag] == table[tag]
 
 
 def resolve_paths(data: dict[str, Any], folder: Path) -> None:

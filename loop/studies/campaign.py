@@ -1,6 +1,5 @@
 """What `luxloop campaign` does: a grid or list of runs from one TOML file into one table, resumable, on this machine or on many."""
 
-import json
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
@@ -9,7 +8,7 @@ from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from loop.jobs.executors import Executor
 from loop.jobs.runner import Job, Results, run
@@ -17,11 +16,11 @@ from loop.recording.digest import digest_of_code
 from loop.recording.manifest import digests
 from loop.scenario.model import AnyScenario, Scenario, load_any, validate_any
 from loop.scenario.overrides import resolve_paths
-from world.errors import LuxloopError
+from world.errors import LuxloopError, located
 from world.folders import output_folder
 from world.params import Params
 from world.plugin import refuse_code
-from world.validation import read_toml, sentence
+from world.validation import read_toml, validated
 
 MOST_RUNS = 100_000
 JOBS, TABLE = "jobs.jsonl", "runs.parquet"
@@ -91,12 +90,9 @@ def read(file: Path, *, allow_code: bool = False) -> list[Run]:
 
     Raises LuxloopError that names the file, the key and the remedy.
     """
-    try:
-        params = CampaignParams.model_validate_json(json.dumps(read_toml(file)), strict=True)
-    except ValidationError as error:
-        raise LuxloopError(f"{file}: {sentence(error, CampaignParams, 'docs/campaigns.md has an example')}") from error
-    except TypeError as error:
-        raise LuxloopError(f"{file}: holds a date or a time, which has no meaning here; write a text in quotes") from error
+    data = read_toml(file)
+    with located(str(file)):
+        params = validated(CampaignParams, data, "docs/campaigns.md has an example")
     n_runs = math.prod(map(len, (params.scenarios, params.controllers or [0], params.variants or [0], params.seeds))) + len(params.runs)
     if n_runs > MOST_RUNS:
         raise LuxloopError(f"{file}: names {n_runs:,} runs, more than {MOST_RUNS:,}; split it into several campaigns")
@@ -190,11 +186,8 @@ def _run(file: Path, params: CampaignParams, one: RunParams, allow_code: bool) -
     for each in changes:
         resolve_paths(each, file.parent)
     beside = file.parent / one.scenario
-    try:
+    with located(f"{file}: variants.{one.variant}" if one.variant else str(file)):
         scenario = load_any(str(beside) if os.path.isfile(beside) else one.scenario, changes, allow_code=True)
         if not allow_code:  # changes are out of a file, too
             refuse_code(scenario, one.scenario)
         return Run(one, scenario)
-    except LuxloopError as error:
-        variant = f" {one.variant}" if one.variant else ""
-        raise LuxloopError(f"{file}:{variant} {error}") from error

@@ -15,7 +15,7 @@ import warnings
 from pathlib import Path
 
 from tests.fuzz.kinds import ALL, BUILT, Kind
-from world.errors import LONGEST_MESSAGE, LuxloopError
+from world.errors import LONGEST_SENTENCE, LuxloopError
 
 MEMORY_BYTES = 4 << 30
 LIMIT_S, HANGS_S = 20, 200  # of processor time, and on the clock of a machine that is busy with other things
@@ -34,10 +34,9 @@ def attempt(kind: Kind, sound: dict[str, bytes], rng: random.Random, folder: Pat
     try:
         kind.read(file)
     except LuxloopError as error:
-        message = str(error)
         if isinstance(error.__cause__, MemoryError):
             return traceback.format_exc()
-        return "" if message and len(message) <= LONGEST_MESSAGE else f"a message of {len(message)} characters"
+        return "" if str(error) and max(map(len, error.args)) <= LONGEST_SENTENCE else f"a message of {len(str(error))} characters"
     except Exception:
         return traceback.format_exc()
     return ""

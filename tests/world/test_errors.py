@@ -1,8 +1,10 @@
-"""Suggestions are made where a name is near, and nowhere else."""
+"""Suggestions are made where a name is near, and nowhere else; a message has a line an error."""
+
+import pickle
 
 import pytest
 
-from world.errors import LuxloopError, did_you_mean
+from world.errors import LuxloopError, all_of, did_you_mean, located
 
 KNOWN = ("zones", "flat", "gfhb", "belgian_block", "kp")
 
@@ -21,4 +23,16 @@ def test_what_is_not_near_is_not_suggested(given: str) -> None:
 
 
 def test_input_in_a_message_does_not_control_the_terminal() -> None:
-    assert str(LuxloopError("a\x1b[31m\x07: line\nü")) == "a?[31m?: line\nü"
+    assert str(LuxloopError("a\x1b[31m\x07: line\nü")) == "a?[31m?: line ü"
+
+
+def test_a_place_is_said_once_of_several_errors() -> None:
+    with pytest.raises(LuxloopError) as caught, located("my.toml"):
+        raise all_of([f"key{k}: is\nwrong" for k in range(12)])
+    assert caught.value.args == ("my.toml: 12 errors", *(f"key{k}: is wrong" for k in range(10)), "and 2 more")
+    assert str(caught.value).splitlines()[1] == "  key0: is wrong"
+    assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
+
+
+def test_one_error_of_several_possible_is_a_sentence() -> None:
+    assert str(all_of(["key: is wrong"])) == "key: is wrong"

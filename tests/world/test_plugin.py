@@ -109,6 +109,13 @@ def test_what_is_wrong_is_said_in_a_sentence(name: str, options: dict[str, Any],
             {"b": 1},
             "road.options.b: own_parts:Bare has no option of this name; leave it out, for it takes none",
         ),
+        (
+            "own_parts:Shared",
+            {"zzz": 2},
+            "2 errors\n"
+            "  road.options.zzz: own_parts:Shared has no option of this name; known are share\n"
+            "  road.options.share: is missing, and own_parts:Shared has no default for it; add it",
+        ),
         (f"{__name__}:Checked", {"Share": 1}, f"road.options.Share: {__name__}:Checked has no option of this name; did you mean 'share'?"),
     ],
 )

@@ -24,9 +24,11 @@ from world.headlight import Headlight
 from world.headlight.lamp import Lamp, Module
 from world.params import Params
 from world.spmv import Csr
+from world.validation import sentences
 
 FORMAT: Final = "luxloop lamp"
 VERSION: Final = 1
+WRITER = "`luxloop headlight build` writes it"
 ALWAYS = ("full", "off")  # beams of every lamp
 LEVEL = 1  # of compression: a lamp shrinks to a half or a quarter; level 6 saves another 10 to 30 % and takes up to five times as long
 BYTES_A_PLACE = 16  # of a pixel or texel: of the matrix' row, of textures and utilisations
@@ -99,7 +101,7 @@ def save(path: Path, lamp: Lamp) -> None:
     try:
         header = _header_of(lamp)
     except ValidationError as error:
-        raise LuxloopError(f"{path}: cannot be written, for {_first(error)}; correct the lamp") from error
+        raise LuxloopError(f"{path}: cannot be written, for {sentences(error, Header, WRITER)[0]}; correct the lamp") from error
     with whole(path) as part, zipfile.ZipFile(part, "w") as archive:
         for name, array in _arrays(header, lamp):
             buffer = io.BytesIO()
@@ -168,12 +170,9 @@ def _header(path: Path, arrays: Arrays) -> Header:
             )
         return Header.model_validate_json(text)
     except ValidationError as error:
-        raise LuxloopError(f"{path}: header: {_first(error)}; build the file again with `luxloop headlight build`") from error
-
-
-def _first(error: ValidationError) -> str:
-    detail = error.errors()[0]
-    return ": ".join(filter(None, (".".join(map(str, detail["loc"])), detail["msg"].removeprefix("Value error, "))))
+        raise LuxloopError(
+            f"{path}: header: {sentences(error, Header, WRITER)[0]}; build the file again with `luxloop headlight build`"
+        ) from error
 
 
 def _lamp(header: Header, arrays: Arrays) -> Lamp:

@@ -1,6 +1,5 @@
 """Lamps by name or file: presets, lamp files, photometric files, and descriptions in TOML of which lamps are built (T 5.2)."""
 
-import json
 import os
 import warnings
 from collections import ChainMap
@@ -10,11 +9,11 @@ from pathlib import Path
 from typing import Any, Literal, Self, cast
 
 import torch
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 from torch import Tensor
 
 from world import presets
-from world.errors import LuxloopError, did_you_mean
+from world.errors import LuxloopError, did_you_mean, located
 from world.files import files_at
 from world.headlight.lamp import Lamp
 from world.headlight.pixel_sources import SUFFIXES, FileSource
@@ -25,7 +24,7 @@ from world.params import Params
 from world.photometry.distribution import Array
 from world.presets.beams import FittedBeams
 from world.regulation.results import Traffic
-from world.validation import read_toml, sentence
+from world.validation import read_toml, validated
 
 Side = Literal["left", "right"]
 Progress = Callable[[str, int, int], None]
@@ -72,11 +71,8 @@ def describe(path: Path) -> LampDescription:
 
 def validate(data: Mapping[str, Any], source: str) -> LampDescription:
     """Check a description given as plain data. Raises LuxloopError that names the source, the key and the remedy."""
-    try:
-        # By way of JSON, where strict still takes a list for a tuple and a text for a path; a date becomes a text, which no number is.
-        return LampDescription.model_validate_json(json.dumps(data, default=str), strict=True)
-    except ValidationError as error:
-        raise LuxloopError(f"{source}: {sentence(error, LampDescription, 'docs/lampfiles.md has a complete example')}") from error
+    with located(source):
+        return validated(LampDescription, data, "docs/lampfiles.md has a complete example")
 
 
 def build(path: Path, side: Side = "left", on_progress: Progress | None = None) -> tuple[Lamp, tuple[ModuleReport, ...]]:

@@ -149,13 +149,17 @@ def test_utilisations_that_do_not_fit_are_named(tmp_path: Path, name: str, conte
     [
         ("name = small", "not valid TOML"),
         ('name = "a"', "module: is missing"),
+        (
+            'nam = "a"\nnotes = 3\nmodule = [1]',
+            "3 errors\n  nam: unknown key; did you mean 'name'?\n  notes: 3 is not a text in quotes\n  module[0]: ",
+        ),
         (MATRIX.replace('kind = "blurred_rectangles"', 'kind = "blured_rectangles"'), "did you mean 'blurred_rectangles'?"),
         (MATRIX.replace("columns", "colums"), "unknown key; did you mean 'columns'?"),
         (f"{MATRIX}muont = {{ x_m = 1 }}", "unknown key; did you mean 'mount'?"),
         (f"{MATRIX}overlap = {{ method = 'proportional' }}", "say how many pixels stay"),
         (f"{MATRIX}overlap = {{ keep = 0 }}", "overlap.keep: 0 should be greater than or equal to 1"),
         (f"{MATRIX}swivel_deg = [1, 5]", "must hold 0"),
-        (f"{MATRIX}swivel_deg = 2000-01-01", "is not a list in [brackets]"),
+        (f"{MATRIX}swivel_deg = 2000-01-01", "swivel_deg: is a date or a time"),
         (f"{MATRIX}texture = {{ left_deg = -20 }}", "module 'matrix': texture borders"),
         (f'{MATRIX}[beams.given.b]\nmatrx = "a.png"', "there is no such module; did you mean 'matrix'?"),
         (f"{MATRIX}[beams.given.full]", "every lamp has full already"),

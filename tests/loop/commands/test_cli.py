@@ -116,6 +116,15 @@ def test_did_you_mean(lux: Lux, arguments: str, named: str) -> None:
     assert f"did you mean {named}?" in error
 
 
+@pytest.mark.parametrize("command", ["check", "run", "check --json"])
+def test_several_errors_have_a_line_each(lux: Lux, command: str) -> None:
+    code, _, error = lux(*command.split(), "small.toml", "--set", "camera.bits=9", "road.kind=bumpz", "steps=0")
+    assert code == 2
+    first, *lines = error.splitlines()
+    assert first.startswith("error: small.toml with camera.bits=9") and first.endswith(": 3 errors")
+    assert sorted(line.partition(":")[0] for line in lines) == ["  camera.bits", "  road.kind", "  steps"]
+
+
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [

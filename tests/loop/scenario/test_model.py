@@ -1,14 +1,23 @@
 """Scenario files: what is in them is what runs, and whatever is wrong is said in one sentence with file, key and remedy."""
 
 import json
+import random
 import re
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from controllers.functions.planner import LightingParams
+from controllers.symbol import LuxloopParams
+from controllers.symbol.laws.feedback import GaussNewtonParams
+from controllers.symbol.laws.warping import WarpParams
 from loop.scenario.model import LightingScenario, Scenario, load, load_any, validate, validate_any, validate_lighting
 from loop.scenario.shipped import shipped
+from perception.camera import CameraParams
 from world.errors import LuxloopError
+from world.roads.shapes import Bumps, Flat
 
 GOOD = """
 name = "good"
@@ -38,7 +47,7 @@ BROKEN = {
     "infinity": (GOOD + "[camera]\nexposure_s = inf", ["camera.exposure_s", "inf", "finite"]),
     "not a number": (GOOD + "[start]\nx_m = nan", ["start.x_m", "nan", "finite"]),
     "a date": ("seed = 2024-01-01" + GOOD, ["seed", "date", "number"]),
-    "a date in a list": (GOOD + BOX.replace("17,", "2024-01-01,"), ["objects.0.track.0.position_m.0", "date"]),
+    "a date in a list": (GOOD + BOX.replace("17,", "2024-01-01,"), ["objects[0].track[0].position_m[0]", "date"]),
     "no symbol": ('name = "x"', ["symbol", "missing", "luxloop new"]),
     "no name": ('[symbol]\nimage = "snowflake"', ["name", "missing"]),
     "empty file": ("", ["name", "missing", "luxloop new"]),
@@ -86,7 +95,7 @@ def file(tmp_path: Path) -> Path:
 def failure(name: Path | str, *overrides: str, **values: object) -> str:
     with pytest.raises(LuxloopError) as caught:
         load(str(name), overrides, **values)
-    assert is_one_sentence(str(caught.value))
+    assert all(map(is_one_sentence, caught.value.args))
     return str(caught.value)
 
 
@@ -213,7 +222,7 @@ def test_broken_lighting_scenario_gives_one_sentence(file: Path, text: str, name
     with pytest.raises(LuxloopError) as caught:
         load_any(str(file))
     message = str(caught.value)
-    assert is_one_sentence(message) and message.startswith(str(file))
+    assert all(map(is_one_sentence, caught.value.args)) and message.startswith(str(file))
     for part in named:
         assert part in message
 
@@ -252,6 +261,86 @@ def test_one_key_of_one_item_of_a_list_can_be_set(tmp_path: Path, monkeypatch: p
         load_any("marker_light", ["lighting.functions.0.value=1"])
     with pytest.raises(LuxloopError, match=r"^objects\[0\].track\[7\]: there are \d+ track, numbered from 0"):
         load_any("marker_light", ["objects[0].track[7].time_s=1"])
+
+
+SEVERAL = {
+    "camera.bits": "9",
+    "camera.widht_px": "1",
+    "headlight.lamps[1]": '"lefft"',
+    "light.ambient_lx": "2024-01-01",
+    "rate_hz": '"x"',
+    "road.kind": '"bumpz"',
+}
+MARKERS = '[[lighting.functions]]\nkind = "marker"\nanimation = { kind = "blinking" }\n[[lighting.functions]]\nkind = "marker"\n'
+OF_A_KIND = {
+    GOOD + '[controller]\nname = "thesis_pid"\n': {"controller.position.kp": '"x"', "start.x_m": "[]", "symbol.imag": "3"},
+    LIT + MARKERS: {
+        "lighting.functions[0].animation.rate_hz": '"x"',
+        "lighting.functions[1].kind": '"markr"',
+        "tracker.zzz": "{}",
+        "vehicel": "{}",
+    },
+}
+
+
+@pytest.mark.parametrize(("text", "of_the_kind"), OF_A_KIND.items(), ids=("symbol", "lighting"))
+def test_all_errors_of_a_file_are_listed(text: str, of_the_kind: dict[str, str], file: Path) -> None:
+    file.write_text('headlight.lamps = ["left", "right"]\n' + text + BOX)
+    wrong = SEVERAL | of_the_kind
+    with pytest.raises(LuxloopError) as caught:
+        load_any(str(file), [f"{key}={value}" for key, value in wrong.items()])
+    first, *lines = caught.value.args
+    assert first.startswith(str(file)) and first.endswith(f": {len(wrong)} errors")
+    assert sorted(line.partition(": ")[0] for line in lines) == sorted(wrong)
+    assert all(map(is_one_sentence, lines))
+
+
+def leaves(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
+    if isinstance(value, dict | list) and value:
+        items = value.items() if isinstance(value, dict) else enumerate(value)
+        for inner, each in items:
+            yield from leaves(each, f"{key}.{inner}".strip(".") if isinstance(value, dict) else f"{key}[{inner}]")
+    else:
+        yield key, value
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_each_key_that_is_broken_is_named(name: str) -> None:
+    rng = random.Random(name)
+    alone = (".kind", "controller.name", "schema_version")  # others of the table, or of the file, mean nothing once they are wrong
+    keys = [(key, value) for key, value in leaves(load_any(name).model_dump(mode="json")) if value is not None and not key.endswith(alone)]
+    broken = {key: "3" if isinstance(value, str) else '"zzz"' for key, value in rng.sample(keys, 8)}
+    with pytest.raises(LuxloopError) as caught:
+        load_any(name, [f"{key}={value}" for key, value in broken.items()])
+    assert sorted(line.partition(": ")[0] for line in caught.value.args[1:]) == sorted(broken)
+
+
+@pytest.mark.parametrize(
+    ("name", "overrides", "key", "left"),
+    [
+        ("snowflake", ["road={}"], "road", Flat()),
+        ("snowflake", ["road={}", "road.kind=bumps"], "road", Bumps()),
+        ("snowflake", ["road.seed=5", "camera={}", "road.kind=bumps"], "road", Bumps(seed=5)),
+        ("snowflake", ["controller={}"], "controller", LuxloopParams()),
+        ("snowflake", ["camera={}", "camera.bits=8"], "camera", CameraParams(bits=8)),
+        ("snowflake", ["camera.bits=8", "camera={}"], "camera", CameraParams()),
+        ("gfhb", ["lighting={}"], "lighting", LightingParams()),
+        ("driving", ["vehicle={}"], "vehicle", None),
+        ("driving", ["vehicle={}", "vehicle={}"], "vehicle", None),
+        ("snowflake", ["traffic={}"], "traffic", None),
+        ("snowflake", [{"traffic": {"seed": 3}}, {"traffic": {}}], "traffic", None),
+        ("marker_light", ["objects[0]={}"], "objects", ()),
+        ("speed_bump", ['controller={name="gauss_newton", warp={}}'], "controller", GaussNewtonParams(warp=WarpParams())),
+        ("speed_bump", ['controller={name="gauss_newton", warp={}}', "controller.warp={}"], "controller", GaussNewtonParams()),
+    ],
+)
+def test_an_empty_table_clears_what_is_there(name: str, overrides: list[Any], key: str, left: Any) -> None:
+    assert getattr(load_any(name, overrides), key) == left
+
+
+def test_an_item_of_a_list_can_get_another_name() -> None:
+    before = load_any("marker_light").objects[0]
+    assert load_any("marker_light", ["objects[0].name=bert"]).objects[0] == before.model_copy(update={"name": "bert"})
 
 
 def test_what_goes_with_lighting_is_told_where_there_is_a_symbol() -> None:

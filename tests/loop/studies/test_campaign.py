@@ -69,7 +69,7 @@ def test_the_example_is_what_the_docs_show() -> None:
         ("", "names no runs"),
         ('scenarios = ["snowflak"]', "did you mean 'snowflake'"),
         ('scenario = ["snowflake"]', "unknown key; did you mean 'scenarios'"),
-        ('scenarios = ["snowflake"]\nvariants.a.camera.bit = 8', "a .*camera.bit: unknown key; did you mean 'bits'"),
+        ('scenarios = ["snowflake"]\nvariants.a.camera.bit = 8', r"variants\.a: .*camera.bit: unknown key; did you mean 'bits'"),
         ('runs = [{ scenario = "snowflake", variant = "b" }]', "there is no variant 'b'"),
         ("scenarios = [2026-01-01]", "date"),
         ('scenarios = ["flat"]\nseeds = [-1]', r"seeds\[0\]: -1 should be greater than or equal to 0"),
@@ -80,6 +80,14 @@ def test_what_is_wrong_with_a_file_is_one_sentence(text: str, said: str, tmp_pat
     (tmp_path / "flat.toml").write_text('name = "mine"\n[symbol]\nimage = "chevrons"\n[controller]\nname = "thesis_pid"\n')
     with pytest.raises(LuxloopError, match=rf"night\.toml.*{said}"):
         read(written(tmp_path, text))
+
+
+def test_all_errors_of_a_file_and_of_a_scenario_are_listed(tmp_path: Path) -> None:
+    with pytest.raises(LuxloopError, match=r"night\.toml: 3 errors\n  runs\[0\]\.seed: .*\n  scenario: .*\n  seeds\[0\]: ") as caught:
+        read(written(tmp_path, 'scenario = ["flat"]\nseeds = [-1]\nruns = [{ scenario = "flat", seed = 2026-01-01 }]'))
+    assert len(caught.value.args) == 4
+    with pytest.raises(LuxloopError, match=r"night\.toml: variants\.wet: .*flat\.toml: 2 errors\n  camera\.bit: .*\n  steps: "):
+        read(written(tmp_path, 'scenarios = ["flat"]\nvariants.wet = { camera.bit = 8, steps = 0 }'))
 
 
 def test_table_report_and_failures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,88 @@
+"""All errors of a file are listed, and none that only another error causes."""
+
+from typing import Annotated, Any, Literal
+
+import pytest
+from pydantic import Field, Tag
+
+from world.errors import LuxloopError
+from world.params import Params
+from world.plugin import OWN, OwnName, known_or_own
+from world.validation import validated
+
+
+class Disc(Params):
+    kind: Literal["disc"] = "disc"
+    radius_m: float = Field(gt=0)
+
+
+class Slab(Params):
+    kind: Literal["slab"] = "slab"
+    corners_m: tuple[tuple[float, float], ...] = Field(min_length=2)
+
+
+class Own(Params):
+    kind: OwnName
+    options: tuple[int, ...] = ()
+
+
+Shape = Annotated[Disc, Tag("disc")] | Annotated[Slab, Tag("slab")] | Annotated[Own, Tag(OWN)]
+
+
+class Sheet(Params):
+    name: str
+    shapes: tuple[Annotated[Shape, known_or_own("kind")], ...] = ()
+    low: int = 1
+    high: int = Field(default_factory=lambda values: values["low"] + 1)
+
+
+def errors(**data: Any) -> list[str]:
+    with pytest.raises(LuxloopError) as caught:
+        validated(Sheet, data, "the docs have one")
+    return list(caught.value.args)
+
+
+def test_one_error_is_a_sentence() -> None:
+    assert errors(name=3) == ["name: 3 is not a text in quotes"]
+
+
+def test_errors_in_nested_lists_have_their_places() -> None:
+    corners = [[0, "a"], [1], [[], 2]]
+    assert errors(name="x", shapes=[{"kind": "slab", "corners_m": corners}]) == [
+        "3 errors",
+        "shapes[0].corners_m[0][1]: 'a' is not a number",
+        "shapes[0].corners_m[1][1]: is missing; add it (the docs have one)",
+        "shapes[0].corners_m[2][0]: [] is not a number; the shell took its quotes, put all of key=value into single ones",
+    ]
+
+
+def test_a_variant_has_its_own_errors_alone() -> None:
+    shapes = [{"kind": "disc", "radius": 1}, {"kind": "disk", "zzz": 3}, {"radius_m": 1}, {"kind": "mine:Shape", "option": 1}, 7]
+    assert errors(name="x", shapes=shapes) == [
+        "5 errors",
+        "shapes[0].radius: unknown key; did you mean 'radius_m'?",
+        "shapes[3].option: unknown key; did you mean 'options'?",
+        "shapes[1].kind: there is no 'disk'; did you mean 'disc'?",
+        "shapes[2].kind: is missing; add it (the docs have one)",
+        "shapes[4]: 7 is no table of keys; write key = value below a [header]",
+    ]
+
+
+def test_a_default_that_cannot_be_made_is_no_error() -> None:
+    assert validated(Sheet, {"name": "x", "low": 3}, "").high == 4
+    assert errors(name="x", low="a") == ["low: 'a' is not a whole number"]
+
+
+def test_a_key_whose_name_has_a_slip_is_not_missing() -> None:
+    assert errors(nam="x") == ["nam: unknown key; did you mean 'name'?"]
+    assert errors(zzz="x")[1:] == [
+        "zzz: unknown key; known are name, shapes, low, high",
+        "name: is missing; add it (the docs have one)",
+    ]
+
+
+def test_ten_errors_are_listed_and_one_example_is_named() -> None:
+    first, *lines = errors(name="x", shapes=[{"kind": "disc"}] * 13)
+    assert first == "13 errors"
+    assert lines[0] == "shapes[0].radius_m: is missing; add it (the docs have one)"
+    assert lines[1:] == [*(f"shapes[{k}].radius_m: is missing; add it" for k in range(1, 10)), "and 3 more"]
