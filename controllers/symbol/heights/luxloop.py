@@ -36,7 +36,6 @@ SEEN_BY = 0.05  # of the usual illuminance a node, with which its brightness is 
 LOW_M = {"appearance": 0.1, "place": 0.03}  # heights up to here are found without an acquired shape, for each target
 POOR, SEARCHES = 0.08, 4  # residual above which the whole image is searched again, and how often it is for one road
 UNEVEN = 0.03  # residual of what was known, above which heights explain the road better than another search would
-EXPLAINED = 5e-4  # residual with which a known road is kept as it is while the vehicle stands: further looks would fit their noise
 SAME_M = 0.05  # between heights under the target that two searches found, if the second shall be the last
 FALLEN = (-0.3, -0.03, 0.0, 0.0)  # shape of the road on which a symbol is looked for that is nowhere in the image
 FARTHEST = 3.0  # of the way to the plane z = 0: where lines of sight end that meet no acquired road
@@ -173,8 +172,10 @@ class Luxloop:
         limit = limit / fine.on_pixels(memory.brightness)  # of the light that the assumed road would show
         informed = bool(known.information.any())
         before, flat = registration.residual(torch.stack([known.mean, torch.zeros_like(known.mean)]), seen, textures, limit).tolist()
-        if stances.still and informed and before < min(EXPLAINED, flat):
-            return memory
+        if stances.still and look.shown.drawing.warp is not None and before < flat:
+            memory = memory.judged(before)
+            if memory.kept is not None and memory.kept.done:
+                return replace(memory, heights=memory.kept.heights, brightness=memory.kept.brightness)
         least, best = self._refined(registration, known, known.mean, seen, textures, limit)
         if least > self.params.sweep_above:
             swept = self._swept(memory, frames, textures, stances)

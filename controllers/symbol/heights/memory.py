@@ -11,13 +11,31 @@ from controllers.symbol.sensing.planes import HERE
 from perception.birdseye import Region
 from world.frames import inverse, transform
 
+PATIENCE = 8  # looks in a row that do no better, after which the best of a standing vehicle is kept: more of them would fit their noise
+CHANGED = 4.0  # times as much is left unexplained where a kept road is no longer the one that is there
+
+
+@dataclass(frozen=True)
+class Kept:
+    """Heights and brightness `[n]` that left least of a look unexplained, and how many looks ago that was."""
+
+    heights: Heights
+    brightness: Tensor
+    residual: float
+    looks: int = 0
+
+    @property
+    def done(self) -> bool:
+        """Whether looks no longer mend them."""
+        return self.looks >= PATIENCE
+
 
 @dataclass(frozen=True)
 class Memory:
     """Heights and brightness `[n]` at the nodes `[rows, cols]` of a region, by lines of sight of an eye at `[3]` m, in a ground frame.
 
     T_ground_plane: `[4, 4]` float64, the plane over which heights are; region and eye are in its frame, too. shape: `[4]` of the road, if
-    it was acquired. searched: how many times. settled: the last search found what the one before did.
+    it was acquired. searched: how many times. settled: the last search found what the one before did. kept: the best while it stands.
     """
 
     heights: Heights
@@ -29,10 +47,18 @@ class Memory:
     shape: Tensor | None = None
     searched: int = 0
     settled: bool = False
+    kept: Kept | None = None
 
     def relief(self) -> Relief:
         """The road as the eye sees it."""
         return Relief(self.region, self.eye, self.heights.mean.view(self.grid), self.brightness.view(self.grid))
+
+    def judged(self, residual: float) -> "Memory":
+        """After a look of which this much is left unexplained; the best that is known is kept, until the road is another one."""
+        kept = self.kept
+        if kept is None or (residual > CHANGED * kept.residual if kept.done else residual < kept.residual):
+            return replace(self, kept=Kept(self.heights, self.brightness, residual))
+        return replace(self, kept=replace(kept, looks=kept.looks + 1))
 
     def moved(self, T_before_now: Tensor, eye: Tensor) -> "Memory":
         """The same road in the ground frame that has the pose `[4, 4]` in this one, as an eye at `[3]` m sees it there.
@@ -49,7 +75,7 @@ class Memory:
             heights = relief.at(relief.heights, *places)
         brightness, base = (relief.at(values.view(self.grid), *places).flatten() for values in (self.brightness, self.heights.base))
         information = self._carried(self._seen_anew(nodes, self.heights.mean, self.eye, inverse(T), eye))
-        return replace(self, heights=Heights(heights.flatten(), information, base), brightness=brightness, eye=eye)
+        return replace(self, heights=Heights(heights.flatten(), information, base), brightness=brightness, eye=eye, kept=None)
 
     def tracks(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
         """Height in m of the road at places `[2, k]` of the ground, and its information in 1/m^2: 0 outside of the region."""

@@ -129,8 +129,8 @@ def test_a_car_that_stands_acquires_the_road_whatever_noise_its_sensors_have() -
     [
         # the first search, from beside the target and 6 m farther off, fails; lamp and camera allow 0.89
         ("{kind='grade', grade_percent=-3.315, crossfall_percent=0, start_x_m=8.0, curve_m=60.0}", "warning_triangle", 25.0, 3, 11, 0.85),
-        # the first looks explain it to some 1e-4, and more of them made it worse: 0.91; lamp and camera allow 0.98
-        ("{kind='step', x_m=9.7, height_m=-0.02, ramp_m=0.13}", "distance_warning", 14.5, 1, 15, 0.95),
+        # the first looks explain it to some 1e-4, and more of them made it worse: 0.91 after 16; lamp and camera allow 0.98
+        ("{kind='step', x_m=9.7, height_m=-0.02, ramp_m=0.13}", "distance_warning", 14.5, 1, 16, 0.95),
     ],
 )
 def test_what_is_known_of_a_road_does_not_get_worse(road: str, image: str, x_m: float, latency: int, steps: int, least: float) -> None:
