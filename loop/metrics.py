@@ -75,7 +75,7 @@ def _simulation(scenario: Scenario, device: str) -> Simulation:
 
 @dataclass(frozen=True)
 class _Shared:
-    """What runs of scenarios share that differ by controller or seed alone. files: names and digests of those that they read."""
+    """What runs share whose scenarios differ by controller or seed alone. decisive: the rest as JSON. files: digests of the files read."""
 
     scenario: Scenario = field(compare=False)
     device: str

@@ -21,7 +21,7 @@ OPENGL_AT = Path("world/rendering/rasterise.py")  # which makes the context
 DRAWS_WITH_IT = Path("world/rendering/deferred.py")
 LONGEST = 450  # lines: beyond that a module holds more than one idea
 FULLEST = 20  # modules in a folder: beyond that its name says too little of them
-PARAMETERS = 7  # beyond that a function lacks a value that some of them are parts of
+PARAMETERS = 7  # of a function; with more, some of them should be one value
 MANY = {"primitives.py: rectangle", "headlight.py: show"}  # each value stands by itself
 GROWS = r"\.(add|append|clear|extend|insert|pop|popitem|remove|setdefault|update)\("
 TRICKS = re.compile(r"object\.__setattr__|\bcopy\.copy\(|from copy import copy\b|vars\(.*?\)\[.*\] = |^ +global ", re.M)

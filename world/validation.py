@@ -105,7 +105,7 @@ def _dates(data: Any, within: str = "") -> Iterator[str]:
 def sentences(error: ValidationError, model: type[BaseModel], example: str) -> list[str]:
     """All that is wrong, a sentence each, unknown keys first. example: as in `validated`, for the first key that is missing.
 
-    An error that another one causes is left out: a list is too short without its wrong items, a key is missing whose name has a slip, and
+    An error that another one causes is left out: a list is too short without its wrong items, a key is missing that is misspelt, and
     a default is not made without the wrong values that it depends on.
     """
     details = error.errors(include_url=False)

@@ -37,7 +37,7 @@ RAW, PICTURE, SUMMARY = "raw.toml", "beam.png", "beam.json"
 def optimise_beam(
     scenario: AnyScenario, weights: Mapping[str, Any], method: Method, steps: int | None, out: Path, device: str, played_by: str
 ) -> dict[str, Any]:
-    """Search, write and tell; what was found in numbers. weights: of a `BeamGoal`. played_by: arguments of `luxloop run`, `--set` last.
+    """Search for a beam, write it, print it; its figures. weights: of a `BeamGoal`. played_by: arguments of `luxloop run`, `--set` last.
 
     Raises LuxloopError for weights below zero, scenarios of a symbol or without objects in sight, and, before the search, a folder that
     cannot be made.

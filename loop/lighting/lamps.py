@@ -26,7 +26,7 @@ from world.lampfiles.utilisations import RawUtilisation, read_sequence
 class ShiningModule(MountedModule):
     """A module with its pixel controller. flux: `[n_p]` lm at full utilisation, which stands for power as well.
 
-    beams: all that its base beam may come to, by name; none where it shows raw utilisations.
+    beams: the base beams that the scenario may ask for, by name; empty where the module shows raw utilisations.
     """
 
     controller: PixelController
@@ -61,7 +61,7 @@ class LampPower:
 
 
 def shining_modules(scenario: LightingScenario, device: torch.device) -> tuple[ShiningModule, ...]:
-    """The modules of a scenario's lamps that shine, all where it names none. Raises LuxloopError as `mounted`, and for a beam."""
+    """The shining modules of a scenario's lamps, all where it names none. Raises LuxloopError as `mounted`, and for a missing beam."""
     modules = []
     for each in mounted(scenario.headlight, device, lambda lamp: lamp.modules):
         light, flux, raw = each.headlight, pixel_flux(each.headlight), _raw(scenario, each.name, each.headlight)

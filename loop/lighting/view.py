@@ -117,7 +117,7 @@ class LitScene:
 
 
 class Looker:
-    """Looks at a scene through one view; what has been rendered serves until something moves. given: what the scene's objects are.
+    """Looks at a scene through one view; what has been rendered serves until something moves. given: parameters of the objects.
 
     before: see `Scene.at`.
     """
@@ -140,7 +140,7 @@ class Looker:
         self._lit: LitScene
 
     def through(self, view: View) -> "Looker":
-        """Another one, who looks at the same through this view."""
+        """The same scene through another view."""
         return Looker(self.scene, view, self.modules, self.given, self.source, self.device, self._triangles)
 
     def at(self, time_s: float) -> LitScene:

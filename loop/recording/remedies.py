@@ -64,7 +64,7 @@ def _why_unsettled(values: dict[str, Any]) -> str:
 
 
 def _of_controller(name: str) -> str:
-    """What helps on a road on which a controller does not lay the symbol right."""
+    """The remedy for a symbol that does not lie right, by controller."""
     match name:
         case "luxloop":
             return "lower symbol.x_m, as its light is brighter on a nearer road, and the road moves it less"

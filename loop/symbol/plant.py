@@ -1,4 +1,4 @@
-"""What is controlled: utilisations in, frames out. The simulated world is the first plant."""
+"""What is controlled: utilisations in, frames out. `SimulatedPlant` exposes frames of the simulated world."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -55,7 +55,7 @@ class LitView:
 class World:
     """A scene, lamps and a camera on a vehicle; what has been rendered serves until something moves.
 
-    moving: whether it is rendered as a world that moves; left out: if it does.
+    moving: whether to render for a moving world; by default, whether scene or vehicle move.
     """
 
     def __init__(
@@ -87,7 +87,7 @@ class World:
         return replace(self.view, T_world_view=self.motion.at(t_s).T_ground_body @ self.view.T_world_view)
 
     def render(self, on_s: float, off_s: float) -> tuple[tuple[LightTransport, ...], Tensor]:
-        """What frames on and off at these times need, so that `lit` has it at hand: light transports, and luminance without the symbol."""
+        """Light transports of the on frame, and luminance of the off frame without the symbol; `lit` then has both."""
         return self.lit(on_s).transports, self.lit(off_s).off
 
     def lit(self, t_s: float) -> LitView:

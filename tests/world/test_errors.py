@@ -26,7 +26,7 @@ def test_input_in_a_message_does_not_control_the_terminal() -> None:
     assert str(LuxloopError("a\x1b[31m\x07: line\nü")) == "a?[31m?: line ü"
 
 
-def test_a_place_is_said_once_of_several_errors() -> None:
+def test_several_errors_name_their_place_once() -> None:
     with pytest.raises(LuxloopError) as caught, located("my.toml"):
         raise all_of([f"key{k}: is\nwrong" for k in range(12)])
     assert caught.value.args == ("my.toml: 12 errors", *(f"key{k}: is wrong" for k in range(10)), "and 2 more")
@@ -34,5 +34,5 @@ def test_a_place_is_said_once_of_several_errors() -> None:
     assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
 
 
-def test_one_error_of_several_possible_is_a_sentence() -> None:
+def test_a_single_error_has_no_count() -> None:
     assert str(all_of(["key: is wrong"])) == "key: is wrong"

@@ -73,7 +73,7 @@ def test_a_default_that_cannot_be_made_is_no_error() -> None:
     assert errors(name="x", low="a") == ["low: 'a' is not a whole number"]
 
 
-def test_a_key_whose_name_has_a_slip_is_not_missing() -> None:
+def test_a_misspelt_key_is_not_also_missing() -> None:
     assert errors(nam="x") == ["nam: unknown key; did you mean 'name'?"]
     assert errors(zzz="x")[1:] == [
         "zzz: unknown key; known are name, shapes, low, high",

@@ -42,5 +42,5 @@ class Figure:
 
     @cached_property
     def made(self) -> Callable[[float], Body]:
-        """As shape, but the same body for the same share, so that what is derived of it serves again."""
+        """`shape`, memoised, so that what is derived from a body is used again."""
         return cache(self.shape)

@@ -39,7 +39,7 @@ class RoadTiles:
 
     @cached_property
     def _tile(self) -> Callable[[int, int, bool], Placed]:
-        """As `_make`, for tiles that were in sight just now."""
+        """`_make`, memoised for the last KEPT_TILES tiles."""
         return lru_cache(KEPT_TILES)(self._make)
 
     def near(self, object_id: int, T_world_ground: Tensor) -> tuple[Placed, ...]:

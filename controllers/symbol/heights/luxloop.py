@@ -70,8 +70,8 @@ class LuxloopParams(Params):
 class LuxloopState:
     """memory: what is known of the road, in the ground frame of time_s. body: what is known of it, if it is measured. drawing: shown now.
 
-    level_rad: pitch of the body that the memory's heights are based on. first: drawn first for an acquired road, until a look shows it.
-    sought: the symbol has been seen, or looked for on a road that falls.
+    level_rad: pitch of the body that the memory's heights are based on. first: the first drawing for an acquired road; None once a look
+    shows it. sought: the symbol has been seen, or a road was guessed to look for it on.
     """
 
     memory: Memory
@@ -153,7 +153,7 @@ class Luxloop:
         return BodyFilter.first(self.params.body, ego, self.reach_m, self.projector.params.x_m) if before is None else before.updated(ego)
 
     def _looked(self, registration: Registration, memory: Memory, look: Look, stances: Stances, anew: bool = False) -> Memory:
-        """What is known after a look: nothing, where heights do not explain it. anew: it shows first an acquired road's light."""
+        """What is known after a look: nothing, where heights do not explain it. anew: it is the first at light for an acquired road."""
         if look.frames is None:
             return memory
         frames, textures, searched = look.frames, self.projector.textures(look.shown.lights), memory.searched

@@ -11,13 +11,13 @@ from controllers.symbol.sensing.planes import HERE
 from perception.birdseye import Region
 from world.frames import inverse, transform
 
-PATIENCE = 8  # looks in a row that do no better, after which the best of a standing vehicle is kept: more of them would fit their noise
-CHANGED = 4.0  # times as much is left unexplained where a kept road is no longer the one that is there
+PATIENCE = 8  # looks in a row that lower no residual, after which a standing vehicle keeps its best heights: more would fit noise
+CHANGED = 4.0  # ratio of a look's residual to that of the kept heights, above which the road has changed
 
 
 @dataclass(frozen=True)
 class Kept:
-    """Heights and brightness `[n]` that left least of a look unexplained, and how many looks ago that was."""
+    """Heights and brightness `[n]` with the lowest residual of a look, and the number of looks since."""
 
     heights: Heights
     brightness: Tensor
@@ -26,7 +26,7 @@ class Kept:
 
     @property
     def done(self) -> bool:
-        """Whether looks no longer mend them."""
+        """Whether further looks no longer lower the residual."""
         return self.looks >= PATIENCE
 
 
@@ -35,7 +35,8 @@ class Memory:
     """Heights and brightness `[n]` at the nodes `[rows, cols]` of a region, by lines of sight of an eye at `[3]` m, in a ground frame.
 
     T_ground_plane: `[4, 4]` float64, the plane over which heights are; region and eye are in its frame, too. shape: `[4]` of the road, if
-    it was acquired. searched: how many times. settled: the last search found what the one before did. kept: the best while it stands.
+    it was acquired. searched: how many searches there were. settled: there need be no further one, since two agree or heights
+    explain the road better. kept: the heights with the lowest residual while the vehicle stands.
     """
 
     heights: Heights
@@ -54,7 +55,7 @@ class Memory:
         return Relief(self.region, self.eye, self.heights.mean.view(self.grid), self.brightness.view(self.grid))
 
     def judged(self, residual: float) -> "Memory":
-        """After a look of which this much is left unexplained; the best that is known is kept, until the road is another one."""
+        """After a look with this residual; the best heights are kept until the road changes."""
         kept = self.kept
         if kept is None or (residual > CHANGED * kept.residual if kept.done else residual < kept.residual):
             return replace(self, kept=Kept(self.heights, self.brightness, residual))

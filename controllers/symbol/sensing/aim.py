@@ -57,7 +57,7 @@ def _touching(shape: Tensor, symbol: SymbolParams, x: Tensor) -> Tensor:
 
 
 def _lit(planes: Tensor, symbol: SymbolParams, modules: Sequence[DrawingModule], eye: Tensor) -> Tensor:
-    """Whether lamps light the middle and the corners of symbols on planes `[k, 4, 4]`, and both are well over them: `[k, 5]`."""
+    """Whether lamps light the middle and the corners of symbols on planes `[k, 4, 4]`, and lamps and eye are well over these: `[k, 5]`."""
     half_x, half_y = symbol.length_m / 2, symbol.width_m / 2
     spots = planes.new_tensor([[0, half_x, half_x, -half_x, -half_x], [0, half_y, -half_y, half_y, -half_y], [0] * 5])
     inside = _in_field(transform(planes, spots + spots.new_tensor([[symbol.x_m], [symbol.y_m], [0.0]])), modules)

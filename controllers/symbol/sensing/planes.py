@@ -26,7 +26,7 @@ def touching(at: Tensor, slope_x: Tensor, slope_y: Tensor, x_m: float, y_m: floa
 
 
 def below_lamps(at: Tensor, slope_x: Tensor, slope_y: Tensor, lamps: Tensor) -> Tensor:
-    """The inclined plane `[4, 4]` at a place `[3]` m, less steep where lamps `[m, 3]` m would hardly be over it."""
+    """The inclined plane `[4, 4]` at a place `[3]` m, less steep where it must be to lie LEAST_HEIGHT_M below lamps `[m, 3]` m."""
     over = lamps - at  # [m, 3]
     steepest = ((LEAST_HEIGHT_M - over[:, 2] + slope_y * over[:, 1]) / -over[:, 0]).max()
     return inclined(at, torch.maximum(slope_x, steepest), slope_y)
@@ -42,6 +42,6 @@ def holding(T: Tensor, low: Tensor, high: Tensor) -> tuple[Tensor, tuple[float, 
 def placed(T: Tensor) -> tuple[Tensor, Tensor]:
     """Pose `[4]` (x, y in m, roll, pitch in rad) and height `[]` in m of a rectangle at `[4, 4]`; its yaw is left out.
 
-    A body that moves adds a yaw of some 1e-4.
+    A body that moves adds a yaw of some 1e-4 rad.
     """
     return torch.stack([T[0, 3], T[1, 3], torch.atan2(T[2, 1], T[2, 2]), torch.asin(-T[2, 0])]), T[2, 3]
