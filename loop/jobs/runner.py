@@ -123,7 +123,7 @@ def _call(function: Callable[..., Values], task: tuple[str, Values]) -> tuple[st
 def reason(error: Exception) -> str:
     """Why a job has failed: luxloop's own sentence, or what was raised and where."""
     if isinstance(error, LuxloopError):
-        return str(error)
+        return "; ".join(map(str, error.args))
     where = traceback.extract_tb(error.__traceback__)[-1]
     return f"{type(error).__name__}: {error} ({Path(where.filename).name}, line {where.lineno})"
 

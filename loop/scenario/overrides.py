@@ -39,8 +39,9 @@ def _uncleared(data: Any) -> Any:
 
 
 def _variants(changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Those of the changes that choose variants of tables."""
-    chosen = {key: _variants(value) if isinstance(value, dict) else key in TAGS and value for key, value in changes.items()}
+    """Those of the changes that choose variants of tables; items of lists, which an earlier change may make, are left out."""
+    given = {key: value for key, value in changes.items() if not INDEX.fullmatch(key)}
+    chosen = {key: _variants(value) if isinstance(value, dict) else key in TAGS and value for key, value in given.items()}
     return {key: value for key, value in chosen.items() if value}
 
 

@@ -35,16 +35,16 @@ class Stances:
             return cls()
         seen_s, next_s = then.time_s + then.age_s, now.time_s + now.age_s + now.period_s
         half_s = now.period_s / 2
-        on = body.T_ground_body(seen_s)
-        if now.stands and then.stands and bool(((on - HERE).abs() < EVEN).all()):
-            return cls()
+        on, following = body.T_ground_body(seen_s), body.T_ground_body(next_s)
+        if now.stands and then.stands and all(bool(((T - HERE).abs() < EVEN).all()) for T in (on, following)):
+            return cls(seen_s)
         return cls(
             seen_s,
             exact(then.way(seen_s - before_s)),
             on,
             exact(then.way(half_s)) @ body.T_ground_body(seen_s + half_s),
             exact(now.way(next_s - seen_s)),
-            body.T_ground_body(next_s),
+            following,
         )
 
     @property

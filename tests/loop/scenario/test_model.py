@@ -240,6 +240,14 @@ def test_the_kinds_are_told_apart_by_their_tables(file: Path) -> None:
     assert validate_any(json.loads(json.dumps(scenario.model_dump(mode="json"))), "manifest.json") == scenario
 
 
+def test_items_of_a_list_that_an_earlier_override_made_can_be_changed() -> None:
+    objects = "objects=[{kind='pedestrian', name='a', track=[{position_m=[20, 2, 0]}]}]"
+    assert load("snowflake", [objects, "objects[0].name=anna"]).objects[0].name == "anna"
+    functions = "lighting.functions=[{kind='marker'}, {kind='marker'}]"
+    changed = load_any("gfhb", [functions, "lighting.functions[1].kind=glare_free"])
+    assert isinstance(changed, LightingScenario) and changed.lighting.functions[1].kind == "glare_free"
+
+
 def test_one_key_of_one_item_of_a_list_can_be_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     before = load_any("marker_light")
