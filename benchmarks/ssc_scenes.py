@@ -23,7 +23,7 @@ COVER = 0.925  # of a board's share of the field along each axis, for 77 % in al
 def lamp(rows: int, cols: int, texel_rows: int, texel_cols: int) -> Headlight:
     """rows x cols overlapping pixels on +-5 x +-10 deg."""
     grid = TexelGrid.from_degrees(texel_rows, texel_cols, HALF_WIDTH_DEG, -HALF_WIDTH_DEG, -HALF_HEIGHT_DEG, HALF_HEIGHT_DEG)
-    made = overlapping("", rows, cols, grid, HALF_HEIGHT_DEG, HALF_WIDTH_DEG, OVERLAP, None)
+    made = overlapping("", rows, cols, grid, HALF_HEIGHT_DEG, HALF_WIDTH_DEG, OVERLAP)
     matrix = Csr.from_scipy(made.matrix)
     return Headlight(name=f"{rows} x {cols}", matrix=matrix, pixel_rows=rows, pixel_cols=cols, **vars(grid))
 
