@@ -19,7 +19,6 @@ from loop.recording.summary import column
 from loop.run import prepare, torch_device
 from loop.scenario.model import AnyScenario, LightingScenario, Scenario
 from loop.symbol.batch import Rollout
-from loop.symbol.plant import SimulatedPlant
 from loop.symbol.simulation import Simulation
 from perception.extraction import Loss
 
@@ -68,7 +67,6 @@ def traced(scenario: Scenario, device: str = "auto") -> tuple[dict[str, float | 
 def _simulation(scenario: Scenario, device: str) -> Simulation:
     """A simulation of the scenario; all but controller and noise is taken from one that is ready where there is one."""
     ready = _prepared(_Shared(scenario, device, scenario.model_dump_json(exclude={"controller", "seed"}), (*digests(scenario).items(),)))
-    assert isinstance(ready.plant, SimulatedPlant)
     plant, controller = replace(ready.plant, seed=scenario.seed), build_symbol_controller(scenario, ready.observer)
     return replace(ready, scenario=scenario, plant=plant, controller=controller)
 

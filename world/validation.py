@@ -108,12 +108,11 @@ def sentences(error: ValidationError, model: type[BaseModel], example: str) -> l
     An error that another one causes is left out: a list is too short without its wrong items, a key is missing that is misspelt, and
     a default is not made without the wrong values that it depends on.
     """
-    details = error.errors(include_url=False)
+    details = [each for each in error.errors(include_url=False) if each["type"] != "default_factory_not_called"]
     unknown = [each["loc"] for each in details if each["type"] == "extra_forbidden"]
     caused: dict[str, set[Any]] = {
         "too_short": {each["loc"][:k] for each in details for k in range(len(each["loc"]))},
         "missing": {(*place[:-1], near(str(place[-1]), _place(model, place)[1])) for place in unknown},
-        "default_factory_not_called": {each["loc"] for each in details},
     }
     own = [each for each in details if each["loc"] not in caused.get(each["type"], ())]
     lacking = next((each for each in own if each["type"] in MISSING), None)

@@ -90,7 +90,7 @@ class LitScene:
 
     @cached_property
     def eyes(self) -> Tensor:
-        """Heads and windscreens of road users that trackers are told of, `[height, width]` bool."""
+        """Where the view sees heads and windscreens of road users, `[height, width]` bool."""
         users = torch.tensor([number for number, each in enumerate(self.given, 1) if each.category in ROAD_USERS], dtype=torch.int32)
         ids = self.surfaces.object_id
         return part_mask(self.surfaces, self.triangles, EYES) & torch.isin(ids, users.to(ids))

@@ -19,7 +19,6 @@ from controllers.pixels.ssc import Utilisation
 from loop.recording.recorder import ERRORS
 from loop.recording.remedies import remedies
 from loop.recording.summary import column
-from loop.symbol.plant import SimulatedPlant
 from loop.symbol.simulation import Simulation, StepResult
 from perception.appearance import appearance, image_axes
 from perception.birdseye import rectify
@@ -208,9 +207,8 @@ def _error_units(simulation: Simulation) -> tuple[str, ...]:
 
 def _camera_image(simulation: Simulation, lights: Lights, result: StepResult) -> Image:
     """Luminance `[height, width]` in cd/m^2 that the camera measures under these lights at a step's time, with that step's noise."""
-    lit, camera, plant = simulation.world.lit(result.time_s), simulation.scenario.camera, simulation.plant
-    assert isinstance(plant, SimulatedPlant)
-    frame = plant.exposed(lit.off + lit.luminance(lights), lit.base, result.step, 0)
+    lit, camera = simulation.world.lit(result.time_s), simulation.scenario.camera
+    frame = simulation.plant.exposed(lit.off + lit.luminance(lights), lit.base, result.step, 0)
     return luminance_of(frame, camera).cpu().numpy()
 
 

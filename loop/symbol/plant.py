@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -17,26 +16,6 @@ from perception.glare import glare
 from world.light.illumination import added_light
 
 Frames = tuple[Tensor, Tensor]
-
-
-class Plant(Protocol):
-    """Shows utilisations and returns what the camera sees; its state is a value, so that a run can be taken up anywhere."""
-
-    def start(self) -> Any:
-        """The plant's state before step 0."""
-        ...
-
-    def show(self, state: Any, lights: Sequence[Utilisation], step: int) -> tuple[Any, Frames | None]:
-        """Show one utilisation `[n_p]` a module; returns the on and off frames `[height, width]` (digital numbers) that arrive now."""
-        ...
-
-    def exposures(self, step: int) -> tuple[float, float]:
-        """Times in s of a step's on and off frame."""
-        ...
-
-    def ego(self, step: int) -> Ego:
-        """What the vehicle's sensors have said of its motion by a step."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from controllers.symbol.sensing.projector import Projector, SymbolParams
 from controllers.symbol.sensing.protocol import Look, Shown, SymbolController
 from loop.assembly.build import build_motion, build_projector, build_road, build_scene, build_symbol_controller
 from loop.scenario.model import Scenario
-from loop.symbol.plant import Frames, Plant, SimulatedPlant
+from loop.symbol.plant import Frames, SimulatedPlant
 from loop.symbol.truth import true_camera, true_modules
 from loop.symbol.world import World
 from perception.birdseye import BirdsEye, Region, birds_eye, cells, region_around
@@ -80,7 +80,7 @@ class Simulation:
     projector: Projector
     observer: Observer
     controller: SymbolController
-    plant: Plant
+    plant: SimulatedPlant
     world: World
     plane: BirdsEye
     goal: Target

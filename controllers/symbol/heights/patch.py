@@ -13,7 +13,7 @@ from world.frames import inverse, pose, transform
 FOLLOWED = 4  # light is followed for every fourth cell along and across, and interpolated between them
 SAMPLES = (33, 17)  # of the symbol, along and across, whose light the patch must hold
 BEYOND = (0.4, 0.15)  # of the symbol's length and width, by which a patch of the plane z = 0 is larger on every side
-HIGHEST_M = 0.2  # largest height of a road for which such a patch is used
+HIGHEST_M = 0.2  # of a road: a higher one gets a patch that is fitted to it
 LEAST_DEPTH_M = 0.05  # above and below a fitted patch, where the road is looked for at least
 
 

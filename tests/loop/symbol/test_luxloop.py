@@ -24,7 +24,6 @@ from controllers.symbol.sensing.protocol import Look, Shown
 from controllers.symbol.sensing.shape import reached
 from loop.run import prepare
 from loop.scenario.model import DisturbanceParams, load
-from loop.symbol.plant import SimulatedPlant
 from loop.symbol.simulation import Simulation, SimulationState
 from perception.birdseye import Region
 
@@ -198,7 +197,6 @@ def on_bumps(*more: str) -> tuple[list[SimulationState], list[float]]:
 
 def disturbed(prepared: Simulation, **disturbances: Any) -> Simulation:
     """The same in the same world, of which nothing is rendered again."""
-    assert isinstance(prepared.plant, SimulatedPlant)
     return replace(prepared, plant=replace(prepared.plant, disturbances=DisturbanceParams(**disturbances)))
 
 
