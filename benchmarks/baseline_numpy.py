@@ -47,9 +47,9 @@ class Picture:
     def __init__(self, simulation: Simulation) -> None:
         import pyrender
 
-        view = simulation.world.view
+        view = simulation.truth.world.view
         self.scene = pyrender.Scene(ambient_light=(0.1, 0.1, 0.1))
-        for body in simulation.world.scene.bodies:
+        for body in simulation.truth.world.scene.bodies:
             material = pyrender.MetallicRoughnessMaterial(baseColorFactor=(1.0, 1.0, 1.0, 1.0), metallicFactor=0.0, roughnessFactor=1.0)
             vertices, texcoord = np.asarray(body.mesh.vertices, np.float32), None
             if body.texture is not None:
@@ -110,7 +110,7 @@ class Baseline:
 
     def __init__(self, simulation: Simulation, picture: Picture | None) -> None:
         self.picture, self.camera, self.params = picture, simulation.scenario.camera, simulation.scenario.extraction
-        projector, world, self.model = simulation.projector, simulation.world, simulation.observer.model
+        projector, world, self.model = simulation.projector, simulation.truth.world, simulation.observer.model
         (lamp,) = projector.modules
         self.projector, self.headlight = projector, lamp.pixel_controller.headlight
         self.noise = np.random.default_rng(simulation.scenario.seed) if self.camera.noise else None

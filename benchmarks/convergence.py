@@ -50,7 +50,7 @@ def measure(scenario: Scenario) -> dict[str, Any]:
     simulation = prepare(scenario, "cpu")
     results = list(simulation.run())
     end_s = results[-1].time_s
-    opened = simulation.judge(simulation.projector.light(simulation.projector.target), end_s)
+    opened = simulation.truth.verdict(simulation.projector.light(simulation.projector.target), end_s)
     summary = summarise(table_of([row(result) for result in results]), scenario.name, scenario.controller.name, float(opened.iou))
     return {**summary, "centroid_error_open_percent": opened.centroid_percent.tolist()}
 

@@ -17,9 +17,9 @@ import torch
 from bench import machine, on_one_thread
 from rich.table import Table
 
+from loop.plant.world import World
 from loop.scenario.model import load
 from loop.symbol.simulation import Simulation, SimulationState, StepResult
-from loop.symbol.world import World
 from loop.terminal import tables
 from world.light.illumination import added_light
 from world.rendering.surfaces import QuickSurfaces
@@ -54,7 +54,8 @@ def exactly(world: World) -> World:
 def rendered(world: World, exposures: tuple[float, float]) -> float:
     """ms to render a step's on and off view."""
     clock = Clock()
-    world.render(*exposures)
+    on_s, off_s = exposures
+    _ = world.lit(on_s).transports, world.lit(off_s).off
     return clock.lap()
 
 
@@ -67,7 +68,7 @@ def lit(world: World, result: StepResult) -> float:
 
 def parts(simulation: Simulation, result: StepResult) -> dict[str, float]:
     """ms of what the two views consist of."""
-    world, found = simulation.world, {}
+    world, found = simulation.truth.world, {}
     assert isinstance(world.surfaces, QuickSurfaces), "there is no OpenGL here, so that nothing is rendered the quick way"
     vehicle, view = world.motion.at(result.time_s), world.view_at(result.time_s)
     samples = world.camera.oversampling
@@ -87,18 +88,19 @@ def measure(name: str, overrides: tuple[str, ...], steps: int) -> dict[str, Any]
     """Medians in ms over the steps after the first; a step is all that control and plant do, without the judge."""
     simulation = Simulation.prepare(load(name, overrides))
     state: SimulationState = simulation.start()
-    exact = exactly(simulation.world)
+    exact = exactly(simulation.truth.world)
     laps: dict[str, list[float]] = {"step": [], "quick": [], "exact": []}
     shares: list[dict[str, float]] = []
-    for step in range(steps + 1):
+    for _ in range(steps + 1):
         clock = Clock()
-        exposures = simulation.plant.exposures(step)
-        views = rendered(simulation.world, exposures)
+        time_s = state.arrivals.time_s
+        exposures = (time_s, time_s + 0.5 / simulation.scenario.rate_hz)
+        views = rendered(simulation.truth.world, exposures)
         following, result = simulation.step(state)
         whole = clock.lap()
-        simulation.judge(result.lights, result.time_s)
+        simulation.truth.verdict(result.lights, result.time_s)
         laps["step"].append(whole - clock.lap())
-        laps["quick"].append(views + lit(simulation.world, result))
+        laps["quick"].append(views + lit(simulation.truth.world, result))
         laps["exact"].append(rendered(exact, exposures) + lit(exact, result))
         shares.append(parts(simulation, result))
         state = following

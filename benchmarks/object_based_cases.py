@@ -35,15 +35,15 @@ OURS = "luxloop"
 SHARE = 0.08  # of the high beam, which is a fifth of the low one's flux
 VARIANTS: dict[str, tuple[Override, ...]] = {  # what each changes in the lighting of the scenario `obl`
     OURS: (),
-    "over the low beam": ("lighting.base.beam='low'", "lighting.functions[0].ambient={first=1.0, least=0.05}"),
-    "raising": ("lighting.functions[0].loop.search={kind='raise'}",),
-    "by class": ("lighting.functions[0].method='class'", f"lighting.functions[0].share={SHARE}"),
-    "10 lx for all": ("lighting.functions[0].method='constant'", f"lighting.functions[0].share={SHARE}"),
-    "stripes": ("lighting.functions[0].light.pattern='stripes'",),
+    "over the low beam": ("lighting.base.beam='low'", "functions.object_light.ambient={first=1.0, least=0.05}"),
+    "raising": ("functions.object_light.loop.search={kind='raise'}",),
+    "by class": ("functions.object_light.method='class'", f"functions.object_light.share={SHARE}"),
+    "10 lx for all": ("functions.object_light.method='constant'", f"functions.object_light.share={SHARE}"),
+    "stripes": ("functions.object_light.light.pattern='stripes'",),
 }
 LOW, HIGH, FULL = "low beam", "high beam", "full light"  # all pixels on
 BEAMS = {LOW: "low", HIGH: "high", FULL: None}
-BARE = {"base": {"beam": "high"}}
+BARE = {"lighting": {"base": {"beam": "high"}}}
 
 END = range(60, 75)  # steps of which means are what object-based lighting has come to
 COMES = 75  # step at which a newcomer is there
@@ -71,7 +71,9 @@ class Case:
     @property
     def parameters(self) -> dict[str, Any]:
         """Of the job."""
-        variants = {name: load_any("obl", changes).model_dump(mode="json")["lighting"] for name, changes in VARIANTS.items()}
+        variants = {
+            name: load_any("obl", each).model_dump(mode="json", include={"lighting", "functions"}) for name, each in VARIANTS.items()
+        }
         return {"scenario": self.scenario, "variants": variants, "seeds": {name: self.seeds if name == OURS else 1 for name in VARIANTS}}
 
 
@@ -104,14 +106,15 @@ def _newcomer(rng: np.random.Generator, others: np.ndarray) -> dict[str, Any]:
     return made | {"track": [at], "appears_s": COMES / WORLD["rate_hz"]}
 
 
-def lit(plain: Mapping[str, Any], lighting: Mapping[str, Any] = BARE, seed: int = 0) -> LightingScenario:
-    """A scenario with its lighting, and a seed of noise."""
-    return validate_lighting({**plain, "seed": seed, "lighting": lighting}, str(plain["name"]))
+def lit(plain: Mapping[str, Any], tables: Mapping[str, Any] = BARE, seed: int = 0) -> LightingScenario:
+    """A scenario with its tables of lighting, and a seed of noise."""
+    return validate_lighting({**plain, "seed": seed, **tables}, str(plain["name"]))
 
 
 def beside(shared: LightingSimulation, scenario: LightingScenario) -> LightingSimulation:
     """A simulation in the same world, which looks at what the other has rendered."""
-    return replace(shared, scenario=scenario, planner=Planner.prepare(scenario.lighting))
+    plant = replace(shared.plant, seed=scenario.seed)
+    return replace(shared, scenario=scenario, planner=Planner.prepare(scenario.functions, scenario.lighting), plant=plant)
 
 
 def illuminated(scenario: Mapping[str, Any], variants: Mapping[str, Mapping[str, Any]], seeds: Mapping[str, int]) -> dict[str, Any]:
@@ -122,7 +125,7 @@ def illuminated(scenario: Mapping[str, Any], variants: Mapping[str, Mapping[str,
     these; `runs`, by variant, of each seed.
     """
     torch.set_num_threads(1)  # wherever the job runs
-    own = {(name, seed): lit(scenario, lighting, seed) for name, lighting in variants.items() for seed in range(seeds[name])}
+    own = {(name, seed): lit(scenario, tables, seed) for name, tables in variants.items() for seed in range(seeds[name])}
     shared = LightingSimulation.prepare(next(iter(own.values())))
     simulations = {key: beside(shared, each) for key, each in own.items()}
     states = {key: each.start() for key, each in simulations.items()}
@@ -230,7 +233,7 @@ class Run:
                 self.tracked.setdefault(name, []).append(result.step)
             if result.step in (LATE if name == NEWCOMER else END):
                 self.scores.setdefault(name, []).append(each.score)
-        for state in (each for each in result.functions if isinstance(each, ObjectBasedState)):
+        for state in (each for each in result.functions.values() if isinstance(each, ObjectBasedState)):
             for track, loop in state.loops.items():
                 search = self.searches.setdefault(track, [result.step, None])
                 if loop.settled and search[1] is None:

@@ -12,11 +12,11 @@ from torch import Tensor
 
 from loop.assembly.pixel_control import pixel_controller
 from loop.jobs.runner import Job
-from loop.lighting.sight import SAME, pairs
+from loop.lighting.sight import pairs
 from loop.lighting.simulation import LightingSimulation
 from perception.camera import expose, frame_generator
 from perception.detection.protocol import Detections
-from perception.detection.suppression import overlaps
+from perception.detection.suppression import SAME, overlaps
 from perception.metrics import dssim
 from world.headlight.overlap import reduce
 
@@ -42,19 +42,18 @@ def zone_jobs(seeds: int) -> Iterator[Job]:
 def zones(reflectances: Sequence[float], saturation_e: float, seed: int) -> dict[str, Any]:
     """A job: how bright three walls are, each with a zone, `luminance` in cd/m^2 by step, and what they reflect."""
     torch.set_num_threads(1)
-    walls, functions = [], []
+    walls, functions = [], {}
     for k, ((x, y), albedo) in enumerate(zip(PLACES, reflectances, strict=True)):
         size, at = (0.2, 2.0, 2.0), [{"position_m": (x + 0.1, y, 0.0)}]
-        walls.append({"kind": "box", "name": f"wall {k}", "size_m": size, "albedo": albedo, "track": at})
-        zone = {"kind": "zone", "name": f"zone {k}", "centre_m": (x, y, 1.0), "size_m": (0.0, 1.6, 1.6), "luminance_cd_m2": TARGET}
-        functions.append(zone)
+        walls.append({"kind": "box", "name": f"wall_{k}", "size_m": size, "albedo": albedo, "track": at})
+        functions[f"zone_{k}"] = {"kind": "zone", "centre_m": (x, y, 1.0), "size_m": (0.0, 1.6, 1.6), "luminance_cd_m2": TARGET}
     world = {key: value for key, value in WORLD.items() if key != "detector"}
     world["camera"] = CAMERA | {"saturation_e": saturation_e}
     plain = {"name": "zones", "steps": ZONE_STEPS, **world, "light": {"ambient_lx": 0.1}, "objects": walls}
-    results = list(LightingSimulation.prepare(lit(plain, {"base": {"beam": "low"}, "functions": functions}, seed)).run())
+    results = list(LightingSimulation.prepare(lit(plain, {"lighting": {"base": {"beam": "low"}}, "functions": functions}, seed)).run())
     return {
         "zones": [
-            {"reflectance": albedo, "luminance": [result.zones[f"zone {k}"].luminance for result in results]}
+            {"reflectance": albedo, "luminance": [result.zones[f"zone_{k}"].luminance for result in results]}
             for k, albedo in enumerate(reflectances)
         ]
     }
@@ -126,7 +125,7 @@ def tracked(situation: str, scenario: Mapping[str, Any], seeds: int) -> dict[str
             states[k], result = each.step(states[k])
             assert result.look is not None
             names, numbers = [each.name for each in view.objects], result.look.tracks.number.tolist()
-            matches[k] = matched(matches[k], names, numbers, overlaps(view.boxes, result.look.boxes))
+            matches[k] = matched(matches[k], names, numbers, overlaps(view.boxes, result.look.tracks.boxes))
             for name in names:
                 if shown[name] >= SHOWN:
                     tracks[k].setdefault(name, []).append(matches[k].get(name))

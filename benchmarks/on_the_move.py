@@ -99,7 +99,7 @@ def iou(changes: tuple[str, ...], column: str, steps: int) -> list[float]:
     controller, more = COLUMNS[column]
     simulation = Simulation.prepare(load("driving", (*changes, *more, f"controller={{name='{controller}'}}", f"steps={steps}")))
     if column == BOUND:
-        world, scenario = simulation.world, simulation.scenario
+        world, scenario = simulation.truth.world, simulation.scenario
         knowing = Knowing(simulation.observer, cast(Road, scenario.road), world.motion, 1 / scenario.rate_hz)
         simulation = replace(simulation, controller=knowing)
     return [float(result.verdict.iou) for result in simulation.run()]

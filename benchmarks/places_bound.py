@@ -34,12 +34,12 @@ def bound(simulation: Simulation) -> Bound:
     A texel takes what of the symbol lies where the camera sees its light on the plane z = 0, a pixel the mean of its texels weighted by
     its light: `u = A^T s / A^T 1`.
     """
-    world = simulation.world
+    world = simulation.truth.world
     triangles = world.scene.at(0.0, world.motion.at(0.0).T_world_ground)
     lights = tuple(_drawn(simulation, triangles, module) for module in simulation.projector.modules)
-    lit = rectify(simulation.plane, world.lit(0.0).luminance(lights)) > THRESHOLD * simulation.goal.median
-    visible = (lit & simulation.goal.mask).sum() / simulation.goal.mask.sum()
-    return Bound(lights, simulation.judge(lights, 0.0).iou.item(), visible.item())
+    lit = rectify(simulation.truth.plane, world.lit(0.0).luminance(lights)) > THRESHOLD * simulation.truth.goal.median
+    visible = (lit & simulation.truth.goal.mask).sum() / simulation.truth.goal.mask.sum()
+    return Bound(lights, simulation.truth.verdict(lights, 0.0).iou.item(), visible.item())
 
 
 def _drawn(simulation: Simulation, triangles: Triangles, module: DrawingModule) -> Utilisation:
@@ -69,7 +69,7 @@ def _behind(simulation: Simulation, triangles: Triangles, origin: Tensor, rays: 
 
     Light on the true road is seen on the plane z = 0 behind it; far off the symbol where a ray or the line of sight meets nothing.
     """
-    params, eye = simulation.scenario.symbol, simulation.world.view.origin[:, None]
+    params, eye = simulation.scenario.symbol, simulation.truth.world.view.origin[:, None]
     face = first_hits(triangles, origin, rays)
     met = face >= 0
     road = origin[:, None] + rays[:, met] * depths(triangles, face[met], origin, rays[:, met])

@@ -126,7 +126,7 @@ def _pictures(place: Place) -> list[tuple[str, torch.Tensor, float]]:
     """Title, camera picture around the target and its white, in cd/m^2, of the columns of the figure."""
     simulation, own = shared(**{**place.parameters, "controllers": {"luxloop": {"name": "luxloop"}}})
     *_, last = islice(simulation.run(), own["luxloop"].steps)
-    view, target = simulation.world.lit(0.0), simulation.projector.light(simulation.projector.target)
+    view, target = simulation.truth.world.lit(0.0), simulation.projector.light(simulation.projector.target)
     flat = simulation.observer.model.luminance(target)
     rows, cols = _around(flat)
     pictures = {
@@ -136,8 +136,8 @@ def _pictures(place: Place) -> list[tuple[str, torch.Tensor, float]]:
             for n, lights in (("open loop", target), ("luxloop", last.lights), ("bound", bound(simulation).lights))
         },
     }
-    white = 2 * float(simulation.goal.median)
-    return [(name, (picture + simulation.world.lit(0.0).base.median())[rows, cols], white) for name, picture in pictures.items()]
+    white = 2 * float(simulation.truth.goal.median)
+    return [(name, (picture + simulation.truth.world.lit(0.0).base.median())[rows, cols], white) for name, picture in pictures.items()]
 
 
 def _around(flat: torch.Tensor) -> tuple[slice, slice]:

@@ -55,7 +55,7 @@ class Stopwatch:
 def luxloop_step(simulation: Simulation, state: SimulationState, lap: Lap) -> tuple[SimulationState, torch.Tensor]:
     """`Simulation.step` part by part, without the judge. Returns the next state and the four errors in px."""
     scenario = simulation.scenario
-    lit = simulation.world.lit(simulation.plant.exposures(state.step)[0])
+    lit = simulation.truth.world.lit(state.arrivals.time_s)
     lap("render")
     drawing = simulation.controller.drawing(state.controller)
     lights = simulation.projector.draw(drawing)

@@ -12,13 +12,12 @@ import torch
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
-from loop.lighting.sight import SAME
 from loop.lighting.simulation import LightingSimulation
 from loop.scenario.model import validate_lighting
 from loop.terminal.tables import markdown
 from perception.camera import CameraParams, camera_view
 from perception.detection.protocol import Detections
-from perception.detection.suppression import overlaps
+from perception.detection.suppression import SAME, overlaps
 from perception.tracking import Tracker, TrackerParams
 from world.traffic.tracked import Category
 
@@ -156,7 +155,7 @@ def traffic(seed: int, steps: int) -> Kept:
         for each, box in zip(view.objects, view.boxes, strict=True):
             boxes[each.object_id - 1] = box
             shown[each.object_id - 1] = each.visible >= 1 - HIDDEN and float(box[3] - box[1]) >= 24 and each.category in CLASSES
-        judge.look(boxes, shown, result.look.boxes, result.look.tracks.number.tolist())
+        judge.look(boxes, shown, result.look.tracks.boxes, result.look.tracks.number.tolist())
     return judge.kept
 
 

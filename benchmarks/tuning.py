@@ -102,7 +102,7 @@ def seconds_a_rollout(scenario: Scenario) -> tuple[float, float]:
             state, result = simulation.step(state)
             spent += time.thread_time() - start
             start = time.thread_time()
-            simulation.judge(result.lights, result.time_s)
+            simulation.truth.verdict(result.lights, result.time_s)
             spent -= time.thread_time() - start
         return spent
 

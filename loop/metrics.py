@@ -13,11 +13,13 @@ from loop.lighting.record import row as lighting_row
 from loop.lighting.record import schema as lighting_schema
 from loop.lighting.simulation import LightingSimulation
 from loop.lighting.summary import summarise as summarise_lighting
+from loop.plant.simulated import SimulatedPlant
 from loop.recording.manifest import digests
 from loop.recording.recorder import row, summary_of, table_of
-from loop.recording.summary import column
+from loop.recording.summary import column, judged
 from loop.run import prepare, torch_device
 from loop.scenario.model import AnyScenario, LightingScenario, Scenario
+from loop.scenario.plant import SimulatedPlantParams
 from loop.symbol.batch import Rollout
 from loop.symbol.simulation import Simulation
 from perception.extraction import Loss
@@ -28,7 +30,7 @@ KEPT = 4  # simulations made ready, half a gigabyte each
 def figures(scenario: AnyScenario, device: str = "auto") -> dict[str, float | str | None]:
     """Run a scenario and give its summary, flat: `centroid_error_x_percent`, `lamps.left.flux_lm_mean`; None where a value does not exist.
 
-    A symbol's run has iou_mean (over all steps), residual_percent (how far off the centroid ends, of the symbol's size) and
+    A symbol's run has iou_mean (over all judged steps), residual_percent (how far off the centroid ends, of the symbol's size) and
     utilisation_mean (of all pixels, over all steps) as well; one of lighting functions flux_lm_mean (of all lamps), and with a detector
     confidence_final_mean and _min (over the objects in sight at the end). Times are left out, so that the same scenario gives the same
     figures.
@@ -59,14 +61,18 @@ def traced(scenario: Scenario, device: str = "auto") -> tuple[dict[str, float | 
     x, y = values.pop("centroid_error_percent")
     values |= {"centroid_error_x_percent": x, "centroid_error_y_percent": y}
     values["residual_percent"] = None if x is None or y is None else float(np.hypot(x, y))
-    values["iou_mean"] = float(np.nan_to_num(column(table, "iou")).mean())
+    ious = column(judged(table), "iou")
+    values["iou_mean"] = float(ious.mean()) if len(ious) else None
     values["utilisation_mean"] = float(np.mean(utilisations))
     return _flat(values), Rollout(*(torch.stack(column)[None] for column in zip(*trace, strict=True)))
 
 
 def _simulation(scenario: Scenario, device: str) -> Simulation:
     """A simulation of the scenario; all but controller and noise is taken from one that is ready where there is one."""
+    if not isinstance(scenario.plant, SimulatedPlantParams):
+        return prepare(scenario, device)
     ready = _prepared(_Shared(scenario, device, scenario.model_dump_json(exclude={"controller", "seed"}), (*digests(scenario).items(),)))
+    assert isinstance(ready.plant, SimulatedPlant)
     plant, controller = replace(ready.plant, seed=scenario.seed), build_symbol_controller(scenario, ready.observer)
     return replace(ready, scenario=scenario, plant=plant, controller=controller)
 

@@ -2,7 +2,6 @@
 
 import gc
 import math
-from collections import Counter
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -14,16 +13,19 @@ import pyarrow as pa
 import torch
 
 from controllers.symbol.sensing.projector import DrawingModule, SymbolParams
+from loop.assembly.truth import true_camera
+from loop.lighting.record import row as lighting_row
+from loop.lighting.record import schema, valued
 from loop.lighting.result import LightingResult
 from loop.lighting.run import run_lighting
 from loop.lighting.simulation import LightingSimulation
-from loop.recording.recorder import REPORT, TRAJECTORY, VIDEO, Recorder, no_report
+from loop.recording.checks import Checks, lights, refuse_unknown
+from loop.recording.recorder import REPORT, SCHEMA, TRAJECTORY, VIDEO, Recorder, no_report, row
 from loop.recording.replay import read_parquet
 from loop.recording.report import Gathered, write_report
 from loop.recording.video import VideoWriter, frame_picture
 from loop.scenario.model import AnyScenario, LightingScenario, Scenario, load_any
 from loop.symbol.simulation import Simulation, StepResult
-from loop.symbol.truth import true_camera
 from perception.camera import CameraParams, camera_view, saturation_luminance
 from world.errors import LuxloopError, located
 from world.folders import output_folder
@@ -62,6 +64,7 @@ def run(
     device: str = "auto",
     video: bool = True,
     report: bool = True,
+    checks: bool = False,
     on_step: Callable[[StepResult | LightingResult], None] = lambda result: None,
     on_end: Callable[[], None] = lambda: None,
     **values: Any,
@@ -70,8 +73,9 @@ def run(
 
     scenario: a shipped name or a path, or a loaded one. values: what `load` reads it with (`overrides=["road.kind=bumps"], steps=20`).
     folder: where files go, in place of an older recording; None for a temporary one that lives as long as the result. device: "auto",
-    "cpu" or "cuda". video, report: whether these files are written, which takes seconds. on_step: called after every step. on_end: called
-    before video and report are finished.
+    "cpu" or "cuda". video, report: whether these files are written, which takes seconds. checks: whether those of the scenario that compare
+    with another light are evaluated, too, for which that light runs beside; what has come of them is in `summary["checks"]`.
+    on_step: called after every step. on_end: called before video and report are finished.
     Ctrl-C ends the recording, reports on the steps so far and goes on as KeyboardInterrupt. Raises LuxloopError where the scenario cannot
     be read or run, or another process writes into the folder; nothing is written before the first step is done.
     """
@@ -86,34 +90,38 @@ def run(
     folder = Path(folder)
     with output_folder(folder):
         if isinstance(scenario, LightingScenario):
-            summary = run_lighting(scenario, folder, torch_device(device), video, report, on_step, on_end)
+            lighting = prepare(scenario, device)
+            beside = Checks(lighting, lighting_row, checks)
+            summary = run_lighting(lighting, folder, beside, video, report, on_step, on_end)
         else:
-            summary = _run_symbol(scenario, folder, device, video, report, on_step, on_end)
+            symbol = prepare(scenario, device)
+            summary = _run_symbol(symbol, folder, Checks(symbol, row, checks), video, report, on_step, on_end)
     gc.collect()  # matplotlib leaves exceptions of its parser in cycles, and their frames hold the simulation: half a gigabyte
     return RunResult(summary, read_parquet(folder / TRAJECTORY), folder, temporary)
 
 
 def _run_symbol(
-    scenario: Scenario,
+    simulation: Simulation,
     directory: Path,
-    device: str,
+    checks: Checks[StepResult],
     video: bool,
     report: bool,
     on_step: Callable[[StepResult | LightingResult], None],
     on_end: Callable[[], None],
 ) -> dict[str, Any]:
-    simulation = prepare(scenario, device)
+    scenario = simulation.scenario
     gathered = Gathered(scenario.steps)
 
     def page(table: pa.Table, summary: dict[str, Any]) -> None:
         write_report(directory / REPORT, simulation, gathered, table, summary)
 
     size = (scenario.camera.width_px, scenario.camera.height_px)
-    with Recorder(directory, simulation, page if report else no_report) as recorder, ExitStack() as stack:
+    with Recorder(directory, simulation, page if report else no_report, checks.outcomes) as recorder, ExitStack() as stack:
         film = stack.enter_context(VideoWriter(directory / VIDEO, VIDEO_FPS, size)) if video else None
         stack.callback(on_end)
         for result in simulation.run():
             recorder.add(result)
+            checks.step()
             gathered.add(result)
             if film is not None:
                 film.add(frame_picture(result, simulation))
@@ -129,11 +137,16 @@ def prepare(scenario: AnyScenario, device: str = "auto") -> Simulation | Lightin
     """A simulation of either kind, to be stepped: `state = simulation.start()`, `state, result = simulation.step(state)`.
 
     scenario: a loaded one. device: "auto", "cpu" or "cuda". Raises LuxloopError where a file is missing, and of a symbol that the lamps
-    cannot draw at its target, or that the camera cannot see there.
+    cannot draw at its target, or that the camera cannot see there, or where a check names a column or light that is not there.
     """
     if isinstance(scenario, LightingScenario):
-        return LightingSimulation.prepare(scenario, torch_device(device))
+        lighting = LightingSimulation.prepare(scenario, torch_device(device))
+        with located(scenario.source):
+            others = [lighting.lit_by(light) for light in lights(scenario.checks)]
+            refuse_unknown(scenario.checks, schema(lighting), {name for other in others for name in valued(other)})
+        return lighting
     with located(scenario.source):
+        refuse_unknown(scenario.checks, SCHEMA, SCHEMA.names)
         return _prepare(scenario, device)
 
 
@@ -145,7 +158,8 @@ def _prepare(scenario: Scenario, device: str) -> Simulation:
     if not _in_the_image(symbol, true_camera(scenario)):
         raise LuxloopError(f"{where} is out of the sight of the camera as it truly is; make disturbances.calibration smaller")
     simulation = Simulation.prepare(scenario, torch_device(device))
-    if not simulation.goal.mask.any():
+    judge = simulation.judge
+    if judge is not None and not judge.goal.mask.any():
         if scenario.headlight.beam != "off" and simulation.observer.model.beams.any():
             raise LuxloopError(
                 f"{where} is nowhere brighter than the {scenario.headlight.beam} beam; raise symbol.value, or name a dimmer beam"
@@ -160,7 +174,7 @@ def _prepare(scenario: Scenario, device: str) -> Simulation:
             f"{where} cannot be told from noise on a flat road ({_pixels_there(simulation)}); raise symbol.value or "
             "headlight.intensity_cd, draw the symbol larger or with wider strokes, or take a lamp with finer pixels or a finer camera"
         )
-    brightest = float(simulation.world.lit(0.0).off.median() + simulation.goal.median)
+    brightest = float(simulation.brightness) + (0.0 if judge is None else float(judge.world.lit(0.0).off.median()))
     if brightest > saturation_luminance(scenario.camera):
         raise LuxloopError(
             f"the symbol on the road has {brightest:.3g} cd/m^2, but the camera saturates at "
@@ -193,8 +207,8 @@ def check(scenario: AnyScenario, device: str = "auto") -> dict[str, Any]:
     """Build everything that a scenario names, and return what it is; `in_words` says it. Raises LuxloopError where it cannot run.
 
     `steps` and `road`; of a symbol's scenario also `controller`, of others `base` (what shines below all functions), `functions` (their
-    kinds), `objects` (their number) and `detector` (None where there is none). With a detector also the number of `boxes` that it finds in
-    the first frame, and `lx_max`, the most light on objects there (None where none is in sight).
+    kinds by name), `objects` (their number) and `detector` (None where there is none). With a detector also the number of `boxes` that it
+    finds in the first frame, and `lx_max`, the most light on objects there (None where none is in sight).
     """
     facts: dict[str, Any] = {"steps": scenario.steps, "road": scenario.road.kind}
     if isinstance(scenario, Scenario):
@@ -206,7 +220,7 @@ def check(scenario: AnyScenario, device: str = "auto") -> dict[str, Any]:
         | _first_look(simulation)
         | {
             "base": simulation.base(scenario.lighting.base.beam),
-            "functions": [function.kind for function in scenario.lighting.functions],
+            "functions": {name: function.kind for name, function in scenario.functions.items()},
             "objects": len(scenario.all_objects),
             "detector": None if scenario.detector is None else scenario.detector.kind,
         }
@@ -217,8 +231,9 @@ def _first_look(simulation: LightingSimulation) -> dict[str, Any]:
     if simulation.sight is None:
         return {}
     with located(simulation.scenario.source):
-        first = simulation.at(0)
-    assert first.look is not None
+        first = next((each for each in simulation.run() if each.frame is not None), None)
+    if first is None or first.look is None:
+        return {"boxes": 0, "lx_max": None}
     lit = [each.lx_max for each in first.objects.values() if each.lx_max is not None]
     return {"boxes": len(first.look.found), "lx_max": max(lit, default=None)}
 
@@ -228,8 +243,7 @@ def in_words(facts: dict[str, Any]) -> str:
     start = f"{facts['steps']} steps, road {facts['road']}"
     if "controller" in facts:
         return f"{start}, controller {facts['controller']}"
-    number = Counter(facts["functions"])
-    kinds = ", ".join(kind if count == 1 else f"{count} x {kind}" for kind, count in number.items()) or "none"
+    kinds = ", ".join(f"{name} ({kind})" for name, kind in facts["functions"].items()) or "none"
     finder = "no detector" if facts["detector"] is None else f"detector {facts['detector']} ({_looked(facts)})"
     return f"{start}, {facts['base']}, functions {kinds}, {facts['objects']} objects, {finder}"
 

@@ -23,7 +23,12 @@ if TYPE_CHECKING:
     from controllers.symbol.sensing.drawing import Drawing
     from controllers.symbol.sensing.observer import Observer
     from controllers.symbol.sensing.protocol import Look, SymbolController
+    from loop.contracts.controller import check_controller
+    from loop.contracts.detector import check_detector
+    from loop.contracts.function import check_function
     from loop.pictures.headlight import show as show_headlight
+    from loop.plant.protocol import Arrivals, Exposure, Frame
+    from loop.plant.simulated import simulated_plant
     from loop.run import RunResult, prepare, run
     from loop.scenario.model import Scenario
     from loop.scenario.model import load_any as load
@@ -31,6 +36,7 @@ if TYPE_CHECKING:
     from loop.symbol.simulation import Simulation
     from perception.detection.protocol import Detections
     from perception.extraction import Loss
+    from perception.tracks import TrackedBoxes
     from world.errors import LuxloopError
     from world.frames import pose_from_degrees
     from world.headlight.lamp import Lamp, Module
@@ -42,8 +48,11 @@ if TYPE_CHECKING:
     from world.roads.base import RoadModel
 
 __all__ = [
+    "Arrivals",
     "Detections",
     "Drawing",
+    "Exposure",
+    "Frame",
     "Lamp",
     "LightingParams",
     "Look",
@@ -59,11 +68,15 @@ __all__ = [
     "Situation",
     "Ssc",
     "SymbolController",
+    "TrackedBoxes",
     "TrackedObject",
     "Utilisation",
     "aim_beam",
     "build_controller",
     "check_beam",
+    "check_controller",
+    "check_detector",
+    "check_function",
     "concatenate",
     "idealised",
     "load",
@@ -75,6 +88,7 @@ __all__ = [
     "road_symbol",
     "run",
     "show_headlight",
+    "simulated_plant",
     "validate",
 ]
 
@@ -87,12 +101,18 @@ _MODULES = {
     "controllers.symbol.sensing.drawing": ("Drawing",),
     "controllers.symbol.sensing.observer": ("Observer",),
     "controllers.symbol.sensing.protocol": ("Look", "SymbolController"),
+    "loop.contracts.controller": ("check_controller",),
+    "loop.contracts.detector": ("check_detector",),
+    "loop.contracts.function": ("check_function",),
     "loop.pictures.headlight": ("show as show_headlight",),
+    "loop.plant.protocol": ("Arrivals", "Exposure", "Frame"),
+    "loop.plant.simulated": ("simulated_plant",),
     "loop.run": ("RunResult", "prepare", "run"),
     "loop.scenario.model": ("Scenario", "load_any as load", "validate_any as validate"),
     "loop.symbol.simulation": ("Simulation",),
     "perception.detection.protocol": ("Detections",),
     "perception.extraction": ("Loss",),
+    "perception.tracks": ("TrackedBoxes",),
     "world.errors": ("LuxloopError",),
     "world.frames": ("pose_from_degrees",),
     "world.headlight.lamp": ("Lamp", "Module"),

@@ -59,6 +59,7 @@ class CameraParams(Params):
     noise: bool = Field(True, description="whether frames have shot and read noise")
 
     latency_steps: int = Field(0, ge=0, le=10, description="control steps by which the controller sees frames late")
+    latency_spread_steps: int = Field(0, ge=0, le=10, description="steps at most by which they are later still, drawn for each step")
     drop_probability: float = Field(0.0, ge=0, lt=1, description="probability that a step's frames are lost")
 
     @model_validator(mode="after")

@@ -8,18 +8,20 @@ box, the root of its area: for a pedestrian that is about a metre, wherever they
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from pydantic import Field
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
+from torch.nn.functional import one_hot
 
 from perception.detection.protocol import Detections
-from perception.detection.suppression import overlaps
+from perception.detection.suppression import SAME, overlaps
+from perception.lamps import SHINE, by_lamps
 from perception.parts import MEASURED, SOLID, alike, are_parts, belonging, completed, hiding, limits_m, spread_of, standing, uncut
 from perception.placing import nearness
-from perception.tracks import EACH, Tracks
+from perception.tracks import EACH, TrackedBoxes, Tracks
 from world.params import Params
 from world.traffic.tracked import Category
 from world.view import View
@@ -41,6 +43,7 @@ SURER = 2.0  # times as sure of another class as of its own: a track changes cla
 class TrackerParams(Params):
     """How detections become objects that keep their identity."""
 
+    kind: Literal["kalman"] = "kalman"
     start_score: float = Field(
         0.5, gt=0, le=1, description="score from which on a detection may be a new object; half of it keeps a known one"
     )
@@ -70,6 +73,27 @@ class Tracker:
     def start(self) -> Tracks:
         """The state before the first frame."""
         return self._started(1, Detections(torch.zeros(0, 4).double(), torch.zeros(0, len(self.classes)).double()), 0.0)
+
+    def follow(self, tracks: Tracks, found: Detections, frame: Tensor, time_s: float) -> Tracks:
+        """The tracks after a frame `[height, width]`, shares of the largest digital number. Vehicles that are not found in it are kept,
+        though not for sure, where their lamps shine.
+        """
+        present = self.at(tracks, time_s).present
+        boxes, scores = self.whole(present), found.scores.detach().double().cpu()
+        shine = torch.tensor([self.classes[number] in SHINE for number in present.category.tolist()], dtype=torch.bool)
+        sure = found.boxes.detach().double().cpu()[scores.amax(-1) >= self.params.keeps_score]
+        missed = shine & ~(overlaps(boxes, sure) >= SAME).any(-1)
+        metre = (boxes[missed, 2] - boxes[missed, 0]) / present.size_m[missed, 0]
+        moved = by_lamps(frame, boxes[missed], metre, boxes[~missed])
+        there = moved.isfinite().all(-1)
+        kept = one_hot(present.category[missed][there], len(self.classes)).double() * self.params.keeps_score
+        all_found = Detections(torch.cat([found.boxes.detach().double().cpu(), moved[there]]), torch.cat([scores, kept]))
+        return self.step(tracks, all_found, time_s)
+
+    def report(self, tracks: Tracks, time_s: float) -> TrackedBoxes:
+        """Those that are confirmed, the lost ones among them, where they will be."""
+        ahead = self.at(tracks.known, time_s)
+        return TrackedBoxes(ahead.number, self.whole(ahead), ahead.category, ahead.confidence, ahead.score, ahead.since_s, ahead.until_s)
 
     def boxes(self, tracks: Tracks) -> Tensor:
         """`[n, 4]` px: left, top, right, bottom, as far as in the image."""

@@ -1,14 +1,26 @@
 """Base of every parameter model: what a scenario file may say about a thing lives with the thing."""
 
+import re
 from typing import Annotated, Any, Final
 
 from annotated_types import Gt
-from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, WithJsonSchema, field_validator
 
 SMALLEST: Final = 1e-12  # least value of a number that has to be positive: what is divided by its square stays finite in single precision
 
 Metres = Annotated[float, Field(ge=-10_000, le=10_000)]
 Degrees = Annotated[float, Field(ge=-180, le=180)]
+PLAIN = "[a-z][a-z0-9_]*"
+
+
+def _plain(name: str) -> str:
+    if not re.fullmatch(PLAIN, name):
+        better = re.sub("[^a-z0-9]+", "_", name.lower()).lstrip("_0123456789").rstrip("_")
+        raise ValueError(f"{name!r} is no name: it has lower-case letters, digits and _, a letter first; write {better or 'another'}")
+    return name
+
+
+PlainName = Annotated[str, AfterValidator(_plain), WithJsonSchema({"type": "string", "pattern": f"^{PLAIN}$"})]  # of a column, say
 
 
 class Params(BaseModel):

@@ -86,6 +86,9 @@ def named(params: Any, key: str = "") -> Iterator[tuple[str, Name]]:
     elif isinstance(params, BaseModel):
         for field, value in params:
             yield from named(value, f"{key}.{field}".strip("."))
+    elif isinstance(params, Mapping):
+        for name, value in params.items():
+            yield from named(value, f"{key}.{name}")
     elif isinstance(params, tuple):
         for k, value in enumerate(params):
             yield from named(value, f"{key}[{k}]")
@@ -130,9 +133,14 @@ def load(name: Name, key: str, methods: Sequence[str]) -> Any:
     if not isinstance(found, type):
         what = f"module {name.module} has no {name.attribute}" if found is None else f"{name.attribute} is no class"
         raise LuxloopError(f"{where}: {what}; name a class of it")
-    if missing := [method for method in methods if not callable(getattr(found, method, None))]:
-        raise LuxloopError(f"{where}: has no method {missing[0]}; it needs {', '.join(methods)}")
+    check_methods(found, where, methods)
     return found
+
+
+def check_methods(made_by: type, where: str, methods: Sequence[str]) -> None:
+    """Raises LuxloopError where a class lacks one of the methods; where: what messages begin with."""
+    if missing := [method for method in methods if not callable(getattr(made_by, method, None))]:
+        raise LuxloopError(f"{where}: has no method {missing[0]}; it needs {', '.join(methods)}")
 
 
 def make(name: Name, key: str, given: Mapping[str, Any], options: Mapping[str, Any], methods: Sequence[str]) -> Any:
@@ -141,8 +149,12 @@ def make(name: Name, key: str, given: Mapping[str, Any], options: Mapping[str, A
     key: that of the scenario which names it; `options` stands beside it. Raises what `load` does, and LuxloopError where an option is not
     one that it takes or is missing, or it cannot be made.
     """
-    table = f"{key.rpartition('.')[0]}.options"
-    made_by = load(name, key, methods)
+    return made(load(name, key, methods), name, key, given, options)
+
+
+def made(made_by: type, name: Name, key: str, given: Mapping[str, Any], options: Mapping[str, Any]) -> Any:
+    """The same of a class that is at hand."""
+    table = f"{key.rpartition('.')[0]}.options".removeprefix(".")
     _fitting(made_by, name, table, tuple(given.values()), options)
     with running(name, key, f"__init__ with {' and '.join([*(f'the {each}' for each in given), table])}"):
         return Guarded(made_by(*given.values(), **options), name, key)

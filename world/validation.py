@@ -5,7 +5,7 @@ import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from datetime import date, time
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
@@ -171,18 +171,21 @@ def _quoted(names: str) -> list[str]:
 def _place(model: type[BaseModel], location: tuple[int | str, ...]) -> tuple[str, dict[str, Any]]:
     """Follow an error's location through the model: the key as a file writes it, and the fields of the table that it lies in."""
     key = ""
-    candidates = [model]
+    candidates, named = [model], False
     fields: dict[str, Any] = {}
     for part in (part for part in location if part != KEY_ITSELF):
         chosen = [candidate for candidate in candidates if len(candidates) > 1 and part in _tags(candidate)]
         if isinstance(part, int):
             key += f"[{part}]"
+        elif named:  # a table by a name that the file chooses
+            key, named = f"{key}.{part}", False
         elif chosen:  # a variant's tag, which the file does not write here
             candidates = chosen
         else:
             key = f"{key}.{part}" if key else part
             fields = {name: field for candidate in candidates for name, field in candidate.model_fields.items()}
             candidates = list(_models(fields[part].annotation)) if part in fields else []
+            named = part in fields and get_origin(fields[part].annotation) is Mapping
     return key, fields
 
 

@@ -1,17 +1,18 @@
 """The planner: base beam and lighting functions, composed for one moment into primitives (T 4.1, 7.2.2)."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import torch
-from pydantic import Field
+from pydantic import AfterValidator, Field, Tag, TypeAdapter
 
 from controllers.functions.base_beams import BaseBeam, BaseBeamParams, RawParams
 from controllers.functions.glare_free import GlareFreeParams
 from controllers.functions.lane import LaneParams, WidthParams
 from controllers.functions.marker import MarkerParams
+from controllers.functions.own import OwnFunction, own_function
 from controllers.functions.path import PathParams
 from controllers.functions.sign import SignParams
 from controllers.functions.symbol import SymbolFunctionParams
@@ -21,33 +22,51 @@ from controllers.situation import AdaptiveFunction, LightingFunction, Situation
 from controllers.zones.material import MaterialParams
 from controllers.zones.zone import ZoneParams
 from world.errors import located
-from world.params import Params
+from world.params import Params, PlainName
+from world.plugin import OWN, known_or_own
 from world.symbols import SymbolSource, load
 
 FunctionParams = Annotated[
-    GlareFreeParams
-    | MarkerParams
-    | SignParams
-    | SymbolFunctionParams
-    | PathParams
-    | LaneParams
-    | WidthParams
-    | ObjectBasedParams
-    | MaterialParams
-    | ZoneParams,
-    Field(discriminator="kind"),
+    Annotated[GlareFreeParams, Tag("glare_free")]
+    | Annotated[MarkerParams, Tag("marker")]
+    | Annotated[SignParams, Tag("sign")]
+    | Annotated[SymbolFunctionParams, Tag("symbol")]
+    | Annotated[PathParams, Tag("path")]
+    | Annotated[LaneParams, Tag("lane")]
+    | Annotated[WidthParams, Tag("width")]
+    | Annotated[ObjectBasedParams, Tag("object_based")]
+    | Annotated[MaterialParams, Tag("material")]
+    | Annotated[ZoneParams, Tag("zone")]
+    | Annotated[OwnFunction, Tag(OWN)],
+    known_or_own("kind"),
 ]
+ORDER: Final = (  # from top to bottom, where two functions of equal priority lie in one place
+    ("glare_free",),
+    ("symbol",),
+    (OWN,),
+    ("path", "lane", "width"),
+    ("marker",),
+    ("sign",),
+    ("object_based",),
+    ("zone", "material"),
+)
 
 
-States = tuple[Any, ...]  # of all functions, by their place in the scenario; None of those that learn nothing
+def in_order(functions: Mapping[str, FunctionParams]) -> dict[str, FunctionParams]:
+    """Functions from top to bottom: by ORDER, and those alike by name."""
+    rank = {kind: k for k, kinds in enumerate(ORDER) for kind in kinds}
+    return dict(sorted(functions.items(), key=lambda item: (rank.get(item[1].kind, rank[OWN]), item[0])))
+
+
+Functions = Annotated[Mapping[PlainName, FunctionParams], AfterValidator(in_order)]
+States = Mapping[str, Any]  # of all functions, by name; None of those that learn nothing
 
 
 class LightingParams(Params):
-    """All light of the car: a base beam, and functions on top of it."""
+    """What is common to all light of the car: the base beam below its functions, and what holds for all of them."""
 
     base: BaseBeamParams = Field(BaseBeamParams(), description="the light below all functions")
     raw: tuple[RawParams, ...] = Field((), description="utilisations of pixels that take the place of the base beam")
-    functions: tuple[FunctionParams, ...] = Field((), description="lighting functions; of equal priority, later ones lie on top")
     power_limit: float | None = Field(None, gt=0, le=1, description="largest power of a lamp, as a share of all pixels on; none: unlimited")
     share: bool = Field(True, description="modules that reach a point share its illuminance, so that light is not doubled")
     street_lamps: bool = Field(False, description="take off what street lamps give already")
@@ -72,69 +91,81 @@ class Plan:
 
 @dataclass(frozen=True, eq=False)
 class Planner:
-    """The functions of a scenario with the symbols that they draw."""
+    """The functions of a scenario by name, from top to bottom, with the symbols that they draw."""
 
-    params: LightingParams
+    functions: Mapping[str, LightingFunction | AdaptiveFunction]
+    lighting: LightingParams
     symbols: Mapping[str, SymbolSource]
     dtype: torch.dtype = torch.float32
 
     @classmethod
-    def prepare(cls, params: LightingParams, find: Callable[[str], Path] = Path, dtype: torch.dtype = torch.float32) -> "Planner":
-        """Load every symbol once. find: turns the name of a shipped symbol or a path into a path.
+    def prepare(
+        cls,
+        functions: Mapping[str, Any],
+        lighting: LightingParams,
+        find: Callable[[str], Path] = Path,
+        dtype: torch.dtype = torch.float32,
+    ) -> "Planner":
+        """Load every symbol once. functions: by name, parameters or tables as scenario files have them. find: turns the name of a shipped
+        symbol or a path into a path.
 
-        Raises LuxloopError that names the key of a bad one.
+        Raises pydantic's ValidationError for a bad table, and LuxloopError that names the key of a bad symbol, or of a function of the
+        user's own that cannot be made.
         """
-        symbols: dict[str, SymbolSource] = {}
-        for number, function in enumerate(params.functions):
+        ordered, symbols = TypeAdapter(Functions).validate_python(functions), dict[str, SymbolSource]()
+        made: dict[str, LightingFunction | AdaptiveFunction] = {}
+        for name, function in ordered.items():
+            with located(f"functions.{name}"):
+                made[name] = own_function(function) if isinstance(function, OwnFunction) else function
             if (image := getattr(function, "image", None)) and image not in symbols:
-                with located(f"lighting.functions[{number}].image"):
+                with located(f"functions.{name}.image"):
                     symbols[image] = load(find(image))
-        return cls(params, symbols, dtype)
-
-    @property
-    def functions(self) -> tuple[LightingFunction | AdaptiveFunction, ...]:
-        return self.params.functions
+        return cls(made, lighting, symbols, dtype)
 
     @property
     def learns(self) -> bool:
         """Whether any function depends on what was seen before."""
-        return any(isinstance(function, AdaptiveFunction) for function in self.functions)
+        return any(isinstance(function, AdaptiveFunction) for function in self.functions.values())
 
     def start(self) -> States:
         """Before anything is seen."""
-        return tuple(function.start() if isinstance(function, AdaptiveFunction) else None for function in self.functions)
+        return {name: each.start() if isinstance(each, AdaptiveFunction) else None for name, each in self.functions.items()}
 
     def step(self, states: States, now: Situation) -> States:
         """What the functions have learnt once `now.seen` has come."""
         now = replace(now, symbols=dict(self.symbols))
-        stepped = []
-        for number, (function, state) in enumerate(zip(self.functions, states, strict=True)):
-            with located(f"lighting.functions[{number}]"):
-                stepped.append(function.step(state, now) if isinstance(function, AdaptiveFunction) else None)
-        return tuple(stepped)
+        stepped = {}
+        for name, function in self.functions.items():
+            with located(f"functions.{name}"):
+                stepped[name] = function.step(states[name], now) if isinstance(function, AdaptiveFunction) else None
+        return stepped
 
-    def drawn(self, now: Situation, states: States) -> tuple[tuple[Primitives, ...], ...]:
+    def drawn(self, now: Situation, states: States) -> dict[str, tuple[Primitives, ...]]:
         """The primitives of each function."""
         now = replace(now, symbols=dict(self.symbols))
-        found = []
-        for number, (function, state) in enumerate(zip(self.functions, states, strict=True)):
-            with located(f"lighting.functions[{number}]"):
-                found.append(function.adapted(state, now) if isinstance(function, AdaptiveFunction) else function.primitives(now))
-        return tuple(found)
+        found = {}
+        for name, function in self.functions.items():
+            with located(f"functions.{name}"):
+                if isinstance(function, AdaptiveFunction):
+                    found[name] = function.adapted(states[name], now)
+                else:
+                    found[name] = function.primitives(now)
+        return found
 
     def plan(self, now: Situation, states: States | None = None) -> Plan:
-        """Compose all functions. Masks of road users beat everything else; else the higher priority wins where two lie in one place.
+        """Compose all functions. Masks of road users beat everything else; else the higher priority wins where two lie in one place, and
+        of equal ones that which `in_order` puts on top.
 
         states: what the functions have learnt; left out: nothing.
         """
         states = self.start() if states is None else states
-        parts = [primitives for each in self.drawn(now, states) for primitives in each]
-        base = replace(self.params.base.at(now), share=self._base_share(states))
+        parts = [primitives for each in reversed(self.drawn(now, states).values()) for primitives in each]
+        base = replace(self.lighting.base.at(now), share=self._base_share(states))
         if not parts:
             return Plan(now.time_s, base, None)
         primitives = concatenate(*parts).to(self.dtype)
-        return Plan(now.time_s, base, replace(primitives, shared=primitives.shared & self.params.share))
+        return Plan(now.time_s, base, replace(primitives, shared=primitives.shared & self.lighting.share))
 
-    def _base_share(self, states: Sequence[Any]) -> float:
-        asked = (each.base_share(state) for each, state in zip(self.functions, states, strict=True) if isinstance(each, AdaptiveFunction))
+    def _base_share(self, states: States) -> float:
+        asked = (each.base_share(states[name]) for name, each in self.functions.items() if isinstance(each, AdaptiveFunction))
         return max((share for share in asked if share is not None), default=1.0)

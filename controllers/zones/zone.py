@@ -45,7 +45,6 @@ class ZoneParams(Params):
     """A place in the world that is lit until the camera measures the wanted luminance there."""
 
     kind: Literal["zone"] = "zone"
-    name: str = Field(min_length=1, description="name of the zone, for recordings")
     centre_m: tuple[Metres, Metres, Metres] = Field(description="its middle in the world (x forward, y left, z up)")
     size_m: tuple[Metres, Metres, Metres] = Field(description="length, width and height of a box; a rectangle where one of them is 0")
     roll_deg: float = Field(0.0, ge=-180, le=180, description="rotation about its length, right side down")

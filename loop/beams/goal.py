@@ -9,13 +9,12 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from loop.lighting.sight import SAME
 from loop.lighting.simulation import LightingSimulation
 from loop.lighting.view import LitScene
 from perception.camera import expose, frame_generator, luminance_of, noise_std
 from perception.detection.network import Network, NetworkDetector, boxes_of, middles, prepared
 from perception.detection.protocol import Detector
-from perception.detection.suppression import overlaps
+from perception.detection.suppression import SAME, overlaps
 from perception.visibility import edge_definition, unevenness, weber_contrast
 from world.errors import LuxloopError
 from world.params import Params

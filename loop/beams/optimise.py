@@ -50,7 +50,7 @@ def optimise_beam(
         raise LuxloopError(f"{scenario.source}: has a [symbol]; a beam is optimised for a scenario with [lighting]")
     if steps is not None and steps < 1:
         raise LuxloopError(f"--steps {steps}: nothing can be found in that; give 1 or more")
-    scenario = scenario.model_copy(update={"lighting": scenario.lighting.model_copy(update={"functions": ()})})
+    scenario = scenario.model_copy(update={"functions": {}})
     simulation = LightingSimulation.prepare(scenario, torch_device(device))
     with located(scenario.source):
         judge = BeamJudge.prepare(simulation, goal, _detector(scenario, goal.metric, simulation.device))
@@ -119,7 +119,7 @@ def _write(out: Path, judge: BeamJudge, found: Found, beams: Mapping[str, Lights
             np.savez_compressed(stream, u=u.cpu().numpy().reshape(module.headlight.pixel_rows, module.headlight.pixel_cols))
         entries.append(f'  {{ file = "./{file.name}", modules = ["{module.name}"] }},\n')
     with whole(out / RAW) as part:
-        part.write_text(f"[lighting]\nfunctions = []\nraw = [\n{''.join(entries)}]\n", "utf-8")
+        part.write_text(f"functions = {{}}\n\n[lighting]\nraw = [\n{''.join(entries)}]\n", "utf-8")
     write_json(out / SUMMARY, summary)
     write_picture(out / PICTURE, judge, beams, found.losses, summary)
 

@@ -16,7 +16,7 @@ from loop.commands.listing import data_app, doctor, list_, schema
 from loop.commands.studies import campaign, evaluate, optimise_beam, train_detector, tune
 from loop.scenario.shipped import copied, examples, original
 from loop.terminal import tables
-from loop.terminal.options import DIFFERS, INTERRUPTED, OK, UNREAD, WRONG, AllowCode, Device, Json, Keys, with_controller
+from loop.terminal.options import DIFFERS, FAILED, INTERRUPTED, OK, UNREAD, WRONG, AllowCode, Device, Flag, Json, Keys, with_controller
 from world.errors import LuxloopError, did_you_mean
 
 DEBUG = "--debug"
@@ -181,8 +181,9 @@ def run(
     device: Device = "auto",
     video: bool = True,
     report: bool = True,
+    checks: Flag = False,
     allow_code: AllowCode = False,
-) -> None:
+) -> int:
     """Run a scenario and record it: manifest, trajectory, summary, report and video.
 
     Parameters
@@ -205,13 +206,16 @@ def run(
         Whether to write video.mp4.
     report
         Whether to write report.png, which takes seconds.
+    checks
+        Evaluate all checks of the scenario, those as well for which another light runs beside; exit code 1 where one fails.
     """
     from loop.commands.runs import run_scenario
     from loop.scenario.model import load_any
 
     given = {key: value for key, value in {"seed": seed, "steps": steps}.items() if value is not None} | with_controller(controller)
     scenario = load_any(name, set or [], allow_code=allow_code, **given)
-    run_scenario(scenario, out or Path("runs") / Path(name).stem, device, video, report)
+    passed = run_scenario(scenario, out or Path("runs") / Path(name).stem, device, video, report, checks)
+    return OK if passed or not checks else FAILED
 
 
 @app.command

@@ -13,6 +13,7 @@ from rich.table import Table
 from loop.lighting.replay import replay as replay_lighting
 from loop.lighting.result import LightingResult
 from loop.lighting.summary import shown
+from loop.recording.checks import lines, passed
 from loop.recording.manifest import Manifest
 from loop.recording.recorder import TRAJECTORY
 from loop.recording.remedies import remedies
@@ -31,8 +32,11 @@ def _one_thread() -> None:
         torch.set_num_threads(1)
 
 
-def run_scenario(scenario: AnyScenario, out: Path, device: str, video: bool, report: bool) -> None:
-    """Run, and say how it went and where the files lie. Raises KeyboardInterrupt that says what was kept."""
+def run_scenario(scenario: AnyScenario, out: Path, device: str, video: bool, report: bool, checks: bool) -> bool:
+    """Run, and say how it went and where the files lie; returns whether all checks have passed that were evaluated.
+
+    Raises KeyboardInterrupt that says what was kept.
+    """
     _one_thread()
     done = 0
     wanted = [name for name, is_wanted in (("report", report), ("video", video)) if is_wanted]
@@ -46,11 +50,15 @@ def run_scenario(scenario: AnyScenario, out: Path, device: str, video: bool, rep
             advance()
 
         try:
-            result = run(scenario, out, device=device, video=video, report=report, on_step=on_step, on_end=partial(advance, 0, writing))
+            on_end = partial(advance, 0, writing)
+            result = run(scenario, out, device=device, video=video, report=report, checks=checks, on_step=on_step, on_end=on_end)
         except KeyboardInterrupt as error:
             raise KeyboardInterrupt(f"{done} of {scenario.steps} steps are kept in {out}" if done else "nothing was recorded") from error
     table = shown if isinstance(scenario, LightingScenario) else of_symbol
     tables.show(table(result.summary, str(out)))
+    if checks and not scenario.checks:
+        tables.console().print(f"{scenario.name} has no [checks.NAME]", markup=False)
+    return passed(result.summary)
 
 
 def of_symbol(values: dict[str, Any], files: str) -> Table:
@@ -64,6 +72,7 @@ def of_symbol(values: dict[str, Any], files: str) -> Table:
         "overshoot": number(values["overshoot_percent"], ".1f", " %"),
         "lost steps": str(values["lost_steps"]),
         "time a step": f"{number(values['step_ms_median'], '.1f')} ms (median)",
+        **lines(values),
         "files": files,
     }
     if notes := remedies(values):

@@ -11,7 +11,7 @@ from matplotlib.ticker import LogFormatter
 
 from loop.lighting.compared import compared
 from loop.lighting.simulation import LightingSimulation
-from loop.lighting.summary import START_UP_S, UNITS, eyes_lx, lost_steps, materials_of, steps_of_nothing, zones_of
+from loop.lighting.summary import START_UP_S, UNITS, eyes_lx, lost_steps, materials_of, spoken, steps_of_nothing, zones_of
 from loop.recording.report import FOUR, headed
 from loop.recording.summary import column
 
@@ -66,8 +66,8 @@ def _power(axes: Axes, simulation: LightingSimulation, table: pa.Table) -> None:
 def _zones(axes: Axes, table: pa.Table, zones: Sequence[str]) -> None:
     time_s = column(table, "time_s")
     for name, colour in zip(zones, cycle(COLOURS), strict=False):
-        axes.plot(time_s, column(table, f"zone.{name}.luminance"), marker=_mark(table), color=colour, label=name)
-        axes.plot(time_s, column(table, f"zone.{name}.target"), color=colour, linestyle="--", linewidth=0.9)
+        axes.plot(time_s, column(table, f"functions.{name}.luminance"), marker=_mark(table), color=colour, label=spoken(name))
+        axes.plot(time_s, column(table, f"functions.{name}.target"), color=colour, linestyle="--", linewidth=0.9)
     axes.set(ylabel="cd/m²", ylim=(0, 1.08 * axes.dataLim.ymax))
     headed(axes, "Luminance of zones, and what is wanted (dashed)")
 
@@ -75,10 +75,10 @@ def _zones(axes: Axes, table: pa.Table, zones: Sequence[str]) -> None:
 def _materials(axes: Axes, table: pa.Table) -> None:
     asked = [(name, quantity) for quantity in UNITS for name in materials_of(table, quantity)]
     for (name, quantity), (line, colour) in zip(asked, cycle(product(("-", "--", ":"), COLOURS)), strict=False):
-        values, wanted = (column(table, f"material.{name}.{each}") for each in (quantity, "wanted"))
+        values, wanted = (column(table, f"functions.{name}.{each}") for each in (quantity, "wanted"))
         if not wanted[-1]:
             continue  # dark has no share
-        label = f"{name}: {wanted[-1]:g} {UNITS[quantity]}".replace("^2", "²")
+        label = f"{spoken(name)}: {wanted[-1]:g} {UNITS[quantity]}".replace("^2", "²")
         axes.plot(column(table, "time_s"), values / wanted, line, marker=_mark(table), color=colour, label=label)
     axes.axhline(1.0, color="0.5", linewidth=0.9)
     axes.set(ylabel="of what is wanted", ylim=(0, None))
@@ -88,8 +88,8 @@ def _materials(axes: Axes, table: pa.Table) -> None:
 def _confidences(axes: Axes, table: pa.Table, objects: Sequence[str]) -> None:
     for name, colour in zip(objects, cycle(COLOURS), strict=False):
         gone = lost_steps(table, name)
-        label = name if not gone else f"{name}, lost in {gone} steps"
-        axes.plot(column(table, "time_s"), column(table, f"object.{name}.confidence"), color=colour, label=label)
+        label = spoken(name) + (f", lost in {gone} steps" if gone else "")
+        axes.plot(column(table, "time_s"), column(table, f"objects.{name}.confidence"), color=colour, label=label)
     axes.set(ylim=(0, 1.02))
     if nothing := steps_of_nothing(table, objects):
         axes.plot([], [], " ", label=f"a track of nothing in {nothing} steps")
@@ -99,8 +99,9 @@ def _confidences(axes: Axes, table: pa.Table, objects: Sequence[str]) -> None:
 def _on_objects(axes: Axes, table: pa.Table, objects: Sequence[str], named: bool) -> None:
     time_s = column(table, "time_s")
     for name, colour in zip(objects, cycle(COLOURS), strict=False):
-        mean, most = column(table, f"object.{name}.lx_mean"), column(table, f"object.{name}.lx_max")
-        label = f"{name}: 0 lx throughout" if (seen := most[np.isfinite(most)]).size and not seen.any() else name if named else None
+        mean, most = column(table, f"objects.{name}.lx_mean"), column(table, f"objects.{name}.lx_max")
+        dark = (seen := most[np.isfinite(most)]).size and not seen.any()
+        label = f"{spoken(name)}: 0 lx throughout" if dark else spoken(name) if named else None
         axes.plot(time_s, mean, marker=_mark(table), color=colour, label=label)
         axes.plot(time_s, most, color=colour, linestyle=":", linewidth=0.9)
     axes.plot([], [], color="0.5", linestyle=":", linewidth=0.9, label="most on each")

@@ -1,7 +1,7 @@
 """The car's lamps, ready to be driven: every module that shines, with its pixel controller and its base beams."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -33,6 +33,11 @@ class ShiningModule(MountedModule):
     flux: Tensor
     beams: Mapping[str, Morphing]
     raw: RawUtilisation | None = None
+
+    def showing(self, beam: str) -> "ShiningModule":
+        """The module with this base beam alone. Raises LuxloopError where the lamp has none of that name."""
+        shown = Morphing(self.headlight, self.lamp.beam(beam)[self.number].to(self.flux))
+        return replace(self, beams={beam: shown}, raw=None)
 
     def base(self, plan: Plan) -> Tensor:
         """Utilisation `[n_p]` below all functions: the raw one, else a base beam, morphed and dimmed."""

@@ -13,6 +13,7 @@ from controllers.zones.zone import ZoneParams
 from loop.lighting.result import LightingResult, Look
 from loop.lighting.sight import name_of
 from loop.lighting.simulation import LightingSimulation
+from loop.lighting.summary import spoken
 from world.frames import transform
 from world.traffic.tracked import Category
 from world.view import View
@@ -35,13 +36,13 @@ class Mark:
 
 def marks(result: LightingResult, simulation: LightingSimulation) -> tuple[Mark, ...]:
     """Zones, and boxes on the road of what a perfect tracker tells; with a detector those in the image, of tracks after the frame."""
-    view = simulation.camera.view
-    zones = tuple(_zone(each, view) for each in simulation.scenario.lighting.functions if isinstance(each, ZoneParams))
+    view = simulation.view
+    zones = tuple(_zone(name, each, view) for name, each in simulation.scenario.functions.items() if isinstance(each, ZoneParams))
     if result.look is None:
         there = (each for each in result.now.objects if each.since_s <= result.time_s < each.until_s)
         return (*zones, *(Mark(_around(each, view), each.name in result.masked) for each in there))
     assert simulation.sight is not None
-    return (*zones, *_found(result.look), *_tracked(result.look, simulation.sight.tracker.classes, result.masked))
+    return (*zones, *_found(result.look), *_tracked(result.look, simulation.sight.classes, result.masked))
 
 
 def readable(marked: Iterable[Mark], character_px: float, width_px: int) -> tuple[Mark, ...]:
@@ -63,11 +64,11 @@ def readable(marked: Iterable[Mark], character_px: float, width_px: int) -> tupl
     return tuple(kept)
 
 
-def _zone(zone: ZoneParams, view: View) -> Mark:
+def _zone(name: str, zone: ZoneParams, view: View) -> Mark:
     lines = _edges(*zone.box, view)
     points = [point for line in lines for point in line]
     at = (min(u for u, _ in points), min(v for _, v in points)) if points else (0, 0)
-    return Mark(lines, text=zone.name if points else "", at=at)
+    return Mark(lines, text=spoken(name) if points else "", at=at)
 
 
 def _found(look: Look) -> tuple[Mark, ...]:
@@ -77,7 +78,7 @@ def _found(look: Look) -> tuple[Mark, ...]:
 def _tracked(look: Look, classes: tuple[Category, ...], masked: frozenset[str]) -> tuple[Mark, ...]:
     drawn, tracks = [], look.tracks
     for number, box, category, sure in zip(
-        tracks.number.tolist(), look.boxes.tolist(), tracks.category.tolist(), tracks.confidence.tolist(), strict=True
+        tracks.number.tolist(), tracks.boxes.tolist(), tracks.category.tolist(), tracks.confidence.tolist(), strict=True
     ):
         text = f"{classes[category]} {number}: {sure[category]:.2f}"
         drawn.append(Mark(_outline(box), name_of(number) in masked, text=text, at=(round(box[0]), round(box[1]))))

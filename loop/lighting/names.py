@@ -1,6 +1,7 @@
 """Whether what a scenario's lighting names is there."""
 
 from collections.abc import Iterator
+from typing import Any
 
 from loop.lighting.lamps import ShiningModule
 from loop.scenario.model import LightingScenario
@@ -11,17 +12,17 @@ def check_names(scenario: LightingScenario, modules: tuple[ShiningModule, ...]) 
     """Raises LuxloopError where raw utilisations or a function are meant for a lamp, module or object that is not there."""
     known = dict.fromkeys(word for module in modules for word in (*module.name.split(" ", 1), module.name))
     objects = [item.name for item in scenario.all_objects if item.category is not None]
-    for key, each in (("raw", scenario.lighting.raw), ("functions", scenario.lighting.functions)):
-        for number, item in enumerate(each):
-            for name in getattr(item, "modules", ()):
-                if name not in known:
-                    where = f"lighting.{key}[{number}].modules"
-                    raise LuxloopError(f"{where}: there is no lamp or module {name!r}; there are {', '.join(known)}")
-    for number, function in enumerate(scenario.lighting.functions):
+    drawn: dict[str, Any] = {f"lighting.raw[{k}]": raw for k, raw in enumerate(scenario.lighting.raw)}
+    functions = {f"functions.{name}": function for name, function in scenario.functions.items()}
+    for where, each in (drawn | functions).items():
+        for name in getattr(each, "modules", ()):
+            if name not in known:
+                raise LuxloopError(f"{where}.modules: there is no lamp or module {name!r}; there are {', '.join(known)}")
+    for where, function in functions.items():
         for key, name in _objects_named(function):
             if name not in objects:
                 raise LuxloopError(
-                    f"lighting.functions[{number}].{key}: there is no object {name!r} with a category; there are "
+                    f"{where}.{key}: there is no object {name!r} with a category; there are "
                     f"{', '.join(objects) or 'none'}, an object is tracked if it has a category"
                 )
 

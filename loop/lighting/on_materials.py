@@ -1,6 +1,6 @@
 """What materials get that are to have a light of their own, beside what was wanted."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,18 +22,20 @@ class OnMaterial:
     wanted: float
 
 
-def quantities(functions: Sequence[Any]) -> Mapping[str, Quantity]:
-    """What is asked for, by name of the material, or range of albedo; of several lights that share it the first is told alone."""
+def quantities(functions: Mapping[str, Any]) -> Mapping[str, Quantity]:
+    """Requested quantity by function and material, or range of albedo; where several lights share both, that of the first."""
     found: dict[str, Quantity] = {}
-    for light in (light for function in functions if isinstance(function, MaterialParams) for light in function.lights):
-        for label, _ in _named(light):
-            found.setdefault(label, light.quantity)
+    for name, function in functions.items():
+        if isinstance(function, MaterialParams):
+            for light in function.lights:
+                for label, _ in _named(light):
+                    found.setdefault(f"{name}.{label}", light.quantity)
     return found
 
 
 def on_materials(
-    functions: Sequence[Any],
-    states: Sequence[Any],
+    functions: Mapping[str, Any],
+    states: Mapping[str, Any],
     now: Situation,
     told: Mapping[str, int],
     view: LitScene,
@@ -42,19 +44,22 @@ def on_materials(
 ) -> Mapping[str, OnMaterial]:
     """All that have a quantity, where their function asks for it: on objects that it selects, and on its part of the road.
 
-    Of several lights of one label the first is told alone, as in `quantities`.
-    states: once the view has been seen. told: ids of objects by their names in the situation. illuminance, luminance: `[height, width]`.
+    Of several lights of one label the first is recorded, as in `quantities`.
+    states: None of a function that has seen nothing yet. told: ids of objects by their names in the situation. illuminance, luminance:
+    `[height, width]`.
     """
     found: dict[str, OnMaterial] = {}
-    for function, state in zip(functions, states, strict=True):
+    for called, function in functions.items():
         if isinstance(function, MaterialParams):
-            asked, (picture, names) = _asked(function, state, now, told, view), view.materials
+            state, (picture, names) = states[called], view.materials
+            asked = torch.zeros_like(picture, dtype=torch.bool) if state is None else _asked(function, state, now, told, view)
             for number, light in enumerate(function.lights):
-                mine, arriving = asked & (state.light == number), illuminance if light.quantity == "lx" else luminance
+                arriving = illuminance if light.quantity == "lx" else luminance
+                mine = asked if state is None else asked & (state.light == number)
                 for label, name in _named(light):
                     of_it = mine & (picture == names.index(name)) if name in names else mine & (name == "")
                     median = float(arriving[of_it].median()) if bool(of_it.any()) else None
-                    found.setdefault(label, OnMaterial(light.quantity, median, light.value))
+                    found.setdefault(f"{called}.{label}", OnMaterial(light.quantity, median, light.value))
     return found
 
 

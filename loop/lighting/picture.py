@@ -32,8 +32,8 @@ def white_of(luminance: Tensor, camera: CameraParams) -> Tensor:
 
 
 def measured(result: LightingResult, simulation: LightingSimulation) -> Tensor:
-    """Luminance `[height, width]` in cd/m^2 that the camera measures, with that step's noise."""
-    return luminance_of(result.frame, simulation.scenario.camera)
+    """Luminance `[height, width]` in cd/m^2 that the camera measures, with the noise of its frame; dark where no frame came."""
+    return torch.zeros_like(result.luminance) if result.frame is None else luminance_of(result.frame, simulation.scenario.camera)
 
 
 def frame_picture(result: LightingResult, simulation: LightingSimulation, white: Tensor) -> Picture:

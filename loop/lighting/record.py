@@ -12,7 +12,7 @@ from loop.lighting.result import LightingResult
 from loop.lighting.simulation import LightingSimulation
 from loop.lighting.summary import summarise
 from loop.recording.manifest import Manifest
-from loop.recording.recorder import Report, TableRecorder, no_report
+from loop.recording.recorder import Checked, Report, TableRecorder, no_report, unchecked
 
 # name: (type, unit, description); lamps and objects have columns of their own.
 STEP = {
@@ -74,22 +74,27 @@ LOOKED_AT = {
 
 
 def schema(simulation: LightingSimulation) -> pa.Schema:
-    """Columns of a simulation's recording: `lamp.left.flux_lm`, `object.NAME.lx_max` and so on."""
+    """Columns of a simulation's recording: `lamp.left.flux_lm`, `objects.NAME.lx_max` and so on."""
     sides = dict.fromkeys(module.side for module in simulation.modules)
     tracked, looks = simulation.watched, simulation.sight is not None
-    observed = any(getattr(function, "observer", None) for function in simulation.scenario.lighting.functions)
+    observed = any(getattr(function, "observer", None) for function in simulation.scenario.functions.values())
     columns = STEP | (OBSERVED if observed else {}) | {f"lamp.{side}.{key}": of for side in sides for key, of in LAMP.items()}
     columns |= (LEARNING if looks or simulation.planner.learns else {}) | (LOOKING if looks else {})
-    columns |= {f"object.{name}.{key}": of for name in tracked for key, of in (OBJECT | (LOOKED_AT if looks else {})).items()}
-    zones = [function.name for function in simulation.scenario.lighting.functions if function.kind == "zone"]
-    columns |= {f"zone.{name}.{key}": of for name in zones for key, of in ZONE.items()}
-    for name, quantity in quantities(simulation.scenario.lighting.functions).items():
+    columns |= {f"objects.{name}.{key}": of for name in tracked for key, of in (OBJECT | (LOOKED_AT if looks else {})).items()}
+    zones = [name for name, function in simulation.scenario.functions.items() if function.kind == "zone"]
+    columns |= {f"functions.{name}.{key}": of for name in zones for key, of in ZONE.items()}
+    for name, quantity in quantities(simulation.scenario.functions).items():
         unit, what = MATERIAL[quantity]
         columns |= {
-            f"material.{name}.{quantity}": (pa.float64(), unit, f"median {what} of its pixels where it is asked for; empty out of sight"),
-            f"material.{name}.wanted": (pa.float64(), unit, f"{what} wanted"),
+            f"functions.{name}.{quantity}": (pa.float64(), unit, f"median {what} of its pixels where it is asked for; empty out of sight"),
+            f"functions.{name}.wanted": (pa.float64(), unit, f"{what} wanted"),
         }
     return pa.schema(pa.field(name, kind, metadata={"unit": unit, "description": text}) for name, (kind, unit, text) in columns.items())
+
+
+def valued(simulation: LightingSimulation) -> set[str]:
+    """Names of what has values in the run of another light (`LightingSimulation.lit_by`), under which nothing must be dark."""
+    return {*schema(simulation).names, *LEARNING} - {"dark_lx_max"}
 
 
 def row(result: LightingResult) -> dict[str, Any]:
@@ -111,37 +116,38 @@ def row(result: LightingResult) -> dict[str, Any]:
     for side, power in result.powers.items():
         values |= {f"lamp.{side}.{key}": value for key, value in zip(LAMP, (power.flux_lm, power.share, power.factor), strict=True)}
     for name, each in result.objects.items():
-        values |= {f"object.{name}.{key}": getattr(each, key) for key in OBJECT}
+        values |= {f"objects.{name}.{key}": getattr(each, key) for key in OBJECT}
     for name, zone in result.zones.items():
-        values |= {f"zone.{name}.{key}": getattr(zone, key) for key in ZONE}
+        values |= {f"functions.{name}.{key}": getattr(zone, key) for key in ZONE}
     for name, material in result.materials.items():
-        values |= {f"material.{name}.{material.quantity}": material.median, f"material.{name}.wanted": material.wanted}
+        values |= {f"functions.{name}.{material.quantity}": material.median, f"functions.{name}.wanted": material.wanted}
     if (look := result.look) is not None:
-        values |= {"detections": len(look.found), "false_positives": look.false_positives, "eyes_lx_max": look.eyes_lx_max}
-        values["tracks"] = len(look.tracks)
+        values |= {"tracks": len(look.tracks), "eyes_lx_max": look.eyes_lx_max}
+        if result.frame is not None:
+            values |= {"detections": len(look.found), "false_positives": look.false_positives}
         for name in result.objects:
-            values |= {f"object.{name}.{key}": getattr(look.recognised.get(name), key, None) for key in LOOKED_AT}
+            keys = [key for key in LOOKED_AT if key != "score" or result.frame is not None]
+            values |= {f"objects.{name}.{key}": getattr(look.recognised.get(name), key, None) for key in keys}
     return values
 
 
 class LightingRecorder(TableRecorder[LightingResult]):
     """Records a run of lighting functions."""
 
-    def __init__(self, directory: Path, simulation: LightingSimulation, report: Report = no_report) -> None:
+    def __init__(self, directory: Path, simulation: LightingSimulation, report: Report = no_report, checked: Checked = unchecked) -> None:
         """Raises LuxloopError as any recorder does, and if an input file cannot be read."""
         self.simulation = simulation
-        self.idle = set(range(len(simulation.scenario.lighting.functions)))
+        self.idle = set(simulation.scenario.functions)
         manifest = Manifest.of(simulation.scenario, simulation.camera.source.name, simulation.device)
-        super().__init__(directory, manifest, schema(simulation), report)
+        super().__init__(directory, manifest, schema(simulation), report, checked)
 
     def row(self, result: LightingResult) -> dict[str, Any]:
         if self.idle:
             self.idle &= self.simulation.idle(result)
         return row(result)
 
-    def summary(self) -> dict[str, Any]:
-        """The summary of the steps so far."""
-        functions = self.simulation.scenario.lighting.functions
-        idle = [f"lighting.functions[{number}] ({functions[number].kind})" for number in sorted(self.idle)]
+    def figures(self) -> dict[str, Any]:
+        """The steps so far in a few numbers."""
+        idle = [f"functions.{name} ({each.kind})" for name, each in sorted(self.simulation.scenario.functions.items()) if name in self.idle]
         table = self.table()
         return summarise(table, self.simulation.scenario.name, compared(self.simulation, table)) | {"idle_functions": idle}

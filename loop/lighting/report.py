@@ -84,7 +84,7 @@ def _cameras(figure: SubFigure, simulation: LightingSimulation, moments: Sequenc
 
 def _told_of_boxes(simulation: LightingSimulation) -> str:
     """What the camera's pictures show: colours are named where they occur."""
-    kinds = {function.kind for function in simulation.scenario.lighting.functions}
+    kinds = {function.kind for function in simulation.scenario.functions.values()}
     zones = "; with its name: a zone" if "zone" in kinds else ""
     if not simulation.watched and simulation.sight is None:
         return f"What the camera sees{zones}"

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from torch import Tensor
 
@@ -14,28 +15,32 @@ from loop.lighting.on_objects import OnObject
 from loop.lighting.sight import Recognised
 from loop.lighting.zoned import InZone
 from perception.detection.protocol import Detections
-from perception.tracking import Tracks
+from perception.tracks import TrackedBoxes
 
 
 @dataclass(frozen=True, eq=False)
 class LightingState:
-    """What the car knows before a step. tracks: None without a detector. functions: what each of them has learnt."""
+    """What the car knows before a step. tracks: the tracker's state, None without a detector. functions: what each of them has learnt.
+
+    plant: its state.
+    """
 
     step: int
-    tracks: Tracks | None
+    tracks: Any
     functions: States
+    plant: Any
 
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """What was found in a frame, and the tracks that are confirmed then, with boxes `[n, 4]` px. recognised: what is made of each object
-    in sight, by its name. false_positives: detections of none that may be new objects.
+    """What was found in the frame that came, nothing where none did, and the tracks at its time that are not lost.
+
+    recognised: what is made of each object in sight, by its name. false_positives: detections of none that may be new objects.
     eyes_lx_max: most light of the lamps on heads and windscreens of road users, None where none are seen.
     """
 
     found: Detections
-    tracks: Tracks
-    boxes: Tensor
+    tracks: TrackedBoxes
     recognised: Mapping[str, Recognised]
     false_positives: int
     eyes_lx_max: float | None
@@ -47,9 +52,9 @@ class LightingResult:
 
     now: what was known, and functions: what they had learnt, when the light was planned. masked: names of its objects that must be dark.
     lights: utilisations `[n_p]`, one a module. powers: by the lamps' sides. illuminance: `[height, width]` lx from the lamps alone, and
-    luminance: in cd/m^2 with all other light, as the camera sees them. frame: its digital numbers. objects: by name, those that are there
-    and have a category. look: None without a detector. symbols: those that are meant for an observer, from their eyes. zones, materials:
-    by name. timings: ms by part.
+    luminance: in cd/m^2 with all other light, as the camera sees them. frame: digital numbers of the newest frame that came in this step,
+    None where none came. objects: by name, those that are there and have a category. look: None without a detector. symbols: those that
+    are meant for an observer, from their eyes. zones, materials: by name. timings: ms by part.
     """
 
     step: int
@@ -62,7 +67,7 @@ class LightingResult:
     powers: Mapping[str, LampPower]
     illuminance: Tensor
     luminance: Tensor
-    frame: Tensor
+    frame: Tensor | None
     objects: Mapping[str, OnObject]
     look: Look | None
     symbols: tuple[ObservedSymbol, ...]

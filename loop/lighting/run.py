@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-import torch
 from torch import Tensor
 
 from loop.lighting.picture import frame_picture, white_of
@@ -14,40 +13,44 @@ from loop.lighting.record import LightingRecorder
 from loop.lighting.report import write_report
 from loop.lighting.result import LightingResult
 from loop.lighting.simulation import LightingSimulation
+from loop.recording.checks import Checks
 from loop.recording.recorder import REPORT, VIDEO, no_report
 from loop.recording.video import VideoWriter
-from loop.scenario.model import LightingScenario
+from perception.tracking import TrackerParams
 
 VIDEO_FPS = 10
 MOMENTS = 4  # that the report shows
 
 
 def run_lighting(
-    scenario: LightingScenario,
+    simulation: LightingSimulation,
     directory: Path,
-    device: torch.device,
-    video: bool = True,
-    report: bool = True,
-    on_step: Callable[[LightingResult], None] = lambda result: None,
-    on_end: Callable[[], None] = lambda: None,
+    checks: Checks[LightingResult],
+    video: bool,
+    report: bool,
+    on_step: Callable[[LightingResult], None],
+    on_end: Callable[[], None],
 ) -> dict[str, Any]:
     """Run a scenario into a directory that is this process's own and return its summary, as `loop.run.run` does."""
-    simulation = LightingSimulation.prepare(scenario, device)
+    scenario = simulation.scenario
     moments: dict[int, LightingResult] = {}  # first, between, and the last so far
     white: Tensor | None = None
+    tracker = scenario.tracker
     # the last step that tracks do not light
-    first = 0 if scenario.detector is None else min(scenario.tracker.confirm_frames, scenario.steps) - 1
+    frames = scenario.camera.latency_steps + tracker.confirm_frames if scenario.detector and isinstance(tracker, TrackerParams) else 1
+    first = min(frames, scenario.steps) - 1
     kept = {first + k * (scenario.steps - 1 - first) // (MOMENTS - 1) for k in range(MOMENTS)}
 
     def page(table: pa.Table, summary: dict[str, Any]) -> None:
         write_report(directory / REPORT, simulation, list(moments.values())[-MOMENTS:], table)
 
     size = (scenario.camera.width_px, scenario.camera.height_px)
-    with LightingRecorder(directory, simulation, page if report else no_report) as recorder, ExitStack() as stack:
+    with LightingRecorder(directory, simulation, page if report else no_report, checks.outcomes) as recorder, ExitStack() as stack:
         film = stack.enter_context(VideoWriter(directory / VIDEO, VIDEO_FPS, size)) if video else None
         stack.callback(on_end)
         for result in simulation.run():
             recorder.add(result)
+            checks.step()
             moments = {step: each for step, each in moments.items() if step in kept} | {result.step: result}
             if film is not None:
                 white = white_of(result.luminance, scenario.camera) if white is None else white

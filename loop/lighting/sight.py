@@ -1,28 +1,26 @@
 """How the car sees: frames go to a detector, what it finds to a tracker, and tracks become boxes on the road."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import get_args
+from dataclasses import dataclass, replace
+from typing import Any, get_args
 
 import torch
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
-from torch.nn.functional import one_hot
 
 from controllers.situation import TrackedObject
 from loop.lighting.view import LitScene
 from perception.detection.build import detector
 from perception.detection.params import AnyParams, TruthParams
 from perception.detection.protocol import Detections, Detector
-from perception.detection.suppression import overlaps
-from perception.lamps import SHINE, by_lamps
+from perception.detection.suppression import SAME, overlaps
 from perception.placing import placed
-from perception.tracking import Tracker, TrackerParams
-from perception.tracks import Tracks
+from perception.trackers import OwnTracker
+from perception.trackers import tracker as build_tracker
+from perception.tracking import TrackerParams
+from perception.tracks import ObjectTracker, TrackedBoxes
 from world.traffic.tracked import Category
 from world.view import View
-
-SAME = 0.3  # least overlap of a box with the object that it is said to show
 
 
 @dataclass(frozen=True)
@@ -42,66 +40,60 @@ class Sight:
 
     detector: Detector | None
     params: AnyParams
-    tracker: Tracker
+    tracker: ObjectTracker
+    classes: tuple[Category, ...]
+    view: View
 
     @classmethod
-    def prepare(cls, params: AnyParams, tracker: TrackerParams, view: View, device: torch.device) -> "Sight":
-        """Raises LuxloopError where the detector's file is missing or broken."""
+    def prepare(cls, params: AnyParams, tracker: TrackerParams | OwnTracker, view: View, device: torch.device) -> "Sight":
+        """Raises LuxloopError where the detector's file is missing or broken, or one of the user's own cannot be made."""
         finds = None if isinstance(params, TruthParams) else detector(params, device)
         classes = get_args(Category) if finds is None else finds.classes
-        return cls(finds, params, Tracker(classes, view, tracker))
+        return cls(finds, params, build_tracker(tracker, classes, view), classes, view)
 
     def find(self, frame: Tensor, view: LitScene) -> Detections:
         """frame: `[height, width]`, digital numbers as a share of the largest. Raises LuxloopError where one's own detector fails at it."""
         if isinstance(self.params, TruthParams):
-            return view.detections(self.params, self.tracker.classes)
+            return view.detections(self.params, self.classes)
         assert self.detector is not None
         return self.detector.detect(frame[None])[0]
 
-    def follow(self, tracks: Tracks, found: Detections, frame: Tensor, time_s: float) -> Tracks:
-        """The tracks after a frame. Vehicles that are not found in it are kept, though not for sure, where their lamps shine."""
-        present = self.tracker.at(tracks, time_s).present
-        boxes, scores = self.tracker.whole(present), found.scores.detach().double().cpu()
-        shine = torch.tensor([self.tracker.classes[number] in SHINE for number in present.category.tolist()], dtype=torch.bool)
-        sure = found.boxes.detach().double().cpu()[scores.amax(-1) >= self.tracker.params.keeps_score]
-        missed = shine & ~(overlaps(boxes, sure) >= SAME).any(-1)
-        metre = (boxes[missed, 2] - boxes[missed, 0]) / present.size_m[missed, 0]
-        moved = by_lamps(frame, boxes[missed], metre, boxes[~missed])
-        there = moved.isfinite().all(-1)
-        kept = one_hot(present.category[missed][there], len(self.tracker.classes)).double() * self.tracker.params.keeps_score
-        all_found = Detections(torch.cat([found.boxes.detach().double().cpu(), moved[there]]), torch.cat([scores, kept]))
-        return self.tracker.step(tracks, all_found, time_s)
-
-    def objects(self, tracks: Tracks, time_s: float) -> tuple[TrackedObject, ...]:
+    def objects(self, tracks: Any, time_s: float) -> tuple[TrackedObject, ...]:
         """The tracks as lighting functions are told of them, where they are expected at a time."""
-        ahead = self.tracker.at(tracks.known, time_s)
-        numbers = ahead.category.tolist()
-        names = tuple(self.tracker.classes[number] for number in numbers)
-        boxes = placed(self.tracker.whole(ahead), names, self.tracker.view)
+        told = self.tracker.report(tracks, time_s)
+        numbers = told.category.tolist()
+        names = tuple(self.classes[number] for number in numbers)
+        boxes = placed(told.boxes, names, self.view)
         return tuple(
             TrackedObject(
-                name_of(int(ahead.number[k])),
+                name_of(int(told.number[k])),
                 names[k],
                 boxes.T_world_box[k],
                 tuple(boxes.size_m[k].tolist()),
-                float(ahead.since_s[k]),
-                float(ahead.until_s[k]),
-                float(ahead.confidence[k, number]),
-                float(ahead.score[k, number]),
+                float(told.since_s[k]),
+                float(told.until_s[k]),
+                float(told.confidence[k, number]),
+                float(told.score[k, number]),
             )
             for k, number in enumerate(numbers)
         )
 
+    def present(self, tracks: Any, time_s: float) -> TrackedBoxes:
+        """Those that are not lost, with boxes that end at the borders of the image."""
+        present = self.tracker.report(tracks, time_s).present
+        size = torch.tensor([self.view.width, self.view.height] * 2).double()
+        return replace(present, boxes=torch.minimum(present.boxes.clamp(min=0), size))
+
 
 def name_of(number: int) -> str:
     """A track's name as an object."""
-    return f"track {number}"
+    return f"track_{number}"
 
 
-def recognised(view: LitScene, tracked: Tensor, tracks: Tracks, found: Detections) -> Mapping[str, Recognised]:
-    """What is made of each object in sight, by its name. tracked: boxes `[n, 4]` px of the tracks."""
+def recognised(view: LitScene, tracks: TrackedBoxes, found: Detections) -> Mapping[str, Recognised]:
+    """What is made of each object in sight, by its name."""
     boxes, scores = found.boxes.double().cpu(), found.scores.double().cpu()
-    its_track = dict(pairs(view.boxes, tracked))
+    its_track = dict(pairs(view.boxes, tracks.boxes))
     its_box = dict(pairs(view.boxes, boxes))
     whole, sure = {}, tracks.confidence.amax(-1)
     for k, each in enumerate(view.objects):

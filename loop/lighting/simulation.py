@@ -1,20 +1,25 @@
 """Lighting functions at work: at each step the objects are tracked, the functions planned, the lamps driven, and the light looked at."""
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import torch
 from torch import Tensor
 
+from controllers.functions.base_beams import BaseBeamParams, BeamName
+from controllers.functions.glare_free import GlareFreeParams
 from controllers.functions.planner import Plan, Planner
 from controllers.pixels.primitives import Primitives
 from controllers.pixels.rthc import masks
 from controllers.pixels.secondary import Light, SecondaryRays, scene_caster
+from controllers.pixels.ssc import Utilisation
 from controllers.pixels.windows import projected_windows
 from controllers.situation import Seen, Situation, TrackedObject
 from loop.assembly.build import build_scene
+from loop.assembly.truth import as_it_is, true_camera
 from loop.lighting.lamps import LampPower, ShiningModule, driven, shining_modules
 from loop.lighting.names import check_names
 from loop.lighting.observed import in_white, observed_symbols
@@ -22,21 +27,29 @@ from loop.lighting.on_materials import on_materials
 from loop.lighting.on_objects import on_objects, told_as
 from loop.lighting.result import LightingResult, LightingState, Look
 from loop.lighting.sight import Sight, false_positives, recognised
-from loop.lighting.view import LitScene, Looker, categories
+from loop.lighting.view import Filmed, LitScene, Looker, categories
 from loop.lighting.zoned import in_zones
+from loop.plant.protocol import Exposure
+from loop.plant.simulated import SimulatedPlant
+from loop.scenario.checks import Light as OtherLight
 from loop.scenario.model import DrivingParams, LightingScenario
 from loop.scenario.shipped import named
-from perception.camera import camera_view, expose, frame_generator, luminance_of, saturation_luminance
-from perception.tracks import Tracks
+from perception.camera import camera_view, luminance_of, saturation_luminance
+from perception.detection.protocol import Detections
 from world.errors import located
 from world.rendering.face_source import face_source
 from world.scene.scene import Scene
+from world.view import View
+
+BEAMS: Mapping[OtherLight, BeamName] = {"full_light": "full", "low_beam": "low"}
 
 
 @dataclass(frozen=True, eq=False)
 class LightingSimulation:
-    """A lighting scenario made ready to run on one device. sight: None without a detector; then steps depend on their time alone, unless
-    a function learns.
+    """A lighting scenario made ready to run on one device.
+
+    camera: what it truly sees. view: what the car believes that it sees. sight: None without a detector; then steps depend on their time
+    alone, unless a function learns.
     """
 
     scenario: LightingScenario
@@ -46,6 +59,8 @@ class LightingSimulation:
     modules: tuple[ShiningModule, ...]
     lights: tuple[tuple[str, Light], ...]
     camera: Looker
+    view: View
+    plant: SimulatedPlant[Filmed]
     sight: Sight | None = None
 
     @classmethod
@@ -56,17 +71,30 @@ class LightingSimulation:
 
     @classmethod
     def _prepare(cls, scenario: LightingScenario, device: torch.device) -> "LightingSimulation":
-        planner = Planner.prepare(scenario.lighting, lambda image: named(image, "symbols"))
+        planner = Planner.prepare(scenario.functions, scenario.lighting, lambda image: named(image, "symbols"))
         scene = build_scene(scenario)
         modules = shining_modules(scenario, device)
         check_names(scenario, modules)
-        camera = Looker(scene, camera_view(scenario.camera), modules, scenario.all_objects, face_source(scenario.renderer), device)
+        believed, true = camera_view(scenario.camera), true_camera(scenario)
+        camera = Looker(
+            scene, camera_view(true), _as_they_are(scenario, modules), scenario.all_objects, face_source(scenario.renderer), device
+        )
+        plant = SimulatedPlant(Filmed(camera, true), scenario.rate_hz, scenario.seed, disturbances=scenario.disturbances, per_step=1)
         lights = tuple((module.name, Light.of(module.headlight, module.T_world_module)) for module in modules)
         given = scenario.detector
-        sight = None if given is None else Sight.prepare(given, scenario.tracker, camera.view, device)
-        simulation = cls(scenario, device, planner, scene, modules, lights, camera, sight)
+        sight = None if given is None else Sight.prepare(given, scenario.tracker, believed, device)
+        simulation = cls(scenario, device, planner, scene, modules, lights, camera, believed, plant, sight)
         planner.plan(simulation.situation(0.0))
         return simulation
+
+    def lit_by(self, light: OtherLight) -> "LightingSimulation":
+        """The same world with the same noise, lit by nothing but a beam: all pixels on, or the low beam. Raises LuxloopError without it."""
+        beam = BEAMS[light]
+        with located(f"checks: compare = {light!r}"):
+            modules = tuple(module.showing(beam) for module in self.modules)
+        alone = self.scenario.lighting.model_copy(update={"base": BaseBeamParams(beam=beam), "raw": ()})
+        scenario = self.scenario.model_copy(update={"lighting": alone, "functions": {}})
+        return replace(self, scenario=scenario, planner=Planner.prepare({}, alone), modules=modules)
 
     @cached_property
     def watched(self) -> Mapping[str, int]:
@@ -75,7 +103,7 @@ class LightingSimulation:
         wanted = enumerate(zip(self.scene.objects, told if self.sight is None else categories(self.camera.given), strict=True), 1)
         return {body.name: number for number, (body, category) in wanted if category is not None}
 
-    def situation(self, time_s: float, tracks: Tracks | None = None) -> Situation:
+    def situation(self, time_s: float, tracks: Any = None) -> Situation:
         """What the car knows at a time: from tracks, if there is a detector, else from a tracker that makes no mistakes."""
         drive = driving(self.scenario.driving, time_s)
         return Situation(
@@ -92,7 +120,8 @@ class LightingSimulation:
 
     def start(self, step: int = 0) -> LightingState:
         """The state before a step, with nothing seen yet."""
-        return LightingState(step, None if self.sight is None else self.sight.tracker.start(), self.planner.start())
+        plant, _ = self.plant.start()
+        return LightingState(step, None if self.sight is None else self.sight.tracker.start(), self.planner.start(), plant)
 
     def step(self, state: LightingState) -> tuple[LightingState, LightingResult]:
         """One step: light is planned with what is known, and what is then seen adds to it."""
@@ -103,14 +132,23 @@ class LightingSimulation:
         planned = time.perf_counter()
         lights, powers = self._driven(plan, time_s)
         lit = time.perf_counter()
-        seen = self.camera.at(time_s)
-        illuminance, luminance = seen.light(lights)
-        luminance += seen.base
-        frame = expose(luminance, self.scenario.camera, frame_generator(self.scenario.seed, state.step, 0, self.device))
+        shown = tuple(Utilisation(u) for u in lights)
+        plant, arrivals = self.plant.show(state.plant, Exposure(state.step, time_s, 1 / self.scenario.rate_hz, shown))
+        seen, illuminance, luminance = self.plant.world.lit(time_s, shown)
         looked = time.perf_counter()
-        tracks, look = self._look(state.tracks, frame, seen, illuminance, time_s)
-        functions = self.planner.step(state.functions, self._learnt(now, seen, frame, tracks)) if self.planner.learns else state.functions
-        found = time.perf_counter()
+        tracks, functions, image, found, then, then_s = state.tracks, state.functions, None, None, seen, time_s
+        for frame in arrivals.frames:
+            if frame.image is not None:
+                image, then_s = frame.image, frame.taken_s
+                then = seen if then_s == time_s else self.camera.at(then_s)
+                if self.sight is not None:
+                    share = image / (2**self.scenario.camera.bits - 1)
+                    found = self.sight.find(share, then)
+                    tracks = self.sight.tracker.follow(tracks, found, share, then_s)
+                if self.planner.learns:
+                    functions = self.planner.step(functions, self._learnt(now, then, then_s, image, tracks))
+        look = None if self.sight is None else self._look(self.sight, tracks, found, then, then_s, illuminance[seen.eyes])
+        finished = time.perf_counter()
         masked = frozenset(each.name for each in now.objects if self.masked(each, now))
         told = told_as(self.watched, None if look is None else look.recognised)
         objects = on_objects(self.watched, frozenset(told[name] for name in masked & told.keys()), seen, illuminance)
@@ -119,7 +157,7 @@ class LightingSimulation:
         zones = in_zones(self.planner.functions, state.functions, luminance, self.camera.view)
         materials = on_materials(self.planner.functions, functions, now, told, seen, illuminance, luminance)
         stop = time.perf_counter()
-        taken = {"plan": planned - start, "light": lit - planned, "look": looked - lit + stop - found, "find": found - looked}
+        taken = {"plan": planned - start, "light": lit - planned, "look": looked - lit + stop - finished, "find": finished - looked}
         timings = {part: 1e3 * seconds for part, seconds in taken.items()}
         result = LightingResult(
             state.step,
@@ -132,7 +170,7 @@ class LightingSimulation:
             powers,
             illuminance,
             luminance,
-            frame,
+            image,
             objects,
             look,
             symbols,
@@ -140,7 +178,7 @@ class LightingSimulation:
             materials,
             timings,
         )
-        return LightingState(state.step + 1, tracks, functions), result
+        return LightingState(state.step + 1, tracks, functions, plant), result
 
     def at(self, step: int) -> LightingResult:
         """One step alone, before which nothing was seen; that of the run where nothing depends on what was seen."""
@@ -170,41 +208,33 @@ class LightingSimulation:
     def masked(self, each: TrackedObject, now: Situation) -> bool:
         """Whether a glare-free function keeps all light off an object: its own mask is there, and not fading."""
         alone = replace(now, objects=(each,))
-        functions = (function for function in self.scenario.lighting.functions if function.kind == "glare_free")
+        functions = (function for function in self.scenario.functions.values() if isinstance(function, GlareFreeParams))
         there = each.since_s <= now.time_s < each.until_s
         return there and any(any(masks(part)) for function in functions for part in function.primitives(alone))
 
-    def idle(self, result: LightingResult) -> set[int]:
-        """Functions, by their place in the scenario, of which no ray of any lamp that draws them can hit anything at that moment."""
+    def idle(self, result: LightingResult) -> set[str]:
+        """Names of the functions of which no ray of any lamp that draws them can hit anything at that moment."""
         drawn = self.planner.drawn(result.now, result.functions)
-        return {number for number, parts in enumerate(drawn) if not any(map(self._in_reach, parts))}
+        return {name for name, parts in drawn.items() if not any(map(self._in_reach, parts))}
 
     def _all_objects(self, time_s: float) -> tuple[TrackedObject, ...]:
         told = ((body, item.category) for body, item in zip(self.scene.objects, self.scenario.all_objects, strict=True))
         return tuple(TrackedObject.of(body, category, time_s) for body, category in told if category is not None)
 
-    def _look(
-        self, tracks: Tracks | None, frame: Tensor, seen: LitScene, illuminance: Tensor, time_s: float
-    ) -> tuple[Tracks | None, Look | None]:
-        """The tracks after a frame, and what was found in it."""
-        if self.sight is None or tracks is None:
-            return tracks, None
-        frame = frame / (2**self.scenario.camera.bits - 1)
-        found = self.sight.find(frame, seen)
-        tracks = self.sight.follow(tracks, found, frame, time_s)
-        boxes, present = self.sight.tracker.boxes(tracks.present), tracks.present
-        eyes = illuminance[seen.eyes]
-        made = recognised(seen, boxes, present, found)
-        false = false_positives(seen, found, self.scenario.tracker.start_score)
-        return tracks, Look(found, present, boxes, made, false, float(eyes.max()) if len(eyes) else None)
+    def _look(self, sight: Sight, tracks: Any, found: Detections | None, then: LitScene, then_s: float, eyes: Tensor) -> Look:
+        """What is made of the scene at a time. found: in its frame, None without one. eyes: lx on heads and windscreens now."""
+        found = found or Detections(torch.zeros(0, 4), torch.zeros(0, len(sight.classes)))
+        present = sight.present(tracks, then_s)
+        false = false_positives(then, found, self.scenario.tracker.start_score)
+        return Look(found, present, recognised(then, present, found), false, float(eyes.max()) if len(eyes) else None)
 
-    def _learnt(self, now: Situation, view: LitScene, frame: Tensor, tracks: Tracks | None) -> Situation:
-        """The situation once the frame is there."""
+    def _learnt(self, now: Situation, then: LitScene, then_s: float, image: Tensor, tracks: Any) -> Situation:
+        """The situation once a frame is there, which was taken at then_s of the scene then."""
         camera = self.scenario.camera
-        luminance, most = luminance_of(frame, camera), saturation_luminance(camera)
-        looks = any(function.kind == "material" for function in self.scenario.lighting.functions)
-        materials = (view.surfaces.albedo, *view.materials) if looks else ()
-        seen = Seen(now.time_s, self.camera.view, luminance, most, *materials)
+        luminance, most = luminance_of(image, camera), saturation_luminance(camera)
+        looks = any(function.kind == "material" for function in self.scenario.functions.values())
+        materials = (then.surfaces.albedo, *then.materials) if looks else ()
+        seen = Seen(then_s, self.view, luminance, most, *materials)
         objects = now.objects if self.sight is None or tracks is None else self.sight.objects(tracks, now.time_s)
         return replace(now, objects=objects, seen=seen)
 
@@ -221,6 +251,16 @@ class LightingSimulation:
         occluded = scene_caster(self.scene.at(time_s)) if params.shadow_rays else None
         secondary = [SecondaryRays(self.lights, own, street_lamps, occluded) for own in range(len(self.modules))]
         return driven(self.modules, plan, secondary, params.power_limit, self.scenario.headlight.power_w)
+
+
+def _as_they_are(scenario: LightingScenario, modules: Sequence[ShiningModule]) -> tuple[ShiningModule, ...]:
+    """The modules with errors of aim, dead and aged pixels."""
+    true = []
+    for number, module in enumerate(modules):
+        mounted = (module.headlight, module.T_world_module)
+        headlight, T_world_module = as_it_is(scenario.disturbances, number, module.name, *mounted)
+        true.append(replace(module, headlight=headlight, T_world_module=T_world_module))
+    return tuple(true)
 
 
 def driving(course: tuple[DrivingParams, ...], time_s: float) -> DrivingParams:

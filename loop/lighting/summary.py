@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from controllers.zones.material import Quantity
+from loop.recording.checks import lines
 from loop.recording.summary import column
 from loop.terminal.tables import facts, number
 
@@ -27,7 +28,7 @@ def summarise(table: pa.Table, scenario: str, compared_w: Mapping[str, NDArray[n
     """
     known = table.column_names
     lamps = [name.split(".")[1] for name in table.column_names if name.startswith("lamp.") and name.endswith(".flux_lm")]
-    objects = [name.removeprefix("object.").removesuffix(".lx_max") for name in table.column_names if name.endswith(".lx_max")]
+    objects = [name.removeprefix("objects.").removesuffix(".lx_max") for name in table.column_names if name.endswith(".lx_max")]
 
     def over(name: str, what: str) -> float | None:
         values = column(table, name)
@@ -50,9 +51,9 @@ def summarise(table: pa.Table, scenario: str, compared_w: Mapping[str, NDArray[n
         },
         "objects": {
             name: {
-                "lx_mean": over(f"object.{name}.lx_mean", "mean"),
-                "lx_max": over(f"object.{name}.lx_max", "max"),
-                **(_recognised(table, name) if f"object.{name}.track" in known else {}),
+                "lx_mean": over(f"objects.{name}.lx_mean", "mean"),
+                "lx_max": over(f"objects.{name}.lx_max", "max"),
+                **(_recognised(table, name) if f"objects.{name}.track" in known else {}),
             }
             for name in objects
         },
@@ -74,20 +75,25 @@ def summarise(table: pa.Table, scenario: str, compared_w: Mapping[str, NDArray[n
     }
 
 
+def spoken(name: str) -> str:
+    """A name, or several with dots between, as text has it."""
+    return name.replace("_", " ").replace(".", ": ", 1)
+
+
 def zones_of(table: pa.Table) -> list[str]:
     """Names of the zones of a recording."""
-    return [each.removeprefix("zone.").removesuffix(".target") for each in table.column_names if each.endswith(".target")]
+    return [each.removeprefix("functions.").removesuffix(".target") for each in table.column_names if each.endswith(".target")]
 
 
 def materials_of(table: pa.Table, quantity: Quantity) -> list[str]:
-    """Names of the materials of a recording of which that is wanted."""
-    asked = [each.removeprefix("material.").removesuffix(".wanted") for each in table.column_names if each.endswith(".wanted")]
-    return [name for name in asked if f"material.{name}.{quantity}" in table.column_names]
+    """Materials of a recording of which that is wanted, each behind the name of its function and a dot."""
+    asked = [each.removeprefix("functions.").removesuffix(".wanted") for each in table.column_names if each.endswith(".wanted")]
+    return [name for name in asked if f"functions.{name}.{quantity}" in table.column_names]
 
 
 def lost_steps(table: pa.Table, name: str) -> int:
     """Steps in which an object is in sight and no track shows it, after the first that did."""
-    in_sight, tracked = np.isfinite(column(table, f"object.{name}.confidence")), np.isfinite(column(table, f"object.{name}.track"))
+    in_sight, tracked = np.isfinite(column(table, f"objects.{name}.confidence")), np.isfinite(column(table, f"objects.{name}.track"))
     return int((in_sight & ~tracked)[np.argmax(tracked) :].sum()) if tracked.any() else 0
 
 
@@ -95,7 +101,7 @@ def steps_of_nothing(table: pa.Table, objects: Sequence[str]) -> int:
     """Steps in which there is a track that shows no object, or one that another track shows; objects out of sight keep the one they had."""
     shown = np.zeros(table.num_rows)
     for name in objects:
-        in_sight, tracked = np.isfinite(column(table, f"object.{name}.confidence")), np.isfinite(column(table, f"object.{name}.track"))
+        in_sight, tracked = np.isfinite(column(table, f"objects.{name}.confidence")), np.isfinite(column(table, f"objects.{name}.track"))
         last = np.maximum.accumulate(np.where(in_sight, np.arange(len(shown)), -1))  # step in which it was in sight
         shown += (last >= 0) & tracked[last]
     return int((column(table, "tracks") > shown).sum())
@@ -116,7 +122,7 @@ def _zones(table: pa.Table) -> dict[str, Any]:
     """By name: how bright a zone is at the end, and the step from which on it stays within 5 % of its target; or None."""
     found = {}
     for name in zones_of(table):
-        luminance, target = column(table, f"zone.{name}.luminance"), column(table, f"zone.{name}.target")
+        luminance, target = column(table, f"functions.{name}.luminance"), column(table, f"functions.{name}.target")
         beyond = np.flatnonzero(~(np.abs(luminance / target - 1) <= SETTLED))
         after = int(beyond[-1]) + 1 if len(beyond) else 0
         if len(luminance):
@@ -130,8 +136,8 @@ def _materials(table: pa.Table) -> dict[str, Any]:
     found = {}
     for quantity in UNITS:
         for name in materials_of(table, quantity) if table.num_rows else ():
-            last = float(column(table, f"material.{name}.{quantity}")[-1])
-            wanted = float(column(table, f"material.{name}.wanted")[-1])
+            last = float(column(table, f"functions.{name}.{quantity}")[-1])
+            wanted = float(column(table, f"functions.{name}.wanted")[-1])
             found[name] = {"quantity": quantity, "median": last if np.isfinite(last) else None, "wanted": wanted}
     return found
 
@@ -145,16 +151,16 @@ def _energy(table: pa.Table, power_w: NDArray[np.floating]) -> float | None:
 def _recognised(table: pa.Table, name: str) -> dict[str, Any]:
     """The confidence at the end, and the least since a track first showed an object, how many showed it one after the other, and for how
     long it was in sight, and lost."""
-    confidence = column(table, f"object.{name}.confidence")
+    confidence = column(table, f"objects.{name}.confidence")
     last = confidence[-LAST_STEPS:][np.isfinite(confidence[-LAST_STEPS:])]
-    tracks = {number for number in table[f"object.{name}.track"].to_pylist() if number is not None}
-    tracked = np.isfinite(column(table, f"object.{name}.track"))
+    tracks = {number for number in table[f"objects.{name}.track"].to_pylist() if number is not None}
+    tracked = np.isfinite(column(table, f"objects.{name}.track"))
     since = confidence[np.argmax(tracked) :] if tracked.any() else confidence[:0]
     return {
         "confidence_final": float(last.mean()) if len(last) else None,
         "confidence_min": float(np.nanmin(since)) if len(since) else None,
         "tracks": len(tracks),
-        "pixels_max": float(np.nanmax(column(table, f"object.{name}.pixels"))) if len(confidence) else None,
+        "pixels_max": float(np.nanmax(column(table, f"objects.{name}.pixels"))) if len(confidence) else None,
         "steps_in_sight": int(np.isfinite(confidence).sum()),
         "steps_lost": lost_steps(table, name),
     }
@@ -170,17 +176,17 @@ def shown(values: dict[str, Any], files: str) -> Table:
         )
     for name, light in values["objects"].items():
         mean, most = light["lx_mean"], light["lx_max"]
-        rows[f"light on {name}"] = "never in the camera's sight" if most is None else f"{mean:.3g} lx (mean), {most:.3g} lx at most"
+        rows[f"light on {spoken(name)}"] = "never in the camera's sight" if most is None else f"{mean:.3g} lx (mean), {most:.3g} lx at most"
     if values["dark_lx_max"] is not None:
         rows["on what must be dark"] = f"{values['dark_lx_max']:.3g} lx at most"
     for name, zone in values.get("zones", {}).items():
         when = "not settled" if zone["settled_step"] is None else f"within 5 % from step {zone['settled_step']} on"
-        rows[f"zone {name}"] = f"{number(zone['luminance'], '.3g')} of {zone['target']:.3g} cd/m^2, {when}"
+        rows[f"zone {spoken(name)}"] = f"{number(zone['luminance'], '.3g')} of {zone['target']:.3g} cd/m^2, {when}"
     for name, each in values.get("materials", {}).items():
         unit = UNITS[each["quantity"]]
         share = f" ({each['median'] / each['wanted']:.0%} of it)" if each["median"] is not None and each["wanted"] else ""
         got = "out of sight" if each["median"] is None else f"{each['median']:.3g} {unit}{share}, median of its pixels at the end"
-        rows[f"material {name}"] = f"{each['wanted']:.3g} {unit} wanted: {got}"
+        rows[f"material {spoken(name)}"] = f"{each['wanted']:.3g} {unit} wanted: {got}"
     if values["symbol_iou_min"] is not None:
         rows["symbols, to their observers"] = f"IoU {values['symbol_iou_min']:.3f} at least"
     objects = values["objects"].values()
@@ -204,7 +210,7 @@ def shown(values: dict[str, Any], files: str) -> Table:
         if values["eyes_lx_max"] is not None:
             rows["on heads and windscreens"] = _on_eyes(values["eyes_lx_max"], values["eyes_lx_max_after_start_up"])
     if least := {name: each["confidence_min"] for name, each in values["objects"].items() if each.get("confidence_min") is not None}:
-        told = ", ".join(f"{name} {sure:.2f}" for name, sure in least.items())
+        told = ", ".join(f"{spoken(name)} {sure:.2f}" for name, sure in least.items())
         rows["least confidence"] = f"{told}, each from its first track on"
     if values.get("tracks_of_nothing"):
         rows["tracks of nothing"] = f"in {values['tracks_of_nothing']} of {values['steps']} steps a track shows no object of its own"
@@ -212,8 +218,10 @@ def shown(values: dict[str, Any], files: str) -> Table:
         if each.get("steps_in_sight") and (each["steps_lost"] or not each["tracks"]):
             word, gone = ("lost", each["steps_lost"]) if each["tracks"] else ("missed", each["steps_in_sight"])
             large = "" if each["tracks"] else f", of {each['pixels_max']:.0f} px at most"
-            rows[f"{word} {name}"] = f"no track shows it in {gone} of the {each['steps_in_sight']} steps in which it is in sight{large}"
+            steps = f"{gone} of the {each['steps_in_sight']} steps"
+            rows[f"{word} {spoken(name)}"] = f"no track shows it in {steps} in which it is in sight{large}"
     rows["time a step"] = f"{number(values['control_ms_median'], '.1f')} ms (median) for planning and all lamps"
+    rows |= lines(values)
     rows["files"] = files
     return facts(rows)
 

@@ -8,7 +8,9 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
+from controllers.pixels.ssc import Utilisation
 from loop.lighting.lamps import ShiningModule
+from perception.camera import CameraParams
 from perception.detection.params import TruthParams
 from perception.detection.protocol import Detections
 from perception.ground_truth import Box, Truth, ground_truth, part_mask
@@ -21,6 +23,7 @@ from world.rendering.gbuffer import GBuffer
 from world.rendering.surfaces import surface_source
 from world.scene.scene import Key, Scene
 from world.scene.triangles import NOTHING, Triangles
+from world.scene.vehicle import STANDING
 from world.traffic.making import EYES
 from world.traffic.objects import ObjectParams
 from world.traffic.tracked import ROAD_USERS, Category
@@ -155,3 +158,30 @@ class Looker:
                 self._key, self._triangles, self._lit = key, triangles, LitScene(self.view, triangles, surfaces, base, modules, self.given)
             self._time_s = time_s
         return self._lit
+
+
+class Filmed:
+    """A scene and its lamps as the world of a plant: what a camera on the car sees. What was lit last serves until other light is shown."""
+
+    motion = STANDING
+
+    def __init__(self, looker: Looker, camera: CameraParams) -> None:
+        self.looker, self.camera, self.view, self.device = looker, camera, looker.view, looker.device
+        self._last: tuple[float, tuple[Utilisation, ...], tuple[LitScene, Tensor, Tensor]] | None = None
+
+    def lit(self, time_s: float, lights: tuple[Utilisation, ...]) -> tuple[LitScene, Tensor, Tensor]:
+        """The scene at a time; illuminance in lx from the lamps alone and luminance in cd/m^2 of all light there, `[height, width]`."""
+        if self._last is None or self._last[0] != time_s or self._last[1] is not lights:
+            scene = self.looker.at(time_s)
+            illuminance, luminance = scene.light([light.u for light in lights])
+            self._last = (time_s, lights, (scene, illuminance, luminance + scene.base))
+        return self._last[2]
+
+    def luminance(self, time_s: float, lights: tuple[Utilisation, ...]) -> tuple[Tensor, Tensor]:
+        """Luminances `[height, width]` in cd/m^2 at a time: of all light, and without the lamps."""
+        scene, _, luminance = self.lit(time_s, lights)
+        return luminance, scene.base
+
+    def view_at(self, t_s: float) -> View:
+        """The camera's view, which stands."""
+        return self.view

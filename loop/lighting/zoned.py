@@ -1,6 +1,6 @@
 """How bright the zones of a lighting scenario are, beside what was wanted."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,11 +21,11 @@ class InZone:
     target: float
 
 
-def in_zones(functions: Sequence[Any], states: Sequence[Any], luminance: Tensor, view: View) -> Mapping[str, InZone]:
+def in_zones(functions: Mapping[str, Any], states: Mapping[str, Any], luminance: Tensor, view: View) -> Mapping[str, InZone]:
     """The zones among a scenario's functions, by name; luminance: `[height, width]` cd/m^2."""
     found = {}
-    for function, state in zip(functions, states, strict=True):
+    for name, function in functions.items():
         if isinstance(function, ZoneParams):
             seen = luminance[region_of(function, view).to(luminance.device)]
-            found[function.name] = InZone(state.lx, float(seen.mean()) if len(seen) else None, function.luminance_cd_m2)
+            found[name] = InZone(states[name].lx, float(seen.mean()) if len(seen) else None, function.luminance_cd_m2)
     return found

@@ -9,6 +9,7 @@ PACKAGES = ("world", "perception", "controllers", "loop")
 SHOWING = (  # folders that decide no figure of a run
     "loop/beams/",
     "loop/commands/",
+    "loop/contracts/",
     "loop/evaluation/",
     "loop/jobs/",
     "loop/pictures/",

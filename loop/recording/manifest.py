@@ -146,10 +146,10 @@ def input_files(scenario: AnyScenario) -> Iterator[tuple[str, Path]]:
     if isinstance(scenario, Scenario):
         yield "symbol.image", symbol_path(scenario.symbol.image)
     else:
-        for i, function in enumerate(scenario.lighting.functions):
+        for name, function in scenario.functions.items():
             image = getattr(function, "image", None)
             for file in files_at(symbol_path(image)) if image is not None else ():
-                yield f"lighting.functions[{i}].image {file.name}", file
+                yield f"functions.{name}.image {file.name}", file
         for i, raw in enumerate(scenario.lighting.raw):
             for file in sequence_files(named(raw.file, "utilisations")):
                 yield f"lighting.raw[{i}].file {file.name}", file

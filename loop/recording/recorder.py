@@ -1,5 +1,6 @@
 """Recordings: a directory with a manifest, a row a step, and a summary, readable at whatever moment the process dies."""
 
+import math
 import tempfile
 import time
 from abc import ABC, abstractmethod
@@ -19,11 +20,13 @@ from loop.recording.manifest import Manifest, write_json
 from loop.recording.summary import summarise
 from loop.symbol.simulation import Simulation, StepResult
 from perception.extraction import Loss
+from perception.judge import Verdict
 from world.errors import LuxloopError
 from world.files import whole
 
 Result = TypeVar("Result")
 Report = Callable[[pa.Table, dict[str, Any]], None]  # draws what the table and the summary of a run say
+Checked = Callable[[pa.Table], dict[str, Any]]  # what has come of the checks of a run, by name
 
 TRAJECTORY, SUMMARY, REPORT, VIDEO = "trajectory.parquet", "summary.json", "report.png", "video.mp4"
 FILES = (TRAJECTORY, SUMMARY, REPORT, VIDEO, MANIFEST)
@@ -35,7 +38,7 @@ LATER = ("z_m", *CUT, *AIM)  # columns that recordings of older versions lack
 POSE = ("x_m", "y_m", "roll_deg", "pitch_deg")
 ERRORS = ("e_x", "e_y", "e_roll", "e_pitch")
 CENTROIDS = tuple(f"{point}_{axis}" for point in ("c", "tl", "tr", "bl", "br") for axis in "uv")
-PARTS = ("render", "light", "camera", "perceive", "control", "judge", "step")
+PARTS = ("light", "plant", "perceive", "control", "judge", "step")
 
 # name: (unit, description); the shown light is seen camera.latency_steps later
 COLUMNS: dict[str, tuple[str, str]] = {
@@ -78,13 +81,12 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "ssim": ("1", "judge: structural similarity to the target"),
     "length": ("1", "judge: second-moment length as a multiple of the target's"),
     "shear": ("1", "judge: shear mu11 / mu20 on the road plane"),
-    "render_ms": ("ms", "rendering what has moved"),
     "light_ms": ("ms", "from the pose to utilisations"),
-    "camera_ms": ("ms", "exposing on and off frame"),
+    "plant_ms": ("ms", "the plant, which exposes on and off frame; the simulated one renders what has moved"),
     "perceive_ms": ("ms", "extraction, moments and errors"),
     "control_ms": ("ms", "the controller"),
     "judge_ms": ("ms", "the judge, who is no part of the loop"),
-    "step_ms": ("ms", "render, light, camera, perceive and control together"),
+    "step_ms": ("ms", "light, plant, perceive and control together"),
 }
 
 _TYPES = {"step": pa.int64(), "loss": pa.string()}
@@ -93,9 +95,13 @@ SCHEMA = pa.schema(
 )
 
 
+NAN = torch.tensor(torch.nan)
+NOT_JUDGED = Verdict(NAN.expand(2), NAN, NAN, NAN, NAN)
+
+
 def row(result: StepResult) -> dict[str, Any]:
     """A step as plain Python values, by the names of COLUMNS; NaN where nothing was seen. Waits for the device once."""
-    seen, verdict = result.seen, result.verdict
+    seen, verdict = result.seen, result.verdict or NOT_JUDGED
     degrees = torch.tensor([1.0, 1.0, 180 / torch.pi, 180 / torch.pi], dtype=torch.float64)
     tensors = {
         POSE: result.pose,
@@ -131,10 +137,10 @@ def table_of(rows: list[dict[str, Any]], schema: pa.Schema = SCHEMA) -> pa.Table
 
 
 def summary_of(simulation: Simulation, table: pa.Table) -> dict[str, Any]:
-    """The summary of a run's steps, the open loop simulated beside the last."""
+    """The summary of a run's steps, the open loop judged beside the last."""
     time_s = table["time_s"][-1].as_py() if table.num_rows else 0.0
-    light = simulation.projector.light(simulation.projector.target)
-    iou_open = simulation.judge(light, time_s).iou.item()
+    light, judge = simulation.projector.light(simulation.projector.target), simulation.judge
+    iou_open = math.nan if judge is None else judge.verdict(light, time_s).iou.item()
     return summarise(table, simulation.scenario.name, simulation.scenario.controller.name, iou_open)
 
 
@@ -148,6 +154,11 @@ def no_report(table: pa.Table, summary: dict[str, Any]) -> None:
     """For recordings without a report."""
 
 
+def unchecked(table: pa.Table) -> dict[str, Any]:
+    """For recordings without checks."""
+    return {}
+
+
 class TableRecorder(ABC, Generic[Result]):
     """Records a run into a directory; use it in a `with` statement and `add` every step.
 
@@ -156,9 +167,9 @@ class TableRecorder(ABC, Generic[Result]):
     the first error is raised.
     """
 
-    def __init__(self, directory: Path, manifest: Manifest, schema: pa.Schema, report: Report) -> None:
+    def __init__(self, directory: Path, manifest: Manifest, schema: pa.Schema, report: Report, checked: Checked) -> None:
         """Raises LuxloopError if the directory holds something else than a recording, or cannot be written."""
-        self.directory, self.manifest, self._report = directory, manifest, report
+        self.directory, self.manifest, self._report, self._checked = directory, manifest, report, checked
         self._written = schema.empty_table()
         self._fresh: list[dict[str, Any]] = []
         self._next_write_s = 0.0
@@ -171,8 +182,12 @@ class TableRecorder(ABC, Generic[Result]):
         """A step as plain Python values, by the names of the schema."""
 
     @abstractmethod
+    def figures(self) -> dict[str, Any]:
+        """The steps so far in a few numbers."""
+
     def summary(self) -> dict[str, Any]:
-        """The summary of the steps so far."""
+        """The summary of the steps so far: their figures, and what has come of checks."""
+        return self.figures() | {"checks": self._checked(self.table())}
 
     def __enter__(self) -> Self:
         return self
@@ -236,15 +251,16 @@ class TableRecorder(ABC, Generic[Result]):
 class Recorder(TableRecorder[StepResult]):
     """Records the run of a closed loop."""
 
-    def __init__(self, directory: Path, simulation: Simulation, report: Report = no_report) -> None:
+    def __init__(self, directory: Path, simulation: Simulation, report: Report = no_report, checked: Checked = unchecked) -> None:
         """Raises LuxloopError as any recorder does, and if an input file cannot be read."""
         self.simulation = simulation
-        super().__init__(directory, Manifest.of(simulation.scenario, simulation.world.source.name, simulation.device), SCHEMA, report)
+        manifest = Manifest.of(simulation.scenario, simulation.renderer, simulation.device)
+        super().__init__(directory, manifest, SCHEMA, report, checked)
 
     def row(self, result: StepResult) -> dict[str, Any]:
         return row(result)
 
-    def summary(self) -> dict[str, Any]:
+    def figures(self) -> dict[str, Any]:
         """The summary of the steps so far, the open loop simulated beside them."""
         return summary_of(self.simulation, self.table())
 

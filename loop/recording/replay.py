@@ -112,7 +112,7 @@ def replay(
     if not allow_code:
         refuse_code(scenario, str(directory / FILE))
     simulation = Simulation.prepare(scenario, device or manifest.device_here)
-    notes = manifest.changes(Manifest.of(scenario, simulation.world.source.name, simulation.device))
+    notes = manifest.changes(Manifest.of(scenario, simulation.renderer, simulation.device))
     rows = []
     for result in itertools.islice(simulation.run(), steps):
         rows.append(row(result))

@@ -14,11 +14,14 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 from numpy.typing import NDArray
+from torch import Tensor
 
 from controllers.pixels.ssc import Utilisation
+from loop.plant.simulated import SimulatedPlant
 from loop.recording.recorder import ERRORS
 from loop.recording.remedies import remedies
 from loop.recording.summary import column
+from loop.symbol.judging import Judge
 from loop.symbol.simulation import Simulation, StepResult
 from perception.appearance import appearance, image_axes
 from perception.birdseye import rectify
@@ -60,6 +63,7 @@ class Gathered:
         self._keep = set(np.geomspace(1, max(steps, 1), PAST_SYMBOLS).round().astype(int) - 1)
         self.path: list[tuple[float, float]] = []
         self.symbols: list[tuple[Crop, NDArray[np.bool_]]] = []
+        self.frame: Tensor | None = None  # the newest on frame
         self.last: StepResult | None = None
 
     def add(self, result: StepResult) -> None:
@@ -74,6 +78,7 @@ class Gathered:
             if result.step in self._keep:
                 self.symbols.append((seen.crop, (seen.symbol > 0.5).cpu().numpy()))
         self.path.append(centre)
+        self.frame = self.frame if result.frames is None else result.frames[0]
         self.last = result
 
 
@@ -92,12 +97,16 @@ def write_report(file: Path, simulation: Simulation, gathered: Gathered, table: 
         figure.supxlabel("\n".join(remedies(summary)), x=0.012, ha="left", fontsize=10)
         left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(4.3, 7.7))[0]
         _courses(left, simulation, table, summary)
-        top, middle, bottom = right.subfigures(3, 1, squeeze=False, height_ratios=(2.75, 2.35, 3.6))[:, 0]
-        before, after = (_camera_image(simulation, lights, last) for lights in (open_lights, last.lights))
+        views = _camera_images(simulation, open_lights, gathered)
+        after = views["at the end"]
+        if simulation.judge is None:
+            top, beam = right.subfigures(2, 1, squeeze=False, height_ratios=(2.75, 3.6))[:, 0]
+        else:
+            top, middle, bottom = right.subfigures(3, 1, squeeze=False, height_ratios=(2.75, 2.35, 3.6))[:, 0]
+            _camera_views(middle, simulation, views)
+            plane, beam = bottom.subfigures(1, 2, squeeze=False, width_ratios=(3.5, 4.2))[0]
+            _birds_eye_views(plane, simulation.judge, open_lights, last)
         _progression(top, simulation, gathered, after)
-        _camera_views(middle, simulation, before, after)
-        plane, beam = bottom.subfigures(1, 2, squeeze=False, width_ratios=(3.5, 4.2))[0]
-        _birds_eye_views(plane, simulation, open_lights, last)
         _beam_patterns(beam, simulation, last.lights)
         with whole(file) as part:
             figure.savefig(part, format="png")
@@ -205,11 +214,19 @@ def _error_units(simulation: Simulation) -> tuple[str, ...]:
     return (unit, unit, "" if what.shape == "moments" else unit, unit)
 
 
-def _camera_image(simulation: Simulation, lights: Lights, result: StepResult) -> Image:
-    """Luminance `[height, width]` in cd/m^2 that the camera measures under these lights at a step's time, with that step's noise."""
-    lit, camera = simulation.world.lit(result.time_s), simulation.scenario.camera
-    frame = simulation.plant.exposed(lit.off + lit.luminance(lights), lit.base, result.step, 0)
-    return luminance_of(frame, camera).cpu().numpy()
+def _camera_images(simulation: Simulation, open_lights: Lights, gathered: Gathered) -> dict[str, Image]:
+    """Luminances `[height, width]` in cd/m^2 that the camera measures: at the last step's time where the plant can expose it once more."""
+    camera, plant, last = simulation.scenario.camera, simulation.plant, gathered.last
+    assert last is not None
+    if isinstance(plant, SimulatedPlant):
+        lit = plant.world.lit(last.time_s)
+        frames = {
+            name: plant.exposed(lit.shown(lights), lit.base, last.step, 0)
+            for name, lights in (("open loop", open_lights), ("at the end", last.lights))
+        }
+    else:
+        frames = {"at the end": torch.zeros(camera.height_px, camera.width_px) if gathered.frame is None else gathered.frame}
+    return {name: luminance_of(frame, camera).cpu().numpy() for name, frame in frames.items()}
 
 
 def _target_luminance(simulation: Simulation) -> torch.Tensor:
@@ -219,7 +236,7 @@ def _target_luminance(simulation: Simulation) -> torch.Tensor:
 
 def _target_outline(axes: Axes, simulation: Simulation) -> None:
     """The symbol as it should lie on a flat road, in the camera's image."""
-    wanted = (_target_luminance(simulation) > THRESHOLD * simulation.goal.median).float().cpu().numpy()
+    wanted = (_target_luminance(simulation) > THRESHOLD * simulation.brightness).float().cpu().numpy()
     rows, cols = (np.arange(n) + 0.5 for n in wanted.shape)
     axes.contour(cols, rows, wanted, levels=[0.5], colors=TARGET, linewidths=0.8)
 
@@ -241,7 +258,7 @@ def _show(axes: Axes, image: Image, white: float) -> None:
 def _white(simulation: Simulation, *images: Image) -> float:
     """The luminance that is shown white: a bright part of the target or of the scene, so that glints do not make all else dark."""
     wanted = _target_luminance(simulation)
-    bright = wanted[wanted > THRESHOLD * simulation.goal.median]
+    bright = wanted[wanted > THRESHOLD * simulation.brightness]
     return max(float(bright.quantile(0.9)) if len(bright) else 0.0, *(float(np.quantile(image, 0.98)) for image in images))
 
 
@@ -269,7 +286,7 @@ def _progression(figure: SubFigure, simulation: Simulation, gathered: Gathered, 
 
 def _look_at(axes: Axes, simulation: Simulation, boxes: list[tuple[int, int, int, int]], shape: tuple[int, ...], aspect: float) -> None:
     """Zoom to the target and the boxes (u0, v0, u1, v1) with some margin, in a window of an aspect that stays within the image."""
-    wanted = torch.nonzero(_target_luminance(simulation) > THRESHOLD * simulation.goal.median)
+    wanted = torch.nonzero(_target_luminance(simulation) > THRESHOLD * simulation.brightness)
     if len(wanted):
         (v0, u0), (v1, u1) = wanted.amin(0).tolist(), wanted.amax(0).tolist()
         boxes = [*boxes, (u0, v0, u1, v1)]
@@ -284,27 +301,24 @@ def _look_at(axes: Axes, simulation: Simulation, boxes: list[tuple[int, int, int
     axes.set(xlim=(u - width / 2, u + width / 2), ylim=(v + height / 2, v - height / 2))
 
 
-def _camera_views(figure: SubFigure, simulation: Simulation, before: Image, after: Image) -> None:
-    white = _white(simulation, before, after)
-    for axes, image, title in zip(
-        figure.subplots(1, 2), (before, after), ("Camera's view, open loop", "Camera's view, at the end"), strict=True
-    ):
-        axes.set_title(title)
+def _camera_views(figure: SubFigure, simulation: Simulation, views: dict[str, Image]) -> None:
+    white = _white(simulation, *views.values())
+    for axes, (name, image) in zip(figure.subplots(1, len(views), squeeze=False)[0], views.items(), strict=True):
+        axes.set_title(f"Camera's view, {name}")
         _show(axes, image, white)
         _look_at(axes, simulation, [], image.shape, aspect=16 / 9)
 
 
-def _birds_eye_views(figure: SubFigure, simulation: Simulation, open_lights: Lights, last: StepResult) -> None:
-    goal, axes_m = simulation.goal, simulation.plane.axes
+def _birds_eye_views(figure: SubFigure, judge: Judge, open_lights: Lights, last: StepResult) -> None:
+    goal, axes_m, symbol = judge.goal, judge.plane.axes, judge.symbol
     y, x = -axes_m.u.cpu().numpy(), -axes_m.v.cpu().numpy()
-    symbol = simulation.scenario.symbol
-    lit = simulation.world.lit(last.time_s)
+    lit = judge.world.lit(last.time_s)
     mask = goal.mask.float().cpu().numpy()
     figure.suptitle("From above, noise-free", x=0.12, ha="left", weight="bold", fontsize=STYLE["axes.titlesize"])
     for axes, lights, title in zip(
         figure.subplots(1, 2, sharey=True), (open_lights, last.lights), ("open loop", "at the end"), strict=True
     ):
-        plane = rectify(simulation.plane_at(last.time_s), lit.luminance(lights)).cpu().numpy()
+        plane = rectify(judge.plane_at(last.time_s), lit.luminance(lights)).cpu().numpy()
         axes.imshow(
             _night(plane, 1.5 * float(goal.median)),
             cmap=NIGHT,

@@ -24,11 +24,12 @@ LEAST_START_PERCENT = 5.0  # an axis that starts nearer to the target says nothi
 def summarise(table: pa.Table, scenario: str, controller: str, iou_open: float) -> dict[str, Any]:
     """Summary of a recording's table, ready for JSON: None where a value does not exist.
 
-    iou_open: what the judge says of the open loop at the last step. centroid_error_percent: [x, y], signed, mean of the last five steps.
+    iou_open: what the judge says of the open loop at the last step, NaN where there is none. centroid_error_percent: [x, y], signed, mean
+    of the last five steps.
     unsettled: why there is no settle_step (`unsettled`). cut: share of the symbol beyond the borders of the lamps' field at the last step,
     and the side where most of it is. aim: [x, y] in m of where the symbol lies at the last step in place of its target, None for that.
     """
-    seen = table.num_rows > 0
+    seen, lain = table.num_rows > 0, judged(table)
     return {
         "scenario": scenario,
         "controller": controller,
@@ -41,12 +42,17 @@ def summarise(table: pa.Table, scenario: str, controller: str, iou_open: float) 
         **_cut(table),
         "aim": _aim(table),
         "iou_open": _number(iou_open),
-        "iou_final": _number(column(table, "iou")[-1]) if seen else None,
+        "iou_final": _number(column(lain, "iou")[-1]) if lain.num_rows else None,
         "z_m_final": _number(column(table, "z_m")[-1]) if seen else None,
-        "ssim_final": _number(column(table, "ssim")[-1]) if seen else None,
+        "ssim_final": _number(column(lain, "ssim")[-1]) if lain.num_rows else None,
         "lost_steps": sum(loss != "" for loss in table["loss"].to_pylist()),
         "step_ms_median": _number(np.median(column(table, "step_ms"))) if seen else None,
     }
+
+
+def judged(table: pa.Table) -> pa.Table:
+    """The steps of a table that were judged."""
+    return table.filter(table["iou"].is_valid())
 
 
 def settle_step(table: pa.Table) -> int | None:
@@ -57,11 +63,13 @@ def settle_step(table: pa.Table) -> int | None:
 def unsettled(table: pa.Table) -> str | None:
     """Why the symbol has not settled on the target; None where it has.
 
-    too_short: fewer than ten steps. lost: not seen in most of the last ten; no_frame: as most of their frames were missing. moving: lit,
-    but not steady. off_target: nothing lit at the target, or more than 5 % of the symbol's length or width off (mean of the last five
-    steps).
+    not_judged: nobody said where it lies. too_short: fewer than ten steps. lost: not seen in most of the last ten; no_frame: as most of
+    their frames were missing. moving: lit, but not steady. off_target: nothing lit at the target, or more than 5 % of the symbol's length
+    or width off (mean of the last five steps).
     """
-    if table.num_rows < FINAL:
+    if table.num_rows and not judged(table).num_rows:
+        return "not_judged"
+    if judged(table).num_rows < FINAL:
         return "too_short"
     losses = table["loss"][-FINAL:].to_pylist()
     if 2 * losses.count("") < FINAL:
@@ -74,6 +82,7 @@ def unsettled(table: pa.Table) -> str | None:
 
 def final_error_percent(table: pa.Table) -> np.ndarray:
     """Error of the centroid `[2]` along x and y, signed, in % of the symbol's length and width; NaN where the last steps are not lit."""
+    table = judged(table)
     return np.array([column(table, axis)[-END:].mean() if table.num_rows else math.nan for axis in AXES])
 
 
@@ -93,6 +102,7 @@ def steady_step(table: pa.Table) -> int | None:
 
     None if there is none. A step at which nothing was lit is not near. Where the symbol lies does not matter.
     """
+    table = judged(table)
     if table.num_rows < FINAL:
         return None
     near = np.ones(table.num_rows, dtype=bool)

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from loop.recording.recorder import loss_name
+from loop.symbol.judging import Judge
 from loop.symbol.simulation import Simulation, StepResult
 from perception.birdseye import rectify
 from perception.camera import luminance_of
@@ -33,15 +34,17 @@ def frame_picture(result: StepResult, simulation: Simulation) -> Picture:
     """A step as a picture `[H, W, 3]` in the camera's size: extracted symbol (orange) and flat-road target (green) in the on frame,
     the noise-free light from above on the left, the first lamp's utilisation on the right."""
     camera = simulation.scenario.camera
-    white = WHITE * simulation.goal.median
+    white = WHITE * simulation.brightness
     if result.frames is None:
         picture = np.zeros((camera.height_px, camera.width_px, 3), np.uint8)
     else:
         picture = tone_map(luminance_of(result.frames[0], camera), white)
-    _outline_target(picture, simulation, result.time_s - camera.latency_steps / simulation.scenario.rate_hz)
+    if simulation.judge is not None and result.frames is not None:
+        _outline_target(picture, simulation.judge, result.taken_s)
     _outline_symbol(picture, result)
     margin = max(camera.height_px // 60, 1)
-    _paste(picture, _from_above(result, simulation, white, round(ABOVE * camera.height_px)), margin, left=True)
+    if simulation.judge is not None:
+        _paste(picture, _from_above(result, simulation.judge, white, round(ABOVE * camera.height_px)), margin, left=True)
     headlight = simulation.projector.modules[0].pixel_controller.headlight
     beam = result.lights[0].u.unflatten(-1, (headlight.pixel_rows, headlight.pixel_cols))
     _paste(picture, _scaled(tone_map(beam, torch.ones(())), round(BEAM * camera.height_px)), margin, left=False)
@@ -106,13 +109,13 @@ class VideoWriter:
             raise LuxloopError(f"{self.path}: cannot be written ({error.strerror or error}); name another file or directory") from error
 
 
-def _from_above(result: StepResult, simulation: Simulation, white: Tensor, height: int) -> Picture:
+def _from_above(result: StepResult, judge: Judge, white: Tensor, height: int) -> Picture:
     """The road about the target, far end on top, with the target outlined; height: px."""
-    symbol, axes = simulation.scenario.symbol, simulation.plane.axes
-    light = simulation.world.lit(result.time_s).luminance(result.lights)
+    symbol, axes = judge.symbol, judge.plane.axes
+    light = judge.world.lit(result.time_s).luminance(result.lights)
     rows = (axes.v + symbol.x_m).abs() <= CLOSE * symbol.length_m
     cols = (axes.u + symbol.y_m).abs() <= CLOSE * symbol.width_m
-    plane = rectify(simulation.plane_at(result.time_s), light)
+    plane = rectify(judge.plane_at(result.time_s), light)
     picture = _scaled(tone_map(plane[rows.to(light.device)][:, cols.to(light.device)], white), height)
     px_per_m = height / (float(axes.v[1] - axes.v[0]) * int(rows.sum()))
     centre = (-symbol.y_m - float(axes.u[cols][0]), -symbol.x_m - float(axes.v[rows][0]))
@@ -122,8 +125,8 @@ def _from_above(result: StepResult, simulation: Simulation, white: Tensor, heigh
     return picture
 
 
-def _outline_target(picture: Picture, simulation: Simulation, time_s: float) -> None:
-    symbol, view = simulation.scenario.symbol, simulation.world.view_from_ground(time_s)
+def _outline_target(picture: Picture, judge: Judge, time_s: float) -> None:
+    symbol, view = judge.symbol, judge.world.view_from_ground(time_s)
     x, y = symbol.length_m / 2, symbol.width_m / 2
     corners = torch.tensor([[-x, -x, x, x], [-y, y, y, -y], [0, 0, 0, 0]], dtype=torch.float64)
     corners += torch.tensor([[symbol.x_m], [symbol.y_m], [0.0]], dtype=torch.float64)
@@ -155,12 +158,14 @@ def _paste(picture: Picture, inset: Picture, margin: int, left: bool) -> None:
 
 
 def _captions(result: StepResult, simulation: Simulation) -> list[tuple[str, tuple[int, int, int]]]:
-    x, y = result.verdict.centroid_percent.tolist()
-    loss = loss_name(int(result.seen.code))
+    loss, lies = loss_name(int(result.seen.code)), "not judged"
+    if result.verdict is not None:
+        x, y = result.verdict.centroid_percent.tolist()
+        lies = f"centroid error {x:+.1f} %, {y:+.1f} %; IoU {float(result.verdict.iou):.2f}"
     return [
         (f"{simulation.scenario.name}, {simulation.scenario.controller.name}", TEXT_RGB),
         (f"step {result.step}, {result.time_s:.2f} s", TEXT_RGB),
-        (f"centroid error {x:+.1f} %, {y:+.1f} %; IoU {float(result.verdict.iou):.2f}", TEXT_RGB),
+        (lies, TEXT_RGB),
         (f"lost: {loss.replace('_', ' ')}", LOST_RGB) if loss else ("seen", SEEN_RGB),
     ]
 

@@ -80,11 +80,11 @@ class CalibrationParams(PoseErrorParams):
 class AimParams(PoseErrorParams):
     """What is true of the lamps' mounting beyond what [headlight] says; modules turn about their own origins."""
 
-    lamp: Literal["left", "right"] | None = Field(None, description="lamp that is meant; left out: all that draw")
+    lamp: Literal["left", "right"] | None = Field(None, description="lamp that is meant; left out: all that shine")
 
 
 class WearParams(Params):
-    """Pixels of the modules that draw which are dead or have aged; each module has its own."""
+    """Pixels of the modules that shine which are dead or have aged; each module has its own."""
 
     dead: float = Field(0.0, ge=0, le=1, description="share of pixels that are dead")
     aged: float = Field(0.0, ge=0, le=1, description="share of pixels that have aged")

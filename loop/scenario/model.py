@@ -7,11 +7,11 @@ import re
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from itertools import pairwise
-from typing import Annotated, Any, Final, Literal, Self
+from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from controllers.functions.planner import LightingParams
+from controllers.functions.planner import Functions, LightingParams
 from controllers.jpo.controller import JpoParams
 from controllers.pixels.mrpc import MrpcParams
 from controllers.symbol import ControllerParams, LuxloopParams
@@ -19,18 +19,21 @@ from controllers.symbol.laws.own import OwnParams
 from controllers.symbol.laws.stages import StagedParams
 from controllers.symbol.sensing.flat_model import FeatureParams
 from controllers.symbol.sensing.projector import SymbolParams
+from loop.scenario.checks import CheckParams, Light, refuse_lights
 from loop.scenario.disturbances import DisturbanceParams
 from loop.scenario.overrides import Override, is_file, overridden, resolve_paths, tables, texts
+from loop.scenario.plant import PlantParams, SimulatedPlantParams
 from loop.scenario.shipped import find
 from perception.camera import CameraParams
 from perception.detection.params import DetectorParams
 from perception.egomotion import SensorParams
 from perception.extraction import Extraction, ExtractionParams
+from perception.trackers import AnyTracker
 from perception.tracking import TrackerParams
 from world.errors import LuxloopError, did_you_mean, located
 from world.materials.library import RoadSurfaceParams
 from world.materials.spots import SpotParams
-from world.params import Params
+from world.params import Params, PlainName
 from world.plugin import PATTERN, Name, refuse_code
 from world.roads.shapes import Flat, RoadParams
 from world.scene.scene import StreetLamp
@@ -41,6 +44,7 @@ from world.validation import read_toml, validated
 
 SCHEMA_VERSION: Final = 1
 PIXEL_CONTROLLERS = ("ssc", "jpo")
+LIT = ("lighting", "functions")  # tables of which a scenario of lighting functions has one at least
 
 
 class StartParams(Params):
@@ -94,6 +98,8 @@ class LightParams(Params):
 class WorldScenario(Params):
     """What every scenario has: the world, the lamps, the camera, and how long it runs."""
 
+    lights: ClassVar[tuple[Light, ...]] = ()  # that checks may compare with
+
     schema_version: Literal[1] = Field(SCHEMA_VERSION, description="version of this file format")
     name: str = Field(min_length=1, max_length=80, description="name, for tables and reports")
     description: str = Field("", description="what is to be seen, in a sentence")
@@ -112,6 +118,8 @@ class WorldScenario(Params):
     ssc: MrpcParams = Field(MrpcParams(), description="SuperSampling Control, which joint pixel optimisation starts from")
     jpo: JpoParams = Field(JpoParams(), description='joint pixel optimisation, with pixel_controller = "jpo"')
     renderer: Literal["auto", "opengl", "raycast"] = Field("auto", description="source of the G-buffer")
+    checks: Mapping[PlainName, CheckParams] = Field({}, description="bounds on what the recording shows, by name")
+    disturbances: DisturbanceParams = Field(DisturbanceParams(), description="disturbances unknown to the controller")
 
     @field_validator("pixel_controller")
     @classmethod
@@ -125,6 +133,18 @@ class WorldScenario(Params):
     def _jpo_at_work(self) -> Self:
         if self.pixel_controller != "jpo" and self.jpo != JpoParams():
             raise ValueError(f'jpo: is for pixel_controller = "jpo", which is {self.pixel_controller!r} here; set that, or leave it out')
+        return self
+
+    @model_validator(mode="after")
+    def _compared_with_what_there_is(self) -> Self:
+        refuse_lights(self.checks, self.lights)
+        return self
+
+    @model_validator(mode="after")
+    def _aimed_lamps_draw(self) -> Self:
+        for k, aim in enumerate(self.disturbances.aim):
+            if aim.lamp is not None and aim.lamp not in self.headlight.lamps:
+                raise ValueError(f"disturbances.aim[{k}].lamp: the {aim.lamp} lamp is dark here; name it in headlight.lamps as well")
         return self
 
     @property
@@ -146,6 +166,8 @@ class WorldScenario(Params):
 class Scenario(WorldScenario):
     """Everything that decides a run of the closed loop around a symbol."""
 
+    lights: ClassVar[tuple[Light, ...]] = ("open_loop",)
+
     headlight: DrawingLampsParams = Field(DrawingLampsParams(), description="the lamps")
     symbol: SymbolParams = Field(description="what is projected, and where it shall lie")
     start: StartParams = Field(StartParams(), description="where the control starts")
@@ -155,14 +177,8 @@ class Scenario(WorldScenario):
     extraction: Extraction = Field(ExtractionParams(), description="how the symbol is found in the image")
     controller: Annotated[ControllerParams, Field(description="the controller of the symbol")] = LuxloopParams()
 
-    disturbances: DisturbanceParams = Field(DisturbanceParams(), description="disturbances unknown to the controller")
-
-    @model_validator(mode="after")
-    def _aimed_lamps_draw(self) -> Self:
-        for k, aim in enumerate(self.disturbances.aim):
-            if aim.lamp is not None and aim.lamp not in self.headlight.lamps:
-                raise ValueError(f"disturbances.aim[{k}].lamp: the {aim.lamp} lamp draws nothing here; name it in headlight.lamps as well")
-        return self
+    plant: Annotated[PlantParams, Field(description="what shows the light and exposes the frames")] = SimulatedPlantParams()
+    judge_every: int = Field(1, ge=0, le=100_000, description="steps from one judgement to the next; 0: none")
 
     @model_validator(mode="after")
     def _exposures_fit(self) -> Self:
@@ -237,21 +253,31 @@ class DrivingParams(Params):
 class LightingScenario(WorldScenario):
     """Everything that decides a run of lighting functions."""
 
+    lights: ClassVar[tuple[Light, ...]] = ("full_light", "low_beam")
+
     headlight: CarLampsParams = Field(CarLampsParams(), description="the lamps")
     driving: tuple[DrivingParams, ...] = Field((DrivingParams(),), min_length=1, description="how the car drives, in ascending time")
-    lighting: LightingParams = Field(description="base beam and lighting functions")
+    lighting: LightingParams = Field(LightingParams(), description="base beam, and what holds for all lighting functions")
+    functions: Functions = Field({}, description="lighting functions, each by its name")
     detector: DetectorParams | None = Field(
         None, description="what finds objects in the camera's frames; left out: lighting functions get the true places of all"
     )
-    tracker: TrackerParams = Field(TrackerParams(), description="what follows from frame to frame whom the detector finds")
+    tracker: AnyTracker = Field(TrackerParams(), description="follows detections from frame to frame")
+
+    @model_validator(mode="after")
+    def _has_on_frames_alone(self) -> Self:
+        for key in ("oncoming", "ambient"):
+            if off := [k for k, each in enumerate(getattr(self.disturbances, key)) if each.frames == "off"]:
+                raise ValueError(f"disturbances.{key}[{off[0]}].frames: steps of lighting functions have no off frame; leave it out")
+        return self
 
     @model_validator(mode="after")
     def _tracks_what_is_detected(self) -> Self:
         if self.detector is None and self.tracker != TrackerParams():
             raise ValueError('tracker: follows what a detector finds, but there is none; give one, detector = {kind = "network"} say')
-        if self.detector is not None and (named := [k for k, each in enumerate(self.lighting.functions) if _names_objects(each)]):
+        if self.detector is not None and (named := [name for name, each in self.functions.items() if _names_objects(each)]):
             raise ValueError(
-                f"lighting.functions[{named[0]}]: names objects, but a detector knows them by class alone; leave names out, "
+                f"functions.{named[0]}: names objects, but a detector knows them by class alone; leave names out, "
                 "or take the [detector] out"
             )
         return self
@@ -264,9 +290,6 @@ class LightingScenario(WorldScenario):
         names = [each.name for each in self.all_objects]
         if doubled := [name for name in names if names.count(name) > 1]:
             raise ValueError(f"objects: the name {doubled[0]!r} is there twice, but recordings tell objects by name; rename one")
-        zones = [each.name for each in self.lighting.functions if each.kind == "zone"]
-        if doubled := [name for name in zones if zones.count(name) > 1]:
-            raise ValueError(f"lighting.functions: there are two zones {doubled[0]!r}, but recordings tell zones by name; rename one")
         return self
 
 
@@ -278,7 +301,7 @@ def _names_objects(function: Any) -> bool:
 
 AnyScenario = Scenario | LightingScenario
 EXAMPLES: Final[dict[type[AnyScenario], str]] = {
-    Scenario: "`luxloop new FILE` writes a complete example; lighting functions come in [lighting] instead of [symbol]",
+    Scenario: "`luxloop new FILE` writes a complete example; lighting functions come in [functions.NAME] instead of [symbol]",
     LightingScenario: "`luxloop list` shows examples of all functions, `luxloop new FILE --like path_projection` copies one, say, and "
     "`--like obl` one with a detector",
 }
@@ -298,7 +321,7 @@ def validate_lighting(data: Mapping[str, Any], source: str) -> LightingScenario:
     """Check the scenario of lighting functions, as `validate_any` does. Raises LuxloopError for that of a symbol as well."""
     scenario = validate_any(data, source)
     if isinstance(scenario, Scenario):
-        raise LuxloopError(f"{source}: is the scenario of a [symbol], but this needs one with [lighting]; `luxloop run` runs both kinds")
+        raise LuxloopError(f"{source}: is the scenario of a [symbol], but this needs one with [functions]; `luxloop run` runs both kinds")
     return scenario
 
 
@@ -327,7 +350,7 @@ def load_any(name: str, overrides: Sequence[Override] = (), *, allow_code: bool 
 
 
 def validate_any(data: Mapping[str, Any], source: str) -> AnyScenario:
-    """Check a scenario given as plain data; its table [symbol] or [lighting] tells the kinds apart.
+    """Check a scenario given as plain data; its table [symbol], or [lighting] or [functions], tells the kinds apart.
 
     Modules that it names may run: it is for data of the caller's own, and for what `load_any` has let pass.
     Raises LuxloopError that names the source, the key and the remedy.
@@ -337,24 +360,24 @@ def validate_any(data: Mapping[str, Any], source: str) -> AnyScenario:
         raise LuxloopError(
             f"{source}: schema_version: this luxloop reads version {SCHEMA_VERSION}, not {version!r}; get another luxloop for it"
         )
-    lighting = data.get("lighting")
+    lighting, lit = data.get("lighting"), next((key for key in LIT if key in data), None)
     if "symbol" in data and isinstance(lighting, Mapping) and lighting.get("raw"):
         raise LuxloopError(
             f"{source}: lighting.raw: the controller of a [symbol] moves a primitive, which raw utilisations have none of; take one of the "
             "two out, or give a lamp file the utilisations as a beam (docs/lampfiles.md) and draw the symbol into it with headlight.beam"
         )
-    if "symbol" in data and "lighting" in data:
+    if "symbol" in data and lit:
         raise LuxloopError(
-            f"{source}: has both a [symbol] and [lighting]; a scenario is of one kind, take one of the two out (what a lighting "
-            "function draws is its own image, as in lighting.functions[0].image)"
+            f"{source}: has both a [symbol] and [{lit}]; a scenario is of one kind, take one of the two out (what a lighting "
+            "function draws is its own image, as in functions.NAME.image)"
         )
     if "symbol" in data and (strange := [key for key in data if key in LightingScenario.model_fields and key not in Scenario.model_fields]):
         raise LuxloopError(
             f"{source}: {strange[0]}: goes with [lighting], but this is the scenario of a [symbol]; leave it out, or take one with "
             "lighting functions, such as obl"
         )
-    if "controller" in data and "lighting" in data:
-        raise LuxloopError(f"{source}: controller: a scenario with [lighting] has no controller; leave it out")
+    if "controller" in data and lit:
+        raise LuxloopError(f"{source}: controller: a scenario with [{lit}] has no controller; leave it out")
     kind = _kind(data)
     with located(source):
         return validated(kind, data, EXAMPLES[kind]).model_copy(update={"source": source})
@@ -362,10 +385,10 @@ def validate_any(data: Mapping[str, Any], source: str) -> AnyScenario:
 
 def _kind(data: Mapping[str, Any]) -> type[AnyScenario]:
     """By its table; where it has neither, by the others that it has, or by one that may have been meant."""
-    if "lighting" in data or "symbol" in data:
-        return LightingScenario if "lighting" in data else Scenario
+    if any(key in data for key in ("symbol", *LIT)):
+        return Scenario if "symbol" in data else LightingScenario
     strange = [key for key in data if key not in Scenario.model_fields]
-    meant = any(key in LightingScenario.model_fields or difflib.get_close_matches(key, ["lighting"], cutoff=0.8) for key in strange)
+    meant = any(key in LightingScenario.model_fields or difflib.get_close_matches(key, LIT, cutoff=0.8) for key in strange)
     return LightingScenario if meant else Scenario
 
 

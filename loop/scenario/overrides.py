@@ -12,9 +12,8 @@ from world.errors import LuxloopError
 from world.validation import parsed_toml, read_toml
 
 Override = str | Mapping[str, Any]
-INDEX = re.compile(r"\[(\d+)\]")  # of a list's item in --set lighting.functions[0].margin_m=0.5
+INDEX = re.compile(r"\[(\d+)\]")  # of a list's item in --set objects[0].albedo=0.5
 CLEARED: Final = object()  # in place of what goes back to its default
-REQUIRED = ("symbol", "lighting")  # tables that one kind of scenario has no default of: what is cleared are their keys
 TAGS = ("kind", "name")  # keys that tell the variants of a table apart: the first that it has
 
 
@@ -110,7 +109,7 @@ def _merge(into: dict[str, Any], changes: Mapping[str, Any], within: str = "") -
                 f"--set '{whole}=[...]' for all of it, or change a copy, `luxloop new FILE --like NAME`"
             )
         elif value == {} and key in into:
-            into[key] = {} if whole in REQUIRED else CLEARED
+            into[key] = CLEARED
         elif isinstance(old, dict) and isinstance(value, dict) and _same_variant(old, value):
             _merge(old, value, whole)
         else:
@@ -118,16 +117,16 @@ def _merge(into: dict[str, Any], changes: Mapping[str, Any], within: str = "") -
 
 
 def _same_variant(table: Mapping[str, Any], changes: Mapping[str, Any]) -> bool:
-    tag = next((tag for tag in TAGS if tag in table), "")
-    return tag not in changes or changes[tag] == table[tag]
+    tags = [tag for tag in TAGS if isinstance(table.get(tag), str)][:1]  # functions may be named so, too
+    return all(tag not in changes or changes[tag] == table[tag] for tag in tags)
 
 
 def resolve_paths(data: dict[str, Any], folder: Path) -> None:
     """Make paths absolute against the file's folder, those of modules that lie there too; names of what is shipped or known stay names."""
-    objects, lighting = data.get("objects"), data.get("lighting")
+    objects, functions, lighting = (data.get(key) for key in ("objects", "functions", "lighting"))
     controller = data.get("controller")
     believed = controller.get("road") if isinstance(controller, dict) else None
-    functions, raw = (lighting.get(key) if isinstance(lighting, dict) else None for key in ("functions", "raw"))
+    raw = lighting.get("raw") if isinstance(lighting, dict) else None
     tables = [(data.get("symbol"), "image"), (data.get("road"), "file"), (believed, "file"), (data.get("headlight"), "model")]
     tables += [(data.get("detector"), key) for key in ("file", "weights")]
     for items, key in ((objects, "file"), (functions, "image"), (raw, "file")):
@@ -136,7 +135,8 @@ def resolve_paths(data: dict[str, Any], folder: Path) -> None:
     for table, key in tables:
         if isinstance(table, dict) and isinstance(table.get(key), str) and any(mark in table[key] for mark in "/\\."):
             table[key] = str((folder / table[key]).resolve())
-    parts = [(data.get(key), "kind") for key in ("road", "extraction", "detector")]
+    parts = [(data.get(key), "kind") for key in ("road", "extraction", "detector", "tracker", "plant")]
+    parts += [(function, "kind") for function in functions.values()] if isinstance(functions, dict) else []
     for table, key in [*parts, (believed, "kind"), (controller, "name"), (data, "pixel_controller")]:
         if isinstance(table, dict) and isinstance(table.get(key), str):
             table[key] = plugin.beside(table[key], folder)

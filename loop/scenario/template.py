@@ -8,6 +8,7 @@ from pydantic.fields import FieldInfo
 
 from controllers.symbol import CONTROLLERS, LuxloopParams
 from loop.scenario.model import Scenario
+from loop.scenario.plant import SimulatedPlantParams
 from loop.scenario.shipped import shipped_files
 from perception.extraction import ExtractionParams
 from world.roads.shapes import Mixed, RoadParams
@@ -20,7 +21,12 @@ CHOSEN: dict[str, dict[str, Any]] = {
     "road": {"kind": "mixed"},
     "controller": {"name": "luxloop"},
 }
-VARIANTS: dict[str, type[BaseModel]] = {"road": Mixed, "extraction": ExtractionParams, "controller": LuxloopParams}
+VARIANTS: dict[str, type[BaseModel]] = {
+    "road": Mixed,
+    "extraction": ExtractionParams,
+    "controller": LuxloopParams,
+    "plant": SimulatedPlantParams,
+}
 HEAD = """\
 # A scenario of luxloop. Check it with `luxloop check FILE`, run it with `luxloop run FILE`.
 # Lines that begin with # show defaults: remove the # to change one. SI units, degrees where a name ends in _deg.
@@ -39,7 +45,7 @@ TAIL = """
 # They may move, appear and vanish; a table [traffic] puts some there at random.
 # [[objects]]
 # kind = "box"
-# name = "black box"
+# name = "black_box"
 # size_m = [0.4, 0.4, 0.3]
 # albedo = 0.02
 # track = [{position_m = [17.0, 0.3, 0.0]}]
@@ -70,7 +76,8 @@ def night(name: str, seed: int) -> str:
         "traffic": world["traffic"] | {"on_road": True},
         "camera": {"width_px": 960, "height_px": 400, "hfov_deg": 30.0, "pitch_deg": 1.5},
         "headlight": {"model": "ssl-hd-lores"},
-        "lighting": {"base": {"beam": "low"}, "functions": [{"kind": "glare_free"}]},
+        "lighting": {"base": {"beam": "low"}},
+        "functions.guard_traffic": {"kind": "glare_free"},
     }
     lines = [f"name = {_toml(name)}", "steps = 40", "rate_hz = 20"]
     for key, table in tables.items():

@@ -23,7 +23,7 @@ SHOWN = {
     "residual_percent": ("centroid error in %", False),
     "iou_open": ("IoU, open loop", True),
     "iou_final": ("IoU, final", True),
-    "iou_mean": ("IoU, mean of all steps", True),
+    "iou_mean": ("IoU, mean of all judged steps", True),
     "dark_lx_max": ("on what must be dark, lx", False),
     "symbol_iou_min": ("IoU of symbols, least", True),
     "flux_lm_mean": ("flux of all lamps, lm", False),

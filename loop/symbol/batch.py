@@ -13,6 +13,7 @@ from controllers.symbol.laws.thesis_pid import ThesisPid, ThesisPidParams
 from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.observer import Seen
 from controllers.symbol.sensing.protocol import Look, Shown
+from loop.scenario.plant import SimulatedPlantParams
 from loop.symbol.simulation import Lights, Simulation
 from perception.camera import expose, frame_generator
 from perception.extraction import Crop, Loss, symbol_image
@@ -59,10 +60,16 @@ def check(simulation: Simulation, keys: Any) -> None:
         raise LuxloopError(
             f"{scenario.name}: batched rollouts know nothing of disturbances.{found[0]}; leave it out, or tune without --gradient"
         )
-    still = [scenario.vehicle is None, not simulation.world.moving, scenario.camera.drop_probability == 0]
-    if not (all(still) and all(isinstance(each, Transport) for each in simulation.world.lit(0.0).transports)):
+    if not isinstance(scenario.plant, SimulatedPlantParams):
         raise LuxloopError(
-            f"{scenario.name}: batched rollouts are for scenes in which nothing moves and no frame is lost; tune without --gradient"
+            f"{scenario.name}: batched rollouts are of the simulated plant, not of {scenario.plant.kind}; tune without --gradient"
+        )
+    world, camera = simulation.truth.world, scenario.camera
+    still = [scenario.vehicle is None, not world.moving, camera.drop_probability == 0, camera.latency_spread_steps == 0]
+    if not (all(still) and all(isinstance(each, Transport) for each in world.lit(0.0).transports)):
+        raise LuxloopError(
+            f"{scenario.name}: batched rollouts are for scenes in which nothing moves, no frame is lost and all are equally late; "
+            "tune without --gradient"
         )
 
 
@@ -108,18 +115,17 @@ def with_values(controller: Any, values: dict[str, Tensor]) -> ThesisPid:
 
 def look(simulation: Simulation, poses: Tensor, step: int, *, quantise: bool = True) -> Seen:
     """What the camera sees of poses `[B, 4]` at a step, exposed only where their light can be."""
-    observer, world, camera = simulation.observer, simulation.world, simulation.scenario.camera
+    observer, view, camera = simulation.observer, simulation.truth.world.lit(0.0), simulation.scenario.camera
     crop = simulation.projector.footprint(Drawing(poses), observer.model.eye.view, observer.params.footprint_margin_m)
     if crop.v_stop - crop.v_start < 2 or crop.u_stop - crop.u_start < 2:
         return observer.lost(poses, Loss.NOTHING)
     # One by one: the few rays and pixels that each pose touches are quicker than all of a batch.
     lights = [simulation.projector.light(pose) for pose in poses]
-    on_view, off_view = (world.lit(t_s) for t_s in simulation.plant.exposures(step))
     on, off = (
         expose(light, camera, noise[crop.slices].to(light), quantise=quantise)
         for light, noise in (
-            (_luminance(on_view.transports, lights, on_view.base, crop), _noise(simulation, step, 0)),
-            (off_view.off[crop.slices], _noise(simulation, step, 1)),
+            (_luminance(view.transports, lights, view.base, crop), _noise(simulation, step, 0)),
+            (view.off[crop.slices], _noise(simulation, step, 1)),
         )
     )
     model = observer.model

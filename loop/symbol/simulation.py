@@ -1,47 +1,55 @@
 """The stepped loop: state in, state out. Light is shown, frames are seen, the primitive moves, the judge writes down how it lies."""
 
+import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from controllers.pixels.ssc import Utilisation
+from controllers.symbol.laws.open_loop import OpenLoopParams
 from controllers.symbol.sensing.field import cut
 from controllers.symbol.sensing.flat_model import FlatModel, flat_model
 from controllers.symbol.sensing.observer import Observer, Seen
-from controllers.symbol.sensing.projector import Projector, SymbolParams
+from controllers.symbol.sensing.projector import Projector
 from controllers.symbol.sensing.protocol import Look, Shown, SymbolController
-from loop.assembly.build import build_motion, build_projector, build_road, build_scene, build_symbol_controller
+from loop.assembly.build import build_projector, build_road, build_symbol_controller
+from loop.plant.build import build_plant
+from loop.plant.protocol import Arrivals, Exposure, Frame, Plant
+from loop.plant.simulated import SimulatedPlant
+from loop.scenario.checks import Light
 from loop.scenario.model import Scenario
-from loop.symbol.plant import Frames, SimulatedPlant
-from loop.symbol.truth import true_camera, true_modules
-from loop.symbol.world import World
-from perception.birdseye import BirdsEye, Region, birds_eye, cells, region_around
+from loop.symbol.judging import Judge
 from perception.camera import CameraParams
-from perception.judge import CELL_M, Target, Verdict, judge, target
-from world.frames import transform
-from world.rendering.face_source import face_source
-from world.scene.vehicle import STANDING, Motion
-from world.view import View
+from perception.judge import THRESHOLD, Verdict
+from world.errors import LuxloopError
 
 Lights = tuple[Utilisation, ...]
+Frames = tuple[Tensor, Tensor]
+UnderWay = tuple[tuple[int, Shown], ...]  # what was shown, by the number of its on exposure
+Arrived = tuple[Shown, Frames | None, float]  # what was shown, with its frames, None where one is lost, and when they were taken
+LOST = Frame(-1, math.nan, math.nan, None)
 
 
 @dataclass(frozen=True)
 class SimulationState:
-    """step: the step that comes next. controller, plant: their states. shown: in the frames that are under way.
+    """step: the step that comes next. controller, plant: their states. arrivals: what has come in by its beginning.
 
+    under_way: what was shown whose frames have not come yet. frames: that have come without the other one of their pair.
     shape: `[4]` of the road on which the symbol was seen last, None for the flat one.
     """
 
     step: int
     controller: Any
     plant: Any
-    shown: tuple[Shown, ...] = ()
+    arrivals: Arrivals
+    under_way: UnderWay = ()
+    frames: tuple[Frame, ...] = ()
     shape: Tensor | None = None
 
 
@@ -52,6 +60,8 @@ class StepResult:
     pose: `[4]` that was shown. z: `[]` m, height of its centre above the assumed road. cut: `[4]`, shares of the symbol beyond the borders
     of the lamps' field (`controllers.symbol.sensing.field`).
     aim: `[2]`, x and y in m where the symbol lies in place of its target, NaN for the target.
+    frames, seen: of the newest on and off frame that came in this step; they were taken at taken_s, NaN where none came. verdict: None
+    where nobody judged.
     """
 
     step: int
@@ -60,8 +70,9 @@ class StepResult:
     z: Tensor
     lights: Lights
     frames: Frames | None
+    taken_s: float
     seen: Seen
-    verdict: Verdict
+    verdict: Verdict | None
     cut: Tensor
     aim: Tensor
     timings: dict[str, float]
@@ -69,102 +80,104 @@ class StepResult:
 
 @dataclass(frozen=True)
 class Simulation:
-    """A scenario made ready to run on one device.
-
-    plant: what is controlled. world: what the judge looks at, and in simulation the plant's. plane: of the vehicle as it stands at first,
-    see `plane_at`.
-    """
+    """A scenario made ready to run on one device. plant: what is controlled. judge: None where the plant does not know the truth."""
 
     scenario: Scenario
     device: torch.device
     projector: Projector
     observer: Observer
     controller: SymbolController
-    plant: SimulatedPlant
-    world: World
-    plane: BirdsEye
-    goal: Target
+    plant: Plant
+    judge: Judge | None
 
     @classmethod
     def prepare(cls, scenario: Scenario, device: torch.device | str = "cpu") -> "Simulation":
-        """Build scene, lamps, internal model and judge. Raises LuxloopError where a file is missing or broken."""
+        """Build plant, lamps, internal model and judge. Raises LuxloopError where a file is missing or broken."""
         device = torch.device(device)
-        symbol = scenario.symbol
-        motion = build_motion(scenario)
-        scene = build_scene(scenario, motion)
         projector = build_projector(scenario, device)
-        camera = true_camera(scenario)
 
         def model_of(camera: CameraParams) -> FlatModel:
             return flat_model(projector, camera, scenario.surface, scenario.light.ambient_lx, scenario.extraction, scenario.features)
 
         model = model_of(scenario.camera)
-        judged = model if camera == scenario.camera else model_of(camera)  # the judge knows where the camera is
-        world = World(scene, true_modules(scenario, projector), camera, face_source(scenario.renderer), device, motion)
         observer = Observer(projector, model, scenario.camera, scenario.extraction)
-        return cls(
-            scenario=scenario,
-            device=device,
-            projector=projector,
-            observer=observer,
-            controller=build_symbol_controller(scenario, observer),
-            plant=SimulatedPlant(world, scenario.rate_hz, scenario.seed, scenario.sensors, scenario.disturbances),
-            world=world,
-            plane=_plane(scenario, world.view, _road(scenario, motion, 0.0), device),
-            goal=target(
-                judged.luminance(projector.light(projector.target)),
-                _plane(scenario, world.view, None, device),
-                symbol.length_m,
-                symbol.width_m,
-            ),
-        )
+        plant, judge = build_plant(scenario, projector), None
+        if (world := getattr(plant, "truth", None)) is not None:
+            judged = model if world.camera == scenario.camera else model_of(world.camera)  # the judge knows where the camera is
+            judge = Judge.of(world, scenario.symbol, build_road(scenario), judged.luminance(projector.light(projector.target)))
+        return cls(scenario, device, projector, observer, build_symbol_controller(scenario, observer), plant, judge)
+
+    @property
+    def truth(self) -> Judge:
+        """The judge, where there must be one. Raises LuxloopError on a plant that does not know the truth."""
+        if self.judge is None:
+            raise LuxloopError(f"{self.scenario.name}: the plant {self.scenario.plant.kind} does not know the truth; take another plant")
+        return self.judge
+
+    @cached_property
+    def brightness(self) -> Tensor:
+        """Median luminance `[]` in cd/m^2 of the symbol at its target on a flat road."""
+        if self.judge is not None:
+            return self.judge.goal.median
+        flat = self.observer.model.luminance(self.projector.light(self.projector.target))
+        return flat[flat > THRESHOLD * flat.max()].median()
+
+    @property
+    def renderer(self) -> str:
+        """Source of the simulated plant's G-buffers, else what the plant is called."""
+        return self.scenario.plant.kind if self.judge is None else self.judge.world.source.name
+
+    def lit_by(self, light: Light) -> "Simulation":
+        """The same world with the same noise in open loop. Raises LuxloopError on a plant of one's own, which shows one light alone."""
+        if not isinstance(self.plant, SimulatedPlant):
+            raise LuxloopError(f"checks: compare = {light!r} runs the simulated world beside, not {self.scenario.plant.kind}; leave it out")
+        scenario = self.scenario.model_copy(update={"controller": OpenLoopParams()})
+        return replace(self, scenario=scenario, controller=build_symbol_controller(scenario, self.observer))
 
     def start(self) -> SimulationState:
         """The state before step 0."""
         s = self.scenario.start
         angles = torch.deg2rad(torch.tensor([s.roll_deg, s.pitch_deg]))
         pose = torch.cat([torch.tensor([s.x_m, s.y_m]), angles]).to(self.projector.target)
-        return SimulationState(0, self.controller.start(pose), self.plant.start())
+        plant, arrivals = self.plant.start()
+        return SimulationState(0, self.controller.start(pose), plant, arrivals)
 
     def step(self, state: SimulationState) -> tuple[SimulationState, StepResult]:
-        """One control step."""
-        timings: dict[str, float] = {}
-        time_s, off_time_s = self.plant.exposures(state.step)
-        with _timed(timings, "render"):
-            self.world.render(time_s, off_time_s)
+        """One control step: the symbol is on for half of it and off for the other."""
+        timings = dict.fromkeys(("light", "plant", "perceive", "control"), 0.0)
+        time_s, ego = state.arrivals.time_s, state.arrivals.ego
         with _timed(timings, "light"):
             drawing = self.controller.drawing(state.controller)
             lights = self.projector.draw(drawing)
-        with _timed(timings, "camera"):
-            plant, frames = self.plant.show(state.plant, lights, state.step)
-        with _timed(timings, "perceive"):
-            ego = self.plant.ego(state.step)
-            shown = (*state.shown, Shown(drawing, lights, ego))
-            late = self.scenario.camera.latency_steps
-            seen = self.observer.look(frames, shown[0].drawing, shown[0].lights, state.shape if ego.stands else None)
-        with _timed(timings, "control"):
-            controller = self.controller.step(state.controller, Look(seen, frames, shown[0], ego))
+        plant, arrivals, frames = state.plant, state.arrivals, state.frames
+        for part, light in enumerate((lights, self.projector.resting)):
+            with _timed(timings, "plant"):
+                exposure = Exposure(2 * state.step + part, arrivals.time_s, 0.5 / self.scenario.rate_hz, light)
+                plant, arrivals = self.plant.show(plant, exposure)
+                frames += arrivals.frames
+        looks, under_way, frames = matched((*state.under_way, (2 * state.step, Shown(drawing, lights, ego))), frames)
+        controller, shape = state.controller, state.shape
+        looks = looks or [(under_way[0][1], None, math.nan)]
+        for shown, pair, _ in looks:
+            with _timed(timings, "perceive"):
+                seen = self.observer.look(pair, shown.drawing, shown.lights, shape if ego is None or ego.stands else None)
+                shape = seen.shape
+            with _timed(timings, "control"):
+                controller = self.controller.step(controller, Look(seen, pair, shown, ego))
         timings["step"] = sum(timings.values())
         with _timed(timings, "judge"):
-            verdict = self.judge(lights, time_s)
-        following = SimulationState(state.step + 1, controller, plant, shown[-late:] if late else (), seen.shape)
+            verdict = self._judged(state.step, lights, time_s)
         z = torch.zeros_like(drawing.pose[..., 0]) if drawing.z is None else drawing.z
         aim = drawing.pose.new_full((2,), torch.nan) if drawing.aim is None else drawing.aim.to(drawing.pose)
-        return following, StepResult(
-            state.step, time_s, drawing.pose, z, lights, frames, seen, verdict, cut(self.projector, drawing), aim, timings
+        outside = cut(self.projector, drawing)
+        return (
+            SimulationState(state.step + 1, controller, plant, arrivals, under_way, frames, shape),
+            StepResult(state.step, time_s, drawing.pose, z, lights, pair, looks[-1][2], seen, verdict, outside, aim, timings),
         )
 
-    def judge(self, lights: Lights, time_s: float) -> Verdict:
-        """How the light lies on the road at a time, without noise."""
-        return judge(self.world.lit(time_s).luminance(lights), self.plane_at(time_s), self.goal)
-
-    def plane_at(self, time_s: float) -> BirdsEye:
-        """Where the target lies, as the camera sees it at a time: the plane z = 0 under the vehicle, or the road itself."""
-        view, motion = self.world.view_from_ground(time_s), self.world.motion
-        flat = self.scenario.symbol.target == "appearance"
-        if motion is STANDING or (flat and view.T_world_view.equal(self.world.view.T_world_view)):
-            return self.plane
-        return _plane(self.scenario, view, _road(self.scenario, motion, time_s), self.device)
+    def _judged(self, step: int, lights: Lights, time_s: float) -> Verdict | None:
+        every = self.scenario.judge_every
+        return None if self.judge is None or not every or step % every else self.judge.verdict(lights, time_s)
 
     def run(self) -> Iterator[StepResult]:
         """All steps of the scenario."""
@@ -174,26 +187,24 @@ class Simulation:
             yield result
 
 
-def _plane(scenario: Scenario, view: View, road: Tensor | None, device: torch.device) -> BirdsEye:
-    return birds_eye(_region(scenario.symbol), view, road).to(device)
+def matched(under_way: UnderWay, frames: Sequence[Frame]) -> tuple[list[Arrived], UnderWay, tuple[Frame, ...]]:
+    """What was shown whose frames have come or are lost; what is under way; its frames so far.
 
-
-def _region(symbol: SymbolParams) -> Region:
-    return region_around(symbol.x_m, symbol.y_m, symbol.length_m, symbol.width_m, CELL_M)
-
-
-def _road(scenario: Scenario, motion: Motion, time_s: float) -> Tensor | None:
-    """Places `[3, rows, cols]` m of the road in the ground frame of a time, where a symbol's target is a place on it."""
-    if scenario.symbol.target == "appearance":
-        return None
-    x, y, z = cells(_region(scenario.symbol))
-    T_world_ground = motion.at(time_s).T_world_ground
-    at_x, at_y, _ = transform(T_world_ground, torch.stack([x, y, z]).flatten(1)).numpy()
-    return torch.stack([x, y, torch.from_numpy(build_road(scenario).z(at_x, at_y)).view_as(z)])
+    Frames come in the order of their exposures, so that all before the last pair that has come are lost.
+    """
+    came, looks = {frame.number: frame for frame in frames}, list[Arrived]()
+    done = max((k + 1 for k, (number, _) in enumerate(under_way) if number in came and number + 1 in came), default=0)
+    for number, shown in under_way[:done]:
+        on, off = came.get(number, LOST), came.get(number + 1, LOST)
+        both = None if on.image is None or off.image is None else (on.image, off.image)
+        looks.append((shown, both, math.nan if both is None else on.taken_s))
+    left = under_way[done:]
+    awaited = {exposure for number, _ in left for exposure in (number, number + 1)}
+    return looks, left, tuple(frame for frame in frames if frame.number in awaited)
 
 
 @contextmanager
 def _timed(timings: dict[str, float], part: str) -> Iterator[None]:
     start = time.perf_counter()
     yield
-    timings[part] = 1e3 * (time.perf_counter() - start)
+    timings[part] = timings.get(part, 0.0) + 1e3 * (time.perf_counter() - start)

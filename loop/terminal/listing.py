@@ -12,7 +12,7 @@ USES: dict[Kind, str] = {
     "controllers": "Take one with `--controller NAME`, or as controller.name of a scenario; one of your own is package.module:Name.",
     "roads": "Take one with `--set road.kind=NAME`; `luxloop schema` has the keys of each; one of your own is package.module:Name.",
     "symbols": "Take one with `--set symbol.image=NAME`; one of your own is the path of a picture.",
-    "detectors": "Take one with `--set detector.kind=NAME` in a scenario with [lighting]; one of your own is package.module:Name.",
+    "detectors": "Take one with `--set detector.kind=NAME` in a scenario with [functions.NAME]; one of your own is package.module:Name.",
     "lamps": "Take one with `--set headlight.model=NAME`; `luxloop headlight info NAME` describes it.",
     "examples": "Copy one with `luxloop new --like NAME`.",
 }
@@ -62,11 +62,11 @@ def _scenarios() -> list[dict[str, Any]]:
 
 def _uses(content: dict[str, Any]) -> list[str]:
     """The controller of a symbol, or the kinds of lighting functions, the base beam where there are none."""
-    if "lighting" not in content:
+    if not content.keys() & {"lighting", "functions"}:
         return [str(content.get("controller", {}).get("name", DEFAULT_CONTROLLER))]
-    lighting = content["lighting"]
+    lighting = content.get("lighting", {})
     raw = ["raw utilisations"] if "raw" in lighting else []
-    kinds = list(dict.fromkeys([*raw, *(function["kind"] for function in lighting.get("functions", ()))]))
+    kinds = list(dict.fromkeys([*raw, *(function["kind"] for function in content.get("functions", {}).values())]))
     return kinds or [f"{lighting['base']['beam']} beam"]
 
 

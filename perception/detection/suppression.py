@@ -3,6 +3,8 @@
 import torch
 from torch import Tensor
 
+SAME = 0.3  # least overlap of a box with the object that it is said to show
+
 
 def overlaps(boxes: Tensor, others: Tensor) -> Tensor:
     """Intersection over union `[..., n, m]` of boxes `[..., n, 4]` and others `[..., m, 4]`: left, top, right, bottom; 0 of empty ones."""

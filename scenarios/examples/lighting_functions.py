@@ -37,15 +37,15 @@ BRIGHTER = {"quantity": "u_rel", "value": 8.0}
 PICTURE = {"centre_m": (9.0, 0.0, 0.45), "width_m": 0.9, "height_m": 0.25}
 
 # Name: utilisation of the base beam, objects, functions, curvature of the course in 1/m.
-FUNCTIONS: dict[str, tuple[float, tuple[Any, ...], tuple[dict[str, Any], ...], float]] = {
-    "glare-free": (0.5, (CAR, ANNA), ({"kind": "glare_free", "soft_zones": ({"margin_m": 0.8, "u_rel": 0.4},)},), 0.0),
-    "marker": (0.12, (ANNA,), ({"kind": "marker", "near_m": 11.0}, {"kind": "marker", "target": "body"}), 0.0),
-    "sign": (0.5, (SIGN,), ({"kind": "sign", "value": 0.05},), 0.0),
-    "symbol": (0.12, (), ({"kind": "symbol", "image": "snowflake"},), 0.0),
-    "observer": (0.12, (), ({"kind": "symbol", "image": "warning_triangle", "observer": PICTURE},), 0.0),
-    "path": (0.12, (), ({"kind": "path", "control_m": CURVE, "width_m": 1.6, "image": "chevrons", **BRIGHTER},), 0.0),
-    "lane": (0.12, (), ({"kind": "lane", "style": "lines", "near_m": 11.0, "far_m": 45.0, **BRIGHTER},), 0.01),
-    "width": (0.12, (), ({"kind": "width", "near_m": 11.0},), 0.0),
+FUNCTIONS: dict[str, tuple[float, tuple[Any, ...], dict[str, dict[str, Any]], float]] = {
+    "glare-free": (0.5, (CAR, ANNA), {"guard": {"kind": "glare_free", "soft_zones": ({"margin_m": 0.8, "u_rel": 0.4},)}}, 0.0),
+    "marker": (0.12, (ANNA,), {"line": {"kind": "marker", "near_m": 11.0}, "body": {"kind": "marker", "target": "body"}}, 0.0),
+    "sign": (0.5, (SIGN,), {"dimmed": {"kind": "sign", "value": 0.05}}, 0.0),
+    "symbol": (0.12, (), {"warning": {"kind": "symbol", "image": "snowflake"}}, 0.0),
+    "observer": (0.12, (), {"warning": {"kind": "symbol", "image": "warning_triangle", "observer": PICTURE}}, 0.0),
+    "path": (0.12, (), {"detour": {"kind": "path", "control_m": CURVE, "width_m": 1.6, "image": "chevrons", **BRIGHTER}}, 0.0),
+    "lane": (0.12, (), {"borders": {"kind": "lane", "style": "lines", "near_m": 11.0, "far_m": 45.0, **BRIGHTER}}, 0.01),
+    "width": (0.12, (), {"own_width": {"kind": "width", "near_m": 11.0}}, 0.0),
 }
 
 
@@ -62,7 +62,7 @@ def draw(name: str, folder: Path) -> None:
         tracked,
         curvature_1_m=curvature,
     )
-    plan = Planner.prepare(LightingParams(functions=functions), lambda image: SYMBOLS / f"{image}.png").plan(now)
+    plan = Planner.prepare(functions, LightingParams(), lambda image: SYMBOLS / f"{image}.png").plan(now)
     ssc = Ssc.prepare(light, default=torch.full((light.n_pixels,), base))
     beam = {side: (ssc.utilisation(plan.primitives, T).u,) for side, T in MOUNTS.items() if plan.primitives}
     boxes = [

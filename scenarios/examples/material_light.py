@@ -19,7 +19,7 @@ def main(lamp: str = "ssl-hd-lores") -> None:
         state, result = simulation.step(state)
     lit = simulation.camera.at(result.time_s)
     picture, names = material_picture(lit.surfaces, lit.triangles)
-    (asked,) = (each.lx for each in result.functions)
+    (asked,) = (each.lx for each in result.functions.values())
     within = (lit.surfaces.position[0] > REACH_M[0]) & (lit.surfaces.position[0] < REACH_M[1])
     print(f"{lamp}: {sum(power.flux_lm for power in result.powers.values()):.0f} lm")
     for number, name in enumerate(names):

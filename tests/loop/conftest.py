@@ -2,13 +2,17 @@
 
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
+from torch import Tensor
 
+from controllers.pixels.ssc import Utilisation
 from loop.commands import cli
+from loop.plant.protocol import Exposure
+from loop.plant.simulated import SimulatedPlant
 from loop.scenario.model import Scenario, validate
 from loop.symbol.simulation import Simulation, StepResult
 
@@ -78,6 +82,18 @@ def lux(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.
         return code, captured.out, captured.err
 
     return run
+
+
+def frames_of(plant: SimulatedPlant, lights: Sequence[Utilisation], step: int = 0) -> tuple[Tensor, Tensor] | None:
+    """On and off frame of lights that are shown in a step, None where they are lost."""
+    state, _ = plant.start()
+    images = []
+    for part, shown in enumerate((tuple(lights), plant.world.resting)):
+        exposure = Exposure(2 * step + part, (step + part / 2) * plant.period_s, plant.period_s / 2, shown)
+        state, arrivals = plant.show(state, exposure)
+        images += [frame.image for frame in arrivals.frames]
+    on, off = images
+    return None if on is None or off is None else (on, off)
 
 
 def assert_one_sentence(error: str) -> None:

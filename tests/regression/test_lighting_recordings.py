@@ -69,7 +69,7 @@ def test_lighting_runs_as_recorded(name: str, re_record: bool, capsys: pytest.Ca
 
 def test_a_change_of_the_light_is_told() -> None:
     now = pq.read_table(file_of("gfhb"))
-    name = "object.oncoming car.lx_max"
+    name = "objects.oncoming_car.lx_max"
     assert max(now["dark_lx_max"].to_pylist()) == 0.0  # the masks of the scenario keep all light off
     leak = now.set_column(now.column_names.index(name), name, pa.array([0.0, 1e-6, 0.0, 0.0]))
     (difference,) = compare(now, leak)

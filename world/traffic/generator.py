@@ -53,7 +53,7 @@ class TrafficParams(Params):
             (self.animals, "deer", 1.0, _deer),
             (self.cyclists, "cyclist", 1.1, _cyclist),
             (self.pedestrians, "pedestrian", 0.5, _pedestrian),
-            (self.parked, "parked car", 2.6, _parked),
+            (self.parked, "parked_car", 2.6, _parked),
             (self.signs, "sign", 0.5, _sign),
             (self.clutter, "clutter", 0.9, _clutter),
         ):
@@ -63,7 +63,7 @@ class TrafficParams(Params):
                 if place is not None:
                     taken.append((place[0], place[1], radius_m))
                     keys |= {"on_road": self.on_road}
-                    found.append(_made(name, f"{name} {k + 1}", seed, place, speed if self.moving else 0.0, keys))
+                    found.append(_made(name, f"{name}_{k + 1}", seed, place, speed if self.moving else 0.0, keys))
         return tuple(found)
 
     def _free(
@@ -86,7 +86,7 @@ KINDS: dict[str, Any] = {
     "deer": AnimalParams,
     "cyclist": CyclistParams,
     "pedestrian": PedestrianParams,
-    "parked car": CarParams,
+    "parked_car": CarParams,
     "sign": TrafficSignParams,
     "clutter": ClutterParams,
 }

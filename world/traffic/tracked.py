@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from scipy.interpolate import CubicHermiteSpline
 
 from world.frames import pose_from_degrees
-from world.params import Metres, Params
+from world.params import Metres, Params, PlainName
 from world.scene.body import PoseTrack
 
 PATH_STEP_M = 0.5  # between the poses along a curve
@@ -63,7 +63,7 @@ class WayParams(Params):
 class TrackedParams(Params):
     """What all objects have: a name, a pose over time, and the time that they are there."""
 
-    name: str = Field(min_length=1, description="Name, for reports")
+    name: PlainName = Field(description="Name, for recordings and reports")
     category: Category | None = Field(None, description="What a tracker reports it as to lighting functions; left out: it is not reported")
     track: tuple[KeyframeParams, ...] = Field((), description="Poses in ascending time; one keyframe: the object stands still")
     path: WayParams | None = Field(None, description="A way at a constant speed, in place of a track")

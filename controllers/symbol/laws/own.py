@@ -9,6 +9,7 @@ from controllers.symbol.sensing.observer import Observer
 from controllers.symbol.sensing.protocol import SymbolController
 from world import plugin
 
+KEY = "controller.name"
 METHODS = ("start", "drawing", "step")
 
 
@@ -21,4 +22,4 @@ class OwnParams(StagedParams):
 
 def own_controller(params: OwnParams, observer: Observer) -> SymbolController:
     """Import and call it. Raises LuxloopError where there is none, it does not take what it is given, or lacks a method."""
-    return cast(SymbolController, plugin.make(params.name, "controller.name", {"observer": observer}, params.options, METHODS))
+    return cast(SymbolController, plugin.make(params.name, KEY, {"observer": observer}, params.options, METHODS))

@@ -110,8 +110,7 @@ def flat_model(
         headlight = module.pixel_controller.headlight
         transports.append(transport(reach(ground, headlight, module.T_world_headlight), headlight, view.width, samples))
     ambient = average_rows(ambient_luminance(ground, ambient_lx), samples)
-    resting = [Utilisation(module.pixel_controller.default) for module in projector.modules]
-    beams = added_light(transports, resting, torch.zeros_like(ambient))
+    beams = added_light(transports, projector.resting, torch.zeros_like(ambient))
     limit = noise_limit(ambient + beams, camera, params)
     symbol = projector.params
     region = region_around(symbol.x_m, symbol.y_m, symbol.length_m, symbol.width_m)

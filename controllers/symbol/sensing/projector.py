@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import repeat
 from typing import Literal, Self
 
@@ -68,6 +69,11 @@ class Projector:
     def target(self) -> Tensor:
         """The pose on the assumed flat road, `[4]` = x, y in m, roll, pitch in rad."""
         return self.symbol.new_tensor([self.params.x_m, self.params.y_m, 0.0, 0.0])
+
+    @cached_property
+    def resting(self) -> tuple[Utilisation, ...]:
+        """Utilisations `[n_p]` of the base beams, one a module: what is shown without the symbol."""
+        return tuple(Utilisation(module.pixel_controller.default) for module in self.modules)
 
     def primitive(self, pose: Tensor) -> Primitives:
         """The symbol's primitive for a pose `[..., 4]` (x, y in m, roll, pitch in rad)."""

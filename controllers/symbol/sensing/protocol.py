@@ -24,8 +24,9 @@ class Shown:
 class Look:
     """What arrives in a step.
 
-    seen: features and errors of the symbol. frames: on and off frame `[height, width]` (digital numbers), None where the camera lost
-    them. shown: what these frames show, which is older than this step where the camera is late. ego: what is known of the motion now.
+    seen: features and errors of the symbol. frames: on and off frame `[height, width]` (digital numbers), None where the camera lost them
+    or none have come. shown: what these frames show, which is older than this step where the camera is late. ego: what is known of the
+    motion now.
     """
 
     seen: Seen

@@ -18,11 +18,11 @@ from world.presets import idealised
 HERE = torch.eye(4, dtype=torch.float64)
 LAMPS = torch.tensor([[0.0, 0.6, 0.75], [0.0, -0.6, 0.75]], dtype=torch.float64)
 CAR = TrackedObject("car", "car", pose_from_degrees((40.0, 2.5, 0.0), yaw_deg=180), (4.5, 1.8, 1.5))
-FUNCTIONS = (
-    {"kind": "glare_free"},
-    {"kind": "lane", "style": "lines", "priority": 5},
-    {"kind": "symbol", "image": "arrow", "modules": ("hires",), "priority": 10},
-)
+FUNCTIONS = {
+    "guard": {"kind": "glare_free"},
+    "borders": {"kind": "lane", "style": "lines", "priority": 5},
+    "arrow": {"kind": "symbol", "image": "arrow", "modules": ("hires",), "priority": 10},
+}
 
 
 @pytest.fixture
@@ -32,11 +32,11 @@ def find(tmp_path: Path):  # type: ignore[no-untyped-def]
 
 
 def test_all_functions_come_together(find) -> None:  # type: ignore[no-untyped-def]
-    planner = Planner.prepare(LightingParams(base={"beam": "high"}, functions=FUNCTIONS), find)
+    planner = Planner.prepare(FUNCTIONS, LightingParams(base={"beam": "high"}), find)
     plan = planner.plan(Situation(0.0, HERE, LAMPS, (CAR,)))
     assert plan.base.name == "high" and plan.primitives is not None
     assert len(plan.primitives) == 6 + 2 + 1 and plan.primitives.origin.dtype == torch.float32
-    assert plan.primitives.priority.tolist() == sorted(plan.primitives.priority.tolist(), key=lambda p: (p < 1000, p))
+    assert plan.primitives.priority.tolist() == sorted(plan.primitives.priority.tolist())
     hires, lores = plan.for_module("left hires"), plan.for_module("left lores")
     assert hires is not None and lores is not None and (len(hires), len(lores)) == (9, 8)
 
@@ -46,8 +46,8 @@ def test_a_symbol_is_never_drawn_on_a_masked_car(find) -> None:  # type: ignore[
     symbol = {"kind": "symbol", "image": "arrow", "x_m": 40.0, "y_m": 2.5, "width_m": 6, "length_m": 20, "priority": 100, "forced": True}
     situation = Situation(0.0, HERE, LAMPS, (CAR,))
     masked, drawn = (
-        Planner.prepare(LightingParams(functions=functions), find).plan(situation).primitives
-        for functions in ([{"kind": "glare_free"}], [{"kind": "glare_free"}, symbol])
+        Planner.prepare(functions, LightingParams(), find).plan(situation).primitives
+        for functions in ({"guard": {"kind": "glare_free"}}, {"guard": {"kind": "glare_free"}, "arrow": symbol})
     )
     assert masked is not None and drawn is not None
     light = idealised(60, 200)
@@ -58,14 +58,14 @@ def test_a_symbol_is_never_drawn_on_a_masked_car(find) -> None:  # type: ignore[
 
 
 def test_without_anything_to_do_the_base_beam_is_all() -> None:
-    plan = Planner.prepare(LightingParams(functions=({"kind": "glare_free"},))).plan(Situation(0.0, HERE, LAMPS))
+    plan = Planner.prepare({"guard": {"kind": "glare_free"}}, LightingParams()).plan(Situation(0.0, HERE, LAMPS))
     assert plan.primitives is None and plan.for_module("left") is None
 
 
 def test_bad_tables_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValidationError, match="glare_free"):
-        LightingParams(functions=({"kind": "glarefree"},))
+        Planner.prepare({"guard": {"kind": "glarefree"}}, LightingParams())
     with pytest.raises(ValidationError, match="margin"):
-        LightingParams(functions=({"kind": "glare_free", "margin": 1},))
+        Planner.prepare({"guard": {"kind": "glare_free", "margin": 1}}, LightingParams())
     with pytest.raises(LuxloopError, match="does not exist"):
-        Planner.prepare(LightingParams(functions=({"kind": "symbol", "image": "nothing"},)), lambda name: tmp_path / name)
+        Planner.prepare({"arrow": {"kind": "symbol", "image": "nothing"}}, LightingParams(), lambda name: tmp_path / name)

@@ -23,7 +23,7 @@ HERE = torch.eye(4, dtype=torch.float64)
 LAMPS = torch.tensor([[0.0, 0.6, 0.75], [0.0, -0.6, 0.75]], dtype=torch.float64)
 CAMERA = CameraParams(width_px=160, height_px=90, saturation_e=2000)
 VIEW = camera_view(CAMERA)
-WALL = {"name": "wall", "centre_m": (20.0, 0.0, 1.0), "size_m": (0.0, 2.0, 1.5), "luminance_cd_m2": 0.5}
+WALL = {"centre_m": (20.0, 0.0, 1.0), "size_m": (0.0, 2.0, 1.5), "luminance_cd_m2": 0.5}
 
 
 def measured(luminance: float, step: int) -> Situation:

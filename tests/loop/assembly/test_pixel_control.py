@@ -61,7 +61,8 @@ def lit(**changes: Any) -> LightingScenario:
             "camera": {"width_px": 480, "height_px": 200, "pitch_deg": 1.0},
             "surface": {"grain": 0.0},
             "objects": [box, pole],
-            "lighting": {"base": {"beam": "high", "bend_deg": 2.0}, "functions": [mask, lane]},
+            "lighting": {"base": {"beam": "high", "bend_deg": 2.0}},
+            "functions": {"guard": mask, "carpet": lane},
             "renderer": "raycast",
             **changes,
         },
@@ -82,8 +83,8 @@ def test_masks_are_exactly_dark_with_joint_optimisation_too(model: str, objectiv
 def test_joint_optimisation_comes_nearer_to_what_functions_want_than_ssc() -> None:
     """The goal is a bent beam with a sign dimmed in it; its error is what jpo makes least, by some 20 % with pixels as coarse as these."""
     sign = {"kind": "box", "name": "sign", "category": "sign", "size_m": [0.1, 2.0, 2.0], "track": [{"position_m": [35, 0.5, 1.0]}]}
-    lighting = {"base": {"beam": "high", "bend_deg": 2.0}, "functions": [{"kind": "sign", "value": 0.2}]}
-    joint, single = (LightingSimulation.prepare(lit(pixel_controller=name, lighting=lighting, objects=[sign])) for name in ("jpo", "ssc"))
+    functions = {"dim": {"kind": "sign", "value": 0.2}}
+    joint, single = (LightingSimulation.prepare(lit(pixel_controller=name, functions=functions, objects=[sign])) for name in ("jpo", "ssc"))
     plan = joint.planner.plan(joint.situation(0.0))
     for k, module in enumerate(joint.modules):
         controller = module.controller.over(module.base(plan))

@@ -62,7 +62,7 @@ def test_check_for_programs_says_what_was_found_and_what_is_wrong(lux: Lux) -> N
     assert json.loads(out) == {"scenario": "small.toml", "ok": True, "steps": 3, "road": "flat", "controller": "luxloop"}
     code, out, _ = lux("check", "gfhb", "--json", "--set", "headlight.model=hd84", "renderer=raycast")
     found = json.loads(out)
-    assert code == 0 and found["functions"] == ["glare_free"] and found["objects"] == 5 and found["detector"] is None
+    assert code == 0 and found["functions"] == {"guard_traffic": "glare_free"} and found["objects"] == 5 and found["detector"] is None
     code, out, error = lux("check", "small.toml", "--json", "--set", "camera.bitz=8")
     found = json.loads(out)
     assert code == cli.WRONG and found["ok"] is False and error == f"error: {found['error']}\n"
@@ -203,7 +203,7 @@ def test_check(lux: Lux) -> None:
 def test_schema_is_json(lux: Lux) -> None:
     both, symbol, lighting = (json.loads(lux("schema", *kind)[1]) for kind in ([], ["--kind", "symbol"], ["--kind", "lighting"]))
     assert symbol["properties"]["steps"]["minimum"] == lighting["properties"]["steps"]["minimum"] == 1
-    assert "symbol" in symbol["required"] and "lighting" in lighting["required"]
+    assert "symbol" in symbol["required"] and "functions" in lighting["properties"]
     assert {each["$ref"] for each in both["anyOf"]} == {"#/$defs/Scenario", "#/$defs/LightingScenario"}
 
 

@@ -141,7 +141,7 @@ def test_the_lights_of_a_scenario_are_those_of_its_run() -> None:
 
 def test_modules_that_a_scenario_leaves_out_are_dark_and_so_is_its_other_lamp(tmp_path: Path) -> None:
     save(tmp_path / "two.npz", Lamp("two", (Module("wide", idealised(4, 8)), Module("narrow", idealised(2, 4)))))
-    given = ["lighting.base.beam=full", "lighting.functions=[]", 'headlight.lamps=["right"]', 'headlight.modules=["narrow"]']
+    given = ["lighting.base.beam=full", "functions={}", 'headlight.lamps=["right"]', 'headlight.modules=["narrow"]']
     scenario = load_any("gfhb", given)
     assert isinstance(scenario, LightingScenario)
     shown = lights_by_side(scenario, str(tmp_path / "two.npz"), 0.0)

@@ -33,7 +33,7 @@ LAMPS = ("hd84", "ssl-hd", "idealised-332x1024")
 MASK = {"kind": "glare_free", "categories": ["other"], "margin_m": 0.0, "margin_deg": 0.0}  # the box itself: no margin hides a fault
 
 
-def scenario(model: str, **lighting: Any) -> LightingScenario:
+def scenario(model: str, **changes: Any) -> LightingScenario:
     def track(name: str) -> list[dict[str, Any]]:
         return [{"time_s": float(k), "position_m": (x, y, 0.0), "yaw_deg": yaw} for k, (x, y, yaw) in enumerate(PLACES[name])]
 
@@ -47,8 +47,10 @@ def scenario(model: str, **lighting: Any) -> LightingScenario:
             "camera": {"width_px": 480, "height_px": 120, "hfov_deg": 34, "pitch_deg": 1.0},
             "surface": {"grain": 0.0},
             "objects": boxes,
-            "lighting": {"base": {"beam": "full"}, "functions": [MASK], **lighting},
+            "lighting": {"base": {"beam": "full"}},
+            "functions": {"guard": MASK},
             "renderer": "raycast",
+            **changes,
         },
         model,
     )
@@ -89,13 +91,13 @@ def test_masked_bodies_get_exactly_no_light(model: str) -> None:
 
 
 def test_without_a_mask_they_are_lit() -> None:
-    simulation = LightingSimulation.prepare(scenario("hd84", functions=[]))
+    simulation = LightingSimulation.prepare(scenario("hd84", functions={}))
     light = most_light(simulation, simulation.at(0), set(SIZES))
     assert all(lx > 0.5 for lx in light["camera"].values()), light
 
 
 def test_a_power_limit_keeps_masks_dark() -> None:
-    simulation = LightingSimulation.prepare(scenario("hd84", power_limit=0.2))
+    simulation = LightingSimulation.prepare(scenario("hd84", lighting={"base": {"beam": "full"}, "power_limit": 0.2}))
     result = simulation.at(0)
     assert all(power.share == pytest.approx(0.2) and power.factor < 1 for power in result.powers.values())
     assert result.dark_lx_max == 0.0
@@ -108,9 +110,7 @@ def test_a_mask_that_fades_lights_no_other_masked_body() -> None:
         return {"kind": "box", "name": name, "category": "car", "size_m": SIZES["car"], "track": [{"position_m": (x, y, 0.0)}], **track}
 
     boxes = [box("car", 50.0, 0.0), box("before", 20.0, 0.0, vanishes_s=0.1), box("beside", 48.0, 3.0, vanishes_s=0.1)]
-    fading = scenario("hd84").model_dump(mode="json") | {"rate_hz": 4, "objects": boxes}
-    fading["lighting"]["functions"] = [{"kind": "glare_free"}]
-    simulation = LightingSimulation.prepare(validate_lighting(fading, "fading"))
+    simulation = LightingSimulation.prepare(scenario("hd84", rate_hz=4, objects=boxes, functions={"guard": {"kind": "glare_free"}}))
     for step in (1, 2):
         result = simulation.at(step)
         assert result.dark_lx_max == 0.0 and result.objects["car"].masked

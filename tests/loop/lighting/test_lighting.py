@@ -45,7 +45,8 @@ def scenario(**changes: Any) -> LightingScenario:
         "camera": CAMERA,
         "surface": {"grain": 0.0},
         "objects": [BOX],
-        "lighting": {"base": {"beam": "high"}, "functions": [GLARE_FREE]},
+        "lighting": {"base": {"beam": "high"}},
+        "functions": {"guard": GLARE_FREE},
         "renderer": "raycast",
     }
     return validate_lighting(base | changes, "lit")
@@ -71,8 +72,8 @@ def test_a_run_is_recorded_filmed_and_reported(tmp_path: Path) -> None:
     assert {path.name for path in out.iterdir()} == {"manifest.json", "trajectory.parquet", "summary.json", "report.png", "video.mp4"}
     assert steps == [0, 1, 2] and summary == json.loads((out / "summary.json").read_text())
     table = pq.read_table(out / "trajectory.parquet")
-    assert table.num_rows == 3 and table["object.van.masked"].to_pylist() == [True] * 3
-    assert table["dark_lx_max"].to_pylist() == [0.0] * 3 and table["object.van.pixels"][0].as_py() > 20
+    assert table.num_rows == 3 and table["objects.van.masked"].to_pylist() == [True] * 3
+    assert table["dark_lx_max"].to_pylist() == [0.0] * 3 and table["objects.van.pixels"][0].as_py() > 20
     assert table["lamp.left.flux_lm"][0].as_py() > 50 and table["lamp.left.power_factor"].to_pylist() == [1.0] * 3
     assert json.loads((out / "manifest.json").read_text())["status"] == "complete"
 
@@ -110,8 +111,8 @@ def test_a_report_of_one_step_in_the_dark_without_objects(tmp_path: Path) -> Non
 def test_functions_without_effect_are_told(tmp_path: Path) -> None:
     far = {"kind": "symbol", "image": "snowflake", "y_m": 60.0}  # beside all light
     late = {"kind": "glare_free", "categories": ["truck"]}
-    told = run(scenario(steps=1, lighting={"functions": [GLARE_FREE, far, late]}), tmp_path / "lit", video=False).summary
-    assert told["idle_functions"] == ["lighting.functions[1] (symbol)", "lighting.functions[2] (glare_free)"]
+    told = run(scenario(steps=1, functions={"guard": GLARE_FREE, "far": far, "late": late}), tmp_path / "lit", video=False).summary
+    assert told["idle_functions"] == ["functions.far (symbol)", "functions.late (glare_free)"]
 
 
 def test_pictures_of_light_beyond_the_camera_are_white_and_not_black() -> None:
@@ -127,7 +128,7 @@ def test_the_recording_replays_and_a_changed_one_is_found(tmp_path: Path, capsys
     run(scenario(steps=2), out, video=False)
     assert cli.main(["replay", str(out)]) == cli.OK
     assert cli.main(["replay", str(out), "--csv", str(tmp_path / "lit.csv")]) == cli.OK
-    assert "object.van.lx_max" in (tmp_path / "lit.csv").read_text()
+    assert "objects.van.lx_max" in (tmp_path / "lit.csv").read_text()
     table = pq.read_table(out / "trajectory.parquet")
     names = table.column_names
     brighter = table.set_column(names.index("dark_lx_max"), table.schema.field("dark_lx_max"), [[0.001, 0.0]])
@@ -153,15 +154,18 @@ def test_the_command_line_knows_both_kinds(capsys: pytest.CaptureFixture[str]) -
     listed = capsys.readouterr().out
     assert "glare_free" in listed and "thesis_pid" in listed
     assert cli.main(["check", "gfhb", "--set", "headlight.model=hd84", "renderer=raycast"]) == cli.OK
-    assert "high beam, functions glare_free, 5 objects, no detector" in capsys.readouterr().out
+    assert "high beam, functions guard_traffic (glare_free), 5 objects, no detector" in capsys.readouterr().out
     assert cli.main(["check", "zones", "--set", "detector.kind=truth", "renderer=raycast"]) == cli.OK
-    assert "low beam, functions 4 x zone, 3 objects, detector truth (" in capsys.readouterr().out
+    assert (
+        "low beam, functions black_cloth (zone), concrete (zone), crossing (zone), white_plaster (zone), 3 objects, detector truth ("
+        in capsys.readouterr().out
+    )
 
 
 def test_a_symbol_has_no_place_beside_lighting(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["check", "gfhb", "--set", "symbol.image=none.png"]) == cli.WRONG
     told = capsys.readouterr().err
-    assert "both a [symbol] and [lighting]" in told and "lighting.functions[0].image" in told and "lighting.raw" not in told
+    assert "both a [symbol] and [lighting]" in told and "functions.NAME.image" in told and "lighting.raw" not in told
 
 
 def test_light_on_an_object_is_that_of_the_law_of_distances() -> None:
@@ -172,6 +176,7 @@ def test_light_on_an_object_is_that_of_the_law_of_distances() -> None:
             headlight={"model": "hd84", "lamps": ["left"], "distance_m": 0.0},
             objects=[plate],
             lighting={"base": {"beam": "full"}},
+            functions={},
             camera={"width_px": 320, "height_px": 180, "hfov_deg": 3, "pitch_deg": 1.7},
         )
     )
@@ -206,14 +211,14 @@ def test_driving_changes_evenly_and_holds_what_is_true() -> None:
 
 
 WRONG = {
-    "module": ({"lighting": {"functions": [{"kind": "lane", "modules": ["hires"]}]}}, ["lighting.functions[0].modules", "'hires'", "left"]),
-    "object": ({"lighting": {"functions": [GLARE_FREE | {"names": ["bus"]}]}}, ["lighting.functions[0].names", "'bus'", "van"]),
-    "image": ({"lighting": {"functions": [GLARE_FREE, SYMBOL | {"image": "snowflak"}]}}, ["lighting.functions[1].image", "'snowflake'"]),
-    "image file": ({"lighting": {"functions": [SYMBOL | {"image": "/no.png"}]}}, ["lighting.functions[0].image", "/no.png"]),
-    "observer": ({"lighting": {"functions": [SYMBOL | {"observer": {"name": "x"}}]}}, ["functions[0].observer.name", "'x'", "van"]),
-    "when": ({"lighting": {"functions": [SYMBOL | {"when": {"names": ["x"]}}]}}, ["functions[0].when.names", "'x'", "van"]),
-    "unless": ({"lighting": {"functions": [SYMBOL | {"unless": {"names": ["x"]}}]}}, ["functions[0].unless.names", "'x'", "van"]),
-    "picture": ({"lighting": {"functions": [SYMBOL | {"observer": {"centre_m": [10, 0, 2]}}]}}, ["functions[0]: ", "lower the picture"]),
+    "module": ({"functions": {"own": {"kind": "lane", "modules": ["hires"]}}}, ["functions.own.modules", "'hires'", "left"]),
+    "object": ({"functions": {"own": GLARE_FREE | {"names": ["bus"]}}}, ["functions.own.names", "'bus'", "van"]),
+    "image": ({"functions": {"guard": GLARE_FREE, "sign": SYMBOL | {"image": "snowflak"}}}, ["functions.sign.image", "'snowflake'"]),
+    "image file": ({"functions": {"own": SYMBOL | {"image": "/no.png"}}}, ["functions.own.image", "/no.png"]),
+    "observer": ({"functions": {"own": SYMBOL | {"observer": {"name": "x"}}}}, ["functions.own.observer.name", "'x'", "van"]),
+    "when": ({"functions": {"own": SYMBOL | {"when": {"names": ["x"]}}}}, ["functions.own.when.names", "'x'", "van"]),
+    "unless": ({"functions": {"own": SYMBOL | {"unless": {"names": ["x"]}}}}, ["functions.own.unless.names", "'x'", "van"]),
+    "picture": ({"functions": {"own": SYMBOL | {"observer": {"centre_m": [10, 0, 2]}}}}, ["functions.own: ", "lower the picture"]),
     "lamp": ({"headlight": {"model": "hd84", "modules": ["lores"]}}, ["headlight.modules", "'hd84'", "'lores'", "matrix"]),
     "movement": ({"headlight": {"model": "hd84", "swivel_deg": 5.0}}, ["headlight.swivel_deg", "matrix", "can turn"]),
     "beam of the lamp's modules": ({"headlight": {"model": "hd84", "modules": ["hires"]}}, ["'hires'", "matrix"]),

@@ -106,8 +106,8 @@ def test_it_is_said_what_shines_below_the_functions(written: dict[str, Path]) ->
 def test_functions_draw_over_them_and_limits_hold(written: dict[str, Path]) -> None:
     raw = [{"file": str(written["folder"])}]
     bare, masked, limited = (
-        LightingSimulation.prepare(scenario(raw, objects=[VAN], lighting=lighting)).at(0)
-        for lighting in ({}, {"functions": [MASK]}, {"power_limit": 0.1})
+        LightingSimulation.prepare(scenario(raw, objects=[VAN], **changes)).at(0)
+        for changes in ({}, {"functions": {"guard": MASK}}, {"lighting": {"power_limit": 0.1}})
     )
     assert bare.objects["van"].lx_max > 0.5 and masked.dark_lx_max == 0.0
     for u, with_mask, dimmed in zip(bare.lights, masked.lights, limited.lights, strict=True):

@@ -23,11 +23,11 @@ from loop.run import check, in_words, run
 from loop.scenario.model import LightingScenario, validate_lighting
 
 WALKER = {"kind": "pedestrian", "name": "walker", "seed": 3, "track": [{"position_m": [15, -2, 0]}]}
-ZONE = {"kind": "zone", "name": "wall", "centre_m": [14, 1, 1.0], "size_m": [0, 1.6, 1.6], "luminance_cd_m2": 0.1}
+ZONE = {"kind": "zone", "centre_m": [14, 1, 1.0], "size_m": [0, 1.6, 1.6], "luminance_cd_m2": 0.1}
 HALF = {"kind": "object_based", "method": "constant", "share": 0.5, "setpoint_lx": 0.0}
 
 
-def scenario(functions: list[dict[str, Any]], beam: str = "high", **changes: Any) -> LightingScenario:
+def scenario(functions: dict[str, dict[str, Any]], beam: str = "high", **changes: Any) -> LightingScenario:
     base = {
         "name": "told",
         "steps": 4,
@@ -36,14 +36,15 @@ def scenario(functions: list[dict[str, Any]], beam: str = "high", **changes: Any
         "surface": {"grain": 0.0},
         "objects": [WALKER],
         "detector": {"kind": "truth"},
-        "lighting": {"base": {"beam": beam}, "functions": functions},
+        "lighting": {"base": {"beam": beam}},
+        "functions": functions,
         "renderer": "raycast",
     }
     return validate_lighting(base | changes, "told")
 
 
 def test_every_chart_is_there_and_no_legend_lies_over_one(tmp_path: Path) -> None:
-    given = scenario([HALF, ZONE])
+    given = scenario({"half": HALF, "wall": ZONE})
     run(given, tmp_path / "told", video=False)
     table = pq.read_table(tmp_path / "told" / "trajectory.parquet")
     with rc_context(STYLE):
@@ -55,7 +56,7 @@ def test_every_chart_is_there_and_no_legend_lies_over_one(tmp_path: Path) -> Non
     assert [title.split()[0] for title in charts] == ["Luminous", "Electrical", "Luminance", "Confidence", "The"]
     zone = charts["Luminance of zones, and what is wanted (dashed)"]
     measured, wanted = (np.asarray(line.get_ydata()).tolist() for line in zone.get_lines())
-    assert measured == table["zone.wall.luminance"].to_pylist() and wanted == [0.1] * 4
+    assert measured == table["functions.wall.luminance"].to_pylist() and wanted == [0.1] * 4
     for axes in charts.values():
         legend = axes.get_legend()
         assert legend is not None
@@ -64,8 +65,8 @@ def test_every_chart_is_there_and_no_legend_lies_over_one(tmp_path: Path) -> Non
 
 
 def test_every_material_has_a_line_that_no_other_has() -> None:
-    names = [f"material {number}" for number in range(20)]  # more than there are colours and full and dashed lines
-    columns = {f"material.{name}.{key}": [0.5, 1.0] for name in names for key in ("lx", "wanted")}
+    names = [f"light.material {number}" for number in range(20)]  # more than there are colours and full and dashed lines
+    columns = {f"functions.{name}.{key}": [0.5, 1.0] for name in names for key in ("lx", "wanted")}
     axes = Figure().subplots()
     _materials(axes, pa.table({"time_s": [0.0, 0.1], **columns}))
     styles = {(line.get_color(), line.get_linestyle()) for line in axes.get_lines()[:-1]}  # the last is the one at 1
@@ -79,7 +80,7 @@ def _title(axes: Axes) -> str:
 
 def test_energy_stands_beside_that_of_standby_and_of_undimmed_beams(tmp_path: Path) -> None:
     dimmed, full = (
-        run(scenario([each] if each else [], objects=[]), tmp_path / str(bool(each)), video=False).summary for each in (HALF, None)
+        run(scenario({"half": each} if each else {}, objects=[]), tmp_path / str(bool(each)), video=False).summary for each in (HALF, None)
     )
     others, seconds = dimmed["energy_compared_j"], 4 / 30
     assert others == full["energy_compared_j"] and list(others) == ["standby", "low beam", "high beam"]
@@ -95,12 +96,12 @@ def test_energy_stands_beside_that_of_standby_and_of_undimmed_beams(tmp_path: Pa
 def test_power_is_compared_within_the_same_limit_and_beams_are_named_once() -> None:
     table = pa.table({"time_s": [0.0, 0.1], "beam": ["low", "low"]})
     free, limited = (
-        compared(LightingSimulation.prepare(scenario([], "low", lighting={"base": {"beam": "low"}, "power_limit": limit})), table)
+        compared(LightingSimulation.prepare(scenario({}, "low", lighting={"base": {"beam": "low"}, "power_limit": limit})), table)
         for limit in (1.0, 0.001)
     )
     assert list(free) == list(limited) == ["standby", "low beam"]
     assert free["low beam"].shape == (2,) and free["standby"][0] < limited["low beam"][0] < free["low beam"][0]
-    dark = compared(LightingSimulation.prepare(scenario([], "off")), pa.table({"time_s": [0.0], "beam": ["off"]}))
+    dark = compared(LightingSimulation.prepare(scenario({}, "off")), pa.table({"time_s": [0.0], "beam": ["off"]}))
     assert list(dark) == ["standby", "low beam"]
 
 
@@ -109,10 +110,10 @@ def test_steps_in_which_somebody_in_sight_is_lost_are_counted() -> None:
     table = pa.table(
         {
             # seen before the first track; tracked; lost twice; out of sight; tracked again
-            "object.car.confidence": pa.array([0.0, 0.8, 0.0, 0.0, none, 0.7], pa.float64()),
-            "object.car.track": pa.array([none, 1, none, none, none, 2], pa.int64()),
-            "object.deer.confidence": pa.array([0.0] * 6, pa.float64()),
-            "object.deer.track": pa.array([none] * 6, pa.int64()),
+            "objects.car.confidence": pa.array([0.0, 0.8, 0.0, 0.0, none, 0.7], pa.float64()),
+            "objects.car.track": pa.array([none, 1, none, none, none, 2], pa.int64()),
+            "objects.deer.confidence": pa.array([0.0] * 6, pa.float64()),
+            "objects.deer.track": pa.array([none] * 6, pa.int64()),
         }
     )
     assert lost_steps(table, "car") == 2 and lost_steps(table, "deer") == 0
@@ -123,8 +124,8 @@ def test_tracks_that_show_nobody_are_counted() -> None:
     table = pa.table(
         {
             # not found yet; found; with a ghost beside it; out of sight, with its track alone; then with a ghost too; its track strays
-            "object.car.confidence": pa.array([0.0, 0.8, 0.8, none, none, 0.0], pa.float64()),
-            "object.car.track": pa.array([none, 1, 1, none, none, none], pa.int64()),
+            "objects.car.confidence": pa.array([0.0, 0.8, 0.8, none, none, 0.0], pa.float64()),
+            "objects.car.track": pa.array([none, 1, 1, none, none, none], pa.int64()),
             "tracks": pa.array([0, 1, 2, 1, 2, 1], pa.int64()),
         }
     )
@@ -157,7 +158,7 @@ def test_whom_the_tracker_loses_is_told(tmp_path: Path) -> None:
     before = {"kind": "box", "name": "box", "size_m": [0.1, 3, 1.4], "appears_s": 0.09, "track": [{"position_m": [14, -2, 0]}]}
     tracker = {"confirm_frames": 2, "keep_s": 0.1}
     summary = run(
-        scenario([], steps=12, objects=[WALKER, before], detector={"kind": "truth", "least_visible": 0.5}, tracker=tracker),
+        scenario({}, steps=12, objects=[WALKER, before], detector={"kind": "truth", "least_visible": 0.5}, tracker=tracker),
         tmp_path / "lost",
         video=False,
     ).summary
@@ -173,11 +174,11 @@ def test_whom_the_tracker_loses_is_told(tmp_path: Path) -> None:
 
 
 def test_check_says_how_much_is_found_in_the_first_frame() -> None:
-    some, none = check(scenario([])), check(scenario([], detector={"kind": "truth", "least_height_px": 1000}))
+    some, none = check(scenario({})), check(scenario({}, detector={"kind": "truth", "least_height_px": 1000}))
     assert some["boxes"] == 1 and some["lx_max"] > 5
     assert f"truth (1 boxes in the first frame, where objects in sight have up to {some['lx_max']:.3g} lx)" in in_words(some)
     assert none["boxes"] == 0 and none["lx_max"] == some["lx_max"]
-    assert "where no object is in sight" in in_words(check(scenario([], objects=[])))
+    assert "where no object is in sight" in in_words(check(scenario({}, objects=[])))
 
 
 def test_a_run_that_finds_nobody_says_how_small_they_were(tmp_path: Path) -> None:
@@ -185,7 +186,9 @@ def test_a_run_that_finds_nobody_says_how_small_they_were(tmp_path: Path) -> Non
     told = {}
     for case, function, objects in (("falls", falls, [WALKER]), ("constant", HALF, [WALKER]), ("nobody", falls, [])):
         detector = {"kind": "truth", "least_height_px": 1000}
-        summary = run(scenario([function], steps=2, objects=objects, detector=detector), tmp_path / case, video=False).summary
+        summary = run(
+            scenario({"object_light": function}, steps=2, objects=objects, detector=detector), tmp_path / case, video=False
+        ).summary
         console = Console(record=True, width=160)
         console.print(shown(summary, "here"))
         told[case] = console.export_text()

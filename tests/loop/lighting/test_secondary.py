@@ -21,13 +21,14 @@ SMALL = CameraParams(width_px=240, height_px=135, hfov_deg=26).model_dump(mode="
 LIGHTING = [name for name in shipped() if isinstance(load_any(name), LightingScenario)]
 
 
-def run(lighting: dict[str, Any], **changes: Any) -> tuple[LightingSimulation, LightingResult]:
+def run(lighting: dict[str, Any], function: dict[str, Any] = CARPET, **changes: Any) -> tuple[LightingSimulation, LightingResult]:
     base = {
         "name": "carpet",
         "headlight": {"model": "hd84"},
         "camera": {"width_px": 320, "height_px": 180, "hfov_deg": 20, "pitch_deg": 4.0, "z_m": 2.5},
         "surface": {"grain": 0.0},
-        "lighting": {"functions": [CARPET], **lighting},
+        "lighting": lighting,
+        "functions": {"drawn": function},
         "renderer": "raycast",
     }
     scenario = validate_lighting(base | changes, "carpet")
@@ -72,7 +73,7 @@ def test_an_observer_sees_the_picture_upright() -> None:
     """The light is where the observer's picture is bright: nothing of it lies on the road before the picture's lower edge."""
     picture = {"centre_m": [15.0, 0.0, 0.5], "width_m": 1.0, "height_m": 0.4, "eye_m": [-1.6, 0.0, 1.4]}
     symbol = {"kind": "symbol", "image": "warning_triangle", "observer": picture}
-    simulation, result = run({"functions": [symbol]}, headlight={"model": "idealised-332x1024"})
+    simulation, result = run({}, symbol, headlight={"model": "idealised-332x1024"})
     x, y, _ = simulation.camera.at(0.0).surfaces.position[:, result.illuminance > 0.5]
     assert len(x) > 50
     # The picture's lower edge at z = 0.3 m is seen on the road at x = -1.6 + 16.6 * 1.4 / 1.1, its upper one at 0.7 m at 31.6 m.
@@ -84,7 +85,7 @@ def test_what_an_observer_sees_is_measured_from_their_eye() -> None:
     """From where the symbol is meant to be seen it is the wanted picture; 2 m beside, from where it leans, it is not."""
     picture = {"centre_m": [14.0, 0.0, 0.5], "width_m": 2.0, "height_m": 0.5, "eye_m": [-1.6, 0.0, 1.3]}
     symbol = {"kind": "symbol", "image": "warning_triangle", "observer": picture}
-    simulation, result = run({"functions": [symbol]}, headlight={"model": "idealised-332x1024"})
+    simulation, result = run({}, symbol, headlight={"model": "idealised-332x1024"})
     assert result.symbol_iou_min is not None and result.symbol_iou_min > 0.85  # pixels are a fortieth of the picture in height
     primitives = result.plan.primitives
     assert primitives is not None and primitives.observer is not None
@@ -121,13 +122,12 @@ def test_shipped_scenarios_run(name: str) -> None:
     assert isinstance(scenario, LightingScenario)
     if not scenario.lighting.raw:
         scenario = scenario.model_copy(update={"headlight": scenario.headlight.model_copy(update={"model": "hd84"})})
-    parts = [
-        function.model_copy(update={"modules": ()}) if hasattr(function, "modules") else function
-        for function in scenario.lighting.functions
-    ]
-    lighting = scenario.lighting.model_copy(update={"functions": tuple(parts)})
+    functions = {
+        name: function.model_copy(update={"modules": ()}) if hasattr(function, "modules") else function
+        for name, function in scenario.functions.items()
+    }
     headlight = scenario.headlight.model_copy(update={"modules": None})
-    simulation = LightingSimulation.prepare(scenario.model_copy(update={"lighting": lighting, "headlight": headlight}))
+    simulation = LightingSimulation.prepare(scenario.model_copy(update={"functions": functions, "headlight": headlight}))
     state, first = simulation.step(simulation.start())
     last = simulation.step(state)[1] if simulation.planner.learns else simulation.at(scenario.steps - 1)
     assert all(power.flux_lm > 0 for power in last.powers.values())

@@ -48,7 +48,7 @@ def test_every_file_that_decides_is_an_input(tmp_path: Path, monkeypatch: pytest
 def test_animations_of_many_files_are_inputs(tmp_path: Path) -> None:
     for name in ("0.png", "1.png"):
         (tmp_path / name).write_text(name)
-    shown = load_any("animated_symbol", [f"lighting.functions[0].image={tmp_path}"])
+    shown = load_any("animated_symbol", [f"functions.guidance.image={tmp_path}"])
     assert [file.name for key, file in input_files(shown) if "image" in key] == ["0.png", "1.png"]
 
 

@@ -63,7 +63,7 @@ def test_row_has_plain_values_in_the_units_of_their_names(small_results: list[St
     assert values["br_v"] == result.seen.appearance.centroids[4, 1].item()
     assert values["centroid_error_y_percent"] == result.verdict.centroid_percent[1].item()
     assert values["loss"] == ""
-    parts = ("render", "light", "camera", "perceive", "control")
+    parts = ("light", "plant", "perceive", "control")
     assert values["step_ms"] == pytest.approx(sum(values[f"{part}_ms"] for part in parts))
 
 
@@ -83,7 +83,7 @@ def test_recording_is_complete(tmp_path: Path, small_simulation: Simulation, sma
     assert sorted(path.name for path in directory.iterdir()) == ["manifest.json", "summary.json", "trajectory.parquet"]
     manifest = strict_json(directory / "manifest.json")
     assert manifest["status"] == "complete"
-    assert manifest["renderer"] == small_simulation.world.source.name
+    assert manifest["renderer"] == small_simulation.truth.world.source.name
     assert validate(manifest["scenario"], "manifest") == small_simulation.scenario
     symbol = ROOT / "scenarios" / "symbols" / "snowflake.png"
     assert manifest["inputs"]["symbol.image"]["sha256"] == hashlib.sha256(symbol.read_bytes()).hexdigest()

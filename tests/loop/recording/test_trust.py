@@ -54,7 +54,10 @@ NAMING = {
     "controller.road.kind": SYMBOL + 'controller = { name = "feedforward", road = { kind = "mine:Road" } }',
     "extraction.kind": SYMBOL + 'extraction = { kind = "mine:Looks" }',
     "pixel_controller": SYMBOL + 'pixel_controller = "mine:Stays"',
+    "plant.kind": SYMBOL + 'plant = { kind = "mine:Stays" }',
     "detector.kind": LIGHTING + 'detector = { kind = "mine:Looks" }',
+    "functions.mine.kind": LIGHTING + 'functions.mine = { kind = "mine:Looks" }',
+    "tracker.kind": LIGHTING + 'detector = { kind = "truth" }\ntracker = { kind = "mine:Looks" }',
 }
 
 
@@ -92,7 +95,7 @@ def test_a_scenario_runs_no_code_unless_that_is_allowed(key: str, text: str, min
 def test_what_is_typed_or_given_in_python_is_the_users_own(key: str, mine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """`--controller` comes in values; the module is found where the user is."""
     monkeypatch.chdir(mine)
-    base = "gfhb" if key == "detector.kind" else "flat"
+    base = {"detector.kind": "gfhb", "functions.mine.kind": "gfhb", "tracker.kind": "obl"}.get(key, "flat")
     name = NAMING[key].rpartition("mine:")[2].partition('"')[0]
     sets = [f"{key}=mine:{name}"]
     if key == "controller.road.kind":

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from controllers.functions.lane import LaneParams
 from controllers.functions.planner import LightingParams
 from controllers.symbol import LuxloopParams
 from controllers.symbol.laws.feedback import GaussNewtonParams
@@ -197,20 +198,26 @@ LIT = 'name = "lit"\n[lighting]\nbase = { beam = "low" }\n'
 
 BROKEN_LIGHTING = {
     "both kinds": (LIT + '[symbol]\nimage = "snowflake"', ["[symbol] and [lighting]", "take one"]),
-    "neither kind": ('name = "x"', ["symbol", "missing", "[lighting]"]),
+    "neither kind": ('name = "x"', ["symbol", "missing", "[functions.NAME]"]),
     "a loop's key": (LIT + '[controller]\nname = "open"', ["controller: a scenario with [lighting] has no controller"]),
-    "no path": (LIT + '[[lighting.functions]]\nkind = "path"', ["lighting.functions[0].control_m: is missing", "path_projection"]),
-    "more than all": (LIT + '[[lighting.functions]]\nkind = "width"\nvalue = 2', ["functions[0]: value: u_abs", "at most 1", "u_rel"]),
-    "unknown function": (LIT + '[[lighting.functions]]\nkind = "glarefree"', ["lighting.functions[0].kind", "'glare_free'"]),
-    "typo in a function": (LIT + '[[lighting.functions]]\nkind = "marker"\nwidth = 1', ["lighting.functions[0].width", "'width_m'"]),
+    "no path": (LIT + '[functions.marker]\nkind = "path"', ["functions.marker.control_m: is missing", "path_projection"]),
+    "more than all": (LIT + '[functions.own]\nkind = "width"\nvalue = 2', ["functions.own: value: u_abs", "at most 1", "u_rel"]),
+    "unknown function": (LIT + '[functions.own]\nkind = "glarefree"', ["functions.own.kind", "'glare_free'"]),
+    "typo in a function": (LIT + '[functions.marker]\nkind = "marker"\nwidth = 1', ["functions.marker.width: ", "'width_m'"]),
+    "a function's name": (
+        LIT + '[functions."Own width"]\nkind = "width"',
+        ["functions.Own width: 'Own width' is no name", "write own_width"],
+    ),
+    "no kind": (LIT + "[functions.own]\nvalue = 1", ["functions.own.kind: is missing"]),
+    "a list of functions": (LIT + '[[functions]]\nkind = "width"', ["functions: [{'kind': 'width'}] is no table"]),
+    "an object's name": (LIT + BOX.replace("crate", "big crate"), ["objects[0].name: 'big crate' is no name", "write big_crate"]),
     "unknown category": (LIT + BOX + 'category = "pedestrain"', ["objects[0].category", "'pedestrian'"]),
     "one name twice": (LIT + BOX + BOX, ["objects", "'crate'", "rename"]),
     "typo in the table of its kind": ('name = "x"\n[lightning]\nbase = { beam = "low" }', ["lightning: unknown key", "'lighting'"]),
-    "that table left out": ('name = "x"\n[detector]\nkind = "network"', ["lighting: is missing", "path_projection"]),
     "a list for a table": (LIT + '[[detector]]\nkind = "network"', ["detector: [{'kind': 'network'}] is no table of keys"]),
     "typo in a class": (
-        LIT + '[[lighting.functions]]\nkind = "object_based"\nsetpoints_lx = { pedestrain = 3 }',
-        ["lighting.functions[0].setpoints_lx.pedestrain: 'pedestrain' is not possible", "'pedestrian'"],
+        LIT + '[functions.own]\nkind = "object_based"\nsetpoints_lx = { pedestrain = 3 }',
+        ["functions.own.setpoints_lx.pedestrain: 'pedestrain' is not possible", "'pedestrian'"],
     ),
     "driving out of order": (LIT + "[[driving]]\ntime_s = 1\n[[driving]]\ntime_s = 1", ["driving", "ascend"]),
 }
@@ -229,11 +236,11 @@ def test_broken_lighting_scenario_gives_one_sentence(file: Path, text: str, name
 
 def test_the_kinds_are_told_apart_by_their_tables(file: Path) -> None:
     assert isinstance(load_any(str(file)), Scenario)
-    file.write_text(LIT + '[[lighting.functions]]\nkind = "symbol"\nimage = "mine.svg"\n')
+    file.write_text(LIT + '[functions.own]\nkind = "symbol"\nimage = "mine.svg"\n')
     scenario = load_any(str(file), ["lighting.power_limit=0.5"], steps=2)
     assert isinstance(scenario, LightingScenario)
     assert (scenario.steps, scenario.lighting.power_limit, scenario.headlight.lamps) == (2, 0.5, ("left", "right"))
-    assert scenario.lighting.functions[0].image == str(file.parent / "mine.svg")  # type: ignore[union-attr]
+    assert scenario.functions["own"].image == str(file.parent / "mine.svg")  # type: ignore[union-attr]
     assert "is a lighting scenario" in failure(file)
     with pytest.raises(LuxloopError, match=r"^mine: is the scenario of a \[symbol\]"):
         validate_lighting({"name": "mine", "symbol": {"image": "snowflake"}}, "mine")
@@ -243,30 +250,33 @@ def test_the_kinds_are_told_apart_by_their_tables(file: Path) -> None:
 def test_items_of_a_list_that_an_earlier_override_made_can_be_changed() -> None:
     objects = "objects=[{kind='pedestrian', name='a', track=[{position_m=[20, 2, 0]}]}]"
     assert load("snowflake", [objects, "objects[0].name=anna"]).objects[0].name == "anna"
-    functions = "lighting.functions=[{kind='marker'}, {kind='marker'}]"
-    changed = load_any("gfhb", [functions, "lighting.functions[1].kind=glare_free"])
-    assert isinstance(changed, LightingScenario) and changed.lighting.functions[1].kind == "glare_free"
 
 
 def test_one_key_of_one_item_of_a_list_can_be_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     before = load_any("marker_light")
-    sets = ["lighting.functions[1].value=0.25", "lighting.functions[0].animation.rate_hz=3", "objects[0].track[1].position_m=[30, 0, 0]"]
+    sets = [
+        "functions.pedestrian_light.value=0.25",
+        "functions.guide_line.animation.rate_hz=3",
+        "objects[0].track[1].position_m=[30, 0, 0]",
+    ]
     now = load_any("marker_light", sets)
     assert isinstance(before, LightingScenario) and isinstance(now, LightingScenario)
-    line, body = now.lighting.functions
-    assert body == before.lighting.functions[1].model_copy(update={"value": 0.25})
-    assert line.animation.rate_hz == 3 and line.width_m == 0.35
+    line, body = now.functions["guide_line"], now.functions["pedestrian_light"]
+    assert body == before.functions["pedestrian_light"].model_copy(update={"value": 0.25})
+    assert line.animation.rate_hz == 3 and line.width_m == 0.35  # type: ignore[union-attr]
     assert [key.position_m[1] for key in now.objects[0].track] == [-4.5, 0]
-    assert load_any("obl", ["lighting.functions[0].method=constant"]).lighting.functions[0].method == "constant"  # type: ignore[union-attr]
-    shown = load_any("animated_symbol", ["lighting.functions[0].image=./own.png"])
-    assert shown.lighting.functions[0].image == str((tmp_path / "own.png").resolve())
-    with pytest.raises(LuxloopError, match=r"^lighting.functions\[2\]: there are 2 functions, numbered from 0"):
-        load_any("marker_light", ["lighting.functions[2].value=1"])
-    with pytest.raises(LuxloopError, match=r"lighting.functions\[1\].valeu: unknown key; did you mean 'value'"):
-        load_any("marker_light", ["lighting.functions[1].valeu=1"])
-    with pytest.raises(LuxloopError, match=r"^lighting.functions: is a list and has no '0'; write --set 'lighting.functions\[0\].KEY"):
-        load_any("marker_light", ["lighting.functions.0.value=1"])
+    assert load_any("obl", ["functions.object_light.method=constant"]).functions["object_light"].method == "constant"  # type: ignore[union-attr]
+    shown = load_any("animated_symbol", ["functions.guidance.image=./own.png"])
+    assert shown.functions["guidance"].image == str((tmp_path / "own.png").resolve())  # type: ignore[union-attr]
+    with pytest.raises(LuxloopError, match=r"^objects\[1\]: there are 1 objects, numbered from 0"):
+        load_any("marker_light", ["objects[1].albedo=1"])
+    with pytest.raises(LuxloopError, match=r"functions.guide_line.valeu: unknown key; did you mean 'value'"):
+        load_any("marker_light", ["functions.guide_line.valeu=1"])
+    with pytest.raises(LuxloopError, match=r"functions\..*: '' is no name"):
+        load_any("marker_light", ["functions.''.kind=lane"])
+    with pytest.raises(LuxloopError, match=r"^objects: is a list and has no '0'; write --set 'objects\[0\].KEY"):
+        load_any("marker_light", ["objects.0.albedo=1"])
     with pytest.raises(LuxloopError, match=r"^objects\[0\].track\[7\]: there are \d+ track, numbered from 0"):
         load_any("marker_light", ["objects[0].track[7].time_s=1"])
 
@@ -279,12 +289,12 @@ SEVERAL = {
     "rate_hz": '"x"',
     "road.kind": '"bumpz"',
 }
-MARKERS = '[[lighting.functions]]\nkind = "marker"\nanimation = { kind = "blinking" }\n[[lighting.functions]]\nkind = "marker"\n'
+MARKERS = '[functions.name]\nkind = "marker"\nanimation = { kind = "blinking" }\n[functions.kind]\nkind = "marker"\n'
 OF_A_KIND = {
     GOOD + '[controller]\nname = "thesis_pid"\n': {"controller.position.kp": '"x"', "start.x_m": "[]", "symbol.imag": "3"},
     LIT + MARKERS: {
-        "lighting.functions[0].animation.rate_hz": '"x"',
-        "lighting.functions[1].kind": '"markr"',
+        "functions.name.animation.rate_hz": '"x"',
+        "functions.kind.kind": '"markr"',
         "tracker.zzz": "{}",
         "vehicel": "{}",
     },
@@ -333,6 +343,10 @@ def test_each_key_that_is_broken_is_named(name: str) -> None:
         ("snowflake", ["camera={}", "camera.bits=8"], "camera", CameraParams(bits=8)),
         ("snowflake", ["camera.bits=8", "camera={}"], "camera", CameraParams()),
         ("gfhb", ["lighting={}"], "lighting", LightingParams()),
+        ("gfhb", ["functions={}"], "functions", {}),
+        ("gfhb", ["functions.guard_traffic={}"], "functions", {}),
+        ("gfhb", ["functions.guard_traffic={}", "functions.carpet.kind=lane"], "functions", {"carpet": LaneParams()}),
+        ("gfhb", ["functions.guard_traffic.kind=lane"], "functions", {"guard_traffic": LaneParams()}),
         ("driving", ["vehicle={}"], "vehicle", None),
         ("driving", ["vehicle={}", "vehicle={}"], "vehicle", None),
         ("snowflake", ["traffic={}"], "traffic", None),

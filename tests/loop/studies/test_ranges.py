@@ -42,7 +42,7 @@ def test_every_number_has_a_range(model: type[BaseModel]) -> None:
         ("flat", "rate_hz=1e-300", "rate_hz"),
         ("flat", "start.x_m=nan", "start.x_m"),
         ("flat", "symbol.width_m=inf", "symbol.width_m"),
-        ("zones", "lighting.functions[0].pid.kp=1e300", "kp"),
+        ("zones", "functions.crossing.pid.kp=1e300", "kp"),
         ("flat", "objects=[{kind='box', name='a', size_m=[1e300, 1, 1], position_m=[9, 0, 0]}]", "size_m"),
         (
             "flat",

@@ -13,6 +13,7 @@ from loop.run import prepare
 from loop.scenario.model import load
 from loop.symbol.simulation import Simulation
 from perception.extraction import Loss
+from tests.loop.conftest import frames_of
 
 SMALL = ["camera={width_px=640, height_px=480}", "start={x_m=17.0, y_m=0.0, roll_deg=0.0, pitch_deg=0.0}", "controller={name='open'}"]
 FLAT = "{kind='flat'}"
@@ -27,16 +28,16 @@ def simulation(road: str, *more: str) -> Simulation:
     return prepare(load("snowflake", [*SMALL, f"road={road}", *more]), "cpu")
 
 
-def frames_of(prepared: Simulation) -> tuple[Tensor, Tensor]:
+def shown_at_target(prepared: Simulation) -> tuple[Tensor, Tensor]:
     lights = prepared.projector.light(prepared.projector.target)
-    _, frames = prepared.plant.show(prepared.plant.start(), lights, 0)
+    frames = frames_of(prepared.plant, lights)
     assert frames is not None
     return frames
 
 
 def acquired(road: str, *more: str) -> Acquired:
     prepared = simulation(road, *more)
-    return prepared.observer.acquire(frames_of(prepared), prepared.projector.light(prepared.projector.target))
+    return prepared.observer.acquire(shown_at_target(prepared), prepared.projector.light(prepared.projector.target))
 
 
 def test_a_ray_meets_the_road_where_the_quadratic_is_solved() -> None:
@@ -90,7 +91,7 @@ def test_what_is_no_symbol_is_not_taken_for_it(disturbance: str) -> None:
     prepared = simulation(FLAT, disturbance)
     nothing = prepared.projector.light(prepared.projector.target)
     dark = tuple(type(light)(torch.zeros_like(light.u)) for light in nothing)
-    _, frames = prepared.plant.show(prepared.plant.start(), dark, 0)
+    frames = frames_of(prepared.plant, dark)
     assert frames is not None
     assert not prepared.observer.acquire(frames, nothing).found
 
@@ -99,9 +100,9 @@ def test_a_symbol_that_is_plainly_in_the_image_is_never_lost() -> None:
     for percent in (-2.0, 3.0, 4.0):
         prepared = simulation(grade(percent))
         lights = prepared.projector.light(prepared.projector.target)
-        seen = prepared.observer.look(frames_of(prepared), Drawing(prepared.projector.target), lights)
+        seen = prepared.observer.look(shown_at_target(prepared), Drawing(prepared.projector.target), lights)
         assert seen.code == Loss.SEEN, percent
-        again = prepared.observer.look(frames_of(prepared), Drawing(prepared.projector.target), lights, seen.shape)
+        again = prepared.observer.look(shown_at_target(prepared), Drawing(prepared.projector.target), lights, seen.shape)
         assert again.code == Loss.SEEN
         assert again.acquired is None, "once found it is looked for where it was"
 

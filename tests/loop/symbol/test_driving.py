@@ -53,10 +53,10 @@ def test_the_judge_looks_at_the_ground_under_the_car(nodding):
     point = torch.tensor([[17.0], [0.5], [0.0]], dtype=torch.float64)
     for step in range(4):
         time_s = step / 30
-        uv, _ = nodding.world.view_from_ground(time_s).project(point)
-        in_body = transform(inverse(nodding.world.motion.at(time_s).T_ground_body), point)
-        assert torch.allclose(uv, nodding.world.view.project(in_body)[0])
-        moved_px = (nodding.plane_at(time_s).map_v - nodding.plane.map_v).abs().median()
+        uv, _ = nodding.truth.world.view_from_ground(time_s).project(point)
+        in_body = transform(inverse(nodding.truth.world.motion.at(time_s).T_ground_body), point)
+        assert torch.allclose(uv, nodding.truth.world.view.project(in_body)[0])
+        moved_px = (nodding.truth.plane_at(time_s).map_v - nodding.truth.plane.map_v).abs().median()
         # 0.3 deg are 3.1 px of focal length 597 px; half the oscillation's period later there are none
         assert moved_px > 2 if step % 2 else moved_px < 0.01
 

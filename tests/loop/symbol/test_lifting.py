@@ -15,6 +15,7 @@ from loop.scenario.model import load
 from loop.symbol.simulation import Simulation
 from perception.extraction import Loss
 from perception.judge import Verdict
+from tests.loop.conftest import frames_of
 from world.frames import inverse, pose, rotation, transform
 
 SMALL = ["camera={width_px=640, height_px=480}", "start={x_m=17.0, y_m=0.0, roll_deg=0.0, pitch_deg=0.0}"]
@@ -148,7 +149,7 @@ def test_late_looks_at_light_for_another_road_do_not_change_the_road() -> None:
 def test_a_symbol_on_a_road_that_is_flat_again_is_seen_whole(flat: Simulation, height: float) -> None:
     drawing = Drawing(flat.projector.target)
     lights = flat.projector.draw(drawing)
-    _, frames = flat.plant.show(flat.plant.start(), lights, 0)
+    frames = frames_of(flat.plant, lights)
     seen = flat.observer.look(frames, drawing, lights, torch.tensor([height, 0.0, 0.0, 0.0]))
     assert seen.code == Loss.SEEN
     assert seen.errors.abs().max() < 0.5, "noise; a crop that cuts the symbol off moves its centroid by pixels"

@@ -26,6 +26,7 @@ from loop.run import prepare
 from loop.scenario.model import DisturbanceParams, load
 from loop.symbol.simulation import Simulation, SimulationState
 from perception.birdseye import Region
+from tests.loop.conftest import frames_of
 
 REGION = Region(13.0, 21.0, 2.0, -2.0)
 EYE, LAMP = torch.tensor([-1.6, 0.0, 1.35]), torch.tensor([0.0, 0.6, 0.75])
@@ -161,7 +162,7 @@ def lifted() -> Simulation:
 def test_one_look_tells_how_high_the_road_is(lifted: Simulation) -> None:
     controller, projector = lifted.controller, lifted.projector
     lights = projector.light(projector.target)
-    _, frames = lifted.plant.show(lifted.plant.start(), lights, 0)
+    frames = frames_of(lifted.plant, lights)
     fine = controller.registration.sight
     contrast, limit = fine.observe(frames)
     seen = fine.symbol(contrast, limit)
@@ -202,7 +203,7 @@ def disturbed(prepared: Simulation, **disturbances: Any) -> Simulation:
 
 def opened(prepared: Simulation) -> float:
     """IoU of the open loop."""
-    return float(prepared.judge(prepared.projector.light(prepared.projector.target), 0.0).iou)
+    return float(prepared.truth.verdict(prepared.projector.light(prepared.projector.target), 0.0).iou)
 
 
 def test_other_light_that_changes_between_the_frames_is_not_taken_for_the_symbol() -> None:
@@ -279,7 +280,7 @@ def test_looks_that_agree_add_up_until_noise_hardly_moves_the_symbol() -> None:
 def shown_at_target(prepared: Simulation) -> tuple[tuple[Tensor, Tensor], tuple[Tensor, ...]]:
     """Frames of the symbol at its target, and its light textures."""
     modules, lights = prepared.projector.modules, prepared.projector.light(prepared.projector.target)
-    _, frames = prepared.plant.show(prepared.plant.start(), lights, 0)
+    frames = frames_of(prepared.plant, lights)
     assert frames is not None
     controllers = [module.pixel_controller for module in modules]
     return frames, tuple(c.headlight.light_texture(light.u - c.default) for c, light in zip(controllers, lights, strict=True))

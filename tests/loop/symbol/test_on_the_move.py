@@ -281,9 +281,9 @@ def test_the_off_frame_is_seen_from_where_the_on_frame_was() -> None:
     more = ["camera.oversampling=4", "light.ambient_lx=4", "camera.noise=false", "controller={name='luxloop'}"]
     simulation = Simulation.prepare(load("driving", [*EXACT, *more]))
     _, result = simulation.step(simulation.start())
-    world, seer, controller = simulation.world, simulation.observer, simulation.controller
+    world, seer, controller = simulation.truth.world, simulation.observer, simulation.controller
     assert result.frames is not None and isinstance(controller, Luxloop)
-    on_s, off_s = simulation.plant.exposures(0)
+    on_s, off_s = result.time_s, result.time_s + 0.5 / simulation.scenario.rate_hz
     now, later = (world.motion.at(t) for t in (on_s, off_s))
     driven = inverse(now.T_world_ground) @ later.T_world_ground
     where = (seer, controller.region, (0.2, 0.15), 2, 3, now.T_ground_body)
@@ -306,4 +306,4 @@ def test_a_nodding_car_keeps_its_symbol_in_place() -> None:
         if result.step > 3:
             # edges of half a camera row are left; the open loop's symbol is off by half of its length
             assert result.verdict.iou > 0.7
-            assert simulation.judge(still, result.time_s).iou < 0.5
+            assert simulation.truth.verdict(still, result.time_s).iou < 0.5

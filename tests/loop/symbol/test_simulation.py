@@ -29,7 +29,7 @@ def test_a_symbol_settles_in_a_burning_beam(small_scenario: Scenario, symbol: di
     simulation = prepare(in_a_beam(small_scenario, "low", 30, **symbol))
     results = list(simulation.run())
     # Off frames show the beam, at least three times the ambient light about the symbol; the median leaves no noise worth a tolerance.
-    lit, off = simulation.world.lit(0.0), torch.stack([luminance_of(each.frames[1], simulation.scenario.camera) for each in results])
+    lit, off = simulation.truth.world.lit(0.0), torch.stack([luminance_of(each.frames[1], simulation.scenario.camera) for each in results])
     seen = off.mean(0)[lit.off > 3 * lit.base]
     assert len(seen) > 1000 and seen.median() == pytest.approx(float(lit.off[lit.off > 3 * lit.base].median()), rel=0.02)
     # It starts half its size away. In the end noise moves it by 2 %, an eighth of a pixel of this coarse camera along the road.

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from controllers.pixels.ssc import Utilisation
-from loop.symbol.truth import LampModule
+from loop.assembly.truth import LampModule
 from perception.camera import CameraParams, average_rows, camera_view
 from world.light.ambient import ambient_luminance
 from world.light.illumination import DirectTransport, LightTransport, added_light, reach, transport
@@ -29,12 +29,12 @@ KEPT_VIEWS = 4  # on and off frame, before and after a change
 class LitView:
     """A scene as the camera sees it at one time.
 
-    base: luminance `[height, width]` in cd/m^2 without the lamps. beams: their base beams, None where they have none.
+    base: luminance `[height, width]` in cd/m^2 without the lamps. resting: utilisations of their base beams, one a module.
     transported: makes the transports, which are needed only where a lamp shines.
     """
 
     base: Tensor
-    beams: Sequence[Utilisation] | None
+    resting: Sequence[Utilisation]
     transported: Callable[[], tuple[LightTransport, ...]]
 
     @cached_property
@@ -44,8 +44,14 @@ class LitView:
 
     @cached_property
     def off(self) -> Tensor:
-        """Luminance `[height, width]` in cd/m^2 with the base beams, as an off frame shows it."""
-        return self.base if self.beams is None else added_light(self.transports, self.beams, self.base)
+        """Luminance `[height, width]` in cd/m^2 with the base beams."""
+        return added_light(self.transports, self.resting, self.base) if any(bool(light.u.any()) for light in self.resting) else self.base
+
+    def shown(self, lights: Sequence[Utilisation]) -> Tensor:
+        """Luminance `[..., height, width]` in cd/m^2 of all light, the lamps' lights `[..., n_p]` included."""
+        if all(light is resting for light, resting in zip(lights, self.resting, strict=True)):
+            return self.off
+        return added_light(self.transports, lights, self.base)
 
     def luminance(self, lights: Sequence[Utilisation]) -> Tensor:
         """Luminance `[..., height, width]` in cd/m^2 of the symbol alone: on minus off, negative where it is darker than the base beams."""
@@ -73,8 +79,7 @@ class World:
         self.moving = (motion is not STANDING or scene.moves) if moving is None else moving
         self.surfaces = surface_source(source, self.moving)
         self.view = camera_view(camera)
-        beams = [module.beam for module in self.modules]
-        self.beams = beams if any(bool(beam.u.any()) for beam in beams) else None
+        self.resting = tuple(module.beam for module in self.modules)
         self._lit: OrderedDict[Any, LitView] = OrderedDict()
         self._triangles = NOTHING
 
@@ -86,9 +91,10 @@ class World:
         """The camera's view at a time, in the ground frame in place of the world."""
         return replace(self.view, T_world_view=self.motion.at(t_s).T_ground_body @ self.view.T_world_view)
 
-    def render(self, on_s: float, off_s: float) -> tuple[tuple[LightTransport, ...], Tensor]:
-        """Light transports of the on frame, and luminance of the off frame without the symbol; `lit` then has both."""
-        return self.lit(on_s).transports, self.lit(off_s).off
+    def luminance(self, time_s: float, lights: tuple[Utilisation, ...]) -> tuple[Tensor, Tensor]:
+        """Luminances in cd/m^2 at a time: `[..., height, width]` of all light, and `[height, width]` without the lamps."""
+        lit = self.lit(time_s)
+        return lit.shown(lights), lit.base
 
     def lit(self, t_s: float) -> LitView:
         """The camera's view of the scene at a time; rendered only when geometry or the vehicle has moved."""
@@ -109,7 +115,7 @@ class World:
         surfaces = self.surfaces.gbuffer(triangles, view).to(self.device)
         spotlights = self.scene.spotlights_at(t_s)
         base = average_rows(ambient_luminance(surfaces, self.scene.ambient_lx, self.scene.street_lamps, spotlights), samples)
-        return LitView(base, self.beams, lambda: self._transports(triangles, surfaces, vehicle.T_world_body))
+        return LitView(base, self.resting, lambda: self._transports(triangles, surfaces, vehicle.T_world_body))
 
     def _transports(self, triangles: Triangles, surfaces: GBuffer, T_world_body: Tensor) -> tuple[LightTransport, ...]:
         """A module's matrix is worth its making where the view stays for many steps."""

@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from controllers.pixels.ssc import Utilisation
-from controllers.symbol.sensing.projector import DrawingModule, Projector
-from loop.scenario.disturbances import AimParams, WearParams
-from loop.scenario.model import Scenario
+from controllers.symbol.sensing.projector import Projector
+from loop.scenario.disturbances import AimParams, DisturbanceParams, WearParams
+from loop.scenario.model import Scenario, WorldScenario
 from perception.camera import CameraParams
 from world.errors import LuxloopError
 from world.frames import pose_from_degrees
@@ -19,14 +19,14 @@ from world.headlight import Headlight
 
 @dataclass(frozen=True)
 class LampModule:
-    """A module as it shines. beam: what it shows beside the symbol. T_world_headlight: `[4, 4]`, where the vehicle stands at its start."""
+    """A module as it shines. beam: its base beam. T_world_headlight: `[4, 4]`, where the vehicle stands at its start."""
 
     headlight: Headlight
     beam: Utilisation
     T_world_headlight: Tensor
 
 
-def true_camera(scenario: Scenario) -> CameraParams:
+def true_camera(scenario: WorldScenario) -> CameraParams:
     """The camera with its error of calibration. Raises LuxloopError where that puts it under the road."""
     camera, error = scenario.camera, scenario.disturbances.calibration
     half = math.tan(math.radians(camera.hfov_deg) / 2) / (1 + error.focal_percent / 100)
@@ -39,19 +39,24 @@ def true_camera(scenario: Scenario) -> CameraParams:
 
 
 def true_modules(scenario: Scenario, projector: Projector) -> tuple[LampModule, ...]:
-    """The modules that draw, with errors of aim, dead and aged pixels.
+    """The modules that draw, as `as_it_is` has them."""
+    modules = []
+    for k, (module, resting) in enumerate(zip(projector.modules, projector.resting, strict=True)):
+        mounted = (module.pixel_controller.headlight, module.T_world_headlight)
+        headlight, T_world_headlight = as_it_is(scenario.disturbances, k, module.name, *mounted)
+        modules.append(LampModule(headlight, resting, T_world_headlight))
+    return tuple(modules)
 
-    Raises LuxloopError where a module lacks a pixel that is named, and where its aim puts it under the road.
+
+def as_it_is(
+    disturbances: DisturbanceParams, number: int, name: str, headlight: Headlight, T_world_headlight: Tensor
+) -> tuple[Headlight, Tensor]:
+    """A module's headlight with dead and aged pixels, and its pose `[4, 4]` with errors of aim. number: of the module, for its own draw.
+
+    Raises LuxloopError where the module lacks a pixel that is named, and where its aim puts it under the road.
     """
-    modules, aims = projector.modules, scenario.disturbances.aim
-    return tuple(
-        LampModule(
-            worn(module, scenario.disturbances.wear, k),
-            Utilisation(module.pixel_controller.default),
-            misaimed(module.T_world_headlight, [aim for aim in aims if aim.lamp is None or module.name.startswith(f"{aim.lamp} ")]),
-        )
-        for k, module in enumerate(modules)
-    )
+    aims = [aim for aim in disturbances.aim if aim.lamp is None or name.startswith(f"{aim.lamp} ")]
+    return worn(headlight, name, disturbances.wear, number), misaimed(T_world_headlight, aims)
 
 
 def misaimed(T_world_headlight: Tensor, aims: list[AimParams]) -> Tensor:
@@ -66,12 +71,11 @@ def misaimed(T_world_headlight: Tensor, aims: list[AimParams]) -> Tensor:
     return T
 
 
-def worn(module: DrawingModule, wear: WearParams, number: int) -> Headlight:
-    """A module's headlight with dead and aged pixels; number: of the module, for its own draw."""
-    headlight = module.pixel_controller.headlight
+def worn(headlight: Headlight, name: str, wear: WearParams, number: int) -> Headlight:
+    """A module's headlight with dead and aged pixels. Raises LuxloopError where it lacks a pixel that is named."""
     n = headlight.n_pixels
     if wrong := [pixel for pixel in wear.dead_pixels if not 0 <= pixel < n]:
-        raise LuxloopError(f"disturbances.wear.dead_pixels: {module.name} has no pixel {wrong[0]}; give numbers from 0 to {n - 1}")
+        raise LuxloopError(f"disturbances.wear.dead_pixels: {name} has no pixel {wrong[0]}; give numbers from 0 to {n - 1}")
     if not (wear.dead or wear.aged or wear.dead_pixels):
         return headlight
     order = np.random.default_rng(np.random.SeedSequence(wear.seed, spawn_key=(number,))).permutation(n)

@@ -1,14 +1,15 @@
-"""The car's sight keeps vehicles of which it sees but the lamps."""
+"""Vehicles of which but the lamps are seen are kept."""
+
+from typing import get_args
 
 import pytest
 import torch
 
-from loop.lighting.sight import Sight
 from perception.camera import CameraParams, camera_view
-from perception.detection.params import TruthParams
 from perception.detection.protocol import Detections
 from perception.lamps import ABOVE_M
-from perception.tracking import TrackerParams
+from perception.tracking import Tracker, TrackerParams
+from world.traffic.tracked import Category
 
 VIEW = camera_view(CameraParams(width_px=640, height_px=360, pitch_deg=1.5, oversampling=1))
 RATE_HZ, FOUND, ALL = 30.0, 5, 40  # frames with the car's box, and in all
@@ -20,8 +21,8 @@ RATE_HZ, FOUND, ALL = 30.0, 5, 40  # frames with the car's box, and in all
 )
 def test_a_dark_car_is_kept_while_both_lamps_shine(start_score: float, lamps: int, score: float) -> None:
     """score: of what the detector goes on to find, as a share of what starts a track."""
-    sight = Sight.prepare(TruthParams(), TrackerParams(start_score=start_score), VIEW, torch.device("cpu"))
-    classes, tracker = sight.tracker.classes, sight.tracker
+    classes = get_args(Category)
+    tracker = Tracker(classes, VIEW, TrackerParams(start_score=start_score))
     corners = torch.tensor([[20.0, 0.9, 1.5], [20.0, -0.9, 0.0]], dtype=torch.float64).T
     box = VIEW.project(corners)[0].T.reshape(1, 4)
     frame = torch.full((VIEW.height, VIEW.width), 0.01)
@@ -37,7 +38,7 @@ def test_a_dark_car_is_kept_while_both_lamps_shine(start_score: float, lamps: in
 
     tracks = tracker.start()
     for k in range(ALL):
-        tracks = sight.follow(tracks, seen(1.0 if k < FOUND else score * start_score), frame, k / RATE_HZ)
+        tracks = tracker.follow(tracks, seen(1.0 if k < FOUND else score * start_score), frame, k / RATE_HZ)
     kept = tracks.present
     assert kept.number.tolist() == ([1] if lamps == 2 or score >= 0.5 else [])
     if lamps == 2:

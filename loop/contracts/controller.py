@@ -1,0 +1,160 @@
+"""The contract of a symbol controller of the user's own."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from controllers.symbol.laws.own import KEY, METHODS
+from controllers.symbol.sensing.drawing import Drawing, Warp
+from controllers.symbol.sensing.protocol import Look
+from loop.contracts.values import check_calls, check_state, check_tensor, name_of, pure
+from loop.run import prepare
+from loop.scenario.model import validate
+from loop.symbol.simulation import Frames, Simulation
+from perception.extraction import Loss
+from world.errors import LuxloopError, located
+from world.plugin import Guarded, check_methods, made
+
+CALLS = {"start": ("pose",), "drawing": ("state",), "step": ("state", "look")}
+SCENARIO: dict[str, Any] = {
+    "name": "check_controller",
+    "steps": 8,
+    "symbol": {"image": "snowflake"},
+    "start": {"x_m": 17.4, "y_m": 0.3, "roll_deg": 2.0, "pitch_deg": -1.0},
+    "camera": {"width_px": 320, "height_px": 180, "oversampling": 1},
+    "renderer": "raycast",
+    "controller": {"name": "open"},
+}
+FARTHEST_M = (100.0, 20.0)  # ahead and to each side: what a scenario's start may be
+STEEPEST = math.radians(45)
+REMEDY = "subtract a share of look.seen.pose_error, the pose less its target in m and rad; look.seen.errors are in units of the image"
+LOST_AFTER = (0, 4)  # steps; at each of them the symbol is lost as well
+AWAY = 1.5  # times as far from the target as at the start, and some noise
+
+
+def check_controller(controller: type, options: Mapping[str, Any] | None = None, device: str = "auto") -> None:
+    """Check a symbol controller of your own against the contract of `luxloop.SymbolController`, in a few seconds.
+
+    controller: the class, of which a scenario makes `controller(observer, **options)`. A class and not an instance, since an instance has
+    the observer of another scenario, and since making it belongs to the contract; a class and not its name, so that it can be checked where
+    it is written, in a notebook or in a test. options: those of `[controller]`. device: "auto", "cpu" or "cuda".
+
+    It runs for 8 steps on a flat road, seen by a camera of 320 x 180 px, and in some of them also without frames, and with frames that do
+    not show the symbol. Raises LuxloopError with the likely cause and the remedy where a method is missing or fails, changes what
+    it was given, or gives something else for the same input; where a state is no data; where a drawing has another shape, dtype or device
+    than the pose `[4]` that `start` is given, is not finite, or not in m and rad; and where the symbol is moved away from its target.
+    """
+    name = name_of(controller)
+    check_methods(controller, f"{KEY}: {name}", METHODS)
+    simulation = _world(device)
+    own = made(controller, name, KEY, {"observer": simulation.observer}, options or {})
+    check_calls(own, CALLS)
+    simulation = replace(simulation, controller=Watched(own, simulation))
+    seen = [result.seen for result in simulation.run()]
+    first, last = (math.hypot(*each.pose_error[:2].tolist()) for each in (seen[0], seen[-1]))
+    if seen[-1].code != Loss.SEEN or last > AWAY * first:
+        end = f"it is {last:.2g} m away" if seen[-1].code == Loss.SEEN else "it is not seen any more"
+        raise LuxloopError(
+            f"{KEY}: {name}: step moves the symbol away from its target: at first it was {first:.2g} m away, after {len(seen)} steps "
+            f"{end}; {REMEDY}"
+        )
+
+
+@cache
+def _world(device: str) -> Simulation:
+    return prepare(validate(SCENARIO, "check_controller"), device)
+
+
+@dataclass(frozen=True)
+class WatchedState:
+    """inner: the controller's state. steps: how many there were."""
+
+    inner: Any
+    steps: int = 0
+
+
+@dataclass(frozen=True)
+class Watched:
+    """The controller in the simulation, of which each call is checked."""
+
+    own: Guarded
+    simulation: Simulation
+
+    def start(self, pose: Tensor) -> WatchedState:
+        """The controller's state, which is data."""
+        state = pure(self.own, "start", {"pose": pose}, "state")
+        check_state(self.own, "start", state)
+        return WatchedState(state)
+
+    def drawing(self, state: WatchedState) -> Drawing:
+        """The controller's drawing, with a pose in reach."""
+        drawing = pure(self.own, "drawing", {"state": state.inner}, "drawing")
+        with located(f"{self.own.key}: {self.own.name}: drawing"):
+            self._check(drawing)
+        return drawing
+
+    def step(self, state: WatchedState, look: Look) -> WatchedState:
+        """The controller's state after a look. In some steps it is also shown nothing, and goes on from there."""
+        after = self._stepped(state, look)
+        if state.steps in LOST_AFTER and look.frames is not None:
+            for situation, lost in self._lost(look, look.frames).items():
+                with located(f"in {situation}"):
+                    blind = self._stepped(state, lost)
+                    self.drawing(blind)
+                with located(f"after {situation}"):
+                    self.drawing(self._stepped(blind, look))
+        return after
+
+    def _stepped(self, state: WatchedState, look: Look) -> WatchedState:
+        after = pure(self.own, "step", {"state": state.inner, "look": look}, "state")
+        check_state(self.own, "step", after)
+        return WatchedState(after, state.steps + 1)
+
+    def _lost(self, look: Look, frames: Frames) -> dict[str, Look]:
+        """Looks at the same light where the camera lost the frames, and where these do not show it."""
+        observer, shown, dark = self.simulation.observer, look.shown, (frames[1], frames[1])
+        no_frame, nothing = (observer.look(each, shown.drawing, shown.lights) for each in (None, dark))
+        return {
+            "a step without frames (look.frames is None)": replace(look, seen=no_frame, frames=None),
+            "a step whose frames do not show the symbol": replace(look, seen=nothing, frames=dark),
+        }
+
+    def _check(self, drawing: Any) -> None:
+        """Raises LuxloopError where a drawing is none that can be shown."""
+        if not isinstance(drawing, Drawing):
+            raise LuxloopError(f"gives a {type(drawing).__name__}; return luxloop.Drawing(pose), with the pose [4]")
+        like = self.simulation.projector.target
+        check_tensor(drawing.pose, like, (4,), "pose")
+        x, y, roll, pitch = drawing.pose.tolist()
+        if max(abs(roll), abs(pitch)) > STEEPEST:
+            raise LuxloopError(
+                f"pose has roll {roll:.3g} and pitch {pitch:.3g} rad, more than 45 deg; convert degrees with torch.deg2rad, or {REMEDY}"
+            )
+        if not 1 < x <= FARTHEST_M[0] or abs(y) > FARTHEST_M[1]:
+            raise LuxloopError(f"pose has x {x:.3g} and y {y:.3g} m, where no lamp can draw; {REMEDY}")
+        for name, value, shape in (("z", drawing.z, ()), ("shape", drawing.shape, (4,)), ("aim", drawing.aim, (2,))):
+            if value is not None:
+                check_tensor(value, like, shape, name)
+        if drawing.warp is not None:
+            self._check_warp(drawing.warp, like)
+        for module, u in zip(self.simulation.projector.modules, drawing.raw or (), strict=False):
+            check_tensor(u, like, (module.pixel_controller.headlight.n_pixels,), f"raw of {module.name}")
+            _check_share(u, "raw")
+
+    def _check_warp(self, warp: Warp, like: Tensor) -> None:
+        *_, rows, columns = warp.dimming.shape
+        modules = len(warp.dimming) if len(warp.dimming) in (1, len(self.simulation.projector.modules)) else 1
+        check_tensor(warp.dimming, like, (modules, rows, columns), "warp.dimming")
+        check_tensor(warp.source, like, (modules, 2, rows, columns), "warp.source")
+        _check_share(warp.dimming, "warp.dimming")
+
+
+def _check_share(values: Tensor, what: str) -> None:
+    low, high = (float(each) for each in torch.aminmax(values))
+    if low < 0 or high > 1:
+        raise LuxloopError(f"{what} reaches from {low:.3g} to {high:.3g}; give shares of 0..1, with clamp(0, 1) say")

@@ -1,0 +1,142 @@
+"""Pure calls: a state is data, inputs stay as they are, and the same inputs give the same bits."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from inspect import signature
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from pydantic import BaseModel
+from torch import Tensor
+
+from world.errors import LuxloopError
+from world.plugin import Guarded, Name
+
+DATA = (Tensor, np.ndarray, np.generic, bool, int, float, complex, str, bytes, type(None), Enum, Path, torch.device, torch.dtype)
+Parts = dict[str, Any]  # what a value consists of, by its place: "state.gains[0]"
+
+
+def name_of(made_by: type) -> Name:
+    """As a scenario would name a class. Raises LuxloopError where it is none."""
+    if not isinstance(made_by, type):
+        raise LuxloopError(f"{made_by!r} is no class; give the class itself, such as Mine, and its options as a second value")
+    return Name(f"{made_by.__module__}:{made_by.__name__}")
+
+
+def check_calls(own: Guarded, calls: Mapping[str, tuple[str, ...]]) -> None:
+    """Raises LuxloopError where a method does not take the values with which it is called."""
+    for method, values in calls.items():
+        takes = signature(getattr(own.part, method))
+        try:
+            takes.bind(*values)
+        except TypeError as error:
+            called = f"{method}({', '.join(values)})"
+            raise LuxloopError(f"{own.key}: {own.name}: {method} takes {takes}, but is called as {called}; let it take these") from error
+
+
+def pure(own: Guarded, method: str, inputs: Mapping[str, Any], gives: str) -> Any:
+    """What a method gives for inputs; gives: what that is called.
+
+    Raises LuxloopError where the method changes an input, or gives something else for the same inputs once more.
+    """
+    where, call = f"{own.key}: {own.name}: {method}", getattr(own, method)
+    before = _copied(inputs)
+    result = call(*inputs.values())
+    if changed := _difference(before, dict(_parts(inputs, ""))):
+        raise LuxloopError(
+            f"{where} changes {changed}, which it was given; make a new value, with dataclasses.replace and without operations in place"
+        )
+    first = _copied(result, gives)
+    again = call(*inputs.values())
+    if changed := _difference(first, dict(_parts(result, gives))):
+        raise LuxloopError(f"{where} changes {changed}, which it gave before, when it is called again; give a copy, with clone()")
+    if differs := _difference(first, dict(_parts(again, gives))):
+        given = " and ".join(inputs)
+        remedy = "keep what it remembers in the state and not in self" if "state" in (*inputs, gives) else "keep nothing in self"
+        raise LuxloopError(
+            f"{where} gives another {differs} when it is called again with the same {given}; {remedy}, and seed random numbers anew"
+        )
+    return result
+
+
+def check_state(own: Guarded, method: str, state: Any) -> None:
+    """Raises LuxloopError where a state holds anything but data, so that it cannot be saved and taken up elsewhere."""
+    for place, part in _parts(state, "state"):
+        if not isinstance(part, DATA):
+            raise LuxloopError(
+                f"{own.key}: {own.name}: {method} gives a state that cannot be saved: {place} is {_kind(part)}; "
+                "make the state a frozen dataclass of tensors and numbers, and keep what never changes in self"
+            )
+
+
+def check_tensor(value: Any, like: Tensor, shape: tuple[int, ...], what: str) -> None:
+    """Raises LuxloopError where a value is no finite tensor of that shape, and of the dtype and on the device of another."""
+    wanted = f"a tensor {_described(like.dtype, shape, like.device)}"
+    if not isinstance(value, Tensor):
+        raise LuxloopError(f"{what} is {_kind(value)}; it must be {wanted}")
+    if (value.dtype, tuple(value.shape), value.device) != (like.dtype, shape, like.device):
+        given = _described(value.dtype, tuple(value.shape), value.device)
+        remedy = "check its dimensions" if tuple(value.shape) != shape else "make it from a tensor that is given, with new_tensor(...)"
+        raise LuxloopError(f"{what} is {given}; it must be {wanted}: {remedy}")
+    if not value.isfinite().all():
+        raise LuxloopError(
+            f"{what} is not finite, {_shown(value)}; errors are NaN where the symbol is not seen: leave the state as it is where "
+            "look.seen.code != Loss.SEEN"
+        )
+
+
+def _shown(value: Tensor) -> str:
+    return str(value.tolist()) if value.numel() <= 4 else f"in {int((~value.isfinite()).sum())} of {value.numel()} places"
+
+
+def _described(dtype: torch.dtype, shape: tuple[int, ...], device: torch.device) -> str:
+    return f"{str(dtype).removeprefix('torch.')} {list(shape)} on {device}"
+
+
+def _kind(value: Any) -> str:
+    return "None" if value is None else f"of the type {type(value).__name__}"
+
+
+def _parts(value: Any, place: str) -> Iterator[tuple[str, Any]]:
+    """What a value consists of; what is neither data nor holds any is a part itself."""
+    inner: Mapping[Any, Any] | None = None
+    if is_dataclass(value) and not isinstance(value, type):
+        inner = {f".{field.name}": getattr(value, field.name) for field in fields(value)}
+    elif isinstance(value, BaseModel):
+        inner = {f".{name}": each for name, each in value}
+    elif isinstance(value, Mapping):
+        inner = {f".{name}" if place else name: each for name, each in value.items()}
+    elif isinstance(value, tuple | list):
+        inner = {f"[{number}]": each for number, each in enumerate(value)}
+    if inner is None:
+        yield place, value
+    else:
+        for name, each in inner.items():
+            yield from _parts(each, f"{place}{name}")
+
+
+def _copied(value: Any, place: str = "") -> Parts:
+    """The parts as they are now."""
+    return {
+        name: part.clone() if isinstance(part, Tensor) else part.copy() if isinstance(part, np.ndarray) else part
+        for name, part in _parts(value, place)
+    }
+
+
+def _difference(before: Parts, after: Parts) -> str | None:
+    """The first place at which two values differ."""
+    return next(
+        (place for place in (before | after) if place not in before or place not in after or not _same(before[place], after[place])), None
+    )
+
+
+def _same(a: Any, b: Any) -> bool:
+    """Bit for bit, where NaN is NaN."""
+    if type(a) is not type(b):
+        return False
+    if not isinstance(a, Tensor | np.ndarray):
+        return not isinstance(a, DATA) or a is b or bool(a == b) or bool(a != a and b != b)
+    return a.dtype == b.dtype and a.shape == b.shape and bool(((a == b) | ((a != a) & (b != b))).all())

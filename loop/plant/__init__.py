@@ -1,0 +1,1 @@
+"""What the loop runs on: exposures in, frames and sensor samples out."""

@@ -1,0 +1,62 @@
+"""What every plant is: it shows light, exposes frames of it and owns time. The loop knows nothing else of the world."""
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from torch import Tensor
+
+from controllers.pixels.ssc import Utilisation
+from perception.egomotion import Ego
+
+
+@dataclass(frozen=True, eq=False)
+class Exposure:
+    """Light that is shown for `duration_s` s from `start_s` s on, with one frame of it.
+
+    number: ascending, never used twice. lights: utilisations, one a module, base beams included.
+    """
+
+    number: int
+    start_s: float
+    duration_s: float
+    lights: tuple[Utilisation, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A frame that has come, or word that it is lost.
+
+    number: of its exposure. taken_s, arrived_s: times in s. image: digital numbers `[height, width]`, None where it is lost.
+    """
+
+    number: int
+    taken_s: float
+    arrived_s: float
+    image: Tensor | None
+
+
+@dataclass(frozen=True, eq=False)
+class Arrivals:
+    """What has come in by `time_s` s, when the next exposure begins.
+
+    frames: by ascending number. ego: the newest sample of the vehicle's sensors, None for a vehicle that stands.
+    """
+
+    time_s: float
+    frames: tuple[Frame, ...] = ()
+    ego: Ego | None = None
+
+
+class Plant(Protocol):
+    """Its state is a value; a plant of hardware holds the connection and returns what is known of it.
+
+    Frames come in the order of their exposures. One that knows the truth has an attribute `truth`, a `loop.plant.world.World`.
+    """
+
+    def start(self) -> tuple[Any, Arrivals]:
+        """State and arrivals before the first exposure."""
+        ...
+
+    def show(self, state: Any, exposure: Exposure) -> tuple[Any, Arrivals]:
+        """Show an exposure; what has come in by its end."""
+        ...

@@ -1,0 +1,129 @@
+"""The simulated world as a plant."""
+
+from dataclasses import dataclass, replace
+from typing import Generic, Protocol, TypeVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from controllers.pixels.ssc import Utilisation
+from controllers.symbol.sensing.projector import Projector
+from loop.assembly.build import build_motion, build_scene
+from loop.assembly.truth import true_camera, true_modules
+from loop.plant.protocol import Arrivals, Exposure, Frame
+from loop.plant.world import World
+from loop.scenario.disturbances import UNDISTURBED, DisturbanceParams
+from loop.scenario.model import Scenario
+from perception.camera import CameraParams, expose, frame_generator
+from perception.egomotion import EXACT, Ego, SensorParams, measured
+from perception.glare import glare
+from world.rendering.face_source import face_source
+from world.scene.vehicle import Motion
+from world.view import View
+
+LOSS_KEY, LATENCY_KEY = 2, 4  # of what is drawn for a step, beside its frames' noise and the sensors'
+PER_STEP = 2  # exposures where a symbol is held: with it and without it
+
+
+AnyWorld = TypeVar("AnyWorld", bound="SimulatedWorld")
+UnderWay = tuple[tuple[int, Frame], ...]  # frames, each after the number of the exposure at whose end it arrives
+
+
+class SimulatedWorld(Protocol):
+    """A world that a camera sees while lamps light it."""
+
+    camera: CameraParams
+    view: View
+    device: torch.device
+    motion: Motion
+
+    def luminance(self, time_s: float, lights: tuple[Utilisation, ...]) -> tuple[Tensor, Tensor]:
+        """Luminances in cd/m^2 at a time: `[..., height, width]` of all light, and `[height, width]` without the lamps."""
+        ...
+
+    def view_at(self, t_s: float) -> View:
+        """The camera's view at a time."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedPlant(Generic[AnyWorld]):
+    """Exposes frames of a world, equally long ones; its state is the queue of frames under way from the camera.
+
+    per_step: exposures a control step.
+    """
+
+    world: AnyWorld
+    rate_hz: float
+    seed: int
+    sensors: SensorParams = EXACT
+    disturbances: DisturbanceParams = UNDISTURBED
+    per_step: int = PER_STEP
+
+    @property
+    def period_s(self) -> float:
+        return 1 / self.rate_hz
+
+    @property
+    def truth(self) -> AnyWorld:
+        """What is true."""
+        return self.world
+
+    def start(self) -> tuple[UnderWay, Arrivals]:
+        """Nothing is under way."""
+        return (), Arrivals(0.0, ego=self.ego(0))
+
+    def show(self, state: UnderWay, exposure: Exposure) -> tuple[UnderWay, Arrivals]:
+        """Expose a frame; it arrives as late as the camera's frames do, and never before an earlier one."""
+        step, part = divmod(exposure.number, self.per_step)
+        ends_s = (exposure.number + 1) / self.per_step * self.period_s
+        image = None
+        if not self._dropped(step):
+            image = self.exposed(*self.world.luminance(exposure.start_s, exposure.lights), step, part)
+        due = max([exposure.number + self.per_step * self._latency(step), *(number for number, _ in state)])
+        queue = (*state, (due, Frame(exposure.number, exposure.start_s, ends_s, image)))
+        come = tuple(replace(frame, arrived_s=ends_s) for number, frame in queue if number <= exposure.number)
+        return queue[len(come) :], Arrivals(ends_s, come, self.ego((exposure.number + 1) // self.per_step))
+
+    def ego(self, step: int) -> Ego:
+        """What the vehicle's sensors have said of its motion by a step."""
+        T_body_view = self.world.view.T_world_view.float().to(self.world.device)
+        return measured(self.world.motion, self.sensors, step, self.period_s, self.seed, T_body_view)
+
+    def exposed(self, luminance: Tensor, base: Tensor, step: int, frame: int) -> Tensor:
+        """Digital numbers of a step's on frame (0) or off frame (1) of luminance `[..., height, width]` in cd/m^2, with what disturbs it.
+
+        base: `[height, width]` cd/m^2, the part of the luminance that is there without the lamps.
+        """
+        ambient, noisy = self.disturbances.ambient_factor(step, frame), self.disturbances.noise_factor(step)
+        if ambient != 1:
+            luminance = luminance + (ambient - 1) * base
+        t_s = (step + frame / self.per_step) * self.period_s
+        for lamp in self.disturbances.oncoming_in(step, frame):
+            luminance = luminance + glare(self.world.view_at(t_s), lamp.position_at(t_s), lamp, self.world.device)
+        generator = frame_generator(self.seed, step, frame, self.world.device)
+        if noisy == 1:
+            return expose(luminance, self.world.camera, generator)
+        noise = torch.empty(luminance.shape, dtype=luminance.dtype, device=self.world.device).normal_(std=noisy, generator=generator)
+        return expose(luminance, self.world.camera, noise)
+
+    def _dropped(self, step: int) -> bool:
+        p = self.disturbances.loss_probability(step, self.world.camera.drop_probability)
+        return p > 0 and bool(self._draw(step, LOSS_KEY).random() < p)
+
+    def _latency(self, step: int) -> int:
+        camera = self.world.camera
+        spread = camera.latency_spread_steps
+        return camera.latency_steps + (int(self._draw(step, LATENCY_KEY).integers(spread, endpoint=True)) if spread else 0)
+
+    def _draw(self, step: int, key: int) -> np.random.Generator:
+        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(step, key)))
+
+
+def simulated_plant(scenario: Scenario, projector: Projector) -> SimulatedPlant[World]:
+    """The world of a scenario, lit by the modules of a projector. Raises LuxloopError where a file is missing or broken."""
+    motion = build_motion(scenario)
+    modules, source = true_modules(scenario, projector), face_source(scenario.renderer)
+    world = World(build_scene(scenario, motion), modules, true_camera(scenario), source, projector.symbol.device, motion)
+    return SimulatedPlant(world, scenario.rate_hz, scenario.seed, scenario.sensors, scenario.disturbances)

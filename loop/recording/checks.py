@@ -1,0 +1,146 @@
+"""The checks of a run: values of its recording, held against bounds, some as ratios to those of another light in the same world."""
+
+import math
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from typing import Any, Generic, Protocol, Self, TypeVar
+
+import numpy as np
+import pyarrow as pa
+
+from loop.recording.summary import column
+from loop.scenario.checks import CheckParams, Light
+from loop.scenario.model import AnyScenario
+from world.errors import LuxloopError, did_you_mean
+
+Result = TypeVar("Result")
+Made = TypeVar("Made", covariant=True)
+
+ROUNDING_S = 1e-9  # of sums of periods, at a window's ends
+NOTHING = "nothing was there to check"
+
+
+class Compared(Protocol[Made]):
+    """A simulation that other light can run beside."""
+
+    @property
+    def scenario(self) -> AnyScenario: ...
+
+    def lit_by(self, light: Light) -> Self:
+        """The same world with the same noise, under another light."""
+
+    def run(self) -> Iterator[Made]: ...
+
+
+class Checks(Generic[Result]):
+    """The checks of a run, and the lights that run beside it: `step` after each of its steps, and `outcomes` at its end.
+
+    row: a step as plain values by the names of columns. beside: whether other lights run; else the checks that need them are left out.
+    """
+
+    def __init__(self, simulation: Compared[Result], row: Callable[[Result], dict[str, Any]], beside: bool) -> None:
+        """Raises LuxloopError where a lamp lacks the beam that a check compares with."""
+        self._given = {name: check for name, check in simulation.scenario.checks.items() if beside or check.compare is None}
+        self._row = row
+        self._runs = {light: simulation.lit_by(light).run() for light in lights(self._given)}
+        self._rows: dict[Light, list[dict[str, Any]]] = {light: [] for light in self._runs}
+
+    def step(self) -> None:
+        """One step of each light beside; what is rendered for the run serves them as well."""
+        for light, run in self._runs.items():
+            values = self._row(next(run))
+            self._rows[light].append({name: values.get(name) for name in ("time_s", *(check.metric for check in self._given.values()))})
+
+    def outcomes(self, table: pa.Table) -> dict[str, dict[str, Any]]:
+        """What has come of each check, by name, ready for JSON; table: the steps of the run so far."""
+        return {name: outcome(check, table, self._rows) for name, check in self._given.items()}
+
+
+def outcome(check: CheckParams, table: pa.Table, beside: Mapping[Light, Sequence[Mapping[str, Any]]]) -> dict[str, Any]:
+    """What has come of a check. beside: a row a step of the light that it compares with, by that light."""
+    value, other = _taken(check, column(table, "time_s"), column(table, check.metric)), None
+    if check.compare is not None:
+        rows = beside[check.compare]
+        other = _taken(check, *(np.array([row[name] for row in rows], dtype=np.float64) for name in ("time_s", check.metric)))
+    held = value if check.compare is None else ratio(value, other)
+    return {
+        **check.model_dump(include={"metric", "take", "compare", "at_least", "at_most"}),
+        "unit": table.schema.field(check.metric).metadata[b"unit"].decode(),
+        "value": value,
+        "compared_value": other,
+        "ratio": None if check.compare is None or held is None or math.isinf(held) else held,
+        "passed": held is not None and _within(check, held),
+    }
+
+
+def ratio(value: float | None, other: float | None) -> float | None:
+    """The one as a multiple of the other: 1 where both are 0, infinite where that alone is, None where there is no value."""
+    if value is None or other is None:
+        return None
+    return value / other if other else math.copysign(math.inf, value) if value else 1.0
+
+
+def lights(checks: Mapping[str, CheckParams]) -> tuple[Light, ...]:
+    """Those that checks compare with, each once."""
+    return tuple(dict.fromkeys(check.compare for check in checks.values() if check.compare is not None))
+
+
+def refuse_unknown(checks: Mapping[str, CheckParams], schema: pa.Schema, compared: Collection[str]) -> None:
+    """Raises LuxloopError where a check names no column of numbers of the recording, or compares one that other light lacks.
+
+    compared: columns that the recordings of other lights have as well.
+    """
+    known = [field.name for field in schema if field.type != pa.string()]
+    for name, check in checks.items():
+        where = f"checks.{name}.metric: {check.metric!r}"
+        if check.metric not in known:
+            raise LuxloopError(f"{where} is no column of numbers of the recording; {did_you_mean(check.metric, known)}")
+        if check.compare is not None and check.metric not in compared:
+            raise LuxloopError(
+                f"{where} is there with lighting functions alone, so {check.compare} has nothing to compare it with; take a column "
+                "of lamps or objects, or leave compare out"
+            )
+
+
+def passed(summary: Mapping[str, Any]) -> bool:
+    """Whether all checks of a run have, by its summary."""
+    return all(outcome["passed"] for outcome in summary["checks"].values())
+
+
+def lines(summary: Mapping[str, Any]) -> dict[str, str]:
+    """A line for each check of a run, for tables."""
+    return {f"check {name}": _line(outcome) for name, outcome in summary["checks"].items()}
+
+
+def _line(outcome: Mapping[str, Any]) -> str:
+    unit = "" if outcome["unit"] in ("", "1") else f" {outcome['unit']}"
+    parts = [f"{outcome['take']} {outcome['metric']}"]
+    if outcome["value"] is None:
+        parts.append(NOTHING)
+    else:
+        parts[0] += f" {outcome['value']:.4g}{unit}"
+        if outcome["compare"] is not None:
+            parts.append(_compared(outcome, unit))
+    of_bound = unit if outcome["compare"] is None else ""
+    parts += [f"{bound.replace('_', ' ')} {outcome[bound]:g}{of_bound}" for bound in ("at_least", "at_most") if outcome[bound] is not None]
+    return f"{', '.join(parts)}: {'passed' if outcome['passed'] else 'failed'}"
+
+
+def _compared(outcome: Mapping[str, Any], unit: str) -> str:
+    light, other = outcome["compare"].replace("_", " "), outcome["compared_value"]
+    if other is None:
+        return f"{NOTHING} with {light}"
+    share = "an infinite multiple" if outcome["ratio"] is None else f"{outcome['ratio']:.4g}"
+    return f"{share} of {other:.4g}{unit} with {light}"
+
+
+def _taken(check: CheckParams, times_s: np.ndarray, values: np.ndarray) -> float | None:
+    """The value of a column `[steps]` that a check asks for; None where no step in its window has one."""
+    until_s = math.inf if check.until_s is None else check.until_s
+    there = values[np.isfinite(values) & (times_s >= check.from_s - ROUNDING_S) & (times_s <= until_s + ROUNDING_S)]
+    if not len(there):
+        return None
+    return float(there[-1] if check.take == "last" else getattr(there, check.take)())
+
+
+def _within(check: CheckParams, value: float) -> bool:
+    return (check.at_least is None or value >= check.at_least) and (check.at_most is None or value <= check.at_most)

@@ -1,0 +1,47 @@
+"""Checks of a scenario: bounds on what its recording shows, so that a run says by itself whether it is as it should be."""
+
+from collections.abc import Mapping, Sequence
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from world.params import Params
+
+Light = Literal["open_loop", "full_light", "low_beam"]
+
+
+class CheckParams(Params):
+    """A column of the recording over a window of time, and the bounds that hold it."""
+
+    metric: str = Field(min_length=1, description="column of the recording, such as `iou` or `lamp.left.flux_lm`")
+    from_s: float = Field(0.0, ge=0, le=1e6, description="start of the window")
+    until_s: float | None = Field(None, ge=0, le=1e6, description="end of the window, which belongs to it; left out: the end of the run")
+    take: Literal["mean", "min", "max", "last"] = Field("mean", description="what is taken of the values in the window")
+    at_least: float | None = Field(None, ge=-1e12, le=1e12, description="lower bound")
+    at_most: float | None = Field(None, ge=-1e12, le=1e12, description="upper bound; one of the two bounds is required")
+    compare: Light | None = Field(
+        None, description="light that runs beside it in the same world with the same noise; the bounds then hold the ratio to its value"
+    )
+
+    @model_validator(mode="after")
+    def _bounded(self) -> Self:
+        if self.at_least is None and self.at_most is None:
+            raise ValueError("has no bound; give at_least, at_most or both")
+        if self.at_least is not None and self.at_most is not None and self.at_least > self.at_most:
+            raise ValueError(f"at_least = {self.at_least:g} is more than at_most = {self.at_most:g}; exchange them")
+        if self.until_s is not None and self.until_s < self.from_s:
+            raise ValueError(f"until_s = {self.until_s:g} is before from_s = {self.from_s:g}; exchange them")
+        if self.compare is not None and self.metric.endswith("_ms"):
+            raise ValueError(f"compare: the runs share what is rendered, so {self.metric} says nothing of the other; leave compare out")
+        return self
+
+
+def refuse_lights(checks: Mapping[str, CheckParams], possible: Sequence[Light]) -> None:
+    """Raises ValueError where a check compares with a light that its kind of scenario does not have."""
+    for name, check in checks.items():
+        if check.compare is not None and check.compare not in possible:
+            lacking = "controller of a symbol" if check.compare == "open_loop" else "lighting function"
+            raise ValueError(
+                f"checks.{name}.compare: {check.compare} takes every {lacking} away, but there is none here; "
+                f"give {' or '.join(possible)}, or leave compare out"
+            )

@@ -1,0 +1,27 @@
+"""Plants by name; a scenario names one."""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, Tag
+
+from world.params import Params
+from world.plugin import OWN, OwnName, known_or_own
+
+
+class SimulatedPlantParams(Params):
+    """The simulated world of the scenario."""
+
+    kind: Literal["simulated"] = "simulated"
+
+
+class OwnPlantParams(Params):
+    """`Name(scenario, projector, **options)` of a module of the user's own makes the plant."""
+
+    kind: OwnName
+    options: dict[str, Any] = Field({}, description="keyword arguments of Name, beside scenario and projector")
+
+
+PlantParams = Annotated[
+    Annotated[SimulatedPlantParams, Tag("simulated")] | Annotated[OwnPlantParams, Tag(OWN)],
+    known_or_own("kind", "simulated"),
+]

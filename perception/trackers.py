@@ -1,0 +1,79 @@
+"""The tracker that a scenario names."""
+
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from pydantic import Field, Tag
+from torch import Tensor
+
+from perception.detection.protocol import Detections
+from perception.tracking import Tracker, TrackerParams
+from perception.tracks import ObjectTracker, TrackedBoxes
+from world import plugin
+from world.errors import LuxloopError
+from world.params import Params
+from world.plugin import OWN, known_or_own
+from world.traffic.tracked import Category
+from world.view import View
+
+KEY = "tracker.kind"
+METHODS = ("start", "follow", "report")
+
+
+class OwnTracker(Params):
+    """`Name(classes, view, **options)` of a module of the user's own makes the tracker."""
+
+    kind: plugin.OwnName
+    options: dict[str, Any] = Field({}, description="keyword arguments of Name, beside the detector's classes and the camera's view")
+    start_score: float = Field(0.5, gt=0, le=1, description="score from which on a detection that is no object counts as false in reports")
+
+
+AnyTracker = Annotated[
+    Annotated[TrackerParams, Tag("kalman")] | Annotated[OwnTracker, Tag(OWN)],
+    known_or_own("kind", "kalman"),
+]
+
+
+def tracker(params: TrackerParams | OwnTracker, classes: tuple[Category, ...], view: View) -> ObjectTracker:
+    """Raises LuxloopError where one of the user's own cannot be made."""
+    if isinstance(params, TrackerParams):
+        return Tracker(classes, view, params)
+    return CheckedTracker(plugin.make(params.kind, KEY, {"classes": classes, "view": view}, params.options, METHODS), classes)
+
+
+@dataclass(frozen=True)
+class CheckedTracker:
+    """The user's own tracker, whose reports are checked. classes: the detector's."""
+
+    own: plugin.Guarded
+    classes: tuple[Category, ...]
+
+    def start(self) -> Any:
+        """The tracker's state."""
+        return self.own.start()
+
+    def follow(self, state: Any, found: Detections, frame: Tensor, time_s: float) -> Any:
+        """The tracker's state after a frame."""
+        return self.own.follow(state, found, frame, time_s)
+
+    def report(self, state: Any, time_s: float) -> TrackedBoxes:
+        """On the CPU, in double precision. Raises LuxloopError where it is no report."""
+        told = self.own.report(state, time_s)
+        where, all_classes = f"{KEY}: {self.own.name}: report", len(self.classes)
+        if not isinstance(told, TrackedBoxes):
+            raise LuxloopError(f"{where} gives a {type(told).__name__}; it must give luxloop.TrackedBoxes")
+        n = len(told)
+        shapes = dict.fromkeys(("number", "category", "since_s", "until_s"), (n,)) | {"boxes": (n, 4)}
+        for name, shape in {**shapes, "confidence": (n, all_classes), "score": (n, all_classes)}.items():
+            if tuple(getattr(told, name).shape) != shape:
+                raise LuxloopError(
+                    f"{where} gives {name} {list(getattr(told, name).shape)} for {n} tracks and {all_classes} classes; give {list(shape)}"
+                )
+        if not all(bool(each.isfinite().all()) for each in (told.boxes, told.confidence)):
+            raise LuxloopError(f"{where} gives boxes or confidence that are not finite; only score may be NaN, where nothing was found")
+        if len(set(told.number.tolist())) < n:
+            raise LuxloopError(f"{where} gives the same number to several tracks, {told.number.tolist()}; number each new one higher")
+        if n and not 0 <= int(told.category.min()) <= int(told.category.max()) < all_classes:
+            raise LuxloopError(f"{where} gives category {told.category.tolist()}; give indices of its {all_classes} classes, from 0 on")
+        values = (each.detach().cpu() for each in vars(told).values())
+        return TrackedBoxes(*(each.double() if each.is_floating_point() else each for each in values))

@@ -1,0 +1,214 @@
+"""Checks: what they take of a recording, what bounds hold, what they compare with, and which are refused."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from loop.recording.checks import Checks, lines, outcome, ratio, refuse_unknown
+from loop.recording.recorder import SCHEMA, row, table_of
+from loop.run import check, run
+from loop.scenario.checks import CheckParams
+from loop.scenario.model import Scenario, load_any, validate, validate_any
+from loop.scenario.shipped import shipped
+from loop.symbol.simulation import Simulation
+from tests.loop.conftest import SMALL, Lux, assert_one_sentence
+from world.errors import LuxloopError
+
+LIT: dict[str, Any] = {
+    "name": "lit",
+    "steps": 3,
+    "headlight": {"model": "ssl-hd-lores"},
+    "camera": {"width_px": 320, "height_px": 180, "pitch_deg": 1.5},
+    "lighting": {"base": {"beam": "high"}},
+    "functions": {"guard": {"kind": "glare_free"}},
+    "objects": [
+        {"kind": "box", "name": "car", "category": "car", "size_m": [4.4, 1.8, 1.5], "track": [{"position_m": [30, 0, 0]}]},
+        {"kind": "box", "name": "walker", "category": "pedestrian", "size_m": [0.4, 0.5, 1.75], "track": [{"position_m": [15, 1.5, 0]}]},
+    ],
+    "renderer": "raycast",
+}
+FLUX = {"metric": "lamp.left.flux_lm", "at_most": 0.7, "compare": "full_light"}
+
+
+def with_checks(kind: dict[str, Any], **checks: dict[str, Any]) -> dict[str, Any]:
+    return {**kind, "checks": checks}
+
+
+def of(values: list[float | None], **check: Any) -> dict[str, Any]:
+    """The outcome of a check of the IoU, of a run at 10 Hz with these values of it."""
+    columns = {"time_s": [k / 10 for k in range(len(values))], "iou": values}
+    table = pa.table(columns, pa.schema([SCHEMA.field(name) for name in columns]))
+    return outcome(CheckParams(metric="iou", **check), table, {})
+
+
+@pytest.mark.parametrize(
+    ("check", "value"),
+    [
+        ({}, 0.5),
+        ({"take": "min"}, 0.2),
+        ({"take": "max"}, 0.9),
+        ({"take": "last"}, 0.4),
+        ({"from_s": 0.3}, 0.4),
+        ({"until_s": 0.2}, 0.55),
+        ({"from_s": 0.2, "until_s": 0.2}, 0.9),  # a window of one step; its ends belong to it
+        ({"until_s": 0.2, "take": "last"}, 0.9),
+        ({"from_s": 0.1, "until_s": 0.1}, None),  # a step without a value
+        ({"from_s": 7.0}, None),
+    ],
+    ids=str,
+)
+def test_a_value_is_taken_of_the_steps_in_the_window_that_have_one(check: dict[str, Any], value: float | None) -> None:
+    got = of([0.2, None, 0.9, None, 0.4], at_least=0.3, **check)
+    assert got["value"] == (value if value is None else pytest.approx(value))
+    assert got["passed"] is (value is not None and value >= 0.3)
+    if value is None:
+        assert lines({"checks": {"it": got}})["check it"].endswith("iou, nothing was there to check, at least 0.3: failed")
+
+
+@pytest.mark.parametrize(
+    ("bounds", "holds"), [({"at_least": 0.5}, True), ({"at_most": 0.4}, False), ({"at_least": 0.1, "at_most": 0.5}, True)]
+)
+def test_bounds_hold_the_value_themselves_included(bounds: dict[str, float], holds: bool) -> None:
+    got = of([0.5], **bounds)
+    assert got["passed"] is holds
+    said = lines({"checks": {"it": got}})["check it"]
+    assert said.startswith("mean iou 0.5, ") and said.endswith("passed" if holds else "failed")
+
+
+def test_a_ratio_has_an_answer_where_there_is_nothing_to_divide_by() -> None:
+    assert ratio(1.0, 4.0) == 0.25
+    assert ratio(0.0, 0.0) == 1.0  # alike
+    assert (ratio(2.0, 0.0), ratio(-2.0, 0.0)) == (np.inf, -np.inf)
+    assert ratio(None, 1.0) is ratio(1.0, None) is None
+
+
+# what is wrong: the check, what the sentence must name
+REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], list[str]]] = {
+    "no bound": (SMALL, {"metric": "iou"}, ["checks.it", "at_least, at_most"]),
+    "bounds exchanged": (SMALL, {"metric": "iou", "at_least": 2.0, "at_most": 1.0}, ["checks.it", "exchange"]),
+    "window exchanged": (SMALL, {"metric": "iou", "at_least": 0.0, "from_s": 2.0, "until_s": 1.0}, ["checks.it", "exchange"]),
+    "unknown key": (SMALL, {"metric": "iou", "atleast": 0.0}, ["checks.it.atleast", "'at_least'"]),
+    "unknown column": (SMALL, {"metric": "iuo", "at_least": 0.0}, ["checks.it.metric", "'iou'"]),
+    "texts": (SMALL, {"metric": "loss", "at_least": 0.0}, ["checks.it.metric", "'loss'", "numbers"]),
+    "a symbol in full light": (SMALL, {"metric": "iou", "at_least": 0.0, "compare": "full_light"}, ["checks.it.compare", "open_loop"]),
+    "no symbol": (LIT, FLUX | {"compare": "open_loop"}, ["checks.it.compare", "full_light or low_beam"]),
+    "timings": (SMALL, {"metric": "step_ms", "at_most": 1.0, "compare": "open_loop"}, ["checks.it", "step_ms", "leave compare out"]),
+    "unknown object": (LIT, {"metric": "objects.walkr.lx_max", "at_most": 1.0}, ["checks.it.metric", "'objects.walker.lx_max'"]),
+    "no masks beside": (LIT, FLUX | {"metric": "dark_lx_max"}, ["checks.it.metric", "full_light", "leave compare out"]),
+}
+
+
+@pytest.mark.parametrize(("kind", "given", "named"), REFUSED.values(), ids=REFUSED)
+def test_a_check_that_makes_no_sense_is_refused_before_the_run(kind: dict[str, Any], given: dict[str, Any], named: list[str]) -> None:
+    with pytest.raises(LuxloopError) as error:
+        check(validate_any(with_checks(kind, it=given), "here"), "cpu")
+    assert str(error.value).startswith("here: ") and all(each in str(error.value) for each in named), error.value
+
+
+LAMP = """
+name = "bare"
+[[module]]
+name = "matrix"
+[module.source]
+kind = "blurred_rectangles"
+rows = 4
+columns = 8
+left_deg = 8.0
+right_deg = -8.0
+bottom_deg = -4.0
+top_deg = 2.0
+blur_deg = 0.2
+peak_cd = 20_000.0
+"""
+
+
+def test_a_light_that_the_lamp_has_no_beam_for_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "bare.toml").write_text(LAMP)
+    bare = LIT | {"headlight": {"model": str(tmp_path / "bare.toml")}, "lighting": {"base": {"beam": "full"}}, "functions": {}}
+    with pytest.raises(LuxloopError, match=r"^lit: checks: compare = 'low_beam': lamp 'bare' has no beam 'low'; it has full, off$"):
+        check(validate_any(with_checks(bare, it=FLUX | {"compare": "low_beam"}), "lit"), "cpu")
+
+
+def test_names_of_checks_are_plain() -> None:
+    with pytest.raises(LuxloopError, match=r"checks\.IoU.*write iou"):
+        validate(with_checks(SMALL, IoU={"metric": "iou", "at_least": 0.0}), "here")
+
+
+def test_open_loop_beside_is_the_run_that_it_would_be_alone(small_scenario: Scenario) -> None:
+    scenario = validate(
+        with_checks(SMALL, gain={"metric": "iou", "take": "last", "at_least": 1.0, "compare": "open_loop"}) | {"steps": 3}, "x"
+    )
+    simulation = Simulation.prepare(scenario)
+    checks = Checks(simulation, row, beside=True)
+    rows = []
+    for result in simulation.run():
+        rows.append(row(result))
+        checks.step()
+    table = table_of(rows)
+    alone = Simulation.prepare(validate(SMALL | {"steps": 3, "controller": {"name": "open"}}, "open"))
+    *_, last = (row(result) for result in alone.run())
+    got = checks.outcomes(table)["gain"]
+    assert got["compared_value"] == last["iou"]  # the same bits: world and noise are the same
+    assert got["value"] == table["iou"][-1].as_py() and got["ratio"] == got["value"] / last["iou"]
+
+
+def test_a_run_is_compared_with_full_light_in_the_same_world(tmp_path: Path) -> None:
+    checked = {"flux": FLUX, "car": {"metric": "objects.car.lx_max", "take": "max", "at_most": 0.5, "compare": "full_light"}}
+    dark = {"dark": {"metric": "dark_lx_max", "take": "max", "at_most": 0.3}}
+    scenario = validate_any(with_checks(LIT, **checked, **dark), "lit")
+    summary = run(scenario, tmp_path, device="cpu", video=False, report=False, checks=True).summary
+    full = validate_any(LIT | {"lighting": {"base": {"beam": "full"}}, "functions": {}}, "full")
+    alone = run(full, device="cpu", video=False, report=False)
+    flux, car = summary["checks"]["flux"], summary["checks"]["car"]
+    assert flux["compared_value"] == alone.summary["lamps"]["left"]["flux_lm_mean"]
+    assert flux["value"] == summary["lamps"]["left"]["flux_lm_mean"] and flux["ratio"] < 1
+    assert car["compared_value"] == alone.summary["objects"]["car"]["lx_max"] and car["passed"]
+    assert json.loads((tmp_path / "summary.json").read_text())["checks"] == summary["checks"]
+    assert list(run(scenario, tmp_path, device="cpu", video=False, report=False).summary["checks"]) == ["dark"]
+
+
+CHECKS = """
+[checks.lies]
+metric = "iou"
+at_least = 0.0
+[checks.gains]
+metric = "iou"
+take = "last"
+at_least = 2.0
+compare = "open_loop"
+"""
+
+
+def test_the_command_says_what_passed_and_fails_where_a_check_does(lux: Lux) -> None:
+    with Path("small.toml").open("a") as file:
+        file.write(CHECKS)
+    quick = ("run", "small.toml", "--no-video", "--no-report")
+    code, said, _ = lux(*quick, "--set", "checks.lies.at_least=2.0")
+    assert code == 0 and "check lies" in said and "at least 2: failed" in said and "check gains" not in said
+    code, said, _ = lux(*quick, "--checks")
+    assert code == 1 and "at least 0: passed" in said and "with open loop, at least 2: failed" in said
+    assert lux(*quick, "--checks", "--set", "checks.gains={}")[0] == 0
+    code, said, _ = lux(*quick, "--checks", "--set", "checks={}")
+    assert code == 0 and "small has no [checks.NAME]" in said
+    code, _, error = lux(*quick, "--checks", "--set", "checks.lies.metric=iuo")
+    assert code == 2 and "did you mean 'iou'" in error
+    assert_one_sentence(error)
+
+
+def test_columns_of_texts_are_not_named_as_known() -> None:
+    scenario = validate(with_checks(SMALL, it={"metric": "lo", "at_least": 0.0}), "test")
+    with pytest.raises(LuxloopError, match="known are step") as error:
+        refuse_unknown(scenario.checks, SCHEMA, SCHEMA.names)
+    assert "loss" not in str(error.value)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in shipped() if load_any(name).checks])
+def test_shipped_scenarios_pass_their_checks(name: str) -> None:
+    summary = run(name, device="cpu", video=False, report=False, checks=True).summary
+    failed = {key: line for key, line in lines(summary).items() if not line.endswith("passed")}
+    assert not failed

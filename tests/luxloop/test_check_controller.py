@@ -1,0 +1,212 @@
+"""The contract of symbol controllers: what keeps it passes, and each way of breaking it has a sentence with cause and remedy."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+import luxloop
+from luxloop import Drawing, Look, Loss, LuxloopError, Observer, check_controller
+
+
+@dataclass(frozen=True)
+class State:
+    pose: Tensor
+    steps: int = 0
+
+
+class Halfway:
+    def __init__(self, observer: Observer, share: float = 0.5) -> None:
+        self.share, self.memory = share, [0]
+
+    def start(self, pose: Tensor) -> Any:
+        return State(pose)
+
+    def drawing(self, state: Any) -> Any:
+        return Drawing(state.pose)
+
+    def step(self, state: Any, look: Look) -> Any:
+        usable = look.seen.code == Loss.SEEN
+        return State(torch.where(usable, state.pose - self.share * look.seen.pose_error, state.pose), state.steps + 1)
+
+
+class InDegrees(Halfway):
+    def start(self, pose: Tensor) -> State:
+        return State(torch.cat([pose[:2], pose[2:].rad2deg()]))
+
+
+class ByErrors(Halfway):
+    def step(self, state: State, look: Look) -> State:
+        return State(state.pose + 10 * look.seen.errors.nan_to_num())
+
+
+class FarAway(Halfway):
+    def drawing(self, state: State) -> Drawing:
+        return Drawing(state.pose + torch.tensor([100.0, 100.0, 0.0, 0.0]).to(state.pose) * state.steps)
+
+
+class Adding(Halfway):
+    def step(self, state: State, look: Look) -> State:
+        return State(state.pose + self.share * look.seen.pose_error.nan_to_num())
+
+
+class NotANumber(Halfway):
+    def step(self, state: State, look: Look) -> State:
+        return State(state.pose - self.share * look.seen.pose_error)
+
+
+class NeedsFrames(Halfway):
+    def step(self, state: State, look: Look) -> State:
+        on, _ = look.frames
+        return replace(super().step(state, look), steps=int(on.max()))
+
+
+class NeedsSymbol(Halfway):
+    def step(self, state: State, look: Look) -> State:
+        rows = look.seen.symbol.sum(1).argmax() if look.frames is not None else 0
+        return replace(super().step(state, look), steps=int(rows) + [0][int(look.seen.code == Loss.NOTHING)])
+
+
+class InPlace(Halfway):
+    def step(self, state: State, look: Look) -> State:
+        state.pose.sub_(self.share * look.seen.pose_error.nan_to_num())
+        return state
+
+
+class SpoilsTheLook(Halfway):
+    def step(self, state: State, look: Look) -> State:
+        look.seen.pose_error.nan_to_num_()
+        return state
+
+
+class Counting(Halfway):
+    def step(self, state: State, look: Look) -> State:
+        self.memory[0] += 1
+        return replace(super().step(state, look), steps=self.memory[0])
+
+
+class Buffered(Halfway):
+    buffer = torch.zeros(4)
+
+    def step(self, state: State, look: Look) -> State:
+        pose = super().step(state, look).pose
+        self.memory[0] += 1
+        return State(self.buffer.copy_(pose + self.memory[0]))
+
+
+class Dithering(Halfway):
+    def drawing(self, state: State) -> Drawing:
+        return Drawing(state.pose + 0.01 * torch.randn(4).to(state.pose))
+
+
+class StateIsSelf(Halfway):
+    def start(self, pose: Tensor) -> Any:
+        return {"pose": pose, "law": self}
+
+
+class Double(Halfway):
+    def start(self, pose: Tensor) -> State:
+        return State(pose.double())
+
+
+class Batched(Halfway):
+    def start(self, pose: Tensor) -> State:
+        return State(pose[None])
+
+
+class DrawsAPose(Halfway):
+    def drawing(self, state: State) -> Tensor:
+        return state.pose
+
+
+class Raised(Halfway):
+    def drawing(self, state: State) -> Drawing:
+        return Drawing(state.pose, z=torch.zeros(3).to(state.pose))
+
+
+class Warped(Halfway):
+    def drawing(self, state: State) -> Drawing:
+        from controllers.symbol.sensing.drawing import Warp
+
+        return Drawing(state.pose, warp=Warp(torch.zeros(1, 2, 4, 4).to(state.pose), 2 * torch.ones(1, 4, 4).to(state.pose), (4.0, 2.0)))
+
+
+class TakesLess(Halfway):
+    def step(self, state: State) -> State:  # type: ignore[override]
+        return state
+
+
+class Silent:
+    def __init__(self, observer: Observer) -> None: ...
+
+    def start(self, pose: Tensor) -> Tensor:
+        return pose
+
+    def drawing(self, state: Tensor) -> Drawing:
+        return Drawing(state)
+
+
+BROKEN: dict[Any, list[str]] = {
+    Silent: ["has no method step"],
+    TakesLess: ["step takes (state: ", "is called as step(state, look)"],
+    InDegrees: ["roll 2 and pitch -1 rad", "torch.deg2rad"],
+    ByErrors: ["more than 45 deg", "subtract a share of look.seen.pose_error", "look.seen.errors are in units of the image"],
+    FarAway: ["x 117 and y 100 m, where no lamp can draw", "subtract a share"],
+    Adding: ["moves the symbol away", "subtract a share of look.seen.pose_error"],
+    NotANumber: ["in a step without frames", "pose is not finite, [nan, nan, nan, nan]", "look.seen.code != Loss.SEEN"],
+    NeedsFrames: ["in a step without frames (look.frames is None)", "step fails at", "test_check_controller.py, line", "mend it"],
+    NeedsSymbol: ["in a step whose frames do not show the symbol", "step fails at", "IndexError"],
+    InPlace: ["step changes state.pose, which it was given", "dataclasses.replace"],
+    SpoilsTheLook: ["in a step without frames", "step changes look.seen.", "which it was given"],
+    Counting: ["step gives another state.steps", "same state and look", "not in self"],
+    Buffered: ["step changes state.pose, which it gave before", "clone()"],
+    Dithering: ["drawing gives another drawing.pose", "same state", "seed random numbers"],
+    StateIsSelf: ["start gives a state that cannot be saved", "state.law is of the type StateIsSelf", "frozen dataclass"],
+    Double: ["pose is float64 [4]", "it must be a tensor float32 [4]", "new_tensor"],
+    Batched: ["pose is float32 [1, 4]", "check its dimensions"],
+    DrawsAPose: ["drawing: gives a Tensor", "luxloop.Drawing(pose)"],
+    Raised: ["z is float32 [3]", "float32 []"],
+    Warped: ["warp.dimming reaches from 2 to 2", "clamp(0, 1)"],
+}
+
+
+@pytest.mark.parametrize("broken", BROKEN, ids=lambda each: each.__name__)
+def test_each_way_to_break_the_contract_is_told_in_a_sentence(broken: Any, device: torch.device) -> None:
+    with pytest.raises(LuxloopError) as caught:
+        check_controller(broken, device=device.type)
+    (sentence,) = caught.value.args
+    assert f"controller.name: {__name__}:{broken.__name__}: " in sentence
+    assert all(words in sentence for words in BROKEN[broken]), sentence
+
+
+@pytest.mark.parametrize("name", ["thesis_pid", "gauss_newton", "open"])
+def test_controllers_that_are_shipped_keep_the_contract(name: str, device: torch.device) -> None:
+    params = luxloop.load("flat", [f"controller.name={name}"]).controller
+
+    class Shipped:
+        def __init__(self, observer: Observer) -> None:
+            self.law = luxloop.build_controller(params, observer)
+
+        def start(self, pose: Tensor) -> Any:
+            return self.law.start(pose)
+
+        def drawing(self, state: Any) -> Drawing:
+            return self.law.drawing(state)
+
+        def step(self, state: Any, look: Look) -> Any:
+            return self.law.step(state, look)
+
+    check_controller(Shipped, device=device.type)
+
+
+def test_options_are_those_of_the_scenario(device: torch.device) -> None:
+    check_controller(Halfway, {"share": 0.3}, device.type)
+    with pytest.raises(LuxloopError, match=r"controller\.options\.shore: .*did you mean 'share'\?"):
+        check_controller(Halfway, {"shore": 0.3}, device.type)
+
+
+def test_an_instance_is_refused() -> None:
+    with pytest.raises(LuxloopError, match="is no class; give the class itself"):
+        check_controller(Halfway(None))  # type: ignore[arg-type]
