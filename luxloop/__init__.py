@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from loop.contracts.controller import check_controller
     from loop.contracts.detector import check_detector
     from loop.contracts.function import check_function
+    from loop.contracts.plant import check_plant
     from loop.pictures.headlight import show as show_headlight
     from loop.plant.protocol import Arrivals, Exposure, Frame
     from loop.plant.simulated import simulated_plant
@@ -77,6 +78,7 @@ __all__ = [
     "check_controller",
     "check_detector",
     "check_function",
+    "check_plant",
     "concatenate",
     "idealised",
     "load",
@@ -104,6 +106,7 @@ _MODULES = {
     "loop.contracts.controller": ("check_controller",),
     "loop.contracts.detector": ("check_detector",),
     "loop.contracts.function": ("check_function",),
+    "loop.contracts.plant": ("check_plant",),
     "loop.pictures.headlight": ("show as show_headlight",),
     "loop.plant.protocol": ("Arrivals", "Exposure", "Frame"),
     "loop.plant.simulated": ("simulated_plant",),

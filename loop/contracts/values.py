@@ -43,17 +43,17 @@ def pure(own: Guarded, method: str, inputs: Mapping[str, Any], gives: str) -> An
     Raises LuxloopError where the method changes an input, or gives something else for the same inputs once more.
     """
     where, call = f"{own.key}: {own.name}: {method}", getattr(own, method)
-    before = _copied(inputs)
+    before = copied(inputs)
     result = call(*inputs.values())
-    if changed := _difference(before, dict(_parts(inputs, ""))):
+    if changed := difference(before, inputs):
         raise LuxloopError(
             f"{where} changes {changed}, which it was given; make a new value, with dataclasses.replace and without operations in place"
         )
-    first = _copied(result, gives)
+    first = copied(result, gives)
     again = call(*inputs.values())
-    if changed := _difference(first, dict(_parts(result, gives))):
+    if changed := difference(first, result, gives):
         raise LuxloopError(f"{where} changes {changed}, which it gave before, when it is called again; give a copy, with clone()")
-    if differs := _difference(first, dict(_parts(again, gives))):
+    if differs := difference(first, again, gives):
         given = " and ".join(inputs)
         remedy = "keep what it remembers in the state and not in self" if "state" in (*inputs, gives) else "keep nothing in self"
         raise LuxloopError(
@@ -118,16 +118,17 @@ def _parts(value: Any, place: str) -> Iterator[tuple[str, Any]]:
             yield from _parts(each, f"{place}{name}")
 
 
-def _copied(value: Any, place: str = "") -> Parts:
-    """The parts as they are now."""
+def copied(value: Any, place: str = "") -> Parts:
+    """The parts of a value as they are now; place: what it is called."""
     return {
         name: part.clone() if isinstance(part, Tensor) else part.copy() if isinstance(part, np.ndarray) else part
         for name, part in _parts(value, place)
     }
 
 
-def _difference(before: Parts, after: Parts) -> str | None:
-    """The first place at which two values differ."""
+def difference(before: Parts, value: Any, place: str = "") -> str | None:
+    """The first place at which a value differs from what was copied before; place: what it is called, as then."""
+    after = dict(_parts(value, place))
     return next(
         (place for place in (before | after) if place not in before or place not in after or not _same(before[place], after[place])), None
     )

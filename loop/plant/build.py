@@ -9,6 +9,9 @@ from loop.scenario.model import Scenario
 from loop.scenario.plant import SimulatedPlantParams
 from world import plugin
 
+KEY = "plant.kind"
+METHODS = ("start", "show")
+
 
 def build_plant(scenario: Scenario, projector: Projector) -> Plant:
     """Raises LuxloopError where a file is missing or broken, or a plant of one's own cannot be made."""
@@ -16,4 +19,4 @@ def build_plant(scenario: Scenario, projector: Projector) -> Plant:
     if isinstance(params, SimulatedPlantParams):
         return simulated_plant(scenario, projector)
     given = {"scenario": scenario, "projector": projector}
-    return cast(Plant, plugin.make(params.kind, "plant.kind", given, params.options, ("start", "show")))
+    return cast(Plant, plugin.make(params.kind, KEY, given, params.options, METHODS))

@@ -1,0 +1,179 @@
+"""The contract of a plant of the user's own."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+from torch import Tensor
+
+from loop.contracts.values import Parts, check_calls, check_state, check_tensor, copied, difference, name_of, pure
+from loop.plant.build import KEY, METHODS
+from loop.plant.protocol import Arrivals, Exposure, Frame
+from loop.plant.world import World
+from loop.run import prepare
+from loop.scenario.model import validate
+from loop.symbol.simulation import Simulation
+from perception.egomotion import Ego
+from world.errors import LuxloopError, located
+from world.plugin import Guarded, check_methods, made
+
+CALLS = {"start": (), "show": ("state", "exposure")}
+GIVES = "(state, arrivals)"
+EXPOSURES = 24  # more than those of the 10 steps by which the frames of a scenario's camera may be late
+ROUNDING_S = 1e-9  # of sums of periods
+SCENARIO: dict[str, Any] = {
+    "name": "check_plant",
+    "symbol": {"image": "snowflake"},
+    "camera": {"width_px": 320, "height_px": 180, "oversampling": 1},
+    "renderer": "raycast",
+    "controller": {"name": "open"},
+}
+
+
+def check_plant(plant: type, options: Mapping[str, Any] | None = None, device: str = "auto") -> None:
+    """Check a plant of your own against the contract of `[plant]`, in a few seconds.
+
+    plant: the class, of which a scenario makes `plant(scenario, projector, **options)`; see `check_controller` for why it is the class.
+    options: those of `[plant]`. device: "auto", "cpu" or "cuda".
+
+    It shows 24 exposures of 1/60 s, with and without a symbol in turn, to a camera of 320 x 180 px: each of them twice from the same state,
+    and once more from that state at the end. Raises LuxloopError with the likely cause and the remedy where a method is missing or fails,
+    changes what it was given, or gives something else for the same state and exposure; where a state is no data; where its time does not go
+    on; where a frame is of no exposure that was shown, comes twice or out of order, or has times that contradict each other; where an image
+    is no tensor `[height, width]` of whole digital numbers within `camera.bits`; and where no frame comes at all.
+    """
+    name = name_of(plant)
+    check_methods(plant, f"{KEY}: {name}", METHODS)
+    simulation = _world(device)
+    own = made(plant, name, KEY, {"scenario": simulation.scenario, "projector": simulation.projector}, options or {})
+    check_calls(own, CALLS)
+    _check_truth(own)
+    shown: list[Shown] = []
+    state, arrivals = _said(own, "start", {}, shown, simulation)
+    for number in range(EXPOSURES):
+        light = simulation.projector.light(simulation.projector.target) if number % 2 == 0 else simulation.projector.resting
+        exposure = Exposure(number, arrivals.time_s, 0.5 / simulation.scenario.rate_hz, light)
+        before = state
+        state, arrivals = _said(own, "show", {"state": before, "exposure": exposure}, shown, simulation)
+        shown.append(Shown(before, exposure, arrivals, copied((state, arrivals), GIVES)))
+    if not any(each.arrivals.frames for each in shown):
+        raise LuxloopError(
+            f"{KEY}: {name}: of {EXPOSURES} exposures no frame has come, nor word that it is lost; give frames in Arrivals.frames"
+        )
+    for each in shown:
+        if differs := difference(each.gave, own.show(each.state, each.exposure), GIVES):
+            raise LuxloopError(
+                f"{KEY}: {name}: show gives another {differs} when an earlier state is shown its exposure again after others; keep what it "
+                "remembers in the state and not in self, and make new tensors in place of writing into old ones"
+            )
+
+
+@cache
+def _world(device: str) -> Simulation:
+    return prepare(validate(SCENARIO, SCENARIO["name"]), device)
+
+
+@dataclass(frozen=True)
+class Shown:
+    """An exposure, the state before it, and what came: arrivals, and the parts of all that the plant gave."""
+
+    state: Any
+    exposure: Exposure
+    arrivals: Arrivals
+    gave: Parts
+
+
+def _check_truth(own: Guarded) -> None:
+    truth = getattr(own, "truth", None)
+    if truth is not None and not isinstance(truth, World):
+        raise LuxloopError(
+            f"{own.key}: {own.name}: truth is of the type {type(truth).__name__}; give the truth of a simulated_plant, or leave it out"
+        )
+
+
+def _said(own: Guarded, method: str, inputs: Mapping[str, Any], shown: Sequence[Shown], simulation: Simulation) -> tuple[Any, Arrivals]:
+    """State and arrivals of a call after what was shown. Raises LuxloopError where these cannot be."""
+    gave = pure(own, method, inputs, GIVES)
+    where = f"{own.key}: {own.name}: {method}"
+    if not isinstance(gave, tuple) or len(gave) != 2 or not isinstance(gave[1], Arrivals):
+        what = f"({', '.join(type(each).__name__ for each in gave)})" if isinstance(gave, tuple) else type(gave).__name__
+        raise LuxloopError(f"{where} gives {what}; return the state and luxloop.Arrivals, as (state, arrivals)")
+    state, arrivals = gave
+    check_state(own, method, state)
+    with located(where):
+        _check_time(arrivals, inputs.get("exposure"))
+        if not isinstance(arrivals.frames, tuple) or not all(isinstance(frame, Frame) for frame in arrivals.frames):
+            raise LuxloopError(
+                "gives frames that are no tuple of luxloop.Frame; give frames=(luxloop.Frame(...),), or () where none has come"
+            )
+        starts_s = [each.exposure.start_s for each in shown] + [each.start_s for each in inputs.values() if isinstance(each, Exposure)]
+        came = [frame for each in shown for frame in each.arrivals.frames]
+        for frame in arrivals.frames:
+            _check_number(frame, len(starts_s), came)
+            with located(f"frame {frame.number}"):
+                start_s, end_s = (*starts_s, arrivals.time_s)[frame.number : frame.number + 2]
+                _check_times(frame, start_s, end_s, arrivals.time_s, came)
+                _check_image(frame.image, simulation)
+            came.append(frame)
+        if arrivals.ego is not None and not isinstance(arrivals.ego, Ego):
+            raise LuxloopError(f"gives an ego of the type {type(arrivals.ego).__name__}; give what simulated_plant gives, or leave it out")
+    return state, arrivals
+
+
+def _check_time(arrivals: Arrivals, exposure: Exposure | None) -> None:
+    if not isinstance(arrivals.time_s, int | float) or not math.isfinite(arrivals.time_s):
+        raise LuxloopError(f"gives the time_s {arrivals.time_s!r}; give the plant's time in s, as a number")
+    if exposure is not None and arrivals.time_s <= exposure.start_s:
+        raise LuxloopError(
+            f"gives the time_s {arrivals.time_s:g} after an exposure that began at {exposure.start_s:g} s; give the time at its end, "
+            "such as exposure.start_s + exposure.duration_s"
+        )
+
+
+def _check_number(frame: Frame, exposures: int, came: Sequence[Frame]) -> None:
+    """exposures: how many were shown, numbered from 0."""
+    if not isinstance(frame.number, int) or not 0 <= frame.number < exposures:
+        raise LuxloopError(f"gives a frame of exposure {frame.number!r}, which was not shown; number it as its exposure, exposure.number")
+    if frame.number in [each.number for each in came]:
+        raise LuxloopError(f"gives the frame of exposure {frame.number} twice; give each once, and take it out of the state then")
+    if came and frame.number < came[-1].number:
+        raise LuxloopError(
+            f"gives the frame of exposure {frame.number} after that of exposure {came[-1].number}; give them in the order of their "
+            "exposures, a later one not before all earlier ones have come or are lost"
+        )
+
+
+def _check_times(frame: Frame, start_s: float, end_s: float, now_s: float, came: Sequence[Frame]) -> None:
+    """start_s, end_s: of its exposure. now_s: the plant's time."""
+    if frame.image is None and (math.isnan(frame.taken_s) or math.isnan(frame.arrived_s)):
+        return
+    if not start_s - ROUNDING_S <= frame.taken_s <= end_s + ROUNDING_S:
+        raise LuxloopError(
+            f"was taken at {frame.taken_s:g} s, but its exposure lasted from {start_s:g} to {end_s:g} s; give the plant's time in s"
+        )
+    last_s = max((each.arrived_s for each in came if not math.isnan(each.arrived_s)), default=-math.inf)
+    if not max(frame.taken_s, last_s) <= frame.arrived_s + ROUNDING_S:
+        than = f"it was taken at {frame.taken_s:g} s" if frame.taken_s > last_s else f"the frame that came before it at {last_s:g} s"
+        raise LuxloopError(f"arrived at {frame.arrived_s:g} s, before {than}; give the plant's time in s, which never runs backwards")
+    if frame.arrived_s > now_s + ROUNDING_S:
+        raise LuxloopError(f"arrived at {frame.arrived_s:g} s, after time_s = {now_s:g}; give times in s, and a frame when it has come")
+
+
+def _check_image(image: Tensor | None, simulation: Simulation) -> None:
+    if image is None:
+        return
+    camera = simulation.scenario.camera
+    if isinstance(image, Tensor) and not image.isfinite().all():
+        raise LuxloopError("has an image that is not finite; a frame that is lost has the image None")
+    check_tensor(image, simulation.projector.target, (camera.height_px, camera.width_px), "image")
+    low, high, most = float(image.min()), float(image.max()), 2**camera.bits - 1
+    if low < 0 or high > most:
+        raise LuxloopError(
+            f"has an image from {low:.4g} to {high:.4g}; digital numbers of camera.bits = {camera.bits} are 0 to {most}: scale it, and "
+            "clamp it"
+        )
+    if not image.equal(image.round()):
+        what = "it seems to hold shares: multiply it by" if high <= 1 else "it may hold a luminance: give digital numbers of 0 to"
+        raise LuxloopError(f"has an image whose values are no whole numbers; {what} {most}, and round it")
