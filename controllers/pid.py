@@ -113,7 +113,7 @@ def pid_reset(gains: PidGains, output: Tensor) -> PidState:
 
 
 def pid_step(state: PidState, error: Tensor, dt: float | Tensor, gains: PidGains) -> tuple[PidState, Tensor]:
-    """Advance the bank by `dt` with errors `[..., n]`; returns the new state and the limited output `[..., n]`.
+    """Advance the bank (T 9.4.1, 9.4.3) by `dt` with errors `[..., n]`; returns the new state and the limited output `[..., n]`.
 
     Backward Euler: `C(z) = kp + ki dt z / (z - 1) + kd (z - 1) / ((T + dt) z - T)` with T the derivative time; in incremental form times
     `dt z / (z - 1)`. Limits are never exceeded, not even from a reset outside of them; the rate limit gives way to them there.

@@ -51,13 +51,13 @@ def _halves(axis: Tensor, split: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def area(image: Tensor, axes: Axes) -> Tensor:
-    """Zeroth moment of a symbol image `[..., h, w]`, in units of the axes squared: `[...]`."""
+    """Zeroth moment of a symbol image `[..., h, w]`, in units of the axes squared: `[...]` (T eq. 9.4.1)."""
     pixel = (_step(axes.u) * _step(axes.v))[..., 0]
     return image.sum((-2, -1)) * pixel.abs().to(image)
 
 
 def appearance(image: Tensor, axes: Axes) -> Appearance:
-    """Raw moments (9.4.1), centre (9.4.2), quadrant centroids and second-moment shape of a symbol image `[..., h, w]`.
+    """Raw moments (T eq. 9.4.1), centre (T eq. 9.4.2), quadrant centroids and second-moment shape of a symbol image `[..., h, w]`.
 
     The image is split at its centre; pixels on the border are cut in two, each part with its own centre, so nothing jumps.
     An empty image gives NaN.
@@ -84,7 +84,7 @@ def appearance(image: Tensor, axes: Axes) -> Appearance:
 def features(seen: Appearance, shape: str) -> Tensor:
     """The four features whose differences are the errors: `[..., 4]` = centre u, centre v, roll, pitch.
 
-    shape "quadrants": (9.4.3) and (9.4.4) of one symbol, in units of the axes; "moments": shear and length.
+    shape "quadrants": T eq. 9.4.3 and 9.4.4 of one symbol, in units of the axes; "moments": shear and length.
     """
     centre, tl, tr, bl, br = seen.centroids.unbind(-2)
     if shape == "quadrants":
@@ -96,5 +96,5 @@ def features(seen: Appearance, shape: str) -> Tensor:
 
 
 def errors(current: Tensor, target: Tensor) -> Tensor:
-    """e_x, e_y, e_roll, e_pitch `[..., 4]`: features of the current symbol minus those of the target (minus, see the conventions)."""
+    """e_x, e_y, e_roll, e_pitch `[..., 4]`: features of the current symbol minus those of the target (T eq. 9.4.3, 9.4.4)."""
     return current - target

@@ -98,7 +98,7 @@ class Crop:
 
 
 def difference(on: Tensor, off: Tensor, camera: CameraParams) -> Tensor:
-    """Signed luminance difference in cd/m^2 of two frames of digital numbers `[..., h, w]`."""
+    """Signed luminance difference in cd/m^2 of two frames of digital numbers `[..., h, w]` (T 9.4.1)."""
     return luminance_of(on, camera) - luminance_of(off, camera)
 
 

@@ -11,8 +11,10 @@ MARE_OFFSET = 1e-12  # cd; a texel that should be dark counts with its light ove
 
 
 def mae(actual: Tensor, wanted: Tensor) -> Tensor:
-    """Mean absolute error of light textures `[..., H, W]` (8.3.1), `[...]`: over the number of texels with a positive setpoint and the
-    largest setpoint, so that neither the size of the texture nor the setpoint's unit matters.
+    """Mean absolute error of light textures `[..., H, W]` (T eq. 8.3.1), `[...]`.
+
+    It is divided by the number of texels with a positive setpoint and by the largest setpoint, so that neither the size of the texture
+    nor the setpoint's unit matters.
 
     Raises: LuxloopError where an image has no positive setpoint.
     """
@@ -20,12 +22,12 @@ def mae(actual: Tensor, wanted: Tensor) -> Tensor:
 
 
 def rmse(actual: Tensor, wanted: Tensor) -> Tensor:
-    """Root of the mean squared error of light textures `[..., H, W]` (8.3.2), `[...]`; divided like `mae`, and raises what it raises."""
+    """Root of the mean squared error of light textures `[..., H, W]` (T eq. 8.3.2), `[...]`; divided as `mae`, raises as `mae`."""
     return ((actual - wanted).square().sum((-2, -1)) / _lit(wanted)).sqrt() / wanted.amax((-2, -1))
 
 
 def mare(actual: Tensor, wanted: Tensor) -> Tensor:
-    """Mean absolute relative error of light textures `[..., H, W]` in cd (8.3.3), `[...]`; raises what `mae` raises.
+    """Mean absolute relative error of light textures `[..., H, W]` in cd (T eq. 8.3.3), `[...]`; raises what `mae` raises.
 
     What shines where it should be dark is divided by an offset of 1e-12 cd only, and so outweighs all else: 1e12 is nothing unusual.
     """
@@ -59,7 +61,7 @@ def ssim(a: Tensor, b: Tensor, radius: float, data_range: float) -> Tensor:
 
 
 def dssim(a: Tensor, b: Tensor, radius: float, data_range: float) -> Tensor:
-    """Structural dissimilarity `(1 - ssim) / 2`, `[...]` in [0, 1]."""
+    """Structural dissimilarity `(1 - ssim) / 2`, `[...]` in [0, 1] (T 8.3)."""
     return (1 - ssim(a, b, radius, data_range)) / 2
 
 

@@ -45,11 +45,11 @@ class TexelGrid:
         return self.rows * self.cols
 
     def texel_of(self, y: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
-        """Continuous texture coordinates (row, column), texel centres at integer + 0.5, of tangents y (left) and z (up)."""
+        """Continuous texture coordinates (row, column), texel centres at integer + 0.5, of tangents y (left) and z (up) (T eq. 2.3.2)."""
         return (self.top - z) / (self.top - self.bottom) * self.rows, (self.left - y) / (self.left - self.right) * self.cols
 
     def tangents(self, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
-        """Tangents of the texel centres: y `[cols]` (left positive) and z `[rows]` (up positive)."""
+        """Tangents of the texel centres: y `[cols]` (left positive) and z `[rows]` (up positive); rays are [1, y, z] (T eq. 7.3.1)."""
         c = (torch.arange(self.cols, dtype=dtype, device=device) + 0.5) / self.cols
         r = (torch.arange(self.rows, dtype=dtype, device=device) + 0.5) / self.rows
         return self.left + c * (self.right - self.left), self.top + r * (self.bottom - self.top)

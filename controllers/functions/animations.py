@@ -1,4 +1,4 @@
-"""Symbols that change with time by rule: blinking, a running light, a wipe (T 7.2.2, 7.10)."""
+"""Symbols that change with time by rule: blinking, a running light, a wipe (T 7.2.2, fig. 7.10)."""
 
 import math
 from dataclasses import dataclass

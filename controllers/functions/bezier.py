@@ -12,7 +12,7 @@ INTERVALS, NODES = 32, 8  # of the arc length's quadrature: some 1e-9 of the len
 
 
 def point(control: Tensor, t: Tensor) -> Tensor:
-    """Curve points `[..., N, D]` at parameters `[..., N]` in 0..1 (B.2.1); control: `[..., n + 1, D]`, in any unit."""
+    """Curve points `[..., N, D]` at parameters `[..., N]` in 0..1 (T eq. B.2.1); control: `[..., n + 1, D]`, in any unit."""
     n = control.shape[-2] - 1
     power = torch.arange(n + 1, device=control.device)
     binomial = torch.tensor([comb(n, i) for i in range(n + 1)]).to(control)
@@ -35,7 +35,7 @@ def length_at(control: Tensor, t: Tensor) -> Tensor:
 
 
 def closest(control: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
-    """Parameter and distance, both `[..., N]`, of the curve's point that is closest to each of `points` `[..., N, D]` (B.2.4).
+    """Parameter and distance, both `[..., N]`, of the curve's point that is closest to each of `points` `[..., N, D]` (T eq. B.2.3, B.2.4).
 
     Halley's steps start at the best of several samples and stay between its neighbours, since free ones may run to a maximum; the
     result is compared with that sample, and both ends are among the samples.

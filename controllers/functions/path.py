@@ -67,7 +67,7 @@ class Drawing:
 
     low: `[2]` m, the corner with the least x and y. shape: rows, columns. distance: `[h, w]` m, to the left of the curve positive.
     along: `[h, w]` m, arc length of the closest point. beyond: `[h, w]` m, how far before the start or after the end.
-    nearest: `[h, w]` m, distance to the curve, around its ends too, which (B.2.2) asks for; infinite for texels that are out of reach.
+    nearest: `[h, w]` m, distance to the curve, around its ends too, which T eq. B.2.2 asks for; infinite for texels out of reach.
     """
 
     def __init__(self, control: Tensor, reach_m: float, texel_m: float) -> None:

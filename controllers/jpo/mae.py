@@ -34,7 +34,7 @@ class LeastError:
 
 
 def least_error(matrix: Csr, goal: Wanted, iterations: int = 20_000, gap: float | None = 0.005) -> LeastError:
-    """The utilisation with the least weighted sum of absolute deviations; never worse than its start.
+    """The utilisation with the least weighted sum of absolute deviations (T eq. 8.3.1); never worse than its start.
 
     matrix: `[n_t, n_p]` cd, not negative. gap: stop where the error is proved to be at most this
     share above the least; None makes all iterations and looks at the end only.

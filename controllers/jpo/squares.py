@@ -14,10 +14,11 @@ FEW_PIXELS = 2_000  # whose pseudo-inverse is still made in seconds
 
 
 def least_squares(matrix: Csr, goal: Wanted, iterations: int = 300, tolerance: float = 1e-4) -> Tensor:
-    """u `[..., n_p]` with the least `sum weight * (A u - target)^2`, from its start (T 3.5.2).
+    """u `[..., n_p]` with the least `sum weight * (A u - target)^2`, from its start (T 3.5.2, eq. B.1.1).
 
-    matrix: `[n_t, n_p]` cd, not negative. Weights count as in the reduction (T 7.4.5), not squared. A pixel that reaches no texel that
-    lacks light is off: it could only add to what is too bright. Stops when ten steps in a row move no pixel by more than the tolerance.
+    matrix: `[n_t, n_p]` cd, not negative. Weights count as in the reduction (T eq. 7.4.5), not squared. A pixel that reaches no texel
+    that lacks light is off: it could only add to what is too bright. Stops when ten steps in a row move no pixel by more than the
+    tolerance.
     """
     transposed = matrix.transposed
     target = without_fixed(matrix, goal)
@@ -38,7 +39,7 @@ def least_squares(matrix: Csr, goal: Wanted, iterations: int = 300, tolerance: f
 
 @dataclass(frozen=True)
 class MoorePenrose:
-    """Least squares by the pseudo-inverse (T 3.5.2), `A^+ = (A' A)^+ A'`, clamped to what there is.
+    """Least squares by the pseudo-inverse (T eq. 3.5.2, B.1.4), `A^+ = (A' A)^+ A'`, clamped to what there is.
 
     Clamping makes it worse than `least_squares` wherever a pixel would have to give more than it can, or less than none.
     transposed: A'. inverse: `(A' A)^+`, `[n_p, n_p]` float64.

@@ -1,4 +1,4 @@
-"""Primitives as a headlight's rays see them: one 3 x 3 homography each (T 7.3.3).
+"""Primitives as a headlight's rays see them: one 3 x 3 homography each (T 7.3.3, eq. 7.3.2 and 7.3.3).
 
 All rays of a module share their origin: with q from the lamp to the primitive's centre, n = d1 x d2 and the unnormalised ray
 d = [1, y, z], u = d.(d2 x q) / d.n, v = d.(q x d1) / d.n, x = q.n / d.n. Counted from the centre, u and v run from -1/2 to 1/2; twice that,
@@ -85,7 +85,7 @@ class Homographies:
 
 
 def homographies(primitives: Primitives, grid: TexelGrid, T_world_headlight: Tensor) -> Homographies:
-    """Every primitive in the coordinates of a headlight's rays."""
+    """Every primitive in the coordinates of a headlight's rays: the solution of T eq. 7.3.3 by Cramer's rule."""
     R, position = T_world_headlight[:3, :3].to(primitives.origin), T_world_headlight[:3, 3].to(primitives.origin)
     origin, d1, d2, normal = (v @ R for v in (primitives.origin - position, primitives.d1, primitives.d2, primitives.normal))
     q = origin + (d1 + d2) / 2

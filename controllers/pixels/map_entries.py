@@ -1,4 +1,4 @@
-"""Mapping entry by entry of the headlight matrix, with every bound (T 7.4.1 to 7.4.3)."""
+"""Mapping entry by entry of the headlight matrix, with every bound (T 7.4.1, eq. 7.4.1 to 7.4.3)."""
 
 import torch
 from torch import Tensor
@@ -12,7 +12,7 @@ from world.spmv import row_of_entries
 
 
 def by_entries(setpoints: Setpoints, pixels: PixelMajor, params: MrpcParams, default: Tensor, place: Band) -> Sums:
-    """Sums over the entries of a band of pixels; default: `[n_p]`."""
+    """Sums over the entries of a band of pixels (T eq. 7.4.1 to 7.4.3, 7.4.5); default: `[n_p]`."""
     band = place.pixels
     entries = pixels.entries.band(band.start, band.stop)
     pixel, texel, I_m = row_of_entries(entries), entries.indices.long(), entries.values

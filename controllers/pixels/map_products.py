@@ -58,7 +58,7 @@ def _pieces(asked: Setpoints | Casting) -> Iterator[_Piece]:
 def by_products(
     asked: Setpoints | Casting, pixels: PixelMajor, params: MrpcParams, default: Tensor, dark: bool, place: Band, batch: tuple[int, ...]
 ) -> Sums:
-    """Sums over a band of pixels; default: `[n_p]`, dark where it is zero. batch: the batch dimensions of what is asked.
+    """Sums over a band of pixels (T eq. 7.4.5); default: `[n_p]`, dark where it is zero. batch: the batch dimensions of what is asked.
 
     Images of the texture, by name: light is weight times utilisation (of_default: as a share of the default) and weight that of finite
     ones, 1 where nothing is hit; missed is 1 there; forced, forced_light, forced_of_default are the same over infinite weights; lit and
@@ -121,7 +121,7 @@ def _mapped(piece: _Piece, pixels: PixelMajor, ruling: bool, wanted: Collection[
 
 
 def _utilisation(piece: _Piece, pixels: PixelMajor) -> Image:
-    """What all pixels of a texel are asked for, `[..., rows, cols]` or broadcastable."""
+    """What all pixels of a texel are asked for, `[..., rows, cols]` or broadcastable (T eq. 7.4.1, 7.4.2)."""
     cut, size = piece.window.slices, (pixels.grid.rows, pixels.grid.cols)
     if not isinstance(piece.value, Tensor):
         return piece.value

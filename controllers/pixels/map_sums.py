@@ -1,4 +1,4 @@
-"""What both ways of mapping share: the band of pixels that may change, and the sums that reduction takes (T 7.4.5)."""
+"""What both ways of mapping share: the band of pixels that may change, and the sums that reduction takes (T eq. 7.4.5)."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,7 @@ MOST = 0.7  # of all pixels: from here on a part of a matrix costs more than it 
 
 @dataclass(frozen=True)
 class Sums:
-    """Of each pixel of a band, all `[..., band]`: numerator and denominator of (7.4.5) over its rays of finite weight, the denominator
+    """Of each pixel of a band, all `[..., band]`: numerator and denominator of T eq. 7.4.5 over its rays of finite weight, the denominator
     None where it is one; the same over its rays of infinite weight, None where there are none; and how many of its setpoints are lit.
     ruled_from: a weight from which on it is infinite and its light zero, None where that is told apart.
     """

@@ -1,7 +1,7 @@
 """MapReduce pixel control (T 7.4): from ray setpoints to pixel utilisations, exact on every entry of the headlight matrix.
 
-Where all pixels of a texel are asked for the same utilisation, the sums of (7.4.5) are products of the pixel-major matrix with images on
-the texture; else they are taken entry by entry. Finite and infinite weights are two cases, so that 0 inf and inf / inf never arise.
+Where all pixels of a texel are asked for the same utilisation, the sums of T eq. 7.4.5 are products of the pixel-major matrix with images
+on the texture; else they are taken entry by entry. Finite and infinite weights are two cases, so that 0 inf and inf / inf never arise.
 """
 
 import torch
@@ -22,7 +22,7 @@ __all__ = ["MrpcParams", "PixelMajor", "pixel_major", "reduce_setpoints"]
 def reduce_setpoints(
     asked: Setpoints | Casting, pixels: PixelMajor, params: MrpcParams, default: Tensor, dark: bool = False
 ) -> tuple[Tensor, slice]:
-    """Map and reduce (7.4.1 to 7.4.5): utilisation `[..., n_p]` in 0..1 and the band of pixels that may differ from the default.
+    """Map and reduce (T eq. 7.4.1 to 7.4.3, 7.4.5): utilisation `[..., n_p]` in 0..1, and the pixels that may differ from the default.
 
     asked: setpoints, or rays about to be cast, which saves their setpoints' way through the memory where it can. default: `[n_p]`; a ray
     without a hit counts with `I_m,ij u_def,j` and weight 1. dark: the default is zero.
@@ -75,7 +75,7 @@ def _same_for_all_pixels(asked: Setpoints | Casting, pixels: PixelMajor, params:
 
 
 def _reduced(sums: Sums, pixels: PixelMajor, params: MrpcParams, default: Tensor, dark: bool, band: slice) -> Tensor:
-    """Utilisation `[..., band]` of sums: infinite weights first, then the default where nothing counts, then the activation threshold."""
+    """Utilisation `[..., band]` of sums (T eq. 7.4.5): infinite weights first, then the default where nothing counts, then a_ac."""
     u, idle = sums.light, None if pixels.idle is None else pixels.idle[band]
     if sums.weight is not None:
         u = u / sums.weight.clamp(min=torch.finfo(u.dtype).tiny)

@@ -17,7 +17,7 @@ class MrpcParams(Params):
     )
     a_x: float = Field(0.0, ge=0, le=1, description="exclusion: texels below this share of a pixel's maximum do not count, 0 for none")
     exclusion: Literal["capability", "printed"] = Field(
-        "capability", description="what a_x looks at: what a pixel can give at a texel, or the setpoint as (7.4.3) prints it"
+        "capability", description="what a_x looks at: what a pixel can give at a texel, or the setpoint as T eq. 7.4.3 prints it"
     )
     a_ac: float = Field(0.0, ge=0, le=1, description="activation: a pixel with a smaller share of lit setpoints is off")
     a_d: float | None = Field(

@@ -100,7 +100,10 @@ class Trial:
 
 
 class TextureControl:
-    """MapReduce control of a part of a headlight for many trials: (7.4.1), (7.4.3) on the capability, (7.4.5), T 7.5.2; weights are one."""
+    """MapReduce control of a part of a headlight for many trials (T 7.5.2, eq. 7.4.1, 7.4.3, 7.4.5).
+
+    Exclusion looks at the capability; all weights are one.
+    """
 
     def __init__(self, part: Part) -> None:
         self.part = part

@@ -24,11 +24,11 @@ class PixelMajor:
     entries: `[n_p, n_t]`, I_m,ij. full: the same with `I_m^a_r / sum_i I_m^a_r`, rows add up to one. kept: `[nnz]`, weights `I_m^a_r` of
     entries that are neither excluded nor left out by the sampling, a pixel's adding up to one. weight: `[n_p, n_t]`, those that are not
     zero. share: `[n_t]`, what takes an intensity to the utilisation of all pixels of its texel; potential: `[nnz]`, the factor by which an
-    entry's differs, None where it is one. total: `[n_t]`, cd with all pixels full. darkening: `[n_t]` (7.4.2). least_lit: `[n_p]`, how many
-    of a pixel's setpoints have to be lit for its share to be a_ac. idle: `[n_p]`, pixels without an entry that counts, None if there are
-    none. ones: the pattern of entries. peak: `[n_p]`, greatest I_m,ij. spread: standard deviation of a pixel's light in rows and columns, 0
-    where unused. pixel_first, pixel_last: `[rows]`, pixels with a texel in that texture row. row_first, row_last: `[n_p]`, texture rows of
-    that pixel.
+    entry's differs, None where it is one. total: `[n_t]`, cd with all pixels full. darkening: `[n_t]` (T eq. 7.4.2). least_lit: `[n_p]`,
+    how many of a pixel's setpoints have to be lit for its share to be a_ac. idle: `[n_p]`, pixels without an entry that counts, None if
+    there are none. ones: the pattern of entries. peak: `[n_p]`, greatest I_m,ij. spread: standard deviation of a pixel's light in rows and
+    columns, 0 where unused. pixel_first, pixel_last: `[rows]`, pixels with a texel in that texture row. row_first, row_last: `[n_p]`,
+    texture rows of that pixel.
     """
 
     grid: Headlight
@@ -52,7 +52,7 @@ class PixelMajor:
 
 
 def pixel_major(headlight: Headlight, params: MrpcParams) -> PixelMajor:
-    """Turn a headlight matrix around for these parameters."""
+    """Turn a headlight matrix around for these parameters: the weights of T eq. 7.4.5 with the exclusion of T eq. 7.4.3."""
     entries = headlight.matrix.transposed
     if params.shape == "rectangle":
         entries = rectangular(entries, headlight, params.a_x or 0.5)
@@ -103,7 +103,7 @@ def pixel_major(headlight: Headlight, params: MrpcParams) -> PixelMajor:
 
 
 def _mapping(params: MrpcParams, entries: Csr, pixel: Tensor, of_pixels: Reduce, of_texels: Reduce) -> tuple[Tensor, Tensor | None]:
-    """share and potential of (7.4.1) or of the mapping named."""
+    """share and potential of T eq. 7.4.1 or of the mapping named."""
     I_m = entries.values
     if params.mapping == "direct":
         return torch.ones(entries.n_cols, dtype=I_m.dtype, device=I_m.device), 1 / I_m

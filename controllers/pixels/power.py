@@ -9,7 +9,7 @@ from world.spmv import row_of_entries
 
 
 def limit_power(u: Tensor, power: Tensor | float, limit: float | Tensor) -> tuple[Tensor, Tensor]:
-    """Dim all pixels alike until a lamp keeps its limit.
+    """Dim all pixels alike until a lamp keeps its limit (T 7.4.1).
 
     u: `[..., n_p]`, of all of the lamp's modules one after the other. power: at full utilisation, `[n_p]` or one for all pixels, in any
     unit that limit is in too. Returns the utilisation and the factor `[...]`, 1 where the limit was kept. Raises LuxloopError for a limit

@@ -121,7 +121,7 @@ def rectangle(
     modules: Sequence[str] = (),
     shared: bool = True,
 ) -> Primitives:
-    """One rectangle that asks for light (T 4.2), or several that share everything but place, setpoint and weight.
+    """One rectangle that asks for light (T 4.2.2, 7.2.1), or several that share everything but place, setpoint and weight.
 
     origin, d1, d2: `[3]` or `[..., P, 3]` m, a corner and the edges along the symbol's columns and rows. value: number or `[..., P]`, what
     it asks for where the symbol is 1, of the quantity "u_abs" (utilisation 0..1), "u_rel" (multiple of the base pattern), "I_v" (cd) or

@@ -97,10 +97,10 @@ def trace(
     windows: Sequence[Window] | None = None,
     secondary: SecondaryRays | None = None,
 ) -> Setpoints:
-    """Cast a ray through every texel's centre and take the setpoint of the primitive that it hits.
+    """Cast a ray through every texel's centre and take the setpoint of the primitive that it hits (T 7.3.3, eq. 3.1.1).
 
     primitives: batch `[..., P]`. T_world_headlight: `[4, 4]`. windows: the texels that each primitive of a single scene on the host can
-    touch (all); the setpoints lie on their union. Back faces are not hit; E_v becomes `E d^2 / cos` (T 7.2.1). A mask, which has a zero
+    touch (all); the setpoints lie on their union. Back faces are not hit; E_v becomes `E d^2 / cos` (T eq. 7.2.1). A mask, which has a zero
     setpoint of infinite weight, is hit by all rays within one texel of its outline, since light is interpolated between them. A symbol for
     an observer is read where he sees the hit (T 7.2.2); secondary: what else the hits are asked (nothing).
     Differentiable in the primitives (not across their edges).
@@ -323,7 +323,10 @@ def _inside(n: Tensor, uv: Tensor, wider: Tensor | None = None) -> Tensor:
 
 
 def _hit(rays: _Rays, seen: Homographies, p: int, mask: bool | None, front: bool | None, window: Window) -> Tensor:
-    """One where a ray hits the p-th primitive, `[..., rows, cols]`; mask, front: whether it is one and is seen so, where the host knows."""
+    """One where a ray hits the p-th primitive, `[..., rows, cols]` (T eq. 7.3.3).
+
+    mask, front: whether it is a mask and whether its front is seen, None where the host does not know.
+    """
     n, uv = rays.n.on(p, window), rays.uv.on(p, window)
     if mask is False:
         hit = _inside(n, uv)
@@ -354,7 +357,7 @@ def _between_corners(closeness: Tensor, seen: Homographies, p: int) -> Tensor:
 
 
 def _points(rays: _Rays, seen: Homographies, p: int, window: Window, T_world_headlight: Tensor) -> Tensor:
-    """Where rays hit the p-th primitive, `[..., 3, rows, cols]` m in the world; those that miss it end as near as its corners lie."""
+    """Where rays hit the p-th primitive, `[..., 3, rows, cols]` m in the world (T eq. 3.1.1); others end as near as its corners lie."""
     x = 1 / _between_corners(rays.closeness.on(p, window), seen, p)
     rows, cols = window.slices
     forward, left, up, position = T_world_headlight[:3, :, None, None].to(x).unbind(1)
@@ -372,7 +375,10 @@ def _near_outline(window: Window, low: Tensor, high: Tensor) -> Tensor:
 
 
 def _setpoint(p: int, hit: Tensor, rays: _Rays, primitives: Primitives, seen: Homographies, window: Window) -> Tensor:
-    """Setpoint of the p-th primitive for the rays that hit it, elsewhere undefined but finite; broadcastable to `[..., rows, cols]`."""
+    """Setpoint of the p-th primitive for the rays that hit it, elsewhere undefined but finite; broadcastable to `[..., rows, cols]`.
+
+    An illuminance becomes the intensity `E d^2 / cos` (T eq. 7.2.1), the hit lying x = qn / d.n ahead at the distance d = x |ray|.
+    """
     image, value = primitives.image_of(p), primitives.value[..., p, None, None]
     symbol = image if image.ndim == 2 else image[0]
     watched = primitives.observed(p)

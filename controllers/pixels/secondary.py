@@ -51,7 +51,7 @@ class Light:
         return cls(headlight, headlight.light_texture(torch.ones(headlight.n_pixels).to(values)), T_world_headlight)
 
     def possible(self, points: Tensor) -> Tensor:
-        """`I_sum / d^2` `[..., N]` in lx, on a surface that faces the lamp; zero outside of its light texture."""
+        """`I_sum / d^2` `[..., N]` in lx (T eq. 2.1.4), on a surface that faces the lamp; zero outside of its light texture."""
         projection, full = self._projection.to(points), self.full.to(points)
         x, *_ = seen = (projection[:, :3] @ points + projection[:, 3:]).movedim(-2, 0)
         at = (seen[1:] / torch.where(x > 0, x, 1.0)).movedim(0, -1)
@@ -84,7 +84,7 @@ def shares(lights: Sequence[Light], points: Tensor, occluded: Caster | None = No
 
 
 def seen_by(points: Tensor, eye: Tensor, occluded: Caster, asked: Tensor | None = None) -> Tensor:
-    """Which points an observer at `[..., 3]` m sees, `[..., N]` bool: where nobody looks, a symbol need not be drawn.
+    """Which points an observer at `[..., 3]` m sees, `[..., N]` bool: where nobody looks, a symbol need not be drawn (T 7.5.1).
 
     asked: `[..., N]` bool, for which points rays are cast (all); the others count as seen.
     """
@@ -99,7 +99,10 @@ def seen_by(points: Tensor, eye: Tensor, occluded: Caster, asked: Tensor | None 
 def street_light(
     points: Tensor, normals: Tensor, lamps: Sequence[StreetLamp], occluded: Caster | None = None, asked: Tensor | None = None
 ) -> Tensor:
-    """Illuminance `[..., N]` in lx by street lamps; normals: unit, broadcastable to `[..., 3, N]`; asked: as for `seen_by`."""
+    """Illuminance `[..., N]` in lx by street lamps (T 7.5.1, eq. 2.1.5).
+
+    normals: unit, broadcastable to `[..., 3, N]`. asked: as for `seen_by`.
+    """
     total = torch.zeros_like(points[..., 0, :])
     for lamp in lamps:
         position = points.new_tensor(lamp.position_m)

@@ -1,6 +1,6 @@
 """Which part of a light texture primitives can touch: the rectangles around their projected outlines.
 
-They are tighter than the ellipsoids around groups of T 7.3.3, and all rays of a primitive are culled at once instead of each by itself.
+They are tighter than the ellipsoids around groups of T 7.3.3, and all rays of a primitive are culled at once.
 """
 
 import math

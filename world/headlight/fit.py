@@ -18,7 +18,7 @@ def solve(
     iterations: int = 300,
     tolerance: float = 1e-4,
 ) -> Tensor:
-    """u `[..., n]` in `0..upper` with the least `sum (weight * distance of A u from low..high)^2` (T 3.5.2).
+    """u `[..., n]` in `0..upper` with the least `sum (weight * distance of A u from low..high)^2` (T 3.5.2, eq. B.1.1).
 
     matrix: A `[m, n]`, several modules side by side. wanted: `[..., m]`, or the bounds low and high between which any value is welcome,
     infinite where there is none. weight: `[m]` or `[..., m]`, 1 by default. upper: `[n]` or

@@ -46,7 +46,7 @@ class Headlight(TexelGrid):
         return replace(self, matrix=self.matrix.with_values(self.matrix.values * of_entry))
 
     def light_texture(self, utilisation: Tensor) -> Tensor:
-        """Luminous intensity `[..., rows, cols]` in cd of a utilisation `[..., n_p]` in 0..1: `i = A u` (T 2.4)."""
+        """Luminous intensity `[..., rows, cols]` in cd of a utilisation `[..., n_p]` in 0..1: `i = A u` (T eq. 2.4.1, 3.5.1)."""
         return multiply(self.matrix, utilisation).unflatten(-1, (self.rows, self.cols))
 
     def colour_texture(self, utilisation: Tensor) -> Tensor:
@@ -57,7 +57,7 @@ class Headlight(TexelGrid):
         return torch.stack(channels, -2).unflatten(-1, (self.rows, self.cols))
 
     def intensity(self, light_texture: Tensor, directions: Tensor) -> Tensor:
-        """Luminous intensity `[..., N]` in cd into directions `[3, N]` of the headlight frame, any length; zero outside the texture."""
+        """Luminous intensity `[..., N]` in cd into directions `[3, N]` of the headlight frame; zero outside the texture (T 2.3)."""
         x = directions[0]
         row, col = self.texel_of(directions[1] / x, directions[2] / x)
         texel, weight = bilinear(self, row, col)

@@ -66,7 +66,7 @@ def reduce(
     """The matrix with the strongest entries of each row only, in their old order; the arithmetic is float64.
 
     threshold: the others' intensity is lost. proportional: the row's remaining entries share it in proportion, which keeps the row's sum
-    (T 5.2.1, 5.2.2). least_squares: the remaining entries take the non-negative values that come nearest to the row's intensity in the
+    (T eq. 5.2.1, 5.2.2). least_squares: the remaining entries take the non-negative values that come nearest to the row's intensity in the
     use_cases (utilisations `[n_p]`), drawn to the proportional ones: never worse there, and equal where the use cases say nothing.
     A row of which nothing is left, since all was below bound_cd, turns dark.
 

@@ -35,7 +35,7 @@ def ambient_luminance(
 
 
 def _cos_per_d2(gbuffer: GBuffer, away: Tensor) -> Tensor:
-    """`cos / d^2` in 1/m^2 `[height, width]` of light from `away` `[3, height, width]` m."""
+    """`cos / d^2` in 1/m^2 `[height, width]` of light from `away` `[3, height, width]` m (T eq. 2.1.5)."""
     d2 = (away * away).sum(0)
     return (gbuffer.normal * away).sum(0).clamp(min=0) / (d2 * d2.sqrt())
 

@@ -43,7 +43,7 @@ def wall_illuminance(lit: Sequence[Source], T_world_wall: Tensor, h_deg: Tensor,
     """Illuminance `[..., *shape]` in lx of a wall that stands perpendicular to the x axis of `T_world_wall`, `distance_m` from its origin.
 
     h_deg, v_deg: of one shape, angles of the wall's points seen from that origin, to the right and up (type A). The modules light it from
-    where they are, so lamps beside the origin show their parallax. `E = I cos / d^2` (T 2.1.5), float64 on the CPU.
+    where they are, so lamps beside the origin show their parallax. `E = I cos / d^2` (T eq. 2.1.5), float64 on the CPU.
     """
     ray = direction(h_deg, v_deg).flatten(1)
     points = T_world_wall[:3, :3].double() @ (ray / ray[0] * distance_m) + T_world_wall[:3, 3:].double()

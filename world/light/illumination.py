@@ -1,4 +1,4 @@
-"""Light on surfaces: `E_v = I_v cos / d^2` with shadows (T 2.1.5), plain on a G-buffer or folded into one sparse matrix."""
+"""Light on surfaces: `E_v = I_v cos / d^2` with shadows (T eq. 2.1.5), plain on a G-buffer or folded into one sparse matrix."""
 
 import math
 from collections.abc import Sequence
@@ -76,13 +76,13 @@ def _luminance_factor(gbuffer: GBuffer, index: Tensor, away: Tensor) -> Tensor:
 
 
 def illuminance(surface: LitSurface, light_texture: Tensor) -> Tensor:
-    """Illuminance `[..., M]` in lx of the reached pixels from a light texture `[..., rows, cols]` in cd."""
+    """Illuminance `[..., M]` in lx of the reached pixels from a light texture `[..., rows, cols]` in cd (T eq. 2.1.5)."""
     intensity = (light_texture.flatten(-2)[..., surface.texel] * surface.weight).sum(-2)
     return intensity * surface.factor
 
 
 def luminance(surface: LitSurface, light_texture: Tensor) -> Tensor:
-    """Luminance `[..., M]` in cd/m^2 of the reached pixels: `L_v = beta E_v / pi`, beta being the luminance factor."""
+    """Luminance `[..., M]` in cd/m^2 of the reached pixels: `L_v = beta E_v / pi` (T 2.1), beta being the luminance factor."""
     return illuminance(surface, light_texture) * surface.luminance_factor / math.pi
 
 

@@ -107,7 +107,7 @@ class Distribution:
 
 
 def angles_of(kind: Kind, directions: ArrayLike, aim: Aim = "beam") -> tuple[Array, Array]:
-    """Vertical and horizontal angles `[...]` in deg of directions `[3, ...]` of the headlight frame (T 2.3.5; see Distribution)."""
+    """Vertical and horizontal angles `[...]` in deg of directions `[3, ...]` of the headlight frame (T eq. 2.3.5; see Distribution)."""
     x, y, z = np.asarray(directions, np.float64)
     if aim == "nadir" and kind != "A":
         x, z = -z, x
@@ -121,7 +121,7 @@ def angles_of(kind: Kind, directions: ArrayLike, aim: Aim = "beam") -> tuple[Arr
 
 
 def directions_of(kind: Kind, vertical_deg: ArrayLike, horizontal_deg: ArrayLike, aim: Aim = "beam") -> Array:
-    """Unit directions `[3, ...]` of the headlight frame for photometric angles: the inverse of `angles_of`."""
+    """Unit directions `[3, ...]` of the headlight frame for photometric angles: the inverse of `angles_of` (T eq. 2.3.4)."""
     v, h = np.radians(vertical_deg), np.radians(horizontal_deg)
     if kind == "A":
         return np.stack([np.cos(v) * np.cos(h), -np.cos(v) * np.sin(h), np.sin(v)])

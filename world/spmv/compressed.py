@@ -101,7 +101,7 @@ class Submatrix(SparseFormat):
 
 
 class Lgc(SparseFormat):
-    """Texel, offset and number of pixels of every lit texel (T fig. 2.8), with one index a texel instead of two (T 6.2)."""
+    """Texel, offset and number of pixels of every lit texel (T fig. 2.8), with one index a texel instead of two (T 6.2, eq. 6.2.1)."""
 
     name = "lgc"
 

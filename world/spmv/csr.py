@@ -104,7 +104,7 @@ def _product(matrix: Csr, x: Tensor) -> Tensor:
 
 
 def multiply(matrix: Csr, x: Tensor) -> Tensor:
-    """`A x` for x `[..., n_cols]`, differentiable in x; returns `[..., n_rows]`. T (2.5)."""
+    """`A x` for x `[..., n_cols]`, differentiable in x; returns `[..., n_rows]` (T 2.5, eq. 5.3.1)."""
     if x.shape[-1] != matrix.n_cols:
         raise ValueError(f"a matrix with {matrix.n_cols} columns cannot multiply a vector of {x.shape[-1]}")
     if x.requires_grad:

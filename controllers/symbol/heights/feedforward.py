@@ -1,4 +1,4 @@
-"""Feed-forward: inverse ray tracing onto a road that is given, right or wrong, or that is surveyed with structured light first."""
+"""Feed-forward (T 9.4): inverse ray tracing onto a road that is given, right or wrong, or that is surveyed with structured light first."""
 
 import math
 from collections.abc import Callable

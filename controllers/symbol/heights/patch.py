@@ -1,4 +1,4 @@
-"""Inverse ray tracing: a symbol drawn on a patch of the road that is believed, so that the eye sees it as on the plane z = 0."""
+"""Inverse ray tracing (T 9.4): a symbol drawn on a patch of the road that is believed, so that the eye sees it as on the plane z = 0."""
 
 import torch
 from torch import Tensor

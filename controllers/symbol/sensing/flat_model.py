@@ -1,4 +1,4 @@
-"""The controller's internal model: what the camera would see of the projected symbol on a flat, empty road, without noise."""
+"""The controller's internal model (T 9.4.1): what the camera would see of the projected symbol on a flat, empty road, without noise."""
 
 import math
 from collections.abc import Sequence

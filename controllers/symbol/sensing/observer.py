@@ -1,4 +1,4 @@
-"""What a symbol controller sees: frames in, errors of the symbol's four degrees of freedom or the reason for its loss out."""
+"""What a symbol controller sees: frames in, errors of the symbol's four degrees of freedom (T 9.4.1) or why it was lost out."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""The projector draws one symbol with one or several lamp modules: a pose in, utilisations out."""
+"""The projector (T 9.4.1) draws one symbol with one or several lamp modules: a pose in, utilisations out."""
 
 import math
 from collections.abc import Iterable, Sequence
