@@ -155,6 +155,11 @@ def test_links_lead_somewhere(page: Path) -> None:
             assert anchor in headings(file), f"{page.name}: {target}#{anchor} does not exist"
 
 
+def test_the_index_leads_to_every_page() -> None:
+    named = set(re.findall(r"\]\(([a-z_]+\.md)", (ROOT / "docs" / "index.md").read_text("utf-8")))
+    assert named | {"index.md"} == {page.name for page in (ROOT / "docs").glob("*.md")}
+
+
 def headings(page: Path) -> list[str]:
     titles = re.findall(r"^#+ (.*)$", page.read_text("utf-8"), re.M)
     return [re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles]
