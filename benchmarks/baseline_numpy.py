@@ -134,7 +134,7 @@ class Baseline:
 
         bank = simulation.controller.inner.gains
         names = ("kp", "ki", "kd", "lower", "upper", "rate_limit", "tracking_time")
-        pose = simulation.controller.drawing(simulation.start().controller).pose.tolist()
+        pose = simulation.controller.drawing(simulation.start().controller, None).pose.tolist()
         self.start = [Pid(*(float(getattr(bank, name)[k]) for name in names), output=pose[k]) for k in range(4)]
 
     def step(self, pids: Sequence[Pid], lap: Lap) -> tuple[Sequence[Pid], Floats]:

@@ -26,6 +26,7 @@ from loop.scenario.model import load
 from loop.symbol.simulation import Simulation
 from loop.terminal import tables
 from perception.camera import camera_view
+from perception.egomotion import Ego
 from world.frames import inverse, transform
 from world.roads.base import Floats, Road
 from world.scene.vehicle import Motion
@@ -81,7 +82,7 @@ class Knowing:
     def start(self, pose: Tensor) -> int:
         return 0
 
-    def drawing(self, state: int) -> Drawing:
+    def drawing(self, state: int, ego: Ego | None) -> Drawing:
         projector, now = self.observer.projector, self.motion.at(state * self.period_s)
         symbol = projector.params
         lamps = torch.stack([module.T_world_headlight[:3, 3].double() for module in projector.modules])

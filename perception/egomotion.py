@@ -56,6 +56,11 @@ class Ego:
     rear_x_m: float
 
     @property
+    def exposed_s(self) -> float:
+        """When the exposure begins for which this is the newest that is known."""
+        return self.time_s + self.age_s
+
+    @property
     def stands(self) -> bool:
         """Whether the vehicle stands, as far as its sensors can say."""
         return bool(self.speed_m_s.abs() < STANDS_M_S)

@@ -16,11 +16,12 @@ from loop.contracts.values import check_calls, check_state, check_tensor, name_o
 from loop.run import prepare
 from loop.scenario.model import validate
 from loop.symbol.simulation import Frames, Simulation
+from perception.egomotion import Ego
 from perception.extraction import Loss
 from world.errors import LuxloopError, located
 from world.plugin import Guarded, check_methods, made
 
-CALLS = {"start": ("pose",), "drawing": ("state",), "step": ("state", "look")}
+CALLS = {"start": ("pose",), "drawing": ("state", "ego"), "step": ("state", "look")}
 SCENARIO: dict[str, Any] = {
     "name": "check_controller",
     "steps": 8,
@@ -91,9 +92,9 @@ class Watched:
         check_state(self.own, "start", state)
         return WatchedState(state)
 
-    def drawing(self, state: WatchedState) -> Drawing:
+    def drawing(self, state: WatchedState, ego: Ego | None) -> Drawing:
         """The controller's drawing, with a pose in reach."""
-        drawing = pure(self.own, "drawing", {"state": state.inner}, "drawing")
+        drawing = pure(self.own, "drawing", {"state": state.inner, "ego": ego}, "drawing")
         with located(f"{self.own.key}: {self.own.name}: drawing"):
             self._check(drawing)
         return drawing
@@ -105,9 +106,9 @@ class Watched:
             for situation, lost in self._lost(look, look.frames).items():
                 with located(f"in {situation}"):
                     blind = self._stepped(state, lost)
-                    self.drawing(blind)
+                    self.drawing(blind, look.ego)
                 with located(f"after {situation}"):
-                    self.drawing(self._stepped(blind, look))
+                    self.drawing(self._stepped(blind, look), look.ego)
         return after
 
     def _stepped(self, state: WatchedState, look: Look) -> WatchedState:

@@ -91,7 +91,7 @@ def loops(simulation: Simulation, values: dict[str, Tensor], look: Callable[[Ten
     state = controller.start(start.expand(batch, -1).to(next(iter(values.values()))))
     late, looks, rows = simulation.scenario.camera.latency_steps, [], []
     for step in range(simulation.scenario.steps):
-        pose = controller.drawing(state).pose
+        pose = controller.drawing(state, None).pose
         looks.append(look(pose, step))
         seen = looks[step - late] if step >= late else simulation.observer.lost(pose, Loss.NO_FRAME)
         state = controller.step(state, Look(seen, None, Shown(Drawing(pose), ())))

@@ -147,7 +147,7 @@ class Simulation:
         timings = dict.fromkeys(("light", "plant", "perceive", "control"), 0.0)
         time_s, ego = state.arrivals.time_s, state.arrivals.ego
         with _timed(timings, "light"):
-            drawing = self.controller.drawing(state.controller)
+            drawing = self.controller.drawing(state.controller, ego)
             lights = self.projector.draw(drawing)
         plant, arrivals, frames = state.plant, state.arrivals, state.frames
         for part, light in enumerate((lights, self.projector.resting)):
@@ -156,14 +156,14 @@ class Simulation:
                 plant, arrivals = self.plant.show(plant, exposure)
                 frames += arrivals.frames
         looks, under_way, frames = matched((*state.under_way, (2 * state.step, Shown(drawing, lights, ego))), frames)
-        controller, shape = state.controller, state.shape
+        controller, shape, now = state.controller, state.shape, arrivals.ego
         looks = looks or [(under_way[0][1], None, math.nan)]
         for shown, pair, _ in looks:
             with _timed(timings, "perceive"):
-                seen = self.observer.look(pair, shown.drawing, shown.lights, shape if ego is None or ego.stands else None)
+                seen = self.observer.look(pair, shown.drawing, shown.lights, shape if now is None or now.stands else None)
                 shape = seen.shape
             with _timed(timings, "control"):
-                controller = self.controller.step(controller, Look(seen, pair, shown, ego))
+                controller = self.controller.step(controller, Look(seen, pair, shown, now))
         timings["step"] = sum(timings.values())
         with _timed(timings, "judge"):
             verdict = self._judged(state.step, lights, time_s)

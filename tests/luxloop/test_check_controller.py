@@ -24,7 +24,7 @@ class Halfway:
     def start(self, pose: Tensor) -> Any:
         return State(pose)
 
-    def drawing(self, state: Any) -> Any:
+    def drawing(self, state: Any, ego: Any) -> Any:
         return Drawing(state.pose)
 
     def step(self, state: Any, look: Look) -> Any:
@@ -43,7 +43,7 @@ class ByErrors(Halfway):
 
 
 class FarAway(Halfway):
-    def drawing(self, state: State) -> Drawing:
+    def drawing(self, state: State, ego: Any) -> Drawing:
         return Drawing(state.pose + torch.tensor([100.0, 100.0, 0.0, 0.0]).to(state.pose) * state.steps)
 
 
@@ -97,7 +97,7 @@ class Buffered(Halfway):
 
 
 class Dithering(Halfway):
-    def drawing(self, state: State) -> Drawing:
+    def drawing(self, state: State, ego: Any) -> Drawing:
         return Drawing(state.pose + 0.01 * torch.randn(4).to(state.pose))
 
 
@@ -117,17 +117,17 @@ class Batched(Halfway):
 
 
 class DrawsAPose(Halfway):
-    def drawing(self, state: State) -> Tensor:
+    def drawing(self, state: State, ego: Any) -> Tensor:
         return state.pose
 
 
 class Raised(Halfway):
-    def drawing(self, state: State) -> Drawing:
+    def drawing(self, state: State, ego: Any) -> Drawing:
         return Drawing(state.pose, z=torch.zeros(3).to(state.pose))
 
 
 class Warped(Halfway):
-    def drawing(self, state: State) -> Drawing:
+    def drawing(self, state: State, ego: Any) -> Drawing:
         from controllers.symbol.sensing.drawing import Warp
 
         return Drawing(state.pose, warp=Warp(torch.zeros(1, 2, 4, 4).to(state.pose), 2 * torch.ones(1, 4, 4).to(state.pose), (4.0, 2.0)))
@@ -144,7 +144,7 @@ class Silent:
     def start(self, pose: Tensor) -> Tensor:
         return pose
 
-    def drawing(self, state: Tensor) -> Drawing:
+    def drawing(self, state: Tensor, ego: Any) -> Drawing:
         return Drawing(state)
 
 
@@ -192,8 +192,8 @@ def test_controllers_that_are_shipped_keep_the_contract(name: str, device: torch
         def start(self, pose: Tensor) -> Any:
             return self.law.start(pose)
 
-        def drawing(self, state: Any) -> Drawing:
-            return self.law.drawing(state)
+        def drawing(self, state: Any, ego: Any) -> Drawing:
+            return self.law.drawing(state, ego)
 
         def step(self, state: Any, look: Look) -> Any:
             return self.law.step(state, look)

@@ -100,10 +100,6 @@ class BodyFilter:
         body = replace(self, speed_m_s=float(ego.speed_m_s), looks=past).caught_up().at(ego.time_s)._measured(ego)
         return replace(body, looks=self.looks[len(past) :])
 
-    def predicts(self, time_s: float) -> bool:
-        """Whether nothing was measured yet after a time."""
-        return time_s > self.time_s - 1e-6
-
     def looked(self, time_s: float, pitched_rad: float | None) -> "BodyFilter":
         """With another look, after which the body had pitched by so much since the one before."""
         return replace(self, looks=(*self.looks, (time_s, pitched_rad)))

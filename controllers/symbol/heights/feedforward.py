@@ -20,6 +20,7 @@ from controllers.symbol.sensing.projector import SymbolParams
 from controllers.symbol.sensing.protocol import Look
 from perception.birdseye import Region
 from perception.camera import camera_view
+from perception.egomotion import Ego
 from world.errors import located
 from world.frames import inverse, transform
 from world.params import Params
@@ -57,7 +58,7 @@ class Feedforward:
         """The symbol for the given road, whatever the pose `[4]`."""
         return self.drawn
 
-    def drawing(self, state: Drawing) -> Drawing:
+    def drawing(self, state: Drawing, ego: Ego | None) -> Drawing:
         """The same for ever."""
         return state
 
@@ -85,7 +86,7 @@ class Surveyed:
         """The first pattern, whatever the pose `[4]`."""
         return SurveyedState(self.survey.start())
 
-    def drawing(self, state: SurveyedState) -> Drawing:
+    def drawing(self, state: SurveyedState, ego: Ego | None) -> Drawing:
         """A pattern, or the symbol for the road that was found."""
         return state.drawing or self.survey.drawing(state.survey)
 

@@ -13,7 +13,7 @@ from controllers.symbol.heights.memory import Memory
 from controllers.symbol.heights.patch import drawn_on
 from controllers.symbol.heights.registration import HEIGHT_M, Heights, Registration
 from controllers.symbol.heights.sight import Sight
-from controllers.symbol.heights.stance import Stances
+from controllers.symbol.heights.stance import AT_REST, Following, Stances
 from controllers.symbol.heights.sweep import sweep
 from controllers.symbol.sensing.aim import aimed, elsewhere
 from controllers.symbol.sensing.drawing import Drawing
@@ -41,6 +41,7 @@ FALLEN = (-0.3, -0.03, 0.0, 0.0)  # shape of the road on which a symbol is looke
 FARTHEST = 3.0  # of the way to the plane z = 0: where lines of sight end that meet no acquired road
 ROAD_M = 4e-3  # how well a track's height is known at best
 PITCH_RAD = 5e-4  # usual error of a pitch that is predicted
+ROUNDING_S = 1e-6  # of times that are equal
 
 Cell = Annotated[float, Field(ge=0.02, le=10)]
 Reach = Annotated[float, Field(ge=0, le=20)]
@@ -68,15 +69,16 @@ class LuxloopParams(Params):
 
 @dataclass(frozen=True)
 class LuxloopState:
-    """memory: what is known of the road, in the ground frame of time_s. body: what is known of it, if it is measured. drawing: shown now.
+    """memory: what is known of the road, in the ground frame of time_s. body: what was known of it then, if it is measured.
 
-    level_rad: pitch of the body that the memory's heights are based on. first: the first drawing for an acquired road; None once a look
-    shows it. sought: the symbol has been seen, or a road was guessed to look for it on.
+    drawing: of a vehicle that stands, None on the move, where it depends on what is measured until it is shown. level_rad: pitch of the
+    body that the memory's heights are based on. first: the first drawing for an acquired road; None once a look shows it. sought: the
+    symbol has been seen, or a road was guessed to look for it on.
     """
 
     memory: Memory
     time_s: float
-    drawing: Drawing
+    drawing: Drawing | None
     body: BodyFilter | None = None
     level_rad: float = 0.0
     first: Drawing | None = None
@@ -103,18 +105,27 @@ class Luxloop:
             return LuxloopState(memory, 0.0, Drawing(pose))
         mean = memory.heights.mean + self.params.start_height_m
         believed = _believed(memory, mean)
-        return LuxloopState(believed, 0.0, self._drawn(believed, Stances()))
+        return LuxloopState(believed, 0.0, self._drawn(believed))
 
-    def drawing(self, state: LuxloopState) -> Drawing:
-        """The symbol for the road as it is known."""
-        return state.drawing
+    def drawing(self, state: LuxloopState, ego: Ego | None) -> Drawing:
+        """The symbol for the road as it is known, from where the body will be by what is measured now."""
+        if state.drawing is not None:
+            return state.drawing
+        body = self._filtered(state.body, ego)
+        assert body is not None  # or it would stand
+        now = body.caught_up()
+        memory = state.memory.levelled(now.level_rad - state.level_rad, body.pivot_x_m)
+        return self._drawn(memory, Following.of(ego, now, state.time_s))
 
     def step(self, state: LuxloopState, look: Look) -> LuxloopState:
         """Register the look; the open loop's drawing, unless heights explain it better than a flat road does.
 
         What is known of the road tells how the body has pitched since the look before, and what the wheels will come to.
         """
-        body = self._filtered(state.body, look.ego)
+        body, then = state.body, look.shown.ego
+        for ego in (then, look.ego):  # a measurement that is newer than the look tells more once the look is taken in
+            if ego is not None and then is not None and ego.time_s < then.exposed_s + ROUNDING_S:
+                body = self._filtered(body, ego)
         now = None if body is None else body.caught_up()
         stances = Stances.of(look, now, state.time_s)
         memory, first, sought = state.memory, state.first, state.sought or bool(look.seen.code == Loss.SEEN)
@@ -126,7 +137,7 @@ class Luxloop:
             memory = memory if memory.T_ground_plane.equal(HERE) else self._nothing(self.registration)
             registration = self._fine(stances)
         memory = memory.moved(stances.since, registration.sight.eye)
-        if body is None or now is None or stances.still or not body.predicts(stances.time_s):
+        if body is None or now is None or stances.still:
             memory = self._looked(registration, memory, look, stances, anew)
             if stances.still and not bool(memory.heights.information.any()) and (guess := self._guessed(state, look)) is not None:
                 memory, sought = guess, True
@@ -138,10 +149,10 @@ class Luxloop:
                 pitched = memory.pitched(known, body.pivot_x_m)
                 body = body.looked(stances.time_s, None if pitched is None else predicted + pitched - now.level_rad)
                 now = body.caught_up()
-                memory, stances = memory.levelled(now.level_rad - predicted, body.pivot_x_m), Stances.of(look, now, state.time_s)
+                memory = memory.levelled(now.level_rad - predicted, body.pivot_x_m)
         if body is not None and look.ego is not None and memory.T_ground_plane.equal(HERE):
             body = _previewed(body, memory, stances.time_s, look.ego)
-        drawing, level_rad = self._drawn(memory, stances), 0.0 if now is None else now.level_rad
+        drawing, level_rad = self._drawn(memory) if stances.still else None, 0.0 if now is None else now.level_rad
         if memory.shape is not state.memory.shape:
             first = None if memory.shape is None else drawing
         return LuxloopState(memory, stances.time_s, drawing, body, level_rad, first, sought)
@@ -216,7 +227,7 @@ class Luxloop:
         Half as high or low as that; after a flat road one that falls, unless the symbol has been seen before, so that something hides it.
         """
         lost, before = look.seen.acquired, state.memory.shape
-        if lost is None or lost.found or not look.shown.drawing.shows(state.drawing):
+        if lost is None or lost.found or state.drawing is None or not look.shown.drawing.shows(state.drawing):
             return None
         if before is not None:
             return self._shaped(state.memory, before / 2) if state.memory.searched < SEARCHES else None
@@ -244,16 +255,16 @@ class Luxloop:
         seen, limit = coarse.symbol(contrast, limit), limit / coarse.on_pixels(memory.brightness)
         return sweep(coarse, seen, textures, limit, self.tried, memory.heights.base)
 
-    def _drawn(self, memory: Memory, stances: Stances) -> Drawing:
+    def _drawn(self, memory: Memory, following: Following = AT_REST) -> Drawing:
         """The symbol for the road as it is known, from where the body will be then."""
         symbol, plane = self.projector.params, memory.T_ground_plane
-        stances = stances if plane.equal(HERE) else stances.over(plane)
-        T_body_ground = inverse(stances.following)
+        T_plane_body = following.body if plane.equal(HERE) else inverse(plane) @ following.body
+        T_body_plane = inverse(T_plane_body)
         if not memory.heights.information.any():
-            return laid(self.projector.target, T_body_ground)
-        ends = transform(stances.following, self.ends).T.to(memory.eye)
-        relief = memory.moved(stances.until, ends[0]).relief()
-        drawing = drawn_on(relief, ends[1:], symbol, T_body_ground, symbol.target == "place" or not plane.equal(HERE))
+            return laid(self.projector.target, T_body_plane)
+        ends = transform(T_plane_body, self.ends).T.to(memory.eye)
+        relief = memory.moved(following.until, ends[0]).relief()
+        drawing = drawn_on(relief, ends[1:], symbol, T_body_plane, symbol.target == "place" or not plane.equal(HERE))
         return replace(drawing, aim=elsewhere(plane, symbol))
 
     def _nothing(self, registration: Registration) -> Memory:

@@ -18,6 +18,7 @@ from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.flat_model import PROBE
 from controllers.symbol.sensing.observer import Observer
 from controllers.symbol.sensing.protocol import Look
+from perception.egomotion import Ego
 from perception.extraction import Loss
 from world.params import Degrees, Metres
 
@@ -94,7 +95,7 @@ class Feedback:
         losses = torch.zeros(pose.shape[:-1], dtype=torch.int64, device=pose.device)
         return FeedbackState(correction.clamp(self.low, self.high), losses, pose)
 
-    def drawing(self, state: FeedbackState) -> Drawing:
+    def drawing(self, state: FeedbackState, ego: Ego | None) -> Drawing:
         """The symbol as it is at the corrected target."""
         return self._drawn(state.correction) if state.pose is None else Drawing(state.pose)
 

@@ -8,6 +8,7 @@ from torch import Tensor
 from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.observer import Observer
 from controllers.symbol.sensing.protocol import Look, SymbolController
+from perception.egomotion import Ego
 from perception.extraction import Loss
 
 SURE = 0.85  # match with which a road is believed though the symbol is seen as on another; on grades it is above 0.9
@@ -33,9 +34,9 @@ class Lifting:
         """State that shows the pose `[..., 4]` first."""
         return LiftingState(self.inner.start(pose))
 
-    def drawing(self, state: LiftingState) -> Drawing:
+    def drawing(self, state: LiftingState, ego: Ego | None) -> Drawing:
         """The controller's, for the road as it is known."""
-        drawing = self.inner.drawing(state.inner)
+        drawing = self.inner.drawing(state.inner, ego)
         return drawing if state.shape is None else replace(drawing, shape=state.shape)
 
     def step(self, state: LiftingState, look: Look) -> LiftingState:

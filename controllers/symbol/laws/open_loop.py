@@ -7,6 +7,7 @@ from torch import Tensor
 
 from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.protocol import Look
+from perception.egomotion import Ego
 from world.params import Params
 
 
@@ -26,7 +27,7 @@ class OpenLoop:
         """The target, in the shape of the pose `[..., 4]`."""
         return self.target.expand_as(pose)
 
-    def drawing(self, state: Tensor) -> Drawing:
+    def drawing(self, state: Tensor, ego: Ego | None) -> Drawing:
         """The symbol as it is at the target `[..., 4]`."""
         return Drawing(state)
 

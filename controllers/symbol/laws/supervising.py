@@ -11,6 +11,7 @@ from controllers.symbol.laws.alignment import Alignment
 from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.observer import Observer
 from controllers.symbol.sensing.protocol import Look, SymbolController
+from perception.egomotion import Ego
 from perception.extraction import Loss
 from world.params import Params
 
@@ -52,9 +53,9 @@ class Supervising:
         """The open loop, whatever the pose `[4]`."""
         return SupervisingState()
 
-    def drawing(self, state: SupervisingState) -> Drawing:
+    def drawing(self, state: SupervisingState, ego: Ego | None) -> Drawing:
         """The open loop's, or the controller's."""
-        return self.flat if state.inner is None else self.inner.drawing(state.inner)
+        return self.flat if state.inner is None else self.inner.drawing(state.inner, ego)
 
     def step(self, state: SupervisingState, look: Look) -> SupervisingState:
         """Judge what was seen, then step the controller if it is in charge."""

@@ -16,6 +16,7 @@ from controllers.pid import PidGains, PidParams, PidState, pid_gains, pid_reset,
 from controllers.symbol.laws.stages import StagedParams
 from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.protocol import Look
+from perception.egomotion import Ego
 from perception.extraction import Loss
 from world.params import Degrees, Metres, Params
 
@@ -99,7 +100,7 @@ class ThesisPid:
         """State that shows the pose `[..., 4]` first."""
         return ThesisPidState(pid_reset(self.gains, pose), torch.zeros(pose.shape[:-1], dtype=torch.int64, device=pose.device))
 
-    def drawing(self, state: ThesisPidState) -> Drawing:
+    def drawing(self, state: ThesisPidState, ego: Ego | None) -> Drawing:
         """The symbol as it is at the outputs of the four loops, `[..., 4]`."""
         return Drawing(state.pid.output)
 

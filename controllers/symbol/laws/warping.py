@@ -11,6 +11,7 @@ from controllers.symbol.laws.alignment import Alignment, Kind, Placement
 from controllers.symbol.sensing.drawing import CELLS, Drawing, Warp
 from controllers.symbol.sensing.observer import Observer
 from controllers.symbol.sensing.protocol import Look, SymbolController
+from perception.egomotion import Ego
 from perception.extraction import Loss
 from world.params import Params
 
@@ -52,9 +53,9 @@ class Warping:
         """State that shows the pose `[4]` first."""
         return WarpingState(self.inner.start(pose))
 
-    def drawing(self, state: WarpingState) -> Drawing:
+    def drawing(self, state: WarpingState, ego: Ego | None) -> Drawing:
         """What is tried, or what the controller draws."""
-        return state.drawing or self.inner.drawing(state.inner)
+        return state.drawing or self.inner.drawing(state.inner, ego)
 
     def step(self, state: WarpingState, look: Look) -> WarpingState:
         """Keep a warp whose symbol lies better than any before, else go half as far; give a lost symbol back to the controller."""

@@ -13,7 +13,7 @@ from perception.egomotion import Ego
 
 @dataclass(frozen=True)
 class Shown:
-    """What was shown in a step. lights: utilisations, one a module. ego: what was known of the vehicle's motion then, if anything."""
+    """What was shown in a step. lights: utilisations, one a module. ego: with which it was drawn, if anything was known of the motion."""
 
     drawing: Drawing
     lights: tuple[Utilisation, ...]
@@ -42,8 +42,8 @@ class SymbolController(Protocol):
         """State that shows the pose `[..., 4]` (x, y in m, roll, pitch in rad) first."""
         ...
 
-    def drawing(self, state: Any) -> Drawing:
-        """What is to be shown now."""
+    def drawing(self, state: Any, ego: Ego | None) -> Drawing:
+        """What is to be shown now. ego: what is known of the vehicle's motion now, if anything, newer than any look."""
         ...
 
     def step(self, state: Any, look: Look) -> Any:

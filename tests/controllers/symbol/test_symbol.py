@@ -224,7 +224,7 @@ def test_shadows_are_no_symbol() -> None:
 
 
 def pose_of(controller: SymbolController, state: Any) -> Tensor:
-    drawing = controller.drawing(state)
+    drawing = controller.drawing(state, None)
     assert drawing.warp is None and drawing.z is None
     return drawing.pose
 

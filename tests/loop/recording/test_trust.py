@@ -40,7 +40,7 @@ class Stays:
         self.fails = fails
     def start(self, pose):
         return pose
-    def drawing(self, state):
+    def drawing(self, state, ego):
         return Drawing(state)
     def step(self, state, look):
         return 1 / 0 if self.fails else state

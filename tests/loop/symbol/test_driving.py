@@ -1,12 +1,17 @@
 """The loop in a car that drives: what lamps, camera and judge see of it."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
+from torch import Tensor
 
+from controllers.symbol.sensing.drawing import Drawing
+from controllers.symbol.sensing.protocol import Look
 from loop.scenario.model import Scenario, validate
 from loop.symbol.simulation import Simulation, StepResult
+from perception.egomotion import Ego
 from tests.loop.conftest import SMALL
 from world.errors import LuxloopError
 from world.frames import inverse, transform
@@ -65,6 +70,34 @@ def test_sensors_tell_what_the_vehicle_does(nodding, small_simulation):
     ego = nodding.plant.ego(3)
     assert (float(ego.speed_m_s), ego.time_s, ego.age_s) == pytest.approx((22.0, 2 / 30, 1 / 30))
     assert torch.equal(small_simulation.plant.ego(3).T_ground_body.cpu(), torch.eye(4))
+
+
+class Listening:
+    """Shows the target, and keeps what it is told of the motion when it draws and when frames come."""
+
+    def __init__(self, target: Tensor) -> None:
+        self.target, self.drawn, self.looked = target, list[Ego](), list[tuple[Ego, Ego]]()
+
+    def start(self, pose: Tensor) -> None:
+        return None
+
+    def drawing(self, state: None, ego: Ego | None) -> Drawing:
+        assert ego is not None
+        self.drawn.append(ego)
+        return Drawing(self.target)
+
+    def step(self, state: None, look: Look) -> None:
+        assert look.ego is not None and look.shown.ego is not None
+        self.looked.append((look.shown.ego, look.ego))
+
+
+def test_light_is_drawn_with_what_is_known_when_it_is_exposed(nodding):
+    controller = Listening(nodding.projector.target)
+    results = list(replace(nodding, controller=controller).run())
+    assert [ego.exposed_s for ego in controller.drawn] == pytest.approx([result.time_s for result in results])
+    assert [ego.time_s for ego in controller.drawn] == pytest.approx([0, 0, 1 / 30, 2 / 30]), "a step late"
+    assert [then for then, _ in controller.looked] == controller.drawn
+    assert [now.exposed_s for _, now in controller.looked] == pytest.approx([(step + 1) / 30 for step in range(4)]), "when frames come"
 
 
 def test_a_course_out_of_order_is_told():

@@ -113,17 +113,17 @@ def test_a_shape_begins_the_controller_anew_and_is_given_up_where_nothing_is_see
     def shown(drawing: Drawing) -> Shown:
         return Shown(drawing, flat.projector.draw(drawing))
 
-    state = lifting.step(before, Look(found, None, shown(lifting.drawing(before))))
-    drawing = lifting.drawing(state)
+    state = lifting.step(before, Look(found, None, shown(lifting.drawing(before, None))))
+    drawing = lifting.drawing(state, None)
     assert drawing.shows(Drawing(flat.projector.target, shape=PLANE)), "errors of light that was not drawn for the road move nothing"
-    late = lifting.step(state, Look(found, None, shown(lifting.drawing(before))))
-    assert lifting.drawing(late).shows(drawing)
+    late = lifting.step(state, Look(found, None, shown(lifting.drawing(before, None))))
+    assert lifting.drawing(late, None).shows(drawing)
     moved = lifting.step(late, Look(found, None, shown(drawing)))
-    assert not lifting.drawing(moved).shows(drawing)
+    assert not lifting.drawing(moved, None).shows(drawing)
     for _ in range(LOSSES):
         assert moved.shape is not None
-        moved = lifting.step(moved, Look(lost, None, shown(lifting.drawing(moved))))
-    assert lifting.drawing(moved).shows(Drawing(flat.projector.target))
+        moved = lifting.step(moved, Look(lost, None, shown(lifting.drawing(moved, None))))
+    assert lifting.drawing(moved, None).shows(Drawing(flat.projector.target))
 
 
 def test_a_symbol_that_goes_on_beyond_its_footprint_is_searched_for() -> None:

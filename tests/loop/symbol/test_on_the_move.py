@@ -152,12 +152,20 @@ class Linear(BodyFilter):
 
     ego: Ego | None = None
 
-    def predicts(self, time_s: float) -> bool:
-        return False
+    @property
+    def pitch_rad(self) -> float:
+        return 0.0
+
+    @property
+    def level_rad(self) -> float:
+        return 0.0
+
+    def looked(self, time_s: float, pitched_rad: float | None) -> "Linear":
+        return self
 
     def T_ground_body(self, time_s: float) -> Tensor:
         assert self.ego is not None
-        return self.ego.after(time_s - self.time_s).T_ground_body.double()
+        return self.ego.after(time_s - self.ego.time_s).T_ground_body.double()
 
 
 class Unfiltered(Luxloop):

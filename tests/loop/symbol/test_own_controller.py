@@ -15,7 +15,7 @@ class Halfway:
         self.share = share
     def start(self, pose):
         return pose
-    def drawing(self, state):
+    def drawing(self, state, ego):
         return Drawing(state)
     def step(self, state, look):
         return state - self.share * look.seen.pose_error.nan_to_num()
@@ -35,7 +35,7 @@ def test_a_controller_of_ones_own_is_named_in_the_scenario() -> None:
     _, second = simulation.step(state)
     assert simulation.controller.inner.share == 0.25
     assert (second.pose - first.pose + 0.25 * first.seen.pose_error).abs().max() < 1e-6
-    assert isinstance(simulation.controller.drawing(state.controller), Drawing)
+    assert isinstance(simulation.controller.drawing(state.controller, None), Drawing)
     again = type(scenario).model_validate_json(scenario.model_dump_json())
     assert again == scenario, "recordings hold it"
 
