@@ -124,7 +124,7 @@ class Baseline:
         self.rays = (self.T_world_lamp[:3, :3] @ rays).astype(np.float32)
         self.symbol = projector.symbol.numpy()
 
-        triangles, view = world.scene.at(0.0), camera_view(self.camera, self.camera.oversampling)
+        triangles, view = world.scene.at(0.0), camera_view(self.camera).with_rows(self.camera.oversampling)
         surfaces = gbuffer(triangles, view, world.source.face_ids(triangles, view))
         self.surfaces = Surfaces.of(surfaces, sees(triangles, lamp.T_world_headlight[:3, 3], surfaces.position.flatten(1)).numpy())
         self.flat = Surfaces.of(flat_road(view, simulation.scenario.surface.albedo))

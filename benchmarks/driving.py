@@ -22,7 +22,7 @@ from loop.scenario.model import load
 from loop.symbol.simulation import Simulation, SimulationState, StepResult
 from loop.terminal import tables
 from world.light.illumination import added_light
-from world.rendering.surfaces import QuickSurfaces
+from world.rendering.surfaces import QuickSurfaces, surface_source
 
 BOX = '{ kind = "box", name = "box", size_m = [1, 1, 1], track = [{ position_m = [20, 2, 0] }, { time_s = 2, position_m = [20, -2, 0] }] }'
 CASES: tuple[tuple[str, tuple[str, ...]], ...] = (
@@ -48,7 +48,9 @@ class Clock:
 
 def exactly(world: World) -> World:
     """The same, rendered as a world that stands."""
-    return World(world.scene, world.modules, world.camera, world.source, world.device, world.motion, moving=False)
+    exact = World(world.scene, world.modules, world.camera, world.source, world.device, world.motion)
+    exact.moving, exact.surfaces = False, surface_source(world.source, moving=False)
+    return exact
 
 
 def rendered(world: World, exposures: tuple[float, float]) -> float:

@@ -99,7 +99,7 @@ def example() -> object_based_page.Pictures:
         state, result = simulation.step(state)
     beams = beam_lights(simulation)
     lights = {LOW: beams[LOW], FULL: beams[FULL], "object-based": result.lights}
-    view, camera, sight = simulation.camera.at(result.time_s), simulation.scenario.camera, simulation.sight
+    view, camera, sight = simulation.world.lit(result.time_s), simulation.scenario.camera, simulation.sight
     assert sight is not None
     pictures = {}
     for name, each in lights.items():

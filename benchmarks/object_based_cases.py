@@ -15,7 +15,7 @@ from loop.lighting.lamps import flux_by_side
 from loop.lighting.result import LightingResult
 from loop.lighting.sight import Sight, pairs
 from loop.lighting.simulation import LightingSimulation
-from loop.lighting.view import LitScene
+from loop.plant.world import LitScene
 from loop.scenario.model import LightingScenario, load_any, validate_lighting
 from loop.scenario.overrides import Override
 from perception.camera import CameraParams, expose, frame_generator

@@ -10,10 +10,10 @@ from object_based_cases import CAMERA, FIRST, WORLD, beside, lit, scenario
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
-from loop.assembly.pixel_control import pixel_controller
 from loop.jobs.runner import Job
 from loop.lighting.sight import pairs
 from loop.lighting.simulation import LightingSimulation
+from loop.plant.world import World
 from perception.camera import expose, frame_generator
 from perception.detection.protocol import Detections
 from perception.detection.suppression import SAME, overlaps
@@ -182,7 +182,7 @@ def agreement(scenario: Mapping[str, Any]) -> dict[str, Any]:
 def _frame(simulation: LightingSimulation, noise: int = 0) -> tuple[Tensor, Detections]:
     """A frame in the high beam as shares of the largest digital number, and what is found in it."""
     assert simulation.sight is not None
-    view, camera = simulation.camera.at(0.0), simulation.scenario.camera
+    view, camera = simulation.world.lit(0.0), simulation.scenario.camera
     lights = [module.lamp.beam("high")[module.number].to(module.flux) for module in simulation.modules]
     luminance = view.light(lights)[1] + view.base
     frame = expose(luminance, camera, frame_generator(noise, 0, 0)) / (2**camera.bits - 1)
@@ -192,12 +192,12 @@ def _frame(simulation: LightingSimulation, noise: int = 0) -> tuple[Tensor, Dete
 def _with_less_overlap(simulation: LightingSimulation) -> LightingSimulation:
     """The same with lamps of which each texel has its strongest pixels alone, with the light of all (T 5.2)."""
     modules = []
-    for module in simulation.modules:
+    for module in simulation.world.modules:
         light = replace(module.headlight, matrix=reduce(module.headlight.matrix, KEEP, "proportional"), stored=None)
-        modules.append(replace(module, controller=pixel_controller(simulation.scenario, light)))
-    before = simulation.camera
-    camera = type(before)(before.scene, before.view, tuple(modules), before.source, before.device)
-    return replace(simulation, modules=tuple(modules), camera=camera)
+        modules.append(replace(module, headlight=light))
+    before = simulation.world
+    world = World(before.scene, modules, before.camera, before.source, before.device, before.motion, metered=True, given=before.given)
+    return replace(simulation, plant=replace(simulation.plant, world=world))
 
 
 def _apart(one: tuple[Tensor, Detections], other: tuple[Tensor, Detections]) -> dict[str, Any]:

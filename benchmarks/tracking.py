@@ -150,7 +150,7 @@ def traffic(seed: int, steps: int) -> Kept:
     simulation, judge = LightingSimulation.prepare(scenario), Judge(len(scenario.all_objects))
     for result in simulation.run():
         assert result.look is not None
-        view = simulation.camera.at(result.time_s)
+        view = simulation.world.lit(result.time_s)
         boxes, shown = torch.zeros(len(scenario.all_objects), 4, dtype=torch.float64), [False] * len(scenario.all_objects)
         for each, box in zip(view.objects, view.boxes, strict=True):
             boxes[each.object_id - 1] = box

@@ -70,18 +70,18 @@ class CameraParams(Params):
         return self
 
 
-def camera_view(params: CameraParams, oversampling: int = 1) -> View:
-    """The camera's pinhole view while the vehicle stands at the world's origin; with so many image rows for each pixel row."""
+def camera_view(params: CameraParams) -> View:
+    """The camera's pinhole view while the vehicle stands at the world's origin."""
     T_world_mount = pose_from_degrees((params.x_m, params.y_m, params.z_m), params.roll_deg, params.pitch_deg, params.yaw_deg)
     T_mount_view = pose(torch.zeros(3, dtype=torch.float64), R_ISO_OPENCV)
     focal_px = params.width_px / 2 / math.tan(math.radians(params.hfov_deg) / 2)
     return View(
         width=params.width_px,
-        height=params.height_px * oversampling,
+        height=params.height_px,
         fx=focal_px,
-        fy=focal_px * oversampling,
+        fy=focal_px,
         cx=params.width_px / 2,
-        cy=params.height_px * oversampling / 2,
+        cy=params.height_px / 2,
         T_world_view=T_world_mount @ T_mount_view,
     )
 

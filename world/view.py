@@ -1,6 +1,6 @@
 """A pinhole view of the world: what a camera and a lamp's shadow map have in common."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -25,6 +25,10 @@ class View:
     def origin(self) -> Tensor:
         """Centre of projection in the world, `[3]` m."""
         return self.T_world_view[:3, 3]
+
+    def with_rows(self, rows: int) -> "View":
+        """The same view with so many rows for each of its own."""
+        return replace(self, height=rows * self.height, fy=rows * self.fy, cy=rows * self.cy)
 
     def rays(self) -> Tensor:
         """World directions through all pixel centres, `[3, height, width]` float64, scaled to depth 1 along the optical axis."""

@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.nn.functional import grid_sample
 
 from controllers.pixels.primitives import U_ABS, Primitives, meant
-from world.frames import inverse
+from world.frames import inverse, transform
 from world.headlight import Headlight
 from world.rendering.raycast import sees
 from world.scene.scene import StreetLamp
@@ -24,14 +24,18 @@ Caster = Callable[[Tensor, Tensor], Tensor]  # (points [3, N], target [3]) -> [N
 BIAS_M = 0.02  # what stands closer to the point belongs to the surface that the point lies on
 
 
-def scene_caster(triangles: Triangles, skip: Collection[int] = (0,)) -> Caster:
-    """A caster of shadow rays through a scene's triangles. skip: ids of the objects that hide nothing, by default the road.
+def scene_caster(triangles: Triangles, T_world_points: Tensor | None = None, skip: Collection[int] = (0,)) -> Caster:
+    """A caster of shadow rays through a scene's triangles. T_world_points: `[4, 4]`, where the frame of its points lies in the world, by
+    default there. skip: ids of the objects that hide nothing, by default the road.
 
     The road is skipped since primitives lie near it, not on it: a primitive 1 cm below the road would be hidden everywhere.
     """
     casting = Triangles(tuple(placed for placed in triangles.placed if placed.object_id not in skip))
 
     def occluded(points: Tensor, target: Tensor) -> Tensor:
+        if T_world_points is not None:
+            T = T_world_points.to(points)
+            points, target = transform(T, points), transform(T, target[:, None].to(points))[:, 0]
         return ~sees(casting, target, points, BIAS_M)
 
     return occluded

@@ -35,7 +35,7 @@ def build_road(scenario: WorldScenario) -> Road:
     return _located(scenario.road)
 
 
-def build_motion(scenario: Scenario) -> Motion:
+def build_motion(scenario: WorldScenario) -> Motion:
     """The drive, over half a period more than all steps. Raises LuxloopError where a file is missing or broken."""
     if scenario.vehicle is None:
         return STANDING

@@ -1,16 +1,16 @@
 """What a disturbed scenario's camera and lamps truly are. The controller keeps to what their own tables say."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from controllers.pixels.ssc import Utilisation
-from controllers.symbol.sensing.projector import Projector
 from loop.scenario.disturbances import AimParams, DisturbanceParams, WearParams
-from loop.scenario.model import Scenario, WorldScenario
+from loop.scenario.model import WorldScenario
 from perception.camera import CameraParams
 from world.errors import LuxloopError
 from world.frames import pose_from_degrees
@@ -21,6 +21,7 @@ from world.headlight import Headlight
 class LampModule:
     """A module as it shines. beam: its base beam. T_world_headlight: `[4, 4]`, where the vehicle stands at its start."""
 
+    name: str
     headlight: Headlight
     beam: Utilisation
     T_world_headlight: Tensor
@@ -38,25 +39,17 @@ def true_camera(scenario: WorldScenario) -> CameraParams:
     return camera.model_copy(update=moved)
 
 
-def true_modules(scenario: Scenario, projector: Projector) -> tuple[LampModule, ...]:
-    """The modules that draw, as `as_it_is` has them."""
-    modules = []
-    for k, (module, resting) in enumerate(zip(projector.modules, projector.resting, strict=True)):
-        mounted = (module.pixel_controller.headlight, module.T_world_headlight)
-        headlight, T_world_headlight = as_it_is(scenario.disturbances, k, module.name, *mounted)
-        modules.append(LampModule(headlight, resting, T_world_headlight))
-    return tuple(modules)
+def true_modules(disturbances: DisturbanceParams, modules: Iterable[LampModule]) -> tuple[LampModule, ...]:
+    """Modules with dead and aged pixels, and with errors of aim.
 
-
-def as_it_is(
-    disturbances: DisturbanceParams, number: int, name: str, headlight: Headlight, T_world_headlight: Tensor
-) -> tuple[Headlight, Tensor]:
-    """A module's headlight with dead and aged pixels, and its pose `[4, 4]` with errors of aim. number: of the module, for its own draw.
-
-    Raises LuxloopError where the module lacks a pixel that is named, and where its aim puts it under the road.
+    Raises LuxloopError where a module lacks a pixel that is named, and where its aim puts it under the road.
     """
-    aims = [aim for aim in disturbances.aim if aim.lamp is None or name.startswith(f"{aim.lamp} ")]
-    return worn(headlight, name, disturbances.wear, number), misaimed(T_world_headlight, aims)
+    true = []
+    for number, module in enumerate(modules):
+        aims = [aim for aim in disturbances.aim if aim.lamp is None or module.name.startswith(f"{aim.lamp} ")]
+        headlight = worn(module.headlight, module.name, disturbances.wear, number)
+        true.append(replace(module, headlight=headlight, T_world_headlight=misaimed(module.T_world_headlight, aims)))
+    return tuple(true)
 
 
 def misaimed(T_world_headlight: Tensor, aims: list[AimParams]) -> Tensor:

@@ -10,7 +10,7 @@ from pydantic import Field
 from torch import Tensor
 
 from loop.lighting.simulation import LightingSimulation
-from loop.lighting.view import LitScene
+from loop.plant.world import LitScene
 from perception.camera import expose, frame_generator, luminance_of, noise_std
 from perception.detection.network import Network, NetworkDetector, boxes_of, middles, prepared
 from perception.detection.protocol import Detector
@@ -57,7 +57,7 @@ class BeamJudge:
     @classmethod
     def prepare(cls, simulation: LightingSimulation, goal: BeamGoal, detector: Detector | None) -> "BeamJudge":
         """Raises LuxloopError where there is nothing to be seen."""
-        judge = cls(simulation, goal, detector, simulation.camera.at(0.0))
+        judge = cls(simulation, goal, detector, simulation.world.lit(0.0))
         if not judge.masks:
             raise LuxloopError("objects: none with a category that counts is in the camera's sight at the start; put one there")
         return judge

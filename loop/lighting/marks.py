@@ -36,7 +36,7 @@ class Mark:
 
 def marks(result: LightingResult, simulation: LightingSimulation) -> tuple[Mark, ...]:
     """Zones, and boxes on the road of what a perfect tracker tells; with a detector those in the image, of tracks after the frame."""
-    view = simulation.view
+    view = result.view
     zones = tuple(_zone(name, each, view) for name, each in simulation.scenario.functions.items() if isinstance(each, ZoneParams))
     if result.look is None:
         there = (each for each in result.now.objects if each.since_s <= result.time_s < each.until_s)

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from controllers.functions.planner import Plan
 from controllers.pixels.primitives import Primitives
-from loop.lighting.view import Looker
+from loop.plant.world import World
 from perception.metrics import iou
 from world.view import View
 
@@ -46,7 +46,7 @@ def in_white(plan: Plan) -> Plan | None:
 
 
 def observed_symbols(
-    plan: Plan, lights: Sequence[Tensor], white: Sequence[Tensor], camera: Looker, time_s: float
+    plan: Plan, lights: Sequence[Tensor], white: Sequence[Tensor], world: World, time_s: float
 ) -> tuple[ObservedSymbol, ...]:
     """All symbols of a plan that are meant for an observer, in its order; its lights and those of white pictures `[n_p]`, one a module."""
     primitives = plan.primitives
@@ -55,7 +55,7 @@ def observed_symbols(
     found = []
     for p in pictures(primitives):
         view = picture_view(*(each[p].double() for each in (who.eye, who.origin, who.d1, who.d2)))
-        seen = camera.through(view).at(time_s)
+        seen = world.through(view, time_s)
         (_, drawn), (_, full) = seen.light(lights), seen.light(white)
         symbol = primitives.symbols[int(primitives.symbol_of[p])].to(drawn)
         wanted = torch.nn.functional.interpolate(symbol[None, None], drawn.shape, mode="bilinear")[0, 0]

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from controllers.situation import Situation
 from controllers.zones.material import MaterialLightParams, MaterialParams, MaterialState, Quantity
-from loop.lighting.view import LitScene
+from loop.plant.world import LitScene
 from world.frames import inverse, transform
 
 
@@ -76,6 +76,7 @@ def _asked(function: MaterialParams, state: MaterialState, now: Situation, told:
     standing = torch.isin(surfaces.object_id, ids.to(surfaces.object_id)) & ~state.ground
     if function.road_m is None:
         return standing
-    x, y, _ = transform(inverse(now.T_world_vehicle).to(surfaces.position), surfaces.position.flatten(1)).unflatten(1, state.ground.shape)
+    T_ground_world = inverse(view.vehicle.T_world_ground).to(surfaces.position)
+    x, y, _ = transform(T_ground_world, surfaces.position.flatten(1)).unflatten(1, state.ground.shape)
     near, far = function.road_m
     return standing | state.ground & (x >= near) & (x <= far) & (y.abs() <= function.road_width_m / 2)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from loop.lighting.sight import Recognised, name_of
-from loop.lighting.view import LitScene
+from loop.plant.world import LitScene
 
 
 @dataclass(frozen=True)

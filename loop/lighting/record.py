@@ -138,7 +138,7 @@ class LightingRecorder(TableRecorder[LightingResult]):
         """Raises LuxloopError as any recorder does, and if an input file cannot be read."""
         self.simulation = simulation
         self.idle = set(simulation.scenario.functions)
-        manifest = Manifest.of(simulation.scenario, simulation.camera.source.name, simulation.device)
+        manifest = Manifest.of(simulation.scenario, simulation.world.source.name, simulation.device)
         super().__init__(directory, manifest, schema(simulation), report, checked)
 
     def row(self, result: LightingResult) -> dict[str, Any]:

@@ -121,7 +121,7 @@ def _observed(figure: SubFigure, observed: Sequence[tuple[LightingResult, Observ
 
 
 def _from_above(axes: Axes, simulation: LightingSimulation, last: LightingResult) -> None:
-    light = simulation.camera.through(birdseye()).at(last.time_s).light(last.lights)[0].cpu().numpy()
+    light = simulation.world.through(birdseye(), last.time_s).light(last.lights)[0].cpu().numpy()
     extent = (*BIRDSEYE_X_M, *BIRDSEYE_Y_M)
     most = float(light.max().clip(1, BRIGHTEST_ROAD_LX))
     scale = LogNorm(FAINTEST_ROAD_LX, most)

@@ -1,7 +1,7 @@
 """What happened in a step of a lighting scenario, and what is known before the next."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from torch import Tensor
@@ -14,21 +14,26 @@ from loop.lighting.on_materials import OnMaterial
 from loop.lighting.on_objects import OnObject
 from loop.lighting.sight import Recognised
 from loop.lighting.zoned import InZone
+from loop.plant.protocol import Arrivals
 from perception.detection.protocol import Detections
 from perception.tracks import TrackedBoxes
+from world.view import View
 
 
 @dataclass(frozen=True, eq=False)
 class LightingState:
     """What the car knows before a step. tracks: the tracker's state, None without a detector. functions: what each of them has learnt.
 
-    plant: its state.
+    plant: its state. arrivals: what has come in by its beginning. believed: views from the ground frame of the exposures whose frames have
+    not come yet, by their number.
     """
 
     step: int
     tracks: Any
     functions: States
     plant: Any
+    arrivals: Arrivals
+    believed: Mapping[int, View] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,16 +55,18 @@ class Look:
 class LightingResult:
     """What happened in one step.
 
-    now: what was known, and functions: what they had learnt, when the light was planned. masked: names of its objects that must be dark.
-    lights: utilisations `[n_p]`, one a module. powers: by the lamps' sides. illuminance: `[height, width]` lx from the lamps alone, and
-    luminance: in cd/m^2 with all other light, as the camera sees them. frame: digital numbers of the newest frame that came in this step,
-    None where none came. objects: by name, those that are there and have a category. look: None without a detector. symbols: those that
-    are meant for an observer, from their eyes. zones, materials: by name. timings: ms by part.
+    now: what was known, and functions: what they had learnt, when the light was planned. view: of the camera from the ground frame then, as
+    the car believed. masked: names of objects that must be dark. lights: utilisations `[n_p]`, one a module. powers: by the lamps' sides.
+    illuminance: `[height, width]` lx from the lamps alone, and luminance: in cd/m^2 with all other light, as the camera sees them.
+    frame: digital numbers of the newest frame that came in this step, None where none came. objects: by name, those that are there and have
+    a category. look: None without a detector. symbols: those that are meant for an observer, from their eyes. zones, materials: by name.
+    timings: ms by part.
     """
 
     step: int
     time_s: float
     now: Situation
+    view: View
     functions: States
     masked: frozenset[str]
     plan: Plan

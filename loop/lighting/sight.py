@@ -9,7 +9,7 @@ from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
 from controllers.situation import TrackedObject
-from loop.lighting.view import LitScene
+from loop.plant.world import LitScene
 from perception.detection.build import detector
 from perception.detection.params import AnyParams, TruthParams
 from perception.detection.protocol import Detections, Detector
@@ -58,12 +58,12 @@ class Sight:
         assert self.detector is not None
         return self.detector.detect(frame[None])[0]
 
-    def objects(self, tracks: Any, time_s: float) -> tuple[TrackedObject, ...]:
-        """The tracks as lighting functions are told of them, where they are expected at a time."""
+    def objects(self, tracks: Any, time_s: float, view: View) -> tuple[TrackedObject, ...]:
+        """The tracks as lighting functions are told of them, where they are expected at a time, on the ground as a view sees it."""
         told = self.tracker.report(tracks, time_s)
         numbers = told.category.tolist()
         names = tuple(self.classes[number] for number in numbers)
-        boxes = placed(told.boxes, names, self.view)
+        boxes = placed(told.boxes, names, view)
         return tuple(
             TrackedObject(
                 name_of(int(told.number[k])),

@@ -1,7 +1,7 @@
 """Lighting functions at work: at each step the objects are tracked, the functions planned, the lamps driven, and the light looked at."""
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -18,8 +18,8 @@ from controllers.pixels.secondary import Light, SecondaryRays, scene_caster
 from controllers.pixels.ssc import Utilisation
 from controllers.pixels.windows import projected_windows
 from controllers.situation import Seen, Situation, TrackedObject
-from loop.assembly.build import build_scene
-from loop.assembly.truth import as_it_is, true_camera
+from loop.assembly.build import build_motion, build_scene
+from loop.assembly.truth import LampModule, true_camera, true_modules
 from loop.lighting.lamps import LampPower, ShiningModule, driven, shining_modules
 from loop.lighting.names import check_names
 from loop.lighting.observed import in_white, observed_symbols
@@ -27,18 +27,20 @@ from loop.lighting.on_materials import on_materials
 from loop.lighting.on_objects import on_objects, told_as
 from loop.lighting.result import LightingResult, LightingState, Look
 from loop.lighting.sight import Sight, false_positives, recognised
-from loop.lighting.view import Filmed, LitScene, Looker, categories
 from loop.lighting.zoned import in_zones
-from loop.plant.protocol import Exposure
+from loop.plant.protocol import Arrivals, Exposure
 from loop.plant.simulated import SimulatedPlant
+from loop.plant.world import LitScene, World, categories
 from loop.scenario.checks import Light as OtherLight
 from loop.scenario.model import DrivingParams, LightingScenario
 from loop.scenario.shipped import named
 from perception.camera import camera_view, luminance_of, saturation_luminance
 from perception.detection.protocol import Detections
+from perception.egomotion import Ego
 from world.errors import located
+from world.frames import inverse, transform
 from world.rendering.face_source import face_source
-from world.scene.scene import Scene
+from world.scene.scene import StreetLamp
 from world.view import View
 
 BEAMS: Mapping[OtherLight, BeamName] = {"full_light": "full", "low_beam": "low"}
@@ -48,19 +50,17 @@ BEAMS: Mapping[OtherLight, BeamName] = {"full_light": "full", "low_beam": "low"}
 class LightingSimulation:
     """A lighting scenario made ready to run on one device.
 
-    camera: what it truly sees. view: what the car believes that it sees. sight: None without a detector; then steps depend on their time
-    alone, unless a function learns.
+    Functions live in the ground frame, which drives with the car. view: what the camera of a car on a level body would see, as the car
+    believes. sight: None without a detector; then steps depend on their time alone, unless a function learns.
     """
 
     scenario: LightingScenario
     device: torch.device
     planner: Planner
-    scene: Scene
     modules: tuple[ShiningModule, ...]
     lights: tuple[tuple[str, Light], ...]
-    camera: Looker
     view: View
-    plant: SimulatedPlant[Filmed]
+    plant: SimulatedPlant
     sight: Sight | None = None
 
     @classmethod
@@ -72,20 +72,24 @@ class LightingSimulation:
     @classmethod
     def _prepare(cls, scenario: LightingScenario, device: torch.device) -> "LightingSimulation":
         planner = Planner.prepare(scenario.functions, scenario.lighting, lambda image: named(image, "symbols"))
-        scene = build_scene(scenario)
-        modules = shining_modules(scenario, device)
+        motion = build_motion(scenario)
+        scene, modules = build_scene(scenario, motion), shining_modules(scenario, device)
         check_names(scenario, modules)
-        believed, true = camera_view(scenario.camera), true_camera(scenario)
-        camera = Looker(
-            scene, camera_view(true), _as_they_are(scenario, modules), scenario.all_objects, face_source(scenario.renderer), device
-        )
-        plant = SimulatedPlant(Filmed(camera, true), scenario.rate_hz, scenario.seed, disturbances=scenario.disturbances, per_step=1)
+        dark = (LampModule(each.name, each.headlight, Utilisation(0 * each.flux), each.T_world_module) for each in modules)
+        true, source = true_modules(scenario.disturbances, dark), face_source(scenario.renderer)
+        world = World(scene, true, true_camera(scenario), source, device, motion, metered=True, given=scenario.all_objects)
+        plant = SimulatedPlant(world, scenario.rate_hz, scenario.seed, scenario.sensors, scenario.disturbances, per_step=1)
         lights = tuple((module.name, Light.of(module.headlight, module.T_world_module)) for module in modules)
-        given = scenario.detector
-        sight = None if given is None else Sight.prepare(given, scenario.tracker, believed, device)
-        simulation = cls(scenario, device, planner, scene, modules, lights, camera, believed, plant, sight)
+        view, given = camera_view(scenario.camera), scenario.detector
+        sight = None if given is None else Sight.prepare(given, scenario.tracker, view, device)
+        simulation = cls(scenario, device, planner, modules, lights, view, plant, sight)
         planner.plan(simulation.situation(0.0))
         return simulation
+
+    @property
+    def world(self) -> World:
+        """What is true."""
+        return self.plant.world
 
     def lit_by(self, light: OtherLight) -> "LightingSimulation":
         """The same world with the same noise, lit by nothing but a beam: all pixels on, or the low beam. Raises LuxloopError without it."""
@@ -100,61 +104,74 @@ class LightingSimulation:
     def watched(self) -> Mapping[str, int]:
         """Objects that are recorded, by name, and their ids: those that a tracker is told of, with a detector all that it ought to find."""
         told = [item.category for item in self.scenario.all_objects]
-        wanted = enumerate(zip(self.scene.objects, told if self.sight is None else categories(self.camera.given), strict=True), 1)
+        wanted = enumerate(zip(self.world.scene.objects, told if self.sight is None else categories(self.world.given), strict=True), 1)
         return {body.name: number for number, (body, category) in wanted if category is not None}
 
-    def situation(self, time_s: float, tracks: Any = None) -> Situation:
-        """What the car knows at a time: from tracks, if there is a detector, else from a tracker that makes no mistakes."""
+    def situation(self, time_s: float, tracks: Any = None, ego: Ego | None = None) -> Situation:
+        """What the car knows at a time: from tracks, if there is a detector, else from a tracker that makes no mistakes.
+
+        ego: its motion as measured; left out: it stands on a level body.
+        """
+        T_ground_body = attitude(ego)
+        lights = tuple((name, replace(each, T_world_headlight=moved(T_ground_body, each.T_world_headlight))) for name, each in self.lights)
         drive = driving(self.scenario.driving, time_s)
+        speed, curvature = drive.speed_m_s, drive.curvature_1_m
+        if self.scenario.vehicle is not None and ego is not None:
+            speed = float(ego.speed_m_s)
+            curvature = 0.0 if ego.stands else float(ego.yaw_rate_rad_s) / speed
         return Situation(
             time_s,
             torch.eye(4, dtype=torch.float64),
-            torch.stack([module.T_world_module[:3, 3].double().cpu() for module in self.modules]),
-            self._all_objects(time_s) if self.sight is None else () if tracks is None else self.sight.objects(tracks, time_s),
-            drive.speed_m_s,
-            drive.curvature_1_m,
+            torch.stack([light.T_world_headlight[:3, 3].double().cpu() for _, light in lights]),
+            self._all_objects(time_s) if self.sight is None else self._tracked(tracks, time_s, T_ground_body),
+            speed,
+            curvature,
             drive.wet,
             drive.street_lit,
-            lights=self.lights,
+            lights=lights,
         )
 
     def start(self, step: int = 0) -> LightingState:
         """The state before a step, with nothing seen yet."""
         plant, _ = self.plant.start()
-        return LightingState(step, None if self.sight is None else self.sight.tracker.start(), self.planner.start(), plant)
+        arrivals = Arrivals(step / self.scenario.rate_hz, ego=self.plant.ego(step))
+        return LightingState(step, None if self.sight is None else self.sight.tracker.start(), self.planner.start(), plant, arrivals)
 
     def step(self, state: LightingState) -> tuple[LightingState, LightingResult]:
         """One step: light is planned with what is known, and what is then seen adds to it."""
         start = time.perf_counter()
-        time_s = state.step / self.scenario.rate_hz
-        now = self.situation(time_s, state.tracks)
+        time_s, view = state.arrivals.time_s, self._from(attitude(state.arrivals.ego))
+        now = self.situation(time_s, state.tracks, state.arrivals.ego)
         plan = self.planner.plan(now, state.functions)
         planned = time.perf_counter()
-        lights, powers = self._driven(plan, time_s)
+        lights, powers = self._driven(plan, now)
         lit = time.perf_counter()
         shown = tuple(Utilisation(u) for u in lights)
         plant, arrivals = self.plant.show(state.plant, Exposure(state.step, time_s, 1 / self.scenario.rate_hz, shown))
-        seen, illuminance, luminance = self.plant.world.lit(time_s, shown)
+        seen, (illuminance, luminance) = self.world.lit(time_s), self.world.meter(time_s, shown)
         looked = time.perf_counter()
+        believed = {**state.believed, state.step: view}
         tracks, functions, image, found, then, then_s = state.tracks, state.functions, None, None, seen, time_s
         for frame in arrivals.frames:
+            then_view = believed.pop(frame.number)
             if frame.image is not None:
                 image, then_s = frame.image, frame.taken_s
-                then = seen if then_s == time_s else self.camera.at(then_s)
+                then = seen if then_s == time_s else self.world.lit(then_s)
                 if self.sight is not None:
                     share = image / (2**self.scenario.camera.bits - 1)
                     found = self.sight.find(share, then)
                     tracks = self.sight.tracker.follow(tracks, found, share, then_s)
                 if self.planner.learns:
-                    functions = self.planner.step(functions, self._learnt(now, then, then_s, image, tracks))
+                    functions = self.planner.step(functions, self._learnt(now, then, then_s, image, then_view, tracks))
         look = None if self.sight is None else self._look(self.sight, tracks, found, then, then_s, illuminance[seen.eyes])
         finished = time.perf_counter()
         masked = frozenset(each.name for each in now.objects if self.masked(each, now))
         told = told_as(self.watched, None if look is None else look.recognised)
         objects = on_objects(self.watched, frozenset(told[name] for name in masked & told.keys()), seen, illuminance)
         white = in_white(plan)
-        symbols = () if white is None else observed_symbols(plan, lights, self._driven(white, time_s)[0], self.camera, time_s)
-        zones = in_zones(self.planner.functions, state.functions, luminance, self.camera.view)
+        symbols = () if white is None else observed_symbols(plan, lights, self._driven(white, now)[0], self.world, time_s)
+        luminance = luminance + seen.base
+        zones = in_zones(self.planner.functions, state.functions, luminance, self.world.view_from_ground(time_s))
         materials = on_materials(self.planner.functions, functions, now, told, seen, illuminance, luminance)
         stop = time.perf_counter()
         taken = {"plan": planned - start, "light": lit - planned, "look": looked - lit + stop - finished, "find": finished - looked}
@@ -163,6 +180,7 @@ class LightingSimulation:
             state.step,
             time_s,
             now,
+            view,
             state.functions,
             masked,
             plan,
@@ -178,7 +196,7 @@ class LightingSimulation:
             materials,
             timings,
         )
-        return LightingState(state.step + 1, tracks, functions, plant), result
+        return LightingState(state.step + 1, tracks, functions, plant, arrivals, believed), result
 
     def at(self, step: int) -> LightingResult:
         """One step alone, before which nothing was seen; that of the run where nothing depends on what was seen."""
@@ -189,7 +207,8 @@ class LightingSimulation:
         state = self.start()
         while (self.sight is not None or self.planner.learns) and (state.step + 1) / self.scenario.rate_hz <= time_s:
             state, _ = self.step(state)
-        return self._driven(self.planner.plan(self.situation(time_s, state.tracks), state.functions), time_s)[0]
+        now = self.situation(time_s, state.tracks, self.plant.ego(round(time_s * self.scenario.rate_hz)))
+        return self._driven(self.planner.plan(now, state.functions), now)[0]
 
     def base(self, beam: str) -> str:
         """What shines below all functions, in words, where the base beam is one of this name."""
@@ -215,11 +234,20 @@ class LightingSimulation:
     def idle(self, result: LightingResult) -> set[str]:
         """Names of the functions of which no ray of any lamp that draws them can hit anything at that moment."""
         drawn = self.planner.drawn(result.now, result.functions)
-        return {name for name, parts in drawn.items() if not any(map(self._in_reach, parts))}
+        return {name for name, parts in drawn.items() if not any(self._in_reach(part, result.now) for part in parts)}
 
     def _all_objects(self, time_s: float) -> tuple[TrackedObject, ...]:
-        told = ((body, item.category) for body, item in zip(self.scene.objects, self.scenario.all_objects, strict=True))
-        return tuple(TrackedObject.of(body, category, time_s) for body, category in told if category is not None)
+        T_ground_world = inverse(self.world.motion.at(time_s).T_world_ground)
+        told = ((body, item.category) for body, item in zip(self.world.scene.objects, self.scenario.all_objects, strict=True))
+        found = (TrackedObject.of(body, category, time_s) for body, category in told if category is not None)
+        return tuple(replace(each, T_world_object=T_ground_world @ each.T_world_object) for each in found)
+
+    def _tracked(self, tracks: Any, time_s: float, T_ground_body: Tensor) -> tuple[TrackedObject, ...]:
+        return () if self.sight is None or tracks is None else self.sight.objects(tracks, time_s, self._from(T_ground_body))
+
+    def _from(self, T_ground_body: Tensor) -> View:
+        """The camera's view from the ground frame, as the car believes."""
+        return replace(self.view, T_world_view=T_ground_body @ self.view.T_world_view)
 
     def _look(self, sight: Sight, tracks: Any, found: Detections | None, then: LitScene, then_s: float, eyes: Tensor) -> Look:
         """What is made of the scene at a time. found: in its frame, None without one. eyes: lx on heads and windscreens now."""
@@ -228,39 +256,47 @@ class LightingSimulation:
         false = false_positives(then, found, self.scenario.tracker.start_score)
         return Look(found, present, recognised(then, present, found), false, float(eyes.max()) if len(eyes) else None)
 
-    def _learnt(self, now: Situation, then: LitScene, then_s: float, image: Tensor, tracks: Any) -> Situation:
-        """The situation once a frame is there, which was taken at then_s of the scene then."""
+    def _learnt(self, now: Situation, then: LitScene, then_s: float, image: Tensor, view: View, tracks: Any) -> Situation:
+        """The situation once a frame is there, which was taken at then_s of the scene then, in a view that the car believes."""
         camera = self.scenario.camera
         luminance, most = luminance_of(image, camera), saturation_luminance(camera)
         looks = any(function.kind == "material" for function in self.scenario.functions.values())
         materials = (then.surfaces.albedo, *then.materials) if looks else ()
-        seen = Seen(then_s, self.view, luminance, most, *materials)
-        objects = now.objects if self.sight is None or tracks is None else self.sight.objects(tracks, now.time_s)
-        return replace(now, objects=objects, seen=seen)
+        objects = now.objects if self.sight is None or tracks is None else self.sight.objects(tracks, now.time_s, view)
+        return replace(now, objects=objects, seen=Seen(then_s, view, luminance, most, *materials))
 
-    def _in_reach(self, primitives: Primitives) -> bool:
-        for module in self.modules:
+    def _in_reach(self, primitives: Primitives, now: Situation) -> bool:
+        for module, (_, light) in zip(self.modules, now.lights, strict=True):
             mine = primitives.for_module(module.name)
-            if any(not window.empty for window in projected_windows(mine, module.headlight, module.T_world_module.cpu())):
+            if any(not window.empty for window in projected_windows(mine, module.headlight, light.T_world_headlight.cpu())):
                 return True
         return False
 
-    def _driven(self, plan: Plan, time_s: float) -> tuple[tuple[Tensor, ...], Mapping[str, LampPower]]:
-        params = self.scenario.lighting
-        street_lamps = self.scene.street_lamps if params.street_lamps else ()
-        occluded = scene_caster(self.scene.at(time_s)) if params.shadow_rays else None
-        secondary = [SecondaryRays(self.lights, own, street_lamps, occluded) for own in range(len(self.modules))]
-        return driven(self.modules, plan, secondary, params.power_limit, self.scenario.headlight.power_w)
+    def _driven(self, plan: Plan, now: Situation) -> tuple[tuple[Tensor, ...], Mapping[str, LampPower]]:
+        params, T_world_ground = self.scenario.lighting, self.world.motion.at(now.time_s).T_world_ground
+        street_lamps = tuple(_seen_from(T_world_ground, lamp) for lamp in self.world.scene.street_lamps) if params.street_lamps else ()
+        occluded = scene_caster(self.world.lit(now.time_s).triangles, T_world_ground) if params.shadow_rays else None
+        secondary = [SecondaryRays(now.lights, own, street_lamps, occluded) for own in range(len(self.modules))]
+        modules = [
+            replace(module, T_world_module=light.T_world_headlight) for module, (_, light) in zip(self.modules, now.lights, strict=True)
+        ]
+        return driven(modules, plan, secondary, params.power_limit, self.scenario.headlight.power_w)
 
 
-def _as_they_are(scenario: LightingScenario, modules: Sequence[ShiningModule]) -> tuple[ShiningModule, ...]:
-    """The modules with errors of aim, dead and aged pixels."""
-    true = []
-    for number, module in enumerate(modules):
-        mounted = (module.headlight, module.T_world_module)
-        headlight, T_world_module = as_it_is(scenario.disturbances, number, module.name, *mounted)
-        true.append(replace(module, headlight=headlight, T_world_module=T_world_module))
-    return tuple(true)
+def attitude(ego: Ego | None) -> Tensor:
+    """Pose `[4, 4]` of the body in the ground frame, as measured; level where nothing is."""
+    return torch.eye(4, dtype=torch.float64) if ego is None else ego.after(ego.age_s).T_ground_body.double().cpu()
+
+
+def moved(T_ground_body: Tensor, T_body_module: Tensor) -> Tensor:
+    """Pose `[4, 4]` of a module in the ground frame."""
+    return T_ground_body.to(T_body_module) @ T_body_module
+
+
+def _seen_from(T_world_ground: Tensor, lamp: StreetLamp) -> StreetLamp:
+    """A street lamp in the ground frame."""
+    x, y, z = transform(inverse(T_world_ground), torch.tensor(lamp.position_m, dtype=torch.float64)[:, None])[:, 0].tolist()
+    return lamp.model_copy(update={"position_m": (x, y, z)})
 
 
 def driving(course: tuple[DrivingParams, ...], time_s: float) -> DrivingParams:

@@ -1,60 +1,38 @@
 """The simulated world as a plant."""
 
 from dataclasses import dataclass, replace
-from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from controllers.pixels.ssc import Utilisation
 from controllers.symbol.sensing.projector import Projector
 from loop.assembly.build import build_motion, build_scene
-from loop.assembly.truth import true_camera, true_modules
+from loop.assembly.truth import LampModule, true_camera, true_modules
 from loop.plant.protocol import Arrivals, Exposure, Frame
 from loop.plant.world import World
 from loop.scenario.disturbances import UNDISTURBED, DisturbanceParams
 from loop.scenario.model import Scenario
-from perception.camera import CameraParams, expose, frame_generator
+from perception.camera import expose, frame_generator
 from perception.egomotion import EXACT, Ego, SensorParams, measured
 from perception.glare import glare
 from world.rendering.face_source import face_source
-from world.scene.vehicle import Motion
-from world.view import View
 
 LOSS_KEY, LATENCY_KEY = 2, 4  # of what is drawn for a step, beside its frames' noise and the sensors'
 PER_STEP = 2  # exposures where a symbol is held: with it and without it
 
 
-AnyWorld = TypeVar("AnyWorld", bound="SimulatedWorld")
 UnderWay = tuple[tuple[int, Frame], ...]  # frames, each after the number of the exposure at whose end it arrives
 
 
-class SimulatedWorld(Protocol):
-    """A world that a camera sees while lamps light it."""
-
-    camera: CameraParams
-    view: View
-    device: torch.device
-    motion: Motion
-
-    def luminance(self, time_s: float, lights: tuple[Utilisation, ...]) -> tuple[Tensor, Tensor]:
-        """Luminances in cd/m^2 at a time: `[..., height, width]` of all light, and `[height, width]` without the lamps."""
-        ...
-
-    def view_at(self, t_s: float) -> View:
-        """The camera's view at a time."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
-class SimulatedPlant(Generic[AnyWorld]):
+class SimulatedPlant:
     """Exposes frames of a world, equally long ones; its state is the queue of frames under way from the camera.
 
     per_step: exposures a control step.
     """
 
-    world: AnyWorld
+    world: World
     rate_hz: float
     seed: int
     sensors: SensorParams = EXACT
@@ -66,7 +44,7 @@ class SimulatedPlant(Generic[AnyWorld]):
         return 1 / self.rate_hz
 
     @property
-    def truth(self) -> AnyWorld:
+    def truth(self) -> World:
         """What is true."""
         return self.world
 
@@ -121,9 +99,13 @@ class SimulatedPlant(Generic[AnyWorld]):
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(step, key)))
 
 
-def simulated_plant(scenario: Scenario, projector: Projector) -> SimulatedPlant[World]:
+def simulated_plant(scenario: Scenario, projector: Projector) -> SimulatedPlant:
     """The world of a scenario, lit by the modules of a projector. Raises LuxloopError where a file is missing or broken."""
     motion = build_motion(scenario)
-    modules, source = true_modules(scenario, projector), face_source(scenario.renderer)
+    drawing = (
+        LampModule(module.name, module.pixel_controller.headlight, resting, module.T_world_headlight)
+        for module, resting in zip(projector.modules, projector.resting, strict=True)
+    )
+    modules, source = true_modules(scenario.disturbances, drawing), face_source(scenario.renderer)
     world = World(build_scene(scenario, motion), modules, true_camera(scenario), source, projector.symbol.device, motion)
     return SimulatedPlant(world, scenario.rate_hz, scenario.seed, scenario.sensors, scenario.disturbances)

@@ -1,9 +1,9 @@
-"""The simulated world with a symbol's lamps, as its camera sees it."""
+"""The simulated world: a scene, lamps and a camera on a vehicle, and what the camera sees of it."""
 
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import torch
@@ -12,35 +12,54 @@ from torch import Tensor
 from controllers.pixels.ssc import Utilisation
 from loop.assembly.truth import LampModule
 from perception.camera import CameraParams, average_rows, camera_view
+from perception.detection.params import TruthParams
+from perception.detection.protocol import Detections
+from perception.ground_truth import Box, Truth, ground_truth, part_mask
+from perception.materials import material_picture
 from world.light.ambient import ambient_luminance
 from world.light.illumination import DirectTransport, LightTransport, added_light, reach, transport
+from world.materials.library import MaterialName
 from world.rendering.face_source import FaceSource
 from world.rendering.gbuffer import GBuffer
 from world.rendering.surfaces import surface_source
 from world.scene.scene import Scene
 from world.scene.triangles import NOTHING, Triangles
-from world.scene.vehicle import STANDING, Motion
+from world.scene.vehicle import STANDING, Motion, VehicleState
+from world.traffic.making import EYES
+from world.traffic.objects import ObjectParams
+from world.traffic.tracked import ROAD_USERS, Category
 from world.view import View
 
 KEPT_VIEWS = 4  # on and off frame, before and after a change
 
 
-@dataclass(frozen=True, eq=False)
-class LitView:
-    """A scene as the camera sees it at one time.
+def categories(objects: Sequence[ObjectParams]) -> tuple[Category | None, ...]:
+    """Classes of objects as a detector ought to name them: cars without a category, the parked ones, are cars."""
+    return tuple("car" if each.category is None and each.kind == "car" else each.category for each in objects)
 
-    base: luminance `[height, width]` in cd/m^2 without the lamps. resting: utilisations of their base beams, one a module.
-    transported: makes the transports, which are needed only where a lamp shines.
+
+@dataclass(frozen=True, eq=False)
+class LitScene:
+    """A scene in a view at one time, and what the lamps do to it.
+
+    surfaces: at the centres of the view's pixels. base: luminance `[height, width]` in cd/m^2 without the lamps. resting: utilisations of
+    their base beams, one a module. transported: makes a module's light transport, which is needed only where it shines.
+    given: parameters of the objects 1, 2, ...
     """
 
+    view: View
+    vehicle: VehicleState
+    triangles: Triangles
+    surfaces: GBuffer
     base: Tensor
     resting: Sequence[Utilisation]
-    transported: Callable[[], tuple[LightTransport, ...]]
+    transported: Callable[[int], LightTransport]
+    given: tuple[ObjectParams, ...]
 
     @cached_property
     def transports(self) -> tuple[LightTransport, ...]:
         """Light transport, one a module."""
-        return self.transported()
+        return tuple(map(self.transported, range(len(self.resting))))
 
     @cached_property
     def off(self) -> Tensor:
@@ -57,11 +76,73 @@ class LitView:
         """Luminance `[..., height, width]` in cd/m^2 of the symbol alone: on minus off, negative where it is darker than the base beams."""
         return added_light(self.transports, lights, self.base - self.off)
 
+    def light(self, lights: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
+        """Illuminance in lx and luminance in cd/m^2 `[height, width]` from the lamps alone, for utilisations `[n_p]`, one a module.
+
+        Of a metered world only.
+        """
+        arriving = torch.zeros_like(self.base).flatten()
+        leaving = torch.zeros_like(arriving)
+        for number, u in enumerate(lights):
+            if bool(u.any()):
+                each = self.transported(number)
+                assert isinstance(each, DirectTransport)
+                lx, index, factor = each.illuminance(u)
+                arriving.index_add_(0, index, lx)
+                leaving.index_add_(0, index, lx * factor / torch.pi)
+        return arriving.view_as(self.base), leaving.view_as(self.base)
+
+    @cached_property
+    def objects(self) -> tuple[Truth, ...]:
+        """Those with a class, of which a pixel is seen at least."""
+        found = ground_truth(self.surfaces, self.triangles, self.view, categories(self.given))
+        return tuple(each for each in found if each.category is not None)
+
+    @cached_property
+    def pixels(self) -> tuple[Tensor, ...]:
+        """Flat indices of those at which each of the objects 1, 2, ... is seen."""
+        ids = self.surfaces.object_id.flatten()
+        seen = torch.nonzero(ids > 0)[:, 0]
+        of_each = torch.bincount(ids[seen] - 1, minlength=len(self.given)).tolist()
+        return seen[ids[seen].argsort(stable=True)].split(of_each)
+
+    @cached_property
+    def boxes(self) -> Tensor:
+        """`[n, 4]` px of all of `objects`, whether hidden or not, as far as in the image."""
+        return torch.tensor([self._inside(each.whole) for each in self.objects], dtype=torch.float64).view(-1, 4)
+
+    @cached_property
+    def eyes(self) -> Tensor:
+        """Where the view sees heads and windscreens of road users, `[height, width]` bool."""
+        users = torch.tensor([number for number, each in enumerate(self.given, 1) if each.category in ROAD_USERS], dtype=torch.int32)
+        ids = self.surfaces.object_id
+        return part_mask(self.surfaces, self.triangles, EYES) & torch.isin(ids, users.to(ids))
+
+    @cached_property
+    def materials(self) -> tuple[Tensor, tuple[MaterialName, ...]]:
+        """Index `[height, width]` of what is seen in names of materials, -1 for none, and these."""
+        return material_picture(self.surfaces, self.triangles)
+
+    def detections(self, params: TruthParams, classes: tuple[Category, ...]) -> Detections:
+        """What a detector finds that makes no mistakes."""
+        height = self.boxes[:, 3] - self.boxes[:, 1]
+        visible = torch.tensor([each.visible for each in self.objects], dtype=torch.float64)
+        found = (height >= params.least_height_px) & (visible >= params.least_visible)
+        numbers = torch.tensor([classes.index(each.category) for each in self.objects if each.category], dtype=torch.int64)
+        scores = torch.nn.functional.one_hot(numbers, len(classes)).double()
+        return Detections(self.boxes[found], scores[found])
+
+    def _inside(self, box: Box) -> Box:
+        width, height = self.view.width, self.view.height
+        u0, u1 = (min(max(u, 0.0), width) for u in (box[0], box[2]))
+        v0, v1 = (min(max(v, 0.0), height) for v in (box[1], box[3]))
+        return u0, v0, u1, v1
+
 
 class World:
     """A scene, lamps and a camera on a vehicle; what has been rendered serves until something moves.
 
-    moving: whether to render for a moving world; by default, whether scene or vehicle move.
+    metered: whether illuminance is asked for beside luminance. given: parameters of the scene's objects.
     """
 
     def __init__(
@@ -72,15 +153,17 @@ class World:
         source: FaceSource,
         device: torch.device,
         motion: Motion = STANDING,
-        moving: bool | None = None,
+        metered: bool = False,
+        given: tuple[ObjectParams, ...] = (),
     ) -> None:
         self.scene, self.modules, self.camera, self.source = scene, tuple(modules), camera, source
-        self.device, self.motion = device, motion
-        self.moving = (motion is not STANDING or scene.moves) if moving is None else moving
+        self.device, self.motion, self.metered, self.given = device, motion, metered, given
+        self.moving = motion is not STANDING or scene.moves
         self.surfaces = surface_source(source, self.moving)
         self.view = camera_view(camera)
         self.resting = tuple(module.beam for module in self.modules)
-        self._lit: OrderedDict[Any, LitView] = OrderedDict()
+        self._lit: OrderedDict[Any, LitScene] = OrderedDict()
+        self._metered: tuple[LitScene, tuple[Utilisation, ...], tuple[Tensor, Tensor]] | None = None
         self._triangles = NOTHING
 
     def view_at(self, t_s: float) -> View:
@@ -94,38 +177,44 @@ class World:
     def luminance(self, time_s: float, lights: tuple[Utilisation, ...]) -> tuple[Tensor, Tensor]:
         """Luminances in cd/m^2 at a time: `[..., height, width]` of all light, and `[height, width]` without the lamps."""
         lit = self.lit(time_s)
-        return lit.shown(lights), lit.base
+        return self.meter(time_s, lights)[1] + lit.base if self.metered else lit.shown(lights), lit.base
 
-    def lit(self, t_s: float) -> LitView:
+    def meter(self, time_s: float, lights: tuple[Utilisation, ...]) -> tuple[Tensor, Tensor]:
+        """Illuminance in lx and luminance in cd/m^2 `[height, width]` of lights at a time; what was shown last serves until it changes."""
+        lit = self.lit(time_s)
+        if self._metered is None or self._metered[0] is not lit or self._metered[1] is not lights:
+            self._metered = lit, lights, lit.light([light.u for light in lights])
+        return self._metered[2]
+
+    def lit(self, t_s: float) -> LitScene:
         """The camera's view of the scene at a time; rendered only when geometry or the vehicle has moved."""
         where = () if self.motion is STANDING else tuple(self.motion.at(t_s).T_world_body.flatten().tolist())
         key = (self.scene.key_at(t_s), where)
         if key not in self._lit:
-            self._lit[key] = self._render(t_s)
+            self._lit[key] = self._render(t_s, self.view_at(t_s), self.camera.oversampling)
             if len(self._lit) > KEPT_VIEWS:
                 self._lit.popitem(last=False)
         self._lit.move_to_end(key)
         return self._lit[key]
 
-    def _render(self, t_s: float) -> LitView:
-        vehicle, samples = self.motion.at(t_s), self.camera.oversampling
-        self._triangles = triangles = self.scene.at(t_s, vehicle.T_world_ground, self._triangles)
-        view = camera_view(self.camera, samples)
-        view = replace(view, T_world_view=vehicle.T_world_body @ view.T_world_view)
-        surfaces = self.surfaces.gbuffer(triangles, view).to(self.device)
-        spotlights = self.scene.spotlights_at(t_s)
-        base = average_rows(ambient_luminance(surfaces, self.scene.ambient_lx, self.scene.street_lamps, spotlights), samples)
-        return LitView(base, self.resting, lambda: self._transports(triangles, surfaces, vehicle.T_world_body))
+    def through(self, view: View, t_s: float) -> LitScene:
+        """The scene at a time through another view, which is given in the ground frame of that time."""
+        return self._render(t_s, replace(view, T_world_view=self.motion.at(t_s).T_world_ground @ view.T_world_view), 1)
 
-    def _transports(self, triangles: Triangles, surfaces: GBuffer, T_world_body: Tensor) -> tuple[LightTransport, ...]:
-        """A module's matrix is worth its making where the view stays for many steps."""
-        samples, width = self.camera.oversampling, self.camera.width_px
-        folded: list[LightTransport] = []
-        for module in self.modules:
-            headlight = module.headlight
-            T_world_headlight = T_world_body.to(module.T_world_headlight) @ module.T_world_headlight
-            if self.moving:
-                folded.append(DirectTransport.of(surfaces, headlight, T_world_headlight, triangles, width, samples))
-            else:
-                folded.append(transport(reach(surfaces, headlight, T_world_headlight, triangles), headlight, width, samples))
-        return tuple(folded)
+    def _render(self, t_s: float, view: View, samples: int) -> LitScene:
+        vehicle, scene = self.motion.at(t_s), self.scene
+        self._triangles = triangles = scene.at(t_s, vehicle.T_world_ground, self._triangles)
+        surfaces = self.surfaces.gbuffer(triangles, view.with_rows(samples)).to(self.device)
+        base = average_rows(ambient_luminance(surfaces, scene.ambient_lx, scene.street_lamps, scene.spotlights_at(t_s)), samples)
+
+        modules, direct, late, T_world_body = self.modules, self.moving or self.metered, self.moving, vehicle.T_world_body
+
+        @cache
+        def transported(number: int) -> LightTransport:
+            headlight, T_body_headlight = modules[number].headlight, modules[number].T_world_headlight
+            T_world_headlight = T_world_body.to(T_body_headlight) @ T_body_headlight
+            if direct:
+                return DirectTransport.of(surfaces, headlight, T_world_headlight, triangles, view.width, samples, late)
+            return transport(reach(surfaces, headlight, T_world_headlight, triangles), headlight, view.width, samples)
+
+        return LitScene(view, vehicle, triangles, surfaces.one_row_of(samples), base, self.resting, transported, self.given)

@@ -120,6 +120,8 @@ class WorldScenario(Params):
     renderer: Literal["auto", "opengl", "raycast"] = Field("auto", description="source of the G-buffer")
     checks: Mapping[PlainName, CheckParams] = Field({}, description="bounds on what the recording shows, by name")
     disturbances: DisturbanceParams = Field(DisturbanceParams(), description="disturbances unknown to the controller")
+    vehicle: VehicleParams | None = Field(None, description="how the vehicle drives; left out: it stands")
+    sensors: SensorParams = Field(SensorParams(), description="odometry and inertial sensors of the vehicle")
 
     @field_validator("pixel_controller")
     @classmethod
@@ -172,8 +174,6 @@ class Scenario(WorldScenario):
     symbol: SymbolParams = Field(description="what is projected, and where it shall lie")
     start: StartParams = Field(StartParams(), description="where the control starts")
     features: FeatureParams = Field(FeatureParams(), description="what of the symbol the controller looks at")
-    vehicle: VehicleParams | None = Field(None, description="how the vehicle drives; left out: it stands")
-    sensors: SensorParams = Field(SensorParams(), description="odometry and inertial sensors of the vehicle")
     extraction: Extraction = Field(ExtractionParams(), description="how the symbol is found in the image")
     controller: Annotated[ControllerParams, Field(description="the controller of the symbol")] = LuxloopParams()
 

@@ -12,7 +12,7 @@ from world.rendering.flat_road import flat_road
 CAMERA = CameraParams()
 LENGTH, WIDTH = 4.0, 2.0
 PLANE = birds_eye(region_around(17.0, 0.0, LENGTH, WIDTH), camera_view(CAMERA))
-ROAD_X, ROAD_Y, _ = flat_road(camera_view(CAMERA, 4), 1.0).position
+ROAD_X, ROAD_Y, _ = flat_road(camera_view(CAMERA).with_rows(4), 1.0).position
 
 
 def symbol(dx: float = 0.0, dy: float = 0.0, stretch: float = 1.0, shear: float = 0.0, brightness: float = 0.1) -> Tensor:

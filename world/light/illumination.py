@@ -137,10 +137,12 @@ def transport(surface: LitSurface, headlight: Headlight, width: int, oversamplin
 
 @dataclass(frozen=True)
 class DirectTransport:
-    """The same without a matrix: the light texture is made and sampled each time, which pays where every view is lit a few times only.
+    """The same without a matrix: the light texture is made and sampled each time, which pays where a view is lit a few times only, or where
+    illuminance is asked for.
 
-    surface: M samples, those in shadow included. position: `[3, M]` m, where they are. index: `[M]` int64, flat image index of the camera
-    pixel that takes the mean of `oversampling` samples. triangles: what throws shadows in the light from `lamp_m` `[3]`.
+    surface: M samples. position: `[3, M]` m, where they are. index: `[M]` int64, flat image index of the camera pixel that takes the mean
+    of `oversampling` samples. triangles: what throws shadows on the samples in the light from `lamp_m` `[3]`; none of them lies in shadow
+    where it is None.
     """
 
     surface: LitSurface
@@ -149,29 +151,47 @@ class DirectTransport:
     oversampling: int
     headlight: Headlight
     lamp_m: Tensor
-    triangles: Triangles
+    triangles: Triangles | None
 
     @classmethod
     def of(
-        cls, gbuffer: GBuffer, headlight: Headlight, T_world_headlight: Tensor, triangles: Triangles, width: int, oversampling: int = 1
+        cls,
+        gbuffer: GBuffer,
+        headlight: Headlight,
+        T_world_headlight: Tensor,
+        triangles: Triangles,
+        width: int,
+        oversampling: int = 1,
+        late: bool = True,
     ) -> "DirectTransport":
-        """Parameters as of `reach` and `transport`."""
-        surface = reach(gbuffer, headlight, T_world_headlight)
+        """Parameters as of `reach` and `transport`. late: shadows are looked for where light falls, each time, else everywhere and once."""
+        surface = reach(gbuffer, headlight, T_world_headlight, None if late else triangles)
         position, index = gbuffer.position.flatten(1)[:, surface.index], _camera_pixel(surface.index, width, oversampling)
-        return cls(surface, position, index, oversampling, headlight, T_world_headlight[:3, 3], triangles)
+        return cls(surface, position, index, oversampling, headlight, T_world_headlight[:3, 3], triangles if late else None)
+
+    def illuminance(self, utilisation: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Illuminance `[..., m]` in lx that samples add to the camera pixel at flat image index `[m]`, equal for several samples, and their
+        luminance factor `[m]`.
+
+        utilisation: `[..., n_p]`. Rays of late shadows are cast only to samples that the light texture lights, so pixellights at zero have
+        no gradient then.
+        """
+        lx = illuminance(self.surface, self.headlight.light_texture(utilisation)) / self.oversampling
+        if self.triangles is None:
+            return lx, self.index, self.surface.luminance_factor
+        lit = torch.nonzero(torch.atleast_2d(lx).flatten(0, -2).any(0))[:, 0]
+        lit = lit[sees(self.triangles, self.lamp_m, self.position[:, lit])]
+        return lx[..., lit], self.index[lit], self.surface.luminance_factor[lit]
 
     def luminance(self, utilisation: Tensor, band: slice | None = None) -> tuple[Tensor, Tensor]:
-        """Luminance `[..., m]` in cd/m^2 that lit samples add to the camera pixel at flat image index `[m]`, equal for several samples.
+        """Luminance `[..., m]` in cd/m^2 that samples add to the camera pixel at flat image index `[m]`; see `illuminance`.
 
-        utilisation: `[..., n_p]`. band: nothing is lit if it is empty; else it changes nothing. Rays of shadows are cast only to samples
-        that the light texture lights, so pixellights at zero have no gradient.
+        band: nothing is lit if it is empty; else it changes nothing.
         """
         if band is not None and band.stop <= band.start:
             return utilisation.new_zeros(*utilisation.shape[:-1], 0), self.index[:0]
-        unshadowed = luminance(self.surface, self.headlight.light_texture(utilisation)) / self.oversampling
-        lit = torch.nonzero(torch.atleast_2d(unshadowed).flatten(0, -2).any(0))[:, 0]
-        lit = lit[sees(self.triangles, self.lamp_m, self.position[:, lit])]
-        return unshadowed[..., lit], self.index[lit]
+        lx, index, factor = self.illuminance(utilisation)
+        return lx * factor / math.pi, index
 
 
 def _camera_pixel(index: Tensor, width: int, oversampling: int) -> Tensor:

@@ -1,6 +1,6 @@
 """G-buffer: what a view sees at each pixel, whichever way its faces were found."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -48,6 +48,15 @@ class GBuffer:
         finish = None if self.finish is None else self.finish.to(device)
         part = None if self.part is None else self.part.to(device)
         return GBuffer(self.position.to(device), self.normal.to(device), self.albedo.to(device), self.object_id.to(device), finish, part)
+
+    def one_row_of(self, rows: int) -> "GBuffer":
+        """The middle one of every so many rows."""
+        if rows == 1:
+            return self
+        middle = slice(rows // 2, None, rows)
+        finish = None if self.finish is None else replace(self.finish, material=self.finish.material[middle])
+        part = None if self.part is None else self.part[middle]
+        return GBuffer(self.position[:, middle], self.normal[:, middle], self.albedo[middle], self.object_id[middle], finish, part)
 
 
 def gbuffer(triangles: Triangles, view: View, face_ids: Tensor) -> GBuffer:

@@ -89,7 +89,8 @@ class Sight:
         """cell_m: of the nodes, along and across. step, samples: as above. T_on, T_off: `T_ground_body` `[4, 4]` in on and off frame."""
         projector, camera = observer.projector, observer.camera
         device = projector.symbol.device
-        whole, view = (_from(T_on, camera_view(camera, rows)) for rows in (1, samples))
+        whole = _from(T_on, camera_view(camera))
+        view = whole.with_rows(samples)
         x, y = torch.tensor([[region.x_near_m, region.x_far_m], [region.y_left_m, region.y_right_m]], dtype=torch.float64)
         corners = torch.stack([x.repeat_interleave(2), y.repeat(2), torch.zeros(4, dtype=torch.float64)])
         uv, _ = whole.project(corners)

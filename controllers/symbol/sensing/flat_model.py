@@ -104,7 +104,7 @@ def flat_model(
 ) -> FlatModel:
     """Build the model for a camera and an assumed road of uniform, unmarked asphalt under ambient light in lx; measure target and gains."""
     view, samples = camera_view(camera), camera.oversampling
-    ground = flat_road(camera_view(camera, samples), surface.seen_albedo, material=surface.ground).to(projector.symbol.device)
+    ground = flat_road(view.with_rows(samples), surface.seen_albedo, material=surface.ground).to(projector.symbol.device)
     transports = []
     for module in projector.modules:
         headlight = module.pixel_controller.headlight

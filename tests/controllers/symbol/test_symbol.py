@@ -65,7 +65,7 @@ def observer(symbol: str = "snowflake", what: FeatureParams = RAW, edges: str = 
 
 @cache
 def ambient() -> Tensor:
-    road = flat_road(camera_view(CAMERA, CAMERA.oversampling), RoadSurfaceParams().albedo)
+    road = flat_road(camera_view(CAMERA).with_rows(CAMERA.oversampling), RoadSurfaceParams().albedo)
     return average_rows(ambient_luminance(road, AMBIENT_LX), CAMERA.oversampling)
 
 

@@ -65,15 +65,15 @@ def views(simulation: LightingSimulation) -> dict[str, View]:
 
 def most_light(simulation: LightingSimulation, result: LightingResult, names: set[str]) -> dict[str, dict[str, float]]:
     """By view and body: the most light in lx of all modules on what the view sees of the body, as if nothing threw a shadow."""
-    triangles = simulation.scene.at(result.time_s)
+    triangles = simulation.world.scene.at(result.time_s)
     found: dict[str, dict[str, float]] = {}
     for view_name, view in views(simulation).items():
-        surfaces = gbuffer(triangles, view, simulation.camera.source.face_ids(triangles, view))
+        surfaces = gbuffer(triangles, view, simulation.world.source.face_ids(triangles, view))
         light = torch.zeros(surfaces.object_id.numel())
         for module, u in zip(simulation.modules, result.lights, strict=True):
             surface = reach(surfaces, module.headlight, module.T_world_module)
             light[surface.index] += illuminance(surface, module.headlight.light_texture(u))
-        bodies = {number: body.name for number, body in enumerate(simulation.scene.bodies) if body.name in names}
+        bodies = {number: body.name for number, body in enumerate(simulation.world.scene.bodies) if body.name in names}
         ids = surfaces.object_id.flatten()
         found[view_name] = {name: float(light[ids == number].max()) for number, name in bodies.items() if (ids == number).any()}
     return found

@@ -56,10 +56,10 @@ def test_objects_on_a_road_are_seen_and_tracked_at_its_height() -> None:
     """On 5 % from 10 m on after a curve of 4 m, 40 m ahead is 1.4 m up, and the van sinks by 0.5 m on its way of 10 m."""
     road = {"kind": "grade", "grade_percent": 5.0, "crossfall_percent": 0.0, "start_x_m": 10.0}
     simulation = LightingSimulation.prepare(scenario(road=road, objects=[BOX | {"on_road": True}]))
-    assert not torch.equal(simulation.scene.at(0.0).placed[1].T_world_body, simulation.scene.at(1.0).placed[1].T_world_body)
+    assert not torch.equal(simulation.world.scene.at(0.0).placed[1].T_world_body, simulation.world.scene.at(1.0).placed[1].T_world_body)
     for t_s, height_m in ((0.0, 1.4), (1.0, 0.9)):
         (van,) = simulation.situation(t_s).objects
-        foot = simulation.scene.at(t_s).placed[1].corners[..., 2].min()
+        foot = simulation.world.scene.at(t_s).placed[1].corners[..., 2].min()
         assert float(van.T_world_object[2, 3]) == pytest.approx(height_m, abs=1e-9) == float(foot)
     (sunk,) = LightingSimulation.prepare(scenario(road=road)).situation(0.0).objects
     assert float(sunk.T_world_object[2, 3]) == 0
@@ -198,7 +198,7 @@ def test_an_object_appears_to_the_tracker_when_it_does_in_the_scene() -> None:
 
 def test_what_stands_still_is_rendered_once() -> None:
     simulation = LightingSimulation.prepare(scenario(objects=[]))
-    assert simulation.camera.at(0.0) is simulation.camera.at(5.0)
+    assert simulation.world.lit(0.0) is simulation.world.lit(5.0)
     torch.testing.assert_close(simulation.at(0).illuminance, simulation.at(2).illuminance)
 
 

@@ -38,7 +38,7 @@ def run(lighting: dict[str, Any], function: dict[str, Any] = CARPET, **changes: 
 
 def on_road(simulation: LightingSimulation, result: LightingResult, aside_m: float = 0.0) -> float:
     """Mean illuminance in lx of a patch in the middle of the carpet."""
-    surfaces = simulation.camera.at(0.0).surfaces
+    surfaces = simulation.world.lit(0.0).surfaces
     x, y, _ = surfaces.position
     near, far, half = PATCH
     there = (surfaces.object_id == 0) & (x > near) & (x < far) & ((y - aside_m).abs() < half / 2)
@@ -74,7 +74,7 @@ def test_an_observer_sees_the_picture_upright() -> None:
     picture = {"centre_m": [15.0, 0.0, 0.5], "width_m": 1.0, "height_m": 0.4, "eye_m": [-1.6, 0.0, 1.4]}
     symbol = {"kind": "symbol", "image": "warning_triangle", "observer": picture}
     simulation, result = run({}, symbol, headlight={"model": "idealised-332x1024"})
-    x, y, _ = simulation.camera.at(0.0).surfaces.position[:, result.illuminance > 0.5]
+    x, y, _ = simulation.world.lit(0.0).surfaces.position[:, result.illuminance > 0.5]
     assert len(x) > 50
     # The picture's lower edge at z = 0.3 m is seen on the road at x = -1.6 + 16.6 * 1.4 / 1.1, its upper one at 0.7 m at 31.6 m.
     assert float(x.min()) > 19.5 - 0.6 and float(x.max()) < 31.6 + 1.5
@@ -92,7 +92,7 @@ def test_what_an_observer_sees_is_measured_from_their_eye() -> None:
     aside = replace(primitives.observer, eye=primitives.observer.eye + torch.tensor([0.0, 2.0, 0.0]))
     plan = replace(result.plan, primitives=replace(primitives, observer=aside))
     full = tuple(torch.ones_like(u) for u in result.lights)
-    (seen,) = observed_symbols(plan, result.lights, full, simulation.camera, 0.0)
+    (seen,) = observed_symbols(plan, result.lights, full, simulation.world, 0.0)
     assert seen.iou < 0.5
 
 

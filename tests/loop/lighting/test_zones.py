@@ -88,7 +88,7 @@ def test_zones_are_drawn_where_the_camera_sees_them() -> None:
     assert ahead.text == "in front" and not behind.lines and not behind.text
     function = simulation.scenario.functions["in_front"]
     assert isinstance(function, ZoneParams)
-    rows, columns = (index.tolist() for index in region_of(function, simulation.camera.view).nonzero(as_tuple=True))
+    rows, columns = (index.tolist() for index in region_of(function, simulation.world.view).nonzero(as_tuple=True))
     drawn = [point for line in ahead.lines for point in line]
     # corners are rounded to pixels, whose centres the region counts
     for values, inside in zip(zip(*drawn, strict=True), (columns, rows), strict=True):
@@ -135,7 +135,7 @@ def test_paint_gets_its_own_light() -> None:
     state = simulation.start()
     for _ in range(2):
         state, result = simulation.step(state)
-    surfaces = simulation.camera.at(0.0).surfaces
+    surfaces = simulation.world.lit(0.0).surfaces
     x, y = surfaces.position[0], surfaces.position[1]
     near = (x > 20) & (x < 26) & (surfaces.object_id == 0)
     asphalt, paint = near & (y.abs() < 1.5), near & (surfaces.albedo > 0.5)

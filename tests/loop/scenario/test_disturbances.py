@@ -195,8 +195,8 @@ def test_two_lamps_draw_one_symbol_until_one_is_aimed_aside(plain: Simulation) -
 def worn_world(plain: Simulation, **wear: Any) -> World:
     """The plain simulation's world in the light of worn lamps."""
     disturbances = DisturbanceParams.model_validate({"wear": wear})
-    modules = true_modules(plain.scenario.model_copy(update={"disturbances": disturbances}), plain.projector)
     world = plain.truth.world
+    modules = true_modules(disturbances, world.modules)
     return World(world.scene, modules, world.camera, world.source, world.device)
 
 
