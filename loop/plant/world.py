@@ -77,9 +77,9 @@ class LitScene:
         return added_light(self.transports, lights, self.base - self.off)
 
     def light(self, lights: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
-        """Illuminance in lx and luminance in cd/m^2 `[height, width]` from the lamps alone, for utilisations `[n_p]`, one a module.
+        """Illuminance in lx at the pixels' centres and luminance in cd/m^2 of the pixels `[height, width]`, from the lamps alone.
 
-        Of a metered world only.
+        lights: utilisations `[n_p]`, one a module. Of a metered world only.
         """
         arriving = torch.zeros_like(self.base).flatten()
         leaving = torch.zeros_like(arriving)
@@ -87,9 +87,10 @@ class LitScene:
             if bool(u.any()):
                 each = self.transported(number)
                 assert isinstance(each, DirectTransport)
-                lx, index, factor = each.illuminance(u)
-                arriving.index_add_(0, index, lx)
-                leaving.index_add_(0, index, lx * factor / torch.pi)
+                lx, samples = each.illuminance(u)
+                luminance, pixels = each.reflected(lx, samples)
+                leaving.index_add_(0, pixels, luminance)
+                arriving.index_add_(0, pixels, lx * each.central[samples])
         return arriving.view_as(self.base), leaving.view_as(self.base)
 
     @cached_property

@@ -141,13 +141,14 @@ class DirectTransport:
     illuminance is asked for.
 
     surface: M samples. position: `[3, M]` m, where they are. index: `[M]` int64, flat image index of the camera pixel that takes the mean
-    of `oversampling` samples. triangles: what throws shadows on the samples in the light from `lamp_m` `[3]`; none of them lies in shadow
-    where it is None.
+    of `oversampling` samples. central: `[M]` bool, which of them stands for the pixel's centre. triangles: what throws shadows on the
+    samples in the light from `lamp_m` `[3]`; none of them lies in shadow where it is None.
     """
 
     surface: LitSurface
     position: Tensor
     index: Tensor
+    central: Tensor
     oversampling: int
     headlight: Headlight
     lamp_m: Tensor
@@ -167,21 +168,21 @@ class DirectTransport:
         """Parameters as of `reach` and `transport`. late: shadows are looked for where light falls, each time, else everywhere and once."""
         surface = reach(gbuffer, headlight, T_world_headlight, None if late else triangles)
         position, index = gbuffer.position.flatten(1)[:, surface.index], _camera_pixel(surface.index, width, oversampling)
-        return cls(surface, position, index, oversampling, headlight, T_world_headlight[:3, 3], triangles if late else None)
+        central = surface.index // width % oversampling == oversampling // 2
+        return cls(surface, position, index, central, oversampling, headlight, T_world_headlight[:3, 3], triangles if late else None)
 
-    def illuminance(self, utilisation: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Illuminance `[..., m]` in lx that samples add to the camera pixel at flat image index `[m]`, equal for several samples, and their
-        luminance factor `[m]`.
+    def illuminance(self, utilisation: Tensor) -> tuple[Tensor, Tensor]:
+        """Illuminance `[..., m]` in lx of samples `[m]`, the others are dark.
 
         utilisation: `[..., n_p]`. Rays of late shadows are cast only to samples that the light texture lights, so pixellights at zero have
         no gradient then.
         """
-        lx = illuminance(self.surface, self.headlight.light_texture(utilisation)) / self.oversampling
+        lx = illuminance(self.surface, self.headlight.light_texture(utilisation))
         if self.triangles is None:
-            return lx, self.index, self.surface.luminance_factor
+            return lx, torch.arange(len(self.index), device=lx.device)
         lit = torch.nonzero(torch.atleast_2d(lx).flatten(0, -2).any(0))[:, 0]
         lit = lit[sees(self.triangles, self.lamp_m, self.position[:, lit])]
-        return lx[..., lit], self.index[lit], self.surface.luminance_factor[lit]
+        return lx[..., lit], lit
 
     def luminance(self, utilisation: Tensor, band: slice | None = None) -> tuple[Tensor, Tensor]:
         """Luminance `[..., m]` in cd/m^2 that samples add to the camera pixel at flat image index `[m]`; see `illuminance`.
@@ -190,8 +191,11 @@ class DirectTransport:
         """
         if band is not None and band.stop <= band.start:
             return utilisation.new_zeros(*utilisation.shape[:-1], 0), self.index[:0]
-        lx, index, factor = self.illuminance(utilisation)
-        return lx * factor / math.pi, index
+        return self.reflected(*self.illuminance(utilisation))
+
+    def reflected(self, lx: Tensor, samples: Tensor) -> tuple[Tensor, Tensor]:
+        """The luminance that `illuminance` makes, and where; see `luminance`."""
+        return lx * self.surface.luminance_factor[samples] / (math.pi * self.oversampling), self.index[samples]
 
 
 def _camera_pixel(index: Tensor, width: int, oversampling: int) -> Tensor:
