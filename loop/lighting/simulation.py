@@ -32,7 +32,7 @@ from loop.plant.protocol import Arrivals, Exposure
 from loop.plant.simulated import SimulatedPlant
 from loop.plant.world import LitScene, World, categories
 from loop.scenario.checks import Light as OtherLight
-from loop.scenario.model import DrivingParams, LightingScenario
+from loop.scenario.model import ConditionParams, LightingScenario
 from loop.scenario.shipped import named
 from perception.camera import camera_view, luminance_of, saturation_luminance
 from perception.detection.protocol import Detections
@@ -114,20 +114,17 @@ class LightingSimulation:
         """
         T_ground_body = attitude(ego)
         lights = tuple((name, replace(each, T_world_headlight=moved(T_ground_body, each.T_world_headlight))) for name, each in self.lights)
-        drive = driving(self.scenario.driving, time_s)
-        speed, curvature = drive.speed_m_s, drive.curvature_1_m
-        if self.scenario.vehicle is not None and ego is not None:
-            speed = float(ego.speed_m_s)
-            curvature = 0.0 if ego.stands else float(ego.yaw_rate_rad_s) / speed
+        speed, yaw_rate = (0.0, 0.0) if ego is None or ego.stands else (float(ego.speed_m_s), float(ego.yaw_rate_rad_s))
+        conditions = conditions_at(self.scenario.conditions, time_s)
         return Situation(
             time_s,
             torch.eye(4, dtype=torch.float64),
             torch.stack([light.T_world_headlight[:3, 3].double().cpu() for _, light in lights]),
             self._all_objects(time_s) if self.sight is None else self._tracked(tracks, time_s, T_ground_body),
             speed,
-            curvature,
-            drive.wet,
-            drive.street_lit,
+            yaw_rate / speed if speed else 0.0,
+            conditions.wet,
+            conditions.street_lit,
             lights=lights,
         )
 
@@ -299,12 +296,6 @@ def _seen_from(T_world_ground: Tensor, lamp: StreetLamp) -> StreetLamp:
     return lamp.model_copy(update={"position_m": (x, y, z)})
 
 
-def driving(course: tuple[DrivingParams, ...], time_s: float) -> DrivingParams:
-    """How the car drives at a time: speed and curvature change evenly from entry to entry, all else holds until the next."""
-    past = [each for each in course if each.time_s <= time_s] or [course[0]]
-    last, following = past[-1], next((each for each in course if each.time_s > time_s), None)
-    if following is None or following is last:
-        return last
-    share = (time_s - last.time_s) / (following.time_s - last.time_s)
-    between = {key: (1 - share) * getattr(last, key) + share * getattr(following, key) for key in ("speed_m_s", "curvature_1_m")}
-    return last.model_copy(update=between)
+def conditions_at(timeline: tuple[ConditionParams, ...], time_s: float) -> ConditionParams:
+    """The conditions of a time; the first before they begin."""
+    return max((each for each in timeline if each.time_s <= time_s), key=lambda each: each.time_s, default=timeline[0])

@@ -240,12 +240,10 @@ class CarLampsParams(HeadlightParams):
         return self.standby_w + flux_lm / self.efficacy_lm_w
 
 
-class DrivingParams(Params):
-    """What lighting functions are told of the car from one time on; in the simulation it stands still."""
+class ConditionParams(Params):
+    """What lighting functions are told of rain and of the street from one time on."""
 
-    time_s: float = Field(0.0, ge=0, le=1e6, description="time from which on this holds; speed and curvature change evenly until the next")
-    speed_m_s: float = Field(0.0, ge=0, le=100, description="speed")
-    curvature_1_m: float = Field(0.0, ge=-0.2, le=0.2, description="curvature of the car's course, to the left positive")
+    time_s: float = Field(0.0, ge=0, le=1e6, description="time from which on this holds, until the next entry")
     wet: bool = Field(False, description="whether it rains")
     street_lit: bool = Field(False, description="whether street lamps light the road")
 
@@ -256,7 +254,9 @@ class LightingScenario(WorldScenario):
     lights: ClassVar[tuple[Light, ...]] = ("full_light", "low_beam")
 
     headlight: CarLampsParams = Field(CarLampsParams(), description="the lamps")
-    driving: tuple[DrivingParams, ...] = Field((DrivingParams(),), min_length=1, description="how the car drives, in ascending time")
+    conditions: tuple[ConditionParams, ...] = Field(
+        (ConditionParams(),), min_length=1, description="rain and street lighting, in ascending time"
+    )
     lighting: LightingParams = Field(LightingParams(), description="base beam, and what holds for all lighting functions")
     functions: Functions = Field({}, description="lighting functions, each by its name")
     detector: DetectorParams | None = Field(
@@ -284,9 +284,9 @@ class LightingScenario(WorldScenario):
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
-        times = [each.time_s for each in self.driving]
+        times = [each.time_s for each in self.conditions]
         if any(later <= earlier for earlier, later in pairwise(times)):
-            raise ValueError(f"driving: time_s must ascend from entry to entry, here {times}")
+            raise ValueError(f"conditions: time_s must ascend from entry to entry, here {times}")
         names = [each.name for each in self.all_objects]
         if doubled := [name for name in names if names.count(name) > 1]:
             raise ValueError(f"objects: the name {doubled[0]!r} is there twice, but recordings tell objects by name; rename one")

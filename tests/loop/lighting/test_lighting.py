@@ -15,10 +15,10 @@ from loop.commands import cli
 from loop.lighting.picture import measured, white_of
 from loop.lighting.record import schema
 from loop.lighting.report import lit_part
-from loop.lighting.simulation import LightingSimulation, driving
+from loop.lighting.simulation import LightingSimulation, conditions_at
 from loop.pictures.views import BIRDSEYE_X_M, BIRDSEYE_Y_M
 from loop.run import run
-from loop.scenario.model import DrivingParams, LightingScenario, validate_lighting
+from loop.scenario.model import ConditionParams, LightingScenario, validate_lighting
 from perception.camera import CameraParams, noise_std
 from world.errors import LuxloopError
 from world.lampfiles import archive
@@ -202,12 +202,9 @@ def test_what_stands_still_is_rendered_once() -> None:
     torch.testing.assert_close(simulation.at(0).illuminance, simulation.at(2).illuminance)
 
 
-def test_driving_changes_evenly_and_holds_what_is_true() -> None:
-    course = (DrivingParams(time_s=1, speed_m_s=10, wet=True), DrivingParams(time_s=3, speed_m_s=20, curvature_1_m=0.01))
-    assert driving(course, 0.0).speed_m_s == 10 and driving(course, 9.0).speed_m_s == 20
-    middle = driving(course, 2.0)
-    assert (middle.speed_m_s, middle.curvature_1_m, middle.wet) == (15, 0.005, True)
-    assert not driving(course, 3.0).wet
+def test_conditions_hold_until_the_next() -> None:
+    timeline = (ConditionParams(time_s=1, wet=True), ConditionParams(time_s=3, street_lit=True))
+    assert [conditions_at(timeline, time_s).wet for time_s in (0.0, 1.0, 2.9, 3.0, 9.0)] == [True, True, True, False, False]
 
 
 WRONG = {
