@@ -48,7 +48,7 @@ class Clock:
 
 def exactly(world: World) -> World:
     """The same, rendered as a world that stands."""
-    exact = World(world.scene, world.modules, world.camera, world.source, world.device, world.motion)
+    exact = World(world.scene, world.modules, world.camera, world.source, world.motion)
     exact.moving, exact.surfaces = False, surface_source(world.source, moving=False)
     return exact
 

@@ -196,7 +196,7 @@ def _with_less_overlap(simulation: LightingSimulation) -> LightingSimulation:
         light = replace(module.headlight, matrix=reduce(module.headlight.matrix, KEEP, "proportional"), stored=None)
         modules.append(replace(module, headlight=light))
     before = simulation.world
-    world = World(before.scene, modules, before.camera, before.source, before.device, before.motion, metered=True, given=before.given)
+    world = World(before.scene, modules, before.camera, before.source, before.motion, metered=True, given=before.given)
     return replace(simulation, plant=replace(simulation.plant, world=world))
 
 

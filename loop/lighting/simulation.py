@@ -32,7 +32,7 @@ from loop.plant.protocol import Arrivals, Exposure
 from loop.plant.simulated import SimulatedPlant
 from loop.plant.world import LitScene, World, categories
 from loop.scenario.checks import Light as OtherLight
-from loop.scenario.model import ConditionParams, LightingScenario
+from loop.scenario.model import LightingScenario, RoadConditionParams
 from loop.scenario.shipped import named
 from perception.camera import camera_view, luminance_of, saturation_luminance
 from perception.detection.protocol import Detections
@@ -77,7 +77,7 @@ class LightingSimulation:
         check_names(scenario, modules)
         dark = (LampModule(each.name, each.headlight, Utilisation(0 * each.flux), each.T_world_module) for each in modules)
         true, source = true_modules(scenario.disturbances, dark), face_source(scenario.renderer)
-        world = World(scene, true, true_camera(scenario), source, device, motion, metered=True, given=scenario.all_objects)
+        world = World(scene, true, true_camera(scenario), source, motion, metered=True, given=scenario.all_objects)
         plant = SimulatedPlant(world, scenario.rate_hz, scenario.seed, scenario.sensors, scenario.disturbances, per_step=1)
         lights = tuple((module.name, Light.of(module.headlight, module.T_world_module)) for module in modules)
         view, given = camera_view(scenario.camera), scenario.detector
@@ -296,6 +296,6 @@ def _seen_from(T_world_ground: Tensor, lamp: StreetLamp) -> StreetLamp:
     return lamp.model_copy(update={"position_m": (x, y, z)})
 
 
-def conditions_at(timeline: tuple[ConditionParams, ...], time_s: float) -> ConditionParams:
+def conditions_at(timeline: tuple[RoadConditionParams, ...], time_s: float) -> RoadConditionParams:
     """The conditions of a time; the first before they begin."""
     return max((each for each in timeline if each.time_s <= time_s), key=lambda each: each.time_s, default=timeline[0])

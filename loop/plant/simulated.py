@@ -107,5 +107,5 @@ def simulated_plant(scenario: Scenario, projector: Projector) -> SimulatedPlant:
         for module, resting in zip(projector.modules, projector.resting, strict=True)
     )
     modules, source = true_modules(scenario.disturbances, drawing), face_source(scenario.renderer)
-    world = World(build_scene(scenario, motion), modules, true_camera(scenario), source, projector.symbol.device, motion)
+    world = World(build_scene(scenario, motion), modules, true_camera(scenario), source, motion)
     return SimulatedPlant(world, scenario.rate_hz, scenario.seed, scenario.sensors, scenario.disturbances)

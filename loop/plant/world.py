@@ -152,16 +152,16 @@ class World:
         modules: Sequence[LampModule],
         camera: CameraParams,
         source: FaceSource,
-        device: torch.device,
         motion: Motion = STANDING,
         metered: bool = False,
         given: tuple[ObjectParams, ...] = (),
     ) -> None:
         self.scene, self.modules, self.camera, self.source = scene, tuple(modules), camera, source
-        self.device, self.motion, self.metered, self.given = device, motion, metered, given
+        self.motion, self.metered, self.given = motion, metered, given
         self.moving = motion is not STANDING or scene.moves
         self.surfaces = surface_source(source, self.moving)
         self.view = camera_view(camera)
+        self.device = self.modules[0].T_world_headlight.device
         self.resting = tuple(module.beam for module in self.modules)
         self._lit: OrderedDict[Any, LitScene] = OrderedDict()
         self._metered: tuple[LitScene, tuple[Utilisation, ...], tuple[Tensor, Tensor]] | None = None

@@ -240,7 +240,7 @@ class CarLampsParams(HeadlightParams):
         return self.standby_w + flux_lm / self.efficacy_lm_w
 
 
-class ConditionParams(Params):
+class RoadConditionParams(Params):
     """What lighting functions are told of rain and of the street from one time on."""
 
     time_s: float = Field(0.0, ge=0, le=1e6, description="time from which on this holds, until the next entry")
@@ -254,8 +254,8 @@ class LightingScenario(WorldScenario):
     lights: ClassVar[tuple[Light, ...]] = ("full_light", "low_beam")
 
     headlight: CarLampsParams = Field(CarLampsParams(), description="the lamps")
-    conditions: tuple[ConditionParams, ...] = Field(
-        (ConditionParams(),), min_length=1, description="rain and street lighting, in ascending time"
+    conditions: tuple[RoadConditionParams, ...] = Field(
+        (RoadConditionParams(),), min_length=1, description="rain and street lighting, in ascending time"
     )
     lighting: LightingParams = Field(LightingParams(), description="base beam, and what holds for all lighting functions")
     functions: Functions = Field({}, description="lighting functions, each by its name")

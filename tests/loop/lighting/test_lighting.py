@@ -18,7 +18,7 @@ from loop.lighting.report import lit_part
 from loop.lighting.simulation import LightingSimulation, conditions_at
 from loop.pictures.views import BIRDSEYE_X_M, BIRDSEYE_Y_M
 from loop.run import run
-from loop.scenario.model import ConditionParams, LightingScenario, validate_lighting
+from loop.scenario.model import LightingScenario, RoadConditionParams, validate_lighting
 from perception.camera import CameraParams, noise_std
 from world.errors import LuxloopError
 from world.lampfiles import archive
@@ -203,7 +203,7 @@ def test_what_stands_still_is_rendered_once() -> None:
 
 
 def test_conditions_hold_until_the_next() -> None:
-    timeline = (ConditionParams(time_s=1, wet=True), ConditionParams(time_s=3, street_lit=True))
+    timeline = (RoadConditionParams(time_s=1, wet=True), RoadConditionParams(time_s=3, street_lit=True))
     assert [conditions_at(timeline, time_s).wet for time_s in (0.0, 1.0, 2.9, 3.0, 9.0)] == [True, True, True, False, False]
 
 

@@ -83,7 +83,7 @@ def test_a_car_drives_towards_a_headlamp_that_stands(plain: Simulation) -> None:
     lamp = {"position_m": (60.0, 2.0, 0.65), "diameter_m": 0.5, "veil": 0.0, "intensity_cd": 5.0}
     scene, modules, camera, source = plain.truth.world.scene, plain.truth.world.modules, plain.truth.world.camera, plain.truth.world.source
     motion = drive(VehicleParams.model_validate({"course": [{"speed_m_s": 20.0}]}), Flat(), 1.0)
-    world = World(scene, modules, camera, source, plain.device, motion)
+    world = World(scene, modules, camera, source, motion)
     plant = disturbed(world, oncoming=[lamp])
     dark = torch.zeros(camera.height_px, camera.width_px, device=plain.device)
     for step, frame, distance in ((0, 0, 60.0), (15, 0, 50.0), (15, 1, 50.0 - 20 / 60)):
@@ -197,7 +197,7 @@ def worn_world(plain: Simulation, **wear: Any) -> World:
     disturbances = DisturbanceParams.model_validate({"wear": wear})
     world = plain.truth.world
     modules = true_modules(disturbances, world.modules)
-    return World(world.scene, modules, world.camera, world.source, world.device)
+    return World(world.scene, modules, world.camera, world.source)
 
 
 def test_worn_pixels_give_as_much_less_light(plain: Simulation) -> None:
