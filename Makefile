@@ -1,5 +1,6 @@
 # make demo   set everything up, run the main job and say where its report lies
 # make test   set everything up and run the tests
+# make docs   set everything up and build the documentation as a site
 #
 # PYTHON=...        interpreter to build the environment with (3.11 or newer)
 # PIP_FLAGS=...     given to pip install, such as another package index
@@ -10,7 +11,7 @@ BIN := $(VENV)/bin
 PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11; do \
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
 
-.PHONY: demo test environment test-environment opengl lint types clean
+.PHONY: demo test docs environment test-environment docs-environment opengl lint types clean
 
 demo: environment opengl
 	$(BIN)/luxloop run snowflake --out runs/snowflake
@@ -19,6 +20,10 @@ demo: environment opengl
 # One thread a worker: two workers whose OpenMP threads spin against each other are many times slower.
 test: test-environment opengl
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxprocesses=4 $(PYTEST_FLAGS)
+
+docs: docs-environment
+	$(BIN)/python scripts/build_docs.py
+	@echo "The documentation begins at $(CURDIR)/build/site/index.html"
 
 lint: test-environment
 	$(BIN)/ruff check .
@@ -29,10 +34,15 @@ types: test-environment
 
 environment: $(VENV)/installed
 test-environment: $(VENV)/installed-test
+docs-environment: $(VENV)/installed-docs
 
 $(VENV)/installed: pyproject.toml constraints.txt | $(BIN)/pip
 	$(BIN)/pip install $(PIP_FLAGS) -c constraints.txt -e .
 	@touch $@
+
+$(VENV)/installed-docs: pyproject.toml constraints.txt | $(BIN)/pip
+	$(BIN)/pip install $(PIP_FLAGS) -c constraints.txt -e '.[docs]'
+	@touch $@ $(VENV)/installed
 
 $(VENV)/installed-test: pyproject.toml constraints.txt | $(BIN)/pip
 	$(BIN)/pip install $(PIP_FLAGS) -c constraints.txt -e '.[test]'

@@ -33,7 +33,7 @@ SCENARIOS = ROOT / "docs" / "scenarios.md"
 
 # What is not run here, and why.
 EXEMPT = {
-    r"make (demo|test)\b": "sets up an environment, and would run this test inside itself",
+    r"make (demo|test|docs)\b": "sets up an environment, and would run this test inside itself",
     r"\. \.venv/bin/activate": "the test runs in an environment already",
     r"python3 -m venv|pip install": "tests/test_packaging.py installs",
     r"(\.venv/bin/)?python benchmarks/": "takes minutes, and has tests of its own",
@@ -158,6 +158,11 @@ def test_links_lead_somewhere(page: Path) -> None:
 def test_the_index_leads_to_every_page() -> None:
     named = set(re.findall(r"\]\(([a-z_]+\.md)", (ROOT / "docs" / "index.md").read_text("utf-8")))
     assert named | {"index.md"} == {page.name for page in (ROOT / "docs").glob("*.md")}
+
+
+def test_the_site_shows_every_page() -> None:
+    shown = set(re.findall(r'"(\w+\.md)"', (ROOT / "zensical.toml").read_text("utf-8")))
+    assert shown >= {page.name for page in (ROOT / "docs").glob("*.md")}
 
 
 def headings(page: Path) -> list[str]:
