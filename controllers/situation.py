@@ -27,9 +27,10 @@ MASK = 1000  # priority of masks: above every function's own, which are at most 
 class TrackedObject:
     """A box around an object.
 
-    T_world_object: `[4, 4]`, origin in the middle of the box's foot, x along its length. size_m: length, width, height.
-    since_s, until_s: when the tracker first saw it and when it lost it; a lost object stays in the list while its functions fade out.
-    confidence: 0..1, of its class, filtered over frames. score: the same in the last frame alone, NaN where it was not found there.
+    name: of the object or its track, no two have the same. category: its class. T_world_object: `[4, 4]`, of the box in the world, origin
+    in the middle of its foot, x along its length, z up. size_m: length, width, height. since_s: when the tracker first saw it. until_s:
+    when it lost it, infinite while it is there; a lost object stays in the list while its functions fade out. confidence: 0..1, of its
+    class, filtered over frames. score: the same in the last frame alone, NaN where it was not found there.
     """
 
     name: str
@@ -58,8 +59,9 @@ class TrackedObject:
 class Seen:
     """What the camera saw last.
 
-    luminance: `[height, width]` cd/m^2 as measured. saturation: the most that can be, cd/m^2. albedo: `[height, width]` of what is there,
-    and material: index of its name in materials, -1 for none, where a source of both is at hand.
+    time_s: when the frame was taken. view: of the camera. luminance: `[height, width]` cd/m^2 as measured. saturation: the most that can
+    be, cd/m^2. albedo: `[height, width]` in 0..1 of what is seen, None without a source of it. material: `[height, width]` int64, index in
+    materials, -1 for none; None without a source of it. materials: names of the materials.
     """
 
     time_s: float
@@ -75,9 +77,11 @@ class Seen:
 class Situation:
     """One moment.
 
-    T_world_vehicle: `[4, 4]`, the road is its plane z = 0. lamps: `[L, 3]` m, photometric centres of all modules in the world.
-    curvature_1_m: of the car's course, to the left positive. symbols: images of the functions that draw any, by the name that they use.
-    seen: None where there is no camera, or before its first frame. lights: what the car's modules can give, with their names.
+    time_s: since the beginning. T_world_vehicle: `[4, 4]`, of the vehicle frame in the world; the road is its plane z = 0. lamps: `[L, 3]`
+    m, photometric centres of all modules in the world. objects: what the tracker reports, lost ones until they have faded. speed_m_s: of
+    the car. curvature_1_m: of its course, to the left positive. wet: whether the road is. street_lit: whether street lamps light it.
+    symbols: images of the functions that draw any, by the name that they use. seen: the last frame, None where there is no camera, or
+    before its first frame. lights: what the car's modules can give, with their names.
     """
 
     time_s: float

@@ -38,11 +38,12 @@ STANDS_M_S = 0.1  # slower than anybody drives, and more than the noise of a spe
 
 @dataclass(frozen=True)
 class Ego:
-    """The vehicle's motion as measured at `time_s`, `age_s` before the step's on frame is exposed.
+    """The vehicle's motion as its sensors measured it.
 
-    attitude: `[3]`, heave in m, roll and pitch (nose down) in rad of the body over the ground. rates: `[3]`, the same a second.
-    speed_m_s, yaw_rate_rad_s: `[]`, of the rear axle, means of the last control period. period_s: that period.
-    pivot_x_m, rear_x_m: where on the ground the body rolls and pitches, and where the rear axle is.
+    time_s: of the measurement. age_s: from then until the step's on frame is exposed. period_s: the control period. attitude: `[3]`, heave
+    in m, roll and pitch (nose down) in rad of the body over the ground. rates: `[3]`, the same a second. speed_m_s: `[]`, of the rear axle,
+    mean of the last control period. yaw_rate_rad_s: `[]`, to the left positive, mean of the last control period. pivot_x_m: x in the ground
+    frame about which the body rolls and pitches. rear_x_m: x of the rear axle there.
     """
 
     time_s: float

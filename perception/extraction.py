@@ -84,7 +84,10 @@ Extraction = Annotated[
 
 @dataclass(frozen=True)
 class Crop:
-    """A rectangle of the camera image in px; stop is exclusive."""
+    """A rectangle of the camera image.
+
+    v_start, v_stop: first row and the row after the last. u_start, u_stop: first column and the column after the last.
+    """
 
     v_start: int
     v_stop: int

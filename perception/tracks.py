@@ -15,8 +15,8 @@ class TrackedBoxes:
 
     number: `[n]` int64 from 1 on, the identity, which no later track gets. boxes: `[n, 4]` px, left, top, right, bottom, with what is
     hidden or outside of the image. category: `[n]` int64, index of its class. confidence: `[n, C]` in 0..1, of each class. score: `[n, C]`,
-    the same in the last frame alone, NaN where it was not found. since_s, until_s: `[n]`, when it was first reported and when it was lost,
-    inf for not yet; a lost one is reported for 2 s, so that what is drawn about it can fade.
+    the same in the last frame alone, NaN where it was not found. since_s: `[n]`, when it was first reported. until_s: `[n]`, when it was
+    lost, inf for not yet; a lost one is reported for 2 s, so that what is drawn about it can fade.
     """
 
     number: Tensor

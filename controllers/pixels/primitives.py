@@ -34,16 +34,15 @@ class Observer:
 class Primitives:
     """P rectangles per scene, batch dimensions first. What has no batch dimensions lies on the host, since it chooses the path of a step.
 
-    origin: `[..., P, 3]` m, the corner where symbol coordinates are (0, 0). d1, d2: `[..., P, 3]` m, the edges along symbol u and v.
-    normal: `[..., P, 3]`, unit, towards the side that takes light. value: `[..., P]`, setpoint at symbol value 1 in cd, lx or as a share.
-    weight: `[..., P]`, 0 to infinity: 0 hides what lies behind but does not count, infinity beats every finite one,
-    of which those above HEAVIEST count as that.
-    quantity: `[P]` int64, places in QUANTITIES. forced: `[P]` bool, hit whatever lies before it. priority: `[P]` int64, decides between
-    forced hits and between coplanar ones. symbols: images `[h, w]` in 0..1, row 0 at v = 0, or `[2, h, w]` with their opacity,
-    where rays pass if it is below 1/2, except through masks; symbol_of: `[P]` int64, whose image.
-    nearest: `[P]` bool, images are read at the nearest texel, else bilinearly.
-    modules: names of modules or lamps that may draw each, all where there are none. shared: `[P]` bool, all that draw give one setpoint
-    in cd or lx together, instead of each the whole.
+    origin: `[..., P, 3]` m in the world, the corner where symbol coordinates are (0, 0). d1: `[..., P, 3]` m, the edge along symbol u. d2:
+    `[..., P, 3]` m, the edge along symbol v. normal: `[..., P, 3]`, unit, towards the side that takes light. value: `[..., P]`, setpoint at
+    symbol value 1 in cd, lx or as a share. weight: `[..., P]`, 0 to infinity: 0 hides what lies behind but does not count, infinity beats
+    every finite one, of which those above HEAVIEST count as that. quantity: `[P]` int64, places in QUANTITIES. forced: `[P]` bool, hit
+    whatever lies before it. priority: `[P]` int64, decides between forced hits and between coplanar ones. symbols: images `[h, w]` in 0..1,
+    row 0 at v = 0, or `[2, h, w]` with their opacity, where rays pass if it is below 1/2, except through masks; symbol_of: `[P]` int64,
+    whose image. nearest: `[P]` bool, images are read at the nearest texel, else bilinearly. modules: names of modules or lamps that may
+    draw each, all where there are none. shared: `[P]` bool, all that draw give one setpoint in cd or lx together, instead of each the
+    whole. observer: for whom symbols look undistorted, None for nobody.
     """
 
     origin: Tensor

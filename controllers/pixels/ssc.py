@@ -17,7 +17,10 @@ from world.headlight import Headlight
 
 @dataclass(frozen=True)
 class Utilisation:
-    """Pixel utilisations u `[..., n_p]` in 0..1; band: all pixels outside of it are dark, None where that is not known."""
+    """The light of one module.
+
+    u: utilisation `[..., n_p]` of its pixels in 0..1. band: all pixels outside of it are dark, None where that is not known.
+    """
 
     u: Tensor
     band: slice | None = None

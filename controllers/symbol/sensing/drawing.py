@@ -11,10 +11,10 @@ CELLS = (512, 256)  # of a warped symbol, along and across
 
 @dataclass(frozen=True)
 class Warp:
-    """The symbol laid anew over a rectangle of `size_m` (length, width) about the same centre.
+    """The symbol laid anew over another rectangle about the same centre.
 
-    source: `[..., m, 2, h, w]`, where on the symbol the light of each cell comes from: u to the right and v down, -1 to 1 over the symbol;
-    one for each of m modules, or with m = 1 one for all. dimming: `[..., m, h, w]`, 0..1.
+    size_m: length and width of that. source: `[..., m, 2, h, w]`, where on the symbol the light of each cell comes from: u to the right and
+    v down, -1 to 1 over the symbol; one for each of m modules, or with m = 1 one for all. dimming: `[..., m, h, w]`, 0..1.
     """
 
     source: Tensor
@@ -30,10 +30,11 @@ class Warp:
 class Drawing:
     """One symbol to be shown.
 
-    pose: `[..., 4]` = x, y in m, roll, pitch in rad. z: `[...]` m, height of the centre above the assumed road, None for none.
-    warp: None for the symbol as it is. raw: utilisations `[n_p]`, one a module, that are shown in place of any symbol. shape: `[4]` of a
-    road on which the eye shall see what it would see of the rest on the plane z = 0, see `controllers.symbol.sensing.lift`, None for that
-    plane. aim: `[2]`, x and y in m of the road where the symbol lies because its target cannot be lit, None for the target.
+    pose: `[..., 4]` = x, y in m, roll, pitch in rad, in the body frame. z: `[...]` m, height of the centre above the assumed road, None for
+    none. warp: None for the symbol as it is. raw: utilisations `[n_p]`, one a module, that are shown in place of any symbol, None for the
+    symbol. shape: `[4]` of a road on which the eye shall see what it would see of the rest on the plane z = 0, see
+    `controllers.symbol.sensing.lift`, None for that plane. aim: `[2]`, x and y in m of the road where the symbol lies because its target
+    cannot be lit, None for the target.
     """
 
     pose: Tensor

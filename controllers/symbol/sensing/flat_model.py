@@ -66,10 +66,11 @@ class Eye:
 
 @dataclass(frozen=True)
 class FlatModel:
-    """Light transport a module on the flat road, base beams and threshold `[height, width]` in cd/m^2 there, and the eye that looks at it.
+    """What the camera would see of the symbol on a flat road.
 
-    target: `[4]` features at the target. gains: `[4]`, change of the paired feature per m or rad of x, y, roll, pitch there.
-    albedo: of the road.
+    transports: of light to the camera's pixels, one a module. beams: `[height, width]` cd/m^2, of the base beams. limit: `[height, width]`
+    cd/m^2, threshold of extraction. params: those of extraction. eye: turns symbol images into features. target: `[4]` features at the
+    target. gains: `[4]`, change of the paired feature per m or rad of x, y, roll, pitch there. albedo: of the road.
     """
 
     transports: tuple[Transport, ...]

@@ -58,7 +58,11 @@ class DrawingModule:
 
 @dataclass(frozen=True)
 class Projector:
-    """Modules, the symbol image `[h, w]` in 0..1, its parameters, and the eye at `[3]` m for which drawings are lifted onto a road."""
+    """Draws one symbol with lamp modules.
+
+    modules: those that draw it. symbol: its image `[h, w]` in 0..1. params: its size, brightness and target. eye: `[3]` m in the body
+    frame, for which drawings are lifted onto a road.
+    """
 
     modules: tuple[DrawingModule, ...]
     symbol: Tensor

@@ -13,7 +13,10 @@ from perception.egomotion import Ego
 
 @dataclass(frozen=True)
 class Shown:
-    """What was shown in a step. lights: utilisations, one a module. ego: with which it was drawn, if anything was known of the motion."""
+    """What was shown in a step.
+
+    drawing: of the symbol. lights: utilisations, one a module. ego: the motion with which it was drawn, None for a vehicle that stands.
+    """
 
     drawing: Drawing
     lights: tuple[Utilisation, ...]
@@ -24,9 +27,9 @@ class Shown:
 class Look:
     """What arrives in a step.
 
-    seen: features and errors of the symbol. frames: on and off frame `[height, width]` (digital numbers), None where the camera lost them
+    seen: features and errors of the symbol. frames: on and off frame `[height, width]`, digital numbers; None where the camera lost them
     or none have come. shown: what these frames show, which is older than this step where the camera is late. ego: what is known of the
-    motion now.
+    motion now, None for a vehicle that stands.
     """
 
     seen: Seen
