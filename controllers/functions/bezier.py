@@ -55,7 +55,7 @@ def closest(control: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
         f1 = (away * b1).sum(-1)
         f2 = (b1 * b1 + away * b2).sum(-1)
         f3 = (3 * b1 * b2 + away * b3).sum(-1)
-        slope = 2 * f2 * f2 - f1 * f3
+        slope = 2 * f2 * f2 - f1 * f3  # T eq. B.2.4; f1, f2, f3 are half the derivatives of T eq. B.2.3, [..., N]
         t = (t - torch.where(slope == 0, 0.0, 2 * f1 * f2 / torch.where(slope == 0, 1.0, slope))).clamp(low, high)
         squared = _squared(control, t, points)
         closer = squared < nearest

@@ -30,11 +30,11 @@ def by_entries(setpoints: Setpoints, pixels: PixelMajor, params: MrpcParams, def
     )
     weight = None if setpoints.finite is None else of_entries(setpoints.finite, 1.0)
     forced = None if setpoints.forced is None else of_entries(setpoints.forced)
-    shared = value * pixels.share[texel]
+    shared = value * pixels.share[texel]  # utilisations [..., nnz] of T eq. 7.4.1
     shared = shared if pixels.potential is None else shared * pixels.potential[own]
     mapped = _blended(_blended(value, value * default[band][pixel], relative), shared, in_cd)
     if pixels.darkening is not None:
-        mapped = mapped * pixels.darkening[texel]
+        mapped = mapped * pixels.darkening[texel]  # T eq. 7.4.2
     if params.lower_cd:
         masked = torch.zeros_like(cover, dtype=torch.bool) if forced is None else (forced > 0) & (value == 0)
         mapped = torch.where(masked, 0.0, mapped.maximum(params.lower_cd / I_m))
@@ -43,14 +43,14 @@ def by_entries(setpoints: Setpoints, pixels: PixelMajor, params: MrpcParams, def
     mapped = torch.where(cover > 0, mapped.clamp(0, 1), default[band][pixel])
     kept = pixels.kept[own]
     if params.a_x and params.exclusion == "printed":
-        kept = torch.where(mapped * I_m <= params.a_x * pixels.peak[band][pixel], 0.0, kept)
+        kept = torch.where(mapped * I_m <= params.a_x * pixels.peak[band][pixel], 0.0, kept)  # T eq. 7.4.3 as printed
 
     def summed(terms: Tensor) -> Tensor:
         zeros = torch.zeros(*mapped.shape[:-1], entries.n_rows, dtype=terms.dtype, device=terms.device)
         return zeros.index_add(-1, pixel, terms.expand(*mapped.shape[:-1], -1))
 
     lit = summed((mapped > 0).to(mapped)) if params.a_ac else None
-    finite = kept if weight is None else weight * kept
+    finite = kept if weight is None else weight * kept  # w_ij I_m,ij^a_r of T eq. 7.4.5, [..., nnz]
     forced_light = forced_weight = None
     if forced is not None:
         alone = forced * pixels.full.values[own]

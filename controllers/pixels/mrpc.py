@@ -78,7 +78,7 @@ def _reduced(sums: Sums, pixels: PixelMajor, params: MrpcParams, default: Tensor
     """Utilisation `[..., band]` of sums (T eq. 7.4.5): infinite weights first, then the default where nothing counts, then a_ac."""
     u, idle = sums.light, None if pixels.idle is None else pixels.idle[band]
     if sums.weight is not None:
-        u = u / sums.weight.clamp(min=torch.finfo(u.dtype).tiny)
+        u = u / sums.weight.clamp(min=torch.finfo(u.dtype).tiny)  # T eq. 7.4.5
         idle = None if dark and sums.lit is None else sums.weight == 0
     if idle is not None:
         u = u + default * idle

@@ -64,12 +64,12 @@ def pixel_major(headlight: Headlight, params: MrpcParams) -> PixelMajor:
     def of_texels(values: Tensor, reduction: str) -> Tensor:
         return values.new_zeros(entries.n_cols).scatter_reduce(0, texel, values, reduction, include_self=False)
 
-    peak, total = of_pixels(I_m, "amax"), of_texels(I_m, "sum")
-    raised = ((I_m / peak[pixel]) ** params.a_r).clamp(min=LEAST)
-    full = entries.with_values(raised / of_pixels(raised, "sum")[pixel])
+    peak, total = of_pixels(I_m, "amax"), of_texels(I_m, "sum")  # I_m,j [n_p] and I_m,sum,i [n_t]
+    raised = ((I_m / peak[pixel]) ** params.a_r).clamp(min=LEAST)  # (I_m,ij / I_m,j)^a_r [nnz]
+    full = entries.with_values(raised / of_pixels(raised, "sum")[pixel])  # T eq. 7.4.5 with weights of one
     chosen = raised * sample_weights(entries, headlight, params.sampling)
     if params.exclusion == "capability" and params.a_x and params.shape == "arbitrary":
-        chosen = torch.where(I_m < params.a_x * peak[pixel], 0.0, chosen)
+        chosen = torch.where(I_m < params.a_x * peak[pixel], 0.0, chosen)  # T eq. 7.4.3 on the capability
     counted = of_pixels(chosen, "sum")
     idle = counted == 0
     kept = chosen / torch.where(idle, 1.0, counted)[pixel]
@@ -77,7 +77,7 @@ def pixel_major(headlight: Headlight, params: MrpcParams) -> PixelMajor:
     darkening = None
     if params.a_d is not None:
         mean = total[total > 0].double().mean().to(total)  # in float64, since the order of summation depends on threads
-        darkening = (total / (mean * params.a_d)).clamp(max=1)
+        darkening = (total / (mean * params.a_d)).clamp(max=1)  # T eq. 7.4.2
     rows, reached = texel // headlight.cols, of_pixels(torch.ones_like(I_m), "sum")
     # In whole numbers, since no product of floats tells 7 of 25 texels from a share of 0.28; str gives the decimal that was written.
     sizes, size_of_pixel = reached.unique(return_inverse=True)
@@ -103,7 +103,10 @@ def pixel_major(headlight: Headlight, params: MrpcParams) -> PixelMajor:
 
 
 def _mapping(params: MrpcParams, entries: Csr, pixel: Tensor, of_pixels: Reduce, of_texels: Reduce) -> tuple[Tensor, Tensor | None]:
-    """share and potential of T eq. 7.4.1 or of the mapping named."""
+    """share and potential of T eq. 7.4.1 or of the mapping named.
+
+    A pixel is asked for the utilisation `I_s,ij / I_m,ij = I_m,ij^(a_m - 1) / sum_j I_m,ij^a_m * I_s,i`, which is potential share I_s,i.
+    """
     I_m = entries.values
     if params.mapping == "direct":
         return torch.ones(entries.n_cols, dtype=I_m.dtype, device=I_m.device), 1 / I_m

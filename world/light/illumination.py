@@ -45,9 +45,9 @@ def reach(gbuffer: GBuffer, headlight: Headlight, T_world_headlight: Tensor, tri
     local = transform(inverse(T_world_headlight).to(position), position)
     x = local[0]
     row, col = headlight.texel_of(local[1] / x, local[2] / x)
-    away = T_world_headlight[:3, 3:].to(position) - position
+    away = T_world_headlight[:3, 3:].to(position) - position  # [3, height * width]
     d2 = (away * away).sum(0)
-    cos = (normal * away).sum(0) / d2.sqrt()
+    cos = (normal * away).sum(0) / d2.sqrt()  # cos / d^2 of T eq. 2.1.5
     inside = (x > 0) & (row >= 0) & (row <= headlight.rows) & (col >= 0) & (col <= headlight.cols)
     index = torch.nonzero(inside & (cos > 0) & (gbuffer.object_id.flatten() >= 0))[:, 0]
     factor = cos[index] / d2[index]

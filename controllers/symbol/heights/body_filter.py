@@ -142,10 +142,10 @@ class BodyFilter:
         return self._learnt(rows, values, torch.tensor(NOISE, dtype=torch.float64).square().flatten())
 
     def _learnt(self, rows: Tensor, values: Tensor, variance: Tensor) -> "BodyFilter":
-        """After values `[k]` of rows `[k, n]` times the state were found."""
-        shared = rows @ self.covariance
-        gain = torch.linalg.solve(shared @ rows.T + torch.diag(variance), shared).T
-        covariance = self.covariance - gain @ shared
+        """Kalman's update: values z `[k]` of variance r `[k]` were found of rows H `[k, n]` times the state."""
+        shared = rows @ self.covariance  # H P [k, n]
+        gain = torch.linalg.solve(shared @ rows.T + torch.diag(variance), shared).T  # K = P H' (H P H' + diag r)^-1 [n, k]
+        covariance = self.covariance - gain @ shared  # P - K H P [n, n]; the mean becomes x + K (z - H x) [n]
         return replace(self, mean=self.mean + gain @ (values - rows @ self.mean), covariance=(covariance + covariance.T) / 2)
 
     def _pitch(self) -> Tensor:
@@ -153,12 +153,12 @@ class BodyFilter:
         return pitch - heave / self.distance_m
 
     def at(self, time_s: float) -> "BodyFilter":
-        """At another time, at this speed; the strip goes along by whole cells."""
+        """Kalman's prediction for another time at this speed, `x = F x`, `P = F P F' + Q`; the strip goes along by whole cells."""
         duration_s = time_s - self.time_s
         body, strip = self._transition(duration_s), slice(BODY, None)
-        shared = body @ self.covariance
+        shared = body @ self.covariance  # F P [BODY, n]
         covariance = self.covariance.clone()
-        covariance[:BODY, :BODY] = shared @ body.T
+        covariance[:BODY, :BODY] = shared @ body.T  # F P F'; Q are jerks of what else shakes the body, and the road that comes new
         covariance[OTHER, OTHER] += torch.kron(news(max(duration_s, 0.0)), torch.diag(torch.tensor(JERK, dtype=torch.float64).square()))
         covariance[:BODY, strip], covariance[strip, :BODY] = shared[:, strip], shared[:, strip].T
         mean, way_m = torch.cat([body @ self.mean, self.mean[strip]]), self.way_m + self.speed_m_s * duration_s

@@ -67,7 +67,12 @@ class Registration:
         return error.sum((-2, -1)) / (predicted * self.sight.inside).sum((-2, -1)).clamp(min=1.0)
 
     def refine(self, nodes: Tensor, known: Heights, seen: Tensor, textures: tuple[Tensor, ...], limit: Tensor) -> Heights:
-        """Gauss-Newton from heights `[n]`, on a symbol image `[h, w]` and what is known; the information is that of the image alone."""
+        """Gauss-Newton from heights `[n]`, on a symbol image `[h, w]` and what is known; the information is that of the image alone.
+
+        The heights z have the least `sum rho(seen - p(z)) + (z - m)' L (z - m) + sum 4 log(1 + d_ij^2 / (4 s_ij^2)) + |z - b|^2 / h^2`
+        with the predicted image p, Tukey's biweight rho, the known mean m and information L, the base b, its usual distance h, and the
+        differences d_ij of z - b between neighbours with their usual size s_ij (Cauchy). None lies above a free way of light.
+        """
         sight, (i, j), n = self.sight, self.edges, len(nodes)
         information = known.information
         for blur in BLURS:
@@ -75,15 +80,15 @@ class Registration:
             for _ in range(ITERATIONS):
                 around = torch.stack([nodes, nodes + PROBE_M, nodes - PROBE_M])
                 predicted, higher, lower = self._predicted(around, textures, limit, blur)
-                slope, error = (higher - lower) / (2 * PROBE_M), smooth - predicted
-                scale = 2 * blur[2] * torch.where(error < 0, HIDDEN, 1.0)
+                slope, error = (higher - lower) / (2 * PROBE_M), smooth - predicted  # J = dp/dz and e, both [h, w]
+                scale = 2 * blur[2] * torch.where(error < 0, HIDDEN, 1.0)  # of Tukey's biweight w = (1 - (e / scale)^2)^2
                 weight = (1 - (error / scale) ** 2).clamp(min=0) ** 2 * sight.inside * (sight.step / (PIXEL_SIGMA**2 * blur[0] * blur[1]))
-                information = self._squared(weight * slope * slope)
+                information = self._squared(weight * slope * slope)  # J' W J [n, n]
                 force = (
                     sight.on_nodes(weight * slope * error) + known.information @ (known.mean - nodes) + (known.base - nodes) / HEIGHT_M**2
                 )
                 free, above = self._free(sight.on_pixels(nodes), seen)
-                matrix = information + known.information + self._squared(above)
+                matrix = information + known.information + self._squared(above)  # of the normal equations, [n, n]
                 force = force + sight.on_nodes(above * (free - sight.on_pixels(nodes)))
                 step = (nodes - known.base)[i] - (nodes - known.base)[j]
                 stiffness = 1 / (self.slopes**2 + step**2 / 4)  # an edge as soon as it is steep: Cauchy
@@ -91,6 +96,7 @@ class Registration:
                 for a, b, sign in ((i, i, 1), (j, j, 1), (i, j, -1), (j, i, -1)):
                     matrix.view(-1).index_add_(0, a * n + b, sign * stiffness)
                 matrix.diagonal().add_(1 / HEIGHT_M**2)
+                # The step of Gauss-Newton, matrix^-1 (J' W e + pull of all that is known) [n].
                 moved = torch.cholesky_solve(force[:, None], torch.linalg.cholesky(matrix))[:, 0]
                 nodes = nodes + moved.clamp(-LARGEST_STEP_M, LARGEST_STEP_M)
         return Heights(nodes, information, known.base)

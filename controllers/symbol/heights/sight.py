@@ -43,11 +43,12 @@ class LampSight:
     def luminance(self, texture: Tensor, heights: Tensor) -> Tensor:
         """Luminance `[B, H, w]` in cd/m^2 of a light texture `[rows, cols]` on heights `[B, H, w]` m; what is nearer may cast shadows."""
         light = self.headlight
-        row, col = self.rows(heights)
+        row, col = self.rows(heights)  # [B, H, w]
         u, v = 2 * col / light.cols - 1, 2 * row / light.rows - 1
         image = texture.expand(len(heights), 1, -1, -1)
         seen = remap(image, u, v, padding_mode="zeros", align_corners=False, normalized_coordinates=True)[:, 0]
         horizon = row.flip(-2).cummin(-2).values.flip(-2)  # of all that is nearer
+        # L = I(ray) factor (T eq. 2.1.5; factor: albedo cos / (pi d^2) on the plane), less what nearer heights shade.
         return seen * self.factor * ((horizon - row) / DARKNESS_TEXELS + 1.5).clamp(0, 1)
 
 

@@ -22,7 +22,7 @@ from world.params import Degrees, Metres, Params
 
 
 class PidTuning(Params):
-    """Gains of one kind of loop."""
+    """Gains of one kind of loop (T 9.4.3)."""
 
     kp: float = Field(ge=-1e6, le=1e6, description="proportional gain")
     ki: float = Field(ge=-1e6, le=1e6, description="integral gain a step")
@@ -61,7 +61,7 @@ class ThesisPidState:
 
 @dataclass(frozen=True, eq=False)
 class ThesisPid:
-    """Four PIDs; target: the flat-road pose `[4]` (x, y in m, roll, pitch in rad). losses_to_reset: as in its parameters."""
+    """Four PIDs (T 9.4.1); target: the flat-road pose `[4]` (x, y in m, roll, pitch in rad). losses_to_reset: as in its parameters."""
 
     gains: PidGains
     target: Tensor
