@@ -20,8 +20,7 @@ from loop.lighting.result import LightingResult
 from loop.lighting.run import run_lighting
 from loop.lighting.simulation import LightingSimulation
 from loop.recording.checks import Checks, lights, refuse_unknown
-from loop.recording.recorder import REPORT, SCHEMA, TRAJECTORY, VIDEO, Recorder, no_report, row
-from loop.recording.replay import read_parquet
+from loop.recording.recorder import REPORT, SCHEMA, TRAJECTORY, VIDEO, Outputs, Recorder, no_report, row
 from loop.recording.report import Gathered, write_report
 from loop.recording.video import VideoWriter, frame_picture
 from loop.scenario.model import AnyScenario, LightingScenario, Scenario, load_any
@@ -29,6 +28,7 @@ from loop.symbol.simulation import Simulation, StepResult
 from perception.camera import CameraParams, camera_view, saturation_luminance
 from world.errors import LuxloopError, located
 from world.folders import output_folder
+from world.parquet import read_parquet
 
 VIDEO_FPS = 10  # slower than the loop, so that the eye can follow its steps
 LEAST_PX = 4  # of the target in either direction; quadrants need two pixels each
@@ -64,6 +64,7 @@ def run(
     device: str = "auto",
     video: bool = True,
     report: bool = True,
+    frames: bool = False,
     checks: bool = False,
     on_step: Callable[[StepResult | LightingResult], None] = lambda result: None,
     on_end: Callable[[], None] = lambda: None,
@@ -73,8 +74,9 @@ def run(
 
     scenario: a shipped name or a path, or a loaded one. values: what `load` reads it with (`overrides=["road.kind=bumps"], steps=20`).
     folder: where files go, in place of an older recording; None for a temporary one that lives as long as the result. device: "auto",
-    "cpu" or "cuda". video, report: whether these files are written, which takes seconds. checks: whether those of the scenario that compare
-    with another light are evaluated, too, for which that light runs beside; what has come of them is in `summary["checks"]`.
+    "cpu" or "cuda". video, report: whether these files are written, which takes seconds. frames: whether frames, light and ego
+    motion are kept, which takes megabytes a step. checks: whether those of the scenario that compare with another light are evaluated, too,
+    for which that light runs beside; what has come of them is in `summary["checks"]`.
     on_step: called after every step. on_end: called before video and report are finished.
     Ctrl-C ends the recording, reports on the steps so far and goes on as KeyboardInterrupt. Raises LuxloopError where the scenario cannot
     be read or run, or another process writes into the folder; nothing is written before the first step is done.
@@ -87,15 +89,18 @@ def run(
     if folder is None:
         temporary = TemporaryDirectory(prefix="luxloop-")
         folder = temporary.name
-    folder = Path(folder)
+    played = getattr(getattr(scenario, "plant", None), "folder", None)
+    if played is not None and Path(played).resolve() == Path(folder).resolve():
+        raise LuxloopError(f"{folder}: is the recording that is played, which this run would replace; give another folder with --out")
+    folder, outputs = Path(folder), Outputs(video, report, frames)
     with output_folder(folder):
         if isinstance(scenario, LightingScenario):
             lighting = prepare(scenario, device)
             beside = Checks(lighting, lighting_row, checks)
-            summary = run_lighting(lighting, folder, beside, video, report, on_step, on_end)
+            summary = run_lighting(lighting, folder, beside, outputs, on_step, on_end)
         else:
             symbol = prepare(scenario, device)
-            summary = _run_symbol(symbol, folder, Checks(symbol, row, checks), video, report, on_step, on_end)
+            summary = _run_symbol(symbol, folder, Checks(symbol, row, checks), outputs, on_step, on_end)
     gc.collect()  # matplotlib leaves exceptions of its parser in cycles, and their frames hold the simulation: half a gigabyte
     return RunResult(summary, read_parquet(folder / TRAJECTORY), folder, temporary)
 
@@ -104,8 +109,7 @@ def _run_symbol(
     simulation: Simulation,
     directory: Path,
     checks: Checks[StepResult],
-    video: bool,
-    report: bool,
+    outputs: Outputs,
     on_step: Callable[[StepResult | LightingResult], None],
     on_end: Callable[[], None],
 ) -> dict[str, Any]:
@@ -116,8 +120,9 @@ def _run_symbol(
         write_report(directory / REPORT, simulation, gathered, table, summary)
 
     size = (scenario.camera.width_px, scenario.camera.height_px)
-    with Recorder(directory, simulation, page if report else no_report, checks.outcomes) as recorder, ExitStack() as stack:
-        film = stack.enter_context(VideoWriter(directory / VIDEO, VIDEO_FPS, size)) if video else None
+    drawn = page if outputs.report else no_report
+    with Recorder(directory, simulation, drawn, checks.outcomes, outputs.frames) as recorder, ExitStack() as stack:
+        film = stack.enter_context(VideoWriter(directory / VIDEO, VIDEO_FPS, size)) if outputs.video else None
         stack.callback(on_end)
         for result in simulation.run():
             recorder.add(result)

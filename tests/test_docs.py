@@ -104,6 +104,9 @@ def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         code = code.replace(slow, cheap)
     if "runs/snowflake" in code:
         execute("luxloop run snowflake")
+    for command in commands(page):
+        if re.search(r"luxloop run .*--out runs/(drive|shadow)", command):
+            execute(command)
     exec(compile(code, str(page), "exec"), {"__name__": "docs"})
 
 

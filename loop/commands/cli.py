@@ -8,6 +8,7 @@ import traceback
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from cyclopts import App, CycloptsError, UnknownCommandError, UnusedCliTokensError
 
@@ -178,9 +179,11 @@ def run(
     seed: int | None = None,
     steps: int | None = None,
     controller: str | None = None,
+    plant: Path | None = None,
     device: Device = "auto",
     video: bool = True,
     report: bool = True,
+    frames: Flag = False,
     checks: Flag = False,
     allow_code: AllowCode = False,
 ) -> int:
@@ -200,21 +203,27 @@ def run(
         Control steps.
     controller
         Controller to take instead, with its defaults (see `luxloop list controllers`).
+    plant
+        Recording with frames to play: the controller steps on them in shadow, and what it asks for is shown nowhere.
     device
         Where to compute; auto takes CUDA where there is any.
     video
         Whether to write video.mp4.
     report
         Whether to write report.png, which takes seconds.
+    frames
+        Keep what the plant was shown and handed over: light, frames and ego motion, megabytes a step.
     checks
         Evaluate all checks of the scenario, those as well for which another light runs beside; exit code 1 where one fails.
     """
     from loop.commands.runs import run_scenario
+    from loop.recording.recorder import Outputs
     from loop.scenario.model import load_any
 
-    given = {key: value for key, value in {"seed": seed, "steps": steps}.items() if value is not None} | with_controller(controller)
-    scenario = load_any(name, set or [], allow_code=allow_code, **given)
-    passed = run_scenario(scenario, out or Path("runs") / Path(name).stem, device, video, report, checks)
+    given: dict[str, Any] = {key: value for key, value in {"seed": seed, "steps": steps}.items() if value is not None}
+    given |= {} if plant is None else {"plant": {"kind": "recording", "folder": str(plant)}}
+    scenario = load_any(name, set or [], allow_code=allow_code, **given, **with_controller(controller))
+    passed = run_scenario(scenario, out or Path("runs") / Path(name).stem, device, Outputs(video, report, frames), checks)
     return OK if passed or not checks else FAILED
 
 

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,15 +16,16 @@ from loop.lighting.result import LightingResult
 from loop.lighting.summary import shown
 from loop.recording.checks import lines, passed
 from loop.recording.manifest import Manifest
-from loop.recording.recorder import TRAJECTORY
+from loop.recording.recorder import TRAJECTORY, Outputs
 from loop.recording.remedies import remedies
-from loop.recording.replay import Comparison, read_parquet, replay
+from loop.recording.replay import Comparison, replay
 from loop.run import run
 from loop.scenario.model import AnyScenario, LightingScenario
 from loop.symbol.simulation import StepResult
 from loop.terminal import tables
 from loop.terminal.progress import progress
 from loop.terminal.tables import number
+from world.parquet import read_parquet
 
 
 def _one_thread() -> None:
@@ -32,14 +34,14 @@ def _one_thread() -> None:
         torch.set_num_threads(1)
 
 
-def run_scenario(scenario: AnyScenario, out: Path, device: str, video: bool, report: bool, checks: bool) -> bool:
+def run_scenario(scenario: AnyScenario, out: Path, device: str, outputs: Outputs, checks: bool) -> bool:
     """Run, and say how it went and where the files lie; returns whether all checks have passed that were evaluated.
 
     Raises KeyboardInterrupt that says what was kept.
     """
     _one_thread()
     done = 0
-    wanted = [name for name, is_wanted in (("report", report), ("video", video)) if is_wanted]
+    wanted = [name for name, is_wanted in (("report", outputs.report), ("video", outputs.video)) if is_wanted]
     writing = f"{scenario.name}: writing {' and '.join(wanted) or 'recording'}"
 
     with progress(scenario.name, scenario.steps) as advance:
@@ -51,7 +53,7 @@ def run_scenario(scenario: AnyScenario, out: Path, device: str, video: bool, rep
 
         try:
             on_end = partial(advance, 0, writing)
-            result = run(scenario, out, device=device, video=video, report=report, checks=checks, on_step=on_step, on_end=on_end)
+            result = run(scenario, out, device=device, **asdict(outputs), checks=checks, on_step=on_step, on_end=on_end)
         except KeyboardInterrupt as error:
             raise KeyboardInterrupt(f"{done} of {scenario.steps} steps are kept in {out}" if done else "nothing was recorded") from error
     table = shown if isinstance(scenario, LightingScenario) else of_symbol

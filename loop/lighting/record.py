@@ -11,6 +11,7 @@ from loop.lighting.on_materials import quantities
 from loop.lighting.result import LightingResult
 from loop.lighting.simulation import LightingSimulation
 from loop.lighting.summary import summarise
+from loop.recording.frames import FrameRecorder
 from loop.recording.manifest import Manifest
 from loop.recording.recorder import Checked, Report, TableRecorder, no_report, unchecked
 
@@ -134,12 +135,20 @@ def row(result: LightingResult) -> dict[str, Any]:
 class LightingRecorder(TableRecorder[LightingResult]):
     """Records a run of lighting functions."""
 
-    def __init__(self, directory: Path, simulation: LightingSimulation, report: Report = no_report, checked: Checked = unchecked) -> None:
-        """Raises LuxloopError as any recorder does, and if an input file cannot be read."""
+    def __init__(
+        self,
+        directory: Path,
+        simulation: LightingSimulation,
+        report: Report = no_report,
+        checked: Checked = unchecked,
+        frames: bool = False,
+    ) -> None:
+        """frames: whether to keep them. Raises LuxloopError as any recorder does, and if an input file cannot be read."""
         self.simulation = simulation
+        kept = FrameRecorder(directory, simulation.scenario.camera.bits) if frames else None
         self.idle = set(simulation.scenario.functions)
         manifest = Manifest.of(simulation.scenario, simulation.world.source.name, simulation.device)
-        super().__init__(directory, manifest, schema(simulation), report, checked)
+        super().__init__(directory, manifest, schema(simulation), report, checked, kept)
 
     def row(self, result: LightingResult) -> dict[str, Any]:
         if self.idle:

@@ -13,9 +13,10 @@ from loop.lighting.simulation import LightingSimulation
 from loop.recording.comparison import Difference
 from loop.recording.manifest import FILE, Manifest
 from loop.recording.recorder import TRAJECTORY, table_of
-from loop.recording.replay import Comparison, read_parquet
+from loop.recording.replay import Comparison
 from loop.scenario.model import LightingScenario, validate_any
 from world.errors import LuxloopError
+from world.parquet import read_parquet
 from world.plugin import refuse_code
 
 TOLERANCE = 2e-3  # of a column's largest value: a pixel at the border of a shadow moves a mean of hundreds of pixels by so much

@@ -14,7 +14,7 @@ from loop.lighting.on_materials import OnMaterial
 from loop.lighting.on_objects import OnObject
 from loop.lighting.sight import Recognised
 from loop.lighting.zoned import InZone
-from loop.plant.protocol import Arrivals
+from loop.plant.protocol import Arrivals, Showing
 from perception.detection.protocol import Detections
 from perception.tracks import TrackedBoxes
 from world.view import View
@@ -60,7 +60,7 @@ class LightingResult:
     illuminance: `[height, width]` lx from the lamps alone, and luminance: in cd/m^2 with all other light, as the camera sees them.
     frame: digital numbers of the newest frame that came in this step, None where none came. objects: by name, those that are there and have
     a category. look: None without a detector. symbols: those that are meant for an observer, from their eyes. zones, materials: by name.
-    timings: ms by part.
+    showings: the exposure. timings: ms by part.
     """
 
     step: int
@@ -80,6 +80,7 @@ class LightingResult:
     symbols: tuple[ObservedSymbol, ...]
     zones: Mapping[str, InZone]
     materials: Mapping[str, OnMaterial]
+    showings: tuple[Showing, ...]
     timings: Mapping[str, float]
 
     @property

@@ -14,7 +14,7 @@ from loop.lighting.report import write_report
 from loop.lighting.result import LightingResult
 from loop.lighting.simulation import LightingSimulation
 from loop.recording.checks import Checks
-from loop.recording.recorder import REPORT, VIDEO, no_report
+from loop.recording.recorder import REPORT, VIDEO, Outputs, no_report
 from loop.recording.video import VideoWriter
 from perception.tracking import TrackerParams
 
@@ -26,8 +26,7 @@ def run_lighting(
     simulation: LightingSimulation,
     directory: Path,
     checks: Checks[LightingResult],
-    video: bool,
-    report: bool,
+    outputs: Outputs,
     on_step: Callable[[LightingResult], None],
     on_end: Callable[[], None],
 ) -> dict[str, Any]:
@@ -45,8 +44,9 @@ def run_lighting(
         write_report(directory / REPORT, simulation, list(moments.values())[-MOMENTS:], table)
 
     size = (scenario.camera.width_px, scenario.camera.height_px)
-    with LightingRecorder(directory, simulation, page if report else no_report, checks.outcomes) as recorder, ExitStack() as stack:
-        film = stack.enter_context(VideoWriter(directory / VIDEO, VIDEO_FPS, size)) if video else None
+    drawn = page if outputs.report else no_report
+    with LightingRecorder(directory, simulation, drawn, checks.outcomes, outputs.frames) as recorder, ExitStack() as stack:
+        film = stack.enter_context(VideoWriter(directory / VIDEO, VIDEO_FPS, size)) if outputs.video else None
         stack.callback(on_end)
         for result in simulation.run():
             recorder.add(result)

@@ -28,7 +28,7 @@ from loop.lighting.on_objects import on_objects, told_as
 from loop.lighting.result import LightingResult, LightingState, Look
 from loop.lighting.sight import Sight, false_positives, recognised
 from loop.lighting.zoned import in_zones
-from loop.plant.protocol import Arrivals, Exposure
+from loop.plant.protocol import Arrivals, Exposure, Showing
 from loop.plant.simulated import SimulatedPlant
 from loop.plant.world import LitScene, World, categories
 from loop.scenario.checks import Light as OtherLight
@@ -144,7 +144,8 @@ class LightingSimulation:
         lights, powers = self._driven(plan, now)
         lit = time.perf_counter()
         shown = tuple(Utilisation(u) for u in lights)
-        plant, arrivals = self.plant.show(state.plant, Exposure(state.step, time_s, 1 / self.scenario.rate_hz, shown))
+        exposure = Exposure(state.step, time_s, 1 / self.scenario.rate_hz, shown)
+        plant, arrivals = self.plant.show(state.plant, exposure)
         seen, (illuminance, luminance) = self.world.lit(time_s), self.world.meter(time_s, shown)
         looked = time.perf_counter()
         believed = {**state.believed, state.step: view}
@@ -191,6 +192,7 @@ class LightingSimulation:
             symbols,
             zones,
             materials,
+            (Showing(state.arrivals, exposure, arrivals),),
             timings,
         )
         return LightingState(state.step + 1, tracks, functions, plant, arrivals, believed), result

@@ -6,6 +6,7 @@ from typing import Any, Protocol
 from torch import Tensor
 
 from controllers.pixels.ssc import Utilisation
+from controllers.symbol.sensing.drawing import Drawing
 from perception.egomotion import Ego
 
 
@@ -13,26 +14,30 @@ from perception.egomotion import Ego
 class Exposure:
     """Light that is shown for `duration_s` s from `start_s` s on, with one frame of it.
 
-    number: ascending, never used twice. lights: utilisations, one a module, base beams included.
+    number: ascending, never used twice. lights: utilisations, one a module, base beams included. drawing: of the controlled symbol in these
+    lights, None without one; a plant has no use for it.
     """
 
     number: int
     start_s: float
     duration_s: float
     lights: tuple[Utilisation, ...]
+    drawing: Drawing | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
     """A frame that has come, or word that it is lost.
 
-    number: of its exposure. taken_s, arrived_s: times in s. image: digital numbers `[height, width]`, None where it is lost.
+    number: of its exposure. taken_s, arrived_s: times in s. image: digital numbers `[height, width]`, None where it is lost. shown: what it
+    shows where that is not what was asked for, None where it is.
     """
 
     number: int
     taken_s: float
     arrived_s: float
     image: Tensor | None
+    shown: Exposure | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +50,15 @@ class Arrivals:
     time_s: float
     frames: tuple[Frame, ...] = ()
     ego: Ego | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Showing:
+    """An exposure, what had come in before it, and what by its end."""
+
+    before: Arrivals
+    exposure: Exposure
+    after: Arrivals
 
 
 class Plant(Protocol):

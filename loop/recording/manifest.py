@@ -14,9 +14,11 @@ import torch
 from pydantic import Field, ValidationError
 
 from loop.assembly.build import symbol_path
+from loop.plant.frames import TABLE
 from loop.recording.sources import sources_of
 from loop.scenario import data
 from loop.scenario.model import AnyScenario, Scenario
+from loop.scenario.plant import RecordedPlantParams
 from loop.scenario.shipped import named
 from world.errors import LuxloopError
 from world.files import content, files_at, reading, regular, whole
@@ -145,6 +147,8 @@ def input_files(scenario: AnyScenario) -> Iterator[tuple[str, Path]]:
     their descriptions name, detectors, and modules of one's own with what they import from beside them."""
     if isinstance(scenario, Scenario):
         yield "symbol.image", symbol_path(scenario.symbol.image)
+        if isinstance(scenario.plant, RecordedPlantParams):
+            yield "plant.folder", Path(scenario.plant.folder) / TABLE
     else:
         for name, function in scenario.functions.items():
             image = getattr(function, "image", None)

@@ -6,25 +6,29 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Generic, Self, TypeVar
+from typing import Any, Generic, Protocol, Self, TypeVar
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 import torch
 
 from controllers.symbol.sensing.field import SIDES
+from loop.plant.frames import remove
+from loop.plant.protocol import Showing
+from loop.recording.frames import FrameRecorder
 from loop.recording.manifest import FILE as MANIFEST
 from loop.recording.manifest import Manifest, write_json
 from loop.recording.summary import summarise
+from loop.scenario.plant import RecordedPlantParams
 from loop.symbol.simulation import Simulation, StepResult
 from perception.extraction import Loss
 from perception.judge import Verdict
 from world.errors import LuxloopError
 from world.files import whole
 
-Result = TypeVar("Result")
 Report = Callable[[pa.Table, dict[str, Any]], None]  # draws what the table and the summary of a run say
 Checked = Callable[[pa.Table], dict[str, Any]]  # what has come of the checks of a run, by name
 
@@ -99,6 +103,26 @@ NAN = torch.tensor(torch.nan)
 NOT_JUDGED = Verdict(NAN.expand(2), NAN, NAN, NAN, NAN)
 
 
+class Stepped(Protocol):
+    """What happened in a step, whatever stepped."""
+
+    @property
+    def showings(self) -> tuple[Showing, ...]:
+        """The exposures of the step."""
+
+
+Result = TypeVar("Result", bound=Stepped)
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """What a run writes beside its table and summary."""
+
+    video: bool = True
+    report: bool = True
+    frames: bool = False
+
+
 def row(result: StepResult) -> dict[str, Any]:
     """A step as plain Python values, by the names of COLUMNS; NaN where nothing was seen. Waits for the device once."""
     seen, verdict = result.seen, result.verdict or NOT_JUDGED
@@ -141,7 +165,9 @@ def summary_of(simulation: Simulation, table: pa.Table) -> dict[str, Any]:
     time_s = table["time_s"][-1].as_py() if table.num_rows else 0.0
     light, judge = simulation.projector.light(simulation.projector.target), simulation.judge
     iou_open = math.nan if judge is None else judge.verdict(light, time_s).iou.item()
-    return summarise(table, simulation.scenario.name, simulation.scenario.controller.name, iou_open)
+    plant = simulation.scenario.plant
+    shadow_of = plant.folder if isinstance(plant, RecordedPlantParams) else None
+    return summarise(table, simulation.scenario.name, simulation.scenario.controller.name, iou_open, shadow_of)
 
 
 def write_table(file: Path, table: pa.Table) -> None:
@@ -167,9 +193,11 @@ class TableRecorder(ABC, Generic[Result]):
     the first error is raised.
     """
 
-    def __init__(self, directory: Path, manifest: Manifest, schema: pa.Schema, report: Report, checked: Checked) -> None:
+    def __init__(
+        self, directory: Path, manifest: Manifest, schema: pa.Schema, report: Report, checked: Checked, frames: FrameRecorder | None
+    ) -> None:
         """Raises LuxloopError if the directory holds something else than a recording, or cannot be written."""
-        self.directory, self.manifest, self._report, self._checked = directory, manifest, report, checked
+        self.directory, self.manifest, self._report, self._checked, self._frames = directory, manifest, report, checked, frames
         self._written = schema.empty_table()
         self._fresh: list[dict[str, Any]] = []
         self._next_write_s = 0.0
@@ -197,6 +225,8 @@ class TableRecorder(ABC, Generic[Result]):
         added = self.row(result)
         if not self._begun:
             self._begin()
+        if self._frames is not None:
+            self._frames.add(result.showings)
         self._fresh.append(added)
         if time.perf_counter() >= self._next_write_s:
             self._write_trajectory()
@@ -229,13 +259,18 @@ class TableRecorder(ABC, Generic[Result]):
         """Make the directory, remove an old recording, its manifest last, and write the new one's."""
         with self._writing():
             self.directory.mkdir(parents=True, exist_ok=True)
+            remove(self.directory)
             for name in FILES:
                 (self.directory / name).unlink(missing_ok=True)
             self.manifest.write(self.directory)
+            if self._frames is not None:
+                self._frames.begin()
         self._begun = True
 
     def _write_trajectory(self) -> None:
         start = time.thread_time()  # a busy machine makes writes last, but not rarer
+        if self._frames is not None:
+            self._frames.write()
         write_table(self.directory / TRAJECTORY, self.table())
         self._next_write_s = time.perf_counter() + REST * (time.thread_time() - start)
 
@@ -251,11 +286,14 @@ class TableRecorder(ABC, Generic[Result]):
 class Recorder(TableRecorder[StepResult]):
     """Records the run of a closed loop."""
 
-    def __init__(self, directory: Path, simulation: Simulation, report: Report = no_report, checked: Checked = unchecked) -> None:
-        """Raises LuxloopError as any recorder does, and if an input file cannot be read."""
+    def __init__(
+        self, directory: Path, simulation: Simulation, report: Report = no_report, checked: Checked = unchecked, frames: bool = False
+    ) -> None:
+        """frames: whether to keep them. Raises LuxloopError as any recorder does, and if an input file cannot be read."""
         self.simulation = simulation
+        kept = FrameRecorder(directory, simulation.scenario.camera.bits) if frames else None
         manifest = Manifest.of(simulation.scenario, simulation.renderer, simulation.device)
-        super().__init__(directory, manifest, SCHEMA, report, checked)
+        super().__init__(directory, manifest, SCHEMA, report, checked, kept)
 
     def row(self, result: StepResult) -> dict[str, Any]:
         return row(result)

@@ -6,6 +6,7 @@ from loop.recording.summary import FINAL
 
 CUT = 0.02  # of a symbol; less than that costs no more IoU than two runs may differ by in docs/symbol_control.md
 PLANE_M = 0.2  # roads nearer to the plane z = 0 are drawn for on it
+SHADOW = "in shadow of"
 SHORT = 40  # steps, as the shipped scenarios have: thesis_pid still moves after 20 that began 40 m ahead, and settles in 40
 AT_ONCE = ("open", "feedforward", "luxloop")  # controllers that show the symbol at its target, wherever it starts
 BORDERS = {"left": "left", "right": "right", "top": "upper", "bottom": "lower"}
@@ -19,6 +20,8 @@ INTO_THE_FIELD = {
 
 def remedies(values: dict[str, Any]) -> list[str]:
     """Of a run's summary (`loop.recording.summary.summarise`); empty where nothing went wrong."""
+    if values["shadow_of"] is not None:
+        return [f"{SHADOW} {values['shadow_of']}, whose light the frames show; what this run asked for was shown nowhere and not judged"]
     cut, why = values["cut"], values["unsettled"]
     is_cut = cut is not None and cut > CUT
     found = [_cut(cut, values["cut_side"])] if is_cut else []

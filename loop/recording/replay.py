@@ -1,15 +1,12 @@
 """Recordings read back: run the recorded scenario again and hold it against the recording, or write it as CSV."""
 
 import itertools
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.csv
-import pyarrow.parquet as pq
 import torch
 
 from loop.recording.comparison import Difference, compare, tolerances
@@ -17,13 +14,10 @@ from loop.recording.manifest import FILE, Manifest
 from loop.recording.recorder import COLUMNS, LATER, SCHEMA, TRAJECTORY, row, table_of
 from loop.scenario.model import Scenario, validate
 from loop.symbol.simulation import Simulation, StepResult
-from world.budget import afford
 from world.errors import LuxloopError
-from world.files import reading, whole
+from world.files import whole
+from world.parquet import read_parquet
 from world.plugin import refuse_code
-
-BYTES_A_VALUE = 16  # of a table while it is read, however well it was compressed
-TYPES = (pa.int64(), pa.float64(), pa.bool_(), pa.string())
 
 
 @dataclass(frozen=True)
@@ -54,29 +48,6 @@ def load(directory: Path) -> Recording:
     manifest = Manifest.read(directory)
     scenario = validate(manifest.scenario, f"{directory}/manifest.json: scenario")
     return Recording(manifest, scenario, read_table(directory / TRAJECTORY))
-
-
-def read_parquet(file: Path) -> pa.Table:
-    """Read a recording's table of steps. Raises LuxloopError where it is missing or damaged."""
-    if not os.path.isfile(file):
-        raise LuxloopError(f"{file}: is missing, no step was recorded; record the run again")
-    with reading(file, "damaged, not readable as Parquet", "record the run again"):
-        schema = pq.read_schema(file)
-        if strange := [field.name for field in schema if field.type not in TYPES]:
-            raise ValueError(f"the column {strange[0]!r} is of no type that recordings have")
-        texts = [field.name for field in schema if field.type == pa.string()]
-        with pq.ParquetFile(file, read_dictionary=texts) as stored:
-            afford(f"{file}: its table", _declared(stored.metadata), "record the run again")
-            table = stored.read()
-        longest = [pc.max(pc.binary_length(chunk.dictionary)).as_py() or 0 for name in texts for chunk in table[name].chunks]
-        afford(f"{file}: its texts", table.num_rows * sum(longest), "record the run again")
-        return table.cast(schema)
-
-
-def _declared(metadata: pq.FileMetaData) -> int:
-    """Bytes of all columns, texts that are the same in many rows counted once."""
-    chunks = [metadata.row_group(k).column(j) for k in range(metadata.num_row_groups) for j in range(metadata.num_columns)]
-    return sum(max(BYTES_A_VALUE * chunk.num_values, chunk.total_uncompressed_size) for chunk in chunks)
 
 
 def read_table(file: Path) -> pa.Table:

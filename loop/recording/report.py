@@ -19,8 +19,9 @@ from torch import Tensor
 from controllers.pixels.ssc import Utilisation
 from loop.plant.simulated import SimulatedPlant
 from loop.recording.recorder import ERRORS
-from loop.recording.remedies import remedies
+from loop.recording.remedies import SHADOW, remedies
 from loop.recording.summary import column
+from loop.scenario.plant import RecordedPlantParams
 from loop.symbol.judging import Judge
 from loop.symbol.simulation import Simulation, StepResult
 from perception.appearance import appearance, image_axes
@@ -56,7 +57,8 @@ CHARACTER_IN, LINE_IN, AROUND_IN = 0.055, 0.4, 0.7  # of a legend's text, its li
 
 
 class Gathered:
-    """What a report needs of a run's images: the path of the centroid, a few past symbols, and the last light."""
+    """What a report needs of a run beside its table: the path of the centroid, a few past symbols, the last light, and what was shown in
+    place of what was asked for."""
 
     def __init__(self, steps: int) -> None:
         """steps: how many there will be; past symbols are kept at ever larger intervals, since most of the way is made at first."""
@@ -65,6 +67,7 @@ class Gathered:
         self.symbols: list[tuple[Crop, NDArray[np.bool_]]] = []
         self.frame: Tensor | None = None  # the newest on frame
         self.last: StepResult | None = None
+        self.shown: dict[float, Tensor] = {}  # poses by their times in s
 
     def add(self, result: StepResult) -> None:
         """Take what is needed of a step."""
@@ -80,6 +83,8 @@ class Gathered:
         self.path.append(centre)
         self.frame = self.frame if result.frames is None else result.frames[0]
         self.last = result
+        shown = [frame.shown for showing in result.showings for frame in showing.after.frames if frame.shown is not None]
+        self.shown |= {each.start_s: each.drawing.pose for each in shown if each.drawing is not None}
 
 
 def write_report(file: Path, simulation: Simulation, gathered: Gathered, table: pa.Table, summary: dict[str, Any]) -> None:
@@ -96,7 +101,7 @@ def write_report(file: Path, simulation: Simulation, gathered: Gathered, table: 
         figure.suptitle(_title(simulation, summary), x=0.012, ha="left", fontsize=12.5, weight="bold")
         figure.supxlabel("\n".join(remedies(summary)), x=0.012, ha="left", fontsize=10)
         left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(4.3, 7.7))[0]
-        _courses(left, simulation, table, summary)
+        _courses(left, simulation, gathered, table, summary)
         views = _camera_images(simulation, open_lights, gathered)
         after = views["at the end"]
         if simulation.judge is None:
@@ -113,6 +118,8 @@ def write_report(file: Path, simulation: Simulation, gathered: Gathered, table: 
 
 
 def _title(simulation: Simulation, summary: dict[str, Any]) -> str:
+    if summary["shadow_of"] is not None:
+        return f"{simulation.scenario.name}  ({summary['controller']})  ·  {SHADOW} {summary['shadow_of']}"
     unsettled = summary["unsettled"]
     settled = f"settled at step {summary['settle_step']}" if unsettled is None else f"not settled: {unsettled.replace('_', ' ')}"
     x, y = (_number(value, ".1f") for value in summary["centroid_error_percent"])
@@ -127,7 +134,7 @@ def _number(value: float | None, form: str) -> str:
     return "–" if value is None else format(value, form).replace("-", "−")
 
 
-def _courses(figure: SubFigure, simulation: Simulation, table: pa.Table, summary: dict[str, Any]) -> None:
+def _courses(figure: SubFigure, simulation: Simulation, gathered: Gathered, table: pa.Table, summary: dict[str, Any]) -> None:
     errors, pose, judged = figure.subplots(3, 1, sharex=True)
     steps = column(table, "step")
     lost = np.array([loss != "" for loss in table["loss"].to_pylist()])
@@ -155,6 +162,11 @@ def _courses(figure: SubFigure, simulation: Simulation, table: pa.Table, summary
     pose.plot(steps, column(table, "y_m") - target.y_m, color=FOUR[1], label=f"y − {target.y_m:g} m" if target.y_m else "y")
     turned.plot(steps, column(table, "roll_deg"), color=FOUR[2], ls="--", label="roll")
     turned.plot(steps, column(table, "pitch_deg"), color=FOUR[3], ls="--", label="pitch, nose down")
+    if gathered.shown:
+        at = np.interp(list(gathered.shown), column(table, "time_s"), steps)
+        shown = torch.stack(list(gathered.shown.values())).cpu().numpy()
+        for values, place, colour, name in zip(shown.T, (target.x_m, target.y_m), FOUR, "xy", strict=False):
+            pose.plot(at, values - place, color=colour, lw=0, marker=".", ms=4, label=f"{name} that was shown")
     pose.set_ylabel("m")
     turned.set_ylabel("deg (dashed)")
     headed(pose, "Pose of the primitive", turned)
@@ -338,6 +350,7 @@ def _birds_eye_views(figure: SubFigure, judge: Judge, open_lights: Lights, last:
 
 def _beam_patterns(figure: SubFigure, simulation: Simulation, lights: Lights) -> None:
     modules = simulation.projector.modules
+    when = "asked for" if isinstance(simulation.scenario.plant, RecordedPlantParams) else "at the end"
     panels = figure.subplots(len(modules), 1, squeeze=False)[:, 0]
     for axes, module, light in zip(panels, modules, lights, strict=True):
         headlight = module.pixel_controller.headlight
@@ -350,7 +363,7 @@ def _beam_patterns(figure: SubFigure, simulation: Simulation, lights: Lights) ->
             h = left + (np.array([cols.min(), cols.max() + 1]) / headlight.cols) * (right - left)
             axes.set_xlim(min(h[0] + 1.5, left), max(h[1] - 1.5, right))
             axes.set_ylim(max(v[0] - 0.5, bottom), min(v[1] + 0.5, top))
-        axes.set_title(f"Beam pattern of {module.name} at the end")
+        axes.set_title(f"Beam pattern of {module.name} {when}")
         axes.grid(False)
         axes.set_ylabel("up in deg")
         figure.colorbar(shown, ax=axes, label="kcd", pad=0.02)

@@ -21,11 +21,11 @@ OFF_PERCENT = 5.0  # a symbol that ends further from the target has not settled 
 LEAST_START_PERCENT = 5.0  # an axis that starts nearer to the target says nothing about overshoot
 
 
-def summarise(table: pa.Table, scenario: str, controller: str, iou_open: float) -> dict[str, Any]:
+def summarise(table: pa.Table, scenario: str, controller: str, iou_open: float, shadow_of: str | None = None) -> dict[str, Any]:
     """Summary of a recording's table, ready for JSON: None where a value does not exist.
 
     iou_open: what the judge says of the open loop at the last step, NaN where there is none. centroid_error_percent: [x, y], signed, mean
-    of the last five steps.
+    of the last five steps. shadow_of: the recording that was played, None where light was shown.
     unsettled: why there is no settle_step (`unsettled`). cut: share of the symbol beyond the borders of the lamps' field at the last step,
     and the side where most of it is. aim: [x, y] in m of where the symbol lies at the last step in place of its target, None for that.
     """
@@ -33,6 +33,7 @@ def summarise(table: pa.Table, scenario: str, controller: str, iou_open: float) 
     return {
         "scenario": scenario,
         "controller": controller,
+        "shadow_of": shadow_of,
         "steps": table.num_rows,
         "settle_step": settle_step(table),
         "unsettled": unsettled(table),

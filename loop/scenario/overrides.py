@@ -128,12 +128,13 @@ def resolve_paths(data: dict[str, Any], folder: Path) -> None:
     believed = controller.get("road") if isinstance(controller, dict) else None
     raw = lighting.get("raw") if isinstance(lighting, dict) else None
     tables = [(data.get("symbol"), "image"), (data.get("road"), "file"), (believed, "file"), (data.get("headlight"), "model")]
+    tables += [(data.get("plant"), "folder")]
     tables += [(data.get("detector"), key) for key in ("file", "weights")]
     for items, key in ((objects, "file"), (functions, "image"), (raw, "file")):
         items = list(items.values()) if isinstance(items, dict) else items
         tables += [(item, key) for item in items] if isinstance(items, list) else []
     for table, key in tables:
-        if isinstance(table, dict) and isinstance(table.get(key), str) and any(mark in table[key] for mark in "/\\."):
+        if isinstance(table, dict) and isinstance(table.get(key), str) and (key == "folder" or any(mark in table[key] for mark in "/\\.")):
             table[key] = str((folder / table[key]).resolve())
     parts = [(data.get(key), "kind") for key in ("road", "extraction", "detector", "tracker", "plant")]
     parts += [(function, "kind") for function in functions.values()] if isinstance(functions, dict) else []

@@ -14,6 +14,13 @@ class SimulatedPlantParams(Params):
     kind: Literal["simulated"] = "simulated"
 
 
+class RecordedPlantParams(Params):
+    """The frames of a recording, which show the light of that run; perception and controller step on them in shadow."""
+
+    kind: Literal["recording"]
+    folder: str = Field(min_length=1, description="recording that `luxloop run --frames` wrote")
+
+
 class OwnPlantParams(Params):
     """`Name(scenario, projector, **options)` of a module of the user's own makes the plant."""
 
@@ -22,6 +29,8 @@ class OwnPlantParams(Params):
 
 
 PlantParams = Annotated[
-    Annotated[SimulatedPlantParams, Tag("simulated")] | Annotated[OwnPlantParams, Tag(OWN)],
+    Annotated[SimulatedPlantParams, Tag("simulated")]
+    | Annotated[RecordedPlantParams, Tag("recording")]
+    | Annotated[OwnPlantParams, Tag(OWN)],
     known_or_own("kind", "simulated"),
 ]

@@ -20,7 +20,7 @@ from controllers.symbol.sensing.projector import Projector
 from controllers.symbol.sensing.protocol import Look, Shown, SymbolController
 from loop.assembly.build import build_projector, build_road, build_symbol_controller
 from loop.plant.build import build_plant
-from loop.plant.protocol import Arrivals, Exposure, Frame, Plant
+from loop.plant.protocol import Arrivals, Exposure, Frame, Plant, Showing
 from loop.plant.simulated import SimulatedPlant
 from loop.scenario.checks import Light
 from loop.scenario.model import Scenario
@@ -61,7 +61,7 @@ class StepResult:
     of the lamps' field (`controllers.symbol.sensing.field`).
     aim: `[2]`, x and y in m where the symbol lies in place of its target, NaN for the target.
     frames, seen: of the newest on and off frame that came in this step; they were taken at taken_s, NaN where none came. verdict: None
-    where nobody judged.
+    where nobody judged. showings: the on and the off exposure.
     """
 
     step: int
@@ -75,6 +75,7 @@ class StepResult:
     verdict: Verdict | None
     cut: Tensor
     aim: Tensor
+    showings: tuple[Showing, ...]
     timings: dict[str, float]
 
 
@@ -150,11 +151,12 @@ class Simulation:
             drawing = self.controller.drawing(state.controller, ego)
             lights = self.projector.draw(drawing)
         plant, arrivals, frames = state.plant, state.arrivals, state.frames
-        for part, light in enumerate((lights, self.projector.resting)):
+        showings: tuple[Showing, ...] = ()
+        for part, (light, drawn) in enumerate(((lights, drawing), (self.projector.resting, None))):
             with _timed(timings, "plant"):
-                exposure = Exposure(2 * state.step + part, arrivals.time_s, 0.5 / self.scenario.rate_hz, light)
-                plant, arrivals = self.plant.show(plant, exposure)
-                frames += arrivals.frames
+                exposure = Exposure(2 * state.step + part, arrivals.time_s, 0.5 / self.scenario.rate_hz, light, drawn)
+                plant, after = self.plant.show(plant, exposure)
+                showings, arrivals, frames = (*showings, Showing(arrivals, exposure, after)), after, frames + after.frames
         looks, under_way, frames = matched((*state.under_way, (2 * state.step, Shown(drawing, lights, ego))), frames)
         controller, shape, now = state.controller, state.shape, arrivals.ego
         looks = looks or [(under_way[0][1], None, math.nan)]
@@ -172,7 +174,7 @@ class Simulation:
         outside = cut(self.projector, drawing)
         return (
             SimulationState(state.step + 1, controller, plant, arrivals, under_way, frames, shape),
-            StepResult(state.step, time_s, drawing.pose, z, lights, pair, looks[-1][2], seen, verdict, outside, aim, timings),
+            StepResult(state.step, time_s, drawing.pose, z, lights, pair, looks[-1][2], seen, verdict, outside, aim, showings, timings),
         )
 
     def _judged(self, step: int, lights: Lights, time_s: float) -> Verdict | None:
@@ -190,12 +192,14 @@ class Simulation:
 def matched(under_way: UnderWay, frames: Sequence[Frame]) -> tuple[list[Arrived], UnderWay, tuple[Frame, ...]]:
     """What was shown whose frames have come or are lost; what is under way; its frames so far.
 
-    Frames come in the order of their exposures, so that all before the last pair that has come are lost.
+    What was shown is what was asked for, unless the on frame says otherwise. Frames come in the order of their exposures: all before the
+    last pair that has come are lost.
     """
     came, looks = {frame.number: frame for frame in frames}, list[Arrived]()
     done = max((k + 1 for k, (number, _) in enumerate(under_way) if number in came and number + 1 in came), default=0)
-    for number, shown in under_way[:done]:
+    for number, asked in under_way[:done]:
         on, off = came.get(number, LOST), came.get(number + 1, LOST)
+        shown = asked if on.shown is None else replace(asked, drawing=on.shown.drawing or asked.drawing, lights=on.shown.lights)
         both = None if on.image is None or off.image is None else (on.image, off.image)
         looks.append((shown, both, math.nan if both is None else on.taken_s))
     left = under_way[done:]

@@ -14,13 +14,18 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import torch
 
+from controllers.pixels.ssc import Utilisation
+from controllers.symbol.sensing.drawing import Drawing, Warp
 from loop.jobs.runner import run as run_jobs
+from loop.plant import frames
+from loop.plant.protocol import Exposure
 from loop.recording.manifest import Manifest
 from loop.recording.replay import read_table
 from loop.run import check
 from loop.scenario.model import load_any, validate_any
 from loop.scenario.shipped import shipped
 from loop.studies import campaign
+from perception.camera import CameraParams
 from perception.detection import network
 from tests.fuzz import mutations
 from world.headlight import Headlight
@@ -307,6 +312,36 @@ def _parquet(folder: Path) -> dict[str, bytes]:
     return _written(folder, *writers)
 
 
+LIKE = torch.zeros(4)
+
+
+def _frames(folder: Path) -> dict[str, bytes]:
+    times = {"duration_s": 0.01, "light": 0, "taken_s": 0.0, "arrived_s": 0.0, "came_with": 0, "lost": False}
+    rows = [{"number": k, "time_s": 0.01 * k, **times} for k in range(3)]
+    drawing = Drawing(LIKE, warp=Warp(torch.rand(1, 2, 4, 3), torch.rand(1, 4, 3), (4.0, 2.0)))
+    light = frames.light_arrays(Exposure(0, 0.0, 0.1, (Utilisation(torch.rand(6), slice(1, 5)),), drawing))
+    return _written(
+        folder,
+        ("exposures.parquet", lambda path: pq.write_table(pa.Table.from_pylist(rows, frames.SCHEMA), path)),
+        ("light.npz", lambda path: frames.write_light(path, light)),
+        ("frame.png", lambda path: frames.write_image(path, torch.full((90, 160), 4095.0), 12)),
+    )
+
+
+def _damaged_frames(data: bytes, rng: random.Random) -> bytes:
+    return (mutations.of_archive if data.startswith(b"PK") else mutations.of_bytes)(data, rng)
+
+
+def _read_frames(path: Path) -> None:
+    if path.suffix == ".npz":
+        frames.read_light(path, [6], LIKE.device)
+    elif path.suffix == ".png":
+        frames.read_image(path, CameraParams(width_px=160, height_px=90), LIKE)
+    else:
+        for row in frames.read_exposures(path):
+            frames.read_ego(row, LIKE)
+
+
 JOBS = b'{"id": "0123", "key": "a", "result": {"x": 1.5}}\n{"id": "4567", "key": "b", "result": {"x": null}}\n'
 CORNERS = [f"v {x} {y} {z}" for x in (0, 1) for y in (0, 1) for z in (0, 1)]
 OBJ = "\n".join([*CORNERS, "mtllib a.mtl", "usemtl m", "f 1 2 4 3", "f 5 6 8 7"]).encode()
@@ -340,6 +375,7 @@ ALL: dict[str, Kind] = {
     "utilisations": Kind(_utilisations, _damaged_utilisation, lambda path: read_utilisation(path, 3, 4), 8),
     "weights": Kind(_weights, mutations.of_archive, lambda path: network.load(path, torch.device("cpu")), 2),
     "recording": Kind(_parquet, mutations.of_bytes, read_table, 6),
+    "frames": Kind(_frames, _damaged_frames, _read_frames, 6),
     "jobs": Kind(lambda folder: {"jobs.jsonl": JOBS}, _either, lambda path: run_jobs(dict, [], path, version=""), 4),
     "mesh": Kind(_meshes, _either, _read_mesh, 8),
 }

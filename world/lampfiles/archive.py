@@ -3,8 +3,6 @@
 Light is in single precision, as simulations need it; a lamp in double is rounded.
 """
 
-import io
-import zipfile
 from collections.abc import Callable, Iterator
 from importlib import metadata
 from pathlib import Path
@@ -16,7 +14,7 @@ import torch
 from pydantic import ConfigDict, Field, ValidationError, model_validator
 from torch import Tensor
 
-from world.arrays import Arrays, read_npz
+from world.arrays import Arrays, read_npz, write_npz
 from world.budget import afford
 from world.errors import LuxloopError
 from world.files import reading, whole
@@ -30,7 +28,6 @@ FORMAT: Final = "luxloop lamp"
 VERSION: Final = 1
 WRITER = "`luxloop headlight build` writes it"
 ALWAYS = ("full", "off")  # beams of every lamp
-LEVEL = 1  # of compression: a lamp shrinks to a half or a quarter; level 6 saves another 10 to 30 % and takes up to five times as long
 BYTES_A_PLACE = 16  # of a pixel or texel: of the matrix' row, of textures and utilisations
 RIGID = 1e-6  # so much may a rotation differ from one
 
@@ -102,11 +99,8 @@ def save(path: Path, lamp: Lamp) -> None:
         header = _header_of(lamp)
     except ValidationError as error:
         raise LuxloopError(f"{path}: cannot be written, for {sentences(error, Header, WRITER)[0]}; correct the lamp") from error
-    with whole(path) as part, zipfile.ZipFile(part, "w") as archive:
-        for name, array in _arrays(header, lamp):
-            buffer = io.BytesIO()
-            np.lib.format.write_array(buffer, np.ascontiguousarray(array), allow_pickle=False)
-            archive.writestr(zipfile.ZipInfo(f"{name}.npy"), buffer.getbuffer(), zipfile.ZIP_DEFLATED, LEVEL)
+    with whole(path) as part:
+        write_npz(part, _arrays(header, lamp))
 
 
 def load(path: Path) -> Lamp:

@@ -133,6 +133,14 @@ def test_a_file_that_cannot_grow_ends_a_run_as_failed(folder: Path, largest: str
     assert steps_kept(folder / "out") > 0
 
 
+def test_a_frame_that_has_no_room_ends_a_run_as_failed(folder: Path) -> None:
+    options = ["--no-video", "--frames", "--set", "camera.width_px=640", "camera.height_px=360"]  # frames of 280 000 bytes
+    code, said = Command(folder, "run", "small.toml", "--out", "out", *options, largest_file=60_000).ended()
+    error = "error: out/frames/frame_00000000.png: cannot be written (File too large); check the folder, its permissions and the room left"
+    assert code == 2 and said.splitlines()[-1] == error, said
+    assert said.count("error") == 1 and status(folder / "out") == "failed" and not half_written(folder)
+
+
 def test_a_full_disk_ends_a_run_as_failed(folder: Path) -> None:
     """A disk on which not one page is left."""
     (folder / "disk").mkdir()

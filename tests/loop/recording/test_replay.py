@@ -18,11 +18,12 @@ import pytest
 from controllers.symbol.sensing.flat_model import FeatureParams
 from loop.recording.comparison import CENTROID_M, CENTROID_PX, SHEAR, TOLERANCES, compare, tolerances
 from loop.recording.recorder import COLUMNS, SCHEMA, Recorder, row, table_of
-from loop.recording.replay import load, read_parquet, replay, to_csv
+from loop.recording.replay import load, replay, to_csv
 from loop.recording.summary import steady_step
 from loop.scenario.model import Scenario
 from loop.symbol.simulation import Simulation, StepResult
 from world.errors import LuxloopError
+from world.parquet import read_parquet
 
 PAGE = Path(__file__).parents[3] / "docs" / "recordings.md"
 RAW = tolerances(FeatureParams())

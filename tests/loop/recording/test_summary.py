@@ -212,6 +212,7 @@ def test_summary_has_every_field() -> None:
     assert summarise(recorded, "name", "thesis_pid", 0.25) == {
         "scenario": "name",
         "controller": "thesis_pid",
+        "shadow_of": None,
         "steps": 40,
         "settle_step": None,
         "unsettled": "moving",

@@ -1,0 +1,214 @@
+"""Frames in a folder: what a plant was shown and what it handed over, bit for bit, in files that run no code when they are read.
+
+A table with a row an exposure and a last one for the end; a 16-bit grey PNG a frame; a NumPy archive for each light, which several
+exposures may share.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+import pyarrow as pa
+import torch
+from torch import Tensor
+
+from controllers.pixels.ssc import Utilisation
+from controllers.symbol.sensing.drawing import Drawing, Warp
+from loop.plant.protocol import Exposure
+from perception.camera import CameraParams
+from perception.egomotion import Ego
+from world.arrays import Arrays, read_npz, write_npz
+from world.errors import LuxloopError
+from world.files import content, reading, regular, whole
+from world.images import decoded
+from world.parquet import read_parquet
+
+FOLDER: Final = "frames"
+TABLE: Final = f"{FOLDER}/exposures.parquet"
+AGAIN: Final = "record the run again with --frames"
+QUICK: Final = (cv2.IMWRITE_PNG_COMPRESSION, 1)  # noise shrinks no further, however long it takes
+Row = dict[str, Any]
+
+# name: (type, unit, description)
+EGO = {
+    "ego.time_s": ("s", "when the vehicle's sensors measured what follows; empty for a vehicle that stands"),
+    "ego.age_s": ("s", "how long before this exposure that was"),
+    "ego.period_s": ("s", "over which speed and yaw rate are means"),
+    "ego.heave_m": ("m", "measured height of the body"),
+    "ego.roll_rad": ("rad", "measured roll"),
+    "ego.pitch_rad": ("rad", "measured pitch, nose down"),
+    "ego.heave_rate_m_s": ("m/s", "its rate"),
+    "ego.roll_rate_rad_s": ("rad/s", "its rate"),
+    "ego.pitch_rate_rad_s": ("rad/s", "its rate"),
+    "ego.speed_m_s": ("m/s", "measured speed"),
+    "ego.yaw_rate_rad_s": ("rad/s", "measured yaw rate"),
+    "ego.pivot_x_m": ("m", "where the body rolls and pitches"),
+    "ego.rear_x_m": ("m", "where the rear axle is"),
+}
+COLUMNS: dict[str, tuple[pa.DataType, str, str]] = {
+    "number": (pa.int64(), "1", "number of the exposure; that of the last row is of none, but of the plant at the end"),
+    "time_s": (pa.float64(), "s", "when it began"),
+    "duration_s": (pa.float64(), "s", "how long it was asked to last"),
+    "light": (pa.int64(), "1", "number of the file with what was shown"),
+    "taken_s": (pa.float64(), "s", "when its frame was taken; empty while that is under way"),
+    "arrived_s": (pa.float64(), "s", "when that arrived"),
+    "came_with": (pa.int64(), "1", "number of the exposure by whose end the frame had come, or word that it is lost"),
+    "lost": (pa.bool_(), "", "whether it is lost, so that there is no file of it"),
+    **{name: (pa.float64(), unit, text) for name, (unit, text) in EGO.items()},
+}
+SCHEMA = pa.schema(pa.field(name, kind, metadata={"unit": unit, "description": text}) for name, (kind, unit, text) in COLUMNS.items())
+
+
+def image_file(directory: Path, number: int) -> Path:
+    """Where the frame of an exposure lies."""
+    return directory / FOLDER / f"frame_{number:08d}.png"
+
+
+def light_file(directory: Path, number: int) -> Path:
+    """Where a light lies."""
+    return directory / FOLDER / f"light_{number:08d}.npz"
+
+
+def remove(directory: Path) -> None:
+    """Remove the frames of a recording, if there are any, and nothing else. Raises OSError where that cannot be."""
+    folder = directory / FOLDER
+    if folder.is_symlink():
+        folder.unlink()
+    for pattern in ("frame_*.png", "light_*.npz", Path(TABLE).name):
+        for file in folder.glob(pattern):
+            file.unlink()
+    if folder.is_dir() and not any(folder.iterdir()):
+        folder.rmdir()
+
+
+def write_image(file: Path, image: Tensor, bits: int) -> None:
+    """Write digital numbers `[height, width]` of so many bits. Raises LuxloopError where they are none, or cannot be written."""
+    numbers = image.clamp(0, 2**bits - 1).round()
+    if not numbers.equal(image):
+        raise LuxloopError(
+            f"{file}: cannot be kept, for the frame holds more than digital numbers of 0 to {2**bits - 1}; check the plant with "
+            "luxloop.check_plant"
+        )
+    coded = cv2.imencode(".png", numbers.cpu().numpy().astype(np.uint16), QUICK)[1]
+    with whole(file) as part:
+        part.write_bytes(coded.tobytes())
+
+
+def read_image(file: Path, camera: CameraParams, like: Tensor) -> Tensor:
+    """Digital numbers `[height, width]` in the dtype and on the device of like. Raises LuxloopError where they are none of that camera."""
+    with reading(file, "damaged, or no frame of a recording", AGAIN):
+        image = decoded(content(file), str(file))
+        if image is None or image.dtype != np.uint16 or image.ndim != 2:
+            raise ValueError("no grey PNG of 16 bits")
+        if image.shape != (camera.height_px, camera.width_px):
+            size = f"{image.shape[1]} x {image.shape[0]}"
+            raise LuxloopError(
+                f"{file}: has {size} px, but the camera {camera.width_px} x {camera.height_px}; run it with the scenario recorded"
+            )
+        if (most := image.max()) >= 2**camera.bits:
+            raise LuxloopError(f"{file}: has numbers up to {most}, but camera.bits = {camera.bits}; run it with the scenario recorded")
+        return torch.from_numpy(image.astype(np.int32)).to(like)
+
+
+def light_arrays(exposure: Exposure) -> Arrays:
+    """What an exposure shows, by name."""
+    arrays: dict[str, Tensor | None] = {}
+    for k, light in enumerate(exposure.lights):
+        band = None if light.band is None else torch.tensor([light.band.start, light.band.stop], dtype=torch.float64)
+        arrays |= {f"u_{k}": light.u, f"band_{k}": band}
+    if (drawing := exposure.drawing) is not None:
+        arrays |= {"pose": drawing.pose, "z": drawing.z, "shape": drawing.shape, "aim": drawing.aim}
+        arrays |= {f"raw_{k}": u for k, u in enumerate(drawing.raw or ())}
+        if (warp := drawing.warp) is not None:
+            arrays |= {"source": warp.source, "dimming": warp.dimming, "size_m": torch.tensor(warp.size_m, dtype=torch.float64)}
+    return {name: each.detach().cpu().numpy() for name, each in arrays.items() if each is not None}
+
+
+def write_light(file: Path, arrays: Arrays) -> None:
+    """Write what an exposure shows. Raises LuxloopError where it cannot be written."""
+    with whole(file) as part:
+        write_npz(part, arrays.items())
+
+
+def read_light(file: Path, pixels: Sequence[int], device: torch.device) -> tuple[tuple[Utilisation, ...], Drawing | None]:
+    """Lights and drawing, None without one, on the device. pixels: of each module.
+
+    Raises LuxloopError where they are none of these modules.
+    """
+    with reading(file, "damaged, or no light of a recording", AGAIN):
+        arrays = read_npz(regular(file))
+        if [arrays[f"u_{k}"].shape for k in range(len(arrays)) if f"u_{k}" in arrays] != [(n,) for n in pixels]:
+            raise LuxloopError(f"{file}: holds the light of other modules than those that draw here; run it with the scenario recorded")
+        lights = []
+        for k, n in enumerate(pixels):
+            u, band = _tensor(arrays, f"u_{k}", device, (n,)), _optional(arrays, f"band_{k}", device, (2,))
+            if u.min() < 0 or u.max() > 1 or (band is not None and not 0 <= band[0] <= band[1] <= n):
+                raise ValueError(f"u_{k} is no utilisation")
+            lights.append(Utilisation(u, None if band is None else slice(int(band[0]), int(band[1]))))
+        if "pose" not in arrays:
+            return tuple(lights), None
+        raw = tuple(_tensor(arrays, f"raw_{k}", device, (n,)) for k, n in enumerate(pixels) if f"raw_{k}" in arrays)
+        z, shape, aim = (_optional(arrays, name, device, size) for name, size in (("z", ()), ("shape", (4,)), ("aim", (2,))))
+        pose, warp = _tensor(arrays, "pose", device, (4,)), _warp(arrays, len(pixels), device)
+        return tuple(lights), Drawing(pose, z, warp, raw or None, shape, aim)
+
+
+def ego_values(ego: Ego | None) -> Row:
+    """The columns of a sample of the vehicle's sensors."""
+    if ego is None:
+        return {}
+    numbers = (ego.time_s, ego.age_s, ego.period_s, *ego.attitude.tolist(), *ego.rates.tolist())
+    return dict(zip(EGO, (*numbers, float(ego.speed_m_s), float(ego.yaw_rate_rad_s), ego.pivot_x_m, ego.rear_x_m), strict=True))
+
+
+def read_ego(row: Mapping[str, Any], like: Tensor) -> Ego | None:
+    """The sample of a row, in the dtype and on the device of like; None where there is none."""
+    values = [row[name] for name in EGO]
+    if values[0] is None:
+        return None
+    motion = like.new_tensor(values[3:11])
+    time_s, age_s, period_s, *_, pivot_x_m, rear_x_m = values
+    return Ego(time_s, age_s, period_s, motion[:3], motion[3:6], motion[6], motion[7], pivot_x_m, rear_x_m)
+
+
+def read_exposures(file: Path) -> list[Row]:
+    """The rows of a table, that of the end included. Raises LuxloopError where it is missing, damaged, or has no exposure."""
+    with reading(file, "damaged, or no table of exposures", AGAIN):
+        table = read_parquet(file)
+        rows: list[Row] = table.select(SCHEMA.names).cast(SCHEMA).to_pylist()
+        if len(rows) < 2 or [row["number"] for row in rows] != list(range(len(rows))):
+            raise ValueError("no exposures that are numbered from 0")
+        for row in rows[:-1]:
+            came = [row[key] is not None for key in ("came_with", "lost")]
+            if any(row[key] is None for key in ("duration_s", "light")) or len(set(came)) > 1 or row["light"] < 0:
+                raise ValueError(f"exposure {row['number']} is not complete")
+            if row["lost"] is False and (row["taken_s"] is None or row["arrived_s"] is None):
+                raise ValueError(f"the frame of exposure {row['number']} has no times")
+        for row in rows:
+            if row["time_s"] is None or len({row[name] is None for name in EGO}) > 1:
+                raise ValueError(f"time or ego of exposure {row['number']} is not complete")
+        return rows
+
+
+def _tensor(arrays: Arrays, name: str, device: torch.device, shape: tuple[int, ...]) -> Tensor:
+    """Raises ValueError where an array is not of that shape or not finite, and KeyError where it is missing."""
+    array = arrays[name]
+    if array.shape != shape or array.dtype not in (np.float32, np.float64) or not np.isfinite(array).all():
+        raise ValueError(f"{name} is no finite float {list(shape)}, but {array.dtype} {list(array.shape)}")
+    return torch.from_numpy(array).to(device)
+
+
+def _optional(arrays: Arrays, name: str, device: torch.device, shape: tuple[int, ...]) -> Tensor | None:
+    return _tensor(arrays, name, device, shape) if name in arrays else None
+
+
+def _warp(arrays: Arrays, modules: int, device: torch.device) -> Warp | None:
+    if "source" not in arrays:
+        return None
+    m, _, *cells = arrays["source"].shape
+    if m not in (1, modules) or len(cells) != 2:
+        raise ValueError(f"source is no [modules, 2, rows, columns], but {list(arrays['source'].shape)}")
+    along, across = _tensor(arrays, "size_m", device, (2,)).tolist()
+    return Warp(_tensor(arrays, "source", device, (m, 2, *cells)), _tensor(arrays, "dimming", device, (m, *cells)), (along, across))

@@ -1,0 +1,81 @@
+"""The frames of a recording as a plant: they show the light that was shown then, whatever is asked for."""
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from torch import Tensor
+
+from controllers.symbol.sensing.projector import Projector
+from loop.plant.frames import TABLE, Row, image_file, light_file, read_ego, read_exposures, read_image, read_light
+from loop.plant.protocol import Arrivals, Exposure, Frame
+from loop.scenario.model import Scenario
+from loop.scenario.plant import RecordedPlantParams
+from perception.camera import CameraParams
+from world.errors import LuxloopError
+
+PER_STEP = 2  # exposures: with the symbol and without it
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedPlant:
+    """Plays frames; its state is the number of the next exposure. It does not know the truth.
+
+    rows: of the exposures, and one of the end. pixels: of each module. like: in whose dtype and on whose device frames are.
+    """
+
+    folder: Path
+    rows: tuple[Row, ...]
+    camera: CameraParams
+    pixels: tuple[int, ...]
+    like: Tensor
+
+    def start(self) -> tuple[int, Arrivals]:
+        """What was known before the first exposure."""
+        return 0, self._arrivals(0)
+
+    def show(self, state: int, exposure: Exposure) -> tuple[int, Arrivals]:
+        """What had come in by the end of the exposure that was shown then. Raises LuxloopError where a file is missing or damaged."""
+        if state + 1 >= len(self.rows):
+            raise LuxloopError(f"{self.folder}: ends after {state // PER_STEP} steps; lower steps")
+        return state + 1, self._arrivals(state + 1, tuple(self._frame(row) for row in self.rows if row["came_with"] == state))
+
+    def _arrivals(self, number: int, frames: tuple[Frame, ...] = ()) -> Arrivals:
+        row = self.rows[number]
+        return Arrivals(row["time_s"], frames, read_ego(row, self.like))
+
+    def _frame(self, row: Mapping[str, Any]) -> Frame:
+        number = row["number"]
+        lights, drawing = read_light(inside(light_file(self.folder, row["light"]), self.folder), self.pixels, self.like.device)
+        shown = Exposure(number, row["time_s"], row["duration_s"], lights, drawing)
+        if row["lost"]:
+            return Frame(number, float("nan"), float("nan"), None, shown)
+        image = read_image(inside(image_file(self.folder, number), self.folder), self.camera, self.like)
+        return Frame(number, row["taken_s"], row["arrived_s"], image, shown)
+
+
+def recorded_plant(scenario: Scenario, params: RecordedPlantParams, projector: Projector) -> RecordedPlant:
+    """The recording that a scenario names. Raises LuxloopError where it has no frames of a controlled symbol, or too few of them."""
+    folder = Path(params.folder)
+    table = inside(folder / TABLE, folder)
+    if not os.path.isfile(table):
+        raise LuxloopError(f"plant.folder: {folder} holds no frames; record them with `luxloop run --frames`")
+    rows = tuple(read_exposures(table))
+    steps = (len(rows) - 1) // PER_STEP
+    if scenario.steps > steps:
+        raise LuxloopError(f"plant.folder: {folder} holds {steps} steps, but steps = {scenario.steps}; give --steps {steps} at most")
+    modules = [module.pixel_controller.headlight.n_pixels for module in projector.modules]
+    plant = RecordedPlant(folder, rows, scenario.camera, tuple(modules), projector.target)
+    lights = [read_light(inside(light_file(folder, row["light"]), folder), plant.pixels, plant.like.device) for row in rows[:PER_STEP]]
+    if [drawing is None for _, drawing in lights] != [False, True]:
+        raise LuxloopError(f"plant.folder: {folder} shows no symbol that is held; name the recording of a [symbol]")
+    return plant
+
+
+def inside(file: Path, folder: Path) -> Path:
+    """The file of a recording. Raises LuxloopError where it is a link to somewhere else."""
+    if file.resolve() != folder.resolve() / file.relative_to(folder):
+        raise LuxloopError(f"{file}: is a link, but a recording holds its own files; copy what it links to in its place")
+    return file

@@ -1,0 +1,261 @@
+"""The recording plant: old frames with the light that they show, on which another controller steps in shadow."""
+
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import torch
+
+from loop.plant.frames import TABLE, image_file, light_file
+from loop.plant.protocol import Exposure
+from loop.plant.recorded import RecordedPlant
+from loop.recording.recorder import row
+from loop.run import prepare, run
+from loop.scenario.model import Scenario, load_any, validate
+from loop.symbol.simulation import Simulation
+from tests.loop.conftest import SMALL, Lux, assert_one_sentence
+from world.errors import LuxloopError
+
+STANDS = {**SMALL, "steps": 6, "camera": SMALL["camera"] | {"latency_spread_steps": 2, "drop_probability": 0.2}}
+DRIVES = {
+    **SMALL,
+    "steps": 5,
+    "controller": {"name": "luxloop"},
+    "vehicle": {"course": [{"speed_m_s": 10.0}]},
+    "road": {"kind": "bumps"},
+    "sensors": {"angle_noise_deg": 0.01, "delay_steps": 1},
+}
+ASKED = ("x_m", "y_m", "z_m", "roll_deg", "pitch_deg")
+OTHER = "holds the light of other modules than those that draw here; run it with the scenario recorded"
+SEEN = ("e_x", "e_y", "pose_error_x_m", "c_u", "c_v", "area_ratio", "loss")
+
+
+def scenario_of(data: dict[str, Any], **changes: Any) -> Scenario:
+    return validate({**data, **changes}, "recorded")
+
+
+def playing(data: dict[str, Any], folder: Path, **changes: Any) -> Simulation:
+    return prepare(scenario_of(data, plant={"kind": "recording", "folder": str(folder)}, **changes), "cpu")
+
+
+def column(rows: list[dict[str, Any]], name: str) -> list[Any]:
+    """Its values, as a table has them: None where there is none."""
+    return [None if each[name] != each[name] else each[name] for each in rows]
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Recordings of a car that stands and of one that drives."""
+    folder = tmp_path_factory.mktemp("recorded")
+    for name, data in (("stands", STANDS), ("drives", DRIVES)):
+        run(scenario_of(data), folder / name, frames=True, video=False, report=False, device="cpu")
+    return {name: folder / name for name in ("stands", "drives")}
+
+
+@pytest.mark.parametrize(("name", "data"), [("stands", STANDS), ("drives", DRIVES)])
+def test_the_controller_that_was_recorded_asks_for_the_same_again(name: str, data: dict[str, Any], recorded: dict[str, Path]) -> None:
+    table, simulation = pq.read_table(recorded[name] / "trajectory.parquet"), playing(data, recorded[name])
+    again = [row(result) for result in simulation.run()]
+    for each in (*ASKED, *SEEN, "time_s"):
+        assert column(again, each) == table[each].to_pylist(), f"{each}, bit for bit"
+    assert simulation.judge is None and set(column(again, "iou")) == {None}
+    assert None in table["e_x"].to_pylist() or name == "drives", "some frames are lost"
+
+
+def test_another_controller_asks_for_its_own_and_sees_what_was_shown(recorded: dict[str, Path]) -> None:
+    """What it sees is that of the recording, however far from it is what it asks for."""
+    table = pq.read_table(recorded["stands"] / "trajectory.parquet")
+    again = [row(result) for result in playing(STANDS, recorded["stands"], controller={"name": "open"}).run()]
+    assert column(again, "x_m") == [17.0] * 6 and table["x_m"].to_pylist() != [17.0] * 6
+    other = [row(result) for result in playing(STANDS, recorded["stands"], controller={"name": "gauss_newton"}).run()]
+    for each in SEEN:
+        assert column(again, each) == column(other, each) == table[each].to_pylist()
+    assert other[-1]["x_m"] != table["x_m"][-1].as_py() != 17.0
+
+
+def test_an_old_state_shows_the_same_frames_again(recorded: dict[str, Path]) -> None:
+    simulation = playing(DRIVES, recorded["drives"])
+    plant, exposure = simulation.plant, Exposure(0, 0.0, 0.1, simulation.projector.resting)
+    state, first = plant.start()
+    states = [(state, first)]
+    for _ in range(4):
+        states.append(plant.show(states[-1][0], exposure))
+    (frame,), (again,) = states[3][1].frames, plant.show(states[2][0], exposure)[1].frames
+    assert frame.number == again.number == 2 and frame.image is not None and again.image is not None and frame.image.equal(again.image)
+    assert frame.shown is not None and frame.shown.drawing is not None and states[4][1].frames[0].shown is not None
+
+
+def test_a_shadow_is_recorded_beside_and_says_what_it_is(lux: Lux, tmp_path: Path) -> None:
+    assert lux("run", "small.toml", "--out", "drive", "--frames", "--no-video", "--no-report")[0] == 0
+    before = {file.name: file.read_bytes() for file in (tmp_path / "drive").rglob("*") if file.is_file()}
+    code, out, _ = lux("run", "small.toml", "--plant", "drive", "--controller", "thesis_pid", "--out", "shadow")
+    words = f"in shadow of {tmp_path / 'drive'}, whose light the frames show; what this run asked for was shown nowhere and not judged"
+    assert code == 0 and "".join(words.split()) in "".join(out.split())
+    assert (tmp_path / "shadow/report.png").exists() and (tmp_path / "shadow/video.mp4").exists()
+    assert {file.name: file.read_bytes() for file in (tmp_path / "drive").rglob("*") if file.is_file()} == before
+    drive, shadow = (pq.read_table(tmp_path / name / "trajectory.parquet") for name in ("drive", "shadow"))
+    assert drive["x_m"].to_pylist() != shadow["x_m"].to_pylist() and shadow["iou"].null_count == 3
+    code, out, _ = lux("replay", "shadow")
+    assert code == 0 and "3 steps agree" in out
+    code, _, error = lux("run", "small.toml", "--plant", "drive", "--out", "drive")
+    assert code == 2 and "drive: is the recording that is played, which this run would replace" in error
+    code, _, error = lux("run", "small.toml", "--plant", "drive", "--steps", "4", "--out", "other")
+    assert code == 2 and "holds 3 steps, but steps = 4; give --steps 3 at most" in error
+    code, _, error = lux("run", "small.toml", "--plant", "shadow", "--out", "other")
+    assert code == 2 and "shadow holds no frames; record them with `luxloop run --frames`" in error
+    assert_one_sentence(error)
+
+
+def test_frames_of_a_shadow_are_kept_with_the_light_that_they_show(recorded: dict[str, Path], tmp_path: Path) -> None:
+    folder = {"kind": "recording", "folder": str(recorded["stands"])}
+    scenario = scenario_of(STANDS, plant=folder, controller={"name": "open"})
+    run(scenario, tmp_path / "copy", frames=True, video=False, report=False, device="cpu")
+    again = [row(result) for result in playing(STANDS, tmp_path / "copy").run()]
+    first = [row(result) for result in playing(STANDS, recorded["stands"]).run()]
+    assert column(again, "x_m") == column(first, "x_m")
+
+
+def test_a_folder_is_that_beside_the_scenario(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recorded: dict[str, Path]) -> None:
+    (tmp_path / "there").mkdir()
+    text = 'name = "small"\nsymbol = { image = "snowflake" }\nplant = { kind = "recording", folder = "drive" }\n'
+    (tmp_path / "there/shadow.toml").write_text(text)
+    monkeypatch.chdir(tmp_path)
+    scenario = load_any("there/shadow.toml")
+    assert isinstance(scenario, Scenario) and scenario.plant == scenario_of(SMALL, plant=scenario.plant.model_dump()).plant
+    assert scenario.plant.model_dump()["folder"] == str(tmp_path / "there/drive")
+
+
+def emptied(folder: Path) -> None:
+    image_file(folder, 2).write_bytes(b"")
+
+
+def linked(folder: Path) -> None:
+    image_file(folder, 2).unlink()
+    image_file(folder, 2).symlink_to(folder / "manifest.json")
+
+
+def of_eight_bits(folder: Path) -> None:
+    cv2.imwrite(str(image_file(folder, 2)), np.zeros((180, 320), np.uint8))
+
+
+def of_another_size(folder: Path) -> None:
+    cv2.imwrite(str(image_file(folder, 2)), np.zeros((90, 160), np.uint16))
+
+
+def brighter(folder: Path) -> None:
+    cv2.imwrite(str(image_file(folder, 2)), np.full((180, 320), 5000, np.uint16))
+
+
+def gone(folder: Path) -> None:
+    image_file(folder, 2).unlink()
+
+
+def of_another_lamp(folder: Path) -> None:
+    np.savez(light_file(folder, 2), u_0=np.zeros(3, np.float32))
+
+
+def of_objects(folder: Path) -> None:
+    np.savez(light_file(folder, 2), u_0=np.array([print] * 332 * 1024, object))
+
+
+def of_nothing(folder: Path) -> None:
+    np.savez(light_file(folder, 2), u_0=np.full(332 * 1024, np.nan, np.float32))
+
+
+def of_too_much(folder: Path) -> None:
+    np.savez(light_file(folder, 2), u_0=np.full(332 * 1024, 2, np.float32))
+
+
+def table_of(change: Callable[[pa.Table], pa.Table]) -> Callable[[Path], None]:
+    return lambda folder: pq.write_table(change(pq.read_table(folder / TABLE)), folder / TABLE)
+
+
+def without(name: str, number: int) -> Callable[[pa.Table], pa.Table]:
+    """A value is missing in an exposure."""
+
+    def change(table: pa.Table) -> pa.Table:
+        column = table.column_names.index(name)
+        values = table[name].to_pylist()
+        values[number] = None
+        return table.set_column(column, table.schema.field(name), pa.array(values, table.schema.field(name).type))
+
+    return change
+
+
+DAMAGE: dict[str, tuple[Callable[[Path], Any], str]] = {
+    "emptied": (emptied, r"frame_00000002.png: damaged, or no frame .*no grey PNG of 16 bits.*; record the run again with --frames"),
+    "linked": (linked, r"frame_00000002.png: is a link, but a recording holds its own files"),
+    "of eight bits": (of_eight_bits, "no grey PNG of 16 bits"),
+    "of another size": (of_another_size, "has 160 x 90 px, but the camera 320 x 180; run it with the scenario recorded"),
+    "brighter": (brighter, "has numbers up to 5000, but camera.bits = 12"),
+    "gone": (gone, r"frame_00000002.png: cannot be read \(No such file"),
+    "of another lamp": (of_another_lamp, OTHER),
+    "of objects": (of_objects, "light_00000002.npz: damaged, or no light of a recording"),
+    "of nothing": (of_nothing, "u_0 is no finite float"),
+    "of too much": (of_too_much, "u_0 is no utilisation"),
+    "no table": (lambda folder: (folder / TABLE).unlink(), "holds no frames; record them with `luxloop run --frames`"),
+    "no row": (table_of(lambda table: table.slice(0, 1)), "no exposures that are numbered from 0"),
+    "other rows": (table_of(lambda table: table.slice(2)), "no exposures that are numbered from 0"),
+    "no column": (table_of(lambda table: table.drop(["came_with"])), "exposures.parquet: damaged, or no table of exposures .*came_with"),
+    "no light": (table_of(without("light", 3)), "exposure 3 is not complete"),
+    "no time": (table_of(without("taken_s", 2)), "the frame of exposure 2 has no times"),
+    "half an ego": (table_of(without("ego.speed_m_s", 1)), "time or ego of exposure 1 is not complete"),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGE)
+def test_what_is_damaged_or_lies_elsewhere_is_refused_in_a_sentence(name: str, recorded: dict[str, Path], tmp_path: Path) -> None:
+    damage, words = DAMAGE[name]
+    folder = shutil.copytree(recorded["drives"], tmp_path / "copy")
+    damage(folder)
+    with pytest.raises(LuxloopError, match=words) as caught:
+        for _ in playing(DRIVES, folder).run():
+            pass
+    (sentence,) = caught.value.args
+    assert str(folder) in sentence and "\n" not in sentence
+
+
+@pytest.mark.parametrize(
+    ("lamps", "words"), [("['left', 'right']", OTHER), ("['left']", "shows no symbol that is held; name the recording")]
+)
+def test_frames_of_lighting_functions_hold_no_symbol(lamps: str, words: str, tmp_path: Path) -> None:
+    given = ["camera.width_px=320", "camera.height_px=180", "camera.oversampling=1", "renderer=raycast", f"headlight.lamps={lamps}"]
+    run("gfhb", tmp_path / "gfhb", frames=True, video=False, report=False, overrides=given, steps=2)
+    model = load_any("gfhb", given).headlight.model
+    with pytest.raises(LuxloopError, match=words):
+        playing({**SMALL, "steps": 1, "headlight": {"model": model}}, tmp_path / "gfhb")
+
+
+def test_a_plant_may_say_that_it_shows_something_else(small_simulation: Simulation) -> None:
+    """A symbol that a hot lamp dims is looked for as it was dimmed."""
+
+    class Moved:
+        def __init__(self, says: bool) -> None:
+            self.says = says
+
+        def start(self) -> Any:
+            return small_simulation.plant.start()
+
+        def show(self, state: Any, exposure: Exposure) -> Any:
+            pose = small_simulation.projector.target + torch.tensor([0.0, 0.5, 0.0, 0.0])
+            lights = exposure.lights if exposure.number % 2 else small_simulation.projector.light(pose)
+            shown = replace(exposure, lights=lights)
+            state, arrivals = small_simulation.plant.show(state, shown)
+            return state, replace(arrivals, frames=tuple(replace(each, shown=shown if self.says else None) for each in arrivals.frames))
+
+    silent, told = (next(replace(small_simulation, plant=Moved(says)).run()) for says in (False, True))
+    assert float((told.seen.area_ratio - 1).abs()) < float((silent.seen.area_ratio - 1).abs())
+
+
+def test_the_plant_does_not_know_the_truth(recorded: dict[str, Path]) -> None:
+    simulation = playing(STANDS, recorded["stands"])
+    assert isinstance(simulation.plant, RecordedPlant)
+    with pytest.raises(LuxloopError, match="the plant recording does not know the truth"):
+        _ = simulation.truth

@@ -1,0 +1,164 @@
+"""Frames that a run keeps: what its plant was shown and handed over, bit for bit, whole or gone with the recording."""
+
+import re
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import pytest
+import torch
+
+from controllers.symbol.sensing.drawing import Drawing, Warp
+from loop.plant.frames import (
+    COLUMNS,
+    FOLDER,
+    SCHEMA,
+    TABLE,
+    image_file,
+    light_arrays,
+    light_file,
+    read_ego,
+    read_exposures,
+    read_image,
+    read_light,
+    write_light,
+)
+from loop.plant.protocol import Exposure, Frame, Showing
+from loop.recording.manifest import Manifest
+from loop.recording.recorder import Recorder
+from loop.run import run
+from loop.scenario.model import validate
+from loop.symbol.simulation import Simulation, StepResult
+from perception.camera import CameraParams
+from perception.egomotion import Ego
+from tests.loop.conftest import SMALL
+from world.errors import LuxloopError
+
+DRIVES = {
+    "steps": 6,
+    "controller": {"name": "luxloop"},
+    "vehicle": {"course": [{"speed_m_s": 10.0}]},
+    "road": {"kind": "bumps"},
+    "sensors": {"heave_noise_m": 0.01},
+    "camera": SMALL["camera"] | {"latency_steps": 1, "drop_probability": 0.3},
+    "headlight": {"beam": "low", "model": "hd84"},
+    "symbol": SMALL["symbol"] | {"value": 0.5},
+}
+
+
+def same_ego(a: Ego | None, b: Ego | None) -> bool:
+    if a is None or b is None:
+        return a is b
+    return all(torch.as_tensor(getattr(a, each.name)).equal(torch.as_tensor(getattr(b, each.name))) for each in fields(Ego))
+
+
+@pytest.mark.parametrize("changes", [{"steps": 4}, DRIVES], ids=["stands", "drives"])
+def test_all_that_was_shown_and_came_is_kept_bit_for_bit(changes: dict[str, Any], tmp_path: Path) -> None:
+    simulation = Simulation.prepare(validate({**SMALL, **changes}, "small"))
+    with Recorder(tmp_path, simulation, frames=True) as recorder:
+        results = list(simulation.run())
+        for result in results:
+            recorder.add(result)
+    showings = [showing for result in results for showing in result.showings]
+    rows, camera, like = read_exposures(tmp_path / TABLE), simulation.scenario.camera, simulation.projector.target
+    assert len(rows) == len(showings) + 1 and pq.read_schema(tmp_path / TABLE).equals(SCHEMA, check_metadata=True)
+    for row, showing in zip(rows, showings, strict=False):
+        assert (row["number"], row["time_s"], row["duration_s"]) == (
+            showing.exposure.number,
+            showing.before.time_s,
+            showing.exposure.duration_s,
+        )
+        assert same_ego(read_ego(row, like), showing.before.ego)
+        pixels = [light.u.numel() for light in showing.exposure.lights]
+        lights, drawing = read_light(light_file(tmp_path, row["light"]), pixels, like.device)
+        asked = showing.exposure.drawing
+        assert all(a.u.equal(b.u) and a.band == b.band for a, b in zip(lights, showing.exposure.lights, strict=True))
+        assert (drawing is None) == (asked is None) and (drawing is None or asked is None or drawing.shows(asked))
+    assert same_ego(read_ego(rows[-1], like), showings[-1].after.ego) and rows[-1]["time_s"] == showings[-1].after.time_s
+    came = {frame.number: (frame, showing) for showing in showings for frame in showing.after.frames}
+    assert {row["number"] for row in rows if row["came_with"] is not None} == came.keys()
+    for number, (frame, showing) in came.items():
+        row = rows[number]
+        assert (row["taken_s"], row["arrived_s"], row["came_with"]) == (frame.taken_s, frame.arrived_s, showing.exposure.number)
+        assert row["lost"] == (frame.image is None) != image_file(tmp_path, number).exists()
+        assert frame.image is None or read_image(image_file(tmp_path, number), camera, like).equal(frame.image)
+    lost = [frame.image is None for frame, _ in came.values()]
+    assert any(lost) == bool(camera.drop_probability) and not all(lost)
+    light_files = len(list((tmp_path / FOLDER).glob("light_*")))
+    assert light_files <= len(results) + 1, "off exposures share one light"
+
+
+def test_a_warped_drawing_is_kept_bit_for_bit(tmp_path: Path, small_simulation: Simulation) -> None:
+    target, generator = small_simulation.projector.target, torch.Generator().manual_seed(0)
+    warp = Warp(torch.rand((1, 2, 8, 4), generator=generator), torch.rand((1, 8, 4), generator=generator), (4.1, 2.3))
+    numbers = torch.rand(6, generator=generator)
+    lights = small_simulation.projector.resting
+    drawing = Drawing(target, numbers[0], warp, tuple(light.u for light in lights), target + 1, numbers[1:3])
+    write_light(tmp_path / "light.npz", light_arrays(Exposure(0, 0.0, 0.1, lights, drawing)))
+    _, again = read_light(tmp_path / "light.npz", [light.u.numel() for light in lights], target.device)
+    assert again is not None and again.shows(drawing) and again.aim is not None and again.aim.equal(numbers[1:3])
+    assert again.warp is not None and again.warp.size_m == warp.size_m
+
+
+def test_lighting_functions_keep_frames_too(tmp_path: Path) -> None:
+    given = ["camera.width_px=160", "camera.height_px=90", "camera.oversampling=1", "renderer=raycast"]
+    seen: list[Any] = []
+    run("gfhb", tmp_path, frames=True, video=False, report=False, on_step=seen.append, overrides=given, steps=3)
+    rows = read_exposures(tmp_path / TABLE)
+    assert len(rows) == 4 and all(row["ego.speed_m_s"] == 0 for row in rows)
+    camera = CameraParams.model_validate(Manifest.read(tmp_path).scenario["camera"])
+    for row, result in zip(rows, seen, strict=False):
+        assert read_image(image_file(tmp_path, row["number"]), camera, result.frame).equal(result.frame)
+        lights, drawing = read_light(light_file(tmp_path, row["light"]), [u.numel() for u in result.lights], result.frame.device)
+        assert drawing is None and all(light.u.equal(u) for light, u in zip(lights, result.lights, strict=True))
+
+
+def test_documentation_names_every_column() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "recordings.md").read_text()
+    columns = page.split("## Frames")[1].split("## In shadow")[0]
+    documented = re.findall(r"^\| `([\w.]+)` \| (.*?) \| (.*?) \|$", columns, re.MULTILINE)
+    assert documented == [(name, unit, text) for name, (_, unit, text) in COLUMNS.items()]
+
+
+def test_old_frames_go_with_their_recording_and_nothing_else(
+    tmp_path: Path, small_simulation: Simulation, small_results: list[StepResult]
+) -> None:
+    directory, elsewhere = tmp_path / "run", tmp_path / "elsewhere"
+    for results in (small_results[:3], small_results[:1]):
+        with Recorder(directory, small_simulation, frames=True) as recorder:
+            for result in results:
+                recorder.add(result)
+    assert [row["number"] for row in read_exposures(directory / TABLE)] == [0, 1, 2]
+    assert len(list((directory / FOLDER).glob("frame_*.png"))) == 2
+    (directory / FOLDER / "notes.txt").write_text("mine")
+    Recorder(directory, small_simulation).add(small_results[0])
+    assert [file.name for file in (directory / FOLDER).iterdir()] == ["notes.txt"]
+    (directory / FOLDER / "notes.txt").unlink()
+    (directory / FOLDER).rmdir()
+    elsewhere.mkdir()
+    (elsewhere / "frame_00000000.png").write_text("of somebody else")
+    (directory / FOLDER).symlink_to(elsewhere)
+    Recorder(directory, small_simulation).add(small_results[0])
+    assert not (directory / FOLDER).exists() and (elsewhere / "frame_00000000.png").exists()
+
+
+def test_an_interrupted_run_keeps_the_frames_so_far(tmp_path: Path, small_simulation: Simulation, small_results: list[StepResult]) -> None:
+    with pytest.raises(KeyboardInterrupt), Recorder(tmp_path, small_simulation, frames=True) as recorder:
+        for result in small_results[:3]:
+            recorder.add(result)
+        raise KeyboardInterrupt
+    assert Manifest.read(tmp_path).status == "interrupted" and len(read_exposures(tmp_path / TABLE)) == 7
+
+
+@pytest.mark.parametrize("value", [0.5, -1.0, 4096.0, float("nan")])
+def test_frames_that_would_not_be_kept_as_they_are_are_refused(
+    value: float, tmp_path: Path, small_simulation: Simulation, small_results: list[StepResult]
+) -> None:
+    showing = small_results[0].showings[0]
+    (frame,) = showing.after.frames
+    assert frame.image is not None
+    broken: Frame = replace(frame, image=torch.full_like(frame.image, value))
+    result = replace(small_results[0], showings=(Showing(showing.before, showing.exposure, replace(showing.after, frames=(broken,))),))
+    with pytest.raises(LuxloopError, match=r"frame_00000000.png: cannot be kept, .* 0 to 4095; check the plant with luxloop.check_plant"):
+        Recorder(tmp_path, small_simulation, frames=True).add(result)

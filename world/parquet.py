@@ -1,0 +1,39 @@
+"""Tables of recordings, read once their file is known to declare no more memory than the budget allows."""
+
+import os
+from pathlib import Path
+from typing import Final
+
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from world.budget import afford
+from world.errors import LuxloopError
+from world.files import reading
+
+BYTES_A_VALUE: Final = 16  # of a table while it is read, however well it was compressed
+TYPES: Final = (pa.int64(), pa.float64(), pa.bool_(), pa.string())
+
+
+def read_parquet(file: Path) -> pa.Table:
+    """Read a recording's table of steps. Raises LuxloopError where it is missing or damaged."""
+    if not os.path.isfile(file):
+        raise LuxloopError(f"{file}: is missing, no step was recorded; record the run again")
+    with reading(file, "damaged, not readable as Parquet", "record the run again"):
+        schema = pq.read_schema(file)
+        if strange := [field.name for field in schema if field.type not in TYPES]:
+            raise ValueError(f"the column {strange[0]!r} is of no type that recordings have")
+        texts = [field.name for field in schema if field.type == pa.string()]
+        with pq.ParquetFile(file, read_dictionary=texts) as stored:
+            afford(f"{file}: its table", _declared(stored.metadata), "record the run again")
+            table = stored.read()
+        longest = [pc.max(pc.binary_length(chunk.dictionary)).as_py() or 0 for name in texts for chunk in table[name].chunks]
+        afford(f"{file}: its texts", table.num_rows * sum(longest), "record the run again")
+        return table.cast(schema)
+
+
+def _declared(metadata: pq.FileMetaData) -> int:
+    """Bytes of all columns, texts that are the same in many rows counted once."""
+    chunks = [metadata.row_group(k).column(j) for k in range(metadata.num_row_groups) for j in range(metadata.num_columns)]
+    return sum(max(BYTES_A_VALUE * chunk.num_values, chunk.total_uncompressed_size) for chunk in chunks)
