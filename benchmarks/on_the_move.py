@@ -44,9 +44,8 @@ ROWS = {
     },
     **{f"flat, 10 m/s, nods by {deg}°": ("road.kind='flat'", SPEED.format(10), NOD.format(deg)) for deg in (0.2, 1)},
 }
-ERRORS = ("speed_noise_m_s", "yaw_rate_noise_deg_s", "angle_noise_deg", "rate_noise_deg_s", "heave_noise_m")
-IN_TIME = ("sensors.delay_steps=0",)
-EXACT = (*IN_TIME, "sensors.speed_scale=1", *(f"sensors.{key}=0" for key in ERRORS))
+IN_TIME = tuple(f"sensors.{sensor}.delay_s=0" for sensor in ("wheels", "gyro", "attitude"))
+EXACT = ("sensors={}",)
 BOUND = "true road and pose"
 COLUMNS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "open": ("open", ()),

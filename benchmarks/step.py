@@ -57,7 +57,7 @@ def luxloop_step(simulation: Simulation, state: SimulationState, lap: Lap) -> tu
     scenario = simulation.scenario
     lit = simulation.truth.world.lit(state.arrivals.time_s)
     lap("render")
-    drawing = simulation.controller.drawing(state.controller, state.arrivals.ego)
+    drawing = simulation.controller.drawing(state.controller, simulation.ego(state))
     lights = simulation.projector.draw(drawing)
     lap("light")
     lit_on = added_light(lit.transports, lights, lit.base)

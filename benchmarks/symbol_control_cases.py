@@ -43,13 +43,14 @@ ROUGH = (15, 2, 10, 21, 18)  # seeds with which a class D road is 2.3 to 2.7 cm 
 BELIEVED = "20 m/s, from 3 cm off"
 ASIDE_M = 17.28  # where the symbol for 17 m lies when it is drawn for a road that is 3 cm higher, as both lamp and camera are over it
 NODDING = "vehicle={{course=[{{speed_m_s=0}}], oscillation={{pitch_deg={}, rate_hz=1.2}}}}"
+LATE = "sensors={wheels={delay_s=0.03}, gyro={delay_s=0.03}, attitude={delay_s=0.03}}"
 DRIVING: dict[str, tuple[str, tuple[Override, ...]]] = {
     "5 m/s": ("driving", ("vehicle.course=[{speed_m_s=5}]",)),
     "10 m/s": ("driving", ("vehicle.course=[{speed_m_s=10}]",)),
     "20 m/s": ("driving", ()),
     BELIEVED: ("driving", (f"start.x_m={ASIDE_M}",)),
-    "nods by 0.2°": ("flat", (NODDING.format(0.2), "sensors.delay_steps=1")),
-    "nods by 1°": ("flat", (NODDING.format(1.0), "sensors.delay_steps=1")),
+    "nods by 0.2°": ("flat", (NODDING.format(0.2), LATE)),
+    "nods by 1°": ("flat", (NODDING.format(1.0), LATE)),
 }
 
 FROM, UNTIL = 20, 30  # steps of a disturbance; the thesis' controller needs 20 to settle

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from loop.scenario.model import validate_any as validate
     from loop.symbol.simulation import Simulation
     from perception.detection.protocol import Detections
-    from perception.egomotion import Ego
+    from perception.egomotion import Ego, Sample
     from perception.extraction import Loss
     from perception.tracks import TrackedBoxes
     from world.errors import LuxloopError
@@ -66,6 +66,7 @@ __all__ = [
     "Planner",
     "RoadModel",
     "RunResult",
+    "Sample",
     "Scenario",
     "Simulation",
     "Situation",
@@ -116,7 +117,7 @@ _MODULES = {
     "loop.scenario.model": ("Scenario", "load_any as load", "validate_any as validate"),
     "loop.symbol.simulation": ("Simulation",),
     "perception.detection.protocol": ("Detections",),
-    "perception.egomotion": ("Ego",),
+    "perception.egomotion": ("Ego", "Sample"),
     "perception.extraction": ("Loss",),
     "perception.tracks": ("TrackedBoxes",),
     "world.errors": ("LuxloopError",),

@@ -1,65 +1,70 @@
-"""What the vehicle's own sensors say of its motion: odometry and inertial sensors, with noise, bias and delay."""
+"""What the samples of a vehicle's own sensors say of its motion."""
 
+import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, Literal
 
-import numpy as np
 import torch
-from pydantic import Field
 from torch import Tensor
 
 from world.frames import pose, rotation
-from world.params import Params
-from world.scene.vehicle import Motion, body_pose
-
-NOISE_KEY = 3  # beside the camera's generators of a step
-
-
-class SensorParams(Params):
-    """Errors of odometry and inertial sensors; all zero: they tell the truth at once."""
-
-    speed_scale: float = Field(1.0, gt=0, le=2, description="measured speed for each m/s driven: a worn tyre shows more")
-    speed_noise_m_s: float = Field(0.0, ge=0, le=10, description="standard deviation of the measured speed")
-    yaw_rate_bias_deg_s: float = Field(0.0, ge=-10, le=10, description="added to the measured yaw rate")
-    yaw_rate_noise_deg_s: float = Field(0.0, ge=0, le=10, description="standard deviation of the measured yaw rate")
-    heave_noise_m: float = Field(0.0, ge=0, le=1, description="standard deviation of the body's measured height")
-    roll_bias_deg: float = Field(0.0, ge=-5, le=5, description="added to the measured roll")
-    pitch_bias_deg: float = Field(0.0, ge=-5, le=5, description="added to the measured pitch")
-    angle_noise_deg: float = Field(0.0, ge=0, le=5, description="standard deviation of measured roll and pitch")
-    rate_noise_deg_s: float = Field(0.0, ge=0, le=10, description="standard deviation of measured roll and pitch rates")
-    delay_steps: int = Field(0, ge=0, le=10, description="control steps by which all of this is known late")
-
-
-EXACT: Final = SensorParams()
-
+from world.scene.vehicle import VehicleParams, body_pose
 
 STANDS_M_S = 0.1  # slower than anybody drives, and more than the noise of a speed sensor at rest
+
+Sensor = Literal["wheels", "gyro", "attitude", "accelerometer", "suspension"]
+VALUES: Final[Mapping[Sensor, int | None]] = {"wheels": None, "gyro": 3, "attitude": 4, "accelerometer": 3, "suspension": 4}  # None: any
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """What a sensor of the vehicle tells; x forward, y left, z up, pitch nose down (ISO 8855).
+
+    sensor: its kind. measured_s: the time in s that it is of. arrived_s: when it arrived, in s. values: by kind; wheels: `[n]`, speeds
+    in m/s of wheels that are not steered; gyro: `[3]`, rates of roll, pitch and yaw in rad/s; attitude: `[4]`, heave in m, roll and
+    pitch in rad of the body over the ground, and the rate of heave in m/s; accelerometer: `[3]`, forward, left and up in m/s^2, without
+    gravity; suspension: `[4]`, how many m the body is farther above a wheel than at rest, front left, front right, rear left, rear
+    right.
+    """
+
+    sensor: Sensor
+    measured_s: float
+    arrived_s: float
+    values: Tensor
+
+
+Samples = Mapping[Sensor, Sample]
+
+
+def newest(known: Samples, come: Iterable[Sample]) -> Samples:
+    """The sample of each sensor that was measured last, of those that were known and those that have come."""
+    return {each.sensor: each for each in sorted((*known.values(), *come), key=lambda each: each.measured_s)}
 
 
 @dataclass(frozen=True)
 class Ego:
-    """The vehicle's motion as its sensors measured it.
+    """The vehicle's motion as its sensors have told it.
 
-    time_s: of the measurement. age_s: from then until the step's on frame is exposed. period_s: the control period. attitude: `[3]`, heave
-    in m, roll and pitch (nose down) in rad of the body over the ground. rates: `[3]`, the same a second. speed_m_s: `[]`, of the rear axle,
-    mean of the last control period. yaw_rate_rad_s: `[]`, to the left positive, mean of the last control period. pivot_x_m: x in the ground
-    frame about which the body rolls and pitches. rear_x_m: x of the rear axle there.
+    time_s: when the next exposure begins; nothing newer is in it. period_s: the control period. attitude: `[3]`, heave in m, roll and
+    pitch (nose down) in rad of the body over the ground, NaN where no sensor tells it. attitude_s: when it was measured. rates: `[3]`,
+    the same a second, NaN where no sensor tells them. rates_s: when those of roll and pitch were measured. speed_m_s: `[]`, of the rear
+    axle, mean since the sample before, which an accelerometer carries on to time_s. speed_s: when it was measured. yaw_rate_rad_s:
+    `[]`, to the left positive, mean since the sample before, 0 without a gyro. pivot_x_m: x in the ground frame about which the body
+    rolls and pitches. rear_x_m: x of the rear axle there.
     """
 
     time_s: float
-    age_s: float
     period_s: float
     attitude: Tensor
+    attitude_s: float
     rates: Tensor
+    rates_s: float
     speed_m_s: Tensor
+    speed_s: float
     yaw_rate_rad_s: Tensor
-    pivot_x_m: float
-    rear_x_m: float
-
-    @property
-    def exposed_s(self) -> float:
-        """When the exposure begins for which this is the newest that is known."""
-        return self.time_s + self.age_s
+    pivot_x_m: float = 0.0
+    rear_x_m: float = 0.0
 
     @property
     def stands(self) -> bool:
@@ -71,6 +76,11 @@ class Ego:
         """Measured pose `[4, 4]` of the body in the ground frame."""
         return body_pose(self.attitude, self.pivot_x_m)
 
+    @property
+    def told_s(self) -> tuple[float, ...]:
+        """Ascending times at which anything was measured."""
+        return tuple(sorted({time_s for time_s in (self.attitude_s, self.rates_s, self.speed_s) if not math.isnan(time_s)}))
+
     def way(self, duration_s: float) -> Tensor:
         """Pose `[4, 4]` of the ground frame after `duration_s` s at this speed and yaw rate, in that at their beginning."""
         turn, length = self.yaw_rate_rad_s * duration_s, self.speed_m_s * duration_s
@@ -80,26 +90,36 @@ class Ego:
         y = chord * (turn / 2).sin() - self.rear_x_m * turn.sin()
         return pose(torch.stack([x, y, zero]), rotation(zero, zero, turn))
 
-    def after(self, duration_s: float) -> "Ego":
-        """The attitude predicted `duration_s` s ahead, linearly; `ego.after(ego.age_s)` is that of the step's on frame."""
-        return replace(
-            self, time_s=self.time_s + duration_s, age_s=self.age_s - duration_s, attitude=self.attitude + self.rates * duration_s
-        )
+    def at(self, time_s: float) -> "Ego":
+        """The attitude predicted to another time, linearly."""
+        return replace(self, attitude=self.attitude + self.rates.nan_to_num() * (time_s - self.attitude_s), attitude_s=time_s)
 
 
-def measured(motion: Motion, params: SensorParams, step: int, period_s: float, seed: int, like: Tensor) -> Ego:
-    """What is known at a step of the motion, on the device and in the dtype of `like`; no state is carried from step to step."""
-    at = max(step - params.delay_steps, 0)
-    now, before = motion.at(at * period_s), motion.at((at - 1) * period_s)
-    angles = np.deg2rad([params.angle_noise_deg] * 2)
-    spread = np.array([params.speed_noise_m_s, np.deg2rad(params.yaw_rate_noise_deg_s), params.heave_noise_m, *angles])
-    spread = np.concatenate([spread, [0.0], np.deg2rad([params.rate_noise_deg_s] * 2)])
-    noise = spread * np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(at, NOISE_KEY))).standard_normal(len(spread))
-    speed = 0.5 * (now.speed_m_s + before.speed_m_s) * params.speed_scale
-    yaw_rate = 0.5 * (now.yaw_rate_rad_s + before.yaw_rate_rad_s) + np.deg2rad(params.yaw_rate_bias_deg_s)
-    attitude = [now.heave_m, now.roll_rad + np.deg2rad(params.roll_bias_deg), now.pitch_rad + np.deg2rad(params.pitch_bias_deg)]
-    rates = [now.heave_rate_m_s, now.roll_rate_rad_s, now.pitch_rate_rad_s]
-    values = like.new_tensor(np.array([speed, yaw_rate, *attitude, *rates]) + noise)
+def ego_of(samples: Samples, vehicle: VehicleParams | None, time_s: float, period_s: float) -> Ego | None:
+    """What samples say at a time; None without wheel speeds, which say whether the vehicle moves at all."""
+    if "wheels" not in samples:
+        return None
+    wheels = samples["wheels"]
+    unknown = Sample("gyro", math.nan, math.nan, wheels.values.new_tensor([math.nan] * 4))
+    gyro = samples.get("gyro", unknown)
+    body = samples.get("attitude", unknown if vehicle is None else _sprung(samples.get("suspension", unknown), vehicle))
+    acceleration = samples.get("accelerometer", unknown).values[0].nan_to_num()
     return Ego(
-        at * period_s, (step - at) * period_s, period_s, values[2:5], values[5:8], values[0], values[1], motion.pivot_x_m, motion.rear_x_m
+        time_s,
+        period_s,
+        body.values[:3],
+        body.measured_s,
+        torch.cat([body.values[3:], gyro.values[:2]]),
+        gyro.measured_s,
+        wheels.values.mean() + acceleration * (time_s - wheels.measured_s),
+        wheels.measured_s,
+        gyro.values[2].nan_to_num(),
+        *((0.0, 0.0) if vehicle is None else (vehicle.pivot_x_m, vehicle.rear_x_m)),
     )
+
+
+def _sprung(travel: Sample, vehicle: VehicleParams) -> Sample:
+    """The attitude over the plane of the wheels, whose rate of heave nobody tells."""
+    fl, fr, rl, rr = travel.values
+    roll, pitch = (fl + rl - fr - rr) / (2 * vehicle.track_m), (rl + rr - fl - fr) / (2 * vehicle.wheelbase_m)
+    return replace(travel, values=torch.stack([travel.values.mean(), roll, pitch, torch.full_like(roll, math.nan)]))

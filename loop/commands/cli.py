@@ -212,7 +212,7 @@ def run(
     report
         Whether to write report.png, which takes seconds.
     frames
-        Keep what the plant was shown and handed over: light, frames and ego motion, megabytes a step.
+        Keep what the plant was shown and handed over: light, frames and sensor samples, megabytes a step.
     checks
         Evaluate all checks of the scenario, those as well for which another light runs beside; exit code 1 where one fails.
     """

@@ -15,8 +15,8 @@ from loop.plant.world import World
 from loop.run import prepare
 from loop.scenario.model import validate
 from loop.symbol.simulation import Simulation
-from perception.egomotion import Ego
-from world.errors import LuxloopError, located
+from perception.egomotion import VALUES, Sample
+from world.errors import LuxloopError, did_you_mean, located
 from world.plugin import Guarded, check_methods, made
 
 CALLS = {"start": (), "show": ("state", "exposure")}
@@ -42,7 +42,8 @@ def check_plant(plant: type, options: Mapping[str, Any] | None = None, device: s
     and once more from that state at the end. Raises LuxloopError with the likely cause and the remedy where a method is missing or fails,
     changes what it was given, or gives something else for the same state and exposure; where a state is no data; where its time does not go
     on; where a frame is of no exposure that was shown, comes twice or out of order, or has times that contradict each other; where an image
-    is no tensor `[height, width]` of whole digital numbers within `camera.bits`; and where no frame comes at all.
+    is no tensor `[height, width]` of whole digital numbers within `camera.bits`; where a sample is of no sensor that there is, or has other
+    values than that; and where no frame comes at all.
     """
     name = name_of(plant)
     check_methods(plant, f"{KEY}: {name}", METHODS)
@@ -117,8 +118,10 @@ def _said(own: Guarded, method: str, inputs: Mapping[str, Any], shown: Sequence[
                 _check_times(frame, start_s, end_s, arrivals.time_s, came)
                 _check_image(frame.image, simulation)
             came.append(frame)
-        if arrivals.ego is not None and not isinstance(arrivals.ego, Ego):
-            raise LuxloopError(f"gives an ego of the type {type(arrivals.ego).__name__}; give what simulated_plant gives, or leave it out")
+        if not isinstance(arrivals.samples, tuple) or not all(isinstance(sample, Sample) for sample in arrivals.samples):
+            raise LuxloopError("gives samples that are no tuple of luxloop.Sample; give samples=(luxloop.Sample(...),), or leave them out")
+        for sample in arrivals.samples:
+            _check_sample(sample, arrivals.time_s, simulation)
     return state, arrivals
 
 
@@ -159,6 +162,19 @@ def _check_times(frame: Frame, start_s: float, end_s: float, now_s: float, came:
         raise LuxloopError(f"arrived at {frame.arrived_s:g} s, before {than}; give the plant's time in s, which never runs backwards")
     if frame.arrived_s > now_s + ROUNDING_S:
         raise LuxloopError(f"arrived at {frame.arrived_s:g} s, after time_s = {now_s:g}; give times in s, and a frame when it has come")
+
+
+def _check_sample(sample: Sample, now_s: float, simulation: Simulation) -> None:
+    if sample.sensor not in VALUES:
+        raise LuxloopError(f"gives a sample of {sample.sensor!r}; {did_you_mean(str(sample.sensor), VALUES)}")
+    with located(f"sample of {sample.sensor}"):
+        if not sample.measured_s <= sample.arrived_s + ROUNDING_S or not sample.arrived_s <= now_s + ROUNDING_S:
+            raise LuxloopError(
+                f"was measured at {sample.measured_s:g} s and arrived at {sample.arrived_s:g} s, by time_s = {now_s:g}; give the plant's "
+                "time in s, and a sample when it has arrived"
+            )
+        count = VALUES[sample.sensor] or len(sample.values)
+        check_tensor(sample.values, simulation.projector.target, (count,), "values")
 
 
 def _check_image(image: Tensor | None, simulation: Simulation) -> None:

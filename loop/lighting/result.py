@@ -16,6 +16,7 @@ from loop.lighting.sight import Recognised
 from loop.lighting.zoned import InZone
 from loop.plant.protocol import Arrivals, Showing
 from perception.detection.protocol import Detections
+from perception.egomotion import Samples
 from perception.tracks import TrackedBoxes
 from world.view import View
 
@@ -24,8 +25,8 @@ from world.view import View
 class LightingState:
     """What the car knows before a step. tracks: the tracker's state, None without a detector. functions: what each of them has learnt.
 
-    plant: its state. arrivals: what has come in by its beginning. believed: views from the ground frame of the exposures whose frames have
-    not come yet, by their number.
+    plant: its state. arrivals: what has come in by its beginning. samples: the newest of each of the vehicle's sensors. believed: views
+    from the ground frame of the exposures whose frames have not come yet, by their number.
     """
 
     step: int
@@ -33,6 +34,7 @@ class LightingState:
     functions: States
     plant: Any
     arrivals: Arrivals
+    samples: Samples
     believed: Mapping[int, View] = field(default_factory=dict)
 
 

@@ -1,5 +1,6 @@
 """Lighting functions at work: at each step the objects are tracked, the functions planned, the lamps driven, and the light looked at."""
 
+import math
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -36,7 +37,7 @@ from loop.scenario.model import LightingScenario, RoadConditionParams
 from loop.scenario.shipped import named
 from perception.camera import camera_view, luminance_of, saturation_luminance
 from perception.detection.protocol import Detections
-from perception.egomotion import Ego
+from perception.egomotion import Ego, Samples, ego_of, newest
 from world.errors import located
 from world.frames import inverse, transform
 from world.rendering.face_source import face_source
@@ -131,14 +132,20 @@ class LightingSimulation:
     def start(self, step: int = 0) -> LightingState:
         """The state before a step, with nothing seen yet."""
         plant, _ = self.plant.start()
-        arrivals = Arrivals(step / self.scenario.rate_hz, ego=self.plant.ego(step))
-        return LightingState(step, None if self.sight is None else self.sight.tracker.start(), self.planner.start(), plant, arrivals)
+        time_s, tracks = step / self.scenario.rate_hz, None if self.sight is None else self.sight.tracker.start()
+        arrivals = Arrivals(time_s, samples=self.plant.samples(time_s))
+        return LightingState(step, tracks, self.planner.start(), plant, arrivals, newest({}, arrivals.samples))
+
+    def ego(self, samples: Samples, time_s: float) -> Ego | None:
+        """What is known of the car's motion at a time, None of one that stands."""
+        return ego_of(samples, self.scenario.vehicle, time_s, 1 / self.scenario.rate_hz)
 
     def step(self, state: LightingState) -> tuple[LightingState, LightingResult]:
         """One step: light is planned with what is known, and what is then seen adds to it."""
         start = time.perf_counter()
-        time_s, view = state.arrivals.time_s, self._from(attitude(state.arrivals.ego))
-        now = self.situation(time_s, state.tracks, state.arrivals.ego)
+        time_s = state.arrivals.time_s
+        ego = self.ego(state.samples, time_s)
+        now, view = self.situation(time_s, state.tracks, ego), self._from(attitude(ego))
         plan = self.planner.plan(now, state.functions)
         planned = time.perf_counter()
         lights, powers = self._driven(plan, now)
@@ -195,7 +202,8 @@ class LightingSimulation:
             (Showing(state.arrivals, exposure, arrivals),),
             timings,
         )
-        return LightingState(state.step + 1, tracks, functions, plant, arrivals, believed), result
+        samples = newest(state.samples, arrivals.samples)
+        return LightingState(state.step + 1, tracks, functions, plant, arrivals, samples, believed), result
 
     def at(self, step: int) -> LightingResult:
         """One step alone, before which nothing was seen; that of the run where nothing depends on what was seen."""
@@ -206,7 +214,7 @@ class LightingSimulation:
         state = self.start()
         while (self.sight is not None or self.planner.learns) and (state.step + 1) / self.scenario.rate_hz <= time_s:
             state, _ = self.step(state)
-        now = self.situation(time_s, state.tracks, self.plant.ego(round(time_s * self.scenario.rate_hz)))
+        now = self.situation(time_s, state.tracks, self.ego(newest({}, self.plant.samples(time_s)), time_s))
         return self._driven(self.planner.plan(now, state.functions), now)[0]
 
     def base(self, beam: str) -> str:
@@ -284,7 +292,9 @@ class LightingSimulation:
 
 def attitude(ego: Ego | None) -> Tensor:
     """Pose `[4, 4]` of the body in the ground frame, as measured; level where nothing is."""
-    return torch.eye(4, dtype=torch.float64) if ego is None else ego.after(ego.age_s).T_ground_body.double().cpu()
+    if ego is None or math.isnan(ego.attitude_s):
+        return torch.eye(4, dtype=torch.float64)
+    return ego.at(ego.time_s).T_ground_body.double().cpu()
 
 
 def moved(T_ground_body: Tensor, T_body_module: Tensor) -> Tensor:

@@ -4,6 +4,8 @@ A table with a row an exposure and a last one for the end; a 16-bit grey PNG a f
 exposures may share.
 """
 
+import json
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -18,7 +20,7 @@ from controllers.pixels.ssc import Utilisation
 from controllers.symbol.sensing.drawing import Drawing, Warp
 from loop.plant.protocol import Exposure
 from perception.camera import CameraParams
-from perception.egomotion import Ego
+from perception.egomotion import VALUES, Sample
 from world.arrays import Arrays, read_npz, write_npz
 from world.errors import LuxloopError
 from world.files import content, reading, regular, whole
@@ -32,21 +34,6 @@ QUICK: Final = (cv2.IMWRITE_PNG_COMPRESSION, 1)  # noise shrinks no further, how
 Row = dict[str, Any]
 
 # name: (type, unit, description)
-EGO = {
-    "ego.time_s": ("s", "when the vehicle's sensors measured what follows; empty for a vehicle that stands"),
-    "ego.age_s": ("s", "how long before this exposure that was"),
-    "ego.period_s": ("s", "over which speed and yaw rate are means"),
-    "ego.heave_m": ("m", "measured height of the body"),
-    "ego.roll_rad": ("rad", "measured roll"),
-    "ego.pitch_rad": ("rad", "measured pitch, nose down"),
-    "ego.heave_rate_m_s": ("m/s", "its rate"),
-    "ego.roll_rate_rad_s": ("rad/s", "its rate"),
-    "ego.pitch_rate_rad_s": ("rad/s", "its rate"),
-    "ego.speed_m_s": ("m/s", "measured speed"),
-    "ego.yaw_rate_rad_s": ("rad/s", "measured yaw rate"),
-    "ego.pivot_x_m": ("m", "where the body rolls and pitches"),
-    "ego.rear_x_m": ("m", "where the rear axle is"),
-}
 COLUMNS: dict[str, tuple[pa.DataType, str, str]] = {
     "number": (pa.int64(), "1", "number of the exposure; that of the last row is of none, but of the plant at the end"),
     "time_s": (pa.float64(), "s", "when it began"),
@@ -56,7 +43,7 @@ COLUMNS: dict[str, tuple[pa.DataType, str, str]] = {
     "arrived_s": (pa.float64(), "s", "when that arrived"),
     "came_with": (pa.int64(), "1", "number of the exposure by whose end the frame had come, or word that it is lost"),
     "lost": (pa.bool_(), "", "whether it is lost, so that there is no file of it"),
-    **{name: (pa.float64(), unit, text) for name, (unit, text) in EGO.items()},
+    "samples": (pa.string(), "", "[sensor, measured_s, arrived_s, values] of each `Sample` that came since the exposure before, as JSON"),
 }
 SCHEMA = pa.schema(pa.field(name, kind, metadata={"unit": unit, "description": text}) for name, (kind, unit, text) in COLUMNS.items())
 
@@ -155,22 +142,20 @@ def read_light(file: Path, pixels: Sequence[int], device: torch.device) -> tuple
         return tuple(lights), Drawing(pose, z, warp, raw or None, shape, aim)
 
 
-def ego_values(ego: Ego | None) -> Row:
-    """The columns of a sample of the vehicle's sensors."""
-    if ego is None:
-        return {}
-    numbers = (ego.time_s, ego.age_s, ego.period_s, *ego.attitude.tolist(), *ego.rates.tolist())
-    return dict(zip(EGO, (*numbers, float(ego.speed_m_s), float(ego.yaw_rate_rad_s), ego.pivot_x_m, ego.rear_x_m), strict=True))
+def sample_values(samples: Sequence[Sample]) -> str:
+    """Samples of the vehicle's sensors, as a row holds them."""
+    return json.dumps([[each.sensor, each.measured_s, each.arrived_s, each.values.tolist()] for each in samples])
 
 
-def read_ego(row: Mapping[str, Any], like: Tensor) -> Ego | None:
-    """The sample of a row, in the dtype and on the device of like; None where there is none."""
-    values = [row[name] for name in EGO]
-    if values[0] is None:
-        return None
-    motion = like.new_tensor(values[3:11])
-    time_s, age_s, period_s, *_, pivot_x_m, rear_x_m = values
-    return Ego(time_s, age_s, period_s, motion[:3], motion[3:6], motion[6], motion[7], pivot_x_m, rear_x_m)
+def read_samples(row: Mapping[str, Any], like: Tensor) -> tuple[Sample, ...]:
+    """The samples of a row, in the dtype and on the device of like. Raises ValueError, TypeError or KeyError where they are none."""
+    samples = tuple(Sample(sensor, at_s, by_s, like.new_tensor(values)) for sensor, at_s, by_s, values in json.loads(row["samples"]))
+    for each in samples:
+        if each.values.shape != (VALUES[each.sensor] or len(each.values),) or not each.values.isfinite().all():
+            raise ValueError(f"a sample of {each.sensor} has no such values")
+        if not math.isfinite(each.measured_s) or not math.isfinite(each.arrived_s):
+            raise ValueError(f"a sample of {each.sensor} has no times")
+    return samples
 
 
 def read_exposures(file: Path) -> list[Row]:
@@ -187,8 +172,9 @@ def read_exposures(file: Path) -> list[Row]:
             if row["lost"] is False and (row["taken_s"] is None or row["arrived_s"] is None):
                 raise ValueError(f"the frame of exposure {row['number']} has no times")
         for row in rows:
-            if row["time_s"] is None or len({row[name] is None for name in EGO}) > 1:
-                raise ValueError(f"time or ego of exposure {row['number']} is not complete")
+            if row["time_s"] is None or row["samples"] is None:
+                raise ValueError(f"time or samples of exposure {row['number']} are not complete")
+            read_samples(row, torch.empty(0))
         return rows
 
 

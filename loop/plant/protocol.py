@@ -7,7 +7,7 @@ from torch import Tensor
 
 from controllers.pixels.ssc import Utilisation
 from controllers.symbol.sensing.drawing import Drawing
-from perception.egomotion import Ego
+from perception.egomotion import Sample
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,12 +44,12 @@ class Frame:
 class Arrivals:
     """What has come in by `time_s` s, when the next exposure begins.
 
-    frames: by ascending number. ego: the newest sample of the vehicle's sensors, None for a vehicle that stands.
+    frames: by ascending number. samples: of the vehicle's sensors, none of a vehicle that stands.
     """
 
     time_s: float
     frames: tuple[Frame, ...] = ()
-    ego: Ego | None = None
+    samples: tuple[Sample, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

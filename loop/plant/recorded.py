@@ -9,7 +9,7 @@ from typing import Any
 from torch import Tensor
 
 from controllers.symbol.sensing.projector import Projector
-from loop.plant.frames import TABLE, Row, image_file, light_file, read_ego, read_exposures, read_image, read_light
+from loop.plant.frames import TABLE, Row, image_file, light_file, read_exposures, read_image, read_light, read_samples
 from loop.plant.protocol import Arrivals, Exposure, Frame
 from loop.scenario.model import Scenario
 from loop.scenario.plant import RecordedPlantParams
@@ -44,7 +44,7 @@ class RecordedPlant:
 
     def _arrivals(self, number: int, frames: tuple[Frame, ...] = ()) -> Arrivals:
         row = self.rows[number]
-        return Arrivals(row["time_s"], frames, read_ego(row, self.like))
+        return Arrivals(row["time_s"], frames, read_samples(row, self.like))
 
     def _frame(self, row: Mapping[str, Any]) -> Frame:
         number = row["number"]

@@ -14,9 +14,11 @@ from loop.plant.world import World
 from loop.scenario.disturbances import UNDISTURBED, DisturbanceParams
 from loop.scenario.model import Scenario
 from perception.camera import expose, frame_generator
-from perception.egomotion import EXACT, Ego, SensorParams, measured
+from perception.egomotion import Sample
 from perception.glare import glare
+from perception.sensors import EXACT, SensorParams, Sensors
 from world.rendering.face_source import face_source
+from world.scene.vehicle import STANDING
 
 LOSS_KEY, LATENCY_KEY = 2, 4  # of what is drawn for a step, beside its frames' noise and the sensors'
 PER_STEP = 2  # exposures where a symbol is held: with it and without it
@@ -50,7 +52,7 @@ class SimulatedPlant:
 
     def start(self) -> tuple[UnderWay, Arrivals]:
         """Nothing is under way."""
-        return (), Arrivals(0.0, ego=self.ego(0))
+        return (), Arrivals(0.0, samples=self.samples(0.0))
 
     def show(self, state: UnderWay, exposure: Exposure) -> tuple[UnderWay, Arrivals]:
         """Expose a frame; it arrives as late as the camera's frames do, and never before an earlier one."""
@@ -62,12 +64,14 @@ class SimulatedPlant:
         due = max([exposure.number + self.per_step * self._latency(step), *(number for number, _ in state)])
         queue = (*state, (due, Frame(exposure.number, exposure.start_s, ends_s, image)))
         come = tuple(replace(frame, arrived_s=ends_s) for number, frame in queue if number <= exposure.number)
-        return queue[len(come) :], Arrivals(ends_s, come, self.ego((exposure.number + 1) // self.per_step))
+        return queue[len(come) :], Arrivals(ends_s, come, self.samples(ends_s, exposure.number / self.per_step * self.period_s))
 
-    def ego(self, step: int) -> Ego:
-        """What the vehicle's sensors have said of its motion by a step."""
-        T_body_view = self.world.view.T_world_view.float().to(self.world.device)
-        return measured(self.world.motion, self.sensors, step, self.period_s, self.seed, T_body_view)
+    def samples(self, by_s: float, after_s: float | None = None) -> tuple[Sample, ...]:
+        """What the sensors of a vehicle that moves have told by one time and after another; left out: the newest of each."""
+        if self.world.motion is STANDING:
+            return ()
+        sensors, like = Sensors(self.world.motion, self.sensors, self.period_s, self.seed), torch.empty(0, device=self.world.device)
+        return sensors.newest(by_s, like) if after_s is None else sensors.arriving(after_s, by_s, like)
 
     def exposed(self, luminance: Tensor, base: Tensor, step: int, frame: int) -> Tensor:
         """Digital numbers of a step's on frame (0) or off frame (1) of luminance `[..., height, width]` in cd/m^2, with what disturbs it.

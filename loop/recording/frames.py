@@ -8,14 +8,14 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from loop.plant.frames import FOLDER, SCHEMA, TABLE, Row, ego_values, image_file, light_arrays, light_file, write_image, write_light
+from loop.plant.frames import FOLDER, SCHEMA, TABLE, Row, image_file, light_arrays, light_file, sample_values, write_image, write_light
 from loop.plant.protocol import Arrivals, Exposure, Frame, Showing
 from world.arrays import Arrays
 from world.files import whole
 
 
 class FrameRecorder:
-    """Keeps frames, light and ego motion of a run into a directory; `add` what was shown in a step, `write` the table now and then."""
+    """Keeps frames, light and sensor samples of a run in a directory; `add` what was shown in a step, `write` the table now and then."""
 
     def __init__(self, directory: Path, bits: int) -> None:
         """bits: of a digital number."""
@@ -44,7 +44,7 @@ class FrameRecorder:
             pq.write_table(pa.Table.from_pylist([self._rows[number] for number in sorted(self._rows)], SCHEMA), part)
 
     def _note(self, number: int, arrivals: Arrivals) -> None:
-        self._rows[number] = {"number": number, "time_s": arrivals.time_s} | ego_values(arrivals.ego)
+        self._rows[number] = {"number": number, "time_s": arrivals.time_s} | {"samples": sample_values(arrivals.samples)}
 
     def _frame(self, frame: Frame, came_with: int) -> None:
         times = {key: None if math.isnan(value) else value for key, value in (("taken_s", frame.taken_s), ("arrived_s", frame.arrived_s))}

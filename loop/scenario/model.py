@@ -26,8 +26,8 @@ from loop.scenario.plant import PlantParams, SimulatedPlantParams
 from loop.scenario.shipped import find
 from perception.camera import CameraParams
 from perception.detection.params import DetectorParams
-from perception.egomotion import SensorParams
 from perception.extraction import Extraction, ExtractionParams
+from perception.sensors import SensorParams
 from perception.trackers import AnyTracker
 from perception.tracking import TrackerParams
 from world.errors import LuxloopError, did_you_mean, located
@@ -121,7 +121,7 @@ class WorldScenario(Params):
     checks: Mapping[PlainName, CheckParams] = Field({}, description="bounds on what the recording shows, by name")
     disturbances: DisturbanceParams = Field(DisturbanceParams(), description="disturbances unknown to the controller")
     vehicle: VehicleParams | None = Field(None, description="how the vehicle drives; left out: it stands")
-    sensors: SensorParams = Field(SensorParams(), description="odometry and inertial sensors of the vehicle")
+    sensors: SensorParams = Field(SensorParams(), description="sensors of the vehicle's motion")
 
     @field_validator("pixel_controller")
     @classmethod

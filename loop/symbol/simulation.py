@@ -26,6 +26,7 @@ from loop.scenario.checks import Light
 from loop.scenario.model import Scenario
 from loop.symbol.judging import Judge
 from perception.camera import CameraParams
+from perception.egomotion import Ego, Samples, ego_of, newest
 from perception.judge import THRESHOLD, Verdict
 from world.errors import LuxloopError
 
@@ -40,14 +41,15 @@ LOST = Frame(-1, math.nan, math.nan, None)
 class SimulationState:
     """step: the step that comes next. controller, plant: their states. arrivals: what has come in by its beginning.
 
-    under_way: what was shown whose frames have not come yet. frames: that have come without the other one of their pair.
-    shape: `[4]` of the road on which the symbol was seen last, None for the flat one.
+    samples: the newest of each sensor. under_way: what was shown whose frames have not come yet. frames: that have come without the other
+    one of their pair. shape: `[4]` of the road on which the symbol was seen last, None for the flat one.
     """
 
     step: int
     controller: Any
     plant: Any
     arrivals: Arrivals
+    samples: Samples
     under_way: UnderWay = ()
     frames: tuple[Frame, ...] = ()
     shape: Tensor | None = None
@@ -141,24 +143,29 @@ class Simulation:
         angles = torch.deg2rad(torch.tensor([s.roll_deg, s.pitch_deg]))
         pose = torch.cat([torch.tensor([s.x_m, s.y_m]), angles]).to(self.projector.target)
         plant, arrivals = self.plant.start()
-        return SimulationState(0, self.controller.start(pose), plant, arrivals)
+        return SimulationState(0, self.controller.start(pose), plant, arrivals, newest({}, arrivals.samples))
+
+    def ego(self, state: SimulationState) -> Ego | None:
+        """What is known of the vehicle's motion when the next step begins, None of one that stands."""
+        return self._ego(state.samples, state.arrivals.time_s)
 
     def step(self, state: SimulationState) -> tuple[SimulationState, StepResult]:
         """One control step: the symbol is on for half of it and off for the other."""
         timings = dict.fromkeys(("light", "plant", "perceive", "control"), 0.0)
-        time_s, ego = state.arrivals.time_s, state.arrivals.ego
+        time_s, ego = state.arrivals.time_s, self.ego(state)
         with _timed(timings, "light"):
             drawing = self.controller.drawing(state.controller, ego)
             lights = self.projector.draw(drawing)
-        plant, arrivals, frames = state.plant, state.arrivals, state.frames
+        plant, arrivals, samples, frames = state.plant, state.arrivals, state.samples, state.frames
         showings: tuple[Showing, ...] = ()
         for part, (light, drawn) in enumerate(((lights, drawing), (self.projector.resting, None))):
             with _timed(timings, "plant"):
                 exposure = Exposure(2 * state.step + part, arrivals.time_s, 0.5 / self.scenario.rate_hz, light, drawn)
                 plant, after = self.plant.show(plant, exposure)
                 showings, arrivals, frames = (*showings, Showing(arrivals, exposure, after)), after, frames + after.frames
+                samples = newest(samples, after.samples)
         looks, under_way, frames = matched((*state.under_way, (2 * state.step, Shown(drawing, lights, ego))), frames)
-        controller, shape, now = state.controller, state.shape, arrivals.ego
+        controller, shape, now = state.controller, state.shape, self._ego(samples, arrivals.time_s)
         looks = looks or [(under_way[0][1], None, math.nan)]
         for shown, pair, _ in looks:
             with _timed(timings, "perceive"):
@@ -173,9 +180,12 @@ class Simulation:
         aim = drawing.pose.new_full((2,), torch.nan) if drawing.aim is None else drawing.aim.to(drawing.pose)
         outside = cut(self.projector, drawing)
         return (
-            SimulationState(state.step + 1, controller, plant, arrivals, under_way, frames, shape),
+            SimulationState(state.step + 1, controller, plant, arrivals, samples, under_way, frames, shape),
             StepResult(state.step, time_s, drawing.pose, z, lights, pair, looks[-1][2], seen, verdict, outside, aim, showings, timings),
         )
+
+    def _ego(self, samples: Samples, time_s: float) -> Ego | None:
+        return ego_of(samples, self.scenario.vehicle, time_s, 1 / self.scenario.rate_hz)
 
     def _judged(self, step: int, lights: Lights, time_s: float) -> Verdict | None:
         every = self.scenario.judge_every

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import torch
 
-from luxloop import Arrivals, Exposure, Frame, LuxloopError, Utilisation, check_plant, simulated_plant
+from luxloop import Arrivals, Exposure, Frame, LuxloopError, Sample, Utilisation, check_plant, simulated_plant
 
 
 class Kept:
@@ -46,11 +46,11 @@ class Dropping(Kept):
     """Of some frames it never says a word."""
 
     def said(self, arrivals: Arrivals, frames: Any) -> Arrivals:
-        return replace(arrivals, frames=tuple(frame for frame in frames if frame.number % 3), ego=None)
+        return replace(arrivals, frames=tuple(frame for frame in frames if frame.number % 3), samples=())
 
 
 class Slow(Kept):
-    """Its time goes on as it likes, and it tells of no ego motion."""
+    """Its time goes on as it likes, and its sensors tell nothing."""
 
     def __init__(self, scenario: Any, projector: Any) -> None:
         self.dark = projector.symbol.new_zeros(scenario.camera.height_px, scenario.camera.width_px)
@@ -63,7 +63,17 @@ class Slow(Kept):
         return end_s, Arrivals(end_s, (Frame(exposure.number, state + 0.004, end_s, self.dark),))
 
 
-@pytest.mark.parametrize("kept", [Kept, Losing, Dropping, Slow])
+class Sampling(Kept):
+    """Its gyro is 4 ms late."""
+
+    def samples(self, time_s: float, values: torch.Tensor) -> Any:
+        return (Sample("wheels", time_s, time_s, values[:2]), Sample("gyro", time_s - 0.004, time_s, values))
+
+    def said(self, arrivals: Arrivals, frames: Any) -> Any:
+        return replace(arrivals, frames=frames, samples=self.samples(arrivals.time_s, frames[0].image[0, :3] if frames else torch.zeros(3)))
+
+
+@pytest.mark.parametrize("kept", [Kept, Losing, Dropping, Slow, Sampling])
 def test_what_keeps_the_contract_passes(kept: Any, device: torch.device) -> None:
     check_plant(kept, device=device.type)
 
@@ -245,9 +255,24 @@ class Silent(Kept):
         return replace(arrivals, frames=())
 
 
-class EgoOfItsOwn(Kept):
-    def said(self, arrivals: Arrivals, frames: Any) -> Any:
-        return Arrivals(arrivals.time_s, frames, ego=(20.0, 0.1))  # type: ignore[arg-type]
+class Pairs(Sampling):
+    def samples(self, time_s: float, values: torch.Tensor) -> Any:
+        return ((time_s, values),)
+
+
+class Radar(Sampling):
+    def samples(self, time_s: float, values: torch.Tensor) -> Any:
+        return (Sample("wheel", time_s, time_s, values),)  # type: ignore[arg-type]
+
+
+class TwoRates(Sampling):
+    def samples(self, time_s: float, values: torch.Tensor) -> Any:
+        return (Sample("gyro", time_s, time_s, values[:2]),)
+
+
+class InMilliseconds(Sampling):
+    def samples(self, time_s: float, values: torch.Tensor) -> Any:
+        return (Sample("gyro", 1e3 * time_s, 1e3 * time_s, values),)
 
 
 class Omniscient(Kept):
@@ -283,7 +308,10 @@ BROKEN: dict[Any, list[str]] = {
     SixteenBits: ["digital numbers of camera.bits = 12 are 0 to 4095"],
     LostAsNothing: ["has an image that is not finite; a frame that is lost has the image None"],
     Silent: ["of 24 exposures no frame has come, nor word that it is lost"],
-    EgoOfItsOwn: ["gives an ego of the type tuple", "or leave it out"],
+    Pairs: ["gives samples that are no tuple of luxloop.Sample", "or leave them out"],
+    Radar: ["gives a sample of 'wheel'", "did you mean 'wheels'"],
+    TwoRates: ["sample of gyro: values is float32 [2]", "must be a tensor float32 [3]"],
+    InMilliseconds: ["sample of gyro: was measured at", "give the plant's time in s"],
     Omniscient: ["truth is of the type str", "simulated_plant"],
 }
 

@@ -6,12 +6,16 @@ import pytest
 import torch
 from torch import Tensor
 
-from perception.egomotion import EXACT, Ego, SensorParams, measured
+from perception.egomotion import Ego, Sample, ego_of, newest
+from perception.sensors import SensorParams, Sensors
 from world.frames import inverse
-from world.roads.shapes import Iso8608
+from world.roads.shapes import Flat, Iso8608
 from world.scene.vehicle import STANDING, CourseParams, Motion, OscillationParams, VehicleParams, drive
 
 PERIOD_S = 1 / 30
+CAR = VehicleParams(course=(CourseParams(speed_m_s=0.0),))
+LIKE = torch.zeros(1)
+ALL_S = 1.5  # by which a test's samples have arrived
 
 
 def motion_of(speed: float, curvature: float = 0.0, pitch_deg: float = 0.0, duration_s: float = 5.0) -> Motion:
@@ -20,22 +24,31 @@ def motion_of(speed: float, curvature: float = 0.0, pitch_deg: float = 0.0, dura
     return drive(VehicleParams(course=course, oscillation=oscillation), Iso8608(roughness_class="B"), duration_s)
 
 
+def known(motion: Motion, sensors: SensorParams, time_s: float, seed: int, like: Tensor) -> Ego:
+    """By samples that came one after the other in a second and a half."""
+    source = Sensors(motion, sensors, PERIOD_S, seed)
+    samples = newest(newest({}, source.newest(max(time_s - ALL_S, 0.0), like)), source.arriving(max(time_s - ALL_S, 0.0), time_s, like))
+    ego = ego_of(samples, CAR, time_s, PERIOD_S)
+    assert ego is not None
+    return ego
+
+
 @pytest.fixture
 def like(device: torch.device) -> Tensor:
     return torch.zeros(1, device=device)
 
 
-def look(motion: Motion, step: int, like: Tensor, seed: int = 0, **errors) -> Ego:
-    return measured(motion, SensorParams(**errors), step, PERIOD_S, seed, like)
+def look(motion: Motion, step: int, like: Tensor, seed: int = 0, **sensors) -> Ego:
+    return known(motion, SensorParams(**sensors), step * PERIOD_S, seed, like)
 
 
 def test_exact_sensors_tell_the_truth(like):
     motion = motion_of(20, 0.01)
     for step in (0, 1, 40):
-        ego, now = measured(motion, EXACT, step, PERIOD_S, 0, like), motion.at(step * PERIOD_S)
+        ego, now = look(motion, step, like), motion.at(step * PERIOD_S)
         # float32 of a few centimetres and milliradians
         assert torch.allclose(ego.T_ground_body.cpu().double(), now.T_ground_body, atol=1e-7)
-        assert ego.T_ground_body.device == like.device and ego.age_s == 0
+        assert ego.T_ground_body.device == like.device and ego.told_s == (ego.time_s,)
         assert (float(ego.speed_m_s), float(ego.yaw_rate_rad_s)) == pytest.approx((20, 0.2))
 
 
@@ -54,14 +67,9 @@ def test_who_stands_measures_that(like):
 
 def test_errors_have_the_sizes_that_were_asked_for():
     errors = {
-        "speed_scale": 1.01,
-        "speed_noise_m_s": 0.05,
-        "yaw_rate_bias_deg_s": 0.3,
-        "yaw_rate_noise_deg_s": 0.1,
-        "heave_noise_m": 0.002,
-        "pitch_bias_deg": 0.1,
-        "angle_noise_deg": 0.02,
-        "rate_noise_deg_s": 0.5,
+        "wheels": {"scale": 1.01, "noise_m_s": 0.05},
+        "gyro": {"yaw_bias_deg_s": 0.3, "yaw_noise_deg_s": 0.1, "noise_deg_s": 0.5},
+        "attitude": {"heave_noise_m": 0.002, "pitch_bias_deg": 0.1, "noise_deg": 0.02},
     }
     like, n = torch.zeros(1), 500
     motion = motion_of(10, duration_s=n * PERIOD_S)
@@ -86,16 +94,67 @@ def test_errors_have_the_sizes_that_were_asked_for():
 
 
 def test_a_delay_shows_what_was_measured_before(like):
-    motion, noisy = motion_of(15), {"angle_noise_deg": 0.1, "speed_noise_m_s": 0.1}
-    late, then = look(motion, 30, like, delay_steps=2, **noisy), look(motion, 28, like, **noisy)
+    motion, noise = motion_of(15), {"wheels": {"noise_m_s": 0.1}, "attitude": {"noise_deg": 0.1}, "gyro": {}}
+    late = look(motion, 30, like, **{name: {**each, "delay_s": 2 * PERIOD_S} for name, each in noise.items()})
+    then = look(motion, 28, like, **noise)
     assert torch.equal(late.attitude, then.attitude) and torch.equal(late.speed_m_s, then.speed_m_s)
-    assert late.age_s == pytest.approx(2 * PERIOD_S) and late.time_s == then.time_s
-    assert look(motion, 1, like, delay_steps=2).time_s == 0  # before the first there is nothing
+    assert late.told_s == then.told_s and late.time_s == pytest.approx(then.time_s + 2 * PERIOD_S)
+    assert look(motion, 1, like, attitude={"delay_s": 0.06}).attitude_s == 0  # the sample of time 0 is there at once
+
+
+def test_each_sensor_has_a_delay_of_its_own(like):
+    motion = motion_of(15, pitch_deg=0.5)
+    ego, then = look(motion, 60, like, gyro={"delay_s": 0.1}), look(motion, 57, like)
+    assert torch.equal(ego.rates[1:], then.rates[1:]) and ego.rates_s == pytest.approx(1.9)
+    assert torch.equal(ego.attitude, look(motion, 60, like).attitude) and ego.attitude_s == pytest.approx(2.0)
+    assert ego.told_s == (ego.rates_s, ego.attitude_s)
+
+
+def test_a_slow_sensor_holds_its_last_sample(like):
+    motion = motion_of(15, pitch_deg=0.5)
+    egos = [look(motion, step, like, attitude={"rate_hz": 10, "delay_s": 0.02}) for step in range(30, 37)]
+    assert [ego.attitude_s for ego in egos] == pytest.approx([0.9, 1.0, 1.0, 1.0, 1.1, 1.1, 1.1])
+    assert torch.equal(egos[1].attitude, egos[3].attitude) and not torch.equal(egos[3].attitude, egos[4].attitude)
+    assert len({float(ego.rates[2]) for ego in egos}) == len(egos), "the gyro goes on"
+
+
+def test_a_quick_sensor_sends_every_sample_once():
+    sensors = Sensors(motion_of(15), SensorParams(fitted=("gyro",), gyro={"rate_hz": 100, "delay_s": 0.004}), PERIOD_S, 0)
+    spans = [(k / 60, (k + 1) / 60) for k in range(30)]
+    came = [(sample, until) for since, until in spans for sample in sensors.arriving(since, until, LIKE)]
+    assert [sample.measured_s for sample, _ in came] == pytest.approx([k / 100 for k in range(1, 50)])
+    assert all(until - 1 / 60 < sample.arrived_s <= until + 1e-9 for sample, until in came)
+
+
+def test_springs_tell_the_attitude_without_a_unit(like):
+    course = (CourseParams(speed_m_s=20.0), CourseParams(time_s=2.0, speed_m_s=10.0, curvature_1_m=0.01))
+    motion, fitted = drive(VehicleParams(course=course), Flat(), 3.0), ("wheels", "gyro", "suspension")
+    ego, unit = look(motion, 45, like, fitted=fitted), look(motion, 45, like)
+    assert torch.allclose(ego.attitude, unit.attitude, atol=1e-7) and float(unit.attitude[1:].abs().min()) > 1e-3
+    assert ego.rates[0].isnan() and torch.equal(ego.rates[1:], unit.rates[1:])
+
+
+def test_an_accelerometer_tells_the_speed_that_wheels_tell_late(like):
+    course = (CourseParams(speed_m_s=20.0), CourseParams(time_s=2.0, speed_m_s=10.0))
+    motion = drive(VehicleParams(course=course), Flat(), 3.0)
+    wheels, fitted = {"delay_s": 0.1}, ("wheels", "accelerometer")
+    now = look(motion, 45, like).speed_m_s
+    assert float(look(motion, 45, like, wheels=wheels, fitted=fitted).speed_m_s - now) == pytest.approx(0, abs=1e-5)
+    assert float(look(motion, 45, like, wheels=wheels).speed_m_s - now) == pytest.approx(0.5, abs=1e-5)
+
+
+def test_the_newest_sample_is_that_which_was_measured_last():
+    early, late = (Sample("gyro", at_s, 1.0, torch.zeros(3)) for at_s in (0.5, 0.8))
+    assert newest(newest({}, [late]), [early]) == {"gyro": late} == newest({}, [early, late])
+    assert ego_of({"gyro": late}, CAR, 1.0, PERIOD_S) is None, "nobody knows whether it moves"
+    alone = ego_of({"wheels": Sample("wheels", 0.9, 1.0, torch.tensor([9.0, 11.0]))}, None, 1.0, PERIOD_S)
+    assert alone is not None and float(alone.speed_m_s) == 10 and alone.told_s == (0.9,)
+    assert float(alone.yaw_rate_rad_s) == 0 and bool(alone.attitude.isnan().all() and alone.rates.isnan().all())
 
 
 def test_noise_depends_on_step_and_seed_alone(like):
     motion = motion_of(15)
-    a, b, other = (look(motion, 5, like, seed, angle_noise_deg=0.1).attitude for seed in (1, 1, 2))
+    a, b, other = (look(motion, 5, like, seed, attitude={"noise_deg": 0.1}).attitude for seed in (1, 1, 2))
     assert torch.equal(a, b) and not torch.equal(a, other)
 
 
@@ -103,7 +162,10 @@ def test_prediction_to_the_exposure_is_good_to_the_second_order(like):
     motion = motion_of(0, pitch_deg=0.2)
     bound = 0.5 * math.radians(0.2) * (2 * math.pi * 1.2) ** 2 * PERIOD_S**2
     for step in range(10, 40):
-        late, now = look(motion, step, like, delay_steps=1), motion.at(step * PERIOD_S).pitch_rad
-        predicted = late.after(late.age_s)
-        assert predicted.age_s == 0 and predicted.time_s == pytest.approx(step * PERIOD_S)
+        late, now = (
+            look(motion, step, like, attitude={"delay_s": PERIOD_S}, gyro={"delay_s": PERIOD_S}),
+            motion.at(step * PERIOD_S).pitch_rad,
+        )
+        predicted = late.at(late.time_s)
+        assert late.attitude_s == pytest.approx((step - 1) * PERIOD_S) and predicted.attitude_s == late.time_s
         assert float(predicted.attitude[2]) == pytest.approx(now, abs=1.01 * bound)

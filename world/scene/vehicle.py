@@ -23,9 +23,10 @@ from world.roads.base import Floats, Road
 COLUMNS: Final = (
     *("x_m", "y_m", "yaw_rad", "speed_m_s", "yaw_rate_rad_s", "acceleration_m_s2", "lateral_m_s2"),
     *("heave_m", "roll_rad", "pitch_rad", "heave_rate_m_s", "roll_rate_rad_s", "pitch_rate_rad_s"),
+    *("travel_fl_m", "travel_fr_m", "travel_rl_m", "travel_rr_m"),
 )
 
-BYTES_A_MOMENT: Final = 500  # of the integrated motion: all columns, and as many while they are made
+BYTES_A_MOMENT: Final = 650  # of the integrated motion: all columns, and as many while they are made
 
 
 class CourseParams(Params):
@@ -67,6 +68,16 @@ class VehicleParams(Params):
     oscillation: OscillationParams = Field(OscillationParams(), description="pitch from elsewhere")
     simulation_hz: float = Field(500.0, ge=50, le=10_000, description="rate at which the motion is integrated")
 
+    @property
+    def pivot_x_m(self) -> float:
+        """Where on the ground the body heaves, pitches and rolls: between the wheels."""
+        return -(self.overhang_m + self.wheelbase_m / 2)
+
+    @property
+    def rear_x_m(self) -> float:
+        """The rear axle, which goes where the vehicle heads."""
+        return -(self.overhang_m + self.wheelbase_m)
+
     @model_validator(mode="after")
     def _in_order(self) -> Self:
         times = [each.time_s for each in self.course]
@@ -79,7 +90,8 @@ class VehicleParams(Params):
 class VehicleState:
     """The vehicle at one time; poses `[4, 4]` float64, pitch nose down and yaw to the left positive (ISO 8855).
 
-    heave_m: of the body's point between the wheels. acceleration_m_s2: along, lateral_m_s2: to the left.
+    heave_m: of the body's point between the wheels. acceleration_m_s2: along, lateral_m_s2: to the left. travel_fl_m to travel_rr_m: how
+    much farther the body is above a wheel than at rest.
     """
 
     T_world_ground: Tensor
@@ -94,6 +106,10 @@ class VehicleState:
     heave_rate_m_s: float
     roll_rate_rad_s: float
     pitch_rate_rad_s: float
+    travel_fl_m: float
+    travel_fr_m: float
+    travel_rl_m: float
+    travel_rr_m: float
 
     @property
     def T_world_body(self) -> Tensor:
@@ -104,7 +120,7 @@ class VehicleState:
 class Motion:
     """A drive, integrated.
 
-    times_s: `[N]`, ascending. states: `[N, 13]`, the COLUMNS. pivot_x_m: where on the ground heave, pitch and roll act, between the wheels.
+    times_s: `[N]`, ascending. states: `[N, 17]`, the COLUMNS. pivot_x_m: where on the ground heave, pitch and roll act, between the wheels.
     rear_x_m: the rear axle, which goes where the vehicle heads.
     """
 
@@ -150,7 +166,7 @@ def drive(params: VehicleParams, road: Road, duration_s: float) -> Motion:
     knots = np.array([[each.time_s, each.speed_m_s, each.curvature_1_m] for each in params.course])
     speed, curvature = (np.interp(t, knots[:, 0], column) for column in knots.T[1:])
     yaw_rate, acceleration = speed * curvature, np.gradient(speed, dt)
-    rear_m = params.overhang_m + params.wheelbase_m
+    rear_m = -params.rear_x_m
     yaw = _integral(yaw_rate, dt)
     turned = np.diff(yaw)
     way = 0.5 * (speed[1:] + speed[:-1]) * dt * np.sinc(turned / (2 * np.pi))
@@ -159,7 +175,7 @@ def drive(params: VehicleParams, road: Road, duration_s: float) -> Motion:
     y = np.concatenate([[0.0], np.cumsum(way * np.sin(middle))]) + rear_m * np.sin(yaw)
 
     spring = params.suspension
-    fl, fr, rl, rr = _wheel_heights(params, road, x, y, yaw)
+    fl, fr, rl, rr = wheels = _wheel_heights(params, road, x, y, yaw)
     lateral = speed * yaw_rate
     heave = _followed((fl + fr + rl + rr) / 4, spring.heave_hz, spring.damping, dt)
     road_pitch = (rl + rr - fl - fr) / (2 * params.wheelbase_m)
@@ -172,13 +188,15 @@ def drive(params: VehicleParams, road: Road, duration_s: float) -> Motion:
     )
     pitch = pitch + math.radians(params.oscillation.pitch_deg) * np.sin(2 * np.pi * params.oscillation.rate_hz * t)
     rates = (np.gradient(mode, dt) for mode in (heave, roll, pitch))
-    columns = (x, y, yaw, speed, yaw_rate, acceleration, lateral, heave, roll, pitch, *rates)
-    return Motion(t, np.stack(columns, axis=1), -(params.overhang_m + params.wheelbase_m / 2), -rear_m)
+    levers = [(end * params.wheelbase_m / 2, side * params.track_m / 2) for end in (1, -1) for side in (1, -1)]
+    travel = (heave + left * roll - front * pitch - wheel for (front, left), wheel in zip(levers, wheels, strict=True))
+    columns = (x, y, yaw, speed, yaw_rate, acceleration, lateral, heave, roll, pitch, *rates, *travel)
+    return Motion(t, np.stack(columns, axis=1), params.pivot_x_m, params.rear_x_m)
 
 
 def _wheel_heights(params: VehicleParams, road: Road, x: Floats, y: Floats, yaw: Floats) -> tuple[Floats, ...]:
     """Heights `[N]` in m of the road under the wheels: front left, front right, rear left, rear right."""
-    axles = (-params.overhang_m, -params.overhang_m - params.wheelbase_m)
+    axles = (-params.overhang_m, params.rear_x_m)
     corners = [(axle, side * params.track_m / 2) for axle in axles for side in (1, -1)]
     cos, sin = np.cos(yaw), np.sin(yaw)
     return tuple(road.z(x + cos * along - sin * across, y + sin * along + cos * across) for along, across in corners)

@@ -65,17 +65,18 @@ class BodyFilter:
 
     @classmethod
     def first(cls, params: BodyParams, ego: Ego, reach_m: float, symbol_x_m: float) -> "BodyFilter":
-        """After the first measurement, with a strip up to reach_m ahead."""
+        """After the first measurements, with a strip up to reach_m ahead."""
         front, rear = 2 * ego.pivot_x_m - ego.rear_x_m, ego.rear_x_m
         start = math.floor((rear - BEHIND_M) / CELL_M) * CELL_M
         count = math.ceil((reach_m - start) / CELL_M)
         covariance = torch.diag(torch.tensor(FIRST, dtype=torch.float64).square().repeat_interleave(3))
         covariance = torch.block_diag(covariance, covariance[:1, :1], *(share * (UNEVEN_M**2 + _walk(count)) for share in (0.5, 2.0)))
         mean = torch.zeros(BODY + 2 * count, dtype=torch.float64)
-        body = cls(params, ego.time_s, 0.0, float(ego.speed_m_s), start, start, (front, rear), mean, covariance, symbol_x_m - ego.pivot_x_m)
+        distance_m = symbol_x_m - ego.pivot_x_m
+        body = cls(params, ego.told_s[0], 0.0, float(ego.speed_m_s), start, start, (front, rear), mean, covariance, distance_m)
         rest = torch.eye(len(mean), dtype=torch.float64)
         rest[:3, BODY:] = body._bases(torch.zeros(1, dtype=torch.float64))[0]  # the body rests on the road
-        return replace(body, covariance=rest @ covariance @ rest.T)._measured(ego)
+        return replace(body, covariance=rest @ covariance @ rest.T)._measured(ego).updated(ego)
 
     @property
     def pivot_x_m(self) -> float:
@@ -93,12 +94,14 @@ class BodyFilter:
         return float(self.mean[LEVEL])
 
     def updated(self, ego: Ego) -> "BodyFilter":
-        """After another measurement; one that was there before changes nothing."""
-        if ego.time_s <= self.time_s:
-            return self
-        past = tuple(look for look in self.looks if look[0] <= ego.time_s)
-        body = replace(self, speed_m_s=float(ego.speed_m_s), looks=past).caught_up().at(ego.time_s)._measured(ego)
-        return replace(body, looks=self.looks[len(past) :])
+        """After other measurements; one that is older than what is known changes nothing."""
+        body = self
+        for time_s in ego.told_s:
+            if time_s > body.time_s:
+                past = tuple(look for look in body.looks if look[0] <= time_s)
+                known = replace(body, speed_m_s=float(ego.speed_m_s), looks=past).caught_up().at(time_s)._measured(ego)
+                body = replace(known, looks=body.looks[len(past) :])
+        return body
 
     def looked(self, time_s: float, pitched_rad: float | None) -> "BodyFilter":
         """With another look, after which the body had pitched by so much since the one before."""
@@ -137,9 +140,12 @@ class BodyFilter:
         return body_pose(_shaken(0, BODY) @ body, self.pivot_x_m)
 
     def _measured(self, ego: Ego) -> "BodyFilter":
+        """After what was measured at its time."""
         rows = torch.cat([_shaken(0, len(self.mean)), _shaken(1, len(self.mean))])
         values = torch.cat([exact(ego.attitude), exact(ego.rates)])
-        return self._learnt(rows, values, torch.tensor(NOISE, dtype=torch.float64).square().flatten())
+        times_s = values.new_tensor([ego.attitude_s] * 4 + [ego.rates_s] * 2)
+        told = (times_s == self.time_s) & values.isfinite()
+        return self._learnt(rows[told], values[told], torch.tensor(NOISE, dtype=torch.float64).square().flatten()[told])
 
     def _learnt(self, rows: Tensor, values: Tensor, variance: Tensor) -> "BodyFilter":
         """Kalman's update: values z `[k]` of variance r `[k]` were found of rows H `[k, n]` times the state."""

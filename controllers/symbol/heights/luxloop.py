@@ -124,7 +124,7 @@ class Luxloop:
         """
         body, then = state.body, look.shown.ego
         for ego in (then, look.ego):  # a measurement that is newer than the look tells more once the look is taken in
-            if ego is not None and then is not None and ego.time_s < then.exposed_s + ROUNDING_S:
+            if ego is not None and then is not None and ego.told_s[-1] < then.time_s + ROUNDING_S:
                 body = self._filtered(body, ego)
         now = None if body is None else body.caught_up()
         stances = Stances.of(look, now, state.time_s)

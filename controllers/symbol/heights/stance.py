@@ -29,8 +29,8 @@ class Following:
         """As far as is known now. since_s: time of the last look."""
         if ego is None:
             return cls()
-        T_ground_body = body.T_ground_body(ego.exposed_s)
-        return cls() if ego.stands and _even(T_ground_body) else cls(exact(ego.way(ego.exposed_s - since_s)), T_ground_body)
+        T_ground_body = body.T_ground_body(ego.time_s)
+        return cls() if ego.stands and _even(T_ground_body) else cls(exact(ego.way(ego.time_s - since_s)), T_ground_body)
 
     @property
     def still(self) -> bool:
@@ -60,7 +60,7 @@ class Stances:
         then = look.shown.ego
         if look.ego is None or then is None or body is None:
             return cls()
-        seen_s, half_s = then.exposed_s, then.period_s / 2
+        seen_s, half_s = then.time_s, then.period_s / 2
         on = body.T_ground_body(seen_s)
         if then.stands and _even(on) and Following.of(look.ego, body, seen_s).still:
             return cls(seen_s)

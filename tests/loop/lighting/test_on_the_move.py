@@ -47,7 +47,7 @@ def test_masks_stay_on_an_oncoming_car_while_the_own_one_nods() -> None:
 
 
 def test_masks_lie_beside_it_for_sensors_that_are_a_degree_off() -> None:
-    assert max(each.objects["van"].lx_max for each in guarded(sensors={"pitch_bias_deg": 1.0})) > 1
+    assert max(each.objects["van"].lx_max for each in guarded(sensors={"attitude": {"pitch_bias_deg": 1.0}})) > 1
 
 
 def test_a_symbol_stays_in_its_place_ahead_of_the_car() -> None:
@@ -67,7 +67,9 @@ def test_a_symbol_stays_in_its_place_ahead_of_the_car() -> None:
 def test_what_is_found_in_the_image_is_placed_as_the_body_was_measured() -> None:
     functions = {"guard": {"kind": "glare_free"}}
     cases = {
-        bias: simulation(functions=functions, objects=[ONCOMING], detector={"kind": "truth"}, sensors={"pitch_bias_deg": bias})
+        bias: simulation(
+            functions=functions, objects=[ONCOMING], detector={"kind": "truth"}, sensors={"attitude": {"pitch_bias_deg": bias}}
+        )
         for bias in (0.0, 0.3)
     }
     gaps = {}
@@ -82,7 +84,7 @@ def test_what_is_found_in_the_image_is_placed_as_the_body_was_measured() -> None
 
 def test_functions_learn_speed_and_course_from_the_sensors() -> None:
     course = [{"speed_m_s": 10.0, "curvature_1_m": 0.02}, {"time_s": 1.0, "speed_m_s": 20.0, "curvature_1_m": 0.02}]
-    moving = simulation(vehicle={"course": course}, sensors={"speed_scale": 1.1})
+    moving = simulation(vehicle={"course": course}, sensors={"wheels": {"scale": 1.1}})
     speeds = [each.now.speed_m_s for each in moving.run()]
     assert speeds == pytest.approx([11.0, 12.1, 14.3, 16.5], rel=1e-3)  # means of the period before, which at first has no acceleration
     # the yaw rate knows nothing of a worn tyre

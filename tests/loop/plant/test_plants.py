@@ -22,7 +22,8 @@ from world.errors import LuxloopError
 
 OWN = """
 from dataclasses import replace
-from luxloop import Arrivals, Frame, simulated_plant
+import torch
+from luxloop import Arrivals, Frame, Sample, simulated_plant
 
 class Blind:
     def __init__(self, scenario, projector, lost=()):
@@ -33,6 +34,19 @@ class Blind:
         state, came = self.inner.show(state, exposure)
         frames = tuple(replace(frame, image=None) if frame.number in self.lost else frame for frame in came.frames)
         return state, replace(came, frames=frames)
+
+class Rig:
+    def __init__(self, scenario, projector):
+        self.inner = simulated_plant(scenario, projector)
+    def start(self):
+        state, came = self.inner.start()
+        return state, replace(came, samples=self.told(0.0))
+    def show(self, state, exposure):
+        state, came = self.inner.show(state, exposure)
+        return state, replace(came, samples=self.told(came.time_s) if exposure.number < 3 else ())
+    def told(self, time_s):
+        wheels, gyro = torch.tensor([4.9, 5.1]), torch.tensor([0.0, 0.01, 0.1 * (time_s - 0.02)])
+        return Sample("wheels", time_s, time_s, wheels), Sample("gyro", time_s - 0.02, time_s, gyro)
 
 class Half:
     def __init__(self, scenario, projector):
@@ -114,6 +128,20 @@ def test_a_plant_without_truth_runs_to_the_end(lux: Lux, tmp_path: Path) -> None
 def test_a_step_of_which_one_frame_is_lost_is_not_seen() -> None:
     results = list(prepared(plant={"kind": "own:Blind", "options": {"lost": [3, 4]}}, steps=4).run())
     assert [int(each.seen.code) for each in results] == [Loss.SEEN, Loss.NO_FRAME, Loss.NO_FRAME, Loss.SEEN]
+
+
+@pytest.mark.usefixtures("own")
+def test_samples_of_a_plant_of_ones_own_become_the_ego_motion() -> None:
+    changes = {"controller": {"name": "luxloop"}, "vehicle": {"course": [{"speed_m_s": 0.0}]}}
+    simulation = prepared(plant={"kind": "own:Rig"}, **changes)
+    state = simulation.start()
+    for measured_s in (-0.02, 1 / 30 - 0.02, 0.05 - 0.02, 0.05 - 0.02):  # the last sample holds
+        ego = simulation.ego(state)
+        assert ego is not None and ego.time_s == pytest.approx(state.step / 30)
+        assert (float(ego.speed_m_s), ego.rates_s, ego.speed_s) == pytest.approx((5.0, measured_s, measured_s + 0.02))
+        assert float(ego.yaw_rate_rad_s) == pytest.approx(0.1 * measured_s) and bool(ego.attitude.isnan().all())
+        state, result = simulation.step(state)
+        assert bool(result.pose.isfinite().all()), "what no sensor tells is left open"
 
 
 @pytest.mark.usefixtures("own")

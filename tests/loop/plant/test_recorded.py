@@ -30,7 +30,7 @@ DRIVES = {
     "controller": {"name": "luxloop"},
     "vehicle": {"course": [{"speed_m_s": 10.0}]},
     "road": {"kind": "bumps"},
-    "sensors": {"angle_noise_deg": 0.01, "delay_steps": 1},
+    "sensors": {"attitude": {"noise_deg": 0.01, "delay_s": 0.03}, "gyro": {"rate_hz": 100}},
 }
 ASKED = ("x_m", "y_m", "z_m", "roll_deg", "pitch_deg")
 OTHER = "holds the light of other modules than those that draw here; run it with the scenario recorded"
@@ -177,13 +177,13 @@ def table_of(change: Callable[[pa.Table], pa.Table]) -> Callable[[Path], None]:
     return lambda folder: pq.write_table(change(pq.read_table(folder / TABLE)), folder / TABLE)
 
 
-def without(name: str, number: int) -> Callable[[pa.Table], pa.Table]:
-    """A value is missing in an exposure."""
+def without(name: str, number: int, value: str | None = None) -> Callable[[pa.Table], pa.Table]:
+    """A value is missing in an exposure, or is a wrong one."""
 
     def change(table: pa.Table) -> pa.Table:
         column = table.column_names.index(name)
         values = table[name].to_pylist()
-        values[number] = None
+        values[number] = value
         return table.set_column(column, table.schema.field(name), pa.array(values, table.schema.field(name).type))
 
     return change
@@ -206,7 +206,9 @@ DAMAGE: dict[str, tuple[Callable[[Path], Any], str]] = {
     "no column": (table_of(lambda table: table.drop(["came_with"])), "exposures.parquet: damaged, or no table of exposures .*came_with"),
     "no light": (table_of(without("light", 3)), "exposure 3 is not complete"),
     "no time": (table_of(without("taken_s", 2)), "the frame of exposure 2 has no times"),
-    "half an ego": (table_of(without("ego.speed_m_s", 1)), "time or ego of exposure 1 is not complete"),
+    "no gyro": (table_of(without("samples", 1, '[["gyro", 0, 0, [1, 2]]]')), "a sample of gyro has no such values"),
+    "no sensor": (table_of(without("samples", 1, '[["radar", 0, 0, [1]]]')), "exposures.parquet: damaged, or no table of exposures"),
+    "no samples": (table_of(without("samples", 1)), "time or samples of exposure 1 are not complete"),
 }
 
 

@@ -1,7 +1,7 @@
 """Frames that a run keeps: what its plant was shown and handed over, bit for bit, whole or gone with the recording."""
 
 import re
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +18,10 @@ from loop.plant.frames import (
     image_file,
     light_arrays,
     light_file,
-    read_ego,
     read_exposures,
     read_image,
     read_light,
+    read_samples,
     write_light,
 )
 from loop.plant.protocol import Exposure, Frame, Showing
@@ -31,7 +31,7 @@ from loop.run import run
 from loop.scenario.model import validate
 from loop.symbol.simulation import Simulation, StepResult
 from perception.camera import CameraParams
-from perception.egomotion import Ego
+from perception.egomotion import Sample
 from tests.loop.conftest import SMALL
 from world.errors import LuxloopError
 
@@ -40,17 +40,18 @@ DRIVES = {
     "controller": {"name": "luxloop"},
     "vehicle": {"course": [{"speed_m_s": 10.0}]},
     "road": {"kind": "bumps"},
-    "sensors": {"heave_noise_m": 0.01},
+    "sensors": {"attitude": {"heave_noise_m": 0.01}, "gyro": {"rate_hz": 200, "delay_s": 0.01}},
     "camera": SMALL["camera"] | {"latency_steps": 1, "drop_probability": 0.3},
     "headlight": {"beam": "low", "model": "hd84"},
     "symbol": SMALL["symbol"] | {"value": 0.5},
 }
 
 
-def same_ego(a: Ego | None, b: Ego | None) -> bool:
-    if a is None or b is None:
-        return a is b
-    return all(torch.as_tensor(getattr(a, each.name)).equal(torch.as_tensor(getattr(b, each.name))) for each in fields(Ego))
+def same(given: tuple[Sample, ...], others: tuple[Sample, ...]) -> bool:
+    def told(samples: tuple[Sample, ...]) -> list[Any]:
+        return [(each.sensor, each.measured_s, each.arrived_s, each.values.tolist()) for each in samples]
+
+    return told(given) == told(others)
 
 
 @pytest.mark.parametrize("changes", [{"steps": 4}, DRIVES], ids=["stands", "drives"])
@@ -69,13 +70,13 @@ def test_all_that_was_shown_and_came_is_kept_bit_for_bit(changes: dict[str, Any]
             showing.before.time_s,
             showing.exposure.duration_s,
         )
-        assert same_ego(read_ego(row, like), showing.before.ego)
+        assert same(read_samples(row, like), showing.before.samples)
         pixels = [light.u.numel() for light in showing.exposure.lights]
         lights, drawing = read_light(light_file(tmp_path, row["light"]), pixels, like.device)
         asked = showing.exposure.drawing
         assert all(a.u.equal(b.u) and a.band == b.band for a, b in zip(lights, showing.exposure.lights, strict=True))
         assert (drawing is None) == (asked is None) and (drawing is None or asked is None or drawing.shows(asked))
-    assert same_ego(read_ego(rows[-1], like), showings[-1].after.ego) and rows[-1]["time_s"] == showings[-1].after.time_s
+    assert same(read_samples(rows[-1], like), showings[-1].after.samples) and rows[-1]["time_s"] == showings[-1].after.time_s
     came = {frame.number: (frame, showing) for showing in showings for frame in showing.after.frames}
     assert {row["number"] for row in rows if row["came_with"] is not None} == came.keys()
     for number, (frame, showing) in came.items():
@@ -106,7 +107,7 @@ def test_lighting_functions_keep_frames_too(tmp_path: Path) -> None:
     seen: list[Any] = []
     run("gfhb", tmp_path, frames=True, video=False, report=False, on_step=seen.append, overrides=given, steps=3)
     rows = read_exposures(tmp_path / TABLE)
-    assert len(rows) == 4 and all(row["ego.speed_m_s"] == 0 for row in rows)
+    assert len(rows) == 4 and all(row["samples"] == "[]" for row in rows), "it stands"
     camera = CameraParams.model_validate(Manifest.read(tmp_path).scenario["camera"])
     for row, result in zip(rows, seen, strict=False):
         assert read_image(image_file(tmp_path, row["number"]), camera, result.frame).equal(result.frame)

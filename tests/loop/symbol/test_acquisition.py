@@ -115,7 +115,7 @@ def test_two_looks_lay_the_symbol_straight_on_a_grade(percent: float, least: flo
     assert float(last.verdict.iou) > least - 0.01
 
 
-NOISY = "sensors={angle_noise_deg=0.05, rate_noise_deg_s=0.2, speed_noise_m_s=0.02, heave_noise_m=0.002}"
+NOISY = "sensors={attitude={noise_deg=0.05, heave_noise_m=0.002}, gyro={noise_deg_s=0.2}, wheels={noise_m_s=0.02}}"
 
 
 def test_a_car_that_stands_acquires_the_road_whatever_noise_its_sensors_have() -> None:

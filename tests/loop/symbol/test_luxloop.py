@@ -225,7 +225,7 @@ def test_a_flat_road_keeps_the_open_loop() -> None:
     state = prepared.start()
     for _ in range(3):
         state, _ = prepared.step(state)
-    drawing = prepared.controller.drawing(state.controller, state.arrivals.ego)
+    drawing = prepared.controller.drawing(state.controller, prepared.ego(state))
     assert drawing.warp is None
     assert torch.equal(drawing.pose, prepared.projector.target)
 

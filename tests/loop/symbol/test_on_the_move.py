@@ -20,7 +20,8 @@ from controllers.symbol.heights.springs import PARTS, followed
 from loop.scenario.model import load
 from loop.symbol.simulation import Simulation
 from perception.birdseye import Region
-from perception.egomotion import Ego, SensorParams, measured
+from perception.egomotion import Ego, Samples, ego_of, newest
+from perception.sensors import SensorParams, Sensors
 from world.frames import inverse, pose, rotation, transform
 from world.scene.vehicle import CourseParams, SuspensionParams, VehicleParams, body_pose, drive
 
@@ -29,7 +30,8 @@ EYE, SWUNG = torch.tensor([-1.6, 0.0, 1.35]), torch.tensor([-1.58, 0.01, 1.38])
 BODY = BodyParams()
 SOFT_AND_STIFF = [0.7, 1.3]  # true natural frequencies over the usual ones: springs of half and 1.7 times the stiffness
 SMALL = ["camera.width_px=320", "camera.height_px=240", "camera.oversampling=2"]
-EXACT = [f"sensors.{key}=0" for key in ("speed_noise_m_s", "yaw_rate_noise_deg_s", "angle_noise_deg", "rate_noise_deg_s", "heave_noise_m")]
+NOISE = ("wheels.noise_m_s", "gyro.yaw_noise_deg_s", "gyro.noise_deg_s", "attitude.noise_deg", "attitude.heave_noise_m")
+EXACT = [f"sensors.{key}=0" for key in NOISE]
 
 
 class Waves:
@@ -100,7 +102,8 @@ def nodding(time_s: float, hz: float = 1.2, amplitude: float = math.radians(0.2)
     pitch, omega = math.sin(2 * math.pi * hz * time_s), 2 * math.pi * hz
     attitude = torch.tensor([0.0, 0.0, amplitude * pitch])
     rates = torch.tensor([0.0, 0.0, amplitude * omega * math.cos(omega * time_s)])
-    return Ego(time_s, 1 / 30, 1 / 30, attitude, rates, torch.tensor(10.0), torch.tensor(0.0), -2.2, -3.6)
+    told = (attitude, time_s, rates, time_s, torch.tensor(10.0), time_s, torch.tensor(0.0))
+    return Ego(time_s + 1 / 30, 1 / 30, *told, -2.2, -3.6)
 
 
 def test_a_nod_is_predicted_two_periods_ahead() -> None:
@@ -109,8 +112,8 @@ def test_a_nod_is_predicted_two_periods_ahead() -> None:
         now, then = nodding(k / 30), nodding((k + 2) / 30)
         body = body.updated(now)
         if k > 10:
-            worst = max(worst, float((body.T_ground_body(then.time_s) - then.T_ground_body.double())[2, 0].abs()))
-            linear = max(linear, float((now.after(2 / 30).T_ground_body - then.T_ground_body)[2, 0].abs()))
+            worst = max(worst, float((body.T_ground_body(then.attitude_s) - then.T_ground_body.double())[2, 0].abs()))
+            linear = max(linear, float((now.at(then.attitude_s).T_ground_body - then.T_ground_body)[2, 0].abs()))
     # the oscillator is taken to be 8 % faster: its acceleration is off by 17 %, and known from noisy sensors a period late
     assert worst < 0.2 * linear
     assert body.updated(now) is body, "the same measurement says nothing new"
@@ -165,7 +168,7 @@ class Linear(BodyFilter):
 
     def T_ground_body(self, time_s: float) -> Tensor:
         assert self.ego is not None
-        return self.ego.after(time_s - self.ego.time_s).T_ground_body.double()
+        return self.ego.at(time_s).T_ground_body.double()
 
 
 class Unfiltered(Luxloop):
@@ -181,9 +184,13 @@ def driven(
     """Errors in m of the height of the symbol's place over the body, predicted 0.1 s ahead by the filter and linearly, and the filter."""
     params = VehicleParams(course=(CourseParams(speed_m_s=speed_m_s),), suspension=SuspensionParams(**springs(suspension)))
     motion, place = drive(params, cast(Any, Long()), steps / 30 + 1), torch.tensor([17.0, 1.0, 0.0, 1.0]).double()
+    sensors, like = Sensors(motion, SensorParams(), 1 / 30, 0), torch.zeros(1, dtype=torch.float64)
+    samples: Samples = {}
     errors, linear, body = [], [], None
     for step in range(steps):
-        ego = measured(motion, SensorParams(), step, 1 / 30, 0, torch.zeros(1, dtype=torch.float64))
+        samples = newest(samples, sensors.arriving((step - 1) / 30, step / 30, like) if step else sensors.newest(0.0, like))
+        ego = ego_of(samples, params, step / 30, 1 / 30)
+        assert ego is not None
         body = BodyFilter.first(belief, ego, 16.0, 17.0) if body is None else body.updated(ego)
         way = body.unseen()
         heights = torch.from_numpy(np.stack([Long().z(way.numpy(), np.full(len(way), side * BODY.track_m / 2)) for side in (1, -1)]))
@@ -191,7 +198,7 @@ def driven(
         then = ego.time_s + 0.1
         true = motion.at(then).T_ground_body
         errors.append(float((true - body.T_ground_body(then))[2] @ place))
-        linear.append(float((true - ego.after(0.1).T_ground_body)[2] @ place))
+        linear.append(float((true - ego.at(then).T_ground_body)[2] @ place))
     assert body is not None
     return errors[10:], linear[10:], body
 

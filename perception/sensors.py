@@ -1,0 +1,153 @@
+"""Simulated sensors of a vehicle that moves: what each of them samples, with noise and bias, and when it arrives."""
+
+import math
+from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from pydantic import Field
+from torch import Tensor
+
+from perception.egomotion import Sample, Sensor
+from world.params import Params
+from world.scene.vehicle import Motion, VehicleState
+
+NOISE_KEY = 3  # beside the camera's generators of a step
+DRAWN: Final[Mapping[Sensor, list[int]]] = {  # a sensor's places in the noise that is drawn for the number of a sample
+    "wheels": [0],
+    "gyro": [6, 7, 1],
+    "attitude": [2, 3, 4, 5],
+    "accelerometer": [8, 9, 10],
+    "suspension": [11, 12, 13, 14],
+}
+ROUNDING = 1e-6  # of a sample's number, which is a quotient of times
+
+Measured = tuple[list[float], list[float]]  # values without noise, and its standard deviations
+
+
+class SamplingParams(Params):
+    """When a sensor samples, and when its samples arrive."""
+
+    rate_hz: float | None = Field(None, gt=0, le=1000, description="samples a second; left out: one a control step, at its beginning")
+    delay_s: float = Field(0.0, ge=0, le=1, description="from the time that a sample is of to its arrival")
+
+    @abstractmethod
+    def measured(self, now: VehicleState, before: VehicleState, period_s: float) -> Measured:
+        """A sample, in the units of `Sample`. before: at the sample before, period_s ago."""
+
+
+class WheelsParams(SamplingParams):
+    """Speed of the rear wheels, the mean since the sample before."""
+
+    scale: float = Field(1.0, gt=0, le=2, description="measured speed for each m/s driven: a worn tyre shows more")
+    noise_m_s: float = Field(0.0, ge=0, le=10, description="standard deviation of the measured speed")
+
+    def measured(self, now: VehicleState, before: VehicleState, period_s: float) -> Measured:
+        """Of the rear axle."""
+        return [0.5 * (now.speed_m_s + before.speed_m_s) * self.scale], [self.noise_m_s]
+
+
+class GyroParams(SamplingParams):
+    """Rates of roll and pitch, and of yaw the mean since the sample before."""
+
+    yaw_bias_deg_s: float = Field(0.0, ge=-10, le=10, description="added to the measured yaw rate")
+    yaw_noise_deg_s: float = Field(0.0, ge=0, le=10, description="standard deviation of the measured yaw rate")
+    noise_deg_s: float = Field(0.0, ge=0, le=10, description="standard deviation of measured roll and pitch rates")
+
+    def measured(self, now: VehicleState, before: VehicleState, period_s: float) -> Measured:
+        """Roll, pitch and yaw."""
+        yaw_rate = 0.5 * (now.yaw_rate_rad_s + before.yaw_rate_rad_s) + math.radians(self.yaw_bias_deg_s)
+        tilting, turning = math.radians(self.noise_deg_s), math.radians(self.yaw_noise_deg_s)
+        return [now.roll_rate_rad_s, now.pitch_rate_rad_s, yaw_rate], [tilting, tilting, turning]
+
+
+class AttitudeParams(SamplingParams):
+    """A unit that fuses inertial sensors to heave, roll and pitch of the body over the ground, and to the rate of heave."""
+
+    heave_noise_m: float = Field(0.0, ge=0, le=1, description="standard deviation of the body's measured height")
+    roll_bias_deg: float = Field(0.0, ge=-5, le=5, description="added to the measured roll")
+    pitch_bias_deg: float = Field(0.0, ge=-5, le=5, description="added to the measured pitch")
+    noise_deg: float = Field(0.0, ge=0, le=5, description="standard deviation of measured roll and pitch")
+
+    def measured(self, now: VehicleState, before: VehicleState, period_s: float) -> Measured:
+        """Heave, roll, pitch, rate of heave."""
+        roll, pitch = now.roll_rad + math.radians(self.roll_bias_deg), now.pitch_rad + math.radians(self.pitch_bias_deg)
+        angle = math.radians(self.noise_deg)
+        return [now.heave_m, roll, pitch, now.heave_rate_m_s], [self.heave_noise_m, angle, angle, 0.0]
+
+
+class AccelerometerParams(SamplingParams):
+    """Accelerations forward and to the left, and upwards the mean since the sample before, without gravity."""
+
+    noise_m_s2: float = Field(0.0, ge=0, le=10, description="standard deviation of each measured acceleration")
+
+    def measured(self, now: VehicleState, before: VehicleState, period_s: float) -> Measured:
+        """Forward, left, up."""
+        upwards = (now.heave_rate_m_s - before.heave_rate_m_s) / period_s
+        return [now.acceleration_m_s2, now.lateral_m_s2, upwards], [self.noise_m_s2] * 3
+
+
+class TravelParams(SamplingParams):
+    """How much farther the body is above each wheel than at rest."""
+
+    noise_m: float = Field(0.0, ge=0, le=0.1, description="standard deviation of each measured travel")
+
+    def measured(self, now: VehicleState, before: VehicleState, period_s: float) -> Measured:
+        """Front left, front right, rear left, rear right."""
+        return [now.travel_fl_m, now.travel_fr_m, now.travel_rl_m, now.travel_rr_m], [self.noise_m] * 4
+
+
+class SensorParams(Params):
+    """Sensors of the vehicle's motion; without noise, bias and delay they tell the truth at once."""
+
+    fitted: tuple[Sensor, ...] = Field(("wheels", "gyro", "attitude"), description="sensors that the vehicle has")
+    wheels: WheelsParams = Field(WheelsParams(), description="wheel speeds; without them the vehicle is taken to stand")
+    gyro: GyroParams = Field(GyroParams(), description="rates of roll, pitch and yaw")
+    attitude: AttitudeParams = Field(AttitudeParams(), description="fused heave, roll and pitch")
+    accelerometer: AccelerometerParams = Field(AccelerometerParams(), description="accelerations")
+    suspension: TravelParams = Field(TravelParams(), description="suspension travel, the source of heave, roll and pitch without the unit")
+
+
+EXACT: Final = SensorParams()
+
+
+@dataclass(frozen=True, eq=False)
+class Sensors:
+    """The sensors of a vehicle in motion. period_s: of control."""
+
+    motion: Motion
+    params: SensorParams
+    period_s: float
+    seed: int
+
+    def newest(self, by_s: float, like: Tensor) -> tuple[Sample, ...]:
+        """The newest of each sensor by a time, on the device and in the dtype of `like`. Those of time 0 are there at once."""
+        return tuple(self._sample(sensor, max(self._last(sensor, by_s), 0), like) for sensor in self.params.fitted)
+
+    def arriving(self, after_s: float, by_s: float, like: Tensor) -> tuple[Sample, ...]:
+        """Later samples that arrive after one time and by another; no state is carried from one to the next."""
+        found = list[Sample]()
+        for sensor in self.params.fitted:
+            past, last = (self._last(sensor, time_s) for time_s in (after_s, by_s))
+            found += [self._sample(sensor, number, like) for number in range(max(past, 0) + 1, last + 1)]
+        return tuple(sorted(found, key=lambda each: each.arrived_s))
+
+    def _last(self, sensor: Sensor, by_s: float) -> int:
+        """Number of the last sample that has arrived, below 0 if none has."""
+        params, period_s = self._of(sensor)
+        return math.floor((by_s - params.delay_s) / period_s + ROUNDING)
+
+    def _sample(self, sensor: Sensor, number: int, like: Tensor) -> Sample:
+        params, period_s = self._of(sensor)
+        at_s, before_s = number * period_s, (number - 1) * period_s
+        values, spread = params.measured(self.motion.at(at_s), self.motion.at(before_s), period_s)
+        generator = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(number, NOISE_KEY)))
+        noise = generator.standard_normal(1 + max(DRAWN[sensor]))[DRAWN[sensor]]
+        return Sample(sensor, at_s, at_s + params.delay_s if number else 0.0, like.new_tensor(np.array(values) + np.array(spread) * noise))
+
+    def _of(self, sensor: Sensor) -> tuple[SamplingParams, float]:
+        """What a sensor is, and its period in s."""
+        params: SamplingParams = getattr(self.params, sensor)
+        return params, self.period_s if params.rate_hz is None else 1 / params.rate_hz
