@@ -30,11 +30,8 @@ SCENARIO = {
     "light": {"ambient_lx": 0.02},
     "renderer": "raycast",
     "lighting": {"base": {"beam": "low"}},
-    "driving": [
-        {},
-        {"time_s": 0.1, "speed_m_s": 20.0, "curvature_1_m": 0.01},
-        {"time_s": 0.2, "speed_m_s": 10.0, "wet": True, "street_lit": True},
-    ],
+    "vehicle": {"course": [{"speed_m_s": 0.0}, {"time_s": 0.5, "speed_m_s": 1.5, "curvature_1_m": 0.01}]},
+    "conditions": [{}, {"time_s": 0.2, "wet": True, "street_lit": True}],
     "objects": [
         {"kind": "pedestrian", "name": "walker", **THERE, "track": [{"position_m": [20.0, 2.0, 0.0]}]},
         {"kind": "car", "name": "car", **THERE, "track": [{"position_m": [28.0, -2.0, 0.0], "yaw_deg": 180.0}]},
