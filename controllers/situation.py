@@ -77,11 +77,13 @@ class Seen:
 class Situation:
     """One moment.
 
-    time_s: since the beginning. T_world_vehicle: `[4, 4]`, of the vehicle frame in the world; the road is its plane z = 0. lamps: `[L, 3]`
-    m, photometric centres of all modules in the world. objects: what the tracker reports, lost ones until they have faded. speed_m_s: of
-    the car. curvature_1_m: of its course, to the left positive. wet: whether the road is. street_lit: whether street lamps light it.
-    symbols: images of the functions that draw any, by the name that they use. seen: the last frame, None where there is no camera, or
-    before its first frame. lights: what the car's modules can give, with their names.
+    All places are in the ground frame, which drives with the car; it is the world of lighting functions.
+
+    time_s: since the beginning. T_world_vehicle: `[4, 4]`, of the vehicle frame in that world; the road is its plane z = 0.
+    lamps: `[L, 3]` m, photometric centres of all modules there, by the measured attitude of the body. objects: what the tracker reports,
+    lost ones until they have faded. speed_m_s: of the car. curvature_1_m: of its course, to the left positive. wet: whether the road is.
+    street_lit: whether street lamps light it. symbols: images of the functions that draw any, by the name that they use. seen: the last
+    frame, None where there is no camera, or before its first frame. lights: what the car's modules can give, with their names.
     """
 
     time_s: float

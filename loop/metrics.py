@@ -73,7 +73,7 @@ def _simulation(scenario: Scenario, device: str) -> Simulation:
         return prepare(scenario, device)
     ready = _prepared(_Shared(scenario, device, scenario.model_dump_json(exclude={"controller", "seed"}), (*digests(scenario).items(),)))
     assert isinstance(ready.plant, SimulatedPlant)
-    plant, controller = replace(ready.plant, seed=scenario.seed), build_symbol_controller(scenario, ready.observer)
+    plant, controller = replace(ready.plant, seed=scenario.seed), build_symbol_controller(scenario.controller, ready.observer)
     return replace(ready, scenario=scenario, plant=plant, controller=controller)
 
 

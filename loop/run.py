@@ -1,7 +1,6 @@
 """Run a scenario: recorded, filmed and reported. The command line and Python programs use it alike."""
 
 import gc
-import math
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -12,8 +11,6 @@ from typing import Any, overload
 import pyarrow as pa
 import torch
 
-from controllers.symbol.sensing.projector import DrawingModule, SymbolParams
-from loop.assembly.truth import true_camera
 from loop.lighting.record import row as lighting_row
 from loop.lighting.record import schema, valued
 from loop.lighting.result import LightingResult
@@ -24,14 +21,13 @@ from loop.recording.recorder import REPORT, SCHEMA, TRAJECTORY, VIDEO, Outputs, 
 from loop.recording.report import Gathered, write_report
 from loop.recording.video import VideoWriter, frame_picture
 from loop.scenario.model import AnyScenario, LightingScenario, Scenario, load_any
+from loop.symbol.feasible import refuse_undrawable, refuse_unseen
 from loop.symbol.simulation import Simulation, StepResult
-from perception.camera import CameraParams, camera_view, saturation_luminance
 from world.errors import LuxloopError, located
 from world.folders import output_folder
 from world.parquet import read_parquet
 
 VIDEO_FPS = 10  # slower than the loop, so that the eye can follow its steps
-LEAST_PX = 4  # of the target in either direction; quadrants need two pixels each
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -156,56 +152,10 @@ def prepare(scenario: AnyScenario, device: str = "auto") -> Simulation | Lightin
 
 
 def _prepare(scenario: Scenario, device: str) -> Simulation:
-    symbol = scenario.symbol
-    where = f"the target at symbol.x_m = {symbol.x_m:g}, symbol.y_m = {symbol.y_m:g}"
-    if not _in_the_image(symbol, scenario.camera):
-        raise LuxloopError(f"{where} is out of the camera's sight; move it, or turn the camera")
-    if not _in_the_image(symbol, true_camera(scenario)):
-        raise LuxloopError(f"{where} is out of the sight of the camera as it truly is; make disturbances.calibration smaller")
+    refuse_unseen(scenario.symbol, scenario, "symbol.")
     simulation = Simulation.prepare(scenario, torch_device(device))
-    judge = simulation.judge
-    if judge is not None and not judge.goal.mask.any():
-        if scenario.headlight.beam != "off" and simulation.observer.model.beams.any():
-            raise LuxloopError(
-                f"{where} is nowhere brighter than the {scenario.headlight.beam} beam; raise symbol.value, or name a dimmer beam"
-            )
-        raise LuxloopError(
-            f"{where} is out of the lamps' reach, or the symbol is too small for their pixels ({_pixels_there(simulation)}); move it, "
-            "draw it larger, or let another lamp draw it"
-        )
-    gains = simulation.observer.model.gains
-    if not (gains.isfinite() & (gains != 0)).all():
-        raise LuxloopError(
-            f"{where} cannot be told from noise on a flat road ({_pixels_there(simulation)}); raise symbol.value or "
-            "headlight.intensity_cd, draw the symbol larger or with wider strokes, or take a lamp with finer pixels or a finer camera"
-        )
-    brightest = float(simulation.brightness) + (0.0 if judge is None else float(judge.world.lit(0.0).off.median()))
-    if brightest > saturation_luminance(scenario.camera):
-        raise LuxloopError(
-            f"the symbol on the road has {brightest:.3g} cd/m^2, but the camera saturates at "
-            f"{saturation_luminance(scenario.camera):.3g} cd/m^2; shorten camera.exposure_s, or raise camera.saturation_e"
-        )
+    refuse_undrawable(simulation.observer, simulation.judge, scenario.headlight.beam, "symbol.")
     return simulation
-
-
-def _pixels_there(simulation: Simulation) -> str:
-    """How large the finest pixels are, and how large the symbol, seen from the lamp: coarse pixels draw no symbol."""
-
-    def size_deg(module: DrawingModule) -> tuple[float, float]:
-        light = module.pixel_controller.headlight
-        left, right, bottom, top = (math.degrees(math.atan(tangent)) for tangent in (light.left, light.right, light.bottom, light.top))
-        return (left - right) / light.pixel_cols, (top - bottom) / light.pixel_rows
-
-    symbol, module = simulation.scenario.symbol, min(simulation.projector.modules, key=lambda each: math.prod(size_deg(each)))
-    across, down = size_deg(module)
-    height = max(float(module.T_world_headlight[2, 3]), 0.1)  # a mount may put it below the road
-    distance, half = math.hypot(symbol.x_m, symbol.y_m), 0.5 * symbol.length_m
-    width_deg = math.degrees(2 * math.atan2(0.5 * symbol.width_m, distance))
-    length_deg = math.degrees(math.atan2(height, distance - half) - math.atan2(height, distance + half))
-    return (
-        f"a pixel of {module.name} spans about {across:.3g} x {down:.3g} deg across and down, and the symbol "
-        f"{width_deg:.3g} x {length_deg:.3g} deg seen from the lamp"
-    )
 
 
 def check(scenario: AnyScenario, device: str = "auto") -> dict[str, Any]:
@@ -256,16 +206,6 @@ def in_words(facts: dict[str, Any]) -> str:
 def _looked(facts: dict[str, Any]) -> str:
     light = "no object is in sight" if facts["lx_max"] is None else f"objects in sight have up to {facts['lx_max']:.3g} lx"
     return f"{facts['boxes']} boxes in the first frame, where {light}"
-
-
-def _in_the_image(symbol: SymbolParams, camera: CameraParams) -> bool:
-    view = camera_view(camera)
-    x = symbol.x_m + symbol.length_m * torch.tensor([-0.5, -0.5, 0.5, 0.5], dtype=torch.float64)
-    y = symbol.y_m + symbol.width_m * torch.tensor([-0.5, 0.5, -0.5, 0.5], dtype=torch.float64)
-    uv, depth = view.project(torch.stack([x, y, torch.zeros_like(x)]))
-    size = torch.tensor([view.width, view.height], dtype=torch.float64)
-    extent = torch.minimum(uv.amax(-1), size) - uv.amin(-1).clamp(min=0)
-    return bool((depth > 0).all() and (extent >= LEAST_PX).all())
 
 
 def torch_device(name: str) -> torch.device:

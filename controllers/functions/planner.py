@@ -1,6 +1,6 @@
 """The planner: base beam and lighting functions, composed for one moment into primitives (T 4.1, 7.2.2)."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -53,9 +53,14 @@ ORDER: Final = (  # from top to bottom, where two functions of equal priority li
 
 
 def in_order(functions: Mapping[str, FunctionParams]) -> dict[str, FunctionParams]:
-    """Functions from top to bottom: by ORDER, and those alike by name."""
+    """Functions from top to bottom: by ORDER, of symbols those first that a controller holds, and those alike by name."""
     rank = {kind: k for k, kinds in enumerate(ORDER) for kind in kinds}
-    return dict(sorted(functions.items(), key=lambda item: (rank.get(item[1].kind, rank[OWN]), item[0])))
+
+    def place(item: tuple[str, FunctionParams]) -> tuple[int, bool, str]:
+        name, function = item
+        return rank.get(function.kind, rank[OWN]), getattr(function, "controller", None) is None, name
+
+    return dict(sorted(functions.items(), key=place))
 
 
 Functions = Annotated[Mapping[PlainName, FunctionParams], AfterValidator(in_order)]
@@ -153,13 +158,15 @@ class Planner:
         return found
 
     def plan(self, now: Situation, states: States | None = None) -> Plan:
-        """Compose all functions. Masks of road users beat everything else; else the higher priority wins where two lie in one place, and
-        of equal ones that which `in_order` puts on top.
-
-        states: what the functions have learnt; left out: nothing.
-        """
+        """Compose what all functions draw. states: what they have learnt; left out: nothing."""
         states = self.start() if states is None else states
-        parts = [primitives for each in reversed(self.drawn(now, states).values()) for primitives in each]
+        return self.composed(now, states, self.drawn(now, states))
+
+    def composed(self, now: Situation, states: States, drawn: Mapping[str, Sequence[Primitives]]) -> Plan:
+        """Compose primitives of functions by name. Masks of road users beat everything else; else the higher priority wins where two lie in
+        one place, and of equal ones that which `in_order` puts on top.
+        """
+        parts = [primitives for name in reversed(tuple(self.functions)) for primitives in drawn.get(name, ())]
         base = replace(self.lighting.base.at(now), share=self._base_share(states))
         if not parts:
             return Plan(now.time_s, base, None)

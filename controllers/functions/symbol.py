@@ -1,10 +1,10 @@
-"""Symbols on the road: still, animated, only under a condition, or undistorted for an observer (T 3.5.2, 7.2.2)."""
+"""Symbols on the road: still, animated, only under a condition, undistorted for an observer, or held by a controller (T 3.5.2, 7.2.2)."""
 
 from dataclasses import replace
-from typing import Literal, Self
+from typing import Final, Literal, Self
 
 import torch
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationError, model_validator
 from torch import Tensor
 
 from controllers.functions.animations import Animated, AnimationParams
@@ -12,10 +12,17 @@ from controllers.geometry import Place, on_road
 from controllers.pixels.anamorphic import drawing_rectangle
 from controllers.pixels.primitives import Observer, Primitives
 from controllers.situation import Category, Drawn, SelectionParams, Situation
+from controllers.symbol import ControllerParams, refuse_place, refuse_start
+from controllers.symbol.sensing.flat_model import FeatureParams
+from controllers.symbol.sensing.projector import StartParams, SymbolParams
+from perception.extraction import Extraction, ExtractionParams
 from world.errors import LuxloopError
 from world.frames import transform
 from world.params import Metres, Params
+from world.validation import sentences
 
+CONTROLLED: Final = ("start", "target", "features", "extraction")  # keys of symbols that a controller holds
+UNCONTROLLED: Final = ("yaw_deg", "animation", "observer", "share")  # keys of the others
 DRIVER_M = (-1.6, 0.35, 1.3)  # the driver's eye, seen from the car
 
 
@@ -80,9 +87,51 @@ class SymbolFunctionParams(Drawn):
     when: ConditionParams | None = Field(None, description="drawn only while such an object is there")
     unless: ConditionParams | None = Field(None, description="not drawn while such an object is there")
     observer: ObserverParams | None = Field(None, description="for whom it shall look undistorted; it takes the place of x_m to length_m")
+    controller: ControllerParams | None = Field(None, description="holds the symbol straight by what the camera sees; left out: none does")
+    start: StartParams | None = Field(None, description="where its control starts; left out: at x_m, y_m")
+    target: Literal["appearance", "place"] = Field(
+        "appearance",
+        description="what its controller holds at x_m, y_m: the look of a symbol on a flat road, or the symbol on the road itself",
+    )
+    features: FeatureParams = Field(FeatureParams(), description="what of the symbol its controller looks at")
+    extraction: Extraction = Field(ExtractionParams(), description="how the symbol is found in the image")
+
+    @model_validator(mode="after")
+    def _held_or_not(self) -> Self:
+        fields = type(self).model_fields
+        if self.controller is None:
+            for key in CONTROLLED:
+                if getattr(self, key) != fields[key].default:
+                    raise ValueError(f'{key}: is for symbols that a controller holds; give controller = "luxloop", say, or leave it out')
+            return self
+        for key in UNCONTROLLED:
+            if getattr(self, key) != fields[key].default:
+                raise ValueError(f"{key}: a symbol that a controller holds has none; leave it out, or leave out the controller")
+        refuse_place(self.controller, self.target)
+        refuse_start(self.controller, self.start_pose)
+        try:
+            _ = self.held
+        except ValidationError as error:
+            raise ValueError("; ".join(sentences(error, SymbolParams, ""))) from error
+        return self
+
+    @property
+    def start_pose(self) -> StartParams:
+        """Where control starts."""
+        return StartParams(x_m=self.x_m, y_m=self.y_m) if self.start is None else self.start
+
+    @property
+    def held(self) -> SymbolParams:
+        """The symbol as its controller knows it."""
+        return SymbolParams.model_validate({key: getattr(self, key) for key in SymbolParams.model_fields})
+
+    def shows(self, now: Situation) -> bool:
+        """Whether it is drawn at all."""
+        return self.active(now.time_s) and not (self.when and not self.when.holds(now)) and not (self.unless and self.unless.holds(now))
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
-        if not self.active(now.time_s) or (self.when and not self.when.holds(now)) or (self.unless and self.unless.holds(now)):
+        """One, none where it is not shown or a controller commands it."""
+        if self.controller is not None or not self.shows(now):
             return ()
         source = now.symbols[self.image]
         time_s = now.time_s - (self.start_s or 0.0)

@@ -94,6 +94,12 @@ class Primitives:
         may = [meant(names, name) for names in self.modules]
         return self if all(may) else self.select(torch.tensor(may))
 
+    def moved(self, T: Tensor) -> "Primitives":
+        """The same in another frame, whose pose of this one is T `[4, 4]`; none of them is for an observer."""
+        R, origin = T[:3, :3].to(self.origin), T[:3, 3].to(self.origin)
+        turned = {name: getattr(self, name) @ R.T for name in _VECTORS}
+        return replace(self, **(turned | {"origin": turned["origin"] + origin}))
+
     def to(self, target: torch.device | torch.dtype) -> "Primitives":
         """Move coordinates, setpoints and images to a device or a floating dtype."""
         moved = {name: getattr(self, name).to(target) for name in (*_VECTORS, "value", "weight")}

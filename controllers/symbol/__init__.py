@@ -9,9 +9,10 @@ from controllers.symbol.heights.luxloop import Luxloop, LuxloopParams
 from controllers.symbol.laws.feedback import Feedback, GaussNewtonParams, ModelReferenceParams
 from controllers.symbol.laws.open_loop import OpenLoop, OpenLoopParams
 from controllers.symbol.laws.own import OwnParams, own_controller
-from controllers.symbol.laws.stages import staged
+from controllers.symbol.laws.stages import StagedParams, staged
 from controllers.symbol.laws.thesis_pid import ThesisPid, ThesisPidParams
 from controllers.symbol.sensing.observer import Observer
+from controllers.symbol.sensing.projector import StartParams
 from controllers.symbol.sensing.protocol import SymbolController
 from world.plugin import OWN, known_or_own
 
@@ -56,3 +57,25 @@ def build_controller(params: AnyParams, observer: Observer) -> SymbolController:
             return staged(params, own_controller(params, observer), observer)
         case GaussNewtonParams() | ModelReferenceParams():
             return staged(params, Feedback(params, observer), observer)
+
+
+def refuse_place(params: AnyParams, target: str, where: str = "") -> None:
+    """Raises ValueError where a controller cannot hold what its symbol's target asks for. where: what comes before that key."""
+    own = isinstance(params, OwnParams) and params.warp is None and params.supervisor is None
+    if target == "place" and isinstance(params, StagedParams) and not own:
+        raise ValueError(
+            f"{where}target: {params.name} compares with the look of a symbol on a flat road and holds no place; "
+            f'set controller.name = "luxloop", or {where}target = "appearance"'
+        )
+
+
+def refuse_start(params: AnyParams, start: StartParams) -> None:
+    """Raises ValueError where a controller's limits, `x_range_m` of `x_m` and so on, do not hold its start."""
+    for key, value in start:
+        axis, _, unit = key.rpartition("_")
+        limits = f"{axis}_range_{unit}"
+        low, high = getattr(params, limits, (-float("inf"), float("inf")))
+        if low >= high:
+            raise ValueError(f"controller.{limits}: {low:g} must be less than {high:g}; give the smaller limit first")
+        if not low <= value <= high:
+            raise ValueError(f"start.{key}: {value:g} lies outside of controller.{limits} = [{low:g}, {high:g}]; move it or widen that")

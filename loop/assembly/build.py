@@ -5,7 +5,7 @@ from pathlib import Path
 
 import torch
 
-from controllers.symbol import build_controller
+from controllers.symbol import AnyParams, build_controller
 from controllers.symbol.heights.feedforward import FeedforwardParams
 from controllers.symbol.sensing.observer import Observer
 from controllers.symbol.sensing.projector import DrawingModule, Projector
@@ -60,9 +60,8 @@ def _built(item: ObjectParams, road: Road) -> Body | Figure:
     return replace(body, track=replace(body.track, road=road)) if item.on_road else body
 
 
-def build_symbol_controller(scenario: Scenario, observer: Observer) -> SymbolController:
-    """The controller of the symbol. Raises LuxloopError where a road's file is missing, or a controller of one's own cannot be made."""
-    params = scenario.controller
+def build_symbol_controller(params: AnyParams, observer: Observer) -> SymbolController:
+    """The controller of a symbol. Raises LuxloopError where a road's file is missing, or a controller of one's own cannot be made."""
     if isinstance(params, FeedforwardParams):
         params = params.model_copy(update={"road": _located(params.road)})
     return build_controller(params, observer)

@@ -11,7 +11,7 @@ from matplotlib.ticker import LogFormatter
 
 from loop.lighting.compared import compared
 from loop.lighting.simulation import LightingSimulation
-from loop.lighting.summary import START_UP_S, UNITS, eyes_lx, lost_steps, materials_of, spoken, steps_of_nothing, zones_of
+from loop.lighting.summary import START_UP_S, UNITS, eyes_lx, held_in, lost_steps, materials_of, spoken, steps_of_nothing, zones_of
 from loop.recording.report import FOUR, headed
 from loop.recording.summary import column
 
@@ -26,6 +26,8 @@ def write_courses(figure: SubFigure, simulation: LightingSimulation, table: pa.T
     charts: dict[Callable[[Axes], None], float] = {lambda axes: _flux(axes, simulation, table): 1.0}  # and how high they are
     if "power_w" in table.column_names:
         charts[lambda axes: _power(axes, simulation, table)] = 1.1
+    if held := held_in(table):
+        charts[lambda axes: _held(axes, table, held)] = 1.4
     if zones := zones_of(table):
         charts[lambda axes: _zones(axes, table, zones)] = 2.0
     if any(materials_of(table, quantity) for quantity in UNITS):
@@ -61,6 +63,18 @@ def _power(axes: Axes, simulation: LightingSimulation, table: pa.Table) -> None:
         axes.plot(time_s, watts, color="0.5", linestyle=line, label=name)
     axes.set(ylabel="W", ylim=(0, 1.08 * axes.dataLim.ymax or 1))
     headed(axes, "Electrical power, beside that of undimmed beams")
+
+
+def _held(axes: Axes, table: pa.Table, held: Sequence[str]) -> None:
+    time_s = column(table, "time_s")
+    for name, colour in zip(held, cycle(COLOURS), strict=False):
+        iou, lost = column(table, f"functions.{name}.iou"), [reason or "" for reason in table[f"functions.{name}.loss"].to_pylist()]
+        judged = np.isfinite(iou)
+        axes.plot(time_s[judged], iou[judged], marker=_mark(table), color=colour, label=spoken(name))
+        gone = np.array([reason not in ("", "no_frame") for reason in lost])
+        axes.plot(time_s[gone], np.zeros(gone.sum()), "x", color=colour, markersize=4)
+    axes.set(ylabel="IoU", ylim=(-0.02, 1.02))
+    headed(axes, "Symbols that are held: overlap with the target (x: lost)")
 
 
 def _zones(axes: Axes, table: pa.Table, zones: Sequence[str]) -> None:

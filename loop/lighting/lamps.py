@@ -65,6 +65,19 @@ class LampPower:
     watts: float
 
 
+def mean_powers(powers: Sequence[Mapping[str, LampPower]]) -> Mapping[str, LampPower]:
+    """Time means over exposures of equal length, by the lamps' sides; the factor is the least."""
+    first, n = powers[0], len(powers)
+    if n == 1:
+        return first
+
+    def mean(side: str, key: str) -> float:
+        return sum(getattr(each[side], key) for each in powers) / n
+
+    factors = {side: min(each[side].factor for each in powers) for side in first}
+    return {side: LampPower(mean(side, "flux_lm"), mean(side, "share"), factors[side], mean(side, "watts")) for side in first}
+
+
 def shining_modules(scenario: LightingScenario, device: torch.device) -> tuple[ShiningModule, ...]:
     """The shining modules of a scenario's lamps, all where it names none. Raises LuxloopError as `mounted`, and for a missing beam."""
     modules = []

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from controllers.situation import TrackedObject
+from controllers.symbol.sensing.projector import SymbolParams
 from controllers.zones.zone import ZoneParams
 from loop.lighting.result import LightingResult, Look
 from loop.lighting.sight import name_of
@@ -25,19 +26,25 @@ EDGES = [(a, b) for a, b in combinations(range(8), 2) if bin(a ^ b).count("1") =
 
 @dataclass(frozen=True)
 class Mark:
-    """Lines in px of the image, and a text at its place. masked: what must be dark. faint: what a detector found in this frame alone."""
+    """Lines in px of the image, and a text at its place.
+
+    masked: what must be dark. faint: what a detector found in this frame alone. target: where a symbol shall lie on a flat road.
+    """
 
     lines: tuple[tuple[Point, Point], ...]
     masked: bool = False
     faint: bool = False
+    target: bool = False
     text: str = ""
     at: Point = (0, 0)
 
 
 def marks(result: LightingResult, simulation: LightingSimulation) -> tuple[Mark, ...]:
-    """Zones, and boxes on the road of what a perfect tracker tells; with a detector those in the image, of tracks after the frame."""
+    """Zones, targets of symbols that are held, and boxes: on the road of what a perfect tracker tells, or in the image of tracks."""
     view = result.view
-    zones = tuple(_zone(name, each, view) for name, each in simulation.scenario.functions.items() if isinstance(each, ZoneParams))
+    functions = simulation.scenario.functions.items()
+    zones = tuple(_zone(name, each, view) for name, each in functions if isinstance(each, ZoneParams))
+    zones += tuple(Mark(_target(simulation.controlled[name].function.held, view), target=True) for name in result.held)
     if result.look is None:
         there = (each for each in result.now.objects if each.since_s <= result.time_s < each.until_s)
         return (*zones, *(Mark(_around(each, view), each.name in result.masked) for each in there))
@@ -69,6 +76,14 @@ def _zone(name: str, zone: ZoneParams, view: View) -> Mark:
     points = [point for line in lines for point in line]
     at = (min(u for u, _ in points), min(v for _, v in points)) if points else (0, 0)
     return Mark(lines, text=spoken(name) if points else "", at=at)
+
+
+def _target(symbol: SymbolParams, view: View) -> tuple[tuple[Point, Point], ...]:
+    x, y = symbol.length_m / 2, symbol.width_m / 2
+    corners = torch.tensor([[x, x, -x, -x], [y, -y, -y, y], [0.0] * 4], dtype=torch.float64)
+    uv, depth = view.project(corners + torch.tensor([[symbol.x_m], [symbol.y_m], [0.0]], dtype=torch.float64))
+    points = [(round(u), round(v)) for u, v in uv.T.tolist()]
+    return () if (depth <= 0).any() else tuple((points[k], points[(k + 1) % 4]) for k in range(4))
 
 
 def _found(look: Look) -> tuple[Mark, ...]:

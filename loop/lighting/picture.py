@@ -18,6 +18,7 @@ from world.frames import pose_from_degrees
 from world.light.emitters import Source, wall_illuminance
 
 TRACKED_RGB, MASKED_RGB, FOUND_RGB, TEXT_RGB = (90, 220, 120), (255, 170, 40), (110, 130, 160), (235, 235, 235)
+TARGET_RGB = (80, 170, 255)
 CHARACTER = 0.47  # how wide a character is, of a line's height
 WALL_DEG = (24.0, 8.0, 6.0)  # to each side, down and up, of the wall that the lamps light
 WALL_SHARE = 0.3  # its width, of the picture's
@@ -37,12 +38,13 @@ def measured(result: LightingResult, simulation: LightingSimulation) -> Tensor:
 
 
 def frame_picture(result: LightingResult, simulation: LightingSimulation, white: Tensor) -> Picture:
-    """A step as a picture `[H, W, 3]` in the camera's size: boxes in green, orange where a mask keeps them dark, grey of detections."""
+    """A step as a picture `[H, W, 3]` in the camera's size: boxes in green, orange where a mask keeps them dark, grey of detections, blue
+    where symbols that are held shall lie."""
     picture = tone_map(measured(result, simulation), white)
     height, width = picture.shape[:2]
     line = max(height / 28, 9.0)
     for mark in readable(marks(result, simulation), CHARACTER * line, width):
-        colour = FOUND_RGB if mark.faint else MASKED_RGB if mark.masked else TRACKED_RGB
+        colour = TARGET_RGB if mark.target else FOUND_RGB if mark.faint else MASKED_RGB if mark.masked else TRACKED_RGB
         for a, b in mark.lines:
             cv2.line(picture, a, b, colour, 1, cv2.LINE_AA)
         at = (mark.at[0], mark.at[1] - 3)

@@ -13,7 +13,7 @@ from loop.lighting.simulation import LightingSimulation
 from loop.lighting.summary import summarise
 from loop.recording.frames import FrameRecorder
 from loop.recording.manifest import Manifest
-from loop.recording.recorder import Checked, Report, TableRecorder, no_report, unchecked
+from loop.recording.recorder import SYMBOL, Checked, Report, TableRecorder, no_report, of_symbol, unchecked
 
 # name: (type, unit, description); lamps and objects have columns of their own.
 STEP = {
@@ -31,6 +31,7 @@ STEP = {
     "light_ms": (pa.float64(), "ms", "from primitives to utilisations"),
     "look_ms": (pa.float64(), "ms", "rendering, which is no part of the car"),
 }
+CONTROL = {"control_ms": (pa.float64(), "ms", "measurement and controllers of all symbols that are held")}
 OBSERVED = {
     "symbol_iou_min": (
         pa.float64(),
@@ -79,9 +80,19 @@ def schema(simulation: LightingSimulation) -> pa.Schema:
     sides = dict.fromkeys(module.side for module in simulation.modules)
     tracked, looks = simulation.watched, simulation.sight is not None
     observed = any(getattr(function, "observer", None) for function in simulation.scenario.functions.values())
-    columns = STEP | (OBSERVED if observed else {}) | {f"lamp.{side}.{key}": of for side in sides for key, of in LAMP.items()}
+    columns = (
+        STEP
+        | (CONTROL if simulation.controlled else {})
+        | (OBSERVED if observed else {})
+        | {f"lamp.{side}.{key}": of for side in sides for key, of in LAMP.items()}
+    )
     columns |= (LEARNING if looks or simulation.planner.learns else {}) | (LOOKING if looks else {})
     columns |= {f"objects.{name}.{key}": of for name in tracked for key, of in (OBJECT | (LOOKED_AT if looks else {})).items()}
+    columns |= {
+        f"functions.{name}.{key}": (pa.string() if key == "loss" else pa.float64(), unit, text)
+        for name in simulation.controlled
+        for key, (unit, text) in SYMBOL.items()
+    }
     zones = [name for name, function in simulation.scenario.functions.items() if function.kind == "zone"]
     columns |= {f"functions.{name}.{key}": of for name in zones for key, of in ZONE.items()}
     for name, quantity in quantities(simulation.scenario.functions).items():
@@ -118,6 +129,8 @@ def row(result: LightingResult) -> dict[str, Any]:
         values |= {f"lamp.{side}.{key}": value for key, value in zip(LAMP, (power.flux_lm, power.share, power.factor), strict=True)}
     for name, each in result.objects.items():
         values |= {f"objects.{name}.{key}": getattr(each, key) for key in OBJECT}
+    for name, held in result.held.items():
+        values |= {f"functions.{name}.{key}": value for key, value in of_symbol(held, held.seen).items()}
     for name, zone in result.zones.items():
         values |= {f"functions.{name}.{key}": getattr(zone, key) for key in ZONE}
     for name, material in result.materials.items():

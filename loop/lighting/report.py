@@ -28,7 +28,7 @@ from world.frames import transform
 
 INCHES, DPI = (13.0, 8.6), 120
 TALLER_INCHES = 2.2  # with a detector, for two large pictures of the camera, and with materials, for their chart
-TRACKED, MASKED, FOUND = "#4fd17a", "#ffaa28", "#6e82a0"
+TRACKED, MASKED, FOUND, TARGET = "#4fd17a", "#ffaa28", "#6e82a0", "#50aaff"
 WALL_COLUMNS = 480
 CHARACTERS = 125  # of marks, side by side, that fill a large picture of the camera
 OBSERVED = 4  # observers' pictures that fit side by side
@@ -86,6 +86,7 @@ def _told_of_boxes(simulation: LightingSimulation) -> str:
     """What the camera's pictures show: colours are named where they occur."""
     kinds = {function.kind for function in simulation.scenario.functions.values()}
     zones = "; with its name: a zone" if "zone" in kinds else ""
+    zones += "; blue: where a symbol that is held shall lie" if simulation.controlled else ""
     if not simulation.watched and simulation.sight is None:
         return f"What the camera sees{zones}"
     masks = "glare_free" in kinds
@@ -99,7 +100,7 @@ def _camera(axes: Axes, simulation: LightingSimulation, result: LightingResult, 
     image = (measured(result, simulation).cpu().numpy() / white).clip(0, 1) ** 0.5
     axes.imshow(image, cmap=NIGHT, vmin=0, vmax=1, interpolation="antialiased")
     for mark in readable(marks(result, simulation), image.shape[1] / CHARACTERS, image.shape[1]):
-        colour = FOUND if mark.faint else MASKED if mark.masked else TRACKED
+        colour = TARGET if mark.target else FOUND if mark.faint else MASKED if mark.masked else TRACKED
         for (u0, v0), (u1, v1) in mark.lines:
             axes.plot([u0, u1], [v0, v1], color=colour, linewidth=0.7)
         axes.annotate(mark.text, mark.at, (0, 2), textcoords="offset points", color=colour, fontsize=6.5, clip_on=True)

@@ -8,13 +8,16 @@ from torch import Tensor
 
 from controllers.functions.planner import Plan, States
 from controllers.situation import Situation
+from controllers.symbol.sensing.protocol import Shown
+from loop.lighting.controlled import Held, HeldState
 from loop.lighting.lamps import LampPower
 from loop.lighting.observed import ObservedSymbol
 from loop.lighting.on_materials import OnMaterial
 from loop.lighting.on_objects import OnObject
 from loop.lighting.sight import Recognised
 from loop.lighting.zoned import InZone
-from loop.plant.protocol import Arrivals, Showing
+from loop.plant.pairing import UnderWay
+from loop.plant.protocol import Arrivals, Frame, Showing
 from perception.detection.protocol import Detections
 from perception.egomotion import Samples
 from perception.tracks import TrackedBoxes
@@ -25,8 +28,10 @@ from world.view import View
 class LightingState:
     """What the car knows before a step. tracks: the tracker's state, None without a detector. functions: what each of them has learnt.
 
-    plant: its state. arrivals: what has come in by its beginning. samples: the newest of each of the vehicle's sensors. believed: views
-    from the ground frame of the exposures whose frames have not come yet, by their number.
+    plant: its state. arrivals: what has come in by its beginning. samples: the newest of each of the vehicle's sensors. held: of each symbol
+    that a controller holds. believed: views from the ground frame of the exposures whose frames have not come yet, by their number.
+    under_way: symbols that were shown, by name, whose frames have not come, and whether they were measured. frames: that have come without
+    the other one of their pair.
     """
 
     step: int
@@ -35,7 +40,10 @@ class LightingState:
     plant: Any
     arrivals: Arrivals
     samples: Samples
+    held: Mapping[str, HeldState]
     believed: Mapping[int, View] = field(default_factory=dict)
+    under_way: UnderWay[Mapping[str, tuple[Shown, bool]]] = ()
+    frames: tuple[Frame, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +69,8 @@ class LightingResult:
     the car believed. masked: names of objects that must be dark. lights: utilisations `[n_p]`, one a module. powers: by the lamps' sides.
     illuminance: `[height, width]` lx from the lamps alone, and luminance: in cd/m^2 with all other light, as the camera sees them.
     frame: digital numbers of the newest frame that came in this step, None where none came. objects: by name, those that are there and have
-    a category. look: None without a detector. symbols: those that are meant for an observer, from their eyes. zones, materials: by name.
-    showings: the exposure. timings: ms by part.
+    a category. look: None without a detector. symbols: those that are meant for an observer, from their eyes. held: those that controllers
+    hold; zones, materials: all by name. showings: the exposures. timings: ms by part.
     """
 
     step: int
@@ -80,6 +88,7 @@ class LightingResult:
     objects: Mapping[str, OnObject]
     look: Look | None
     symbols: tuple[ObservedSymbol, ...]
+    held: Mapping[str, Held]
     zones: Mapping[str, InZone]
     materials: Mapping[str, OnMaterial]
     showings: tuple[Showing, ...]

@@ -2,8 +2,8 @@
 
 import math
 import time
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -19,9 +19,13 @@ from controllers.pixels.secondary import Light, SecondaryRays, scene_caster
 from controllers.pixels.ssc import Utilisation
 from controllers.pixels.windows import projected_windows
 from controllers.situation import Seen, Situation, TrackedObject
+from controllers.symbol.sensing.drawing import Drawing
+from controllers.symbol.sensing.observer import Seen as SeenSymbol
+from controllers.symbol.sensing.protocol import Shown
 from loop.assembly.build import build_motion, build_scene
 from loop.assembly.truth import LampModule, true_camera, true_modules
-from loop.lighting.lamps import LampPower, ShiningModule, driven, shining_modules
+from loop.lighting.controlled import ControlledSymbol, controlled_symbols, turn
+from loop.lighting.lamps import LampPower, ShiningModule, driven, mean_powers, shining_modules
 from loop.lighting.names import check_names
 from loop.lighting.observed import in_white, observed_symbols
 from loop.lighting.on_materials import on_materials
@@ -29,6 +33,7 @@ from loop.lighting.on_objects import on_objects, told_as
 from loop.lighting.result import LightingResult, LightingState, Look
 from loop.lighting.sight import Sight, false_positives, recognised
 from loop.lighting.zoned import in_zones
+from loop.plant.pairing import paired
 from loop.plant.protocol import Arrivals, Exposure, Showing
 from loop.plant.simulated import SimulatedPlant
 from loop.plant.world import LitScene, World, categories
@@ -38,6 +43,7 @@ from loop.scenario.shipped import named
 from perception.camera import camera_view, luminance_of, saturation_luminance
 from perception.detection.protocol import Detections
 from perception.egomotion import Ego, Samples, ego_of, newest
+from perception.judge import Verdict
 from world.errors import located
 from world.frames import inverse, transform
 from world.rendering.face_source import face_source
@@ -52,7 +58,8 @@ class LightingSimulation:
     """A lighting scenario made ready to run on one device.
 
     Functions live in the ground frame, which drives with the car. view: what the camera of a car on a level body would see, as the car
-    believes. sight: None without a detector; then steps depend on their time alone, unless a function learns.
+    believes. sight: None without a detector. controlled: symbols that are held, by name. Without any of these steps depend on their time
+    alone, unless a function learns.
     """
 
     scenario: LightingScenario
@@ -63,6 +70,7 @@ class LightingSimulation:
     view: View
     plant: SimulatedPlant
     sight: Sight | None = None
+    controlled: Mapping[str, ControlledSymbol] = field(default_factory=dict)
 
     @classmethod
     def prepare(cls, scenario: LightingScenario, device: torch.device | str = "cpu") -> "LightingSimulation":
@@ -79,11 +87,13 @@ class LightingSimulation:
         dark = (LampModule(each.name, each.headlight, Utilisation(0 * each.flux), each.T_world_module) for each in modules)
         true, source = true_modules(scenario.disturbances, dark), face_source(scenario.renderer)
         world = World(scene, true, true_camera(scenario), source, motion, metered=True, given=scenario.all_objects)
-        plant = SimulatedPlant(world, scenario.rate_hz, scenario.seed, scenario.sensors, scenario.disturbances, per_step=1)
+        controlled = controlled_symbols(scenario, modules, planner, world)
+        per_step = 2 if controlled else 1
+        plant = SimulatedPlant(world, scenario.rate_hz, scenario.seed, scenario.sensors, scenario.disturbances, per_step)
         lights = tuple((module.name, Light.of(module.headlight, module.T_world_module)) for module in modules)
         view, given = camera_view(scenario.camera), scenario.detector
         sight = None if given is None else Sight.prepare(given, scenario.tracker, view, device)
-        simulation = cls(scenario, device, planner, modules, lights, view, plant, sight)
+        simulation = cls(scenario, device, planner, modules, lights, view, plant, sight, controlled)
         planner.plan(simulation.situation(0.0))
         return simulation
 
@@ -93,13 +103,18 @@ class LightingSimulation:
         return self.plant.world
 
     def lit_by(self, light: OtherLight) -> "LightingSimulation":
-        """The same world with the same noise, lit by nothing but a beam: all pixels on, or the low beam. Raises LuxloopError without it."""
+        """The same world with the same noise: in open loop, or lit by nothing but a beam, all pixels on or the low beam.
+
+        Raises LuxloopError where there is no such beam.
+        """
+        if light == "open_loop":
+            return replace(self, controlled={name: each.in_open_loop() for name, each in self.controlled.items()})
         beam = BEAMS[light]
         with located(f"checks: compare = {light!r}"):
             modules = tuple(module.showing(beam) for module in self.modules)
         alone = self.scenario.lighting.model_copy(update={"base": BaseBeamParams(beam=beam), "raw": ()})
         scenario = self.scenario.model_copy(update={"lighting": alone, "functions": {}})
-        return replace(self, scenario=scenario, planner=Planner.prepare({}, alone), modules=modules)
+        return replace(self, scenario=scenario, planner=Planner.prepare({}, alone), modules=modules, controlled={})
 
     @cached_property
     def watched(self) -> Mapping[str, int]:
@@ -134,32 +149,48 @@ class LightingSimulation:
         plant, _ = self.plant.start()
         time_s, tracks = step / self.scenario.rate_hz, None if self.sight is None else self.sight.tracker.start()
         arrivals = Arrivals(time_s, samples=self.plant.samples(time_s))
-        return LightingState(step, tracks, self.planner.start(), plant, arrivals, newest({}, arrivals.samples))
+        held = {name: each.start() for name, each in self.controlled.items()}
+        return LightingState(step, tracks, self.planner.start(), plant, arrivals, newest({}, arrivals.samples), held)
 
     def ego(self, samples: Samples, time_s: float) -> Ego | None:
         """What is known of the car's motion at a time, None of one that stands."""
         return ego_of(samples, self.scenario.vehicle, time_s, 1 / self.scenario.rate_hz)
 
     def step(self, state: LightingState) -> tuple[LightingState, LightingResult]:
-        """One step: light is planned with what is known, and what is then seen adds to it."""
-        start = time.perf_counter()
-        time_s = state.arrivals.time_s
+        """One step: light is planned with what is known, and what is then seen adds to it.
+
+        Where symbols are held it is shown for half of the step, and for the other half without those whose turn it is.
+        """
+        clock = Clock()
+        time_s, per_step = state.arrivals.time_s, self.plant.per_step
         ego = self.ego(state.samples, time_s)
-        now, view = self.situation(time_s, state.tracks, ego), self._from(attitude(ego))
-        plan = self.planner.plan(now, state.functions)
-        planned = time.perf_counter()
-        lights, powers = self._driven(plan, now)
-        lit = time.perf_counter()
-        shown = tuple(Utilisation(u) for u in lights)
-        exposure = Exposure(state.step, time_s, 1 / self.scenario.rate_hz, shown)
-        plant, arrivals = self.plant.show(state.plant, exposure)
-        seen, (illuminance, luminance) = self.world.lit(time_s), self.world.meter(time_s, shown)
-        looked = time.perf_counter()
-        believed = {**state.believed, state.step: view}
+        view, now = self._from(attitude(ego)), self.situation(time_s, state.tracks, ego)
+        drawings, drawn = self._drawn(state, now, ego)
+        measured = turn(self.controlled, state.held, drawings)
+        plans = [self.planner.composed(now, state.functions, drawn)]
+        if measured:
+            plans.append(self.planner.composed(now, state.functions, _without(drawn, measured)))
+        clock.lap("plan")
+        driven = [self._driven(plan, now) for plan in plans]
+        plan, lights, off = plans[0], driven[0][0], driven[-1][0]
+        clock.lap("light")
+        plant, arrivals, samples, frames, showings = state.plant, state.arrivals, state.samples, state.frames, list[Showing]()
+        exposures = [tuple(Utilisation(u) for u in light) for light, _ in driven] * (per_step // len(driven))
+        for part, shown in enumerate(exposures):
+            duration_s = 1 / self.scenario.rate_hz / per_step
+            before, exposure = arrivals, Exposure(per_step * state.step + part, arrivals.time_s, duration_s, shown)
+            plant, arrivals = self.plant.show(plant, exposure)
+            showings.append(Showing(before, exposure, arrivals))
+            frames, samples = frames + arrivals.frames, newest(samples, arrivals.samples)
+        seen, (illuminance, leaving) = self.world.lit(time_s), self.world.meter(time_s, exposures[0])
+        luminance = leaving + seen.base
+        clock.lap("look")
+        watched = {"on": (0,), "off": (per_step - 1,), "both": range(per_step)}[self.scenario.detector_frames]
+        believed = {**state.believed, **{per_step * state.step + part: view for part in watched}}
         tracks, functions, image, found, then, then_s = state.tracks, state.functions, None, None, seen, time_s
-        for frame in arrivals.frames:
-            then_view = believed.pop(frame.number)
-            if frame.image is not None:
+        for frame in frames[len(state.frames) :]:
+            then_view = believed.pop(frame.number, None)
+            if then_view is not None and frame.image is not None:
                 image, then_s = frame.image, frame.taken_s
                 then = seen if then_s == time_s else self.world.lit(then_s)
                 if self.sight is not None:
@@ -169,18 +200,32 @@ class LightingSimulation:
                 if self.planner.learns:
                     functions = self.planner.step(functions, self._learnt(now, then, then_s, image, then_view, tracks))
         look = None if self.sight is None else self._look(self.sight, tracks, found, then, then_s, illuminance[seen.eyes])
-        finished = time.perf_counter()
+        clock.lap("find")
+        moment: Mapping[str, tuple[Shown, bool]] = {
+            name: (Shown(each, self.controlled[name].light(lights, off), ego), name in measured) for name, each in drawings.items()
+        }
+        looks, under_way, frames = paired((*state.under_way, (per_step * state.step, moment)), frames)
+        newer = self.ego(samples, arrivals.time_s)
+        held = {name: replace(each, turn=state.step) if name in measured else each for name, each in state.held.items()}
+        looked = dict[str, SeenSymbol]()
+        for each in looks:
+            for name, (what, its_turn) in each.what.items():
+                held[name], looked[name] = self.controlled[name].step(held[name], each.images if its_turn else None, what, newer)
+        clock.lap("control")
         masked = frozenset(each.name for each in now.objects if self.masked(each, now))
         told = told_as(self.watched, None if look is None else look.recognised)
         objects = on_objects(self.watched, frozenset(told[name] for name in masked & told.keys()), seen, illuminance)
         white = in_white(plan)
         symbols = () if white is None else observed_symbols(plan, lights, self._driven(white, now)[0], self.world, time_s)
-        luminance = luminance + seen.base
         zones = in_zones(self.planner.functions, state.functions, luminance, self.world.view_from_ground(time_s))
         materials = on_materials(self.planner.functions, functions, now, told, seen, illuminance, luminance)
-        stop = time.perf_counter()
-        taken = {"plan": planned - start, "light": lit - planned, "look": looked - lit + stop - finished, "find": finished - looked}
-        timings = {part: 1e3 * seconds for part, seconds in taken.items()}
+        offs = {
+            name: off if len(measured) == 1 else self._driven(self.planner.composed(now, state.functions, _without(drawn, [name])), now)[0]
+            for name in measured
+        }
+        verdicts = {name: self._verdict(name, leaving, each, time_s) for name, each in offs.items()}
+        results = {name: self.controlled[name].held(each, looked.get(name), verdicts.get(name)) for name, each in drawings.items()}
+        clock.lap("look")
         result = LightingResult(
             state.step,
             time_s,
@@ -190,20 +235,31 @@ class LightingSimulation:
             masked,
             plan,
             lights,
-            powers,
+            mean_powers([powers for _, powers in driven]),
             illuminance,
             luminance,
             image,
             objects,
             look,
             symbols,
+            results,
             zones,
             materials,
-            (Showing(state.arrivals, exposure, arrivals),),
-            timings,
+            tuple(showings),
+            clock.taken_ms,
         )
-        samples = newest(state.samples, arrivals.samples)
-        return LightingState(state.step + 1, tracks, functions, plant, arrivals, samples, believed), result
+        return LightingState(state.step + 1, tracks, functions, plant, arrivals, samples, held, believed, under_way, frames), result
+
+    def _drawn(self, state: LightingState, now: Situation, ego: Ego | None) -> tuple[dict[str, Drawing], dict[str, tuple[Primitives, ...]]]:
+        """What controllers want drawn of the symbols that are shown now, and the primitives of all functions."""
+        shown = {name: each for name, each in self.controlled.items() if each.function.shows(now)}
+        drawings = {name: each.controller.drawing(state.held[name].controller, ego) for name, each in shown.items()}
+        commands = {name: shown[name].command(drawing, attitude(ego)) for name, drawing in drawings.items()}
+        return drawings, self.planner.drawn(now, state.functions) | commands
+
+    def _verdict(self, name: str, leaving: Tensor, off: Sequence[Tensor], time_s: float) -> Verdict:
+        """Of a symbol. leaving: luminance `[height, width]` of all lamps' light; off: utilisations `[n_p]` without it, one a module."""
+        return self.controlled[name].judge.judged(leaving - self.world.lit(time_s).light(off)[1], time_s)
 
     def at(self, step: int) -> LightingResult:
         """One step alone, before which nothing was seen; that of the run where nothing depends on what was seen."""
@@ -212,10 +268,16 @@ class LightingSimulation:
     def lights_at(self, time_s: float) -> tuple[Tensor, ...]:
         """Utilisations `[n_p]`, one a module, at any time; what depends on what was seen is run up to it."""
         state = self.start()
-        while (self.sight is not None or self.planner.learns) and (state.step + 1) / self.scenario.rate_hz <= time_s:
+        while self.remembers and (state.step + 1) / self.scenario.rate_hz <= time_s:
             state, _ = self.step(state)
-        now = self.situation(time_s, state.tracks, self.ego(newest({}, self.plant.samples(time_s)), time_s))
-        return self._driven(self.planner.plan(now, state.functions), now)[0]
+        ego = self.ego(newest({}, self.plant.samples(time_s)), time_s)
+        now = self.situation(time_s, state.tracks, ego)
+        return self._driven(self.planner.composed(now, state.functions, self._drawn(state, now, ego)[1]), now)[0]
+
+    @property
+    def remembers(self) -> bool:
+        """Whether a step depends on what was seen before it."""
+        return self.sight is not None or self.planner.learns or bool(self.controlled)
 
     def base(self, beam: str) -> str:
         """What shines below all functions, in words, where the base beam is one of this name."""
@@ -241,7 +303,8 @@ class LightingSimulation:
     def idle(self, result: LightingResult) -> set[str]:
         """Names of the functions of which no ray of any lamp that draws them can hit anything at that moment."""
         drawn = self.planner.drawn(result.now, result.functions)
-        return {name for name, parts in drawn.items() if not any(self._in_reach(part, result.now) for part in parts)}
+        reach = {name for name, parts in drawn.items() if any(self._in_reach(part, result.now) for part in parts)}
+        return drawn.keys() - reach - result.held.keys()
 
     def _all_objects(self, time_s: float) -> tuple[TrackedObject, ...]:
         T_ground_world = inverse(self.world.motion.at(time_s).T_world_ground)
@@ -308,6 +371,24 @@ def _seen_from(T_world_ground: Tensor, lamp: StreetLamp) -> StreetLamp:
     return lamp.model_copy(update={"position_m": (x, y, z)})
 
 
+def _without(drawn: Mapping[str, Sequence[Primitives]], names: Collection[str]) -> dict[str, Sequence[Primitives]]:
+    return {name: each for name, each in drawn.items() if name not in names}
+
+
 def conditions_at(timeline: tuple[RoadConditionParams, ...], time_s: float) -> RoadConditionParams:
     """The conditions of a time; the first before they begin."""
     return max((each for each in timeline if each.time_s <= time_s), key=lambda each: each.time_s, default=timeline[0])
+
+
+class Clock:
+    """Wall time by part. taken_ms: ms so far, by name."""
+
+    def __init__(self) -> None:
+        self.taken_ms: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, part: str) -> None:
+        """Count the time since the last lap as that of a part."""
+        now = time.perf_counter()
+        self.taken_ms[part] = self.taken_ms.get(part, 0.0) + 1e3 * (now - self._last)
+        self._last = now

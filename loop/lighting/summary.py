@@ -18,6 +18,7 @@ SETTLED = 0.05  # greatest deviation of a zone from its target, as a share of it
 LAST_STEPS = 10  # that a confidence at the end is the mean of
 UNITS: Mapping[Quantity, str] = {"luminance": "cd/m^2", "lx": "lx"}
 WELL_LIT_LX = 5.0  # from which on detectors are trained to find objects
+IOUS = {"final": "at the end", "mean": "on average", "min": "at least, in the second half of the run"}
 LOOKING = ("detections", "false_positives")  # whose means are told
 
 
@@ -57,6 +58,7 @@ def summarise(table: pa.Table, scenario: str, compared_w: Mapping[str, NDArray[n
             }
             for name in objects
         },
+        **({"symbols": symbols} if (symbols := _symbols(table)) else {}),
         **({"zones": zones} if (zones := _zones(table)) else {}),
         **({"materials": materials} if (materials := _materials(table)) else {}),
         **(
@@ -116,6 +118,28 @@ def eyes_lx(table: pa.Table, from_s: float = 0.0) -> float | None:
 
 def _eyes(table: pa.Table) -> dict[str, Any]:
     return {"eyes_lx_max": eyes_lx(table), "eyes_lx_max_after_start_up": eyes_lx(table, START_UP_S)}
+
+
+def held_in(table: pa.Table) -> list[str]:
+    """Names of the symbols of a recording that controllers hold."""
+    return [each.removeprefix("functions.").removesuffix(".iou") for each in table.column_names if each.endswith(".iou")]
+
+
+def _symbols(table: pa.Table) -> dict[str, Any]:
+    """By name: how well a symbol lies at the end, on average and at least in the second half of the run, and for how long it was lost."""
+    found = {}
+    for name in held_in(table):
+        iou = column(table, f"functions.{name}.iou")
+        late, judged = iou[len(iou) // 2 :], iou[np.isfinite(iou)]
+        late = late[np.isfinite(late)]
+        lost = sum(reason not in ("", None, "no_frame") for reason in table[f"functions.{name}.loss"].to_pylist())
+        found[name] = {
+            "iou_final": float(judged[-1]) if len(judged) else None,
+            "iou_mean": float(late.mean()) if len(late) else None,
+            "iou_min": float(late.min()) if len(late) else None,
+            "steps_lost": lost,
+        }
+    return found
 
 
 def _zones(table: pa.Table) -> dict[str, Any]:
@@ -179,6 +203,10 @@ def shown(values: dict[str, Any], files: str) -> Table:
         rows[f"light on {spoken(name)}"] = "never in the camera's sight" if most is None else f"{mean:.3g} lx (mean), {most:.3g} lx at most"
     if values["dark_lx_max"] is not None:
         rows["on what must be dark"] = f"{values['dark_lx_max']:.3g} lx at most"
+    for name, symbol in values.get("symbols", {}).items():
+        gone = f", lost in {symbol['steps_lost']} steps" if symbol["steps_lost"] else ""
+        ious = ", ".join(f"{number(symbol[f'iou_{key}'], '.3f')} {text}" for key, text in IOUS.items())
+        rows[f"symbol {spoken(name)}"] = f"IoU {ious}{gone}"
     for name, zone in values.get("zones", {}).items():
         when = "not settled" if zone["settled_step"] is None else f"within 5 % from step {zone['settled_step']} on"
         rows[f"zone {spoken(name)}"] = f"{number(zone['luminance'], '.3g')} of {zone['target']:.3g} cd/m^2, {when}"

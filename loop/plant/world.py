@@ -17,7 +17,7 @@ from perception.detection.protocol import Detections
 from perception.ground_truth import Box, Truth, ground_truth, part_mask
 from perception.materials import material_picture
 from world.light.ambient import ambient_luminance
-from world.light.illumination import DirectTransport, LightTransport, added_light, reach, transport
+from world.light.illumination import DirectTransport, LightTransport, Shadows, added_light, reach, transport
 from world.materials.library import MaterialName
 from world.rendering.face_source import FaceSource
 from world.rendering.gbuffer import GBuffer
@@ -208,14 +208,19 @@ class World:
         surfaces = self.surfaces.gbuffer(triangles, view.with_rows(samples)).to(self.device)
         base = average_rows(ambient_luminance(surfaces, scene.ambient_lx, scene.street_lamps, scene.spotlights_at(t_s)), samples)
 
-        modules, direct, late, T_world_body = self.modules, self.moving or self.metered, self.moving, vehicle.T_world_body
+        modules, direct, T_world_body = self.modules, self.moving or self.metered, vehicle.T_world_body
+
+        @cache
+        def shadows(*lamp_m: float) -> Shadows:
+            return Shadows(surfaces.position.flatten(1), torch.tensor(lamp_m), triangles)
 
         @cache
         def transported(number: int) -> LightTransport:
             headlight, T_body_headlight = modules[number].headlight, modules[number].T_world_headlight
             T_world_headlight = T_world_body.to(T_body_headlight) @ T_body_headlight
             if direct:
-                return DirectTransport.of(surfaces, headlight, T_world_headlight, triangles, view.width, samples, late)
+                cast = shadows(*T_world_headlight[:3, 3].tolist())
+                return DirectTransport.of(surfaces, headlight, T_world_headlight, cast, view.width, samples)
             return transport(reach(surfaces, headlight, T_world_headlight, triangles), headlight, view.width, samples)
 
         return LitScene(view, vehicle, triangles, surfaces.one_row_of(samples), base, self.resting, transported, self.given)

@@ -14,8 +14,10 @@ from typing import Any, Generic, Protocol, Self, TypeVar
 import pyarrow as pa
 import pyarrow.parquet as pq
 import torch
+from torch import Tensor
 
 from controllers.symbol.sensing.field import SIDES
+from controllers.symbol.sensing.observer import Seen
 from loop.plant.frames import remove
 from loop.plant.protocol import Showing
 from loop.recording.frames import FrameRecorder
@@ -93,10 +95,26 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "step_ms": ("ms", "light, plant, perceive and control together"),
 }
 
+SYMBOL = {name: of for name, of in COLUMNS.items() if name not in ("step", "time_s") and not name.endswith("_ms")}  # of each symbol
 _TYPES = {"step": pa.int64(), "loss": pa.string()}
 SCHEMA = pa.schema(
     pa.field(name, _TYPES.get(name, pa.float64()), metadata={"unit": unit, "description": text}) for name, (unit, text) in COLUMNS.items()
 )
+
+
+class SymbolStep(Protocol):
+    """A symbol in a step, see `StepResult`."""
+
+    @property
+    def pose(self) -> Tensor: ...
+    @property
+    def z(self) -> Tensor: ...
+    @property
+    def cut(self) -> Tensor: ...
+    @property
+    def aim(self) -> Tensor: ...
+    @property
+    def verdict(self) -> Verdict | None: ...
 
 
 NAN = torch.tensor(torch.nan)
@@ -125,7 +143,14 @@ class Outputs:
 
 def row(result: StepResult) -> dict[str, Any]:
     """A step as plain Python values, by the names of COLUMNS; NaN where nothing was seen. Waits for the device once."""
-    seen, verdict = result.seen, result.verdict or NOT_JUDGED
+    values = of_symbol(result, result.seen) | {"step": result.step, "time_s": result.time_s}
+    values |= {f"{part}_ms": result.timings[part] for part in PARTS}
+    return {name: values[name] for name in COLUMNS}
+
+
+def of_symbol(result: SymbolStep, seen: Seen) -> dict[str, Any]:
+    """What is recorded of one symbol in a step, by the names of SYMBOL."""
+    verdict = result.verdict or NOT_JUDGED
     degrees = torch.tensor([1.0, 1.0, 180 / torch.pi, 180 / torch.pi], dtype=torch.float64)
     tensors = {
         POSE: result.pose,
@@ -144,9 +169,7 @@ def row(result: StepResult) -> dict[str, Any]:
     host[:4] *= degrees
     host[9:13] *= degrees
     values = dict(zip([name for names in tensors for name in names], host.tolist(), strict=True))
-    values |= {"step": result.step, "time_s": result.time_s, "loss": loss_name(int(values["code"]))}
-    values |= {f"{part}_ms": result.timings[part] for part in PARTS}
-    return {name: values[name] for name in COLUMNS}
+    return values | {"loss": loss_name(int(values.pop("code")))}
 
 
 def loss_name(code: int) -> str:
@@ -155,8 +178,8 @@ def loss_name(code: int) -> str:
 
 
 def table_of(rows: list[dict[str, Any]], schema: pa.Schema = SCHEMA) -> pa.Table:
-    """Rows as a table; NaN becomes null."""
-    columns = [pa.array([r[field.name] for r in rows], field.type, from_pandas=True) for field in schema]
+    """Rows as a table; NaN becomes null, and so does what a row lacks."""
+    columns = [pa.array([r.get(field.name) for r in rows], field.type, from_pandas=True) for field in schema]
     return pa.Table.from_arrays(columns, schema=schema)
 
 

@@ -7,18 +7,17 @@ import re
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from itertools import pairwise
-from typing import Annotated, Any, ClassVar, Final, Literal, Self
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from controllers.functions.planner import Functions, LightingParams
 from controllers.jpo.controller import JpoParams
 from controllers.pixels.mrpc import MrpcParams
-from controllers.symbol import ControllerParams, LuxloopParams
-from controllers.symbol.laws.own import OwnParams
-from controllers.symbol.laws.stages import StagedParams
+from controllers.symbol import ControllerParams, LuxloopParams, refuse_place, refuse_start
 from controllers.symbol.sensing.flat_model import FeatureParams
-from controllers.symbol.sensing.projector import SymbolParams
+from controllers.symbol.sensing.projector import StartParams, SymbolParams
 from loop.scenario.checks import CheckParams, Light, refuse_lights
 from loop.scenario.disturbances import DisturbanceParams
 from loop.scenario.overrides import Override, is_file, overridden, resolve_paths, tables, texts
@@ -45,15 +44,6 @@ from world.validation import read_toml, validated
 SCHEMA_VERSION: Final = 1
 PIXEL_CONTROLLERS = ("ssc", "jpo")
 LIT = ("lighting", "functions")  # tables of which a scenario of lighting functions has one at least
-
-
-class StartParams(Params):
-    """Pose of the symbol's primitive at step 0."""
-
-    x_m: float = Field(17.0, gt=1, le=100, description="centre ahead of the lamps")
-    y_m: float = Field(0.0, ge=-20, le=20, description="centre to the left")
-    roll_deg: float = Field(0.0, ge=-45, le=45, description="rotation about the forward axis")
-    pitch_deg: float = Field(0.0, ge=-45, le=45, description="rotation about the left axis, nose down positive")
 
 
 class HeadlightParams(Params):
@@ -98,8 +88,6 @@ class LightParams(Params):
 class WorldScenario(Params):
     """What every scenario has: the world, the lamps, the camera, and how long it runs."""
 
-    lights: ClassVar[tuple[Light, ...]] = ()  # that checks may compare with
-
     schema_version: Literal[1] = Field(SCHEMA_VERSION, description="version of this file format")
     name: str = Field(min_length=1, max_length=80, description="name, for tables and reports")
     description: str = Field("", description="what is to be seen, in a sentence")
@@ -142,6 +130,11 @@ class WorldScenario(Params):
         refuse_lights(self.checks, self.lights)
         return self
 
+    @property
+    def lights(self) -> tuple[Light, ...]:
+        """Those that checks may compare with."""
+        return ()
+
     @model_validator(mode="after")
     def _aimed_lamps_draw(self) -> Self:
         for k, aim in enumerate(self.disturbances.aim):
@@ -165,10 +158,18 @@ class WorldScenario(Params):
         return hashlib.sha256(json.dumps(self.model_dump(mode="json"), sort_keys=True).encode()).hexdigest()
 
 
+def refuse_long_exposures(scenario: WorldScenario) -> None:
+    """Raises ValueError where an on and an off frame do not fit into a control period."""
+    half_period_s = 0.5 / scenario.rate_hz
+    if scenario.camera.exposure_s > half_period_s:
+        raise ValueError(
+            f"camera.exposure_s: {scenario.camera.exposure_s:g} s is longer than half a control period, "
+            f"but an on and an off frame must fit into one; give at most {half_period_s:.4g} s or lower rate_hz"
+        )
+
+
 class Scenario(WorldScenario):
     """Everything that decides a run of the closed loop around a symbol."""
-
-    lights: ClassVar[tuple[Light, ...]] = ("open_loop",)
 
     headlight: DrawingLampsParams = Field(DrawingLampsParams(), description="the lamps")
     symbol: SymbolParams = Field(description="what is projected, and where it shall lie")
@@ -180,14 +181,13 @@ class Scenario(WorldScenario):
     plant: Annotated[PlantParams, Field(description="what shows the light and exposes the frames")] = SimulatedPlantParams()
     judge_every: int = Field(1, ge=0, le=100_000, description="steps from one judgement to the next; 0: none")
 
+    @property
+    def lights(self) -> tuple[Light, ...]:
+        return ("open_loop",)
+
     @model_validator(mode="after")
     def _exposures_fit(self) -> Self:
-        half_period_s = 0.5 / self.rate_hz
-        if self.camera.exposure_s > half_period_s:
-            raise ValueError(
-                f"camera.exposure_s: {self.camera.exposure_s:g} s is longer than half a control period, "
-                f"but an on and an off frame must fit into one; give at most {half_period_s:.4g} s or lower rate_hz"
-            )
+        refuse_long_exposures(self)
         return self
 
     @model_validator(mode="after")
@@ -198,26 +198,12 @@ class Scenario(WorldScenario):
 
     @model_validator(mode="after")
     def _holds_a_place(self) -> Self:
-        staged = isinstance(self.controller, StagedParams)
-        own = isinstance(self.controller, OwnParams) and self.controller.warp is None and self.controller.supervisor is None
-        if self.symbol.target == "place" and staged and not own:
-            raise ValueError(
-                f"symbol.target: {self.controller.name} compares with the look of a symbol on a flat road and holds no place; "
-                'set controller.name = "luxloop", or symbol.target = "appearance"'
-            )
+        refuse_place(self.controller, self.symbol.target, "symbol.")
         return self
 
     @model_validator(mode="after")
     def _start_within_limits(self) -> Self:
-        """A controller limits the degree of freedom `x_m` by `x_range_m`, and so on."""
-        for key, value in self.start:
-            axis, _, unit = key.rpartition("_")
-            limits = f"{axis}_range_{unit}"
-            low, high = getattr(self.controller, limits, (-float("inf"), float("inf")))
-            if low >= high:
-                raise ValueError(f"controller.{limits}: {low:g} must be less than {high:g}; give the smaller limit first")
-            if not low <= value <= high:
-                raise ValueError(f"start.{key}: {value:g} lies outside of controller.{limits} = [{low:g}, {high:g}]; move it or widen that")
+        refuse_start(self.controller, self.start)
         return self
 
 
@@ -251,8 +237,6 @@ class RoadConditionParams(Params):
 class LightingScenario(WorldScenario):
     """Everything that decides a run of lighting functions."""
 
-    lights: ClassVar[tuple[Light, ...]] = ("full_light", "low_beam")
-
     headlight: CarLampsParams = Field(CarLampsParams(), description="the lamps")
     conditions: tuple[RoadConditionParams, ...] = Field(
         (RoadConditionParams(),), min_length=1, description="rain and street lighting, in ascending time"
@@ -262,17 +246,37 @@ class LightingScenario(WorldScenario):
     detector: DetectorParams | None = Field(
         None, description="what finds objects in the camera's frames; left out: lighting functions get the true places of all"
     )
+    detector_frames: Literal["on", "off", "both"] = Field(
+        "on", description="where controllers hold symbols: frames that the detector gets, with the measured symbols, without them, or both"
+    )
     tracker: AnyTracker = Field(TrackerParams(), description="follows detections from frame to frame")
+
+    @property
+    def controlled(self) -> tuple[str, ...]:
+        """Names of the symbols that a controller holds."""
+        return tuple(name for name, each in self.functions.items() if getattr(each, "controller", None) is not None)
+
+    @property
+    def lights(self) -> tuple[Light, ...]:
+        return ("full_light", "low_beam", *(("open_loop",) if self.controlled else ()))
 
     @model_validator(mode="after")
     def _has_on_frames_alone(self) -> Self:
+        if self.controlled:
+            refuse_long_exposures(self)
+            return self
         for key in ("oncoming", "ambient"):
             if off := [k for k, each in enumerate(getattr(self.disturbances, key)) if each.frames == "off"]:
-                raise ValueError(f"disturbances.{key}[{off[0]}].frames: steps of lighting functions have no off frame; leave it out")
+                raise ValueError(
+                    f"disturbances.{key}[{off[0]}].frames: without a symbol that a controller holds steps have no off frame; leave it out"
+                )
         return self
 
     @model_validator(mode="after")
     def _tracks_what_is_detected(self) -> Self:
+        if self.detector_frames != "on" and not (self.controlled and self.detector):
+            lacking = "detector" if self.controlled else "symbol that a controller holds"
+            raise ValueError(f"detector_frames: there is no {lacking} here, so that it means nothing; leave it out")
         if self.detector is None and self.tracker != TrackerParams():
             raise ValueError('tracker: follows what a detector finds, but there is none; give one, detector = {kind = "network"} say')
         if self.detector is not None and (named := [name for name, each in self.functions.items() if _names_objects(each)]):
@@ -336,7 +340,10 @@ def load_any(name: str, overrides: Sequence[Override] = (), *, allow_code: bool 
     path = find(name)
     data = read_toml(path)
     resolve_paths(data, path.parent)
-    data.update(tables(values))
+    keys = tables(values)
+    if "controller" in keys and "functions" in data:
+        _of_the_controlled(data, path)["controller"] = keys.pop("controller")
+    data.update(keys)
     if overrides:
         data = overridden(_with_defaults(data), overrides)
     given = [
@@ -380,7 +387,20 @@ def validate_any(data: Mapping[str, Any], source: str) -> AnyScenario:
         raise LuxloopError(f"{source}: controller: a scenario with [{lit}] has no controller; leave it out")
     kind = _kind(data)
     with located(source):
-        return validated(kind, data, EXAMPLES[kind]).model_copy(update={"source": source})
+        return validated(kind, _spelt_out(data), EXAMPLES[kind]).model_copy(update={"source": source})
+
+
+def _spelt_out(data: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The same data with tables where functions give a controller by its name alone."""
+    functions = data.get("functions")
+    if not isinstance(functions, Mapping):
+        return data
+
+    def table(function: Any) -> Any:
+        name = function.get("controller") if isinstance(function, Mapping) else None
+        return {**function, "controller": {"name": name}} if isinstance(name, str) else function
+
+    return {**data, "functions": {name: table(function) for name, function in functions.items()}}
 
 
 def _kind(data: Mapping[str, Any]) -> type[AnyScenario]:
@@ -390,6 +410,16 @@ def _kind(data: Mapping[str, Any]) -> type[AnyScenario]:
     strange = [key for key in data if key not in Scenario.model_fields]
     meant = any(key in LightingScenario.model_fields or difflib.get_close_matches(key, LIT, cutoff=0.8) for key in strange)
     return LightingScenario if meant else Scenario
+
+
+def _of_the_controlled(data: dict[str, Any], path: Path) -> dict[str, Any]:
+    """The table of the only symbol that a controller holds. Raises LuxloopError where there are several or none."""
+    functions = data["functions"] if isinstance(data["functions"], dict) else {}
+    held = {name: each for name, each in functions.items() if isinstance(each, dict) and "controller" in each}
+    if len(held) == 1:
+        return next(iter(held.values()))
+    told = f"several symbols have one: {', '.join(held)}; set functions.NAME.controller" if held else "none of its functions has one"
+    raise LuxloopError(f"{path}: controller: {told}")
 
 
 def _with_defaults(data: dict[str, Any]) -> dict[str, Any]:

@@ -41,7 +41,11 @@ class Judge:
 
     def verdict(self, lights: tuple[Utilisation, ...], time_s: float) -> Verdict:
         """lights: utilisations, one a module, of the on exposure."""
-        return judge(self.world.lit(time_s).luminance(lights), self.plane_at(time_s), self.goal)
+        return self.judged(self.world.lit(time_s).luminance(lights), time_s)
+
+    def judged(self, luminance: Tensor, time_s: float) -> Verdict:
+        """luminance: `[height, width]` cd/m^2 that the symbol adds."""
+        return judge(luminance, self.plane_at(time_s), self.goal)
 
     def plane_at(self, time_s: float) -> BirdsEye:
         """Where the target lies, as the camera sees it at a time: the plane z = 0 under the vehicle, or the road itself."""

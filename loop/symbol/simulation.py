@@ -1,8 +1,7 @@
 """The stepped loop: state in, state out. Light is shown, frames are seen, the primitive moves, the judge writes down how it lies."""
 
-import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -20,21 +19,20 @@ from controllers.symbol.sensing.projector import Projector
 from controllers.symbol.sensing.protocol import Look, Shown, SymbolController
 from loop.assembly.build import build_projector, build_road, build_symbol_controller
 from loop.plant.build import build_plant
+from loop.plant.pairing import Arrived, UnderWay, paired
 from loop.plant.protocol import Arrivals, Exposure, Frame, Plant, Showing
 from loop.plant.simulated import SimulatedPlant
 from loop.scenario.checks import Light
 from loop.scenario.model import Scenario
+from loop.symbol.feasible import brightness
 from loop.symbol.judging import Judge
 from perception.camera import CameraParams
 from perception.egomotion import Ego, Samples, ego_of, newest
-from perception.judge import THRESHOLD, Verdict
+from perception.judge import Verdict
 from world.errors import LuxloopError
 
 Lights = tuple[Utilisation, ...]
 Frames = tuple[Tensor, Tensor]
-UnderWay = tuple[tuple[int, Shown], ...]  # what was shown, by the number of its on exposure
-Arrived = tuple[Shown, Frames | None, float]  # what was shown, with its frames, None where one is lost, and when they were taken
-LOST = Frame(-1, math.nan, math.nan, None)
 
 
 @dataclass(frozen=True)
@@ -50,7 +48,7 @@ class SimulationState:
     plant: Any
     arrivals: Arrivals
     samples: Samples
-    under_way: UnderWay = ()
+    under_way: UnderWay[Shown] = ()
     frames: tuple[Frame, ...] = ()
     shape: Tensor | None = None
 
@@ -108,7 +106,7 @@ class Simulation:
         if (world := getattr(plant, "truth", None)) is not None:
             judged = model if world.camera == scenario.camera else model_of(world.camera)  # the judge knows where the camera is
             judge = Judge.of(world, scenario.symbol, build_road(scenario), judged.luminance(projector.light(projector.target)))
-        return cls(scenario, device, projector, observer, build_symbol_controller(scenario, observer), plant, judge)
+        return cls(scenario, device, projector, observer, build_symbol_controller(scenario.controller, observer), plant, judge)
 
     @property
     def truth(self) -> Judge:
@@ -120,10 +118,7 @@ class Simulation:
     @cached_property
     def brightness(self) -> Tensor:
         """Median luminance `[]` in cd/m^2 of the symbol at its target on a flat road."""
-        if self.judge is not None:
-            return self.judge.goal.median
-        flat = self.observer.model.luminance(self.projector.light(self.projector.target))
-        return flat[flat > THRESHOLD * flat.max()].median()
+        return brightness(self.observer, self.judge)
 
     @property
     def renderer(self) -> str:
@@ -135,15 +130,13 @@ class Simulation:
         if not isinstance(self.plant, SimulatedPlant):
             raise LuxloopError(f"checks: compare = {light!r} runs the simulated world beside, not {self.scenario.plant.kind}; leave it out")
         scenario = self.scenario.model_copy(update={"controller": OpenLoopParams()})
-        return replace(self, scenario=scenario, controller=build_symbol_controller(scenario, self.observer))
+        return replace(self, scenario=scenario, controller=build_symbol_controller(scenario.controller, self.observer))
 
     def start(self) -> SimulationState:
         """The state before step 0."""
-        s = self.scenario.start
-        angles = torch.deg2rad(torch.tensor([s.roll_deg, s.pitch_deg]))
-        pose = torch.cat([torch.tensor([s.x_m, s.y_m]), angles]).to(self.projector.target)
         plant, arrivals = self.plant.start()
-        return SimulationState(0, self.controller.start(pose), plant, arrivals, newest({}, arrivals.samples))
+        controller = self.controller.start(self.scenario.start.pose.to(self.projector.target))
+        return SimulationState(0, controller, plant, arrivals, newest({}, arrivals.samples))
 
     def ego(self, state: SimulationState) -> Ego | None:
         """What is known of the vehicle's motion when the next step begins, None of one that stands."""
@@ -164,10 +157,10 @@ class Simulation:
                 plant, after = self.plant.show(plant, exposure)
                 showings, arrivals, frames = (*showings, Showing(arrivals, exposure, after)), after, frames + after.frames
                 samples = newest(samples, after.samples)
-        looks, under_way, frames = matched((*state.under_way, (2 * state.step, Shown(drawing, lights, ego))), frames)
+        looks, under_way, frames = paired((*state.under_way, (2 * state.step, Shown(drawing, lights, ego))), frames)
         controller, shape, now = state.controller, state.shape, self._ego(samples, arrivals.time_s)
-        looks = looks or [(under_way[0][1], None, math.nan)]
-        for shown, pair, _ in looks:
+        for look in looks:
+            shown, pair = _shown(look), look.images
             with _timed(timings, "perceive"):
                 seen = self.observer.look(pair, shown.drawing, shown.lights, shape if now is None or now.stands else None)
                 shape = seen.shape
@@ -181,7 +174,9 @@ class Simulation:
         outside = cut(self.projector, drawing)
         return (
             SimulationState(state.step + 1, controller, plant, arrivals, samples, under_way, frames, shape),
-            StepResult(state.step, time_s, drawing.pose, z, lights, pair, looks[-1][2], seen, verdict, outside, aim, showings, timings),
+            StepResult(
+                state.step, time_s, drawing.pose, z, lights, pair, looks[-1].taken_s, seen, verdict, outside, aim, showings, timings
+            ),
         )
 
     def _ego(self, samples: Samples, time_s: float) -> Ego | None:
@@ -199,22 +194,10 @@ class Simulation:
             yield result
 
 
-def matched(under_way: UnderWay, frames: Sequence[Frame]) -> tuple[list[Arrived], UnderWay, tuple[Frame, ...]]:
-    """What was shown whose frames have come or are lost; what is under way; its frames so far.
-
-    What was shown is what was asked for, unless the on frame says otherwise. Frames come in the order of their exposures: all before the
-    last pair that has come are lost.
-    """
-    came, looks = {frame.number: frame for frame in frames}, list[Arrived]()
-    done = max((k + 1 for k, (number, _) in enumerate(under_way) if number in came and number + 1 in came), default=0)
-    for number, asked in under_way[:done]:
-        on, off = came.get(number, LOST), came.get(number + 1, LOST)
-        shown = asked if on.shown is None else replace(asked, drawing=on.shown.drawing or asked.drawing, lights=on.shown.lights)
-        both = None if on.image is None or off.image is None else (on.image, off.image)
-        looks.append((shown, both, math.nan if both is None else on.taken_s))
-    left = under_way[done:]
-    awaited = {exposure for number, _ in left for exposure in (number, number + 1)}
-    return looks, left, tuple(frame for frame in frames if frame.number in awaited)
+def _shown(arrived: Arrived[Shown]) -> Shown:
+    """What was asked for, unless the on frame says otherwise."""
+    asked, shown = arrived.what, arrived.on.shown
+    return asked if shown is None else replace(asked, drawing=shown.drawing or asked.drawing, lights=shown.lights)
 
 
 @contextmanager

@@ -43,8 +43,7 @@ def trajectory(name: str) -> pa.Table:
     coarse = camera.model_copy(update={"width_px": WIDTH_PX, "height_px": round(WIDTH_PX * camera.height_px / camera.width_px)})
     simulation = LightingSimulation.prepare(scenario.model_copy(update={"camera": coarse}))
     steps = [k * (scenario.steps - 1) // (STEPS - 1) for k in range(STEPS)]
-    learns = simulation.planner.learns or simulation.sight is not None
-    results = (each for each in simulation.run() if each.step in steps) if learns else map(simulation.at, steps)
+    results = (each for each in simulation.run() if each.step in steps) if simulation.remembers else map(simulation.at, steps)
     rows = [row(result) | moments(result, simulation) for result in results]
     columns = [pa.field(field.name, field.type) for field in schema(simulation) if not field.name.endswith("_ms")]
     columns += [pa.field(f"module.{module.name}.{key}", pa.float64()) for module in simulation.modules for key in MOMENTS]

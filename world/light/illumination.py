@@ -135,53 +135,57 @@ def transport(surface: LitSurface, headlight: Headlight, width: int, oversamplin
     return Transport(matrix, torch.from_numpy(index).to(device), first, last)
 
 
+class Shadows:
+    """Which points `[3, N]` m a lamp at `[3]` m lights past all triangles: a ray is cast to each when it is first asked for."""
+
+    def __init__(self, points: Tensor, lamp_m: Tensor, triangles: Triangles) -> None:
+        self.points, self.lamp_m, self.triangles = points, lamp_m, triangles
+        self._asked, self._lit = (torch.zeros(points.shape[1], dtype=torch.bool, device=points.device) for _ in range(2))
+
+    def spare(self, index: Tensor) -> Tensor:
+        """`[m]` bool, of points at index `[m]`."""
+        asked = index[~self._asked[index]]
+        if len(asked):
+            self._lit[asked] = sees(self.triangles, self.lamp_m, self.points[:, asked])
+            self._asked[asked] = True
+        return self._lit[index]
+
+
 @dataclass(frozen=True)
 class DirectTransport:
     """The same without a matrix: the light texture is made and sampled each time, which pays where a view is lit a few times only, or where
     illuminance is asked for.
 
-    surface: M samples. position: `[3, M]` m, where they are. index: `[M]` int64, flat image index of the camera pixel that takes the mean
-    of `oversampling` samples. central: `[M]` bool, which of them stands for the pixel's centre. triangles: what throws shadows on the
-    samples in the light from `lamp_m` `[3]`; none of them lies in shadow where it is None.
+    surface: M samples, those in shadow included. index: `[M]` int64, flat image index of the camera pixel that takes the mean of
+    `oversampling` samples. central: `[M]` bool, which of them stands for the pixel's centre. shadows: on all samples of the view.
     """
 
     surface: LitSurface
-    position: Tensor
     index: Tensor
     central: Tensor
     oversampling: int
     headlight: Headlight
-    lamp_m: Tensor
-    triangles: Triangles | None
+    shadows: Shadows
 
     @classmethod
     def of(
-        cls,
-        gbuffer: GBuffer,
-        headlight: Headlight,
-        T_world_headlight: Tensor,
-        triangles: Triangles,
-        width: int,
-        oversampling: int = 1,
-        late: bool = True,
+        cls, gbuffer: GBuffer, headlight: Headlight, T_world_headlight: Tensor, shadows: Shadows, width: int, oversampling: int = 1
     ) -> "DirectTransport":
-        """Parameters as of `reach` and `transport`. late: shadows are looked for where light falls, each time, else everywhere and once."""
-        surface = reach(gbuffer, headlight, T_world_headlight, None if late else triangles)
-        position, index = gbuffer.position.flatten(1)[:, surface.index], _camera_pixel(surface.index, width, oversampling)
+        """Parameters as of `reach` and `transport`; shadows: in the light from where the headlight is, on the whole G-buffer."""
+        surface = reach(gbuffer, headlight, T_world_headlight)
         central = surface.index // width % oversampling == oversampling // 2
-        return cls(surface, position, index, central, oversampling, headlight, T_world_headlight[:3, 3], triangles if late else None)
+        return cls(surface, _camera_pixel(surface.index, width, oversampling), central, oversampling, headlight, shadows)
 
     def illuminance(self, utilisation: Tensor) -> tuple[Tensor, Tensor]:
         """Illuminance `[..., m]` in lx of samples `[m]`, the others are dark.
 
-        utilisation: `[..., n_p]`. Rays of late shadows are cast only to samples that the light texture lights, so pixellights at zero have
-        no gradient then.
+        utilisation: `[..., n_p]`. Shadows are looked for only where the light texture is not dark, and everywhere if it has a gradient.
         """
         lx = illuminance(self.surface, self.headlight.light_texture(utilisation))
-        if self.triangles is None:
-            return lx, torch.arange(len(self.index), device=lx.device)
-        lit = torch.nonzero(torch.atleast_2d(lx).flatten(0, -2).any(0))[:, 0]
-        lit = lit[sees(self.triangles, self.lamp_m, self.position[:, lit])]
+        lit = torch.arange(len(self.index), device=lx.device)
+        if not lx.requires_grad:
+            lit = lit[torch.atleast_2d(lx).flatten(0, -2).any(0)]
+        lit = lit[self.shadows.spare(self.surface.index[lit])]
         return lx[..., lit], lit
 
     def luminance(self, utilisation: Tensor, band: slice | None = None) -> tuple[Tensor, Tensor]:

@@ -1,5 +1,7 @@
 """The project's only ray caster: embree through trimesh, each body in its own frame, so that nothing is rebuilt when a body moves."""
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -9,6 +11,7 @@ from world.view import View
 
 TOLERANCE_M = 2e-3  # by which a surface lies before itself: what OpenGL interpolates is 1 mm off where light grazes a road 60 m ahead
 MARGIN_M = 1e-3  # around a body, which may be flat
+ROUNDING = 1e-5  # of products in float32, as a share of them
 
 
 class RayCaster:
@@ -44,14 +47,17 @@ def _cast(triangles: Triangles, origin: Tensor, directions: Tensor, farthest: fl
     """The first faces within `farthest` lengths of the directions, as `first_hits`, and their depths `[N]` float64 in such lengths."""
     nearest = torch.full((directions.shape[1],), -1)
     depth = torch.full((directions.shape[1],), torch.inf, dtype=torch.float64)
+    ways = directions.float()
+    squares = ways.square().sum(0)
     for first, placed in triangles.parts():
         T_body_world, body = inverse(placed.T_world_body), placed.body
         local_origin = T_body_world[:3, :3] @ origin + T_body_world[:3, 3]
-        local = T_body_world[:3, :3] @ directions
-        rays = torch.nonzero(_near(body.bounds, local_origin, local, farthest))[:, 0]
+        rays = torch.nonzero(_towards(body.bounds, placed.T_world_body, origin, ways, squares, farthest))[:, 0]
+        local = T_body_world[:3, :3] @ directions[:, rays]
+        near = _near(body.bounds, local_origin, local, farthest)
+        rays, local = rays[near], local[:, near]
         if not len(rays):
             continue
-        local = local[:, rays]
         face = torch.from_numpy(body.intersector.intersects_first(local_origin.expand(len(rays), 3).numpy(), local.T.numpy())).long()
         normal, offset = body.planes[face].T.split((3, 1))
         towards = (normal * local).sum(0)
@@ -62,6 +68,24 @@ def _cast(triangles: Triangles, origin: Tensor, directions: Tensor, farthest: fl
         nearest[rays[closer]] = face[closer] + first
         depth[rays[closer]] = hit_depth[closer]
     return nearest, depth
+
+
+def _towards(bounds: Tensor, T_world_body: Tensor, origin: Tensor, ways: Tensor, squares: Tensor, farthest: float) -> Tensor:
+    """Which rays `[3, N]` of squared length `[N]` may meet a body: cheap tests, which most do not pass.
+
+    Of a ball around its box; for rays that start within, of how far they go towards the slabs of the box in the world.
+    """
+    middle, half = bounds.mean(0), (bounds[1] - bounds[0]) / 2 + 2 * MARGIN_M
+    away = T_world_body[:3, :3] @ middle + T_world_body[:3, 3] - origin
+    beyond = float(away @ away - half @ half)
+    if beyond > 0:
+        along = away.float() @ ways
+        return (along > 0) & (along.square_() >= (1 - ROUNDING) * beyond * squares)
+    towards = torch.ones_like(squares, dtype=torch.bool)
+    for way, gap, reach_m in zip(ways, away.tolist(), (T_world_body[:3, :3].abs() @ half).tolist(), strict=True):
+        if abs(gap) > reach_m:  # the origin lies beside this slab
+            towards &= way * math.copysign(1.0, gap) >= (abs(gap) - reach_m) / farthest * (1 - ROUNDING)
+    return towards
 
 
 def _near(bounds: Tensor, origin: Tensor, directions: Tensor, farthest: float) -> Tensor:

@@ -119,8 +119,11 @@ class Observer:
         seen = self.model.eye.look(symbol, crop)
         expected = self.model.eye.area(expected_symbol, crop)
         error = errors(self.model.eye.features(seen), self.model.target)
-        pose_error = error[..., PAIRED] / self.model.gains
-        return Seen(gate(seen.area, expected, self.params), error, pose_error, seen.area / expected, seen, symbol, crop)
+        return Seen(gate(seen.area, expected, self.params), error, self.pose_error(error), seen.area / expected, seen, symbol, crop)
+
+    def pose_error(self, error: Tensor) -> Tensor:
+        """Errors of features `[..., 4]` in m and rad of x, y, roll, pitch."""
+        return error[..., PAIRED] / self.model.gains
 
     def rendered(self, drawing: Drawing, lights: Sequence[Utilisation]) -> Tensor:
         """Features `[..., 4]` that a flat road would show of the light of a drawing, without noise."""

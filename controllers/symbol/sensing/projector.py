@@ -4,7 +4,6 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import repeat
 from typing import Literal, Self
 
 import torch
@@ -45,6 +44,20 @@ class SymbolParams(Params):
         if self.quantity == "u_abs" and self.value > 1:
             raise ValueError(f"value: {self.value:g} is no share; give at most 1, or name the quantity I_v (cd) or E_v (lx)")
         return self
+
+
+class StartParams(Params):
+    """Pose of the symbol's primitive at step 0."""
+
+    x_m: float = Field(17.0, gt=1, le=100, description="centre ahead of the lamps")
+    y_m: float = Field(0.0, ge=-20, le=20, description="centre to the left")
+    roll_deg: float = Field(0.0, ge=-45, le=45, description="rotation about the forward axis")
+    pitch_deg: float = Field(0.0, ge=-45, le=45, description="rotation about the left axis, nose down positive")
+
+    @property
+    def pose(self) -> Tensor:
+        """`[4]` = x, y in m, roll, pitch in rad."""
+        return torch.cat([torch.tensor([self.x_m, self.y_m]), torch.deg2rad(torch.tensor([self.roll_deg, self.pitch_deg]))])
 
 
 @dataclass(frozen=True)
@@ -96,7 +109,7 @@ class Projector:
 
     def light(self, pose: Tensor) -> tuple[Utilisation, ...]:
         """Utilisations `[..., n_p]`, one a module, that draw the symbol as it is at a pose `[..., 4]`."""
-        return self._cast(repeat(self.primitive(pose)))
+        return self._cast([self.primitive(pose)] * len(self.modules))
 
     def draw(self, drawing: Drawing) -> tuple[Utilisation, ...]:
         """Utilisations `[..., n_p]`, one a module, of a drawing; a warped one costs a turn for each of a batch."""
@@ -104,13 +117,29 @@ class Projector:
             return tuple(Utilisation(u) for u in drawing.raw)
         drawing = self.on_road(drawing)
         if drawing.warp is None:
-            return self._cast(repeat(_raised(self.primitive(drawing.pose), drawing.z)))
+            return self._cast(self.primitives(drawing))
         batch = drawing.pose.shape[:-1]
-        singles = [self._cast(self._warped(each)) for each in drawing.singles()]
+        singles = [self._cast(self.primitives(each)) for each in drawing.singles()]
         return tuple(
             Utilisation(torch.stack([light.u for light in lights]).unflatten(0, batch)) if batch else lights[0]
             for lights in zip(*singles, strict=True)
         )
+
+    def primitives(self, drawing: Drawing, clear: bool = False) -> Sequence[Primitives]:
+        """The primitive that each module draws of a drawing without raw utilisations; a warped one is no batch.
+
+        clear: whether a warp's cells beyond the symbol let through what lies below, in place of being dark.
+        """
+        drawing = self.on_road(drawing)
+        if drawing.warp is None:
+            return [_raised(self.primitive(drawing.pose), drawing.z)] * len(self.modules)
+        u, v = drawing.warp.source.unbind(1)
+        symbol = self.symbol.expand(len(u), 1, -1, -1)
+        warped = remap(symbol, u, v, padding_mode="zeros", align_corners=False, normalized_coordinates=True)[:, 0] * drawing.warp.dimming
+        if clear:
+            warped = torch.stack([warped, (drawing.warp.source.abs().amax(1) <= 1).to(warped)], 1)
+        images = warped.expand(len(self.modules), *warped.shape[1:])
+        return [_raised(self._rectangle(drawing.pose, *drawing.warp.size_m, image), drawing.z) for image in images]
 
     def on_road(self, drawing: Drawing) -> Drawing:
         """The drawing as one on z = 0 or on a rectangle tangent to the road of its shape."""
@@ -123,17 +152,8 @@ class Projector:
         """Of one primitive a module."""
         return tuple(
             module.pixel_controller.utilisation(primitive, module.T_world_headlight)
-            for module, primitive in zip(self.modules, primitives, strict=False)
+            for module, primitive in zip(self.modules, primitives, strict=True)
         )
-
-    def _warped(self, drawing: Drawing) -> list[Primitives]:
-        """The primitives of one warped drawing, one a module."""
-        assert drawing.warp is not None
-        u, v = drawing.warp.source.unbind(1)
-        symbol = self.symbol.expand(len(u), 1, -1, -1)
-        warped = remap(symbol, u, v, padding_mode="zeros", align_corners=False, normalized_coordinates=True)[:, 0] * drawing.warp.dimming
-        images = warped.expand(len(self.modules), -1, -1)
-        return [_raised(self._rectangle(drawing.pose, *drawing.warp.size_m, image), drawing.z) for image in images]
 
     def textures(self, lights: Sequence[Utilisation]) -> tuple[Tensor, ...]:
         """Light textures `[rows, cols]` in cd, one a module, of what lights `[n_p]` add to the base beams."""

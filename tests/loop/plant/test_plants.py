@@ -8,6 +8,7 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
+from loop.plant.pairing import paired
 from loop.plant.protocol import Arrivals, Exposure
 from loop.plant.simulated import SimulatedPlant
 from loop.recording.recorder import row as row_of
@@ -15,7 +16,7 @@ from loop.recording.recorder import table_of
 from loop.recording.summary import summarise
 from loop.run import prepare
 from loop.scenario.model import validate
-from loop.symbol.simulation import Simulation, matched
+from loop.symbol.simulation import Simulation
 from perception.extraction import Loss
 from tests.loop.conftest import SMALL, Lux, assert_one_sentence
 from world.errors import LuxloopError
@@ -101,14 +102,15 @@ def test_a_pair_that_lacks_a_frame_waits_and_one_that_lost_a_frame_is_lost(small
     _, came = plant.show((), Exposure(0, 0.0, 1 / 60, shown))
     (frame,) = came.frames
     off = replace(frame, number=1)
-    assert matched(((0, "first"), (2, "second")), [frame]) == ([], ((0, "first"), (2, "second")), (frame,))
-    (look,), left, frames = matched(((0, "first"), (2, "second")), [frame, off])
-    assert look == ("first", (frame.image, off.image), 0.0) and left == ((2, "second"),) and frames == ()
-    (look,), _, _ = matched(((0, "first"),), [frame, replace(off, image=None)])
-    assert look[:2] == ("first", None)
+    (look,), left, frames = paired(((0, "first"), (2, "second")), [frame])
+    assert (look.what, look.images, left, frames) == ("first", None, ((0, "first"), (2, "second")), (frame,))
+    (look,), left, frames = paired(((0, "first"), (2, "second")), [frame, off])
+    assert (look.what, look.images, look.taken_s, left, frames) == ("first", (frame.image, off.image), 0.0, ((2, "second"),), ())
+    (look,), _, _ = paired(((0, "first"),), [frame, replace(off, image=None)])
+    assert (look.what, look.images) == ("first", None)
     # of the first the plant never said a word
-    looks, left, _ = matched(((0, "first"), (2, "second")), [replace(frame, number=2), replace(frame, number=3)])
-    assert [each[1] is None for each in looks] == [True, False] and left == ()
+    looks, left, _ = paired(((0, "first"), (2, "second")), [replace(frame, number=2), replace(frame, number=3)])
+    assert [each.images is None for each in looks] == [True, False] and left == ()
 
 
 @pytest.mark.usefixtures("own")

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from world.frames import R_ISO_OPENCV, inverse, pose, pose_from_degrees, transform
 from world.headlight import Headlight
-from world.light.illumination import DirectTransport, added_light, illuminance, luminance, reach, transport
+from world.light.illumination import DirectTransport, Shadows, added_light, illuminance, luminance, reach, transport
 from world.presets import idealised
 from world.rendering.flat_road import flat_road
 from world.rendering.gbuffer import GBuffer
@@ -301,7 +301,8 @@ def test_the_direct_way_gives_what_the_matrix_gives(device, oversampling):
     u[:, : headlight.n_pixels // 2] = 0
     base = torch.zeros(90, 160, device=device)
     lit = reach(road, headlight, T_world_lamp, triangles)
-    direct = DirectTransport.of(road, headlight, T_world_lamp, triangles, view.width, oversampling)
+    shadows = Shadows(road.position.flatten(1), T_world_lamp[:3, 3], triangles)
+    direct = DirectTransport.of(road, headlight, T_world_lamp, shadows, view.width, oversampling)
     expected = added_light([transport(lit, headlight, view.width, oversampling)], [Light(u)], base)
     image = added_light([direct], [Light(u)], base)
     assert len(lit.index) < len(direct.index), "nothing is in shadow"
@@ -313,7 +314,8 @@ def test_the_direct_way_gives_what_the_matrix_gives(device, oversampling):
 
 def test_the_direct_way_gives_the_lit_samples_of_the_plain_path_to_the_bit():
     view, triangles = camera(), Scene(()).at(0.0)
-    direct = DirectTransport.of(flat_road(view, 0.2), LAMP, T_LEFT, triangles, view.width)
+    road = flat_road(view, 0.2)
+    direct = DirectTransport.of(road, LAMP, T_LEFT, Shadows(road.position.flatten(1), T_LEFT[:3, 3], triangles), view.width)
     u = torch.zeros(LAMP.n_pixels)
     u[330] = 1
     light, index = direct.luminance(u)
@@ -326,6 +328,7 @@ def test_the_direct_way_gives_the_lit_samples_of_the_plain_path_to_the_bit():
 @pytest.mark.parametrize("batch", [(), (2,)])
 def test_the_direct_way_lights_nothing_where_the_lamp_reaches_nothing(batch):
     behind = surface_at(torch.tensor([[-5.0], [0.6], [0.75]]), (1.0, 0.0, 0.0))
-    direct = DirectTransport.of(behind, LAMP, T_LEFT, Scene(()).at(0.0), 1)
+    shadows = Shadows(behind.position.flatten(1), T_LEFT[:3, 3], Scene(()).at(0.0))
+    direct = DirectTransport.of(behind, LAMP, T_LEFT, shadows, 1)
     light, index = direct.luminance(torch.ones(*batch, LAMP.n_pixels))
     assert light.shape == (*batch, 0) and len(index) == 0

@@ -1,0 +1,221 @@
+"""Symbols among the lighting functions that a controller holds straight: what it is told, and what it wants drawn."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from controllers.functions.planner import Planner
+from controllers.functions.symbol import SymbolFunctionParams
+from controllers.pixels.primitives import Primitives, concatenate, meant
+from controllers.pixels.ssc import Utilisation
+from controllers.situation import LAYERS, Situation
+from controllers.symbol.laws.open_loop import OpenLoopParams
+from controllers.symbol.sensing.drawing import Drawing
+from controllers.symbol.sensing.field import cut
+from controllers.symbol.sensing.flat_model import FlatModel, flat_model
+from controllers.symbol.sensing.observer import Observer, Seen
+from controllers.symbol.sensing.projector import DrawingModule, Projector
+from controllers.symbol.sensing.protocol import Look, Shown, SymbolController
+from loop.assembly.build import build_road, build_symbol_controller
+from loop.lighting.lamps import ShiningModule
+from loop.plant.world import World
+from loop.scenario.model import LightingScenario
+from loop.scenario.shipped import named
+from loop.symbol.feasible import refuse_undrawable, refuse_unseen
+from loop.symbol.judging import Judge
+from perception.camera import CameraParams, camera_view
+from perception.egomotion import Ego
+from perception.extraction import Crop, Loss
+from perception.judge import Verdict
+from world.errors import LuxloopError, located
+from world.symbols import load_still
+
+Frames = tuple[Tensor, Tensor]
+SAME = 1e-4  # of a utilisation, which more than rounding changes
+
+
+@dataclass(frozen=True)
+class HeldState:
+    """controller: its state. turn: step in which it was measured last.
+
+    shape: `[4]` of the road on which it was seen, None for the flat one.
+    """
+
+    controller: Any
+    turn: int = -1
+    shape: Tensor | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """A symbol in one step. drawing: what was shown. cut: `[4]`, shares beyond the borders of the lamps' field. seen: what was made of the
+    newest frames. verdict: None where nobody judged.
+    """
+
+    drawing: Drawing
+    cut: Tensor
+    seen: Seen
+    verdict: Verdict | None
+
+    @property
+    def pose(self) -> Tensor:
+        """`[4]` = x, y in m, roll, pitch in rad."""
+        return self.drawing.pose
+
+    @property
+    def z(self) -> Tensor:
+        """`[]` m, height of its centre above the assumed road."""
+        return torch.zeros_like(self.pose[0]) if self.drawing.z is None else self.drawing.z
+
+    @property
+    def aim(self) -> Tensor:
+        """`[2]`, x and y in m where it lies in place of its target, NaN for the target."""
+        return torch.full_like(self.pose[:2], torch.nan) if self.drawing.aim is None else self.drawing.aim.to(self.pose)
+
+
+@dataclass(frozen=True, eq=False)
+class ControlledSymbol:
+    """A symbol that is held.
+
+    drawn_by: indices of the car's modules that draw it.
+    """
+
+    function: SymbolFunctionParams
+    drawn_by: tuple[int, ...]
+    observer: Observer
+    controller: SymbolController
+    judge: Judge
+
+    @classmethod
+    def prepare(
+        cls, function: SymbolFunctionParams, scenario: LightingScenario, modules: Sequence[ShiningModule], planner: Planner, world: World
+    ) -> "ControlledSymbol":
+        """Raises LuxloopError where its file is missing or broken, and where its lamps cannot draw it or the camera cannot see it."""
+        assert function.controller is not None
+        refuse_unseen(function.held, scenario)
+        base = planner.composed(Situation(0.0, torch.eye(4), torch.zeros(0, 3)), planner.start(), {})
+        drawn_by = _chosen(function, modules)
+        drawing = []
+        for each in (modules[k] for k in drawn_by):
+            drawing.append(DrawingModule(each.name, each.controller.over(each.base(base)), each.T_world_module))
+        with located("image"):
+            image = load_still(named(function.image, "symbols")).to(world.device)
+        projector = Projector(tuple(drawing), image, function.held, camera_view(scenario.camera).origin)
+
+        def model_of(camera: CameraParams) -> FlatModel:
+            return flat_model(projector, camera, scenario.surface, scenario.light.ambient_lx, function.extraction, function.features)
+
+        model = model_of(scenario.camera)
+        observer = Observer(projector, model, scenario.camera, function.extraction)
+        judged = model if world.camera == scenario.camera else model_of(world.camera)
+        judge = Judge.of(world, function.held, build_road(scenario), judged.luminance(projector.light(projector.target)))
+        refuse_undrawable(observer, judge, base.base.name)
+        return cls(function, drawn_by, observer, build_symbol_controller(function.controller, observer), judge)
+
+    @property
+    def projector(self) -> Projector:
+        return self.observer.projector
+
+    def in_open_loop(self) -> "ControlledSymbol":
+        """The same without control: drawn at its target for a flat road."""
+        return replace(self, controller=build_symbol_controller(OpenLoopParams(), self.observer))
+
+    def start(self) -> HeldState:
+        """Before anything is seen."""
+        return HeldState(self.controller.start(self.function.start_pose.pose.to(self.projector.target)))
+
+    def command(self, drawing: Drawing, T_ground_body: Tensor) -> tuple[Primitives, ...]:
+        """What a drawing asks of the modules, in the ground frame. Raises LuxloopError for utilisations, which nothing else could join."""
+        function, parts = self.function, []
+        if drawing.raw is not None:
+            raise LuxloopError("controller: draws utilisations; among lighting functions it may draw poses and warps")
+        for module, primitive in zip(self.projector.modules, self.projector.primitives(drawing, clear=True), strict=True):
+            drawn = replace(
+                primitive,
+                weight=torch.full_like(primitive.weight, function.weight),
+                forced=torch.full_like(primitive.forced, function.forced),
+                priority=torch.full_like(primitive.priority, function.priority * LAYERS),
+                modules=((module.name,),),
+                shared=torch.zeros_like(primitive.shared),
+            )
+            parts.append(drawn.moved(T_ground_body))
+        return (concatenate(*parts),)
+
+    def light(self, on: Sequence[Tensor], off: Sequence[Tensor]) -> tuple[Utilisation, ...]:
+        """What the symbol adds to the base beams that its controller believes in, one a module that draws it.
+
+        on, off: utilisations `[n_p]` of all modules with the symbol and without it.
+        """
+        resting = self.projector.resting
+        return tuple(Utilisation(beam.u + on[k] - off[k]) for k, beam in zip(self.drawn_by, resting, strict=True))
+
+    def step(self, state: HeldState, frames: Frames | None, shown: Shown, ego: Ego | None) -> tuple[HeldState, Seen]:
+        """Look at the frames that show it, None where there are none, and control."""
+        seen = self.observer.look(frames, shown.drawing, shown.lights, state.shape if ego is None or ego.stands else None)
+        seen = self._less_masks(seen, shown)
+        return HeldState(self.controller.step(state.controller, Look(seen, frames, shown, ego)), state.turn, seen.shape), seen
+
+    def _less_masks(self, seen: Seen, shown: Shown) -> Seen:
+        """Errors without what other functions took from the symbol or laid over it, which moves its centroids as well."""
+        if seen.code != Loss.SEEN:
+            return seen
+        alone = self.projector.draw(shown.drawing)
+        if all(torch.allclose(a.u, b.u, rtol=0, atol=SAME) for a, b in zip(shown.lights, alone, strict=True)):
+            return seen
+        moved = self.observer.rendered(shown.drawing, shown.lights) - self.observer.rendered(shown.drawing, alone)
+        if not bool(moved.isfinite().all()):
+            return self.observer.lost(shown.drawing.pose, Loss.NOTHING)
+        errors = seen.errors - moved
+        return replace(seen, errors=errors, pose_error=self.observer.pose_error(errors))
+
+    def held(self, drawing: Drawing, seen: Seen | None, verdict: Verdict | None) -> Held:
+        """What is recorded of a step; seen: None where no frame shows it yet."""
+        seen = self.observer.lost(drawing.pose, Loss.NO_FRAME) if seen is None else seen
+        return Held(drawing, cut(self.projector, drawing), seen, verdict)
+
+    def footprint(self, drawing: Drawing) -> Crop:
+        """Where the camera may see a drawing."""
+        return self.projector.footprint(drawing, self.observer.model.eye.view, self.observer.params.footprint_margin_m)
+
+
+def controlled_symbols(
+    scenario: LightingScenario, modules: Sequence[ShiningModule], planner: Planner, world: World
+) -> Mapping[str, ControlledSymbol]:
+    """All of a scenario by name, from top to bottom. Raises LuxloopError as `ControlledSymbol.prepare`."""
+    found: dict[str, ControlledSymbol] = {}
+    for name, function in planner.functions.items():
+        if isinstance(function, SymbolFunctionParams) and function.controller is not None:
+            with located(f"functions.{name}"):
+                found[name] = ControlledSymbol.prepare(function, scenario, modules, planner, world)
+    return found
+
+
+def turn(symbols: Mapping[str, ControlledSymbol], states: Mapping[str, HeldState], drawings: Mapping[str, Drawing]) -> tuple[str, ...]:
+    """Names of the symbols to be measured together: those that have waited longest, no two in one part of the image."""
+    taken: dict[str, Crop] = {}
+    for name in sorted(drawings, key=lambda name: (states[name].turn, name)):
+        where = symbols[name].footprint(drawings[name])
+        if not any(_meet(where, other) for other in taken.values()):
+            taken[name] = where
+    return tuple(taken)
+
+
+def _chosen(function: SymbolFunctionParams, modules: Sequence[ShiningModule]) -> tuple[int, ...]:
+    """Those that the function names, else the finest one of the first lamp."""
+    if function.modules:
+        return tuple(k for k, each in enumerate(modules) if meant(function.modules, each.name))
+    first = [k for k, each in enumerate(modules) if each.side == modules[0].side]
+    return (min(first, key=lambda k: _pixel_area(modules[k])),)
+
+
+def _pixel_area(module: ShiningModule) -> float:
+    light = module.headlight
+    return math.fabs((light.left - light.right) * (light.top - light.bottom)) / light.n_pixels
+
+
+def _meet(a: Crop, b: Crop) -> bool:
+    return a.u_start < b.u_stop and b.u_start < a.u_stop and a.v_start < b.v_stop and b.v_start < a.v_stop

@@ -1,0 +1,149 @@
+"""Symbols among the lighting functions that controllers hold: alone, beside masks, several of them, and what a file may ask for."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import pytest
+import torch
+
+from loop.commands import cli
+from loop.lighting.record import row, schema
+from loop.lighting.result import LightingResult
+from loop.lighting.simulation import LightingSimulation
+from loop.scenario.model import load_any, validate, validate_lighting
+from loop.symbol.simulation import Simulation
+from perception.extraction import Loss
+from world.errors import LuxloopError
+
+WORLD: dict[str, Any] = {
+    "name": "held",
+    "steps": 10,
+    "road": {"kind": "bumps", "seed": 3},
+    "headlight": {"model": "idealised-332x1024", "lamps": ["left"]},
+    "camera": {"width_px": 320, "height_px": 180, "oversampling": 2},
+    "light": {"ambient_lx": 0.3},
+}
+FLAKE: dict[str, Any] = {"kind": "symbol", "image": "snowflake", "controller": "luxloop"}
+START = {"x_m": 15.0, "y_m": -0.8, "roll_deg": 3.0, "pitch_deg": -1.0}
+LEFT, RIGHT = FLAKE | {"x_m": 17.5, "y_m": 1.6}, FLAKE | {"image": "chevrons", "x_m": 16.0, "y_m": -1.6}
+
+
+def simulation(functions: dict[str, Any], **changes: Any) -> LightingSimulation:
+    return LightingSimulation.prepare(validate_lighting(WORLD | {"functions": functions} | changes, "held"))
+
+
+def run(functions: dict[str, Any], **changes: Any) -> list[LightingResult]:
+    return list(simulation(functions, **changes).run())
+
+
+def ious(results: Sequence[LightingResult], name: str) -> list[float]:
+    """Of the steps in which it was judged."""
+    verdicts = [each.held[name].verdict for each in results if name in each.held]
+    return [float(each.iou) for each in verdicts if each is not None]
+
+
+@pytest.mark.parametrize("controller", ["luxloop", "thesis_pid"])
+def test_a_symbol_alone_is_held_as_by_a_scenario_of_a_symbol(controller: str) -> None:
+    symbol = validate(WORLD | {"symbol": {"image": "snowflake"}, "start": START, "controller": {"name": controller}}, "symbol")
+    alone = list(Simulation.prepare(symbol).run())
+    held = run({"flake": FLAKE | {"start": START, "controller": controller}})
+    for one, other in zip(alone, held, strict=True):
+        # the same light is summed in another order: rounding of float32, and the noise's level it may tip over
+        torch.testing.assert_close(other.held["flake"].pose, one.pose, rtol=0, atol=1e-3)
+        assert one.verdict is not None and other.held["flake"].verdict is not None
+        assert float(other.held["flake"].verdict.iou) == pytest.approx(float(one.verdict.iou), abs=0.01)
+
+
+@pytest.mark.parametrize("controller", ["luxloop", "thesis_pid"])
+def test_a_mask_over_a_part_neither_moves_nor_loses_a_symbol(controller: str) -> None:
+    box = {"kind": "box", "name": "box", "category": "car", "size_m": [1.0, 0.5, 0.6], "track": [{"position_m": [15.2, 1.0, 0]}]}
+    flake = FLAKE | {"controller": controller}
+    plain, masked = (run({"flake": flake} | more, objects=[box]) for more in ({}, {"guard": {"kind": "glare_free"}}))
+    assert all(each.objects["box"].lx_max == 0 for each in masked)
+    assert float(masked[-1].illuminance.sum()) < 0.9 * float(plain[-1].illuminance.sum()), "the mask takes nothing"
+    assert {int(each.held["flake"].seen.code) for each in masked} == {Loss.SEEN}
+    apart = (masked[-1].held["flake"].pose - plain[-1].held["flake"].pose).abs()
+    # what a pixel of this camera sees of the road at 17 m, 0.3 m along and 3 cm across, and an angle by which the ends move as far
+    assert float(apart[0]) < 0.3 and float(apart[1]) < 0.03 and float(apart[2:].max()) < 0.015
+
+
+def test_symbols_apart_are_measured_in_each_step_and_each_is_judged_by_itself() -> None:
+    results = run({"left": LEFT, "right": RIGHT})
+    for name in ("left", "right"):
+        assert len(ious(results, name)) == len(results) and min(ious(results, name)[5:]) > 0.8
+
+
+def test_symbols_that_meet_take_turns_and_stay_lit_in_the_other_ones() -> None:
+    both = simulation({"lower": FLAKE, "upper": FLAKE | {"image": "chevrons", "x_m": 15.0, "y_m": -0.6, "priority": 1}})
+    results = list(both.run())
+    turns = [[name for name, held in each.held.items() if held.verdict is not None] for each in results]
+    assert turns == [["lower"], ["upper"]] * 5
+    assert {int(each.held[name].seen.code) for each in results[2:] for name in each.held} == {Loss.SEEN, Loss.NO_FRAME}
+    assert min(ious(results, "upper")[2:]) > 0.75
+    on, off = (showing.exposure.lights[0].u for showing in results[-1].showings)  # the upper one's turn
+    alone = simulation({"lower": FLAKE}).at(0).lights[0]
+    assert float(((alone > 0.5) & (off > 0.5) & (on > 0.5)).sum()) > 100
+
+
+def test_a_symbol_that_is_not_shown_waits() -> None:
+    results = run({"flake": FLAKE | {"start": START, "stop_s": 0.1}, "later": RIGHT | {"start_s": 0.2}})
+    assert [sorted(each.held) for each in results] == [["flake"]] * 3 + [[]] * 3 + [["later"]] * 4
+    assert not results[4].lights[0].any()
+    assert ious(results, "later")[-1] > 0.8
+
+
+def test_late_and_lost_frames_reach_each_controller_in_their_turn() -> None:
+    camera = WORLD["camera"] | {"latency_steps": 1, "drop_probability": 0.2}
+    results = run({"left": LEFT, "right": RIGHT}, camera=camera, steps=16, seed=4)
+    codes = [int(each.held["left"].seen.code) for each in results]
+    assert codes[0] == Loss.NO_FRAME and codes.count(Loss.NO_FRAME) < 8
+    assert ious(results, "left")[-1] > 0.8 and ious(results, "right")[-1] > 0.8
+
+
+def test_a_run_is_recorded_by_symbol_and_compared_with_the_open_loop() -> None:
+    held = simulation({"flake": FLAKE | {"start": START}})
+    names = schema(held).names
+    assert {"functions.flake.x_m", "functions.flake.iou", "functions.flake.loss", "control_ms"} <= set(names)
+    last = list(held.run())[-1]
+    values = row(last)
+    assert values["functions.flake.iou"] == pytest.approx(ious([last], "flake")[0])
+    opened = list(held.lit_by("open_loop").run())[-1]
+    assert ious([opened], "flake")[0] < 0.75 < 0.85 < values["functions.flake.iou"]
+    assert opened.held["flake"].pose.tolist() == pytest.approx([17.0, 0.0, 0.0, 0.0])
+
+
+def test_flux_is_the_mean_of_both_exposures() -> None:
+    held = simulation({"flake": FLAKE})
+    result = held.at(0)
+    assert result.powers["left"].flux_lm == pytest.approx(float((result.lights[0] * held.modules[0].flux).sum()) / 2)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"observer": {}}, ["functions.flake", "observer", "leave it out"]),
+        ({"yaw_deg": 10.0}, ["yaw_deg"]),
+        ({"animation": {"kind": "blink"}}, ["animation"]),
+        ({"start": {"x_m": 45.0}, "controller": {"name": "thesis_pid"}}, ["start.x_m", "controller.x_range_m"]),
+        ({"target": "place", "controller": "thesis_pid"}, ["target", "holds no place"]),
+        ({"x_m": 200.0}, ["x_m", "100"]),
+        ({"controller": "luxlop"}, ["luxlop", "luxloop"]),
+        ({"controller": None, "start": START}, ["start", 'controller = "luxloop"']),
+        ({"modules": ["right"]}, ["functions.flake.modules", "'right'", "left"]),
+        ({"y_m": 15.0}, ["functions.flake", "out of the camera's sight"]),
+        ({"image": "snowflak"}, ["functions.flake.image", "snowflake"]),
+    ],
+)
+def test_what_cannot_be_held_is_refused_in_a_sentence(changes: dict[str, Any], words: list[str]) -> None:
+    with pytest.raises(LuxloopError) as told:
+        simulation({"flake": {key: value for key, value in (FLAKE | changes).items() if value is not None}})
+    assert all(word in str(told.value) for word in words), str(told.value)
+
+
+def test_the_controller_of_the_only_symbol_goes_by_the_option(capsys: pytest.CaptureFixture[str]) -> None:
+    masked = load_any("masked_symbol", controller={"name": "open"})
+    assert masked.functions["flake"].controller.name == "open"  # type: ignore[union-attr]
+    assert cli.main(["check", "two_symbols", "--controller", "open"]) == cli.WRONG
+    assert "several symbols have one: flake, way; set functions.NAME.controller" in capsys.readouterr().err
+    assert cli.main(["check", "gfhb", "--controller", "open"]) == cli.WRONG
+    assert "none of its functions has one" in capsys.readouterr().err
