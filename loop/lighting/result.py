@@ -28,10 +28,10 @@ from world.view import View
 class LightingState:
     """What the car knows before a step. tracks: the tracker's state, None without a detector. functions: what each of them has learnt.
 
-    plant: its state. arrivals: what has come in by its beginning. samples: the newest of each of the vehicle's sensors. held: of each symbol
-    that a controller holds. believed: views from the ground frame of the exposures whose frames have not come yet, by their number.
-    under_way: symbols that were shown, by name, whose frames have not come, and whether they were measured. frames: that have come without
-    the other one of their pair.
+    plant: its state. arrivals: what has come in by its beginning. samples: the newest of each of the vehicle's sensors.
+    held: of each symbol that a controller holds. believed: views from the ground frame of the exposures whose frames have not come yet, by
+    their number. under_way: symbols that were shown, by name, whose frames have not come, and whether they were measured. frames: that have
+    come without the other one of their pair.
     """
 
     step: int
