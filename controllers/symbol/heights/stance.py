@@ -12,6 +12,7 @@ from perception.egomotion import Ego
 from world.frames import inverse
 
 EVEN = 2e-3  # in m and rad: smaller movements of a body that stands are taken for errors of its sensors
+LATER_S = 0.2  # a quarter of a slow oscillation, after which one that swings through its rest is furthest from it
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class Following:
         if ego is None:
             return cls()
         T_ground_body = body.T_ground_body(ego.time_s)
-        return cls() if ego.stands and _even(T_ground_body) else cls(exact(ego.way(ego.time_s - since_s)), T_ground_body)
+        return cls() if ego.stands and _rests(body, ego.time_s) else cls(exact(ego.way(ego.time_s - since_s)), T_ground_body)
 
     @property
     def still(self) -> bool:
@@ -62,7 +63,7 @@ class Stances:
             return cls()
         seen_s, half_s = then.time_s, then.period_s / 2
         on = body.T_ground_body(seen_s)
-        if then.stands and _even(on) and Following.of(look.ego, body, seen_s).still:
+        if then.stands and _rests(body, seen_s) and Following.of(look.ego, body, seen_s).still:
             return cls(seen_s)
         return cls(seen_s, exact(then.way(seen_s - before_s)), on, exact(then.way(half_s)) @ body.T_ground_body(seen_s + half_s))
 
@@ -77,5 +78,7 @@ class Stances:
         return replace(self, on=T @ self.on, off=T @ self.off)
 
 
-def _even(T_ground_body: Tensor) -> bool:
-    return bool(((T_ground_body - HERE).abs() < EVEN).all())
+def _rests(body: BodyFilter, time_s: float) -> bool:
+    """Whether the body stands even at a time and does not only swing through; heave, of which no sensor tells the rate, may do so."""
+    away, later = ((body.T_ground_body(t_s) - HERE).abs() for t_s in (time_s, time_s + LATER_S))
+    return bool((away < EVEN).all() and (later[:3, :3] < EVEN).all())
