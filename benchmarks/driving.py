@@ -8,7 +8,6 @@ steps in turn, with one thread, in process time: so it tells what one core does,
 import argparse
 import json
 import time
-from dataclasses import replace
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -72,16 +71,15 @@ def parts(simulation: Simulation, result: StepResult) -> dict[str, float]:
     """ms of what the two views consist of."""
     world, found = simulation.truth.world, {}
     assert isinstance(world.surfaces, QuickSurfaces), "there is no OpenGL here, so that nothing is rendered the quick way"
-    vehicle, view = world.motion.at(result.time_s), world.view_at(result.time_s)
-    samples = world.camera.oversampling
-    view = replace(view, height=view.height * samples, fy=view.fy * samples, cy=view.cy * samples)
+    vehicle, view = world.motion.at(result.time_s), world.view_at(result.time_s).with_rows(world.camera.oversampling)
     clock = Clock()
     triangles = world.scene.at(result.time_s, vehicle.T_world_ground)
     found["tiles"] = clock.lap()
-    surfaces = world.surfaces.gbuffer(triangles, view)
+    world.surfaces.gbuffer(triangles, view)
     found["G-buffer, one view"] = clock.lap()
-    transports = world._transports(triangles, surfaces, vehicle.T_world_body)
-    added_light(transports, result.lights, torch.zeros(world.view.height, world.view.width))
+    again = World(world.scene, world.modules, world.camera, world.source, world.motion).lit(result.time_s)
+    clock.lap()
+    added_light(again.transports, result.lights, again.base)
     found["light and shadows"] = clock.lap()
     return found
 
