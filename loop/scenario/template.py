@@ -111,11 +111,10 @@ def _line(key: str, field: FieldInfo, chosen: Any) -> str:
 
 
 def _toml(value: Any) -> str:
-    """A value as TOML writes it, on one line."""
-    if isinstance(value, BaseModel):
-        return "{" + ", ".join(f"{key} = {_toml(inner)}" for key, inner in value) + "}"
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{key} = {_toml(inner)}" for key, inner in value.items()) + "}"
+    """A value as TOML writes it, on one line; keys of nothing are left out, which TOML has no word for."""
+    if isinstance(value, BaseModel | dict):
+        items = value.items() if isinstance(value, dict) else value
+        return "{" + ", ".join(f"{key} = {_toml(inner)}" for key, inner in items if inner is not None) + "}"
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(_toml, value))}]"
     return json.dumps(value, ensure_ascii=False)

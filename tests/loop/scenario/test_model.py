@@ -219,7 +219,7 @@ BROKEN_LIGHTING = {
         LIT + '[functions.own]\nkind = "object_based"\nsetpoints_lx = { pedestrain = 3 }',
         ["functions.own.setpoints_lx.pedestrain: 'pedestrain' is not possible", "'pedestrian'"],
     ),
-    "driving out of order": (LIT + "[[driving]]\ntime_s = 1\n[[driving]]\ntime_s = 1", ["driving", "ascend"]),
+    "conditions out of order": (LIT + "[[conditions]]\ntime_s = 1\n[[conditions]]\ntime_s = 1", ["conditions", "ascend"]),
 }
 
 
