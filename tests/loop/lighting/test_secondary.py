@@ -115,21 +115,29 @@ def test_driver_cyclist_and_pedestrian_see_what_they_shall_see() -> None:
     assert all(iou is not None and iou >= 0.97 for iou in seen), seen  # 0.983, 0.990 and 0.979
 
 
-@pytest.mark.parametrize("name", LIGHTING)
-def test_shipped_scenarios_run(name: str) -> None:
-    """First and last steps, or two where functions learn, in the light of lamps that load at once; raw utilisations fit only their own."""
+def by_lamps_that_load_at_once(name: str) -> LightingScenario:
+    """A shipped scenario with them; raw utilisations fit their own alone."""
     scenario = load_any(name, camera=SMALL)
     assert isinstance(scenario, LightingScenario)
-    if not scenario.lighting.raw:
-        scenario = scenario.model_copy(update={"headlight": scenario.headlight.model_copy(update={"model": "hd84"})})
+    model = scenario.headlight.model if scenario.lighting.raw else "hd84"
+    headlight = scenario.headlight.model_copy(update={"modules": None, "model": model})
     functions = {
         name: function.model_copy(update={"modules": ()}) if hasattr(function, "modules") else function
         for name, function in scenario.functions.items()
     }
-    headlight = scenario.headlight.model_copy(update={"modules": None})
-    simulation = LightingSimulation.prepare(scenario.model_copy(update={"functions": functions, "headlight": headlight}))
+    return scenario.model_copy(update={"functions": functions, "headlight": headlight})
+
+
+@pytest.mark.parametrize("name", LIGHTING)
+def test_shipped_scenarios_run(name: str) -> None:
+    """First and last steps, or two where steps depend on earlier ones; symbols that are held need their own lamps and camera."""
+    scenario = load_any(name)
+    assert isinstance(scenario, LightingScenario)
+    if not scenario.controlled:
+        scenario = by_lamps_that_load_at_once(name)
+    simulation = LightingSimulation.prepare(scenario)
     state, first = simulation.step(simulation.start())
-    last = simulation.step(state)[1] if simulation.planner.learns else simulation.at(scenario.steps - 1)
+    last = simulation.step(state)[1] if simulation.remembers else simulation.at(scenario.steps - 1)
     assert all(power.flux_lm > 0 for power in last.powers.values())
     for result in (first, last):
         assert all(((u >= 0) & (u <= 1)).all() for u in result.lights)
