@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from textwrap import fill
 
 import numpy as np
 import pyarrow as pa
@@ -31,6 +32,7 @@ TALLER_INCHES = 2.2  # with a detector, for two large pictures of the camera, an
 TRACKED, MASKED, FOUND, TARGET = "#4fd17a", "#ffaa28", "#6e82a0", "#50aaff"
 WALL_COLUMNS = 480
 CHARACTERS = 125  # of marks, side by side, that fill a large picture of the camera
+TOLD = 110  # characters of a line about the camera's pictures
 OBSERVED = 4  # observers' pictures that fit side by side
 FAINTEST_ROAD_LX, BRIGHTEST_ROAD_LX, ROAD_LEVELS_LX = 0.1, 30.0, (1.0, 3.0)  # of the picture from above, and its lines
 AROUND_M = 2.0  # that it shows around the light
@@ -71,7 +73,7 @@ def _cameras(figure: SubFigure, simulation: LightingSimulation, moments: Sequenc
     """With a detector the first and the last picture, as large as each other; else the last one large."""
     white = float(max(white_of(result.luminance, simulation.scenario.camera) for result in moments))
     *before, end = moments
-    figure.suptitle(_told_of_boxes(simulation), x=0.02, ha="left", fontsize=9)
+    figure.suptitle(fill(_told_of_boxes(simulation), TOLD), x=0.02, ha="left", fontsize=9)
     if before and end.look is not None:
         for axes, result in zip(figure.subplots(2, 1), (before[0], end), strict=True):
             _camera(axes, simulation, result, white)
