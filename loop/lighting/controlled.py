@@ -1,6 +1,5 @@
 """Symbols among the lighting functions that a controller holds straight: what it is told, and what it wants drawn."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -32,6 +31,7 @@ from perception.egomotion import Ego
 from perception.extraction import Crop, Loss
 from perception.judge import Verdict
 from world.errors import LuxloopError, located
+from world.headlight.lamp import pixel_area
 from world.symbols import load_still
 
 Frames = tuple[Tensor, Tensor]
@@ -209,12 +209,7 @@ def _chosen(function: SymbolFunctionParams, modules: Sequence[ShiningModule]) ->
     if function.modules:
         return tuple(k for k, each in enumerate(modules) if meant(function.modules, each.name))
     first = [k for k, each in enumerate(modules) if each.side == modules[0].side]
-    return (min(first, key=lambda k: _pixel_area(modules[k])),)
-
-
-def _pixel_area(module: ShiningModule) -> float:
-    light = module.headlight
-    return math.fabs((light.left - light.right) * (light.top - light.bottom)) / light.n_pixels
+    return (min(first, key=lambda k: pixel_area(modules[k].headlight)),)
 
 
 def _meet(a: Crop, b: Crop) -> bool:

@@ -43,7 +43,6 @@ from loop.scenario.shipped import named
 from perception.camera import camera_view, luminance_of, saturation_luminance
 from perception.detection.protocol import Detections
 from perception.egomotion import Ego, Samples, ego_of, newest
-from perception.judge import Verdict
 from world.errors import located
 from world.frames import inverse, transform
 from world.rendering.face_source import face_source
@@ -180,9 +179,10 @@ class LightingSimulation:
             duration_s = 1 / self.scenario.rate_hz / per_step
             before, exposure = arrivals, Exposure(per_step * state.step + part, arrivals.time_s, duration_s, shown)
             plant, arrivals = self.plant.show(plant, exposure)
+            if part == 0:  # before other light is metered
+                seen, (illuminance, leaving) = self.world.lit(time_s), self.world.meter(time_s, shown)
             showings.append(Showing(before, exposure, arrivals))
             frames, samples = frames + arrivals.frames, newest(samples, arrivals.samples)
-        seen, (illuminance, leaving) = self.world.lit(time_s), self.world.meter(time_s, exposures[0])
         luminance = leaving + seen.base
         clock.lap("look")
         watched = {"on": (0,), "off": (per_step - 1,), "both": range(per_step)}[self.scenario.detector_frames]
@@ -219,11 +219,14 @@ class LightingSimulation:
         symbols = () if white is None else observed_symbols(plan, lights, self._driven(white, now)[0], self.world, time_s)
         zones = in_zones(self.planner.functions, state.functions, luminance, self.world.view_from_ground(time_s))
         materials = on_materials(self.planner.functions, functions, now, told, seen, illuminance, luminance)
-        offs = {
-            name: off if len(measured) == 1 else self._driven(self.planner.composed(now, state.functions, _without(drawn, [name])), now)[0]
-            for name in measured
-        }
-        verdicts = {name: self._verdict(name, leaving, each, time_s) for name, each in offs.items()}
+        verdicts = {}
+        for name in measured:
+            other = exposures[-1]
+            if len(measured) > 1:
+                u, _ = self._driven(self.planner.composed(now, state.functions, _without(drawn, [name])), now)
+                other = tuple(map(Utilisation, u))
+            without = self.world.meter(time_s, other)[1]
+            verdicts[name] = self.controlled[name].judge.judged(leaving - without, time_s)
         results = {name: self.controlled[name].held(each, looked.get(name), verdicts.get(name)) for name, each in drawings.items()}
         clock.lap("look")
         result = LightingResult(
@@ -254,12 +257,11 @@ class LightingSimulation:
         """What controllers want drawn of the symbols that are shown now, and the primitives of all functions."""
         shown = {name: each for name, each in self.controlled.items() if each.function.shows(now)}
         drawings = {name: each.controller.drawing(state.held[name].controller, ego) for name, each in shown.items()}
-        commands = {name: shown[name].command(drawing, attitude(ego)) for name, drawing in drawings.items()}
+        commands = {}
+        for name, drawing in drawings.items():
+            with located(f"functions.{name}"):
+                commands[name] = shown[name].command(drawing, attitude(ego))
         return drawings, self.planner.drawn(now, state.functions) | commands
-
-    def _verdict(self, name: str, leaving: Tensor, off: Sequence[Tensor], time_s: float) -> Verdict:
-        """Of a symbol. leaving: luminance `[height, width]` of all lamps' light; off: utilisations `[n_p]` without it, one a module."""
-        return self.controlled[name].judge.judged(leaving - self.world.lit(time_s).light(off)[1], time_s)
 
     def at(self, step: int) -> LightingResult:
         """One step alone, before which nothing was seen; that of the run where nothing depends on what was seen."""

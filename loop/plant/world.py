@@ -212,7 +212,7 @@ class World:
 
         @cache
         def shadows(*lamp_m: float) -> Shadows:
-            return Shadows(surfaces.position.flatten(1), torch.tensor(lamp_m), triangles)
+            return Shadows(surfaces.position.flatten(1), torch.tensor(lamp_m, dtype=torch.float64), triangles)
 
         @cache
         def transported(number: int) -> LightTransport:

@@ -73,12 +73,7 @@ class Lamp:
     @property
     def finest(self) -> Module:
         """The module whose pixels cover the least of the texture plane: the one for symbols."""
-
-        def pixel_area(module: Module) -> float:
-            light = module.headlight
-            return (light.left - light.right) * (light.top - light.bottom) / light.n_pixels
-
-        return min(self.modules, key=pixel_area)
+        return min(self.modules, key=lambda module: pixel_area(module.headlight))
 
     @property
     def field_deg(self) -> tuple[float, float, float, float]:
@@ -128,6 +123,11 @@ class Lamp:
     def intensity(self, utilisations: Sequence[Tensor], directions: Tensor) -> Tensor:
         """Luminous intensity `[N]` in cd, float64, into directions `[3, N]` of the lamp frame: all modules added up, seen from far away."""
         return self.lit(utilisations)(directions)
+
+
+def pixel_area(headlight: Headlight) -> float:
+    """How much of the texture plane, at a distance of 1, a pixel covers on average."""
+    return (headlight.left - headlight.right) * (headlight.top - headlight.bottom) / headlight.n_pixels
 
 
 def direction(h_deg: Tensor, v_deg: Tensor) -> Tensor:
