@@ -1,5 +1,6 @@
 """The judge: how well a symbol lies on the road, from noise-free light and independent of any controller's extraction."""
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -60,14 +61,29 @@ def judge(luminance: Tensor, view: BirdsEye, goal: Target) -> Verdict:
     shape = appearance(mask.to(plane), view.axes)
     offset = shape.centroids[..., 0, :] - goal.shape.centroids[0]
     size = torch.tensor([goal.length_m, goal.width_m]).to(offset)
-    grey, goal_grey = (_in_pairs((image / goal.median / 2).clamp(0, 1)) for image in (plane, goal.luminance))
     return Verdict(
         -100 * offset.flip(-1) / size,
         iou(mask, goal.mask.expand_as(mask)),
-        ssim(grey, goal_grey.expand_as(grey), SSIM_RADIUS, 1.0),
+        _similarity(plane, goal),
         shape.length / goal.shape.length,
         shape.shear,
     )
+
+
+def _similarity(plane: Tensor, goal: Target) -> Tensor:
+    """SSIM of luminance `[..., rows, cols]` and target, `[...]`: computed where its window reaches any light, elsewhere it is 1."""
+    lit = ((plane > 0).flatten(0, -3).any(0) if plane.ndim > 2 else plane > 0) | (goal.luminance > 0)
+    rows, cols = (_reached(lit.any(axis)) for axis in (1, 0))
+    grey, goal_grey = (_in_pairs((image[..., rows, cols] / goal.median / 2).clamp(0, 1)) for image in (plane, goal.luminance))
+    share = goal_grey.numel() / (lit.shape[0] // 2 * (lit.shape[1] // 2))
+    return 1 - share * (1 - ssim(grey, goal_grey.expand_as(grey), SSIM_RADIUS, 1.0))
+
+
+def _reached(lit: Tensor) -> slice:
+    """The whole pairs of cells from which SSIM's window reaches a lit one of `[n]`, some of which are."""
+    found, window = lit.nonzero(), math.ceil(3 * SSIM_RADIUS)
+    first, last = int(found[0]) // 2, int(found[-1]) // 2
+    return slice(2 * max(first - window, 0), 2 * min(last + window + 1, len(lit) // 2))
 
 
 def _in_pairs(image: Tensor) -> Tensor:

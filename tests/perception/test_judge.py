@@ -3,10 +3,12 @@
 import pytest
 import torch
 from torch import Tensor
+from torch.nn.functional import avg_pool2d
 
-from perception.birdseye import birds_eye, region_around
+from perception.birdseye import birds_eye, rectify, region_around
 from perception.camera import CameraParams, average_rows, camera_view
-from perception.judge import Target, judge, target
+from perception.judge import SSIM_RADIUS, Target, judge, target
+from perception.metrics import ssim
 from world.rendering.flat_road import flat_road
 
 CAMERA = CameraParams()
@@ -60,6 +62,17 @@ def test_shear_leaves_length_and_centre(goal: Target, shear: float) -> None:
     assert verdict.shear.item() == pytest.approx(shear, abs=0.03)
     assert verdict.length.item() == pytest.approx(1, abs=0.02)
     assert verdict.centroid_percent.abs().max() < 0.5
+
+
+@pytest.mark.parametrize("dx", [0.0, 1.5, 9.0])
+def test_similarity_is_that_of_the_whole_plane(goal: Target, dx: float) -> None:
+    """Though it is computed only where there is light."""
+    luminance = torch.stack([symbol(dx, dy) for dy in (0.0, 0.7)])
+    seen, wanted = (
+        avg_pool2d((each / goal.median / 2).clamp(0, 1), 2) for each in (rectify(PLANE, luminance), goal.luminance.expand(2, -1, -1))
+    )
+    # In single precision a mean over half a million cells is good to some 1e-6.
+    assert judge(luminance, PLANE, goal).ssim.tolist() == pytest.approx(ssim(seen, wanted, SSIM_RADIUS, 1.0).tolist(), abs=2e-6)
 
 
 def test_brightness_does_not_move_the_symbol(goal: Target) -> None:

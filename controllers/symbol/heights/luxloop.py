@@ -153,6 +153,8 @@ class Luxloop:
         if body is not None and look.ego is not None and memory.T_ground_plane.equal(HERE):
             body = _previewed(body, memory, stances.time_s, look.ego)
         drawing, level_rad = self._drawn(memory) if stances.still else None, 0.0 if now is None else now.level_rad
+        if drawing is not None and drawing.warp is not None:
+            memory = memory.showing(drawing)
         if memory.shape is not state.memory.shape:
             first = None if memory.shape is None else drawing
         return LuxloopState(memory, stances.time_s, drawing, body, level_rad, first, sought)
@@ -182,11 +184,13 @@ class Luxloop:
             return memory if float(there.sum()) * fine.step < LEAST_LIT_PX else nothing
         limit = limit / fine.on_pixels(memory.brightness)  # of the light that the assumed road would show
         informed = bool(known.information.any())
-        before, flat = registration.residual(torch.stack([known.mean, torch.zeros_like(known.mean)]), seen, textures, limit).tolist()
-        if stances.still and look.shown.drawing.warp is not None and before < flat:
-            memory = memory.judged(before)
+        drawn = memory.shown(look.shown.drawing)
+        tried = [known.mean, torch.zeros_like(known.mean)] + ([] if drawn is None else [drawn.heights.mean])
+        before, flat, *own = registration.residual(torch.stack(tried), seen, textures, limit).tolist()
+        if drawn is not None and own[0] < flat:
+            memory = memory.judged(drawn, own[0])
             if memory.kept is not None and memory.kept.done:
-                return replace(memory, heights=memory.kept.heights, brightness=memory.kept.brightness)
+                return replace(memory, heights=memory.kept.best.heights, brightness=memory.kept.best.brightness)
         least, best = self._refined(registration, known, known.mean, seen, textures, limit)
         if least > self.params.sweep_above:
             swept = self._swept(memory, frames, textures, stances)

@@ -7,20 +7,30 @@ from torch import Tensor
 
 from controllers.symbol.heights.registration import Heights
 from controllers.symbol.heights.relief import Relief
+from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.planes import HERE
 from perception.birdseye import Region
 from world.frames import inverse, transform
 
-PATIENCE = 8  # looks in a row that lower no residual, after which a standing vehicle keeps its best heights: more would fit noise
+PATIENCE = 5  # looks in a row that lower no residual, after which a standing vehicle keeps them: more would fit noise
+IN_FLIGHT = 8  # drawings that a camera may still have to deliver
 CHANGED = 4.0  # ratio of a look's residual to that of the kept heights, above which the road has changed
 
 
 @dataclass(frozen=True)
-class Kept:
-    """Heights and brightness `[n]` with the lowest residual of a look, and the number of looks since."""
+class Drawn:
+    """Heights and brightness `[n]`, and the symbol that was drawn for them: only a look at that says how good they are."""
 
+    drawing: Drawing
     heights: Heights
     brightness: Tensor
+
+
+@dataclass(frozen=True)
+class Kept:
+    """The heights that left the lowest residual at a look at their own drawing, and the number of such looks since."""
+
+    best: Drawn
     residual: float
     looks: int = 0
 
@@ -48,17 +58,30 @@ class Memory:
     shape: Tensor | None = None
     searched: int = 0
     settled: bool = False
+    drawn: tuple[Drawn, ...] = ()
     kept: Kept | None = None
 
     def relief(self) -> Relief:
         """The road as the eye sees it."""
         return Relief(self.region, self.eye, self.heights.mean.view(self.grid), self.brightness.view(self.grid))
 
-    def judged(self, residual: float) -> "Memory":
-        """After a look with this residual; the best heights are kept until the road changes."""
+    def showing(self, drawing: Drawing) -> "Memory":
+        """With a drawing of the symbol for these heights."""
+        if self.drawn and self.drawn[-1].drawing.shows(drawing):
+            return self
+        return replace(self, drawn=(*self.drawn, Drawn(drawing, self.heights, self.brightness))[-IN_FLIGHT:])
+
+    def shown(self, drawing: Drawing) -> Drawn | None:
+        """What a drawing was made for, if that is known."""
+        return next((each for each in reversed(self.drawn) if each.drawing.shows(drawing)), None)
+
+    def judged(self, drawn: Drawn, residual: float) -> "Memory":
+        """After a look at a drawing, of which its heights left a residual; the best heights are kept until the road changes."""
         kept = self.kept
+        if kept is not None and kept.done and not kept.best.drawing.shows(drawn.drawing):
+            return self
         if kept is None or (residual > CHANGED * kept.residual if kept.done else residual < kept.residual):
-            return replace(self, kept=Kept(self.heights, self.brightness, residual))
+            return replace(self, kept=Kept(drawn, residual))
         return replace(self, kept=replace(kept, looks=kept.looks + 1))
 
     def moved(self, T_before_now: Tensor, eye: Tensor) -> "Memory":
@@ -76,7 +99,7 @@ class Memory:
             heights = relief.at(relief.heights, *places)
         brightness, base = (relief.at(values.view(self.grid), *places).flatten() for values in (self.brightness, self.heights.base))
         information = self._carried(self._seen_anew(nodes, self.heights.mean, self.eye, inverse(T), eye))
-        return replace(self, heights=Heights(heights.flatten(), information, base), brightness=brightness, eye=eye, kept=None)
+        return replace(self, heights=Heights(heights.flatten(), information, base), brightness=brightness, eye=eye, drawn=(), kept=None)
 
     def tracks(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
         """Height in m of the road at places `[2, k]` of the ground, and its information in 1/m^2: 0 outside of the region."""
