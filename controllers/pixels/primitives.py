@@ -42,7 +42,7 @@ class Primitives:
     row 0 at v = 0, or `[2, h, w]` with their opacity, where rays pass if it is below 1/2, except through masks; symbol_of: `[P]` int64,
     whose image. nearest: `[P]` bool, images are read at the nearest texel, else bilinearly. modules: names of modules or lamps that may
     draw each, all where there are none. shared: `[P]` bool, all that draw give one setpoint in cd or lx together, instead of each the
-    whole. observer: for whom symbols look undistorted, None for nobody.
+    whole. observer: eye from which symbols look undistorted, None without one.
     """
 
     origin: Tensor

@@ -1,4 +1,4 @@
-"""Symbols among the lighting functions that a controller holds straight: what it is told, and what it wants drawn."""
+"""Symbols among the lighting functions that a controller holds straight: what is measured of them, and what is drawn."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

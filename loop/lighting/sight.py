@@ -59,7 +59,7 @@ class Sight:
         return self.detector.detect(frame[None])[0]
 
     def objects(self, tracks: Any, time_s: float, view: View) -> tuple[TrackedObject, ...]:
-        """The tracks as lighting functions are told of them, where they are expected at a time, on the ground as a view sees it."""
+        """The tracks as objects for lighting functions, where they are expected at a time, placed on the ground that a view sees."""
         told = self.tracker.report(tracks, time_s)
         numbers = told.category.tolist()
         names = tuple(self.classes[number] for number in numbers)

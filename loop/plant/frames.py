@@ -71,7 +71,7 @@ def remove(directory: Path) -> None:
 
 
 def write_image(file: Path, image: Tensor, bits: int) -> None:
-    """Write digital numbers `[height, width]` of so many bits. Raises LuxloopError where they are none, or cannot be written."""
+    """Write a frame of digital numbers `[height, width]` with this many bits. Raises LuxloopError for other values, and where it cannot write."""
     numbers = image.clamp(0, 2**bits - 1).round()
     if not numbers.equal(image):
         raise LuxloopError(
@@ -84,7 +84,7 @@ def write_image(file: Path, image: Tensor, bits: int) -> None:
 
 
 def read_image(file: Path, camera: CameraParams, like: Tensor) -> Tensor:
-    """Digital numbers `[height, width]` in the dtype and on the device of like. Raises LuxloopError where they are none of that camera."""
+    """Digital numbers `[height, width]` in the dtype and on the device of like. Raises LuxloopError for a frame of another camera."""
     with reading(file, "damaged, or no frame of a recording", AGAIN):
         image = decoded(content(file), str(file))
         if image is None or image.dtype != np.uint16 or image.ndim != 2:
@@ -122,7 +122,7 @@ def write_light(file: Path, arrays: Arrays) -> None:
 def read_light(file: Path, pixels: Sequence[int], device: torch.device) -> tuple[tuple[Utilisation, ...], Drawing | None]:
     """Lights and drawing, None without one, on the device. pixels: of each module.
 
-    Raises LuxloopError where they are none of these modules.
+    Raises LuxloopError for utilisations of other modules.
     """
     with reading(file, "damaged, or no light of a recording", AGAIN):
         arrays = read_npz(regular(file))
@@ -148,7 +148,7 @@ def sample_values(samples: Sequence[Sample]) -> str:
 
 
 def read_samples(row: Mapping[str, Any], like: Tensor) -> tuple[Sample, ...]:
-    """The samples of a row, in the dtype and on the device of like. Raises ValueError, TypeError or KeyError where they are none."""
+    """The samples of a row, in the dtype and on the device of like. Raises ValueError, TypeError or KeyError for anything else."""
     samples = tuple(Sample(sensor, at_s, by_s, like.new_tensor(values)) for sensor, at_s, by_s, values in json.loads(row["samples"]))
     for each in samples:
         if each.values.shape != (VALUES[each.sensor] or len(each.values),) or not each.values.isfinite().all():

@@ -36,8 +36,8 @@ class Arrived(Generic[What]):
 def paired(under_way: UnderWay[What], frames: Sequence[Frame]) -> tuple[list[Arrived[What]], UnderWay[What], tuple[Frame, ...]]:
     """What was shown whose frames have come or are lost, at least the oldest; what is under way; its frames so far.
 
-    Frames come in the order of their exposures: all before the last pair that has come are lost. Where none has come, the oldest is told
-    once more, as lost.
+    Frames come in the order of their exposures: all before the last pair that has come are lost. Where none has come, the oldest is
+    given again, as lost.
     """
     came = {frame.number: frame for frame in frames}
     done = max((k + 1 for k, (number, _) in enumerate(under_way) if number in came and number + 1 in came), default=0)

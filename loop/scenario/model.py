@@ -227,7 +227,7 @@ class CarLampsParams(HeadlightParams):
 
 
 class RoadConditionParams(Params):
-    """What lighting functions are told of rain and of the street from one time on."""
+    """Rain and street lighting from one time on, as lighting functions know them."""
 
     time_s: float = Field(0.0, ge=0, le=1e6, description="time from which on this holds, until the next entry")
     wet: bool = Field(False, description="whether it rains")

@@ -77,7 +77,7 @@ def test_sensors_tell_what_the_vehicle_does(nodding, small_simulation):
 
 
 class Listening:
-    """Shows the target, and keeps what it is told of the motion when it draws and when frames come."""
+    """Shows the target, and keeps the motion that it is given when it draws and when frames come."""
 
     def __init__(self, target: Tensor) -> None:
         self.target, self.drawn, self.looked = target, list[Ego](), list[tuple[Ego, Ego]]()
