@@ -204,7 +204,7 @@ def run(
     controller
         Controller to take instead, with its defaults (see `luxloop list controllers`).
     plant
-        Recording with frames to play: the controller steps on them in shadow, and what it asks for is shown nowhere.
+        Recording with frames to play: controllers and functions step on them in shadow, and what they ask for is shown nowhere.
     device
         Where to compute; auto takes CUDA where there is any.
     video

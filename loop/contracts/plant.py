@@ -14,7 +14,7 @@ from loop.plant.protocol import Arrivals, Exposure, Frame
 from loop.plant.world import World
 from loop.run import prepare
 from loop.scenario.model import validate
-from loop.symbol.simulation import Simulation
+from loop.symbol.simulation import Simulation, lamp_modules
 from perception.egomotion import VALUES, Sample
 from world.errors import LuxloopError, did_you_mean, located
 from world.plugin import Guarded, check_methods, made
@@ -35,7 +35,7 @@ SCENARIO: dict[str, Any] = {
 def check_plant(plant: type, options: Mapping[str, Any] | None = None, device: str = "auto") -> None:
     """Check a plant of your own against the contract of `[plant]`, in a few seconds.
 
-    plant: the class, of which a scenario makes `plant(scenario, projector, **options)`; see `check_controller` for why it is the class.
+    plant: the class, of which a scenario makes `plant(scenario, modules, **options)`; see `check_controller` for why it is the class.
     options: those of `[plant]`. device: "auto", "cpu" or "cuda".
 
     It shows 24 exposures of 1/60 s, with and without a symbol in turn, to a camera of 320 x 180 px: each of them twice from the same state,
@@ -48,7 +48,7 @@ def check_plant(plant: type, options: Mapping[str, Any] | None = None, device: s
     name = name_of(plant)
     check_methods(plant, f"{KEY}: {name}", METHODS)
     simulation = _world(device)
-    own = made(plant, name, KEY, {"scenario": simulation.scenario, "projector": simulation.projector}, options or {})
+    own = made(plant, name, KEY, {"scenario": simulation.scenario, "modules": lamp_modules(simulation.projector)}, options or {})
     check_calls(own, CALLS)
     _check_truth(own)
     shown: list[Shown] = []

@@ -81,18 +81,23 @@ class Held:
 class ControlledSymbol:
     """A symbol that is held.
 
-    drawn_by: indices of the car's modules that draw it.
+    drawn_by: indices of the car's modules that draw it. judge: None where the plant does not know the truth.
     """
 
     function: SymbolFunctionParams
     drawn_by: tuple[int, ...]
     observer: Observer
     controller: SymbolController
-    judge: Judge
+    judge: Judge | None
 
     @classmethod
     def prepare(
-        cls, function: SymbolFunctionParams, scenario: LightingScenario, modules: Sequence[ShiningModule], planner: Planner, world: World
+        cls,
+        function: SymbolFunctionParams,
+        scenario: LightingScenario,
+        modules: Sequence[ShiningModule],
+        planner: Planner,
+        world: World | None,
     ) -> "ControlledSymbol":
         """Raises LuxloopError where its file is missing or broken, and where its lamps cannot draw it or the camera cannot see it."""
         assert function.controller is not None
@@ -103,7 +108,7 @@ class ControlledSymbol:
         for each in (modules[k] for k in drawn_by):
             drawing.append(DrawingModule(each.name, each.controller.over(each.base(base)), each.T_world_module))
         with located("image"):
-            image = load_still(named(function.image, "symbols")).to(world.device)
+            image = load_still(named(function.image, "symbols")).to(modules[0].flux.device)
         projector = Projector(tuple(drawing), image, function.held, camera_view(scenario.camera).origin)
 
         def model_of(camera: CameraParams) -> FlatModel:
@@ -111,8 +116,10 @@ class ControlledSymbol:
 
         model = model_of(scenario.camera)
         observer = Observer(projector, model, scenario.camera, function.extraction)
-        judged = model if world.camera == scenario.camera else model_of(world.camera)
-        judge = Judge.of(world, function.held, build_road(scenario), judged.luminance(projector.light(projector.target)))
+        judge = None
+        if world is not None:
+            judged = model if world.camera == scenario.camera else model_of(world.camera)
+            judge = Judge.of(world, function.held, build_road(scenario), judged.luminance(projector.light(projector.target)))
         refuse_undrawable(observer, judge, base.base.name)
         return cls(function, drawn_by, observer, build_symbol_controller(function.controller, observer), judge)
 
@@ -183,7 +190,7 @@ class ControlledSymbol:
 
 
 def controlled_symbols(
-    scenario: LightingScenario, modules: Sequence[ShiningModule], planner: Planner, world: World
+    scenario: LightingScenario, modules: Sequence[ShiningModule], planner: Planner, world: World | None
 ) -> Mapping[str, ControlledSymbol]:
     """All of a scenario by name, from top to bottom. Raises LuxloopError as `ControlledSymbol.prepare`."""
     found: dict[str, ControlledSymbol] = {}

@@ -1,10 +1,11 @@
-"""Whether what a scenario's lighting names is there."""
+"""Whether what a scenario's lighting names is there, and known."""
 
 from collections.abc import Iterator
 from typing import Any
 
 from loop.lighting.lamps import ShiningModule
 from loop.scenario.model import LightingScenario
+from perception.detection.params import TruthParams
 from world.errors import LuxloopError
 
 
@@ -25,6 +26,21 @@ def check_names(scenario: LightingScenario, modules: tuple[ShiningModule, ...]) 
                     f"{where}.{key}: there is no object {name!r} with a category; there are "
                     f"{', '.join(objects) or 'none'}, an object is tracked if it has a category"
                 )
+
+
+def refuse_unknown(scenario: LightingScenario) -> None:
+    """Raises LuxloopError that names the first key that needs a plant which knows the truth."""
+    params = scenario.lighting
+    wants = {
+        "detector.kind": (isinstance(scenario.detector, TruthParams), "give a detector that looks at frames"),
+        "objects": (bool(scenario.all_objects) and scenario.detector is None, "give a [detector] that finds them in frames"),
+        "lighting.street_lamps": (params.street_lamps, "leave it out"),
+        "lighting.shadow_rays": (params.shadow_rays, "leave it out"),
+        **{f"functions.{name}": (function.kind == "material", "take it out") for name, function in scenario.functions.items()},
+    }
+    for key, (wanted, remedy) in wants.items():
+        if wanted:
+            raise LuxloopError(f"{key}: needs the truth, which the plant {scenario.plant.kind} does not know; {remedy}")
 
 
 def _objects_named(function: object) -> Iterator[tuple[str, str]]:

@@ -26,15 +26,22 @@ WALL_M = 25.0
 BRIGHT = 0.995  # quantile of the first picture's luminance that is shown as white
 
 
-def white_of(luminance: Tensor, camera: CameraParams) -> Tensor:
-    """Luminance in cd/m^2 that a run's pictures show as white, from its first one: no more than the camera can measure."""
+def white_of(luminance: Tensor | None, camera: CameraParams) -> Tensor:
+    """Luminance in cd/m^2 that a run's pictures show as white, from its first one: no more than the camera can measure.
+
+    luminance: `[height, width]`, None where nobody knows it.
+    """
+    most = luminance_of(expose(torch.tensor(math.inf), camera), camera)
+    if luminance is None:
+        return most
     bright = torch.from_numpy(np.quantile(luminance.cpu().numpy(), BRIGHT, keepdims=True)).squeeze().clamp(min=1e-6) * 1.5
-    return bright.clamp(max=luminance_of(expose(bright.new_tensor(math.inf), camera), camera))
+    return bright.clamp(max=most)
 
 
 def measured(result: LightingResult, simulation: LightingSimulation) -> Tensor:
     """Luminance `[height, width]` in cd/m^2 that the camera measures, with the noise of its frame; dark where no frame came."""
-    return torch.zeros_like(result.luminance) if result.frame is None else luminance_of(result.frame, simulation.scenario.camera)
+    camera = simulation.scenario.camera
+    return torch.zeros(camera.height_px, camera.width_px) if result.frame is None else luminance_of(result.frame, camera)
 
 
 def frame_picture(result: LightingResult, simulation: LightingSimulation, white: Tensor) -> Picture:

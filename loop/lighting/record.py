@@ -14,6 +14,7 @@ from loop.lighting.summary import summarise
 from loop.recording.frames import FrameRecorder
 from loop.recording.manifest import Manifest
 from loop.recording.recorder import SYMBOL, Checked, Report, TableRecorder, no_report, of_symbol, unchecked
+from loop.scenario.plant import shadow_of
 
 # name: (type, unit, description); lamps and objects have columns of their own.
 STEP = {
@@ -55,6 +56,7 @@ LOOKING = {
     "tracks": (pa.int64(), "1", "objects that the tracker has confirmed and not lost"),
     "eyes_lx_max": (pa.float64(), "lx", "most light of the lamps on heads and windscreens of road users; empty while none is seen"),
 }
+OF_TRUTH = ("false_positives", "eyes_lx_max")  # which only a plant can tell that knows it
 OBJECT = {
     "pixels": (pa.int64(), "px", "of the camera that see it"),
     "lx_min": (pa.float64(), "lx", "least light of the lamps on what the camera sees of it; empty where that is nothing"),
@@ -86,7 +88,9 @@ def schema(simulation: LightingSimulation) -> pa.Schema:
         | (OBSERVED if observed else {})
         | {f"lamp.{side}.{key}": of for side in sides for key, of in LAMP.items()}
     )
-    columns |= (LEARNING if looks or simulation.planner.learns else {}) | (LOOKING if looks else {})
+    columns |= LEARNING if looks or simulation.planner.learns else {}
+    if looks:
+        columns |= {key: of for key, of in LOOKING.items() if simulation.truth is not None or key not in OF_TRUTH}
     columns |= {f"objects.{name}.{key}": of for name in tracked for key, of in (OBJECT | (LOOKED_AT if looks else {})).items()}
     columns |= {
         f"functions.{name}.{key}": (pa.string() if key == "loss" else pa.float64(), unit, text)
@@ -160,7 +164,7 @@ class LightingRecorder(TableRecorder[LightingResult]):
         self.simulation = simulation
         kept = FrameRecorder(directory, simulation.scenario.camera.bits) if frames else None
         self.idle = set(simulation.scenario.functions)
-        manifest = Manifest.of(simulation.scenario, simulation.world.source.name, simulation.device)
+        manifest = Manifest.of(simulation.scenario, simulation.renderer, simulation.device)
         super().__init__(directory, manifest, schema(simulation), report, checked, kept)
 
     def row(self, result: LightingResult) -> dict[str, Any]:
@@ -172,4 +176,5 @@ class LightingRecorder(TableRecorder[LightingResult]):
         """The steps so far in a few numbers."""
         idle = [f"functions.{name} ({each.kind})" for name, each in sorted(self.simulation.scenario.functions.items()) if name in self.idle]
         table = self.table()
-        return summarise(table, self.simulation.scenario.name, compared(self.simulation, table)) | {"idle_functions": idle}
+        summary = summarise(table, self.simulation.scenario.name, compared(self.simulation, table))
+        return summary | {"idle_functions": idle, "shadow_of": shadow_of(self.simulation.scenario.plant)}

@@ -39,7 +39,7 @@ def replay(directory: Path, on_step: Callable[[LightingResult], None] = lambda r
     columns = schema(simulation)
     if missing := [name for name in columns.names if name not in recorded.column_names]:
         raise LuxloopError(f"{directory / TRAJECTORY}: the column {missing[0]!r} is missing; record the run again")
-    notes = manifest.changes(Manifest.of(scenario, simulation.world.source.name, simulation.device))
+    notes = manifest.changes(Manifest.of(scenario, simulation.renderer, simulation.device))
     rows = []
     for result in itertools.islice(simulation.run(), recorded.num_rows):
         rows.append(row(result))

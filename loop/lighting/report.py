@@ -124,7 +124,12 @@ def _observed(figure: SubFigure, observed: Sequence[tuple[LightingResult, Observ
 
 
 def _from_above(axes: Axes, simulation: LightingSimulation, last: LightingResult) -> None:
-    light = simulation.world.through(birdseye(), last.time_s).light(last.lights)[0].cpu().numpy()
+    if simulation.truth is None:
+        _outlines(axes, last)
+        axes.set(xlabel="ahead in m", ylabel="to the left in m", title="Objects from above, at the end; nobody knows where the light lies")
+        axes.set(xlim=BIRDSEYE_X_M, ylim=BIRDSEYE_Y_M)
+        return
+    light = simulation.truth.through(birdseye(), last.time_s).light(last.lights)[0].cpu().numpy()
     extent = (*BIRDSEYE_X_M, *BIRDSEYE_Y_M)
     most = float(light.max().clip(1, BRIGHTEST_ROAD_LX))
     scale = LogNorm(FAINTEST_ROAD_LX, most)
@@ -133,12 +138,7 @@ def _from_above(axes: Axes, simulation: LightingSimulation, last: LightingResult
     if levels:
         lines = axes.contour(light, levels=levels, colors="white", linewidths=0.6, extent=extent, origin="upper")
         axes.clabel(lines, fmt=lambda level: f"{level:g} lx", fontsize=7)
-    for each in last.now.objects:
-        if each.since_s <= last.time_s < each.until_s:
-            x, y = each.size_m[0] / 2, each.size_m[1] / 2
-            foot = torch.tensor([[x, x, -x, -x], [y, -y, -y, y], [0.0] * 4], dtype=torch.float64)
-            colour = MASKED if each.name in last.masked else TRACKED
-            axes.add_patch(Polygon(transform(each.T_world_object.double(), foot)[:2].T.numpy(), fill=False, color=colour, linewidth=1.2))
+    _outlines(axes, last)
     axes.set(xlabel="ahead in m", ylabel="to the left in m", title="Illuminance from above, at the end")
     (left, right), (low, high) = lit_part(light)
     axes.set(xlim=(left, right), ylim=(low, high))
@@ -147,6 +147,16 @@ def _from_above(axes: Axes, simulation: LightingSimulation, last: LightingResult
     bar = axes.figure.colorbar(shown, ax=axes, pad=0.01, ticks=ticks, extend="max" if light.max() > most else "neither")
     bar.ax.set_yticklabels([f"{tick:g} lx" for tick in ticks])
     bar.ax.minorticks_off()
+
+
+def _outlines(axes: Axes, last: LightingResult) -> None:
+    """Of the objects that the car knows."""
+    for each in last.now.objects:
+        if each.since_s <= last.time_s < each.until_s:
+            x, y = each.size_m[0] / 2, each.size_m[1] / 2
+            foot = torch.tensor([[x, x, -x, -x], [y, -y, -y, y], [0.0] * 4], dtype=torch.float64)
+            colour = MASKED if each.name in last.masked else TRACKED
+            axes.add_patch(Polygon(transform(each.T_world_object.double(), foot)[:2].T.numpy(), fill=False, color=colour, linewidth=1.2))
 
 
 def lit_part(light: NDArray[np.floating]) -> tuple[tuple[float, float], tuple[float, float]]:

@@ -50,14 +50,14 @@ class LightingState:
 class Look:
     """What was found in the frame that came, nothing where none did, and the tracks at its time that are not lost.
 
-    recognised: what is made of each object in sight, by its name. false_positives: detections of none that may be new objects.
-    eyes_lx_max: most light of the lamps on heads and windscreens of road users, None where none are seen.
+    recognised: what is made of each object in sight, by its name. false_positives: detections of none that may be new objects, None where
+    nobody knows. eyes_lx_max: most light of the lamps on heads and windscreens of road users, None where none are seen.
     """
 
     found: Detections
     tracks: TrackedBoxes
     recognised: Mapping[str, Recognised]
-    false_positives: int
+    false_positives: int | None
     eyes_lx_max: float | None
 
 
@@ -67,7 +67,8 @@ class LightingResult:
 
     now: what was known, and functions: what they had learnt, when the light was planned. view: of the camera from the ground frame then, as
     the car believed. masked: names of objects that must be dark. lights: utilisations `[n_p]`, one a module. powers: by the lamps' sides.
-    illuminance: `[height, width]` lx from the lamps alone, and luminance: in cd/m^2 with all other light, as the camera sees them.
+    illuminance: `[height, width]` lx from the lamps alone, and luminance: in cd/m^2 with all other light, as the camera sees them; None
+    where the plant does not know the truth.
     frame: digital numbers of the newest frame that came in this step, None where none came. objects: by name, those that are there and have
     a category. look: None without a detector. symbols: those that are meant for an observer, from their eyes. held: those that controllers
     hold; zones, materials: all by name. showings: the exposures. timings: ms by part.
@@ -82,8 +83,8 @@ class LightingResult:
     plan: Plan
     lights: tuple[Tensor, ...]
     powers: Mapping[str, LampPower]
-    illuminance: Tensor
-    luminance: Tensor
+    illuminance: Tensor | None
+    luminance: Tensor | None
     frame: Tensor | None
     objects: Mapping[str, OnObject]
     look: Look | None

@@ -51,9 +51,10 @@ class Sight:
         classes = get_args(Category) if finds is None else finds.classes
         return cls(finds, params, build_tracker(tracker, classes, view), classes, view)
 
-    def find(self, frame: Tensor, view: LitScene) -> Detections:
+    def find(self, frame: Tensor, view: LitScene | None) -> Detections:
         """frame: `[height, width]`, digital numbers as a share of the largest. Raises LuxloopError where one's own detector fails at it."""
         if isinstance(self.params, TruthParams):
+            assert view is not None
             return view.detections(self.params, self.classes)
         assert self.detector is not None
         return self.detector.detect(frame[None])[0]

@@ -22,30 +22,30 @@ from controllers.situation import Seen, Situation, TrackedObject
 from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.observer import Seen as SeenSymbol
 from controllers.symbol.sensing.protocol import Shown
-from loop.assembly.build import build_motion, build_scene
-from loop.assembly.truth import LampModule, true_camera, true_modules
+from loop.assembly.truth import LampModule
 from loop.lighting.controlled import ControlledSymbol, controlled_symbols, turn
 from loop.lighting.lamps import LampPower, ShiningModule, driven, mean_powers, shining_modules
-from loop.lighting.names import check_names
-from loop.lighting.observed import in_white, observed_symbols
-from loop.lighting.on_materials import on_materials
-from loop.lighting.on_objects import on_objects, told_as
+from loop.lighting.names import check_names, refuse_unknown
+from loop.lighting.observed import ObservedSymbol, in_white, observed_symbols
+from loop.lighting.on_materials import OnMaterial, on_materials
+from loop.lighting.on_objects import OnObject, on_objects, told_as
 from loop.lighting.result import LightingResult, LightingState, Look
 from loop.lighting.sight import Sight, false_positives, recognised
 from loop.lighting.zoned import in_zones
+from loop.plant.build import build_plant
 from loop.plant.pairing import paired
-from loop.plant.protocol import Arrivals, Exposure, Showing
-from loop.plant.simulated import SimulatedPlant
-from loop.plant.world import LitScene, World, categories
+from loop.plant.protocol import Arrivals, Exposure, Plant, Showing
+from loop.plant.simulated import as_simulated
+from loop.plant.world import LitScene, Metered, World, categories
 from loop.scenario.checks import Light as OtherLight
 from loop.scenario.model import LightingScenario, RoadConditionParams
 from loop.scenario.shipped import named
 from perception.camera import camera_view, luminance_of, saturation_luminance
 from perception.detection.protocol import Detections
 from perception.egomotion import Ego, Samples, ego_of, newest
-from world.errors import located
+from perception.judge import Verdict
+from world.errors import LuxloopError, located
 from world.frames import inverse, transform
-from world.rendering.face_source import face_source
 from world.scene.scene import StreetLamp
 from world.view import View
 
@@ -67,7 +67,7 @@ class LightingSimulation:
     modules: tuple[ShiningModule, ...]
     lights: tuple[tuple[str, Light], ...]
     view: View
-    plant: SimulatedPlant
+    plant: Plant
     sight: Sight | None = None
     controlled: Mapping[str, ControlledSymbol] = field(default_factory=dict)
 
@@ -80,15 +80,14 @@ class LightingSimulation:
     @classmethod
     def _prepare(cls, scenario: LightingScenario, device: torch.device) -> "LightingSimulation":
         planner = Planner.prepare(scenario.functions, scenario.lighting, lambda image: named(image, "symbols"))
-        motion = build_motion(scenario)
-        scene, modules = build_scene(scenario, motion), shining_modules(scenario, device)
+        modules = shining_modules(scenario, device)
         check_names(scenario, modules)
-        dark = (LampModule(each.name, each.headlight, Utilisation(0 * each.flux), each.T_world_module) for each in modules)
-        true, source = true_modules(scenario.disturbances, dark), face_source(scenario.renderer)
-        world = World(scene, true, true_camera(scenario), source, motion, metered=True, given=scenario.all_objects)
-        controlled = controlled_symbols(scenario, modules, planner, world)
-        per_step = 2 if controlled else 1
-        plant = SimulatedPlant(world, scenario.rate_hz, scenario.seed, scenario.sensors, scenario.disturbances, per_step)
+        dark = [LampModule(each.name, each.headlight, Utilisation(0 * each.flux), each.T_world_module) for each in modules]
+        plant = build_plant(scenario, dark)
+        truth = getattr(plant, "truth", None)
+        if truth is None:
+            refuse_unknown(scenario)
+        controlled = controlled_symbols(scenario, modules, planner, truth)
         lights = tuple((module.name, Light.of(module.headlight, module.T_world_module)) for module in modules)
         view, given = camera_view(scenario.camera), scenario.detector
         sight = None if given is None else Sight.prepare(given, scenario.tracker, view, device)
@@ -97,15 +96,28 @@ class LightingSimulation:
         return simulation
 
     @property
+    def truth(self) -> World | None:
+        """What is true, None where the plant does not know it."""
+        return getattr(self.plant, "truth", None)
+
+    @property
     def world(self) -> World:
-        """What is true."""
-        return self.plant.world
+        """What is true, where it must be known. Raises LuxloopError on a plant that does not know it."""
+        if (truth := self.truth) is None:
+            raise LuxloopError(f"{self.scenario.name}: the plant {self.scenario.plant.kind} does not know the truth; take another plant")
+        return truth
+
+    @property
+    def renderer(self) -> str:
+        """Source of the simulated plant's G-buffers, else what the plant is called."""
+        return self.scenario.plant.kind if self.truth is None else self.truth.source.name
 
     def lit_by(self, light: OtherLight) -> "LightingSimulation":
         """The same world with the same noise: in open loop, or lit by nothing but a beam, all pixels on or the low beam.
 
-        Raises LuxloopError where there is no such beam.
+        Raises LuxloopError where there is no such beam, and on a plant that is not the simulated world.
         """
+        as_simulated(self.plant, f"checks: compare = {light!r}")
         if light == "open_loop":
             return replace(self, controlled={name: each.in_open_loop() for name, each in self.controlled.items()})
         beam = BEAMS[light]
@@ -118,6 +130,8 @@ class LightingSimulation:
     @cached_property
     def watched(self) -> Mapping[str, int]:
         """Objects that are recorded, by name, and their ids: those that a tracker is told of, with a detector all that it ought to find."""
+        if self.truth is None:
+            return {}
         told = [item.category for item in self.scenario.all_objects]
         wanted = enumerate(zip(self.world.scene.objects, told if self.sight is None else categories(self.world.given), strict=True), 1)
         return {body.name: number for number, (body, category) in wanted if category is not None}
@@ -145,11 +159,15 @@ class LightingSimulation:
 
     def start(self, step: int = 0) -> LightingState:
         """The state before a step, with nothing seen yet."""
-        plant, _ = self.plant.start()
-        time_s, tracks = step / self.scenario.rate_hz, None if self.sight is None else self.sight.tracker.start()
-        arrivals = Arrivals(time_s, samples=self.plant.samples(time_s))
+        (plant, arrivals), tracks = self.plant.start(), None if self.sight is None else self.sight.tracker.start()
+        if step:
+            arrivals = self.world_at(step / self.scenario.rate_hz)
         held = {name: each.start() for name, each in self.controlled.items()}
         return LightingState(step, tracks, self.planner.start(), plant, arrivals, newest({}, arrivals.samples), held)
+
+    def world_at(self, time_s: float) -> Arrivals:
+        """What the sensors have told by a time. Raises LuxloopError on a plant that is not the simulated world."""
+        return Arrivals(time_s, samples=as_simulated(self.plant, "a step alone").samples(time_s))
 
     def ego(self, samples: Samples, time_s: float) -> Ego | None:
         """What is known of the car's motion at a time, None of one that stands."""
@@ -161,7 +179,7 @@ class LightingSimulation:
         Where symbols are held it is shown for half of the step, and for the other half without those whose turn it is.
         """
         clock = Clock()
-        time_s, per_step = state.arrivals.time_s, self.plant.per_step
+        time_s, per_step, world = state.arrivals.time_s, self.scenario.exposures, self.truth
         ego = self.ego(state.samples, time_s)
         view, now = self._from(attitude(ego)), self.situation(time_s, state.tracks, ego)
         drawings, drawn = self._drawn(state, now, ego)
@@ -175,31 +193,31 @@ class LightingSimulation:
         clock.lap("light")
         plant, arrivals, samples, frames, showings = state.plant, state.arrivals, state.samples, state.frames, list[Showing]()
         exposures = [tuple(Utilisation(u) for u in light) for light, _ in driven] * (per_step // len(driven))
+        lit: Metered | None = None
         for part, shown in enumerate(exposures):
             duration_s = 1 / self.scenario.rate_hz / per_step
             before, exposure = arrivals, Exposure(per_step * state.step + part, arrivals.time_s, duration_s, shown)
             plant, arrivals = self.plant.show(plant, exposure)
-            if part == 0:  # before other light is metered
-                seen, (illuminance, leaving) = self.world.lit(time_s), self.world.meter(time_s, shown)
+            if part == 0 and world is not None:  # before other light is metered
+                lit = world.meter(time_s, shown)
             showings.append(Showing(before, exposure, arrivals))
             frames, samples = frames + arrivals.frames, newest(samples, arrivals.samples)
-        luminance = leaving + seen.base
         clock.lap("look")
         watched = {"on": (0,), "off": (per_step - 1,), "both": range(per_step)}[self.scenario.detector_frames]
         believed = {**state.believed, **{per_step * state.step + part: view for part in watched}}
-        tracks, functions, image, found, then, then_s = state.tracks, state.functions, None, None, seen, time_s
+        tracks, functions, image, found, then_s = state.tracks, state.functions, None, None, time_s
         for frame in frames[len(state.frames) :]:
             then_view = believed.pop(frame.number, None)
             if then_view is not None and frame.image is not None:
                 image, then_s = frame.image, frame.taken_s
-                then = seen if then_s == time_s else self.world.lit(then_s)
+                then = None if world is None else world.lit(then_s)
                 if self.sight is not None:
                     share = image / (2**self.scenario.camera.bits - 1)
                     found = self.sight.find(share, then)
                     tracks = self.sight.tracker.follow(tracks, found, share, then_s)
                 if self.planner.learns:
                     functions = self.planner.step(functions, self._learnt(now, then, then_s, image, then_view, tracks))
-        look = None if self.sight is None else self._look(self.sight, tracks, found, then, then_s, illuminance[seen.eyes])
+        look = None if self.sight is None else self._look(self.sight, tracks, found, then_s, lit)
         clock.lap("find")
         moment: Mapping[str, tuple[Shown, bool]] = {
             name: (Shown(each, self.controlled[name].light(lights, off), ego), name in measured) for name, each in drawings.items()
@@ -214,19 +232,20 @@ class LightingSimulation:
         clock.lap("control")
         masked = frozenset(each.name for each in now.objects if self.masked(each, now))
         told = told_as(self.watched, None if look is None else look.recognised)
-        objects = on_objects(self.watched, frozenset(told[name] for name in masked & told.keys()), seen, illuminance)
-        white = in_white(plan)
-        symbols = () if white is None else observed_symbols(plan, lights, self._driven(white, now)[0], self.world, time_s)
-        zones = in_zones(self.planner.functions, state.functions, luminance, self.world.view_from_ground(time_s))
-        materials = on_materials(self.planner.functions, functions, now, told, seen, illuminance, luminance)
-        verdicts = {}
-        for name in measured:
-            other = exposures[-1]
-            if len(measured) > 1:
-                u, _ = self._driven(self.planner.composed(now, state.functions, _without(drawn, [name])), now)
-                other = tuple(map(Utilisation, u))
-            without = self.world.meter(time_s, other)[1]
-            verdicts[name] = self.controlled[name].judge.judged(leaving - without, time_s)
+        luminance = None if lit is None else lit.luminance
+        zones = in_zones(self.planner.functions, state.functions, luminance, view if world is None else world.view_from_ground(time_s))
+        objects: Mapping[str, OnObject] = {}
+        materials: Mapping[str, OnMaterial] = {}
+        symbols: tuple[ObservedSymbol, ...] = ()
+        verdicts: Mapping[str, Verdict] = {}
+        if world is not None and lit is not None:
+            objects = on_objects(self.watched, frozenset(told[name] for name in masked & told.keys()), lit.seen, lit.illuminance)
+            materials = on_materials(self.planner.functions, functions, now, told, lit.seen, lit.illuminance, lit.luminance)
+            if (white := in_white(plan)) is not None:
+                symbols = observed_symbols(plan, lights, self._driven(white, now)[0], world, time_s)
+            every = self.scenario.judge_every
+            if measured and every and state.step % every == 0:
+                verdicts = self._judged(state, now, drawn, measured, exposures[-1], lit.leaving)
         results = {name: self.controlled[name].held(each, looked.get(name), verdicts.get(name)) for name, each in drawings.items()}
         clock.lap("look")
         result = LightingResult(
@@ -239,7 +258,7 @@ class LightingSimulation:
             plan,
             lights,
             mean_powers([powers for _, powers in driven]),
-            illuminance,
+            None if lit is None else lit.illuminance,
             luminance,
             image,
             objects,
@@ -252,6 +271,27 @@ class LightingSimulation:
             clock.taken_ms,
         )
         return LightingState(state.step + 1, tracks, functions, plant, arrivals, samples, held, believed, under_way, frames), result
+
+    def _judged(
+        self,
+        state: LightingState,
+        now: Situation,
+        drawn: Mapping[str, Sequence[Primitives]],
+        measured: Sequence[str],
+        off: tuple[Utilisation, ...],
+        leaving: Tensor,
+    ) -> Mapping[str, Verdict]:
+        """Of each symbol that is measured. off: the light without all of them. leaving: luminance `[height, width]` of all lamps' light."""
+        verdicts = {}
+        for name in measured:
+            other = off
+            if len(measured) > 1:
+                u, _ = self._driven(self.planner.composed(now, state.functions, _without(drawn, [name])), now)
+                other = tuple(map(Utilisation, u))
+            judge = self.controlled[name].judge
+            assert judge is not None
+            verdicts[name] = judge.judged(leaving - self.world.meter(now.time_s, other).leaving, now.time_s)
+        return verdicts
 
     def _drawn(self, state: LightingState, now: Situation, ego: Ego | None) -> tuple[dict[str, Drawing], dict[str, tuple[Primitives, ...]]]:
         """What controllers want drawn of the symbols that are shown now, and the primitives of all functions."""
@@ -272,7 +312,7 @@ class LightingSimulation:
         state = self.start()
         while self.remembers and (state.step + 1) / self.scenario.rate_hz <= time_s:
             state, _ = self.step(state)
-        ego = self.ego(newest({}, self.plant.samples(time_s)), time_s)
+        ego = self.ego(newest({}, self.world_at(time_s).samples), time_s)
         now = self.situation(time_s, state.tracks, ego)
         return self._driven(self.planner.composed(now, state.functions, self._drawn(state, now, ego)[1]), now)[0]
 
@@ -309,6 +349,8 @@ class LightingSimulation:
         return drawn.keys() - reach - result.held.keys()
 
     def _all_objects(self, time_s: float) -> tuple[TrackedObject, ...]:
+        if self.truth is None:
+            return ()
         T_ground_world = inverse(self.world.motion.at(time_s).T_world_ground)
         told = ((body, item.category) for body, item in zip(self.world.scene.objects, self.scenario.all_objects, strict=True))
         found = (TrackedObject.of(body, category, time_s) for body, category in told if category is not None)
@@ -321,19 +363,22 @@ class LightingSimulation:
         """The camera's view from the ground frame, as the car believes."""
         return replace(self.view, T_world_view=T_ground_body @ self.view.T_world_view)
 
-    def _look(self, sight: Sight, tracks: Any, found: Detections | None, then: LitScene, then_s: float, eyes: Tensor) -> Look:
-        """What is made of the scene at a time. found: in its frame, None without one. eyes: lx on heads and windscreens now."""
+    def _look(self, sight: Sight, tracks: Any, found: Detections | None, then_s: float, lit: Metered | None) -> Look:
+        """What is made of the scene at a time. found: in its frame, None without one. lit: the scene now."""
         found = found or Detections(torch.zeros(0, 4), torch.zeros(0, len(sight.classes)))
         present = sight.present(tracks, then_s)
+        if lit is None:
+            return Look(found, present, {}, None, None)
+        then, eyes = self.world.lit(then_s), lit.illuminance[lit.seen.eyes]
         false = false_positives(then, found, self.scenario.tracker.start_score)
         return Look(found, present, recognised(then, present, found), false, float(eyes.max()) if len(eyes) else None)
 
-    def _learnt(self, now: Situation, then: LitScene, then_s: float, image: Tensor, view: View, tracks: Any) -> Situation:
+    def _learnt(self, now: Situation, then: LitScene | None, then_s: float, image: Tensor, view: View, tracks: Any) -> Situation:
         """The situation once a frame is there, which was taken at then_s of the scene then, in a view that the car believes."""
         camera = self.scenario.camera
         luminance, most = luminance_of(image, camera), saturation_luminance(camera)
         looks = any(function.kind == "material" for function in self.scenario.functions.values())
-        materials = (then.surfaces.albedo, *then.materials) if looks else ()
+        materials = (then.surfaces.albedo, *then.materials) if looks and then is not None else ()
         objects = now.objects if self.sight is None or tracks is None else self.sight.objects(tracks, now.time_s, view)
         return replace(now, objects=objects, seen=Seen(then_s, view, luminance, most, *materials))
 
@@ -345,9 +390,13 @@ class LightingSimulation:
         return False
 
     def _driven(self, plan: Plan, now: Situation) -> tuple[tuple[Tensor, ...], Mapping[str, LampPower]]:
-        params, T_world_ground = self.scenario.lighting, self.world.motion.at(now.time_s).T_world_ground
-        street_lamps = tuple(_seen_from(T_world_ground, lamp) for lamp in self.world.scene.street_lamps) if params.street_lamps else ()
-        occluded = scene_caster(self.world.lit(now.time_s).triangles, T_world_ground) if params.shadow_rays else None
+        params = self.scenario.lighting
+        street_lamps: tuple[StreetLamp, ...] = ()
+        occluded = None
+        if params.street_lamps or params.shadow_rays:
+            T_world_ground = self.world.motion.at(now.time_s).T_world_ground
+            street_lamps = tuple(_seen_from(T_world_ground, lamp) for lamp in self.world.scene.street_lamps) if params.street_lamps else ()
+            occluded = scene_caster(self.world.lit(now.time_s).triangles, T_world_ground) if params.shadow_rays else None
         secondary = [SecondaryRays(now.lights, own, street_lamps, occluded) for own in range(len(self.modules))]
         modules = [
             replace(module, T_world_module=light.T_world_headlight) for module, (_, light) in zip(self.modules, now.lights, strict=True)

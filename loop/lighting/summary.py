@@ -71,8 +71,8 @@ def summarise(table: pa.Table, scenario: str, compared_w: Mapping[str, NDArray[n
             if "power_w" in known and table.num_rows
             else {}
         ),
-        **({key: over(key, "mean") for key in LOOKING} | _eyes(table) if "detections" in known else {}),
-        **({"tracks_of_nothing": steps_of_nothing(table, objects)} if "tracks" in known else {}),
+        **{key: over(key, "mean") for key in LOOKING if key in known},
+        **(_eyes(table) | {"tracks_of_nothing": steps_of_nothing(table, objects)} if "eyes_lx_max" in known else {}),
         "control_ms_median": float(np.median(column(table, "plan_ms") + column(table, "light_ms"))) if table.num_rows else None,
     }
 
@@ -193,6 +193,8 @@ def _recognised(table: pa.Table, name: str) -> dict[str, Any]:
 def shown(values: dict[str, Any], files: str) -> Table:
     """The closing table of a run."""
     rows = {"steps": str(values["steps"])}
+    if values["shadow_of"] is not None:
+        rows["in shadow"] = f"on the frames of {values['shadow_of']}; what this run asked for was shown nowhere and not judged"
     for side, lamp in values["lamps"].items():
         dimmed = f", dimmed to {100 * lamp['power_factor_min']:.0f} % in the worst step" if (lamp["power_factor_min"] or 1.0) < 1 else ""
         rows[f"{side} lamp"] = (
@@ -229,13 +231,15 @@ def shown(values: dict[str, Any], files: str) -> Table:
             why = "; no object was tracked, so none asked for more" if untracked and learnt else ""
             rows["base beam"] = f"{values['base_share_final']:.1%} of it left at the end{why}"
     if "detections" in values:
-        rows["found"] = f"{values['detections']:.1f} boxes a step; {values['false_positives']:.2f} a step are sure and show nothing"
+        rows["found"] = f"{number(values['detections'], '.1f')} boxes a step"
+        if values.get("false_positives") is not None:
+            rows["found"] += f"; {values['false_positives']:.2f} a step are sure and show nothing"
         lit = max((light["lx_max"] for light in values["objects"].values() if light["lx_max"] is not None), default=0.0)
         if values["detections"] == 0 and lit >= WELL_LIT_LX:
             rows["found"] = (
                 f"no box in any step, though objects in sight had up to {lit:.3g} lx; correct the keys of [detector], or train it anew"
             )
-        if values["eyes_lx_max"] is not None:
+        if values.get("eyes_lx_max") is not None:
             rows["on heads and windscreens"] = _on_eyes(values["eyes_lx_max"], values["eyes_lx_max_after_start_up"])
     if least := {name: each["confidence_min"] for name, each in values["objects"].items() if each.get("confidence_min") is not None}:
         told = ", ".join(f"{spoken(name)} {sure:.2f}" for name, sure in least.items())

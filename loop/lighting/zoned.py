@@ -12,8 +12,8 @@ from world.view import View
 
 @dataclass(frozen=True)
 class InZone:
-    """One zone in one step. lx: asked for. luminance, target: cd/m^2, the mean without the camera's noise, None out of its sight, and the
-    one wanted.
+    """One zone in one step. lx: asked for. luminance, target: cd/m^2, the mean without the camera's noise, None out of its sight and
+    where nobody knows it, and the one wanted.
     """
 
     lx: float
@@ -21,11 +21,13 @@ class InZone:
     target: float
 
 
-def in_zones(functions: Mapping[str, Any], states: Mapping[str, Any], luminance: Tensor, view: View) -> Mapping[str, InZone]:
-    """The zones among a scenario's functions, by name; luminance: `[height, width]` cd/m^2."""
+def in_zones(functions: Mapping[str, Any], states: Mapping[str, Any], luminance: Tensor | None, view: View) -> Mapping[str, InZone]:
+    """The zones among a scenario's functions, by name; luminance: `[height, width]` cd/m^2, None where nobody knows it."""
     found = {}
     for name, function in functions.items():
         if isinstance(function, ZoneParams):
-            seen = luminance[region_of(function, view).to(luminance.device)]
-            found[name] = InZone(states[name].lx, float(seen.mean()) if len(seen) else None, function.luminance_cd_m2)
+            mean = None
+            if luminance is not None and len(seen := luminance[region_of(function, view).to(luminance.device)]):
+                mean = float(seen.mean())
+            found[name] = InZone(states[name].lx, mean, function.luminance_cd_m2)
     return found

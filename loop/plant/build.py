@@ -1,12 +1,13 @@
 """From a scenario to its plant."""
 
+from collections.abc import Sequence
 from typing import cast
 
-from controllers.symbol.sensing.projector import Projector
+from loop.assembly.truth import LampModule
 from loop.plant.protocol import Plant
 from loop.plant.recorded import recorded_plant
 from loop.plant.simulated import simulated_plant
-from loop.scenario.model import Scenario
+from loop.scenario.model import WorldScenario
 from loop.scenario.plant import RecordedPlantParams, SimulatedPlantParams
 from world import plugin
 
@@ -14,12 +15,12 @@ KEY = "plant.kind"
 METHODS = ("start", "show")
 
 
-def build_plant(scenario: Scenario, projector: Projector) -> Plant:
+def build_plant(scenario: WorldScenario, modules: Sequence[LampModule]) -> Plant:
     """Raises LuxloopError where a file is missing or broken, or a plant of one's own cannot be made."""
     params = scenario.plant
     if isinstance(params, SimulatedPlantParams):
-        return simulated_plant(scenario, projector)
+        return simulated_plant(scenario, modules)
     if isinstance(params, RecordedPlantParams):
-        return recorded_plant(scenario, params, projector)
-    given = {"scenario": scenario, "projector": projector}
+        return recorded_plant(scenario, params, modules)
+    given = {"scenario": scenario, "modules": modules}
     return cast(Plant, plugin.make(params.kind, KEY, given, params.options, METHODS))

@@ -71,7 +71,7 @@ def remove(directory: Path) -> None:
 
 
 def write_image(file: Path, image: Tensor, bits: int) -> None:
-    """Write a frame of digital numbers `[height, width]` with this many bits. Raises LuxloopError for other values, and where it cannot write."""
+    """Write a frame of digital numbers `[height, width]` of this many bits. Raises LuxloopError for other values, or if it cannot write."""
     numbers = image.clamp(0, 2**bits - 1).round()
     if not numbers.equal(image):
         raise LuxloopError(

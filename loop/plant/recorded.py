@@ -1,33 +1,34 @@
 """The frames of a recording as a plant: they show the light that was shown then, whatever is asked for."""
 
+import math
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from torch import Tensor
 
-from controllers.symbol.sensing.projector import Projector
+from loop.assembly.truth import LampModule
 from loop.plant.frames import TABLE, Row, image_file, light_file, read_exposures, read_image, read_light, read_samples
 from loop.plant.protocol import Arrivals, Exposure, Frame
-from loop.scenario.model import Scenario
+from loop.scenario.model import WorldScenario
 from loop.scenario.plant import RecordedPlantParams
 from perception.camera import CameraParams
 from world.errors import LuxloopError
-
-PER_STEP = 2  # exposures: with the symbol and without it
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedPlant:
     """Plays frames; its state is the number of the next exposure. It does not know the truth.
 
-    rows: of the exposures, and one of the end. pixels: of each module. like: in whose dtype and on whose device frames are.
+    rows: of the exposures, and one of the end. per_step: exposures a control step. pixels: of each module. like: in whose dtype and on
+    whose device frames are.
     """
 
     folder: Path
     rows: tuple[Row, ...]
+    per_step: int
     camera: CameraParams
     pixels: tuple[int, ...]
     like: Tensor
@@ -39,7 +40,7 @@ class RecordedPlant:
     def show(self, state: int, exposure: Exposure) -> tuple[int, Arrivals]:
         """What had come in by the end of the exposure that was shown then. Raises LuxloopError where a file is missing or damaged."""
         if state + 1 >= len(self.rows):
-            raise LuxloopError(f"{self.folder}: ends after {state // PER_STEP} steps; lower steps")
+            raise LuxloopError(f"{self.folder}: ends after {state // self.per_step} steps; lower steps")
         return state + 1, self._arrivals(state + 1, tuple(self._frame(row) for row in self.rows if row["came_with"] == state))
 
     def _arrivals(self, number: int, frames: tuple[Frame, ...] = ()) -> Arrivals:
@@ -56,22 +57,27 @@ class RecordedPlant:
         return Frame(number, row["taken_s"], row["arrived_s"], image, shown)
 
 
-def recorded_plant(scenario: Scenario, params: RecordedPlantParams, projector: Projector) -> RecordedPlant:
-    """The recording that a scenario names. Raises LuxloopError where it has no frames of a controlled symbol, or too few of them."""
-    folder = Path(params.folder)
+def recorded_plant(scenario: WorldScenario, params: RecordedPlantParams, modules: Sequence[LampModule]) -> RecordedPlant:
+    """The recording that a scenario names. Raises LuxloopError where it has no frames of such exposures, or too few of them."""
+    folder, per_step = Path(params.folder), scenario.exposures
     table = inside(folder / TABLE, folder)
     if not os.path.isfile(table):
         raise LuxloopError(f"plant.folder: {folder} holds no frames; record them with `luxloop run --frames`")
     rows = tuple(read_exposures(table))
-    steps = (len(rows) - 1) // PER_STEP
+    steps = (len(rows) - 1) // per_step
     if scenario.steps > steps:
         raise LuxloopError(f"plant.folder: {folder} holds {steps} steps, but steps = {scenario.steps}; give --steps {steps} at most")
-    modules = [module.pixel_controller.headlight.n_pixels for module in projector.modules]
-    plant = RecordedPlant(folder, rows, scenario.camera, tuple(modules), projector.target)
-    lights = [read_light(inside(light_file(folder, row["light"]), folder), plant.pixels, plant.like.device) for row in rows[:PER_STEP]]
-    if [drawing is None for _, drawing in lights] != [False, True]:
+    pixels, like = tuple(module.headlight.n_pixels for module in modules), modules[0].beam.u
+    lights = [read_light(inside(light_file(folder, row["light"]), folder), pixels, like.device) for row in rows[:per_step]]
+    if per_step > 1 and [drawing is None for _, drawing in lights] != [False, True]:
         raise LuxloopError(f"plant.folder: {folder} shows no symbol that is held; name the recording of a [symbol]")
-    return plant
+    given_s, shown_s = rows[0]["duration_s"], 1 / scenario.rate_hz / per_step
+    if not math.isclose(given_s, shown_s):
+        raise LuxloopError(
+            f"plant.folder: {folder} has exposures of {1e3 * given_s:.4g} ms, but those of this scenario take {1e3 * shown_s:.4g} ms; "
+            "run it with the scenario that was recorded"
+        )
+    return RecordedPlant(folder, rows, per_step, scenario.camera, pixels, like)
 
 
 def inside(file: Path, folder: Path) -> Path:

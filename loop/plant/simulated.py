@@ -1,28 +1,27 @@
 """The simulated world as a plant."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from controllers.symbol.sensing.projector import Projector
 from loop.assembly.build import build_motion, build_scene
 from loop.assembly.truth import LampModule, true_camera, true_modules
-from loop.plant.protocol import Arrivals, Exposure, Frame
+from loop.plant.protocol import Arrivals, Exposure, Frame, Plant
 from loop.plant.world import World
 from loop.scenario.disturbances import UNDISTURBED, DisturbanceParams
-from loop.scenario.model import Scenario
+from loop.scenario.model import WorldScenario
 from perception.camera import expose, frame_generator
 from perception.egomotion import Sample
 from perception.glare import glare
 from perception.sensors import EXACT, SensorParams, Sensors
+from world.errors import LuxloopError
 from world.rendering.face_source import face_source
 from world.scene.vehicle import STANDING
 
 LOSS_KEY, LATENCY_KEY = 2, 4  # of what is drawn for a step, beside its frames' noise and the sensors'
-PER_STEP = 2  # exposures where a symbol is held: with it and without it
-
 
 UnderWay = tuple[tuple[int, Frame], ...]  # frames, each after the number of the exposure at whose end it arrives
 
@@ -39,7 +38,7 @@ class SimulatedPlant:
     seed: int
     sensors: SensorParams = EXACT
     disturbances: DisturbanceParams = UNDISTURBED
-    per_step: int = PER_STEP
+    per_step: int = 2
 
     @property
     def period_s(self) -> float:
@@ -103,13 +102,16 @@ class SimulatedPlant:
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(step, key)))
 
 
-def simulated_plant(scenario: Scenario, projector: Projector) -> SimulatedPlant:
-    """The world of a scenario, lit by the modules of a projector. Raises LuxloopError where a file is missing or broken."""
-    motion = build_motion(scenario)
-    drawing = (
-        LampModule(module.name, module.pixel_controller.headlight, resting, module.T_world_headlight)
-        for module, resting in zip(projector.modules, projector.resting, strict=True)
-    )
-    modules, source = true_modules(scenario.disturbances, drawing), face_source(scenario.renderer)
-    world = World(build_scene(scenario, motion), modules, true_camera(scenario), source, motion)
-    return SimulatedPlant(world, scenario.rate_hz, scenario.seed, scenario.sensors, scenario.disturbances)
+def simulated_plant(scenario: WorldScenario, modules: Sequence[LampModule]) -> SimulatedPlant:
+    """The world of a scenario, lit by these modules. Raises LuxloopError where a file is missing or broken."""
+    motion, source = build_motion(scenario), face_source(scenario.renderer)
+    scene, true = build_scene(scenario, motion), true_modules(scenario.disturbances, modules)
+    world = World(scene, true, true_camera(scenario), source, motion, scenario.metered, scenario.all_objects)
+    return SimulatedPlant(world, scenario.rate_hz, scenario.seed, scenario.sensors, scenario.disturbances, scenario.exposures)
+
+
+def as_simulated(plant: Plant, asked: str) -> SimulatedPlant:
+    """A plant that must be the simulated world. Raises LuxloopError, which begins with what asks for that, where it is another."""
+    if not isinstance(plant, SimulatedPlant):
+        raise LuxloopError(f"{asked}: needs the simulated world, but [plant] is another; leave one of the two out")
+    return plant

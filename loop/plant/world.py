@@ -140,6 +140,20 @@ class LitScene:
         return u0, v0, u1, v1
 
 
+@dataclass(frozen=True, eq=False)
+class Metered:
+    """A scene as the camera sees it, and the lamps' light there: illuminance in lx and luminance in cd/m^2 `[height, width]`."""
+
+    seen: LitScene
+    illuminance: Tensor
+    leaving: Tensor
+
+    @cached_property
+    def luminance(self) -> Tensor:
+        """In cd/m^2 `[height, width]` with all other light."""
+        return self.leaving + self.seen.base
+
+
 class World:
     """A scene, lamps and a camera on a vehicle; what has been rendered serves until something moves.
 
@@ -164,7 +178,7 @@ class World:
         self.device = self.modules[0].T_world_headlight.device
         self.resting = tuple(module.beam for module in self.modules)
         self._lit: OrderedDict[Any, LitScene] = OrderedDict()
-        self._metered: tuple[LitScene, tuple[Utilisation, ...], tuple[Tensor, Tensor]] | None = None
+        self._metered: tuple[tuple[Utilisation, ...], Metered] | None = None
         self._triangles = NOTHING
 
     def view_at(self, t_s: float) -> View:
@@ -178,14 +192,14 @@ class World:
     def luminance(self, time_s: float, lights: tuple[Utilisation, ...]) -> tuple[Tensor, Tensor]:
         """Luminances in cd/m^2 at a time: `[..., height, width]` of all light, and `[height, width]` without the lamps."""
         lit = self.lit(time_s)
-        return self.meter(time_s, lights)[1] + lit.base if self.metered else lit.shown(lights), lit.base
+        return self.meter(time_s, lights).luminance if self.metered else lit.shown(lights), lit.base
 
-    def meter(self, time_s: float, lights: tuple[Utilisation, ...]) -> tuple[Tensor, Tensor]:
-        """Illuminance in lx and luminance in cd/m^2 `[height, width]` of lights at a time; what was shown last serves until it changes."""
+    def meter(self, time_s: float, lights: tuple[Utilisation, ...]) -> Metered:
+        """The lamps' light at a time; what was shown last serves until it changes. Of a metered world only."""
         lit = self.lit(time_s)
-        if self._metered is None or self._metered[0] is not lit or self._metered[1] is not lights:
-            self._metered = lit, lights, lit.light([light.u for light in lights])
-        return self._metered[2]
+        if self._metered is None or self._metered[0] is not lights or self._metered[1].seen is not lit:
+            self._metered = lights, Metered(lit, *lit.light([light.u for light in lights]))
+        return self._metered[1]
 
     def lit(self, t_s: float) -> LitScene:
         """The camera's view of the scene at a time; rendered only when geometry or the vehicle has moved."""

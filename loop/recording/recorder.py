@@ -24,7 +24,7 @@ from loop.recording.frames import FrameRecorder
 from loop.recording.manifest import FILE as MANIFEST
 from loop.recording.manifest import Manifest, write_json
 from loop.recording.summary import summarise
-from loop.scenario.plant import RecordedPlantParams
+from loop.scenario.plant import shadow_of
 from loop.symbol.simulation import Simulation, StepResult
 from perception.extraction import Loss
 from perception.judge import Verdict
@@ -188,9 +188,8 @@ def summary_of(simulation: Simulation, table: pa.Table) -> dict[str, Any]:
     time_s = table["time_s"][-1].as_py() if table.num_rows else 0.0
     light, judge = simulation.projector.light(simulation.projector.target), simulation.judge
     iou_open = math.nan if judge is None else judge.verdict(light, time_s).iou.item()
-    plant = simulation.scenario.plant
-    shadow_of = plant.folder if isinstance(plant, RecordedPlantParams) else None
-    return summarise(table, simulation.scenario.name, simulation.scenario.controller.name, iou_open, shadow_of)
+    shadowed = shadow_of(simulation.scenario.plant)
+    return summarise(table, simulation.scenario.name, simulation.scenario.controller.name, iou_open, shadowed)
 
 
 def write_table(file: Path, table: pa.Table) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, Self
+from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
@@ -21,7 +21,7 @@ from controllers.symbol.sensing.projector import StartParams, SymbolParams
 from loop.scenario.checks import CheckParams, Light, refuse_lights
 from loop.scenario.disturbances import DisturbanceParams
 from loop.scenario.overrides import Override, is_file, overridden, resolve_paths, tables, texts
-from loop.scenario.plant import PlantParams, SimulatedPlantParams
+from loop.scenario.plant import PlantParams, RecordedPlantParams, SimulatedPlantParams
 from loop.scenario.shipped import find
 from perception.camera import CameraParams
 from perception.detection.params import DetectorParams
@@ -110,6 +110,9 @@ class WorldScenario(Params):
     disturbances: DisturbanceParams = Field(DisturbanceParams(), description="disturbances unknown to the controller")
     vehicle: VehicleParams | None = Field(None, description="how the vehicle drives; left out: it stands")
     sensors: SensorParams = Field(SensorParams(), description="sensors of the vehicle's motion")
+    plant: Annotated[PlantParams, Field(description="what shows the light and exposes the frames")] = SimulatedPlantParams()
+    judge_every: int = Field(1, ge=0, le=100_000, description="steps from one judgement of a symbol that is held to the next; 0: none")
+    metered: ClassVar[bool]  # whether the illuminance on objects is asked for, beside what the camera sees
 
     @field_validator("pixel_controller")
     @classmethod
@@ -129,6 +132,11 @@ class WorldScenario(Params):
     def _compared_with_what_there_is(self) -> Self:
         refuse_lights(self.checks, self.lights)
         return self
+
+    @property
+    def exposures(self) -> int:
+        """Of a control step: with the symbols that are held and without them, or one."""
+        raise NotImplementedError
 
     @property
     def lights(self) -> tuple[Light, ...]:
@@ -177,9 +185,11 @@ class Scenario(WorldScenario):
     features: FeatureParams = Field(FeatureParams(), description="what of the symbol the controller looks at")
     extraction: Extraction = Field(ExtractionParams(), description="how the symbol is found in the image")
     controller: Annotated[ControllerParams, Field(description="the controller of the symbol")] = LuxloopParams()
+    metered = False
 
-    plant: Annotated[PlantParams, Field(description="what shows the light and exposes the frames")] = SimulatedPlantParams()
-    judge_every: int = Field(1, ge=0, le=100_000, description="steps from one judgement to the next; 0: none")
+    @property
+    def exposures(self) -> int:
+        return 2
 
     @property
     def lights(self) -> tuple[Light, ...]:
@@ -250,6 +260,11 @@ class LightingScenario(WorldScenario):
         "on", description="where controllers hold symbols: frames that the detector gets, with the measured symbols, without them, or both"
     )
     tracker: AnyTracker = Field(TrackerParams(), description="follows detections from frame to frame")
+    metered = True
+
+    @property
+    def exposures(self) -> int:
+        return 2 if self.controlled else 1
 
     @property
     def controlled(self) -> tuple[str, ...]:
@@ -270,6 +285,15 @@ class LightingScenario(WorldScenario):
                 raise ValueError(
                     f"disturbances.{key}[{off[0]}].frames: without a symbol that a controller holds steps have no off frame; leave it out"
                 )
+        return self
+
+    @model_validator(mode="after")
+    def _knows_what_was_drawn(self) -> Self:
+        if self.controlled and isinstance(self.plant, RecordedPlantParams):
+            raise ValueError(
+                "plant.kind: a recording of lighting functions says what was lit, but not what each controller had drawn; "
+                f"take functions.{self.controlled[0]}.controller out"
+            )
         return self
 
     @model_validator(mode="after")

@@ -22,10 +22,15 @@ class RecordedPlantParams(Params):
 
 
 class OwnPlantParams(Params):
-    """`Name(scenario, projector, **options)` of a module of the user's own makes the plant."""
+    """`Name(scenario, modules, **options)` of a module of the user's own makes the plant."""
 
     kind: OwnName
-    options: dict[str, Any] = Field({}, description="keyword arguments of Name, beside scenario and projector")
+    options: dict[str, Any] = Field({}, description="keyword arguments of Name, beside scenario and modules")
+
+
+def shadow_of(plant: SimulatedPlantParams | RecordedPlantParams | OwnPlantParams) -> str | None:
+    """The recording that is played, None where light is shown."""
+    return plant.folder if isinstance(plant, RecordedPlantParams) else None
 
 
 PlantParams = Annotated[

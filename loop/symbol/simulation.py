@@ -18,10 +18,11 @@ from controllers.symbol.sensing.observer import Observer, Seen
 from controllers.symbol.sensing.projector import Projector
 from controllers.symbol.sensing.protocol import Look, Shown, SymbolController
 from loop.assembly.build import build_projector, build_road, build_symbol_controller
+from loop.assembly.truth import LampModule
 from loop.plant.build import build_plant
 from loop.plant.pairing import Arrived, UnderWay, paired
 from loop.plant.protocol import Arrivals, Exposure, Frame, Plant, Showing
-from loop.plant.simulated import SimulatedPlant
+from loop.plant.simulated import as_simulated
 from loop.scenario.checks import Light
 from loop.scenario.model import Scenario
 from loop.symbol.feasible import brightness
@@ -102,7 +103,7 @@ class Simulation:
 
         model = model_of(scenario.camera)
         observer = Observer(projector, model, scenario.camera, scenario.extraction)
-        plant, judge = build_plant(scenario, projector), None
+        plant, judge = build_plant(scenario, lamp_modules(projector)), None
         if (world := getattr(plant, "truth", None)) is not None:
             judged = model if world.camera == scenario.camera else model_of(world.camera)  # the judge knows where the camera is
             judge = Judge.of(world, scenario.symbol, build_road(scenario), judged.luminance(projector.light(projector.target)))
@@ -127,8 +128,7 @@ class Simulation:
 
     def lit_by(self, light: Light) -> "Simulation":
         """The same world with the same noise in open loop. Raises LuxloopError on a plant of one's own, which shows one light alone."""
-        if not isinstance(self.plant, SimulatedPlant):
-            raise LuxloopError(f"checks: compare = {light!r} runs the simulated world beside, not {self.scenario.plant.kind}; leave it out")
+        as_simulated(self.plant, f"checks: compare = {light!r}")
         scenario = self.scenario.model_copy(update={"controller": OpenLoopParams()})
         return replace(self, scenario=scenario, controller=build_symbol_controller(scenario.controller, self.observer))
 
@@ -192,6 +192,12 @@ class Simulation:
         for _ in range(self.scenario.steps):
             state, result = self.step(state)
             yield result
+
+
+def lamp_modules(projector: Projector) -> tuple[LampModule, ...]:
+    """The modules of a projector with their base beams."""
+    drawing = zip(projector.modules, projector.resting, strict=True)
+    return tuple(LampModule(each.name, each.pixel_controller.headlight, beam, each.T_world_headlight) for each, beam in drawing)
 
 
 def _shown(arrived: Arrived[Shown]) -> Shown:

@@ -14,8 +14,8 @@ from luxloop import Arrivals, Exposure, Frame, LuxloopError, Sample, Utilisation
 class Kept:
     """The simulated world, without its truth; its frames come `late` exposures late."""
 
-    def __init__(self, scenario: Any, projector: Any, late: int = 0) -> None:
-        self.inner, self.late = simulated_plant(scenario, projector), late
+    def __init__(self, scenario: Any, modules: Any, late: int = 0) -> None:
+        self.inner, self.late = simulated_plant(scenario, modules), late
 
     def start(self) -> Any:
         return (self.inner.start()[0], ()), self.inner.start()[1]
@@ -52,8 +52,8 @@ class Dropping(Kept):
 class Slow(Kept):
     """Its time goes on as it likes, and its sensors tell nothing."""
 
-    def __init__(self, scenario: Any, projector: Any) -> None:
-        self.dark = projector.symbol.new_zeros(scenario.camera.height_px, scenario.camera.width_px)
+    def __init__(self, scenario: Any, modules: Any) -> None:
+        self.dark = modules[0].beam.u.new_zeros(scenario.camera.height_px, scenario.camera.width_px)
 
     def start(self) -> Any:
         return 100.0, Arrivals(100.0)
@@ -84,7 +84,7 @@ def test_frames_may_come_late(late: int, device: torch.device) -> None:
 
 
 class NoShow:
-    def __init__(self, scenario: Any, projector: Any) -> None: ...
+    def __init__(self, scenario: Any, modules: Any) -> None: ...
 
     def start(self) -> None: ...
 
@@ -112,8 +112,8 @@ class LockedState(Kept):
 class QueueInSelf(Kept):
     """Its frames wait in itself, so that an old state finds what came later."""
 
-    def __init__(self, scenario: Any, projector: Any) -> None:
-        super().__init__(scenario, projector)
+    def __init__(self, scenario: Any, modules: Any) -> None:
+        super().__init__(scenario, modules)
         self.last: dict[int, Any] = {}
 
     def made(self, frame: Frame, exposure: Exposure) -> Frame:
@@ -123,9 +123,9 @@ class QueueInSelf(Kept):
 
 
 class OneBuffer(Kept):
-    def __init__(self, scenario: Any, projector: Any) -> None:
-        super().__init__(scenario, projector)
-        self.buffer = projector.symbol.new_zeros(scenario.camera.height_px, scenario.camera.width_px)
+    def __init__(self, scenario: Any, modules: Any) -> None:
+        super().__init__(scenario, modules)
+        self.buffer = modules[0].beam.u.new_zeros(scenario.camera.height_px, scenario.camera.width_px)
 
     def made(self, frame: Frame, exposure: Exposure) -> Frame:
         self.buffer += 1
@@ -328,8 +328,8 @@ def test_each_way_to_break_the_contract_is_told_in_a_sentence(broken: Any, devic
 class Dimmed:
     """As docs/python.md has it."""
 
-    def __init__(self, scenario: Any, projector: Any, share: float = 0.8) -> None:
-        self.inner, self.share = simulated_plant(scenario, projector), share
+    def __init__(self, scenario: Any, modules: Any, share: float = 0.8) -> None:
+        self.inner, self.share = simulated_plant(scenario, modules), share
         self.truth = self.inner.truth
 
     def start(self) -> Any:

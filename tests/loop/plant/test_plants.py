@@ -27,8 +27,8 @@ import torch
 from luxloop import Arrivals, Frame, Sample, simulated_plant
 
 class Blind:
-    def __init__(self, scenario, projector, lost=()):
-        self.inner, self.lost = simulated_plant(scenario, projector), lost
+    def __init__(self, scenario, modules, lost=()):
+        self.inner, self.lost = simulated_plant(scenario, modules), lost
     def start(self):
         return self.inner.start()
     def show(self, state, exposure):
@@ -37,8 +37,8 @@ class Blind:
         return state, replace(came, frames=frames)
 
 class Rig:
-    def __init__(self, scenario, projector):
-        self.inner = simulated_plant(scenario, projector)
+    def __init__(self, scenario, modules):
+        self.inner = simulated_plant(scenario, modules)
     def start(self):
         state, came = self.inner.start()
         return state, replace(came, samples=self.told(0.0))
@@ -50,7 +50,7 @@ class Rig:
         return Sample("wheels", time_s, time_s, wheels), Sample("gyro", time_s - 0.02, time_s, gyro)
 
 class Half:
-    def __init__(self, scenario, projector):
+    def __init__(self, scenario, modules):
         pass
     def start(self):
         return None, Arrivals(0.0)
@@ -166,7 +166,7 @@ def test_what_needs_the_simulated_world_says_so() -> None:
     blind = prepared(plant={"kind": "own:Blind"})
     with pytest.raises(LuxloopError, match="the plant own:Blind does not know the truth"):
         _ = blind.truth
-    with pytest.raises(LuxloopError, match="compare = 'open_loop' runs the simulated world beside, not own:Blind"):
+    with pytest.raises(LuxloopError, match="compare = 'open_loop': needs the simulated world"):
         blind.lit_by("open_loop")
 
 
