@@ -163,7 +163,8 @@ def check(scenario: AnyScenario, device: str = "auto") -> dict[str, Any]:
 
     `steps` and `road`; of a symbol's scenario also `controller`, of others `base` (what shines below all functions), `functions` (their
     kinds by name), `objects` (their number) and `detector` (None where there is none). With a detector also the number of `boxes` that it
-    finds in the first frame, and `lx_max`, the most light on objects there (None where none is in sight).
+    finds in the first frame, `lx_max`, the most light on objects there (None where none is in sight), and `known`, whether the plant
+    knows the truth.
     """
     facts: dict[str, Any] = {"steps": scenario.steps, "road": scenario.road.kind}
     if isinstance(scenario, Scenario):
@@ -188,9 +189,9 @@ def _first_look(simulation: LightingSimulation) -> dict[str, Any]:
     with located(simulation.scenario.source):
         first = next((each for each in simulation.run() if each.frame is not None), None)
     if first is None or first.look is None:
-        return {"boxes": 0, "lx_max": None}
+        return {"boxes": 0, "lx_max": None, "known": simulation.truth is not None}
     lit = [each.lx_max for each in first.objects.values() if each.lx_max is not None]
-    return {"boxes": len(first.look.found), "lx_max": max(lit, default=None)}
+    return {"boxes": len(first.look.found), "lx_max": max(lit, default=None), "known": simulation.truth is not None}
 
 
 def in_words(facts: dict[str, Any]) -> str:
@@ -204,6 +205,8 @@ def in_words(facts: dict[str, Any]) -> str:
 
 
 def _looked(facts: dict[str, Any]) -> str:
+    if not facts["known"]:
+        return f"{facts['boxes']} boxes in the first frame"
     light = "no object is in sight" if facts["lx_max"] is None else f"objects in sight have up to {facts['lx_max']:.3g} lx"
     return f"{facts['boxes']} boxes in the first frame, where {light}"
 

@@ -72,7 +72,7 @@ def judge(luminance: Tensor, view: BirdsEye, goal: Target) -> Verdict:
 
 def _similarity(plane: Tensor, goal: Target) -> Tensor:
     """SSIM of luminance `[..., rows, cols]` and target, `[...]`: computed where its window reaches any light, elsewhere it is 1."""
-    lit = ((plane > 0).flatten(0, -3).any(0) if plane.ndim > 2 else plane > 0) | (goal.luminance > 0)
+    lit = (plane > 0).reshape(-1, *plane.shape[-2:]).any(0) | (goal.luminance > 0)
     rows, cols = (_reached(lit.any(axis)) for axis in (1, 0))
     grey, goal_grey = (_in_pairs((image[..., rows, cols] / goal.median / 2).clamp(0, 1)) for image in (plane, goal.luminance))
     share = goal_grey.numel() / (lit.shape[0] // 2 * (lit.shape[1] // 2))
@@ -80,8 +80,10 @@ def _similarity(plane: Tensor, goal: Target) -> Tensor:
 
 
 def _reached(lit: Tensor) -> slice:
-    """The whole pairs of cells from which SSIM's window reaches a lit one of `[n]`, some of which are."""
+    """The whole pairs of cells from which SSIM's window reaches a lit one of `[n]`; all where none is."""
     found, window = lit.nonzero(), math.ceil(3 * SSIM_RADIUS)
+    if not len(found):
+        return slice(0, 2 * (len(lit) // 2))
     first, last = int(found[0]) // 2, int(found[-1]) // 2
     return slice(2 * max(first - window, 0), 2 * min(last + window + 1, len(lit) // 2))
 

@@ -55,7 +55,7 @@ def check_plant(plant: type, options: Mapping[str, Any] | None = None, device: s
     state, arrivals = _said(own, "start", {}, shown, simulation)
     for number in range(EXPOSURES):
         light = simulation.projector.light(simulation.projector.target) if number % 2 == 0 else simulation.projector.resting
-        exposure = Exposure(number, arrivals.time_s, 0.5 / simulation.scenario.rate_hz, light)
+        exposure = Exposure(number, arrivals.time_s, simulation.scenario.shares[number % 2] / simulation.scenario.rate_hz, light)
         before = state
         state, arrivals = _said(own, "show", {"state": before, "exposure": exposure}, shown, simulation)
         shown.append(Shown(before, exposure, arrivals, copied((state, arrivals), GIVES)))

@@ -1,6 +1,6 @@
 """Symbols among the lighting functions that a controller holds straight: what is measured of them, and what is drawn."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,6 +21,7 @@ from controllers.symbol.sensing.projector import DrawingModule, Projector
 from controllers.symbol.sensing.protocol import Look, Shown, SymbolController
 from loop.assembly.build import build_road, build_symbol_controller
 from loop.lighting.lamps import ShiningModule
+from loop.plant.pairing import Arrived
 from loop.plant.world import World
 from loop.scenario.model import LightingScenario
 from loop.scenario.shipped import named
@@ -75,6 +76,26 @@ class Held:
     def aim(self) -> Tensor:
         """`[2]`, x and y in m where it lies in place of its target, NaN for the target."""
         return torch.full_like(self.pose[:2], torch.nan) if self.drawing.aim is None else self.drawing.aim.to(self.pose)
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """What was shown in a step. drawings: of the symbols, by name. measured: names of those that are off in the off exposure.
+
+    on, off: lights of all modules. ego: the motion with which they were drawn.
+    """
+
+    drawings: Mapping[str, Drawing]
+    measured: tuple[str, ...]
+    on: tuple[Utilisation, ...]
+    off: tuple[Utilisation, ...]
+    ego: Ego | None
+
+
+def lights_of(arrived: Arrived[Moment]) -> Iterator[tuple[Utilisation, ...]]:
+    """Those of on and off frame: as asked for, unless a frame says otherwise."""
+    for frame, asked in ((arrived.on, arrived.what.on), (arrived.off, arrived.what.off)):
+        yield asked if frame.shown is None else frame.shown.lights
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,13 +173,13 @@ class ControlledSymbol:
             parts.append(drawn.moved(T_ground_body))
         return (concatenate(*parts),)
 
-    def light(self, on: Sequence[Tensor], off: Sequence[Tensor]) -> tuple[Utilisation, ...]:
+    def light(self, on: Sequence[Utilisation], off: Sequence[Utilisation]) -> tuple[Utilisation, ...]:
         """What the symbol adds to the base beams that its controller believes in, one a module that draws it.
 
-        on, off: utilisations `[n_p]` of all modules with the symbol and without it.
+        on, off: of all modules with the symbol and without it.
         """
         resting = self.projector.resting
-        return tuple(Utilisation(beam.u + on[k] - off[k]) for k, beam in zip(self.drawn_by, resting, strict=True))
+        return tuple(Utilisation(beam.u + on[k].u - off[k].u) for k, beam in zip(self.drawn_by, resting, strict=True))
 
     def step(self, state: HeldState, frames: Frames | None, shown: Shown, ego: Ego | None) -> tuple[HeldState, Seen]:
         """Look at the frames that show it, None where there are none, and control."""

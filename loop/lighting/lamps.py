@@ -57,25 +57,32 @@ class ShiningModule(MountedModule):
 
 @dataclass(frozen=True)
 class LampPower:
-    """What a lamp gives and takes: flux in lm, power as a share of all pixels on, the factor by which its limit dims it, and watts."""
+    """What a lamp gives and takes: flux in lm, power as a share of all pixels on, the factor by which its limit dims it, and watts.
+
+    flux_lm_peak: of its brightest exposure.
+    """
 
     flux_lm: float
     share: float
     factor: float
     watts: float
+    flux_lm_peak: float
 
 
-def mean_powers(powers: Sequence[Mapping[str, LampPower]]) -> Mapping[str, LampPower]:
-    """Time means over exposures of equal length, by the lamps' sides; the factor is the least."""
-    first, n = powers[0], len(powers)
-    if n == 1:
+def mean_powers(powers: Sequence[Mapping[str, LampPower]], shares: Sequence[float]) -> Mapping[str, LampPower]:
+    """Time means over exposures, by the lamps' sides; the factor is the least. Of one alone, shown for the whole step, that."""
+    first = powers[0]
+    if len(powers) == 1:
         return first
 
     def mean(side: str, key: str) -> float:
-        return sum(getattr(each[side], key) for each in powers) / n
+        return sum(share * getattr(each[side], key) for share, each in zip(shares, powers, strict=True))
 
-    factors = {side: min(each[side].factor for each in powers) for side in first}
-    return {side: LampPower(mean(side, "flux_lm"), mean(side, "share"), factors[side], mean(side, "watts")) for side in first}
+    def of(side: str) -> LampPower:
+        factor, peak_lm = min(each[side].factor for each in powers), max(each[side].flux_lm_peak for each in powers)
+        return LampPower(mean(side, "flux_lm"), mean(side, "share"), factor, mean(side, "watts"), peak_lm)
+
+    return {side: of(side) for side in first}
 
 
 def shining_modules(scenario: LightingScenario, device: torch.device) -> tuple[ShiningModule, ...]:
@@ -130,6 +137,6 @@ def driven(
         flux = torch.cat([module.flux for module in mine])
         u, factor = limit_power(u, flux, flux.sum() * (1.0 if power_limit is None else power_limit))
         total = float((u * flux).sum())
-        powers[side] = LampPower(total, total / float(flux.sum()), float(factor), power_w(total))
+        powers[side] = LampPower(total, total / float(flux.sum()), float(factor), power_w(total), total)
         lights += u.split([len(module.flux) for module in mine])
     return tuple(lights), powers

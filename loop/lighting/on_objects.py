@@ -1,23 +1,27 @@
 """The lamps' light on each object that the camera sees."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from torch import Tensor
 
 from loop.lighting.sight import Recognised, name_of
-from loop.plant.world import LitScene
+from loop.plant.world import Metered
 
 
 @dataclass(frozen=True)
 class OnObject:
-    """The lamps' light on what the camera sees of an object: pixels, and lx that are NaN where there are none. masked: it must be dark."""
+    """The lamps' light on what the camera sees of an object: pixels, and lx that are NaN where there are none. masked: it must be dark.
+
+    lx_min, lx_mean, lx_max: means over the exposures of a step. lx_peak: the highest lx_max of one.
+    """
 
     pixels: int
     lx_min: float
     lx_mean: float
     lx_max: float
+    lx_peak: float
     masked: bool
 
 
@@ -29,11 +33,17 @@ def told_as(watched: Mapping[str, int], recognised: Mapping[str, Recognised] | N
     return {name_of(track): number for name, number in watched.items() if (track := tracks.get(name)) is not None}
 
 
-def on_objects(watched: Mapping[str, int], dark: frozenset[int], view: LitScene, illuminance: Tensor) -> Mapping[str, OnObject]:
-    """By name. watched: ids of those that are meant. dark: ids of those that must be. illuminance: `[height, width]` lx."""
+def on_objects(
+    watched: Mapping[str, int], dark: frozenset[int], metered: Sequence[Metered], shares: Sequence[float]
+) -> Mapping[str, OnObject]:
+    """By name. watched: ids of those that are meant. dark: ids of those that must be. metered: of each exposure, with its share of time."""
     found = {}
     for name, number in watched.items():
-        lx = illuminance.flatten()[view.pixels[number - 1]]
-        low, mean, high = (float(value) for value in (lx.min(), lx.mean(), lx.max())) if len(lx) else [math.nan] * 3
-        found[name] = OnObject(len(lx), low, mean, high, number in dark)
+        lights = [each.illuminance.flatten()[each.seen.pixels[number - 1]] for each in metered]
+        low = mean = high = peak = math.nan
+        if all(map(len, lights)):
+            each = ([float(what(lx)) for lx in lights] for what in (Tensor.min, Tensor.mean, Tensor.max))
+            low, mean, high = (sum(share * lx for share, lx in zip(shares, values, strict=True)) for values in each)
+            peak = max(float(lx.max()) for lx in lights)
+        found[name] = OnObject(len(lights[0]), low, mean, high, peak, number in dark)
     return found

@@ -13,6 +13,7 @@ from loop.lighting.marks import marks, readable
 from loop.lighting.result import LightingResult
 from loop.lighting.simulation import LightingSimulation
 from loop.recording.video import Picture, tone_map
+from loop.scenario.plant import shadow_of
 from perception.camera import CameraParams, expose, luminance_of
 from world.frames import pose_from_degrees
 from world.light.emitters import Source, wall_illuminance
@@ -71,6 +72,8 @@ def captions(result: LightingResult, simulation: LightingSimulation) -> list[str
     base = result.plan.base
     lamps = ", ".join(f"{side} {power.flux_lm:.0f} lm" for side, power in result.powers.items())
     lines = [simulation.scenario.name, f"step {result.step}, {result.time_s:.2f} s", simulation.base(base.name), lamps]
+    if shadow_of(simulation.scenario.plant) is not None:
+        lines[2] = f"asked for in shadow: {lines[2]}"
     if base.bend or base.level or base.roll:
         lines[2] += f", bend {math.degrees(base.bend):+.1f}, level {math.degrees(base.level):+.1f} deg"
     if base.share < 1:

@@ -45,6 +45,9 @@ LAMP = {
     "power_share": (pa.float64(), "1", "power, as a share of all pixels on"),
     "power_factor": (pa.float64(), "1", "factor by which the power limit dims all pixels"),
 }
+LAMP_PEAK = {"flux_lm_peak": (pa.float64(), "lm", "luminous flux while it is highest; flux_lm and power are means over the step")}
+OBJECT_PEAK = {"lx_peak": (pa.float64(), "lx", "lx_max while it is highest; the others are means over the step")}
+EYES_PEAK = {"eyes_lx_peak": (pa.float64(), "lx", "eyes_lx_max while it is highest, which is a mean over the step")}
 LEARNING = {
     "base_share": (pa.float64(), "1", "what is left of the base beam"),
     "power_w": (pa.float64(), "W", "electrical power of all lamps, by the lamp model of headlight.standby_w and efficacy_lm_w"),
@@ -56,7 +59,7 @@ LOOKING = {
     "tracks": (pa.int64(), "1", "objects that the tracker has confirmed and not lost"),
     "eyes_lx_max": (pa.float64(), "lx", "most light of the lamps on heads and windscreens of road users; empty while none is seen"),
 }
-OF_TRUTH = ("false_positives", "eyes_lx_max")  # which only a plant can tell that knows it
+OF_TRUTH = ("false_positives", "eyes_lx_max", "eyes_lx_peak")  # which only a plant can tell that knows it
 OBJECT = {
     "pixels": (pa.int64(), "px", "of the camera that see it"),
     "lx_min": (pa.float64(), "lx", "least light of the lamps on what the camera sees of it; empty where that is nothing"),
@@ -81,17 +84,20 @@ def schema(simulation: LightingSimulation) -> pa.Schema:
     """Columns of a simulation's recording: `lamp.left.flux_lm`, `objects.NAME.lx_max` and so on."""
     sides = dict.fromkeys(module.side for module in simulation.modules)
     tracked, looks = simulation.watched, simulation.sight is not None
+    held = bool(simulation.controlled)  # so that a step has exposures of different light
     observed = any(getattr(function, "observer", None) for function in simulation.scenario.functions.values())
     columns = (
         STEP
         | (CONTROL if simulation.controlled else {})
         | (OBSERVED if observed else {})
-        | {f"lamp.{side}.{key}": of for side in sides for key, of in LAMP.items()}
+        | {f"lamp.{side}.{key}": of for side in sides for key, of in (LAMP | (LAMP_PEAK if held else {})).items()}
     )
     columns |= LEARNING if looks or simulation.planner.learns else {}
     if looks:
-        columns |= {key: of for key, of in LOOKING.items() if simulation.truth is not None or key not in OF_TRUTH}
-    columns |= {f"objects.{name}.{key}": of for name in tracked for key, of in (OBJECT | (LOOKED_AT if looks else {})).items()}
+        looking = LOOKING | (EYES_PEAK if held else {})
+        columns |= {key: of for key, of in looking.items() if simulation.truth is not None or key not in OF_TRUTH}
+    of_object = OBJECT | (OBJECT_PEAK if held else {}) | (LOOKED_AT if looks else {})
+    columns |= {f"objects.{name}.{key}": of for name in tracked for key, of in of_object.items()}
     columns |= {
         f"functions.{name}.{key}": (pa.string() if key == "loss" else pa.float64(), unit, text)
         for name in simulation.controlled
@@ -130,9 +136,10 @@ def row(result: LightingResult) -> dict[str, Any]:
     }
     values |= {"base_share": base.share, "power_w": sum(power.watts for power in result.powers.values())}
     for side, power in result.powers.items():
-        values |= {f"lamp.{side}.{key}": value for key, value in zip(LAMP, (power.flux_lm, power.share, power.factor), strict=True)}
+        given = power.flux_lm, power.share, power.factor, power.flux_lm_peak
+        values |= {f"lamp.{side}.{key}": value for key, value in zip(LAMP | LAMP_PEAK, given, strict=True)}
     for name, each in result.objects.items():
-        values |= {f"objects.{name}.{key}": getattr(each, key) for key in OBJECT}
+        values |= {f"objects.{name}.{key}": getattr(each, key) for key in OBJECT | OBJECT_PEAK}
     for name, held in result.held.items():
         values |= {f"functions.{name}.{key}": value for key, value in of_symbol(held, held.seen).items()}
     for name, zone in result.zones.items():
@@ -140,7 +147,7 @@ def row(result: LightingResult) -> dict[str, Any]:
     for name, material in result.materials.items():
         values |= {f"functions.{name}.{material.quantity}": material.median, f"functions.{name}.wanted": material.wanted}
     if (look := result.look) is not None:
-        values |= {"tracks": len(look.tracks), "eyes_lx_max": look.eyes_lx_max}
+        values |= {"tracks": len(look.tracks), "eyes_lx_max": look.eyes_lx_max, "eyes_lx_peak": look.eyes_lx_peak}
         if result.frame is not None:
             values |= {"detections": len(look.found), "false_positives": look.false_positives}
         for name in result.objects:
@@ -177,4 +184,7 @@ class LightingRecorder(TableRecorder[LightingResult]):
         idle = [f"functions.{name} ({each.kind})" for name, each in sorted(self.simulation.scenario.functions.items()) if name in self.idle]
         table = self.table()
         summary = summarise(table, self.simulation.scenario.name, compared(self.simulation, table))
-        return summary | {"idle_functions": idle, "shadow_of": shadow_of(self.simulation.scenario.plant)}
+        scenario = self.simulation.scenario
+        if scenario.holds:
+            summary["flicker"] = {"rate_hz": scenario.rate_hz, "on_share": 1 - scenario.off_share}
+        return summary | {"idle_functions": idle, "shadow_of": shadow_of(scenario.plant)}

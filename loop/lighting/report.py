@@ -22,8 +22,10 @@ from loop.lighting.picture import WALL_DEG, measured, wall_light, white_of
 from loop.lighting.result import LightingResult
 from loop.lighting.simulation import LightingSimulation
 from loop.pictures.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, birdseye
+from loop.recording.remedies import SHADOW
 from loop.recording.report import NIGHT, STYLE
 from loop.recording.summary import column
+from loop.scenario.plant import shadow_of
 from world.files import whole
 from world.frames import transform
 
@@ -66,7 +68,11 @@ def _title(simulation: LightingSimulation, last: LightingResult, table: pa.Table
     dark = column(table, "dark_lx_max")
     dark = dark[np.isfinite(dark)]
     masked = f"  ·  {dark.max():.3g} lx at most on what must be dark" if len(dark) else ""
-    return f"{simulation.scenario.name}  ·  {simulation.scenario.headlight.model}  ·  {table.num_rows} steps to {last.time_s:.2f} s{masked}"
+    scenario = simulation.scenario
+    flicker = f"  ·  symbols on for {1 - scenario.off_share:.0%} at {scenario.rate_hz:g} Hz" if scenario.holds else ""
+    if (folder := shadow_of(scenario.plant)) is not None:
+        flicker += f"  ·  {SHADOW} {folder}"
+    return f"{scenario.name}  ·  {scenario.headlight.model}  ·  {table.num_rows} steps to {last.time_s:.2f} s{masked}{flicker}"
 
 
 def _cameras(figure: SubFigure, simulation: LightingSimulation, moments: Sequence[LightingResult]) -> None:
@@ -110,7 +116,8 @@ def _camera(axes: Axes, simulation: LightingSimulation, result: LightingResult, 
     share = result.plan.base.share
     beam = simulation.base(result.plan.base.name) + (f" at {100 * share:.0f} %" if share < 1 else "")
     watts = "" if result.look is None else f", {sum(power.watts for power in result.powers.values()):.1f} W"
-    axes.set_title(f"Camera at {result.time_s:.2f} s, {beam}{watts}", weight="normal")
+    asked = "asked for: " if shadow_of(simulation.scenario.plant) is not None else ""
+    axes.set_title(f"Camera at {result.time_s:.2f} s, {asked}{beam}{watts}", weight="normal")
     axes.grid(False)
 
 

@@ -1,5 +1,6 @@
 """What happened in a step of a lighting scenario, and what is known before the next."""
 
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -8,8 +9,7 @@ from torch import Tensor
 
 from controllers.functions.planner import Plan, States
 from controllers.situation import Situation
-from controllers.symbol.sensing.protocol import Shown
-from loop.lighting.controlled import Held, HeldState
+from loop.lighting.controlled import Held, HeldState, Moment
 from loop.lighting.lamps import LampPower
 from loop.lighting.observed import ObservedSymbol
 from loop.lighting.on_materials import OnMaterial
@@ -30,7 +30,7 @@ class LightingState:
 
     plant: its state. arrivals: what has come in by its beginning. samples: the newest of each of the vehicle's sensors.
     held: of each symbol that a controller holds. believed: views from the ground frame of the exposures whose frames have not come yet, by
-    their number. under_way: symbols that were shown, by name, whose frames have not come, and whether they were measured. frames: that have
+    their number. under_way: what was shown whose frames have not come. frames: that have
     come without the other one of their pair.
     """
 
@@ -42,7 +42,7 @@ class LightingState:
     samples: Samples
     held: Mapping[str, HeldState]
     believed: Mapping[int, View] = field(default_factory=dict)
-    under_way: UnderWay[Mapping[str, tuple[Shown, bool]]] = ()
+    under_way: UnderWay[Moment] = ()
     frames: tuple[Frame, ...] = ()
 
 
@@ -51,7 +51,8 @@ class Look:
     """What was found in the frame that came, nothing where none did, and the tracks at its time that are not lost.
 
     recognised: what is made of each object in sight, by its name. false_positives: detections of none that may be new objects, None where
-    nobody knows. eyes_lx_max: most light of the lamps on heads and windscreens of road users, None where none are seen.
+    nobody knows. eyes_lx_max, eyes_lx_peak: most light of the lamps on heads and windscreens of road users, mean over time and
+    highest, None where none are seen.
     """
 
     found: Detections
@@ -59,6 +60,7 @@ class Look:
     recognised: Mapping[str, Recognised]
     false_positives: int | None
     eyes_lx_max: float | None
+    eyes_lx_peak: float | None
 
 
 @dataclass(frozen=True)
@@ -105,3 +107,17 @@ class LightingResult:
     def symbol_iou_min(self) -> float | None:
         """The least overlap of a symbol with what its observer shall see; None where there is no such symbol."""
         return min((each.iou for each in self.symbols), default=None)
+
+
+class Clock:
+    """Wall time by part. taken_ms: ms so far, by name."""
+
+    def __init__(self) -> None:
+        self.taken_ms: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, part: str) -> None:
+        """Count the time since the last lap as that of a part."""
+        now = time.perf_counter()
+        self.taken_ms[part] = self.taken_ms.get(part, 0.0) + 1e3 * (now - self._last)
+        self._last = now

@@ -1,7 +1,6 @@
 """Lighting functions at work: at each step the objects are tracked, the functions planned, the lamps driven, and the light looked at."""
 
 import math
-import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -23,13 +22,13 @@ from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.observer import Seen as SeenSymbol
 from controllers.symbol.sensing.protocol import Shown
 from loop.assembly.truth import LampModule
-from loop.lighting.controlled import ControlledSymbol, controlled_symbols, turn
+from loop.lighting.controlled import ControlledSymbol, Moment, controlled_symbols, lights_of, turn
 from loop.lighting.lamps import LampPower, ShiningModule, driven, mean_powers, shining_modules
 from loop.lighting.names import check_names, refuse_unknown
 from loop.lighting.observed import ObservedSymbol, in_white, observed_symbols
 from loop.lighting.on_materials import OnMaterial, on_materials
 from loop.lighting.on_objects import OnObject, on_objects, told_as
-from loop.lighting.result import LightingResult, LightingState, Look
+from loop.lighting.result import Clock, LightingResult, LightingState, Look
 from loop.lighting.sight import Sight, false_positives, recognised
 from loop.lighting.zoned import in_zones
 from loop.plant.build import build_plant
@@ -117,7 +116,7 @@ class LightingSimulation:
 
         Raises LuxloopError where there is no such beam, and on a plant that is not the simulated world.
         """
-        as_simulated(self.plant, f"checks: compare = {light!r}")
+        plant = as_simulated(self.plant, f"checks: compare = {light!r}")
         if light == "open_loop":
             return replace(self, controlled={name: each.in_open_loop() for name, each in self.controlled.items()})
         beam = BEAMS[light]
@@ -125,7 +124,8 @@ class LightingSimulation:
             modules = tuple(module.showing(beam) for module in self.modules)
         alone = self.scenario.lighting.model_copy(update={"base": BaseBeamParams(beam=beam), "raw": ()})
         scenario = self.scenario.model_copy(update={"lighting": alone, "functions": {}})
-        return replace(self, scenario=scenario, planner=Planner.prepare({}, alone), modules=modules, controlled={})
+        plant = replace(plant, shares=scenario.shares)
+        return replace(self, scenario=scenario, planner=Planner.prepare({}, alone), modules=modules, plant=plant, controlled={})
 
     @cached_property
     def watched(self) -> Mapping[str, int]:
@@ -167,19 +167,20 @@ class LightingSimulation:
 
     def world_at(self, time_s: float) -> Arrivals:
         """What the sensors have told by a time. Raises LuxloopError on a plant that is not the simulated world."""
-        return Arrivals(time_s, samples=as_simulated(self.plant, "a step alone").samples(time_s))
+        return Arrivals(time_s, samples=as_simulated(self.plant, "the light at one time").samples(time_s))
 
     def ego(self, samples: Samples, time_s: float) -> Ego | None:
         """What is known of the car's motion at a time, None of one that stands."""
-        return ego_of(samples, self.scenario.vehicle, time_s, 1 / self.scenario.rate_hz)
+        return ego_of(samples, self.scenario.vehicle, time_s, self.scenario.shares[0] / self.scenario.rate_hz)
 
     def step(self, state: LightingState) -> tuple[LightingState, LightingResult]:
         """One step: light is planned with what is known, and what is then seen adds to it.
 
-        Where symbols are held it is shown for half of the step, and for the other half without those whose turn it is.
+        Where symbols are held all light is shown first, and for the rest of the step all but the symbols whose turn it is.
         """
         clock = Clock()
-        time_s, per_step, world = state.arrivals.time_s, self.scenario.exposures, self.truth
+        time_s, shares, world = state.arrivals.time_s, self.scenario.shares, self.truth
+        per_step = len(shares)
         ego = self.ego(state.samples, time_s)
         view, now = self._from(attitude(ego)), self.situation(time_s, state.tracks, ego)
         drawings, drawn = self._drawn(state, now, ego)
@@ -189,19 +190,19 @@ class LightingSimulation:
             plans.append(self.planner.composed(now, state.functions, _without(drawn, measured)))
         clock.lap("plan")
         driven = [self._driven(plan, now) for plan in plans]
-        plan, lights, off = plans[0], driven[0][0], driven[-1][0]
+        plan, lights = plans[0], driven[0][0]
         clock.lap("light")
         plant, arrivals, samples, frames, showings = state.plant, state.arrivals, state.samples, state.frames, list[Showing]()
         exposures = [tuple(Utilisation(u) for u in light) for light, _ in driven] * (per_step // len(driven))
-        lit: Metered | None = None
-        for part, shown in enumerate(exposures):
-            duration_s = 1 / self.scenario.rate_hz / per_step
-            before, exposure = arrivals, Exposure(per_step * state.step + part, arrivals.time_s, duration_s, shown)
+        metered: list[Metered] = []
+        for part, (share, shown) in enumerate(zip(shares, exposures, strict=True)):
+            before, exposure = arrivals, Exposure(per_step * state.step + part, arrivals.time_s, share / self.scenario.rate_hz, shown)
             plant, arrivals = self.plant.show(plant, exposure)
-            if part == 0 and world is not None:  # before other light is metered
-                lit = world.meter(time_s, shown)
+            if world is not None:  # what the simulated plant has just metered
+                metered.append(world.meter(before.time_s, shown))
             showings.append(Showing(before, exposure, arrivals))
             frames, samples = frames + arrivals.frames, newest(samples, arrivals.samples)
+        lit = metered[0] if metered else None
         clock.lap("look")
         watched = {"on": (0,), "off": (per_step - 1,), "both": range(per_step)}[self.scenario.detector_frames]
         believed = {**state.believed, **{per_step * state.step + part: view for part in watched}}
@@ -217,18 +218,21 @@ class LightingSimulation:
                     tracks = self.sight.tracker.follow(tracks, found, share, then_s)
                 if self.planner.learns:
                     functions = self.planner.step(functions, self._learnt(now, then, then_s, image, then_view, tracks))
-        look = None if self.sight is None else self._look(self.sight, tracks, found, then_s, lit)
+        if len(frames) > len(state.frames):  # those before it never come
+            believed = {number: each for number, each in believed.items() if number > frames[-1].number}
+        look = None if self.sight is None else self._look(self.sight, tracks, found, then_s, metered)
         clock.lap("find")
-        moment: Mapping[str, tuple[Shown, bool]] = {
-            name: (Shown(each, self.controlled[name].light(lights, off), ego), name in measured) for name, each in drawings.items()
-        }
-        looks, under_way, frames = paired((*state.under_way, (per_step * state.step, moment)), frames)
+        moment = Moment(drawings, measured, exposures[0], exposures[-1], ego)
+        looks, under_way, frames = paired((*state.under_way, (per_step * state.step, moment)), frames) if self.controlled else ([], (), ())
         newer = self.ego(samples, arrivals.time_s)
         held = {name: replace(each, turn=state.step) if name in measured else each for name, each in state.held.items()}
         looked = dict[str, SeenSymbol]()
         for each in looks:
-            for name, (what, its_turn) in each.what.items():
-                held[name], looked[name] = self.controlled[name].step(held[name], each.images if its_turn else None, what, newer)
+            moment, on, off = each.what, *lights_of(each)
+            for name, drawing in moment.drawings.items():
+                symbol, shown_then = self.controlled[name], Shown(drawing, self.controlled[name].light(on, off), moment.ego)
+                images = each.images if name in moment.measured else None
+                held[name], looked[name] = symbol.step(held[name], images, shown_then, newer)
         clock.lap("control")
         masked = frozenset(each.name for each in now.objects if self.masked(each, now))
         told = told_as(self.watched, None if look is None else look.recognised)
@@ -239,7 +243,7 @@ class LightingSimulation:
         symbols: tuple[ObservedSymbol, ...] = ()
         verdicts: Mapping[str, Verdict] = {}
         if world is not None and lit is not None:
-            objects = on_objects(self.watched, frozenset(told[name] for name in masked & told.keys()), lit.seen, lit.illuminance)
+            objects = on_objects(self.watched, frozenset(told[name] for name in masked & told.keys()), metered, shares)
             materials = on_materials(self.planner.functions, functions, now, told, lit.seen, lit.illuminance, lit.luminance)
             if (white := in_white(plan)) is not None:
                 symbols = observed_symbols(plan, lights, self._driven(white, now)[0], world, time_s)
@@ -257,7 +261,7 @@ class LightingSimulation:
             masked,
             plan,
             lights,
-            mean_powers([powers for _, powers in driven]),
+            mean_powers([powers for _, powers in driven], shares),
             None if lit is None else lit.illuminance,
             luminance,
             image,
@@ -363,15 +367,17 @@ class LightingSimulation:
         """The camera's view from the ground frame, as the car believes."""
         return replace(self.view, T_world_view=T_ground_body @ self.view.T_world_view)
 
-    def _look(self, sight: Sight, tracks: Any, found: Detections | None, then_s: float, lit: Metered | None) -> Look:
-        """What is made of the scene at a time. found: in its frame, None without one. lit: the scene now."""
+    def _look(self, sight: Sight, tracks: Any, found: Detections | None, then_s: float, metered: Sequence[Metered]) -> Look:
+        """What is made of the scene at a time. found: in its frame, None without one. metered: the scene in each exposure of now."""
         found = found or Detections(torch.zeros(0, 4), torch.zeros(0, len(sight.classes)))
         present = sight.present(tracks, then_s)
-        if lit is None:
-            return Look(found, present, {}, None, None)
-        then, eyes = self.world.lit(then_s), lit.illuminance[lit.seen.eyes]
+        if not metered:
+            return Look(found, present, {}, None, None, None)
+        then, eyes = self.world.lit(then_s), [each.illuminance[each.seen.eyes] for each in metered]
         false = false_positives(then, found, self.scenario.tracker.start_score)
-        return Look(found, present, recognised(then, present, found), false, float(eyes.max()) if len(eyes) else None)
+        most = [float(each.max()) if len(each) else 0.0 for each in eyes] if any(map(len, eyes)) else []
+        mean = sum(share * lx for share, lx in zip(self.scenario.shares, most, strict=True)) if most else None
+        return Look(found, present, recognised(then, present, found), false, mean, max(most, default=None))
 
     def _learnt(self, now: Situation, then: LitScene | None, then_s: float, image: Tensor, view: View, tracks: Any) -> Situation:
         """The situation once a frame is there, which was taken at then_s of the scene then, in a view that the car believes."""
@@ -429,17 +435,3 @@ def _without(drawn: Mapping[str, Sequence[Primitives]], names: Collection[str]) 
 def conditions_at(timeline: tuple[RoadConditionParams, ...], time_s: float) -> RoadConditionParams:
     """The conditions of a time; the first before they begin."""
     return max((each for each in timeline if each.time_s <= time_s), key=lambda each: each.time_s, default=timeline[0])
-
-
-class Clock:
-    """Wall time by part. taken_ms: ms so far, by name."""
-
-    def __init__(self) -> None:
-        self.taken_ms: dict[str, float] = {}
-        self._last = time.perf_counter()
-
-    def lap(self, part: str) -> None:
-        """Count the time since the last lap as that of a part."""
-        now = time.perf_counter()
-        self.taken_ms[part] = self.taken_ms.get(part, 0.0) + 1e3 * (now - self._last)
-        self._last = now

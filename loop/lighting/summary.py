@@ -209,6 +209,8 @@ def shown(values: dict[str, Any], files: str) -> Table:
         gone = f", lost in {symbol['steps_lost']} steps" if symbol["steps_lost"] else ""
         ious = ", ".join(f"{number(symbol[f'iou_{key}'], '.3f')} {text}" for key, text in IOUS.items())
         rows[f"symbol {spoken(name)}"] = f"IoU {ious}{gone}"
+    if (flicker := values.get("flicker")) is not None:
+        rows["flicker"] = f"a symbol that is measured is on for {flicker['on_share']:.0%} of a step, at {flicker['rate_hz']:g} Hz"
     for name, zone in values.get("zones", {}).items():
         when = "not settled" if zone["settled_step"] is None else f"within 5 % from step {zone['settled_step']} on"
         rows[f"zone {spoken(name)}"] = f"{number(zone['luminance'], '.3g')} of {zone['target']:.3g} cd/m^2, {when}"

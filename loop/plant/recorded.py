@@ -59,24 +59,27 @@ class RecordedPlant:
 
 def recorded_plant(scenario: WorldScenario, params: RecordedPlantParams, modules: Sequence[LampModule]) -> RecordedPlant:
     """The recording that a scenario names. Raises LuxloopError where it has no frames of such exposures, or too few of them."""
-    folder, per_step = Path(params.folder), scenario.exposures
+    folder, per_step = Path(params.folder), len(scenario.shares)
     table = inside(folder / TABLE, folder)
     if not os.path.isfile(table):
-        raise LuxloopError(f"plant.folder: {folder} holds no frames; record them with `luxloop run --frames`")
+        raise LuxloopError(
+            f"plant.folder: {folder} holds no frames; record them with `luxloop run --frames` (a plant of your own: --set plant.kind=NAME)"
+        )
     rows = tuple(read_exposures(table))
+    pixels, like = tuple(module.headlight.n_pixels for module in modules), modules[0].beam.u
+    if len(rows) > per_step:
+        lights = [read_light(inside(light_file(folder, row["light"]), folder), pixels, like.device) for row in rows[:per_step]]
+        if per_step > 1 and [drawing is None for _, drawing in lights] != [False, True]:
+            raise LuxloopError(f"plant.folder: {folder} shows no symbol that is held; name the recording of a [symbol]")
+        given_s, shown_s = rows[0]["duration_s"], scenario.shares[0] / scenario.rate_hz
+        if not math.isclose(given_s, shown_s):
+            raise LuxloopError(
+                f"plant.folder: {folder} has exposures of {1e3 * given_s:.4g} ms, but those of this scenario take {1e3 * shown_s:.4g} ms; "
+                "run it with the scenario that was recorded"
+            )
     steps = (len(rows) - 1) // per_step
     if scenario.steps > steps:
         raise LuxloopError(f"plant.folder: {folder} holds {steps} steps, but steps = {scenario.steps}; give --steps {steps} at most")
-    pixels, like = tuple(module.headlight.n_pixels for module in modules), modules[0].beam.u
-    lights = [read_light(inside(light_file(folder, row["light"]), folder), pixels, like.device) for row in rows[:per_step]]
-    if per_step > 1 and [drawing is None for _, drawing in lights] != [False, True]:
-        raise LuxloopError(f"plant.folder: {folder} shows no symbol that is held; name the recording of a [symbol]")
-    given_s, shown_s = rows[0]["duration_s"], 1 / scenario.rate_hz / per_step
-    if not math.isclose(given_s, shown_s):
-        raise LuxloopError(
-            f"plant.folder: {folder} has exposures of {1e3 * given_s:.4g} ms, but those of this scenario take {1e3 * shown_s:.4g} ms; "
-            "run it with the scenario that was recorded"
-        )
     return RecordedPlant(folder, rows, per_step, scenario.camera, pixels, like)
 
 

@@ -28,9 +28,9 @@ UnderWay = tuple[tuple[int, Frame], ...]  # frames, each after the number of the
 
 @dataclass(frozen=True, eq=False)
 class SimulatedPlant:
-    """Exposes frames of a world, equally long ones; its state is the queue of frames under way from the camera.
+    """Exposes frames of a world; its state is the queue of frames under way from the camera.
 
-    per_step: exposures a control step.
+    shares: of a control step, one an exposure.
     """
 
     world: World
@@ -38,7 +38,7 @@ class SimulatedPlant:
     seed: int
     sensors: SensorParams = EXACT
     disturbances: DisturbanceParams = UNDISTURBED
-    per_step: int = 2
+    shares: tuple[float, ...] = (0.5, 0.5)
 
     @property
     def period_s(self) -> float:
@@ -55,15 +55,16 @@ class SimulatedPlant:
 
     def show(self, state: UnderWay, exposure: Exposure) -> tuple[UnderWay, Arrivals]:
         """Expose a frame; it arrives as late as the camera's frames do, and never before an earlier one."""
-        step, part = divmod(exposure.number, self.per_step)
-        ends_s = (exposure.number + 1) / self.per_step * self.period_s
+        per_step = len(self.shares)
+        step, part = divmod(exposure.number, per_step)
+        begins_s, ends_s = (self._at(number) for number in (exposure.number, exposure.number + 1))
         image = None
         if not self._dropped(step):
             image = self.exposed(*self.world.luminance(exposure.start_s, exposure.lights), step, part)
-        due = max([exposure.number + self.per_step * self._latency(step), *(number for number, _ in state)])
+        due = max([exposure.number + per_step * self._latency(step), *(number for number, _ in state)])
         queue = (*state, (due, Frame(exposure.number, exposure.start_s, ends_s, image)))
         come = tuple(replace(frame, arrived_s=ends_s) for number, frame in queue if number <= exposure.number)
-        return queue[len(come) :], Arrivals(ends_s, come, self.samples(ends_s, exposure.number / self.per_step * self.period_s))
+        return queue[len(come) :], Arrivals(ends_s, come, self.samples(ends_s, begins_s))
 
     def samples(self, by_s: float, after_s: float | None = None) -> tuple[Sample, ...]:
         """What the sensors of a vehicle that moves have told by one time and after another; left out: the newest of each."""
@@ -80,7 +81,7 @@ class SimulatedPlant:
         ambient, noisy = self.disturbances.ambient_factor(step, frame), self.disturbances.noise_factor(step)
         if ambient != 1:
             luminance = luminance + (ambient - 1) * base
-        t_s = (step + frame / self.per_step) * self.period_s
+        t_s = self._at(len(self.shares) * step + frame)
         for lamp in self.disturbances.oncoming_in(step, frame):
             luminance = luminance + glare(self.world.view_at(t_s), lamp.position_at(t_s), lamp, self.world.device)
         generator = frame_generator(self.seed, step, frame, self.world.device)
@@ -88,6 +89,11 @@ class SimulatedPlant:
             return expose(luminance, self.world.camera, generator)
         noise = torch.empty(luminance.shape, dtype=luminance.dtype, device=self.world.device).normal_(std=noisy, generator=generator)
         return expose(luminance, self.world.camera, noise)
+
+    def _at(self, number: int) -> float:
+        """When an exposure begins, in s."""
+        step, part = divmod(number, len(self.shares))
+        return (step + sum(self.shares[:part])) * self.period_s
 
     def _dropped(self, step: int) -> bool:
         p = self.disturbances.loss_probability(step, self.world.camera.drop_probability)
@@ -107,11 +113,11 @@ def simulated_plant(scenario: WorldScenario, modules: Sequence[LampModule]) -> S
     motion, source = build_motion(scenario), face_source(scenario.renderer)
     scene, true = build_scene(scenario, motion), true_modules(scenario.disturbances, modules)
     world = World(scene, true, true_camera(scenario), source, motion, scenario.metered, scenario.all_objects)
-    return SimulatedPlant(world, scenario.rate_hz, scenario.seed, scenario.sensors, scenario.disturbances, scenario.exposures)
+    return SimulatedPlant(world, scenario.rate_hz, scenario.seed, scenario.sensors, scenario.disturbances, scenario.shares)
 
 
 def as_simulated(plant: Plant, asked: str) -> SimulatedPlant:
     """A plant that must be the simulated world. Raises LuxloopError, which begins with what asks for that, where it is another."""
     if not isinstance(plant, SimulatedPlant):
-        raise LuxloopError(f"{asked}: needs the simulated world, but [plant] is another; leave one of the two out")
+        raise LuxloopError(f'{asked}: needs the simulated world; set plant.kind = "simulated"')
     return plant

@@ -112,6 +112,7 @@ class WorldScenario(Params):
     sensors: SensorParams = Field(SensorParams(), description="sensors of the vehicle's motion")
     plant: Annotated[PlantParams, Field(description="what shows the light and exposes the frames")] = SimulatedPlantParams()
     judge_every: int = Field(1, ge=0, le=100_000, description="steps from one judgement of a symbol that is held to the next; 0: none")
+    off_share: float = Field(0.5, gt=0, lt=1, description="share of a control step for which symbols that are held are off")
     metered: ClassVar[bool]  # whether the illuminance on objects is asked for, beside what the camera sees
 
     @field_validator("pixel_controller")
@@ -134,9 +135,14 @@ class WorldScenario(Params):
         return self
 
     @property
-    def exposures(self) -> int:
-        """Of a control step: with the symbols that are held and without them, or one."""
+    def holds(self) -> bool:
+        """Whether a controller holds a symbol."""
         raise NotImplementedError
+
+    @property
+    def shares(self) -> tuple[float, ...]:
+        """Of a control step, one an exposure: with the symbols that are held and without them, or the whole."""
+        return (1 - self.off_share, self.off_share) if self.holds else (1.0,)
 
     @property
     def lights(self) -> tuple[Light, ...]:
@@ -168,11 +174,13 @@ class WorldScenario(Params):
 
 def refuse_long_exposures(scenario: WorldScenario) -> None:
     """Raises ValueError where an on and an off frame do not fit into a control period."""
-    half_period_s = 0.5 / scenario.rate_hz
-    if scenario.camera.exposure_s > half_period_s:
+    shortest_s = min(scenario.shares) / scenario.rate_hz
+    if scenario.camera.exposure_s > shortest_s:
+        part = "half" if scenario.off_share == 0.5 else f"{min(scenario.shares):.3g} of"
+        nearer = "" if scenario.off_share == 0.5 else ", or set off_share nearer to 0.5"
         raise ValueError(
-            f"camera.exposure_s: {scenario.camera.exposure_s:g} s is longer than half a control period, "
-            f"but an on and an off frame must fit into one; give at most {half_period_s:.4g} s or lower rate_hz"
+            f"camera.exposure_s: {scenario.camera.exposure_s:g} s is longer than {part} a control period, "
+            f"but an on and an off frame must fit into one; give at most {shortest_s:.4g} s or lower rate_hz{nearer}"
         )
 
 
@@ -188,8 +196,8 @@ class Scenario(WorldScenario):
     metered = False
 
     @property
-    def exposures(self) -> int:
-        return 2
+    def holds(self) -> bool:
+        return True
 
     @property
     def lights(self) -> tuple[Light, ...]:
@@ -263,8 +271,8 @@ class LightingScenario(WorldScenario):
     metered = True
 
     @property
-    def exposures(self) -> int:
-        return 2 if self.controlled else 1
+    def holds(self) -> bool:
+        return bool(self.controlled)
 
     @property
     def controlled(self) -> tuple[str, ...]:
@@ -280,6 +288,8 @@ class LightingScenario(WorldScenario):
         if self.controlled:
             refuse_long_exposures(self)
             return self
+        if self.off_share != 0.5:
+            raise ValueError("off_share: no controller holds a symbol here that could be off; leave it out")
         for key in ("oncoming", "ambient"):
             if off := [k for k, each in enumerate(getattr(self.disturbances, key)) if each.frames == "off"]:
                 raise ValueError(

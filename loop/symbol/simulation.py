@@ -153,7 +153,9 @@ class Simulation:
         showings: tuple[Showing, ...] = ()
         for part, (light, drawn) in enumerate(((lights, drawing), (self.projector.resting, None))):
             with _timed(timings, "plant"):
-                exposure = Exposure(2 * state.step + part, arrivals.time_s, 0.5 / self.scenario.rate_hz, light, drawn)
+                exposure = Exposure(
+                    2 * state.step + part, arrivals.time_s, self.scenario.shares[part] / self.scenario.rate_hz, light, drawn
+                )
                 plant, after = self.plant.show(plant, exposure)
                 showings, arrivals, frames = (*showings, Showing(arrivals, exposure, after)), after, frames + after.frames
                 samples = newest(samples, after.samples)
@@ -180,7 +182,7 @@ class Simulation:
         )
 
     def _ego(self, samples: Samples, time_s: float) -> Ego | None:
-        return ego_of(samples, self.scenario.vehicle, time_s, 1 / self.scenario.rate_hz)
+        return ego_of(samples, self.scenario.vehicle, time_s, self.scenario.shares[0] / self.scenario.rate_hz)
 
     def _judged(self, step: int, lights: Lights, time_s: float) -> Verdict | None:
         every = self.scenario.judge_every

@@ -1,5 +1,6 @@
 """luxloop: finds the road's heights from how the symbol lies on it, and draws for that road where that explains what is seen."""
 
+import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Annotated, Literal
@@ -96,6 +97,7 @@ class Luxloop:
         self.registration = self.over(HERE)[1]
         lamps = torch.stack([module.T_world_headlight[:3, 3].cpu().double() for module in self.projector.modules])
         self.ends = torch.stack([camera_view(observer.camera).origin, *lamps], 1)  # of the ways of light, in the body
+        self.in_flight = observer.camera.latency_steps + observer.camera.latency_spread_steps + 2
         self.tried = torch.linspace(-params.highest_m, params.highest_m, HEIGHTS, device=self.projector.symbol.device)
 
     def start(self, pose: Tensor) -> LuxloopState:
@@ -154,7 +156,7 @@ class Luxloop:
             body = _previewed(body, memory, stances.time_s, look.ego)
         drawing, level_rad = self._drawn(memory) if stances.still else None, 0.0 if now is None else now.level_rad
         if drawing is not None and drawing.warp is not None:
-            memory = memory.showing(drawing)
+            memory = memory.showing(drawing, self.in_flight)
         if memory.shape is not state.memory.shape:
             first = None if memory.shape is None else drawing
         return LuxloopState(memory, stances.time_s, drawing, body, level_rad, first, sought)
@@ -184,11 +186,11 @@ class Luxloop:
             return memory if float(there.sum()) * fine.step < LEAST_LIT_PX else nothing
         limit = limit / fine.on_pixels(memory.brightness)  # of the light that the assumed road would show
         informed = bool(known.information.any())
-        drawn = memory.shown(look.shown.drawing)
-        tried = [known.mean, torch.zeros_like(known.mean)] + ([] if drawn is None else [drawn.heights.mean])
-        before, flat, *own = registration.residual(torch.stack(tried), seen, textures, limit).tolist()
-        if drawn is not None and own[0] < flat:
-            memory = memory.judged(drawn, own[0])
+        drawn, flat = memory.shown(look.shown.drawing), torch.zeros_like(known.mean)
+        tried = torch.stack([known.mean, flat, known.mean if drawn is None else drawn.heights.mean])
+        before, flat_leaves, own = registration.residual(tried, seen, textures, limit).tolist()
+        if drawn is not None:
+            memory = memory.judged(drawn, own if own < flat_leaves else math.inf)
             if memory.kept is not None and memory.kept.done:
                 return replace(memory, heights=memory.kept.best.heights, brightness=memory.kept.best.brightness)
         least, best = self._refined(registration, known, known.mean, seen, textures, limit)
@@ -201,7 +203,7 @@ class Luxloop:
             if (acquired := self._acquired(memory, look)) is not None:
                 return acquired
             memory = replace(memory, searched=searched + 1)
-        if least > flat - (0.0 if informed else self.params.evidence):
+        if least > flat_leaves - (0.0 if informed else self.params.evidence):
             return nothing
         information = known.information + best.information
         gain = best.information.trace() / information.trace().clamp(min=1)  # of this look beside all earlier ones

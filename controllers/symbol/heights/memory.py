@@ -1,5 +1,6 @@
 """Road memory: what is known of the road's heights stays on the road while the vehicle drives over it."""
 
+import math
 from dataclasses import dataclass, replace
 
 import torch
@@ -12,8 +13,7 @@ from controllers.symbol.sensing.planes import HERE
 from perception.birdseye import Region
 from world.frames import inverse, transform
 
-PATIENCE = 5  # looks in a row that lower no residual, after which a standing vehicle keeps them: more would fit noise
-IN_FLIGHT = 8  # drawings that a camera may still have to deliver
+PATIENCE = 5  # looks in a row without a lower residual, after which a standing vehicle keeps its best heights: more would fit noise
 CHANGED = 4.0  # ratio of a look's residual to that of the kept heights, above which the road has changed
 
 
@@ -46,7 +46,8 @@ class Memory:
 
     T_ground_plane: `[4, 4]` float64, the plane over which heights are; region and eye are in its frame, too. shape: `[4]` of the road, if
     it was acquired. searched: how many searches there were. settled: there need be no further one, since two agree or heights
-    explain the road better. kept: the heights with the lowest residual while the vehicle stands.
+    explain the road better. drawn: the newest drawings while the vehicle stands, and the heights they were made for, by which a late look
+    is judged. kept: the best of them.
     """
 
     heights: Heights
@@ -65,24 +66,31 @@ class Memory:
         """The road as the eye sees it."""
         return Relief(self.region, self.eye, self.heights.mean.view(self.grid), self.brightness.view(self.grid))
 
-    def showing(self, drawing: Drawing) -> "Memory":
-        """With a drawing of the symbol for these heights."""
+    def showing(self, drawing: Drawing, most: int) -> "Memory":
+        """With a drawing of the symbol for these heights. most: drawings of which looks may still come."""
         if self.drawn and self.drawn[-1].drawing.shows(drawing):
             return self
-        return replace(self, drawn=(*self.drawn, Drawn(drawing, self.heights, self.brightness))[-IN_FLIGHT:])
+        return replace(self, drawn=(*self.drawn, Drawn(drawing, self.heights, self.brightness))[-most:])
 
     def shown(self, drawing: Drawing) -> Drawn | None:
         """What a drawing was made for, if that is known."""
         return next((each for each in reversed(self.drawn) if each.drawing.shows(drawing)), None)
 
     def judged(self, drawn: Drawn, residual: float) -> "Memory":
-        """After a look at a drawing, of which its heights left a residual; the best heights are kept until the road changes."""
+        """After a look at a drawing; the best heights are kept until the road changes.
+
+        residual: of its heights, infinite where they explain less than a flat road does, which only a look at the kept ones counts.
+        """
         kept = self.kept
-        if kept is not None and kept.done and not kept.best.drawing.shows(drawn.drawing):
+        if kept is not None and kept.done:
+            if not kept.best.drawing.shows(drawn.drawing):
+                return self
+            anew = residual > CHANGED * kept.residual
+        elif math.isinf(residual):
             return self
-        if kept is None or (residual > CHANGED * kept.residual if kept.done else residual < kept.residual):
-            return replace(self, kept=Kept(drawn, residual))
-        return replace(self, kept=replace(kept, looks=kept.looks + 1))
+        else:
+            anew = kept is None or residual < kept.residual
+        return replace(self, kept=Kept(drawn, residual) if anew or kept is None else replace(kept, looks=kept.looks + 1))
 
     def moved(self, T_before_now: Tensor, eye: Tensor) -> "Memory":
         """The same road in the ground frame that has the pose `[4, 4]` in this one, as an eye at `[3]` m sees it there.

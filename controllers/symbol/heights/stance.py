@@ -61,11 +61,11 @@ class Stances:
         then = look.shown.ego
         if look.ego is None or then is None or body is None:
             return cls()
-        seen_s, half_s = then.time_s, then.period_s / 2
+        seen_s, on_s = then.time_s, then.on_s
         on = body.T_ground_body(seen_s)
         if then.stands and _rests(body, seen_s) and Following.of(look.ego, body, seen_s).still:
             return cls(seen_s)
-        return cls(seen_s, exact(then.way(seen_s - before_s)), on, exact(then.way(half_s)) @ body.T_ground_body(seen_s + half_s))
+        return cls(seen_s, exact(then.way(seen_s - before_s)), on, exact(then.way(on_s)) @ body.T_ground_body(seen_s + on_s))
 
     @property
     def still(self) -> bool:

@@ -1,15 +1,19 @@
 """Symbols among the lighting functions that controllers hold: alone, beside masks, several of them, and what a file may ask for."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import pytest
 import torch
 
+from controllers.pixels.ssc import Utilisation
+from controllers.symbol.sensing.protocol import Look, Shown
 from loop.commands import cli
 from loop.lighting.record import row, schema
 from loop.lighting.result import LightingResult
 from loop.lighting.simulation import LightingSimulation
+from loop.plant.protocol import Arrivals, Exposure
 from loop.scenario.model import load_any, validate, validate_lighting
 from loop.symbol.simulation import Simulation
 from perception.extraction import Loss
@@ -147,3 +151,68 @@ def test_the_controller_of_the_only_symbol_goes_by_the_option(capsys: pytest.Cap
     assert "several symbols have one: flake, way; set functions.NAME.controller" in capsys.readouterr().err
     assert cli.main(["check", "gfhb", "--controller", "open"]) == cli.WRONG
     assert "none of its functions has one" in capsys.readouterr().err
+
+
+def test_the_share_of_a_step_without_the_symbol_weighs_the_means_and_moves_no_symbol() -> None:
+    """A car that stands sees the same at other times, and the light of both exposures stays as it is."""
+    box = {"kind": "box", "name": "box", "category": "car", "size_m": [0.2, 3.0, 1.0], "track": [{"position_m": [19.5, 0.0, 0]}]}
+    functions = {"flake": FLAKE | {"start": START}}
+    camera = WORLD["camera"] | {"exposure_s": 0.008}
+    half, quarter = (simulation(functions, objects=[box], camera=camera, off_share=share, steps=4) for share in (0.5, 0.25))
+    for a, b in zip(half.run(), quarter.run(), strict=True):
+        assert a.held["flake"].pose.equal(b.held["flake"].pose)
+        on, off = b.showings
+        begins_s = b.step / 30
+        assert (on.exposure.start_s, off.exposure.start_s) == pytest.approx((begins_s, begins_s + 0.75 / 30))
+        assert (on.exposure.duration_s, off.exposure.duration_s) == pytest.approx((0.75 / 30, 0.25 / 30))
+        dark = float((off.exposure.lights[0].u * quarter.modules[0].flux).sum())
+        assert b.powers["left"].flux_lm_peak == a.powers["left"].flux_lm_peak > dark
+        assert b.powers["left"].flux_lm == pytest.approx(0.75 * b.powers["left"].flux_lm_peak + 0.25 * dark)
+        assert a.objects["box"].lx_peak == b.objects["box"].lx_peak > 0
+        assert a.objects["box"].lx_max == pytest.approx(0.5 * a.objects["box"].lx_peak)  # in the off exposure there is no light
+        assert b.objects["box"].lx_max == pytest.approx(0.75 * b.objects["box"].lx_peak)
+    assert "lamp.left.flux_lm_peak" in schema(quarter).names and "objects.box.lx_peak" in schema(quarter).names
+
+
+def test_exposures_must_fit_and_nothing_else_can_be_off() -> None:
+    with pytest.raises(LuxloopError, match=r"off_share nearer to 0.5"):
+        simulation({"flake": FLAKE}, off_share=0.1)
+    with pytest.raises(LuxloopError, match=r"off_share: no controller holds a symbol"):
+        simulation({}, off_share=0.3)
+
+
+def test_other_light_beside_held_symbols_is_of_the_same_times_and_drive() -> None:
+    drives = {"vehicle": {"course": [{"speed_m_s": 5.0}]}, "steps": 3, "headlight": {"model": "ssl-hd-hires", "lamps": ["left"]}}
+    held = simulation({"flake": FLAKE}, **drives)
+    for light in ("open_loop", "full_light"):
+        beside = held.lit_by(light)
+        assert [each.time_s for each in beside.run()] == [each.time_s for each in held.run()], light
+
+
+def test_what_a_frame_says_that_it_shows_is_what_is_measured() -> None:
+    """A plant that shows half of what is asked for, and says so, moves no symbol."""
+    asked = simulation({"flake": FLAKE | {"start": START, "controller": "thesis_pid"}}, steps=4)
+
+    class Half:
+        def start(self) -> tuple[Any, Arrivals]:
+            return asked.plant.start()
+
+        def show(self, state: Any, exposure: Exposure) -> tuple[Any, Arrivals]:
+            shown = replace(exposure, lights=tuple(Utilisation(light.u / 2) for light in exposure.lights))
+            state, came = asked.plant.show(state, shown)
+            return state, replace(came, frames=tuple(replace(frame, shown=shown) for frame in came.frames))
+
+    looks: list[Shown] = []
+    symbol = asked.controlled["flake"]
+
+    class Listening:
+        start, drawing = symbol.controller.start, symbol.controller.drawing
+
+        def step(self, state: Any, look: Look) -> Any:
+            looks.append(look.shown)
+            return symbol.controller.step(state, look)
+
+    listening = replace(asked, plant=Half(), controlled={"flake": replace(symbol, controller=Listening())})
+    results = list(listening.run())
+    for shown, each in zip(looks, results, strict=True):
+        torch.testing.assert_close(shown.lights[0].u, each.lights[0] / 2)

@@ -103,7 +103,7 @@ def nodding(time_s: float, hz: float = 1.2, amplitude: float = math.radians(0.2)
     attitude = torch.tensor([0.0, 0.0, amplitude * pitch])
     rates = torch.tensor([0.0, 0.0, amplitude * omega * math.cos(omega * time_s)])
     told = (attitude, time_s, rates, time_s, torch.tensor(10.0), time_s, torch.tensor(0.0))
-    return Ego(time_s + 1 / 30, 1 / 30, *told, -2.2, -3.6)
+    return Ego(time_s + 1 / 30, 1 / 60, *told, -2.2, -3.6)
 
 
 def test_a_nod_is_predicted_two_periods_ahead() -> None:
@@ -189,7 +189,7 @@ def driven(
     errors, linear, body = [], [], None
     for step in range(steps):
         samples = newest(samples, sensors.arriving((step - 1) / 30, step / 30, like) if step else sensors.newest(0.0, like))
-        ego = ego_of(samples, params, step / 30, 1 / 30)
+        ego = ego_of(samples, params, step / 30, 1 / 60)
         assert ego is not None
         body = BodyFilter.first(belief, ego, 16.0, 17.0) if body is None else body.updated(ego)
         way = body.unseen()
