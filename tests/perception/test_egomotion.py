@@ -57,12 +57,12 @@ def test_the_displacement_is_that_of_the_ground_frame_in_a_bend(like):
     ego = look(motion, 60, like)
     before, now = (motion.at(t * PERIOD_S).T_world_ground for t in (59, 60))
     # the motion is linear between points 4 cm apart, 0.02 * 0.04^2 / 8 = 4e-6 m off the circle at either end
-    assert torch.allclose(ego.way(ego.period_s).cpu().double(), inverse(before) @ now, atol=1e-5)
+    assert torch.allclose(ego.way(ego.on_s).cpu().double(), inverse(before) @ now, atol=1e-5)
 
 
 def test_who_stands_measures_that(like):
     ego = look(STANDING, 7, like)
-    assert torch.equal(ego.T_ground_body.cpu(), torch.eye(4)) and torch.equal(ego.way(ego.period_s).cpu(), torch.eye(4))
+    assert torch.equal(ego.T_ground_body.cpu(), torch.eye(4)) and torch.equal(ego.way(ego.on_s).cpu(), torch.eye(4))
 
 
 def test_errors_have_the_sizes_that_were_asked_for():
