@@ -44,7 +44,7 @@ def _why_unsettled(values: dict[str, Any]) -> str:
     off = [abs(error) for error in values["centroid_error_percent"] if error is not None]
     match values["unsettled"]:
         case "too_short":
-            return "too few steps were judged to show whether the symbol settles; raise steps, or lower judge_every where it is above 1"
+            return "too few steps were judged to show whether the symbol settles; lower judge_every where it is above 1, or raise steps"
         case "not_judged":
             return "nobody judged how the symbol lies; set judge_every where it is 0, or take a plant that knows the truth"
         case "no_frame":
