@@ -21,7 +21,7 @@ from controllers.symbol.sensing.projector import StartParams, SymbolParams
 from loop.scenario.checks import CheckParams, Light, refuse_lights
 from loop.scenario.disturbances import DisturbanceParams
 from loop.scenario.overrides import Override, is_file, overridden, resolve_paths, tables, texts
-from loop.scenario.plant import PlantParams, RecordedPlantParams, SimulatedPlantParams
+from loop.scenario.plant import PlantParams, SimulatedPlantParams, refuse_long_exposures, refuse_shadow
 from loop.scenario.shipped import find
 from perception.camera import CameraParams
 from perception.detection.params import DetectorParams
@@ -172,18 +172,6 @@ class WorldScenario(Params):
         return hashlib.sha256(json.dumps(self.model_dump(mode="json"), sort_keys=True).encode()).hexdigest()
 
 
-def refuse_long_exposures(scenario: WorldScenario) -> None:
-    """Raises ValueError where an on and an off frame do not fit into a control period."""
-    shortest_s = min(scenario.shares) / scenario.rate_hz
-    if scenario.camera.exposure_s > shortest_s:
-        part = "half" if scenario.off_share == 0.5 else f"{min(scenario.shares):.3g} of"
-        nearer = "" if scenario.off_share == 0.5 else ", or set off_share nearer to 0.5"
-        raise ValueError(
-            f"camera.exposure_s: {scenario.camera.exposure_s:g} s is longer than {part} a control period, "
-            f"but an on and an off frame must fit into one; give at most {shortest_s:.4g} s or lower rate_hz{nearer}"
-        )
-
-
 class Scenario(WorldScenario):
     """Everything that decides a run of the closed loop around a symbol."""
 
@@ -204,23 +192,15 @@ class Scenario(WorldScenario):
         return ("open_loop",)
 
     @model_validator(mode="after")
-    def _exposures_fit(self) -> Self:
-        refuse_long_exposures(self)
-        return self
-
-    @model_validator(mode="after")
     def _share_of_a_beam(self) -> Self:
         if self.symbol.quantity == "u_rel" and self.headlight.beam == "off":
             raise ValueError('symbol.quantity: u_rel is a multiple of the base beam, but there is none; give headlight.beam = "low", say')
         return self
 
     @model_validator(mode="after")
-    def _holds_a_place(self) -> Self:
+    def _can_be_held(self) -> Self:
+        refuse_long_exposures(self.camera.exposure_s, self.off_share, self.rate_hz)
         refuse_place(self.controller, self.symbol.target, "symbol.")
-        return self
-
-    @model_validator(mode="after")
-    def _start_within_limits(self) -> Self:
         refuse_start(self.controller, self.start)
         return self
 
@@ -286,7 +266,7 @@ class LightingScenario(WorldScenario):
     @model_validator(mode="after")
     def _has_on_frames_alone(self) -> Self:
         if self.controlled:
-            refuse_long_exposures(self)
+            refuse_long_exposures(self.camera.exposure_s, self.off_share, self.rate_hz)
             return self
         if self.off_share != 0.5:
             raise ValueError("off_share: no controller holds a symbol here that could be off; leave it out")
@@ -299,11 +279,7 @@ class LightingScenario(WorldScenario):
 
     @model_validator(mode="after")
     def _knows_what_was_drawn(self) -> Self:
-        if self.controlled and isinstance(self.plant, RecordedPlantParams):
-            raise ValueError(
-                "plant.kind: a recording of lighting functions says what was lit, but not what each controller had drawn; "
-                f"take functions.{self.controlled[0]}.controller out"
-            )
+        refuse_shadow(self.plant, self.controlled)
         return self
 
     @model_validator(mode="after")

@@ -1,5 +1,6 @@
-"""Plants by name; a scenario names one."""
+"""Plants by name; a scenario names one, and what it asks of one."""
 
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, Tag
@@ -31,6 +32,26 @@ class OwnPlantParams(Params):
 def shadow_of(plant: SimulatedPlantParams | RecordedPlantParams | OwnPlantParams) -> str | None:
     """The recording that is played, None where light is shown."""
     return plant.folder if isinstance(plant, RecordedPlantParams) else None
+
+
+def refuse_shadow(plant: SimulatedPlantParams | RecordedPlantParams | OwnPlantParams, controlled: Sequence[str]) -> None:
+    """Raises ValueError where a recording is played to controllers of these functions."""
+    if controlled and isinstance(plant, RecordedPlantParams):
+        raise ValueError(
+            "plant.kind: a recording of lighting functions says what was lit, but not what each controller had drawn; "
+            f"take functions.{controlled[0]}.controller out"
+        )
+
+
+def refuse_long_exposures(exposure_s: float, off_share: float, rate_hz: float) -> None:
+    """Raises ValueError where an on and an off frame do not fit into a control period."""
+    least = min(off_share, 1 - off_share)
+    if exposure_s > least / rate_hz:
+        part, nearer = ("half", "") if off_share == 0.5 else (f"{least:.3g} of", ", or set off_share nearer to 0.5")
+        raise ValueError(
+            f"camera.exposure_s: {exposure_s:g} s is longer than {part} a control period, "
+            f"but an on and an off frame must fit into one; give at most {least / rate_hz:.4g} s or lower rate_hz{nearer}"
+        )
 
 
 PlantParams = Annotated[
