@@ -187,10 +187,11 @@ class Luxloop:
         limit = limit / fine.on_pixels(memory.brightness)  # of the light that the assumed road would show
         informed = bool(known.information.any())
         drawn, flat = memory.shown(look.shown.drawing), torch.zeros_like(known.mean)
-        tried = torch.stack([known.mean, flat, known.mean if drawn is None else drawn.heights.mean])
-        before, flat_leaves, own = registration.residual(tried, seen, textures, limit).tolist()
+        late = [] if drawn is None or drawn.heights is known else [drawn.heights.mean]
+        before, flat_leaves, *its = registration.residual(torch.stack([known.mean, flat, *late]), seen, textures, limit).tolist()
         if drawn is not None:
-            memory = memory.judged(drawn, own if own < flat_leaves else math.inf)
+            residual = its[0] if late else before
+            memory = memory.judged(drawn, residual if residual < flat_leaves else math.inf)
             if memory.kept is not None and memory.kept.done:
                 return replace(memory, heights=memory.kept.best.heights, brightness=memory.kept.best.brightness)
         least, best = self._refined(registration, known, known.mean, seen, textures, limit)
