@@ -161,11 +161,11 @@ class LightingSimulation:
         """The state before a step, with nothing seen yet."""
         (plant, arrivals), tracks = self.plant.start(), None if self.sight is None else self.sight.tracker.start()
         if step:
-            arrivals = self.world_at(step / self.scenario.rate_hz)
+            arrivals = self.sensed(step / self.scenario.rate_hz)
         held = {name: each.start() for name, each in self.controlled.items()}
         return LightingState(step, tracks, self.planner.start(), plant, arrivals, newest({}, arrivals.samples), held)
 
-    def world_at(self, time_s: float) -> Arrivals:
+    def sensed(self, time_s: float) -> Arrivals:
         """What the sensors have told by a time. Raises LuxloopError on a plant that is not the simulated world."""
         return Arrivals(time_s, samples=as_simulated(self.plant, "the light at one time").samples(time_s))
 
@@ -316,7 +316,7 @@ class LightingSimulation:
         state = self.start()
         while self.remembers and (state.step + 1) / self.scenario.rate_hz <= time_s:
             state, _ = self.step(state)
-        ego = self.ego(newest({}, self.world_at(time_s).samples), time_s)
+        ego = self.ego(newest({}, self.sensed(time_s).samples), time_s)
         now = self.situation(time_s, state.tracks, ego)
         return self._driven(self.planner.composed(now, state.functions, self._drawn(state, now, ego)[1]), now)[0]
 
