@@ -46,7 +46,7 @@ def newest(known: Samples, come: Iterable[Sample]) -> Samples:
 class Ego:
     """The vehicle's motion as its sensors have told it.
 
-    time_s: when the next exposure begins; nothing newer is in it. on_s: how long it lasts. attitude: `[3]`, heave in m, roll and
+    time_s: when the next exposure begins; nothing newer is in it. on_s: how long that exposure lasts. attitude: `[3]`, heave in m, roll and
     pitch (nose down) in rad of the body over the ground, NaN where no sensor tells it. attitude_s: when it was measured. rates: `[3]`,
     the same a second, NaN where no sensor tells them. rates_s: when those of roll and pitch were measured. speed_m_s: `[]`, of the rear
     axle, mean since the sample before, which an accelerometer carries on to time_s. speed_s: when it was measured. yaw_rate_rad_s:

@@ -20,8 +20,8 @@ from loop.scenario.plant import shadow_of
 STEP = {
     "step": (pa.int64(), "1", "control step, from 0"),
     "time_s": (pa.float64(), "s", "time since the scenario's start"),
-    "speed_m_s": (pa.float64(), "m/s", "speed that the functions are told"),
-    "curvature_1_m": (pa.float64(), "1/m", "curvature of the course that they are told"),
+    "speed_m_s": (pa.float64(), "m/s", "speed of the car, as measured"),
+    "curvature_1_m": (pa.float64(), "1/m", "curvature of its course, as measured"),
     "beam": (pa.string(), "", "base beam"),
     "bend_deg": (pa.float64(), "deg", "its bend to the left"),
     "level_deg": (pa.float64(), "deg", "its level, down"),

@@ -30,8 +30,7 @@ class LightingState:
 
     plant: its state. arrivals: what has come in by its beginning. samples: the newest of each of the vehicle's sensors.
     held: of each symbol that a controller holds. believed: views from the ground frame of the exposures whose frames have not come yet, by
-    their number. under_way: what was shown whose frames have not come. frames: that have
-    come without the other one of their pair.
+    their number. under_way: what was shown whose frames have not come. frames: that have come without the other one of their pair.
     """
 
     step: int

@@ -190,7 +190,7 @@ def test_other_light_beside_held_symbols_is_of_the_same_times_and_drive() -> Non
 
 
 def test_what_a_frame_says_that_it_shows_is_what_is_measured() -> None:
-    """A plant that shows half of what is asked for, and says so, moves no symbol."""
+    """The controller on a plant that shows half of what is asked for gets the light that was shown."""
     asked = simulation({"flake": FLAKE | {"start": START, "controller": "thesis_pid"}}, steps=4)
 
     class Half:
