@@ -172,21 +172,22 @@ class Luxloop:
         if look.frames is None:
             return memory
         frames, textures, searched = look.frames, self.projector.textures(look.shown.lights), memory.searched
-        unsure = not bool(memory.heights.information.any()) or (anew and not memory.settled and searched < SEARCHES)
-        if stances.still and unsure:
-            memory = self._acquired(memory, look) or memory
-            registration = self.over(memory.T_ground_plane)[1]
         nothing = self._nothing(self.registration if stances.still else registration)
-        fine = registration.sight
+        fine, known = registration.sight, memory.heights
+        informed, flat = bool(known.information.any()), torch.zeros_like(known.mean)
         contrast, limit = fine.observe_symbol(frames, textures)
         seen = fine.symbol(contrast, limit)
-        known = memory.heights
-        if float(seen.sum()) * fine.step < LEAST_LIT_PX:
+        lit = float(seen.sum()) * fine.step >= LEAST_LIT_PX
+        if lit and not informed and float(registration.residual(flat[None], seen, textures, limit)[0]) <= self.params.evidence:
+            return nothing  # for no heights can explain so much more
+        unsure = not informed or (anew and not memory.settled and searched < SEARCHES)
+        if stances.still and unsure and (acquired := self._acquired(memory, look)) is not None:
+            return self._looked(self.over(acquired.T_ground_plane)[1], acquired, look, stances)
+        if not lit:
             there = fine.symbol(fine.luminance(textures, fine.on_pixels(known.mean)[None])[0], limit) * fine.inside
             return memory if float(there.sum()) * fine.step < LEAST_LIT_PX else nothing
         limit = limit / fine.on_pixels(memory.brightness)  # of the light that the assumed road would show
-        informed = bool(known.information.any())
-        drawn, flat = memory.shown(look.shown.drawing), torch.zeros_like(known.mean)
+        drawn = memory.shown(look.shown.drawing)
         late = [] if drawn is None or drawn.heights is known else [drawn.heights.mean]
         before, flat_leaves, *its = registration.residual(torch.stack([known.mean, flat, *late]), seen, textures, limit).tolist()
         if drawn is not None:
