@@ -15,7 +15,7 @@ from scipy.ndimage import map_coordinates, maximum_filter, uniform_filter
 
 from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.flat_model import PAIRED
-from loop.symbol.simulation import Simulation
+from loop.lighting.simulation import Simulation
 from perception.camera import camera_view
 from perception.extraction import NEIGHBOURHOOD, WHOLLY_LIT
 from world.rendering.flat_road import flat_road
@@ -47,9 +47,9 @@ class Picture:
     def __init__(self, simulation: Simulation) -> None:
         import pyrender
 
-        view = simulation.truth.world.view
+        view = simulation.world.view
         self.scene = pyrender.Scene(ambient_light=(0.1, 0.1, 0.1))
-        for body in simulation.truth.world.scene.bodies:
+        for body in simulation.world.scene.bodies:
             material = pyrender.MetallicRoughnessMaterial(baseColorFactor=(1.0, 1.0, 1.0, 1.0), metallicFactor=0.0, roughnessFactor=1.0)
             vertices, texcoord = np.asarray(body.mesh.vertices, np.float32), None
             if body.texture is not None:
@@ -109,8 +109,9 @@ class Baseline:
     """The same loop as a simulation's: one lamp, u_abs, the raw image, quadrants, a scene that stands still; its state is four PIDs."""
 
     def __init__(self, simulation: Simulation, picture: Picture | None) -> None:
-        self.picture, self.camera, self.params = picture, simulation.scenario.camera, simulation.scenario.extraction
-        projector, world, self.model = simulation.projector, simulation.truth.world, simulation.observer.model
+        self.picture, self.camera, self.params = picture, simulation.scenario.camera, simulation.scenario.symbol.extraction
+        symbol, world = simulation.symbol, simulation.world
+        projector, self.model = symbol.projector, symbol.observer.model
         (lamp,) = projector.modules
         self.projector, self.headlight = projector, lamp.pixel_controller.headlight
         self.noise = np.random.default_rng(simulation.scenario.seed) if self.camera.noise else None
@@ -132,9 +133,9 @@ class Baseline:
         self.limit = self.model.limit.numpy()
         self.target, self.gains = self.model.target.numpy(), self.model.gains.numpy()
 
-        bank = simulation.controller.inner.gains
+        bank = symbol.controller.inner.gains
         names = ("kp", "ki", "kd", "lower", "upper", "rate_limit", "tracking_time")
-        pose = simulation.controller.drawing(simulation.start().controller, None).pose.tolist()
+        pose = symbol.controller.drawing(symbol.start().controller, None).pose.tolist()
         self.start = [Pid(*(float(getattr(bank, name)[k]) for name in names), output=pose[k]) for k in range(4)]
 
     def step(self, pids: Sequence[Pid], lap: Lap) -> tuple[Sequence[Pid], Floats]:

@@ -11,7 +11,9 @@ from typing import Any
 
 import rich.progress
 
-from loop.recording.recorder import row, table_of
+from loop.lighting.record import row, schema
+from loop.recording.columns import of_one
+from loop.recording.recorder import table_of
 from loop.recording.summary import summarise
 from loop.run import prepare
 from loop.scenario import data
@@ -25,20 +27,20 @@ SCANS = ("belgian_block", "half_round_bar", "torsion_track", "rough_course")
 VIEWS = {
     "raw image, quadrants": [],
     "bird's-eye view, second moments, 1.4 times the thesis' rotation gains": [
-        "features.view='birdseye'",
-        "features.shape='moments'",
-        "controller.x_rate_m=1.45",
-        "controller.roll_rate_deg=1.0",
-        "controller.pitch_rate_deg=0.7",
-        "controller.rotation={kp=0.7, ki=0.14, kd=0.14, tracking_steps=2.2}",
+        "functions.symbol.features.view='birdseye'",
+        "functions.symbol.features.shape='moments'",
+        "functions.symbol.controller.x_rate_m=1.45",
+        "functions.symbol.controller.roll_rate_deg=1.0",
+        "functions.symbol.controller.pitch_rate_deg=0.7",
+        "functions.symbol.controller.rotation={kp=0.7, ki=0.14, kd=0.14, tracking_steps=2.2}",
     ],
     "bird's-eye view, second moments, the thesis' gains": [
-        "features.view='birdseye'",
-        "features.shape='moments'",
-        "controller.x_rate_m=1.45",
-        "controller.roll_rate_deg=0.6",
-        "controller.pitch_rate_deg=0.42",
-        "controller.rotation={kp=0.5, ki=0.1, kd=0.1, tracking_steps=1.9}",
+        "functions.symbol.features.view='birdseye'",
+        "functions.symbol.features.shape='moments'",
+        "functions.symbol.controller.x_rate_m=1.45",
+        "functions.symbol.controller.roll_rate_deg=0.6",
+        "functions.symbol.controller.pitch_rate_deg=0.42",
+        "functions.symbol.controller.rotation={kp=0.5, ki=0.1, kd=0.1, tracking_steps=1.9}",
     ],
 }
 COLUMNS = ("road", "symbol", "settle", "overshoot %", "error %", "error open %", "IoU open", "IoU", "SSIM", "lost steps")
@@ -48,10 +50,11 @@ DOC = Path(__file__).parents[1] / "docs" / "convergence.md"
 def measure(scenario: Scenario) -> dict[str, Any]:
     """Run one scenario without files; the summary of its trajectory."""
     simulation = prepare(scenario, "cpu")
-    results = list(simulation.run())
-    end_s = results[-1].time_s
-    opened = simulation.truth.verdict(simulation.projector.light(simulation.projector.target), end_s)
-    summary = summarise(table_of([row(result) for result in results]), scenario.name, scenario.controller.name, float(opened.iou))
+    results, symbol = list(simulation.run()), simulation.symbol
+    target = simulation.of_all(symbol, symbol.projector.light(symbol.projector.target))
+    opened = symbol.judge.verdict(target, results[-1].time_s)
+    table = of_one(table_of([row(result) for result in results], schema(simulation)), "symbol")
+    summary = summarise(table, symbol.params.name, float(opened.iou))
     return {**summary, "centroid_error_open_percent": opened.centroid_percent.tolist()}
 
 
@@ -70,8 +73,15 @@ def cases(quick: bool) -> list[tuple[str, str, str, Scenario]]:
             scenario = load(name)
             if data.present(scenario.road.file) is not None:
                 for symbol in SYMBOLS:
-                    start = load(symbol).start
-                    placed = load(name, [f"symbol.image='{symbol}'", f"start.x_m={start.x_m}", f"start.y_m={start.y_m}"])
+                    start = load(symbol).symbol.start_pose
+                    placed = load(
+                        name,
+                        [
+                            f"functions.symbol.image='{symbol}'",
+                            f"functions.symbol.start.x_m={start.x_m}",
+                            f"functions.symbol.start.y_m={start.y_m}",
+                        ],
+                    )
                     found.append(("measured roads, raw image, quadrants", name, symbol, placed))
     return found
 

@@ -23,7 +23,7 @@ from object_based_parts import agreement, pair_jobs, track_jobs, tracked, zone_j
 
 from loop.jobs.runner import Job, Results, digest_of, run
 from loop.lighting.lamps import flux_by_side
-from loop.lighting.simulation import LightingSimulation
+from loop.lighting.simulation import Simulation
 from loop.recording.digest import digest_of_code
 from loop.training.report import goals as detector_goals
 from perception.camera import expose, frame_generator
@@ -93,7 +93,7 @@ def drawn(result: Mapping[str, Any]) -> list[dict[str, Any]]:
 def example() -> object_based_page.Pictures:
     """The first scene, which stands, in low beam and full light, and as object-based lighting has it when a newcomer comes."""
     (case,) = cases(1, 1)
-    simulation = LightingSimulation.prepare(lit(case.scenario, case.parameters["variants"][OURS]))
+    simulation = Simulation.prepare(lit(case.scenario, case.parameters["variants"][OURS]))
     state = simulation.start()
     for _ in range(COMES):
         state, result = simulation.step(state)

@@ -12,11 +12,11 @@ from torch import Tensor
 from controllers.functions.planner import Planner
 from controllers.obl.function import ObjectBasedState
 from loop.lighting.lamps import flux_by_side
-from loop.lighting.result import LightingResult
+from loop.lighting.result import StepResult
 from loop.lighting.sight import Sight, pairs
-from loop.lighting.simulation import LightingSimulation
+from loop.lighting.simulation import Simulation
 from loop.plant.world import LitScene
-from loop.scenario.model import LightingScenario, load_any, validate_lighting
+from loop.scenario.model import Scenario, load, validate
 from loop.scenario.overrides import Override
 from perception.camera import CameraParams, expose, frame_generator
 from perception.ground_truth import Truth
@@ -71,9 +71,7 @@ class Case:
     @property
     def parameters(self) -> dict[str, Any]:
         """Of the job."""
-        variants = {
-            name: load_any("obl", each).model_dump(mode="json", include={"lighting", "functions"}) for name, each in VARIANTS.items()
-        }
+        variants = {name: load("obl", each).model_dump(mode="json", include={"lighting", "functions"}) for name, each in VARIANTS.items()}
         return {"scenario": self.scenario, "variants": variants, "seeds": {name: self.seeds if name == OURS else 1 for name in VARIANTS}}
 
 
@@ -106,12 +104,12 @@ def _newcomer(rng: np.random.Generator, others: np.ndarray) -> dict[str, Any]:
     return made | {"track": [at], "appears_s": COMES / WORLD["rate_hz"]}
 
 
-def lit(plain: Mapping[str, Any], tables: Mapping[str, Any] = BARE, seed: int = 0) -> LightingScenario:
+def lit(plain: Mapping[str, Any], tables: Mapping[str, Any] = BARE, seed: int = 0) -> Scenario:
     """A scenario with its tables of lighting, and a seed of noise."""
-    return validate_lighting({**plain, "seed": seed, **tables}, str(plain["name"]))
+    return validate({**plain, "seed": seed, **tables}, str(plain["name"]))
 
 
-def beside(shared: LightingSimulation, scenario: LightingScenario) -> LightingSimulation:
+def beside(shared: Simulation, scenario: Scenario) -> Simulation:
     """A simulation in the same world, which looks at what the other has rendered."""
     plant = replace(shared.plant, seed=scenario.seed)
     return replace(shared, scenario=scenario, planner=Planner.prepare(scenario.functions, scenario.lighting), plant=plant)
@@ -126,7 +124,7 @@ def illuminated(scenario: Mapping[str, Any], variants: Mapping[str, Mapping[str,
     """
     torch.set_num_threads(1)  # wherever the job runs
     own = {(name, seed): lit(scenario, tables, seed) for name, tables in variants.items() for seed in range(seeds[name])}
-    shared = LightingSimulation.prepare(next(iter(own.values())))
+    shared = Simulation.prepare(next(iter(own.values())))
     simulations = {key: beside(shared, each) for key, each in own.items()}
     states = {key: each.start() for key, each in simulations.items()}
     runs = {key: Run() for key in own}
@@ -136,7 +134,7 @@ def illuminated(scenario: Mapping[str, Any], variants: Mapping[str, Mapping[str,
             states[key], result = simulations[key].step(states[key])
             runs[key].add(result, shared)
         if step in END or step in LATE:
-            view = shared.camera.at(step / shared.scenario.rate_hz)
+            view = shared.world.lit(step / shared.scenario.rate_hz)
             counting.add(view.objects, step)
             seen.add(view, beams, step)
     names = counting.names
@@ -148,7 +146,7 @@ def illuminated(scenario: Mapping[str, Any], variants: Mapping[str, Mapping[str,
     }
 
 
-def beam_lights(simulation: LightingSimulation) -> dict[str, tuple[Tensor, ...]]:
+def beam_lights(simulation: Simulation) -> dict[str, tuple[Tensor, ...]]:
     """Utilisations `[n_p]`, one a module, of BEAMS."""
     lamps = [(module.lamp, module.number, module.flux) for module in simulation.modules]
     return {
@@ -157,7 +155,7 @@ def beam_lights(simulation: LightingSimulation) -> dict[str, tuple[Tensor, ...]]
     }
 
 
-def _given(simulation: LightingSimulation, lights: Sequence[Tensor]) -> dict[str, float]:
+def _given(simulation: Simulation, lights: Sequence[Tensor]) -> dict[str, float]:
     sides = flux_by_side(simulation.modules, lights)
     return {"flux_lm": sum(sides.values()), "watts": sum(map(simulation.scenario.headlight.power_w, sides.values()))}
 
@@ -169,7 +167,7 @@ def _means(scores: Mapping[str, Sequence[float]], names: Sequence[str]) -> dict[
 class Counting:
     """Which objects count: large enough, and seen well enough, in every step that is judged; the newcomer in those at the end."""
 
-    def __init__(self, simulation: LightingSimulation) -> None:
+    def __init__(self, simulation: Simulation) -> None:
         assert simulation.sight is not None and simulation.sight.detector is not None
         self.classes = simulation.sight.detector.classes
         self.categories: dict[str, str] = {}
@@ -190,7 +188,7 @@ class Counting:
 class References:
     """What the detector says of objects in the light of beams, with each seed's noise: scores by name, 0 where it finds none."""
 
-    def __init__(self, simulation: LightingSimulation, seeds: int) -> None:
+    def __init__(self, simulation: Simulation, seeds: int) -> None:
         assert simulation.sight is not None
         self.sight: Sight = simulation.sight
         self.camera: CameraParams = simulation.scenario.camera
@@ -223,7 +221,7 @@ class Run:
         self.dazzled: list[tuple[int, str, float, bool]] = []  # step, object, lx on its eyes, whether a track shows it
         self.searches: dict[str, list[int | None]] = {}  # first step of a track's loop, and the first in which it had settled
 
-    def add(self, result: LightingResult, shared: LightingSimulation) -> None:
+    def add(self, result: StepResult, shared: Simulation) -> None:
         assert result.look is not None
         self.flux_lm.append(round(sum(power.flux_lm for power in result.powers.values()), 2))
         self.watts.append(round(sum(power.watts for power in result.powers.values()), 3))
@@ -239,7 +237,7 @@ class Run:
                 if loop.settled and search[1] is None:
                     search[1] = result.step
         if (result.look.eyes_lx_max or 0.0) > DAZZLING_LX:
-            self.dazzled += dazzled(result, shared.camera.at(result.time_s))
+            self.dazzled += dazzled(result, shared.world.lit(result.time_s))
         if result.step >= COMES:
             self.newcomer_lx.append(_rounded(result.objects[NEWCOMER].lx_mean))
 
@@ -259,7 +257,7 @@ class Run:
         }
 
 
-def dazzled(result: LightingResult, view: LitScene) -> list[tuple[int, str, float, bool]]:
+def dazzled(result: StepResult, view: LitScene) -> list[tuple[int, str, float, bool]]:
     """Whose heads and windscreens get more than DAZZLING_LX in this step, how much, and whether a track shows them."""
     assert result.look is not None
     found = []

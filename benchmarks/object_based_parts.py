@@ -12,7 +12,7 @@ from torch import Tensor
 
 from loop.jobs.runner import Job
 from loop.lighting.sight import pairs
-from loop.lighting.simulation import LightingSimulation
+from loop.lighting.simulation import Simulation
 from loop.plant.world import World
 from perception.camera import expose, frame_generator
 from perception.detection.protocol import Detections
@@ -50,7 +50,7 @@ def zones(reflectances: Sequence[float], saturation_e: float, seed: int) -> dict
     world = {key: value for key, value in WORLD.items() if key != "detector"}
     world["camera"] = CAMERA | {"saturation_e": saturation_e}
     plain = {"name": "zones", "steps": ZONE_STEPS, **world, "light": {"ambient_lx": 0.1}, "objects": walls}
-    results = list(LightingSimulation.prepare(lit(plain, {"lighting": {"base": {"beam": "low"}}, "functions": functions}, seed)).run())
+    results = list(Simulation.prepare(lit(plain, {"lighting": {"base": {"beam": "low"}}, "functions": functions}, seed)).run())
     return {
         "zones": [
             {"reflectance": albedo, "luminance": [result.zones[f"zone_{k}"].luminance for result in results]}
@@ -68,8 +68,8 @@ def _crossing(k: int) -> list[dict[str, Any]]:
     """Two pedestrians, from both sides."""
     x = 13.0 + 3 * k
     return [
-        _walker("from the left", FIRST + 10 * k, "pedestrian", [(x, 2.0), (x, -6.0)], 1.4),
-        _walker("from the right", FIRST + 10 * k + 1, "pedestrian", [(x + 1.5, -2.0), (x + 1.5, 6.0)], 1.4),
+        _walker("from_the_left", FIRST + 10 * k, "pedestrian", [(x, 2.0), (x, -6.0)], 1.4),
+        _walker("from_the_right", FIRST + 10 * k + 1, "pedestrian", [(x + 1.5, -2.0), (x + 1.5, 6.0)], 1.4),
     ]
 
 
@@ -112,13 +112,13 @@ def tracked(situation: str, scenario: Mapping[str, Any], seeds: int) -> dict[str
     """
     torch.set_num_threads(1)
     own = [lit(scenario, seed=seed) for seed in range(seeds)]
-    shared = LightingSimulation.prepare(own[0])
+    shared = Simulation.prepare(own[0])
     simulations = [beside(shared, each) for each in own]
     states, tracks = [each.start() for each in simulations], [dict[str, list[int | None]]() for _ in own]
     hidden: dict[str, int] = {}
     matches: list[Mapping[str, int]] = [{} for _ in own]
     for step in range(shared.scenario.steps):
-        view = shared.camera.at(step / shared.scenario.rate_hz)
+        view = shared.world.lit(step / shared.scenario.rate_hz)
         shown = {each.name: each.visible * each.inside for each in view.objects}
         hidden |= {name: hidden.get(name, 0) + (share < HIDDEN) for name, share in shown.items()}
         for k, each in enumerate(simulations):
@@ -166,10 +166,10 @@ def agreement(scenario: Mapping[str, Any]) -> dict[str, Any]:
     torch.set_num_threads(1)
     moving = {**scenario, "traffic": {**scenario["traffic"], "moving": True}}  # which is what the quick way is for
     exact, rays, quick, moved = (
-        _frame(LightingSimulation.prepare(lit({**world, "renderer": renderer})))
+        _frame(Simulation.prepare(lit({**world, "renderer": renderer})))
         for world, renderer in ((scenario, "opengl"), (scenario, "raycast"), (moving, "opengl"), (moving, "raycast"))
     )
-    simulation = LightingSimulation.prepare(lit(scenario))
+    simulation = Simulation.prepare(lit(scenario))
     reduced, again = _frame(_with_less_overlap(simulation)), _frame(simulation, noise=1)
     return {
         "OpenGL, exact, and rays": _apart(exact, rays),
@@ -179,7 +179,7 @@ def agreement(scenario: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _frame(simulation: LightingSimulation, noise: int = 0) -> tuple[Tensor, Detections]:
+def _frame(simulation: Simulation, noise: int = 0) -> tuple[Tensor, Detections]:
     """A frame in the high beam as shares of the largest digital number, and what is found in it."""
     assert simulation.sight is not None
     view, camera = simulation.world.lit(0.0), simulation.scenario.camera
@@ -189,11 +189,11 @@ def _frame(simulation: LightingSimulation, noise: int = 0) -> tuple[Tensor, Dete
     return frame, simulation.sight.find(frame, view)
 
 
-def _with_less_overlap(simulation: LightingSimulation) -> LightingSimulation:
+def _with_less_overlap(simulation: Simulation) -> Simulation:
     """The same with lamps of which each texel has its strongest pixels alone, with the light of all (T 5.2)."""
     modules = []
     for module in simulation.world.modules:
-        light = replace(module.headlight, matrix=reduce(module.headlight.matrix, KEEP, "proportional"), stored=None)
+        light = replace(module.headlight, matrix=reduce(module.headlight.matrix, KEEP, "proportional"))
         modules.append(replace(module, headlight=light))
     before = simulation.world
     world = World(before.scene, modules, before.camera, before.source, before.motion, metered=True, given=before.given)

@@ -7,7 +7,7 @@ same in time; or without errors, in time. Beside them stands what drawing for th
 import argparse
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -22,8 +22,8 @@ from controllers.symbol.heights.patch import drawn_on
 from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.observer import Observer
 from controllers.symbol.sensing.protocol import Look
+from loop.lighting.simulation import Simulation
 from loop.scenario.model import load
-from loop.symbol.simulation import Simulation
 from loop.terminal import tables
 from perception.camera import camera_view
 from perception.egomotion import Ego
@@ -97,12 +97,13 @@ class Knowing:
 def iou(changes: tuple[str, ...], column: str, steps: int) -> list[float]:
     """Of each step."""
     controller, more = COLUMNS[column]
-    simulation = Simulation.prepare(load("driving", (*changes, *more, f"controller={{name='{controller}'}}", f"steps={steps}")))
+    held = f"functions.symbol.controller={{name='{controller}'}}"
+    simulation = Simulation.prepare(load("driving", (*changes, *more, held, f"steps={steps}")))
     if column == BOUND:
-        world, scenario = simulation.truth.world, simulation.scenario
-        knowing = Knowing(simulation.observer, cast(Road, scenario.road), world.motion, 1 / scenario.rate_hz)
-        simulation = replace(simulation, controller=knowing)
-    return [float(result.verdict.iou) for result in simulation.run()]
+        world, scenario = simulation.world, simulation.scenario
+        knowing = Knowing(simulation.symbol.observer, cast(Road, scenario.road), world.motion, 1 / scenario.rate_hz)
+        simulation = simulation.with_controller(knowing)
+    return [float(result.symbol.verdict.iou) for result in simulation.run()]
 
 
 def main() -> None:

@@ -9,7 +9,8 @@ from torch.nn.functional import grid_sample
 
 from controllers.pixels.ssc import Utilisation
 from controllers.symbol.sensing.projector import DrawingModule
-from loop.symbol.simulation import Lights, Simulation
+from loop.lighting.batch import Lights
+from loop.lighting.simulation import Simulation
 from perception.birdseye import rectify
 from perception.judge import THRESHOLD
 from world.rendering.raycast import first_hits
@@ -21,7 +22,8 @@ OFF = 9.0  # a place that is not on the symbol, which lies from -1 to 1
 
 @dataclass(frozen=True)
 class Bound:
-    """lights: utilisations, one a module. iou: of the judge. visible: share of the target's cells in the judge's plane that they light."""
+    """lights: utilisations, one a module that draws the symbol. iou: of the judge. visible: share of the target's cells in the judge's
+    plane that they light."""
 
     lights: Lights
     iou: float
@@ -34,12 +36,13 @@ def bound(simulation: Simulation) -> Bound:
     A texel takes what of the symbol lies where the camera sees its light on the plane z = 0, a pixel the mean of its texels weighted by
     its light: `u = A^T s / A^T 1`.
     """
-    world = simulation.truth.world
+    world = simulation.world
     triangles = world.scene.at(0.0, world.motion.at(0.0).T_world_ground)
-    lights = tuple(_drawn(simulation, triangles, module) for module in simulation.projector.modules)
-    lit = rectify(simulation.truth.plane, world.lit(0.0).luminance(lights)) > THRESHOLD * simulation.truth.goal.median
-    visible = (lit & simulation.truth.goal.mask).sum() / simulation.truth.goal.mask.sum()
-    return Bound(lights, simulation.truth.verdict(lights, 0.0).iou.item(), visible.item())
+    lights = tuple(_drawn(simulation, triangles, module) for module in simulation.symbol.projector.modules)
+    judge, all_lights = simulation.symbol.judge, simulation.of_all(simulation.symbol, lights)
+    lit = rectify(judge.plane, world.lit(0.0).luminance(all_lights)) > THRESHOLD * judge.goal.median
+    visible = (lit & judge.goal.mask).sum() / judge.goal.mask.sum()
+    return Bound(lights, judge.verdict(all_lights, 0.0).iou.item(), visible.item())
 
 
 def _drawn(simulation: Simulation, triangles: Triangles, module: DrawingModule) -> Utilisation:
@@ -51,10 +54,10 @@ def _drawn(simulation: Simulation, triangles: Triangles, module: DrawingModule) 
     near = near_row[:, None] & near_col
     where = _behind(simulation, triangles, every.origin, every.rays()[:, near])
     symbol = torch.zeros(rows, cols, dtype=torch.float64)
-    symbol[near] = grid_sample(simulation.projector.symbol.double()[None, None], where[None, None], align_corners=False)[0, 0, 0]
+    symbol[near] = grid_sample(simulation.symbol.projector.symbol.double()[None, None], where[None, None], align_corners=False)[0, 0, 0]
     matrix = headlight.matrix.to_scipy()
     share = (matrix.T @ symbol.flatten().numpy()) / (matrix.T @ np.ones(rows * cols)).clip(1e-12)
-    value = simulation.scenario.symbol.value / len(simulation.projector.modules)
+    value = simulation.scenario.symbol.value / len(simulation.symbol.projector.modules)
     return Utilisation(torch.from_numpy(value * share).float())  # without a band, outside of which light would be hidden
 
 
@@ -69,7 +72,7 @@ def _behind(simulation: Simulation, triangles: Triangles, origin: Tensor, rays: 
 
     Light on the true road is seen on the plane z = 0 behind it; far off the symbol where a ray or the line of sight meets nothing.
     """
-    params, eye = simulation.scenario.symbol, simulation.truth.world.view.origin[:, None]
+    params, eye = simulation.scenario.symbol, simulation.world.view.origin[:, None]
     face = first_hits(triangles, origin, rays)
     met = face >= 0
     road = origin[:, None] + rays[:, met] * depths(triangles, face[met], origin, rays[:, met])

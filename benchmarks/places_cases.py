@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import torch
 from places_bound import bound
-from symbol_control_cases import SMALL, finite, shared, side_by_side
+from symbol_control_cases import SMALL, finite, shared, side_by_side, uncontrolled
 
 from loop.recording.summary import AXES, column
 from loop.scenario import data
@@ -67,7 +67,7 @@ class Place:
             road["file"] = str(data.locate(road["file"]))
         names = CONTROLLERS if self.scenario.symbol.target == "appearance" else HOLD_PLACES
         tables = {name: {"name": name} for name in names} | {FEEDFORWARD: {"name": "feedforward", "road": road}}
-        return {"scenario": self.scenario.model_dump(mode="json", exclude={"controller"}), "controllers": tables}
+        return {"scenario": uncontrolled(self.scenario), "controllers": tables}
 
 
 def places(quick: bool) -> Iterator[Place]:
@@ -128,8 +128,8 @@ def _grade(grade_percent: float, crossfall_percent: float, start_x_m: float) -> 
 def _scenario(
     road: Road, symbol: str, at: tuple[float, float], start: dict[str, float], latency: int, target: str = "appearance"
 ) -> Scenario:
-    drawn = {"image": symbol, "x_m": at[0], "y_m": at[1], "target": target}
-    changes = {"road": road, "symbol": drawn, "start": start, "camera": {"latency_steps": latency}, "controller": {"name": "luxloop"}}
+    drawn = {"image": symbol, "x_m": at[0], "y_m": at[1], "target": target, "start": start, "controller": {"name": "luxloop"}}
+    changes = {"road": road, "functions": {"symbol": drawn}, "camera": {"latency_steps": latency}}
     return load("flat", (SMALL, changes), steps=STEPS + latency)
 
 

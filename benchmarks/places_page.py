@@ -126,18 +126,18 @@ def _pictures(place: Place) -> list[tuple[str, torch.Tensor, float]]:
     """Title, camera picture around the target and its white, in cd/m^2, of the columns of the figure."""
     simulation, own = shared(**{**place.parameters, "controllers": {"luxloop": {"name": "luxloop"}}})
     *_, last = islice(simulation.run(), own["luxloop"].steps)
-    view, target = simulation.truth.world.lit(0.0), simulation.projector.light(simulation.projector.target)
-    flat = simulation.observer.model.luminance(target)
+    view, symbol = simulation.world.lit(0.0), simulation.symbol
+    target = symbol.projector.light(symbol.projector.target)
+    flat = symbol.observer.model.luminance(target)
     rows, cols = _around(flat)
-    pictures = {
-        "to be seen": flat,
-        **{
-            n: view.luminance(lights)
-            for n, lights in (("open loop", target), ("luxloop", last.lights), ("bound", bound(simulation).lights))
-        },
+    lights = {
+        "open loop": simulation.of_all(symbol, target),
+        "luxloop": last.showings[0].exposure.lights,
+        "bound": simulation.of_all(symbol, bound(simulation).lights),
     }
-    white = 2 * float(simulation.truth.goal.median)
-    return [(name, (picture + simulation.truth.world.lit(0.0).base.median())[rows, cols], white) for name, picture in pictures.items()]
+    pictures = {"to be seen": flat, **{name: view.luminance(each) for name, each in lights.items()}}
+    white = 2 * float(symbol.judge.goal.median)
+    return [(name, (picture + view.base.median())[rows, cols], white) for name, picture in pictures.items()]
 
 
 def _around(flat: torch.Tensor) -> tuple[slice, slice]:

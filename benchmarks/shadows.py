@@ -22,10 +22,10 @@ from bench import Goal, judged, machine, on_one_thread, show_goals
 from float64_rays import hidden
 from torch import Tensor
 
+from loop.lighting.simulation import Simulation
 from loop.plant.world import World
 from loop.scenario import data
 from loop.scenario.model import load
-from loop.symbol.simulation import Simulation
 from loop.terminal import tables
 from world.frames import pose, pose_from_degrees
 from world.headlight import Headlight
@@ -186,7 +186,7 @@ def main() -> None:
     console, where = tables.console(), machine("torch", "embreex")
     console.print(", ".join(f"{key} {value}" for key, value in where.items()), markup=False)
     n = 1000 if arguments.quick else arguments.points
-    world = Simulation.prepare(load("snowflake", ("camera.width_px=640", "camera.height_px=480", "camera.oversampling=1"))).truth.world
+    world = Simulation.prepare(load("snowflake", ("camera.width_px=640", "camera.height_px=480", "camera.oversampling=1"))).world
     found = [
         {"road": name, "kind": kind, "way": way, "view": view, **figures}
         for name, kind, road in roads(arguments.quick)

@@ -23,8 +23,9 @@ from bench import machine, on_one_thread
 from rich.table import Table
 
 from controllers.symbol.sensing.protocol import Look, Shown
+from loop.lighting.result import SimulationState
+from loop.lighting.simulation import Simulation
 from loop.scenario.model import load
-from loop.symbol.simulation import Simulation, SimulationState
 from loop.terminal import tables
 from perception.camera import expose, frame_generator
 from world.light.illumination import added_light
@@ -33,6 +34,7 @@ SIZES = ((640, 480), (1280, 720))  # px
 QUICK_SIZES = ((320, 180),)
 TAKES = 4
 PARTS = ("render", "light", "luminance", "camera", "perceive", "control")
+WHOLE = "step of a run"
 PACKAGES = ("torch", "numpy", "scipy", "pyrender")
 CHECKED_STEPS = 4
 TOLERANCE_PX = 0.01  # sums of float32 in another order turn a few of the rounded digital numbers by one
@@ -53,23 +55,31 @@ class Stopwatch:
 
 
 def luxloop_step(simulation: Simulation, state: SimulationState, lap: Lap) -> tuple[SimulationState, torch.Tensor]:
-    """`Simulation.step` part by part, without the judge. Returns the next state and the four errors in px."""
-    scenario = simulation.scenario
-    lit = simulation.truth.world.lit(state.arrivals.time_s)
+    """What `Simulation.step` does for the symbol, part by part, without the judge. Returns the next state and the four errors in px."""
+    scenario, symbol = simulation.scenario, simulation.symbol
+    ((name, held),) = state.held.items()
+    lit = simulation.world.lit(state.arrivals.time_s)
     lap("render")
-    drawing = simulation.controller.drawing(state.controller, simulation.ego(state))
-    lights = simulation.projector.draw(drawing)
+    drawing = symbol.controller.drawing(held.controller, simulation.ego(state.samples, state.arrivals.time_s))
+    lights = symbol.projector.draw(drawing)
     lap("light")
     lit_on = added_light(lit.transports, lights, lit.base)
     lap("luminance")
     noise = (frame_generator(scenario.seed, state.step, frame) for frame in (0, 1))
     frames = (expose(lit_on, scenario.camera, next(noise)), expose(lit.off, scenario.camera, next(noise)))
     lap("camera")
-    seen = simulation.observer.look(frames, drawing, lights)
+    seen = symbol.observer.look(frames, drawing, lights)
     lap("perceive")
-    controller = simulation.controller.step(state.controller, Look(seen, frames, Shown(drawing, lights)))
+    held = replace(held, controller=symbol.controller.step(held.controller, Look(seen, frames, Shown(drawing, lights))))
     lap("control")
-    return replace(state, step=state.step + 1, controller=controller), seen.errors
+    return replace(state, step=state.step + 1, held={name: held}), seen.errors
+
+
+def whole_step(simulation: Simulation, state: SimulationState, lap: Lap) -> SimulationState:
+    """`Simulation.step`, which draws the symbol as one of many functions, and says what happened. Returns the next state."""
+    state, _ = simulation.step(state)
+    lap(WHOLE)
+    return state
 
 
 def fastest(step: Callable[[Lap], Any]) -> dict[str, float]:
@@ -84,7 +94,9 @@ def fastest(step: Callable[[Lap], Any]) -> dict[str, float]:
 def prepared(width: int, height: int, overrides: list[str]) -> Simulation:
     """The main job at a size of the camera's image."""
     size = [f"camera.width_px={width}", f"camera.height_px={height}"]
-    return Simulation.prepare(load("snowflake", [*size, "features.view='raw'", "features.shape='quadrants'", *overrides]))
+    return Simulation.prepare(
+        load("snowflake", [*size, "functions.symbol.features.view='raw'", "functions.symbol.features.shape='quadrants'", *overrides])
+    )
 
 
 def difference(width: int, height: int, overrides: list[str]) -> float:
@@ -101,17 +113,20 @@ def difference(width: int, height: int, overrides: list[str]) -> float:
 
 def measure(width: int, height: int, overrides: list[str], repeats: int) -> dict[str, Any]:
     """Median ms of each part over the first steps of both loops, run in turn."""
-    simulation = prepared(width, height, overrides)
+    simulation = prepared(width, height, [*overrides, "judge_every=0"])
     picture = _picture(simulation)
     baseline = Baseline(simulation, picture)
-    state, pids = simulation.start(), baseline.start
+    state, running, pids = simulation.start(), simulation.start(), baseline.start
     laps: dict[str, list[dict[str, float]]] = defaultdict(list)
     for _ in range(repeats):
         laps["numpy"].append(fastest(partial(baseline.step, pids)))
         laps["luxloop"].append(fastest(partial(luxloop_step, simulation, state)))
+        laps[WHOLE].append(fastest(partial(whole_step, simulation, running)))
         pids, _ = baseline.step(pids, lambda part: None)
         state, _ = luxloop_step(simulation, state, lambda part: None)
+        running = whole_step(simulation, running, lambda part: None)
     result: dict[str, Any] = {"width": width, "height": height, "repeats": repeats, "rendered": picture is not None}
+    result[WHOLE] = median(step[WHOLE] for step in laps.pop(WHOLE))
     for name, steps in laps.items():
         result[name] = {part: median(step[part] for step in steps) for part in PARTS}
         result[name]["step"] = median(sum(step.values()) for step in steps)
@@ -138,6 +153,7 @@ def table(result: dict[str, Any]) -> Table:
         ours, theirs = result["luxloop"][part], result["numpy"][part]
         ratio = "" if part == "render" else f"{theirs / ours:.0f}"
         rows.append((part, f"{theirs:.1f}", f"{ours:.2f}", ratio))
+    rows.append((WHOLE, "", f"{result[WHOLE]:.2f}", ""))
     columns = ("ms a step", "NumPy, SciPy, pyrender", "luxloop", "ratio")
     return tables.plain(columns, rows, "lr", title=f"{result['width']} x {result['height']} px")
 

@@ -9,13 +9,15 @@ import pyarrow as pa
 import torch
 
 from controllers.symbol import build_controller
-from loop.recording.recorder import row, table_of
+from loop.lighting.record import row, schema
+from loop.lighting.simulation import Simulation
+from loop.recording.columns import of_one
+from loop.recording.recorder import table_of
 from loop.recording.summary import AXES, column, overshoot_percent, settle_step
 from loop.run import prepare
 from loop.scenario import data
 from loop.scenario.model import Scenario, load, validate
 from loop.scenario.overrides import Override
-from loop.symbol.simulation import Simulation
 
 OFFSET_M = 0.03  # by which the feed-forward's road is too high, and the one that luxloop believes in at a wrong start
 FEEDFORWARD = "feedforward, 3 cm off"
@@ -35,7 +37,7 @@ STANDING: dict[str, tuple[str, tuple[Override, ...]]] = {
     "rough course": ("rough_course", ("road.u_m=117",)),
     "box, standing": ("black_box_static", ()),
     "box, comes and goes": ("black_box_dynamic", ()),
-    "two lamps": ("snowflake", ("headlight.lamps=['left', 'right']",)),
+    "two lamps": ("snowflake", ("headlight.lamps=['left', 'right']", "functions.symbol.modules=['left', 'right']")),
 }
 LATENCIES = (0, 1, 2, 3)
 
@@ -48,7 +50,7 @@ DRIVING: dict[str, tuple[str, tuple[Override, ...]]] = {
     "5 m/s": ("driving", ("vehicle.course=[{speed_m_s=5}]",)),
     "10 m/s": ("driving", ("vehicle.course=[{speed_m_s=10}]",)),
     "20 m/s": ("driving", ()),
-    BELIEVED: ("driving", (f"start.x_m={ASIDE_M}",)),
+    BELIEVED: ("driving", (f"functions.symbol.start.x_m={ASIDE_M}",)),
     "nods by 0.2°": ("flat", (NODDING.format(0.2), LATE)),
     "nods by 1°": ("flat", (NODDING.format(1.0), LATE)),
 }
@@ -89,7 +91,7 @@ class Case:
     def parameters(self) -> dict[str, Any]:
         """Of the job."""
         tables = {name: self._controller(name) for name in CONTROLLERS}
-        return {"scenario": self.scenario.model_dump(mode="json", exclude={"controller"}), "controllers": tables}
+        return {"scenario": uncontrolled(self.scenario), "controllers": tables}
 
     def _controller(self, name: str) -> dict[str, Any]:
         if name != FEEDFORWARD:
@@ -117,6 +119,17 @@ def cases(seeds: int, quick: bool) -> Iterator[Case]:
             yield Case("disturbed", scene, 0, seed, load(name, (SMALL, *changes), seed=seed, steps=50))
 
 
+def uncontrolled(scenario: Scenario) -> dict[str, Any]:
+    """Plain data of a scenario whose symbol lacks its controller."""
+    return scenario.model_dump(mode="json", exclude={"functions": {"symbol": {"controller"}}})
+
+
+def controlled(scenario: Mapping[str, Any], controller: Mapping[str, Any]) -> Scenario:
+    """The scenario of such data, with a controller."""
+    symbol = {**scenario["functions"]["symbol"], "controller": controller}
+    return validate({**scenario, "functions": {"symbol": symbol}}, str(scenario["name"]))
+
+
 def trajectories(scenario: Mapping[str, Any], controllers: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     """A job: what the judge says of each controller at each step, and when it settled."""
     torch.set_num_threads(1)  # wherever the job runs
@@ -129,22 +142,24 @@ def trajectories(scenario: Mapping[str, Any], controllers: Mapping[str, Mapping[
 
 def shared(scenario: Mapping[str, Any], controllers: Mapping[str, Mapping[str, Any]]) -> tuple[Simulation, dict[str, Scenario]]:
     """The world of a scenario, which is prepared once, and the scenario with each of the controllers."""
-    own = {name: validate({**scenario, "controller": table}, str(scenario["name"])) for name, table in controllers.items()}
+    own = {name: controlled(scenario, table) for name, table in controllers.items()}
     return prepare(next(iter(own.values())), "cpu"), own
 
 
 def side_by_side(simulation: Simulation, own: Mapping[str, Scenario]) -> dict[str, pa.Table]:
-    """The steps of each controller as recordings have them.
+    """What recordings have of the symbol in the steps of each controller.
 
     All go through the same world step by step, so each view of it is rendered once, and their frames have the same noise.
     """
-    observer = simulation.observer
-    runs = [replace(simulation, scenario=each, controller=build_controller(each.controller, observer)).run() for each in own.values()]
+    observer = simulation.symbol.observer
+    controllers = (build_controller(each.symbol.controller, observer) for each in own.values())
+    runs = [replace(simulation.with_controller(each), scenario=own[name]).run() for name, each in zip(own, controllers, strict=True)]
     rows: dict[str, list[dict[str, Any]]] = {name: [] for name in own}
     for results in zip(*runs, strict=True):
         for name, result in zip(own, results, strict=True):
             rows[name].append(row(result))
-    return {name: table_of(each) for name, each in rows.items()}
+    columns = schema(simulation)
+    return {name: of_one(table_of(each, columns), "symbol") for name, each in rows.items()}
 
 
 def finite(value: float) -> float | None:

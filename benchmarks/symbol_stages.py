@@ -20,8 +20,8 @@ STAGES = {"alone": "", "warp": ", warp={}", "both": ", warp={}, supervisor={}"}
 
 def iou(scenario: str, changes: tuple[str, ...], controller: str) -> float:
     """Mean of the last steps."""
-    results = prepare(load(scenario, [*changes, f"controller={controller}", f"steps={STEPS}"]), "cpu").run()
-    return sum(float(result.verdict.iou) for result in list(results)[-MEANT:]) / MEANT
+    results = prepare(load(scenario, [*changes, f"functions.symbol.controller={controller}", f"steps={STEPS}"]), "cpu").run()
+    return sum(float(result.symbol.verdict.iou) for result in list(results)[-MEANT:]) / MEANT
 
 
 def main() -> None:

@@ -12,8 +12,8 @@ import torch
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
-from loop.lighting.simulation import LightingSimulation
-from loop.scenario.model import validate_lighting
+from loop.lighting.simulation import Simulation
+from loop.scenario.model import validate
 from loop.terminal.tables import markdown
 from perception.camera import CameraParams, camera_view
 from perception.detection.protocol import Detections
@@ -133,7 +133,7 @@ def crowd(people: int, seed: int) -> list[Road]:
 
 def traffic(seed: int, steps: int) -> Kept:
     """Random traffic through the whole chain, in a bright beam, with the network's detections."""
-    scenario = validate_lighting(
+    scenario = validate(
         {
             "name": "traffic",
             "steps": steps,
@@ -147,7 +147,7 @@ def traffic(seed: int, steps: int) -> Kept:
         },
         f"seed {seed}",
     )
-    simulation, judge = LightingSimulation.prepare(scenario), Judge(len(scenario.all_objects))
+    simulation, judge = Simulation.prepare(scenario), Judge(len(scenario.all_objects))
     for result in simulation.run():
         assert result.look is not None
         view = simulation.world.lit(result.time_s)

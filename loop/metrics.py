@@ -7,74 +7,104 @@ from typing import Any
 import numpy as np
 import torch
 
+from controllers.functions.symbol import SymbolFunctionParams
 from loop.assembly.build import build_symbol_controller
-from loop.lighting.compared import compared
-from loop.lighting.record import row as lighting_row
-from loop.lighting.record import schema as lighting_schema
-from loop.lighting.simulation import LightingSimulation
-from loop.lighting.summary import summarise as summarise_lighting
+from loop.lighting.batch import Rollout
+from loop.lighting.record import row, schema, summary_of
+from loop.lighting.result import StepResult
+from loop.lighting.simulation import Simulation
 from loop.plant.simulated import SimulatedPlant
+from loop.recording.columns import of_one
 from loop.recording.manifest import digests
-from loop.recording.recorder import row, summary_of, table_of
+from loop.recording.recorder import table_of
 from loop.recording.summary import column, judged
-from loop.run import prepare, torch_device
-from loop.scenario.model import AnyScenario, LightingScenario, Scenario
+from loop.run import prepare
+from loop.scenario.model import Scenario, only
 from loop.scenario.plant import SimulatedPlantParams
-from loop.symbol.batch import Rollout
-from loop.symbol.simulation import Simulation
 from perception.extraction import Loss
 
 KEPT = 4  # simulations made ready, half a gigabyte each
+SHOWN = {  # figures of symbols that are held, and which of several is the worst
+    "settle_step": max,
+    "overshoot_percent": max,
+    "residual_percent": max,
+    "iou_open": min,
+    "iou_final": min,
+    "iou_mean": min,
+}
 
 
-def figures(scenario: AnyScenario, device: str = "auto") -> dict[str, float | str | None]:
-    """Run a scenario and give its summary, flat: `centroid_error_x_percent`, `lamps.left.flux_lm_mean`; None where a value does not exist.
+def figures(scenario: Scenario, device: str = "auto") -> dict[str, float | str | None]:
+    """Run a scenario and give its summary, flat: `lamps.left.flux_lm_mean`, say; None where a value does not exist.
 
-    A symbol's run has iou_mean (over all judged steps), residual_percent (how far off the centroid ends, of the symbol's size) and
-    utilisation_mean (of all pixels, over all steps) as well; one of lighting functions flux_lm_mean (of all lamps), and with a detector
-    confidence_final_mean and _min (over the objects in sight at the end). Times are left out, so that the same scenario gives the same
-    figures.
+    flux_lm_mean is that of all lamps, utilisation_mean that of all pixels over all steps. Where symbols are held, the figures in `SHOWN`
+    are also there without a name, those of the symbol that comes off worst; iou_mean is then that of all judged steps, and residual_percent
+    is how far off the centroid ends, of the symbol's size. With a detector there are confidence_final_mean and _min, over the objects in
+    sight at the end. Times are left out, so that the same scenario gives the same figures.
     Raises LuxloopError where the scenario cannot run.
     """
-    if isinstance(scenario, LightingScenario):
-        lighting = LightingSimulation.prepare(scenario, torch_device(device))
-        table = table_of([lighting_row(result) for result in lighting.run()], lighting_schema(lighting))
-        told = summarise_lighting(table, scenario.name, compared(lighting, table))
-        flux = [each["flux_lm_mean"] for each in told["lamps"].values()]
-        sure = [each["confidence_final"] for each in told["objects"].values() if each.get("confidence_final") is not None]
-        least = {"confidence_final_mean": float(np.mean(sure)), "confidence_final_min": min(sure)} if sure else {}
-        return _flat(told | {"flux_lm_mean": sum(flux)} | least)
-    return traced(scenario, device)[0]
+    return _figures(_simulation(scenario, device))[0]
 
 
-def traced(scenario: Scenario, device: str = "auto") -> tuple[dict[str, float | str | None], Rollout]:
-    """The figures of a symbol's run, and the run as a batch of one. Raises what `figures` raises."""
+def traced(scenario: Scenario, device: str = "auto") -> tuple[dict[str, float | str | None], Rollout | None]:
+    """The figures of a run, and how its only symbol was held, as a batch of one; None where several are held, or none.
+
+    Raises as `figures`.
+    """
     simulation = _simulation(scenario, device)
-    rows, utilisations, trace = [], [], []
-    for result in simulation.run():
-        rows.append(row(result))
-        utilisations.append(float(np.mean([light.u.mean().item() for light in result.lights])))
-        usable = (result.seen.code == Loss.SEEN) & result.seen.pose_error.isfinite().all()
-        trace.append((result.pose, torch.where(usable, result.seen.pose_error, 0.0), usable))
-    table = table_of(rows)
-    values = summary_of(simulation, table)
-    x, y = values.pop("centroid_error_percent")
-    values |= {"centroid_error_x_percent": x, "centroid_error_y_percent": y}
-    values["residual_percent"] = None if x is None or y is None else float(np.hypot(x, y))
-    ious = column(judged(table), "iou")
-    values["iou_mean"] = float(ious.mean()) if len(ious) else None
-    values["utilisation_mean"] = float(np.mean(utilisations))
-    return _flat(values), Rollout(*(torch.stack(column)[None] for column in zip(*trace, strict=True)))
+    found, results = _figures(simulation)
+    if len(simulation.controlled) != 1:
+        return found, None
+    name, target = only(simulation.controlled), simulation.symbol.projector.target
+    trace = []
+    for result in results:
+        if name not in result.held:  # it is not shown
+            trace.append((target, torch.zeros_like(target), torch.zeros_like(target[0], dtype=torch.bool)))
+            continue
+        held = result.held[name]
+        usable = (held.seen.code == Loss.SEEN) & held.seen.pose_error.isfinite().all()
+        trace.append((held.pose, torch.where(usable, held.seen.pose_error, 0.0), usable))
+    return found, Rollout(*(torch.stack(column)[None] for column in zip(*trace, strict=True)))
+
+
+def _figures(simulation: Simulation) -> tuple[dict[str, float | str | None], list[StepResult]]:
+    results = list(simulation.run())
+    table = table_of([row(result) for result in results], schema(simulation))
+    told = summary_of(simulation, table, {name: result for result in results for name in result.held})
+    pixels = sum(u.numel() for u in results[0].lights)
+    values = {
+        **told,
+        "flux_lm_mean": sum(each["flux_lm_mean"] for each in told["lamps"].values()),
+        "utilisation_mean": float(np.mean([sum(float(u.sum()) for u in result.lights) / pixels for result in results])),
+    }
+    sure = [each["confidence_final"] for each in told["objects"].values() if each.get("confidence_final") is not None]
+    values |= {"confidence_final_mean": float(np.mean(sure)), "confidence_final_min": min(sure)} if sure else {}
+    for name, symbol in told["functions"].items():
+        x, y = symbol["centroid_error_percent"]
+        symbol["residual_percent"] = None if x is None or y is None else float(np.hypot(x, y))
+        ious = column(judged(of_one(table, name)), "iou")
+        symbol["iou_mean"] = float(ious.mean()) if len(ious) else None
+    for figure, worst in SHOWN.items() if told["functions"] else ():
+        of_all = [symbol[figure] for symbol in told["functions"].values()]
+        values[figure] = None if None in of_all else worst(of_all)
+    return _flat(values), results
 
 
 def _simulation(scenario: Scenario, device: str) -> Simulation:
-    """A simulation of the scenario; all but controller and noise is taken from one that is ready where there is one."""
+    """A simulation of the scenario; all but controllers and noise is taken from one that is ready where there is one."""
     if not isinstance(scenario.plant, SimulatedPlantParams):
         return prepare(scenario, device)
-    ready = _prepared(_Shared(scenario, device, scenario.model_dump_json(exclude={"controller", "seed"}), (*digests(scenario).items(),)))
+    functions = {name: {"controller"} for name in scenario.controlled}
+    decisive = scenario.model_dump_json(exclude={"seed": True, "functions": functions})
+    ready = _prepared(_Shared(scenario, device, decisive, (*digests(scenario).items(),)))
     assert isinstance(ready.plant, SimulatedPlant)
-    plant, controller = replace(ready.plant, seed=scenario.seed), build_symbol_controller(scenario.controller, ready.observer)
-    return replace(ready, scenario=scenario, plant=plant, controller=controller)
+    held = {}
+    for name, symbol in ready.controlled.items():
+        function = scenario.functions[name]
+        assert isinstance(function, SymbolFunctionParams) and function.controller is not None
+        controller = build_symbol_controller(function.controller, symbol.observer)
+        held[name] = replace(symbol, function=function, controller=controller)
+    return replace(ready, scenario=scenario, plant=replace(ready.plant, seed=scenario.seed), controlled=held)
 
 
 @dataclass(frozen=True)

@@ -6,28 +6,26 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, overload
+from typing import Any
 
 import pyarrow as pa
 import torch
 
-from loop.lighting.record import row as lighting_row
-from loop.lighting.record import schema, valued
-from loop.lighting.result import LightingResult
-from loop.lighting.run import run_lighting
-from loop.lighting.simulation import LightingSimulation
+from loop.lighting.record import Recorder, row, schema, valued
+from loop.lighting.result import StepResult
+from loop.lighting.simulation import Simulation
+from loop.plant.simulated import SimulatedPlant
 from loop.recording.checks import Checks, lights, refuse_unknown
-from loop.recording.recorder import REPORT, SCHEMA, TRAJECTORY, VIDEO, Outputs, Recorder, no_report, row
-from loop.recording.report import Gathered, write_report
-from loop.recording.video import VideoWriter, frame_picture
-from loop.scenario.model import AnyScenario, LightingScenario, Scenario, load_any
-from loop.symbol.feasible import refuse_undrawable, refuse_unseen
-from loop.symbol.simulation import Simulation, StepResult
+from loop.recording.recorder import REPORT, TRAJECTORY, VIDEO, Outputs, no_report
+from loop.recording.video import VideoWriter
+from loop.report.page import Watched, write_report
+from loop.report.picture import frame_picture, white_of
+from loop.scenario.model import Scenario, load
 from world.errors import LuxloopError, located
 from world.folders import output_folder
 from world.parquet import read_parquet
 
-VIDEO_FPS = 10  # slower than the loop, so that the eye can follow its steps
+VIDEO_FPS = 10  # slower than most loops, so that the eye can follow their steps
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -35,7 +33,7 @@ class RunResult:
     """What a run has left; a notebook shows its report.
 
     summary: the run in a few numbers, those of `summary.json`. trajectory: a row a step; each column names its unit
-    (`trajectory.schema.field("x_m").metadata`), `trajectory["iou"].to_numpy()` and `trajectory.to_pandas()` convert it.
+    (`trajectory.schema.field("time_s").metadata`), `trajectory["time_s"].to_numpy()` and `trajectory.to_pandas()` convert it.
     folder: where the files lie (docs/recordings.md); one that `run` chose is removed with this result.
     """
 
@@ -54,7 +52,7 @@ class RunResult:
 
 
 def run(
-    scenario: AnyScenario | str | Path,
+    scenario: Scenario | str | Path,
     folder: Path | str | None = None,
     *,
     device: str = "auto",
@@ -62,11 +60,11 @@ def run(
     report: bool = True,
     frames: bool = False,
     checks: bool = False,
-    on_step: Callable[[StepResult | LightingResult], None] = lambda result: None,
+    on_step: Callable[[StepResult], None] = lambda result: None,
     on_end: Callable[[], None] = lambda: None,
     **values: Any,
 ) -> RunResult:
-    """Run a scenario of either kind and record it into a folder, which `luxloop replay` reads.
+    """Run a scenario and record it into a folder, which `luxloop replay` reads.
 
     scenario: a shipped name or a path, or a loaded one. values: what `load` reads it with (`overrides=["road.kind=bumps"], steps=20`).
     folder: where files go, in place of an older recording; None for a temporary one that lives as long as the result. device: "auto",
@@ -78,7 +76,7 @@ def run(
     be read or run, or another process writes into the folder; nothing is written before the first step is done.
     """
     if isinstance(scenario, str | Path):
-        scenario = load_any(str(scenario), **values)
+        scenario = load(str(scenario), **values)
     elif values:
         raise LuxloopError(f"{scenario.source}: is loaded already and takes no overrides; give them to load()")
     temporary = None
@@ -90,30 +88,24 @@ def run(
         raise LuxloopError(f"{folder}: is the recording that is played, which this run would replace; give another folder with --out")
     folder, outputs = Path(folder), Outputs(video, report, frames)
     with output_folder(folder):
-        if isinstance(scenario, LightingScenario):
-            lighting = prepare(scenario, device)
-            beside = Checks(lighting, lighting_row, checks)
-            summary = run_lighting(lighting, folder, beside, outputs, on_step, on_end)
-        else:
-            symbol = prepare(scenario, device)
-            summary = _run_symbol(symbol, folder, Checks(symbol, row, checks), outputs, on_step, on_end)
+        simulation = prepare(scenario, device)
+        summary = _recorded(simulation, folder, Checks(simulation, row, checks), outputs, on_step, on_end)
     gc.collect()  # matplotlib leaves exceptions of its parser in cycles, and their frames hold the simulation: half a gigabyte
     return RunResult(summary, read_parquet(folder / TRAJECTORY), folder, temporary)
 
 
-def _run_symbol(
+def _recorded(
     simulation: Simulation,
     directory: Path,
     checks: Checks[StepResult],
     outputs: Outputs,
-    on_step: Callable[[StepResult | LightingResult], None],
+    on_step: Callable[[StepResult], None],
     on_end: Callable[[], None],
 ) -> dict[str, Any]:
-    scenario = simulation.scenario
-    gathered = Gathered(scenario.steps)
+    scenario, watched, look = simulation.scenario, Watched(simulation), None
 
     def page(table: pa.Table, summary: dict[str, Any]) -> None:
-        write_report(directory / REPORT, simulation, gathered, table, summary)
+        write_report(directory / REPORT, simulation, watched, table, summary)
 
     size = (scenario.camera.width_px, scenario.camera.height_px)
     drawn = page if outputs.report else no_report
@@ -123,67 +115,50 @@ def _run_symbol(
         for result in simulation.run():
             recorder.add(result)
             checks.step()
-            gathered.add(result)
+            watched.add(result)
             if film is not None:
-                film.add(frame_picture(result, simulation))
+                look = white_of(result, simulation) if look is None else look
+                film.add(frame_picture(result, simulation, look))
             on_step(result)
     return recorder.summary()
 
 
-@overload
-def prepare(scenario: Scenario, device: str = "auto") -> Simulation: ...
-@overload
-def prepare(scenario: LightingScenario, device: str = "auto") -> LightingSimulation: ...
-def prepare(scenario: AnyScenario, device: str = "auto") -> Simulation | LightingSimulation:
-    """A simulation of either kind, to be stepped: `state = simulation.start()`, `state, result = simulation.step(state)`.
+def prepare(scenario: Scenario, device: str = "auto") -> Simulation:
+    """A simulation, to be stepped: `state = simulation.start()`, `state, result = simulation.step(state)`.
 
     scenario: a loaded one. device: "auto", "cpu" or "cuda". Raises LuxloopError where a file is missing, and of a symbol that the lamps
     cannot draw at its target, or that the camera cannot see there, or where a check names a column or light that is not there.
     """
-    if isinstance(scenario, LightingScenario):
-        lighting = LightingSimulation.prepare(scenario, torch_device(device))
-        with located(scenario.source):
-            others = [lighting.lit_by(light) for light in lights(scenario.checks)]
-            refuse_unknown(scenario.checks, schema(lighting), {name for other in others for name in valued(other)})
-        return lighting
-    with located(scenario.source):
-        refuse_unknown(scenario.checks, SCHEMA, SCHEMA.names)
-        return _prepare(scenario, device)
-
-
-def _prepare(scenario: Scenario, device: str) -> Simulation:
-    refuse_unseen(scenario.symbol, scenario, "symbol.")
     simulation = Simulation.prepare(scenario, torch_device(device))
-    refuse_undrawable(simulation.observer, simulation.judge, scenario.headlight.beam, "symbol.")
+    with located(scenario.source):
+        simulated = isinstance(simulation.plant, SimulatedPlant)  # where it is not, checks that compare are evaluated in no run
+        others = [simulation.lit_by(light) for light in lights(scenario.checks)] if simulated else [simulation]
+        refuse_unknown(scenario.checks, schema(simulation), {name for other in others for name in valued(other)})
     return simulation
 
 
-def check(scenario: AnyScenario, device: str = "auto") -> dict[str, Any]:
+def check(scenario: Scenario, device: str = "auto") -> dict[str, Any]:
     """Build everything that a scenario names, and return what it is; `in_words` says it. Raises LuxloopError where it cannot run.
 
-    `steps` and `road`; of a symbol's scenario also `controller`, of others `base` (what shines below all functions), `functions` (their
-    kinds by name), `objects` (their number) and `detector` (None where there is none). With a detector also the number of `boxes` that it
-    finds in the first frame, `lx_max`, the most light on objects there (None where none is in sight), and `known`, whether the plant
-    knows the truth.
+    `steps`, `road`, `base` (what shines below all functions), `functions` (their kinds by name), `controllers` (of symbols that are held,
+    by name), `objects` (their number) and `detector` (None where there is none). With a detector also the number of `boxes` that it finds
+    in the first frame, `lx_max`, the most light on objects there (None where none is in sight), and `known`, whether the plant knows the
+    truth.
     """
-    facts: dict[str, Any] = {"steps": scenario.steps, "road": scenario.road.kind}
-    if isinstance(scenario, Scenario):
-        prepare(scenario, device)
-        return facts | {"controller": scenario.controller.name}
     simulation = prepare(scenario, device)
-    return (
-        facts
-        | _first_look(simulation)
-        | {
-            "base": simulation.base(scenario.lighting.base.beam),
-            "functions": {name: function.kind for name, function in scenario.functions.items()},
-            "objects": len(scenario.all_objects),
-            "detector": None if scenario.detector is None else scenario.detector.kind,
-        }
-    )
+    return {
+        "steps": scenario.steps,
+        "road": scenario.road.kind,
+        **_first_look(simulation),
+        "base": simulation.base(scenario.lighting.base.beam),
+        "functions": {name: function.kind for name, function in scenario.functions.items()},
+        "controllers": {name: each.params.name for name, each in simulation.controlled.items()},
+        "objects": len(scenario.all_objects),
+        "detector": None if scenario.detector is None else scenario.detector.kind,
+    }
 
 
-def _first_look(simulation: LightingSimulation) -> dict[str, Any]:
+def _first_look(simulation: Simulation) -> dict[str, Any]:
     if simulation.sight is None:
         return {}
     with located(simulation.scenario.source):
@@ -197,9 +172,8 @@ def _first_look(simulation: LightingSimulation) -> dict[str, Any]:
 def in_words(facts: dict[str, Any]) -> str:
     """What `check` found, in a line."""
     start = f"{facts['steps']} steps, road {facts['road']}"
-    if "controller" in facts:
-        return f"{start}, controller {facts['controller']}"
-    kinds = ", ".join(f"{name} ({kind})" for name, kind in facts["functions"].items()) or "none"
+    held = {name: f", held by {controller}" for name, controller in facts["controllers"].items()}
+    kinds = ", ".join(f"{name} ({kind}{held.get(name, '')})" for name, kind in facts["functions"].items()) or "none"
     finder = "no detector" if facts["detector"] is None else f"detector {facts['detector']} ({_looked(facts)})"
     return f"{start}, {facts['base']}, functions {kinds}, {facts['objects']} objects, {finder}"
 

@@ -3,7 +3,7 @@
     import luxloop
 
     result = luxloop.run("snowflake")
-    print(result.summary["iou_final"])
+    print(result.summary["functions"]["symbol"]["iou_final"])
 
 A notebook shows `result` as the report of the run. What is named here is the public interface; the insides of `world`, `perception`,
 `controllers` and `loop` may change. Names are imported when they are first used.
@@ -27,14 +27,14 @@ if TYPE_CHECKING:
     from loop.contracts.detector import check_detector
     from loop.contracts.function import check_function
     from loop.contracts.plant import check_plant
+    from loop.lighting.simulation import Simulation
     from loop.pictures.headlight import show as show_headlight
     from loop.plant.protocol import Arrivals, Exposure, Frame
     from loop.plant.simulated import simulated_plant
     from loop.run import RunResult, prepare, run
     from loop.scenario.model import Scenario
-    from loop.scenario.model import load_any as load
-    from loop.scenario.model import validate_any as validate
-    from loop.symbol.simulation import Simulation
+    from loop.scenario.model import load as load
+    from loop.scenario.model import validate as validate
     from perception.detection.protocol import Detections
     from perception.egomotion import Ego, Sample
     from perception.extraction import Loss
@@ -114,8 +114,8 @@ _MODULES = {
     "loop.plant.protocol": ("Arrivals", "Exposure", "Frame"),
     "loop.plant.simulated": ("simulated_plant",),
     "loop.run": ("RunResult", "prepare", "run"),
-    "loop.scenario.model": ("Scenario", "load_any as load", "validate_any as validate"),
-    "loop.symbol.simulation": ("Simulation",),
+    "loop.scenario.model": ("Scenario", "load as load", "validate as validate"),
+    "loop.lighting.simulation": ("Simulation",),
     "perception.detection.protocol": ("Detections",),
     "perception.egomotion": ("Ego", "Sample"),
     "perception.extraction": ("Loss",),

@@ -2,8 +2,9 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, cast
 
 import torch
 from pydantic import AfterValidator, Field, Tag, TypeAdapter
@@ -127,22 +128,27 @@ class Planner:
                     symbols[image] = load(find(image))
         return cls(made, lighting, symbols, dtype)
 
+    @cached_property
+    def adaptive(self) -> Mapping[str, AdaptiveFunction]:
+        """The functions that learn from what is seen, by name."""
+        return {name: each for name, each in self.functions.items() if isinstance(each, AdaptiveFunction)}
+
     @property
     def learns(self) -> bool:
         """Whether any function depends on what was seen before."""
-        return any(isinstance(function, AdaptiveFunction) for function in self.functions.values())
+        return bool(self.adaptive)
 
     def start(self) -> States:
         """Before anything is seen."""
-        return {name: each.start() if isinstance(each, AdaptiveFunction) else None for name, each in self.functions.items()}
+        return {name: self.adaptive[name].start() if name in self.adaptive else None for name in self.functions}
 
     def step(self, states: States, now: Situation) -> States:
         """What the functions have learnt once `now.seen` has come."""
         now = replace(now, symbols=dict(self.symbols))
         stepped = {}
-        for name, function in self.functions.items():
+        for name in self.functions:
             with located(f"functions.{name}"):
-                stepped[name] = function.step(states[name], now) if isinstance(function, AdaptiveFunction) else None
+                stepped[name] = self.adaptive[name].step(states[name], now) if name in self.adaptive else None
         return stepped
 
     def drawn(self, now: Situation, states: States) -> dict[str, tuple[Primitives, ...]]:
@@ -151,10 +157,8 @@ class Planner:
         found = {}
         for name, function in self.functions.items():
             with located(f"functions.{name}"):
-                if isinstance(function, AdaptiveFunction):
-                    found[name] = function.adapted(states[name], now)
-                else:
-                    found[name] = function.primitives(now)
+                learns = self.adaptive.get(name)
+                found[name] = cast(LightingFunction, function).primitives(now) if learns is None else learns.adapted(states[name], now)
         return found
 
     def plan(self, now: Situation, states: States | None = None) -> Plan:
@@ -174,5 +178,5 @@ class Planner:
         return Plan(now.time_s, base, replace(primitives, shared=primitives.shared & self.lighting.share))
 
     def _base_share(self, states: States) -> float:
-        asked = (each.base_share(states[name]) for name, each in self.functions.items() if isinstance(each, AdaptiveFunction))
+        asked = (each.base_share(states[name]) for name, each in self.adaptive.items())
         return max((share for share in asked if share is not None), default=1.0)

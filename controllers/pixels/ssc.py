@@ -91,7 +91,8 @@ class Ssc:
 
     def over(self, default: Tensor) -> "Ssc":
         """The same tables over another base pattern `[n_p]`: a morphed one, for the second pass."""
-        return replace(self, default=default.to(self.default))
+        default = default.to(self.default)
+        return self if default is self.default else replace(self, default=default)
 
 
 def _on_host(primitives: Primitives) -> bool:

@@ -39,8 +39,8 @@ CONTROLLERS: dict[str, type[NamedParams]] = {
 
 
 def build_controller(params: AnyParams, observer: Observer) -> SymbolController:
-    """The controller of these params, `[controller]` of a scenario, for an observer with all that a controller may know: lamps, camera,
-    flat road and target.
+    """The controller of these params, a symbol's in a scenario, for an observer with all that a controller may know: lamps, camera, flat
+    road and target.
 
     Raises LuxloopError where a controller of the user's own cannot be made.
     """

@@ -3,19 +3,13 @@
 from dataclasses import replace
 from pathlib import Path
 
-import torch
-
 from controllers.symbol import AnyParams, build_controller
 from controllers.symbol.heights.feedforward import FeedforwardParams
 from controllers.symbol.sensing.observer import Observer
-from controllers.symbol.sensing.projector import DrawingModule, Projector
 from controllers.symbol.sensing.protocol import SymbolController
-from loop.assembly.lamps import mounted
-from loop.assembly.pixel_control import pixel_controller
 from loop.scenario import data
-from loop.scenario.model import Scenario, WorldScenario
+from loop.scenario.model import Scenario
 from loop.scenario.shipped import named
-from perception.camera import camera_view
 from world.errors import located
 from world.materials.spots import SpottedTexture
 from world.roads.base import Road
@@ -26,23 +20,22 @@ from world.scene.figure import Figure
 from world.scene.road_tiles import RoadTiles
 from world.scene.scene import Scene
 from world.scene.vehicle import STANDING, Motion, drive
-from world.symbols import load_still
 from world.traffic.objects import ObjectParams
 
 
-def build_road(scenario: WorldScenario) -> Road:
+def build_road(scenario: Scenario) -> Road:
     """The road, with its file found. Raises LuxloopError where that is not on this machine."""
     return _located(scenario.road)
 
 
-def build_motion(scenario: WorldScenario) -> Motion:
+def build_motion(scenario: Scenario) -> Motion:
     """The drive, over half a period more than all steps. Raises LuxloopError where a file is missing or broken."""
     if scenario.vehicle is None:
         return STANDING
     return drive(scenario.vehicle, build_road(scenario), (scenario.steps + 1) / scenario.rate_hz)
 
 
-def build_scene(scenario: WorldScenario, motion: Motion = STANDING) -> Scene:
+def build_scene(scenario: Scenario, motion: Motion = STANDING) -> Scene:
     """Road, along the vehicle's course, and objects. Raises LuxloopError where a file is missing or broken."""
     road, surface = build_road(scenario), scenario.surface
     texture = SpottedTexture(surface, scenario.spots) if scenario.spots else surface.texture()
@@ -71,17 +64,7 @@ def _located(road: Road) -> Road:
     return road.model_copy(update={"file": data.locate(road.file)}) if isinstance(road, OpenCrgRoad) else road
 
 
-def build_projector(scenario: Scenario, device: torch.device) -> Projector:
-    """The lamp modules that draw the symbol, the finest of each lamp where none is named, and the symbol's image. Raises as `mounted`."""
-    modules = []
-    for each in mounted(scenario.headlight, device, lambda lamp: [lamp.finest]):
-        beam = each.lamp.beam(scenario.headlight.beam)[each.number].to(device)
-        modules.append(DrawingModule(each.name, pixel_controller(scenario, each.headlight, beam), each.T_world_module))
-    symbol = load_still(symbol_path(scenario.symbol.image)).to(device)
-    return Projector(tuple(modules), symbol, scenario.symbol, camera_view(scenario.camera).origin)
-
-
 def symbol_path(image: str) -> Path:
     """File of a symbol given by shipped name or path. Raises LuxloopError with the nearest name."""
-    with located("symbol.image"):
+    with located("image"):
         return named(image, "symbols")

@@ -6,13 +6,13 @@ from torch import Tensor
 
 from controllers.jpo.controller import Jpo
 from controllers.pixels.ssc import PixelController, Ssc
-from loop.scenario.model import WorldScenario
+from loop.scenario.model import Scenario
 from world.errors import LuxloopError
 from world.headlight import Headlight
 from world.plugin import Guarded, Name, load, running
 
 
-def pixel_controller(scenario: WorldScenario, headlight: Headlight, default: Tensor | None = None) -> PixelController:
+def pixel_controller(scenario: Scenario, headlight: Headlight, default: Tensor | None = None) -> PixelController:
     """The pixel controller that a scenario names, for one headlight; default: `[n_p]`, the base pattern (dark).
 
     One of the user's own, "package.module:Name", is made by its `Name.prepare(headlight)`.

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from controllers.pixels.ssc import Utilisation
 from loop.scenario.disturbances import AimParams, DisturbanceParams, WearParams
-from loop.scenario.model import WorldScenario
+from loop.scenario.model import Scenario
 from perception.camera import CameraParams
 from world.errors import LuxloopError
 from world.frames import pose_from_degrees
@@ -27,7 +27,7 @@ class LampModule:
     T_world_headlight: Tensor
 
 
-def true_camera(scenario: WorldScenario) -> CameraParams:
+def true_camera(scenario: Scenario) -> CameraParams:
     """The camera with its error of calibration. Raises LuxloopError where that puts it under the road."""
     camera, error = scenario.camera, scenario.disturbances.calibration
     half = math.tan(math.radians(camera.hfov_deg) / 2) / (1 + error.focal_percent / 100)

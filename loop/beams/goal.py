@@ -9,7 +9,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from loop.lighting.simulation import LightingSimulation
+from loop.lighting.simulation import Simulation
 from loop.plant.world import LitScene
 from perception.camera import expose, frame_generator, luminance_of, noise_std
 from perception.detection.network import Network, NetworkDetector, boxes_of, middles, prepared
@@ -49,13 +49,13 @@ class Judgement:
 class BeamJudge:
     """A still scene in which beams are judged. detector: None where an image metric is."""
 
-    simulation: LightingSimulation
+    simulation: Simulation
     goal: BeamGoal
     detector: Detector | None
     scene: LitScene
 
     @classmethod
-    def prepare(cls, simulation: LightingSimulation, goal: BeamGoal, detector: Detector | None) -> "BeamJudge":
+    def prepare(cls, simulation: Simulation, goal: BeamGoal, detector: Detector | None) -> "BeamJudge":
         """Raises LuxloopError where there is nothing to be seen."""
         judge = cls(simulation, goal, detector, simulation.world.lit(0.0))
         if not judge.masks:

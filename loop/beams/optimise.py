@@ -13,10 +13,10 @@ from loop.beams.goal import BeamGoal, BeamJudge, Metric
 from loop.beams.picture import write_picture
 from loop.beams.search import Found, Lights, alike, begin, descend, sample
 from loop.lighting.lamps import flux_by_side
-from loop.lighting.simulation import LightingSimulation
+from loop.lighting.simulation import Simulation
 from loop.recording.manifest import write_json
 from loop.run import torch_device
-from loop.scenario.model import AnyScenario, LightingScenario
+from loop.scenario.model import Scenario
 from loop.terminal import tables
 from loop.terminal.progress import progress
 from perception.detection.build import detector
@@ -35,23 +35,21 @@ RAW, PICTURE, SUMMARY = "raw.toml", "beam.png", "beam.json"
 
 
 def optimise_beam(
-    scenario: AnyScenario, weights: Mapping[str, Any], method: Method, steps: int | None, out: Path, device: str, played_by: str
+    scenario: Scenario, weights: Mapping[str, Any], method: Method, steps: int | None, out: Path, device: str, played_by: str
 ) -> dict[str, Any]:
     """Search for a beam, write it, print it; its figures. weights: of a `BeamGoal`. played_by: arguments of `luxloop run`, `--set` last.
 
-    Raises LuxloopError for weights below zero, scenarios of a symbol or without objects in sight, and, before the search, a folder that
+    Raises LuxloopError for weights below zero, scenarios without objects in sight, and, before the search, a folder that
     cannot be made.
     """
     try:
         goal = BeamGoal(**weights)
     except ValidationError as error:
         raise all_of([f"--{each}" for each in sentences(error, BeamGoal, "")]) from error
-    if not isinstance(scenario, LightingScenario):
-        raise LuxloopError(f"{scenario.source}: has a [symbol]; a beam is optimised for a scenario with [lighting]")
     if steps is not None and steps < 1:
         raise LuxloopError(f"--steps {steps}: nothing can be found in that; give 1 or more")
     scenario = scenario.model_copy(update={"functions": {}})
-    simulation = LightingSimulation.prepare(scenario, torch_device(device))
+    simulation = Simulation.prepare(scenario, torch_device(device))
     with located(scenario.source):
         judge = BeamJudge.prepare(simulation, goal, _detector(scenario, goal.metric, simulation.device))
     method = _method(method, judge)
@@ -68,7 +66,7 @@ def optimise_beam(
     return summary
 
 
-def _detector(scenario: LightingScenario, metric: Metric, device: torch.device) -> Detector | None:
+def _detector(scenario: Scenario, metric: Metric, device: torch.device) -> Detector | None:
     if metric != "detector":
         return None
     given = scenario.detector

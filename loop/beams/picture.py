@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 
 from loop.beams.goal import BeamJudge
 from loop.beams.search import Lights
-from loop.lighting.marks import Mark, readable
-from loop.lighting.picture import WALL_DEG, wall_light
-from loop.recording.report import NIGHT, STYLE
+from loop.recording.style import NIGHT, STYLE
+from loop.report.marks import Mark, readable
+from loop.report.picture import WALL_DEG, wall_light
 from perception.camera import luminance_of
 from world.files import whole
 

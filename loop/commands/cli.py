@@ -155,10 +155,10 @@ def check(name: str, /, *, controller: str | None = None, set: Keys = None, json
     """
     from loop.run import check as check_scenario
     from loop.run import in_words
-    from loop.scenario.model import load_any
+    from loop.scenario.model import load
 
     try:
-        found = check_scenario(load_any(name, set or [], allow_code=allow_code, **with_controller(controller)))
+        found = check_scenario(load(name, set or [], allow_code=allow_code, **with_controller(controller)))
     except LuxloopError as error:
         if json:
             tables.show_json({"scenario": name, "ok": False, "error": str(error)})
@@ -218,11 +218,11 @@ def run(
     """
     from loop.commands.runs import run_scenario
     from loop.recording.recorder import Outputs
-    from loop.scenario.model import load_any
+    from loop.scenario.model import load
 
     given: dict[str, Any] = {key: value for key, value in {"seed": seed, "steps": steps}.items() if value is not None}
     given |= {} if plant is None else {"plant": {"kind": "recording", "folder": str(plant)}}
-    scenario = load_any(name, set or [], allow_code=allow_code, **given, **with_controller(controller))
+    scenario = load(name, set or [], allow_code=allow_code, **given, **with_controller(controller))
     passed = run_scenario(scenario, out or Path("runs") / Path(name).stem, device, Outputs(video, report, frames), checks)
     return OK if passed or not checks else FAILED
 
@@ -241,7 +241,7 @@ def replay(directory: Path, /, *, compare: bool | None = None, csv: Path | None 
         File to write the recorded steps to, as comma-separated values.
     """
     from loop.commands.runs import compare_recording
-    from loop.recording.replay import to_csv
+    from loop.lighting.replay import to_csv
 
     if csv is not None:
         to_csv(directory, csv)

@@ -77,7 +77,7 @@ def show(
     lamp
         Preset, lamp file (.npz), description (.toml) or photometric file (.ies, .ldt), which without --view is drawn as it was measured.
     beam
-        Name of the beam, full or off; by default what a lighting scenario does, else low, or full where the lamp has no low beam.
+        Name of the beam, full or off; by default what the scenario does, else low, or full where the lamp has no low beam.
     view
         overview (the default), wall, birdseye, driver, volume, pixels or texture.
     style
@@ -124,7 +124,7 @@ def show(
     else:
         from loop.commands.shown import lights_by_side
         from loop.pictures.headlight import show as show_lamps
-        from loop.scenario.model import LightingScenario, load_any
+        from loop.scenario.model import load
         from world.lampfiles.description import for_traffic, load_lamp
 
         if time_s is not None and (scenario is None or not 0 <= time_s < math.inf):
@@ -132,11 +132,11 @@ def show(
         sides: tuple[Literal["left", "right"], ...] = ("left", "right") if side is None or side == "both" else (side,)
         lamps: dict[str, Lamp] = {each: for_traffic(load_lamp(lamp, each), traffic or "right") for each in sides}
         target = out or Path("-".join([stem, *([beam] if beam else []), *([style] if style else []), view or "overview"]) + ".png")
-        world, shown = None if scenario is None else load_any(scenario, allow_code=allow_code), beam or lamps[sides[0]].default_beam
+        world, shown = None if scenario is None else load(scenario, allow_code=allow_code), beam or lamps[sides[0]].default_beam
         pattern: str | Mapping[str, Sequence[Tensor]] = shown
-        if isinstance(world, LightingScenario) and beam is None:
+        if world is not None and beam is None:
             if traffic is not None:
-                raise LuxloopError("--traffic: default beams for one side of the road are no part of a lighting scenario; name a --beam")
+                raise LuxloopError("--traffic: default beams for one side of the road are no part of a scenario; name a --beam")
             pattern, shown = lights_by_side(world, lamp, time_s or 0.0), f"{world.name} at {time_s or 0.0:g} s"
             lamps = {each: lamps[each] for each in lamps if each in pattern} or lamps
             world = None if view in ("pixels", "texture") else world

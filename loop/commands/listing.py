@@ -2,7 +2,6 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Literal
 
 from cyclopts import App
 from rich.markup import escape
@@ -32,7 +31,7 @@ def list_(kind: Kind = "scenarios", /, *, json: Json = False) -> None:
         tables.show_json(found)
         return
     scenarios = kind == "scenarios"
-    columns = (kind.removesuffix("s"), *(["controller or functions"] if scenarios else []), "what it is")
+    columns = (kind.removesuffix("s"), *(["functions and controllers"] if scenarios else []), "what it is")
     rows = []
     for each in found:
         remedy = f"\n[yellow]needs {each['lacks']}: luxloop data get {each['lacks']}[/]" if each.get("lacks") else ""
@@ -41,20 +40,11 @@ def list_(kind: Kind = "scenarios", /, *, json: Json = False) -> None:
     tables.show(tables.plain(columns, rows, caption=escape(USES[kind])))
 
 
-def schema(*, kind: Literal["symbol", "lighting"] | None = None) -> None:
-    """Print the JSON Schema of scenario files, for editors.
+def schema() -> None:
+    """Print the JSON Schema of scenario files, for editors."""
+    from loop.scenario.model import Scenario
 
-    Parameters
-    ----------
-    kind
-        Scenarios that have a table of this name; by default both kinds.
-    """
-    from pydantic import TypeAdapter
-
-    from loop.scenario.model import AnyScenario, LightingScenario, Scenario
-
-    models: dict[str | None, Any] = {"symbol": Scenario, "lighting": LightingScenario, None: AnyScenario}
-    tables.show_json(TypeAdapter(models[kind]).json_schema())
+    tables.show_json(Scenario.model_json_schema())
 
 
 def doctor(*, json: Json = False) -> int:

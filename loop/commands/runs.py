@@ -1,30 +1,23 @@
 """The commands that run the loop, and tell how far it is."""
 
 import os
-from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import torch
 from rich.markup import escape
-from rich.table import Table
 
-from loop.lighting.replay import replay as replay_lighting
-from loop.lighting.result import LightingResult
+from loop.lighting.replay import replay
+from loop.lighting.result import StepResult
 from loop.lighting.summary import shown
-from loop.recording.checks import lines, passed
+from loop.recording.checks import passed
 from loop.recording.manifest import Manifest
 from loop.recording.recorder import TRAJECTORY, Outputs
-from loop.recording.remedies import remedies
-from loop.recording.replay import Comparison, replay
 from loop.run import run
-from loop.scenario.model import AnyScenario, LightingScenario
-from loop.symbol.simulation import StepResult
+from loop.scenario.model import Scenario
 from loop.terminal import tables
 from loop.terminal.progress import progress
-from loop.terminal.tables import number
 from world.parquet import read_parquet
 
 
@@ -34,7 +27,7 @@ def _one_thread() -> None:
         torch.set_num_threads(1)
 
 
-def run_scenario(scenario: AnyScenario, out: Path, device: str, outputs: Outputs, checks: bool) -> bool:
+def run_scenario(scenario: Scenario, out: Path, device: str, outputs: Outputs, checks: bool) -> bool:
     """Run, and say how it went and where the files lie; returns whether all checks have passed that were evaluated.
 
     Raises KeyboardInterrupt that says what was kept.
@@ -46,7 +39,7 @@ def run_scenario(scenario: AnyScenario, out: Path, device: str, outputs: Outputs
 
     with progress(scenario.name, scenario.steps) as advance:
 
-        def on_step(result: StepResult | LightingResult) -> None:
+        def on_step(result: StepResult) -> None:
             nonlocal done
             done = result.step + 1
             advance()
@@ -56,39 +49,18 @@ def run_scenario(scenario: AnyScenario, out: Path, device: str, outputs: Outputs
             result = run(scenario, out, device=device, **asdict(outputs), checks=checks, on_step=on_step, on_end=on_end)
         except KeyboardInterrupt as error:
             raise KeyboardInterrupt(f"{done} of {scenario.steps} steps are kept in {out}" if done else "nothing was recorded") from error
-    table = shown if isinstance(scenario, LightingScenario) else of_symbol
-    tables.show(table(result.summary, str(out)))
+    tables.show(shown(result.summary, str(out)))
     if checks and not scenario.checks:
         tables.console().print(f"{scenario.name} has no [checks.NAME]", markup=False)
     return passed(result.summary)
 
 
-def of_symbol(values: dict[str, Any], files: str) -> Table:
-    """The closing table of a run, from the summary of a symbol."""
-    x, y = values["centroid_error_percent"]
-    settled = values["settle_step"]
-    rows = {
-        "settle step": f"{settled} of {values['steps']}" if settled is not None else "not settled",
-        "centroid error": f"{number(x, '.2f')} % along, {number(y, '.2f')} % across",
-        "IoU, open loop → final": f"{number(values['iou_open'], '.3f')} → {number(values['iou_final'], '.3f')}",
-        "overshoot": number(values["overshoot_percent"], ".1f", " %"),
-        "lost steps": str(values["lost_steps"]),
-        "time a step": f"{number(values['step_ms_median'], '.1f')} ms (median)",
-        **lines(values),
-        "files": files,
-    }
-    if notes := remedies(values):
-        rows["note"] = "\n".join(notes)
-    return tables.facts(rows)
-
-
 def compare_recording(directory: Path, allow_code: bool) -> bool:
     """Run a recording again, show how the two differ, return whether they agree."""
     manifest = Manifest.read(directory)
-    again: Callable[..., Comparison] = replay_lighting if "lighting" in manifest.scenario else replay
     _one_thread()
     with progress(str(manifest.scenario.get("name")), read_parquet(directory / TRAJECTORY).num_rows) as advance:
-        comparison = again(directory, on_step=lambda result: advance(), allow_code=allow_code)
+        comparison = replay(directory, on_step=lambda result: advance(), allow_code=allow_code)
     console = tables.console()
     for note in comparison.notes:
         console.print(f"note: {note}", markup=False)

@@ -5,17 +5,17 @@ from collections.abc import Mapping, Sequence
 import torch
 from torch import Tensor
 
-from loop.lighting.simulation import LightingSimulation
-from loop.scenario.model import LightingScenario
+from loop.lighting.simulation import Simulation
+from loop.scenario.model import Scenario
 
 
-def lights_by_side(scenario: LightingScenario, lamp: str, time_s: float) -> Mapping[str, Sequence[Tensor]]:
+def lights_by_side(scenario: Scenario, lamp: str, time_s: float) -> Mapping[str, Sequence[Tensor]]:
     """Utilisations `[n_p]`, one a module, that a scenario gives a lamp at a time, by side; dark where a module does not shine.
 
     lamp: preset or lamp file, in place of the scenario's. Raises LuxloopError where the scenario cannot do with it.
     """
     headlight = scenario.headlight.model_copy(update={"model": lamp, "intensity_cd": None})
-    simulation = LightingSimulation.prepare(scenario.model_copy(update={"headlight": headlight}))
+    simulation = Simulation.prepare(scenario.model_copy(update={"headlight": headlight}))
     found: dict[str, list[Tensor]] = {}
     for module, u in zip(simulation.modules, simulation.lights_at(time_s), strict=True):
         mine = found.setdefault(module.side, [torch.zeros(each.headlight.n_pixels) for each in module.lamp.modules])

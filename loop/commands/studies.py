@@ -86,7 +86,7 @@ def tune(
     names
         Scenario files, or names of shipped scenarios; a trial runs all of them.
     key
-        Keys to tune and their ranges, as key=low:high or key=low:high:log, such as controller.position.kp=0.1:2.
+        Keys to tune and their ranges, as key=low:high or key=low:high:log, such as functions.symbol.controller.position.kp=0.1:2.
     objective
         What to minimise: settling, overshoot, residual, iou and energy, weighted as in settling+0.5*overshoot.
     trials
@@ -142,7 +142,7 @@ def optimise_beam(
     Parameters
     ----------
     name
-        Scenario file, or name of a shipped scenario, with [lighting]; its base beam is the start.
+        Scenario file, or name of a shipped scenario; its base beam is the start, and its functions are left out.
     metric
         What to maximise on the objects: a detector's confidence, their Weber contrast, or the steepness of their edges.
     energy
@@ -163,10 +163,10 @@ def optimise_beam(
         Where to compute; auto takes CUDA where there is any.
     """
     from loop.beams.optimise import optimise_beam
-    from loop.scenario.model import load_any
+    from loop.scenario.model import load
 
     goal = {"metric": metric, "energy": energy, "unevenness": unevenness, "glare": glare}
-    scenario, played_by = load_any(name, set or [], allow_code=allow_code), shlex.join([name, "--set", *(set or [])])
+    scenario, played_by = load(name, set or [], allow_code=allow_code), shlex.join([name, "--set", *(set or [])])
     optimise_beam(scenario, goal, method, steps, out or Path("runs") / f"beam-{Path(name).stem}", device, played_by)
 
 

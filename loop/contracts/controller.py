@@ -13,9 +13,10 @@ from controllers.symbol.laws.own import KEY, METHODS
 from controllers.symbol.sensing.drawing import Drawing, Warp
 from controllers.symbol.sensing.protocol import Look
 from loop.contracts.values import check_calls, check_state, check_tensor, name_of, pure
+from loop.lighting.controlled import ControlledSymbol, Frames
+from loop.lighting.simulation import Simulation
 from loop.run import prepare
 from loop.scenario.model import validate
-from loop.symbol.simulation import Frames, Simulation
 from perception.egomotion import Ego
 from perception.extraction import Loss
 from world.errors import LuxloopError, located
@@ -25,11 +26,17 @@ CALLS = {"start": ("pose",), "drawing": ("state", "ego"), "step": ("state", "loo
 SCENARIO: dict[str, Any] = {
     "name": "check_controller",
     "steps": 8,
-    "symbol": {"image": "snowflake"},
-    "start": {"x_m": 17.4, "y_m": 0.3, "roll_deg": 2.0, "pitch_deg": -1.0},
     "camera": {"width_px": 320, "height_px": 180, "oversampling": 1},
+    "headlight": {"model": "idealised-332x1024", "lamps": ["left"]},
     "renderer": "raycast",
-    "controller": {"name": "open"},
+    "functions": {
+        "symbol": {
+            "kind": "symbol",
+            "image": "snowflake",
+            "start": {"x_m": 17.4, "y_m": 0.3, "roll_deg": 2.0, "pitch_deg": -1.0},
+            "controller": "open",
+        }
+    },
 }
 FARTHEST_M = (100.0, 20.0)  # ahead and to each side: what a scenario's start may be
 STEEPEST = math.radians(45)
@@ -43,7 +50,7 @@ def check_controller(controller: type, options: Mapping[str, Any] | None = None,
 
     controller: the class, of which a scenario makes `controller(observer, **options)`. A class and not an instance, since an instance has
     the observer of another scenario, and since making it belongs to the contract; a class and not its name, so that it can be checked where
-    it is written, in a notebook or in a test. options: those of `[controller]`. device: "auto", "cpu" or "cuda".
+    it is written, in a notebook or in a test. options: those of the scenario. device: "auto", "cpu" or "cuda".
 
     It runs for 8 steps on a flat road, seen by a camera of 320 x 180 px, and in some of them also without frames, and with frames that do
     not show the symbol. Raises LuxloopError with the likely cause and the remedy where a method is missing or fails, changes what
@@ -53,10 +60,9 @@ def check_controller(controller: type, options: Mapping[str, Any] | None = None,
     name = name_of(controller)
     check_methods(controller, f"{KEY}: {name}", METHODS)
     simulation = _world(device)
-    own = made(controller, name, KEY, {"observer": simulation.observer}, options or {})
+    own = made(controller, name, KEY, {"observer": simulation.symbol.observer}, options or {})
     check_calls(own, CALLS)
-    simulation = replace(simulation, controller=Watched(own, simulation))
-    seen = [result.seen for result in simulation.run()]
+    seen = [result.symbol.seen for result in simulation.with_controller(Watched(own, simulation.symbol)).run()]
     first, last = (math.hypot(*each.pose_error[:2].tolist()) for each in (seen[0], seen[-1]))
     if seen[-1].code != Loss.SEEN or last > AWAY * first:
         end = f"it is {last:.2g} m away" if seen[-1].code == Loss.SEEN else "it is not seen any more"
@@ -84,7 +90,7 @@ class Watched:
     """The controller in the simulation, of which each call is checked."""
 
     own: Guarded
-    simulation: Simulation
+    symbol: ControlledSymbol
 
     def start(self, pose: Tensor) -> WatchedState:
         """The controller's state, which is data."""
@@ -118,7 +124,7 @@ class Watched:
 
     def _lost(self, look: Look, frames: Frames) -> dict[str, Look]:
         """Looks at the same light where the camera lost the frames, and where these do not show it."""
-        observer, shown, dark = self.simulation.observer, look.shown, (frames[1], frames[1])
+        observer, shown, dark = self.symbol.observer, look.shown, (frames[1], frames[1])
         no_frame, nothing = (observer.look(each, shown.drawing, shown.lights) for each in (None, dark))
         return {
             "a step without frames (look.frames is None)": replace(look, seen=no_frame, frames=None),
@@ -129,7 +135,7 @@ class Watched:
         """Raises LuxloopError where a drawing is none that can be shown."""
         if not isinstance(drawing, Drawing):
             raise LuxloopError(f"gives a {type(drawing).__name__}; return luxloop.Drawing(pose), with the pose [4]")
-        like = self.simulation.projector.target
+        like = self.symbol.projector.target
         check_tensor(drawing.pose, like, (4,), "pose")
         x, y, roll, pitch = drawing.pose.tolist()
         if max(abs(roll), abs(pitch)) > STEEPEST:
@@ -143,13 +149,13 @@ class Watched:
                 check_tensor(value, like, shape, name)
         if drawing.warp is not None:
             self._check_warp(drawing.warp, like)
-        for module, u in zip(self.simulation.projector.modules, drawing.raw or (), strict=False):
+        for module, u in zip(self.symbol.projector.modules, drawing.raw or (), strict=False):
             check_tensor(u, like, (module.pixel_controller.headlight.n_pixels,), f"raw of {module.name}")
             _check_share(u, "raw")
 
     def _check_warp(self, warp: Warp, like: Tensor) -> None:
         *_, rows, columns = warp.dimming.shape
-        modules = len(warp.dimming) if len(warp.dimming) in (1, len(self.simulation.projector.modules)) else 1
+        modules = len(warp.dimming) if len(warp.dimming) in (1, len(self.symbol.projector.modules)) else 1
         check_tensor(warp.dimming, like, (modules, rows, columns), "warp.dimming")
         check_tensor(warp.source, like, (modules, 2, rows, columns), "warp.source")
         _check_share(warp.dimming, "warp.dimming")

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from loop.contracts.values import check_calls, name_of, pure
 from loop.run import prepare, torch_device
-from loop.scenario.model import validate_lighting
+from loop.scenario.model import validate
 from perception.detection.build import KEY, METHODS, CheckedDetector, own_detector
 from perception.detection.params import OwnDetector
 from perception.detection.protocol import Detections
@@ -66,7 +66,7 @@ def _frames(device: str) -> Tensor:
     """`[3, height, width]` as a detector gets them: a dark road, the same in the high beam, and with objects on it."""
     found = []
     for beam, steps in (("off", [0]), ("high", [0, 1])):
-        simulation = prepare(validate_lighting({**SCENARIO, "lighting": {"base": {"beam": beam}}}, SCENARIO["name"]), device)
+        simulation = prepare(validate({**SCENARIO, "lighting": {"base": {"beam": beam}}}, SCENARIO["name"]), device)
         found += [frame for step in steps if (frame := simulation.at(step).frame) is not None]
     return torch.stack(found) / (2**simulation.scenario.camera.bits - 1)
 

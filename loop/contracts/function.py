@@ -9,10 +9,10 @@ from controllers.functions.own import KEY, CheckedAdaptive, CheckedFunction, Own
 from controllers.pixels.primitives import Primitives
 from controllers.situation import Situation
 from loop.contracts.values import check_calls, check_state, name_of, pure
-from loop.lighting.result import LightingResult
-from loop.lighting.simulation import LightingSimulation
+from loop.lighting.result import StepResult
+from loop.lighting.simulation import Simulation
 from loop.run import prepare
-from loop.scenario.model import validate_lighting
+from loop.scenario.model import validate
 from world.errors import LuxloopError, located
 from world.plugin import Guarded
 
@@ -70,13 +70,13 @@ def check_function(function: type, options: Mapping[str, Any] | None = None, dev
 
 
 @cache
-def _world(device: str) -> tuple[LightingSimulation, list[LightingResult]]:
+def _world(device: str) -> tuple[Simulation, list[StepResult]]:
     """With what the lamps do there without a function."""
-    simulation = prepare(validate_lighting(SCENARIO, "check_function"), device)
+    simulation = prepare(validate(SCENARIO, "check_function"), device)
     return simulation, _steps(simulation)
 
 
-def _steps(simulation: LightingSimulation) -> list[LightingResult]:
+def _steps(simulation: Simulation) -> list[StepResult]:
     state, results = simulation.start(), []
     for _ in range(simulation.scenario.steps):
         state, result = simulation.step(state)

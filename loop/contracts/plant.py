@@ -9,12 +9,13 @@ from typing import Any
 from torch import Tensor
 
 from loop.contracts.values import Parts, check_calls, check_state, check_tensor, copied, difference, name_of, pure
+from loop.lighting.lamps import dark_modules
+from loop.lighting.simulation import Simulation
 from loop.plant.build import KEY, METHODS
 from loop.plant.protocol import Arrivals, Exposure, Frame
 from loop.plant.world import World
 from loop.run import prepare
 from loop.scenario.model import validate
-from loop.symbol.simulation import Simulation, lamp_modules
 from perception.egomotion import VALUES, Sample
 from world.errors import LuxloopError, did_you_mean, located
 from world.plugin import Guarded, check_methods, made
@@ -25,10 +26,10 @@ EXPOSURES = 24  # more than those of the 10 steps by which the frames of a scena
 ROUNDING_S = 1e-9  # of sums of periods
 SCENARIO: dict[str, Any] = {
     "name": "check_plant",
-    "symbol": {"image": "snowflake"},
     "camera": {"width_px": 320, "height_px": 180, "oversampling": 1},
+    "headlight": {"model": "idealised-332x1024", "lamps": ["left"]},
     "renderer": "raycast",
-    "controller": {"name": "open"},
+    "functions": {"symbol": {"kind": "symbol", "image": "snowflake", "controller": "open"}},
 }
 
 
@@ -48,13 +49,17 @@ def check_plant(plant: type, options: Mapping[str, Any] | None = None, device: s
     name = name_of(plant)
     check_methods(plant, f"{KEY}: {name}", METHODS)
     simulation = _world(device)
-    own = made(plant, name, KEY, {"scenario": simulation.scenario, "modules": lamp_modules(simulation.projector)}, options or {})
+    own = made(plant, name, KEY, {"scenario": simulation.scenario, "modules": dark_modules(simulation.modules)}, options or {})
     check_calls(own, CALLS)
     _check_truth(own)
     shown: list[Shown] = []
     state, arrivals = _said(own, "start", {}, shown, simulation)
     for number in range(EXPOSURES):
-        light = simulation.projector.light(simulation.projector.target) if number % 2 == 0 else simulation.projector.resting
+        light = (
+            simulation.symbol.projector.light(simulation.symbol.projector.target)
+            if number % 2 == 0
+            else simulation.symbol.projector.resting
+        )
         exposure = Exposure(number, arrivals.time_s, simulation.scenario.shares[number % 2] / simulation.scenario.rate_hz, light)
         before = state
         state, arrivals = _said(own, "show", {"state": before, "exposure": exposure}, shown, simulation)
@@ -174,7 +179,7 @@ def _check_sample(sample: Sample, now_s: float, simulation: Simulation) -> None:
                 "time in s, and a sample when it has arrived"
             )
         count = VALUES[sample.sensor] or len(sample.values)
-        check_tensor(sample.values, simulation.projector.target, (count,), "values")
+        check_tensor(sample.values, simulation.symbol.projector.target, (count,), "values")
 
 
 def _check_image(image: Tensor | None, simulation: Simulation) -> None:
@@ -183,7 +188,7 @@ def _check_image(image: Tensor | None, simulation: Simulation) -> None:
     camera = simulation.scenario.camera
     if isinstance(image, Tensor) and not image.isfinite().all():
         raise LuxloopError("has an image that is not finite; a frame that is lost has the image None")
-    check_tensor(image, simulation.projector.target, (camera.height_px, camera.width_px), "image")
+    check_tensor(image, simulation.symbol.projector.target, (camera.height_px, camera.width_px), "image")
     low, high, most = float(image.min()), float(image.max()), 2**camera.bits - 1
     if low < 0 or high > most:
         raise LuxloopError(

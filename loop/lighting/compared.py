@@ -11,13 +11,13 @@ from torch import Tensor
 from controllers.functions.base_beams import BaseBeam
 from controllers.functions.planner import Plan
 from loop.lighting.lamps import flux_by_side
-from loop.lighting.simulation import LightingSimulation
+from loop.lighting.simulation import Simulation
 from loop.recording.summary import column
 
 LOW, STANDBY = "low", "standby"
 
 
-def compared(simulation: LightingSimulation, table: pa.Table) -> Mapping[str, NDArray[np.floating]]:
+def compared(simulation: Simulation, table: pa.Table) -> Mapping[str, NDArray[np.floating]]:
     """W of all lamps in each step `[steps]`, by name: "standby", "low beam" if they have one, then the base beam if it is another."""
     modules, beams = simulation.modules, table["beam"].to_pylist()
     steps = np.ones(table.num_rows)
@@ -33,7 +33,7 @@ def compared(simulation: LightingSimulation, table: pa.Table) -> Mapping[str, ND
     return found
 
 
-def _watts(simulation: LightingSimulation, lights: Sequence[Tensor]) -> float:
+def _watts(simulation: Simulation, lights: Sequence[Tensor]) -> float:
     modules, limit = simulation.modules, simulation.scenario.lighting.power_limit or 1.0
     given, most = flux_by_side(modules, lights), flux_by_side(modules, [torch.ones_like(module.flux) for module in modules])
     return sum(simulation.scenario.headlight.power_w(min(lm, limit * most[side])) for side, lm in given.items())

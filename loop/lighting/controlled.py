@@ -1,7 +1,8 @@
 """Symbols among the lighting functions that a controller holds straight: what is measured of them, and what is drawn."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import torch
@@ -12,6 +13,7 @@ from controllers.functions.symbol import SymbolFunctionParams
 from controllers.pixels.primitives import Primitives, concatenate, meant
 from controllers.pixels.ssc import Utilisation
 from controllers.situation import LAYERS, Situation
+from controllers.symbol import ControllerParams
 from controllers.symbol.laws.open_loop import OpenLoopParams
 from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.field import cut
@@ -20,18 +22,18 @@ from controllers.symbol.sensing.observer import Observer, Seen
 from controllers.symbol.sensing.projector import DrawingModule, Projector
 from controllers.symbol.sensing.protocol import Look, Shown, SymbolController
 from loop.assembly.build import build_road, build_symbol_controller
+from loop.lighting.feasible import brightness, refuse_undrawable, refuse_unseen
+from loop.lighting.judging import Judge
 from loop.lighting.lamps import ShiningModule
 from loop.plant.pairing import Arrived
 from loop.plant.world import World
-from loop.scenario.model import LightingScenario
+from loop.scenario.model import Scenario
 from loop.scenario.shipped import named
-from loop.symbol.feasible import refuse_undrawable, refuse_unseen
-from loop.symbol.judging import Judge
 from perception.camera import CameraParams, camera_view
 from perception.egomotion import Ego
 from perception.extraction import Crop, Loss
 from perception.judge import Verdict
-from world.errors import LuxloopError, located
+from world.errors import located
 from world.headlight.lamp import pixel_area
 from world.symbols import load_still
 
@@ -53,8 +55,8 @@ class HeldState:
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """A symbol in one step. drawing: what was shown. cut: `[4]`, shares beyond the borders of the lamps' field. seen: what was made of the
-    newest frames. verdict: None where nobody judged.
+    """A symbol in one step. drawing: what was shown. cut: `[4]`, shares beyond the borders of the lamps' field
+    (`controllers.symbol.sensing.field`). seen: what was made of the newest frames. verdict: None where nobody judged.
     """
 
     drawing: Drawing
@@ -82,7 +84,7 @@ class Held:
 class Moment:
     """What was shown in a step. drawings: of the symbols, by name. measured: names of those that are off in the off exposure.
 
-    on, off: lights of all modules. ego: the motion with which they were drawn.
+    on, off: lights of all modules. ego: the motion with which they were drawn. alone: whether nothing else was drawn or masked.
     """
 
     drawings: Mapping[str, Drawing]
@@ -90,12 +92,17 @@ class Moment:
     on: tuple[Utilisation, ...]
     off: tuple[Utilisation, ...]
     ego: Ego | None
+    alone: bool
 
-
-def lights_of(arrived: Arrived[Moment]) -> Iterator[tuple[Utilisation, ...]]:
-    """Those of on and off frame: as asked for, unless a frame says otherwise."""
-    for frame, asked in ((arrived.on, arrived.what.on), (arrived.off, arrived.what.off)):
-        yield asked if frame.shown is None else frame.shown.lights
+    def as_shown(self, arrived: Arrived["Moment"]) -> "Moment":
+        """As asked for, unless a frame says otherwise."""
+        on, off = arrived.on.shown, arrived.off.shown
+        moment = self if off is None else replace(self, off=off.lights, alone=False)
+        if on is None:
+            return moment
+        drawings = on.drawings or self.drawings
+        measured = self.measured if off is None else tuple(name for name in drawings if name not in off.drawings)
+        return replace(moment, on=on.lights, drawings=drawings, measured=measured, alone=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +122,7 @@ class ControlledSymbol:
     def prepare(
         cls,
         function: SymbolFunctionParams,
-        scenario: LightingScenario,
+        scenario: Scenario,
         modules: Sequence[ShiningModule],
         planner: Planner,
         world: World | None,
@@ -139,14 +146,26 @@ class ControlledSymbol:
         observer = Observer(projector, model, scenario.camera, function.extraction)
         judge = None
         if world is not None:
-            judged = model if world.camera == scenario.camera else model_of(world.camera)
+            judged = model if world.camera == scenario.camera else model_of(world.camera)  # the judge knows where the camera is
             judge = Judge.of(world, function.held, build_road(scenario), judged.luminance(projector.light(projector.target)))
         refuse_undrawable(observer, judge, base.base.name)
         return cls(function, drawn_by, observer, build_symbol_controller(function.controller, observer), judge)
 
     @property
+    def params(self) -> ControllerParams:
+        """Of its controller."""
+        assert self.function.controller is not None
+        return self.function.controller
+
+    @property
     def projector(self) -> Projector:
+        """What draws it."""
         return self.observer.projector
+
+    @cached_property
+    def brightness(self) -> Tensor:
+        """Median luminance `[]` in cd/m^2 at its target on a flat road."""
+        return brightness(self.observer, self.judge)
 
     def in_open_loop(self) -> "ControlledSymbol":
         """The same without control: drawn at its target for a flat road."""
@@ -157,10 +176,10 @@ class ControlledSymbol:
         return HeldState(self.controller.start(self.function.start_pose.pose.to(self.projector.target)))
 
     def command(self, drawing: Drawing, T_ground_body: Tensor) -> tuple[Primitives, ...]:
-        """What a drawing asks of the modules, in the ground frame. Raises LuxloopError for utilisations, which nothing else could join."""
-        function, parts = self.function, []
+        """What a drawing asks of the modules, in the ground frame; nothing of one that is all pixels."""
         if drawing.raw is not None:
-            raise LuxloopError("controller: draws utilisations; among lighting functions it may draw poses and warps")
+            return ()
+        function, parts = self.function, []
         for module, primitive in zip(self.projector.modules, self.projector.primitives(drawing, clear=True), strict=True):
             drawn = replace(
                 primitive,
@@ -178,13 +197,20 @@ class ControlledSymbol:
 
         on, off: of all modules with the symbol and without it.
         """
-        resting = self.projector.resting
-        return tuple(Utilisation(beam.u + on[k].u - off[k].u) for k, beam in zip(self.drawn_by, resting, strict=True))
+        found = []
+        for k, beam in zip(self.drawn_by, self.projector.resting, strict=True):
+            same = off[k].u is beam.u  # nothing else shines
+            found.append(on[k] if same else Utilisation(beam.u + on[k].u - off[k].u))
+        return tuple(found)
 
-    def step(self, state: HeldState, frames: Frames | None, shown: Shown, ego: Ego | None) -> tuple[HeldState, Seen]:
-        """Look at the frames that show it, None where there are none, and control."""
+    def step(self, state: HeldState, name: str, arrived: Arrived[Moment], ego: Ego | None) -> tuple[HeldState, Seen]:
+        """Look at the frames that show it, if they do, and control. name: its own."""
+        moment = arrived.what.as_shown(arrived)
+        shown = Shown(moment.drawings[name], self.light(moment.on, moment.off), moment.ego)
+        frames = arrived.images if name in moment.measured else None
         seen = self.observer.look(frames, shown.drawing, shown.lights, state.shape if ego is None or ego.stands else None)
-        seen = self._less_masks(seen, shown)
+        if not moment.alone:
+            seen = self._less_masks(seen, shown)
         return HeldState(self.controller.step(state.controller, Look(seen, frames, shown, ego)), state.turn, seen.shape), seen
 
     def _less_masks(self, seen: Seen, shown: Shown) -> Seen:
@@ -211,7 +237,7 @@ class ControlledSymbol:
 
 
 def controlled_symbols(
-    scenario: LightingScenario, modules: Sequence[ShiningModule], planner: Planner, world: World | None
+    scenario: Scenario, modules: Sequence[ShiningModule], planner: Planner, world: World | None
 ) -> Mapping[str, ControlledSymbol]:
     """All of a scenario by name, from top to bottom. Raises LuxloopError as `ControlledSymbol.prepare`."""
     found: dict[str, ControlledSymbol] = {}
@@ -224,6 +250,8 @@ def controlled_symbols(
 
 def turn(symbols: Mapping[str, ControlledSymbol], states: Mapping[str, HeldState], drawings: Mapping[str, Drawing]) -> tuple[str, ...]:
     """Names of the symbols to be measured together: those that have waited longest, no two in one part of the image."""
+    if len(drawings) < 2:
+        return tuple(drawings)
     taken: dict[str, Crop] = {}
     for name in sorted(drawings, key=lambda name: (states[name].turn, name)):
         where = symbols[name].footprint(drawings[name])

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -12,10 +13,11 @@ from controllers.pixels.morphing import Morphing
 from controllers.pixels.power import limit_power, pixel_flux
 from controllers.pixels.primitives import meant
 from controllers.pixels.secondary import SecondaryRays
-from controllers.pixels.ssc import PixelController
+from controllers.pixels.ssc import PixelController, Utilisation
 from loop.assembly.lamps import MountedModule, mounted
 from loop.assembly.pixel_control import pixel_controller
-from loop.scenario.model import LightingScenario
+from loop.assembly.truth import LampModule
+from loop.scenario.model import Scenario
 from loop.scenario.shipped import named
 from world.errors import LuxloopError, located
 from world.headlight import Headlight
@@ -34,6 +36,11 @@ class ShiningModule(MountedModule):
     beams: Mapping[str, Morphing]
     raw: RawUtilisation | None = None
 
+    @cached_property
+    def flux_lm(self) -> float:
+        """Of all its pixels."""
+        return float(self.flux.sum())
+
     def showing(self, beam: str) -> "ShiningModule":
         """The module with this base beam alone. Raises LuxloopError where the lamp has none of that name."""
         shown = Morphing(self.headlight, self.lamp.beam(beam)[self.number].to(self.flux))
@@ -45,14 +52,15 @@ class ShiningModule(MountedModule):
             return self.raw.at(plan.time_s).to(self.flux)
         beam = plan.base
         moved = self.beams[beam.name]
-        return beam.share * (moved.beam if beam == BaseBeam(beam.name, share=beam.share) else moved.utilisation(beam.morph))
+        shown = moved.beam if beam == BaseBeam(beam.name, share=beam.share) else moved.utilisation(beam.morph)
+        return shown if beam.share == 1 else beam.share * shown
 
-    def utilisation(self, plan: Plan, secondary: SecondaryRays) -> Tensor:
-        """Utilisation `[n_p]` of base beam and functions; secondary: what this module's rays ask where they hit."""
+    def utilisation(self, plan: Plan, secondary: SecondaryRays) -> Utilisation:
+        """Of base beam and functions; secondary: what this module's rays ask where they hit."""
         base, primitives = self.base(plan), plan.for_module(self.name)
         if primitives is None:
-            return base
-        return self.controller.over(base).utilisation(primitives.to(base.device), self.T_world_module, secondary).u
+            return Utilisation(base, slice(0, 0) if self.raw is None and plan.base.name == "off" else None)
+        return self.controller.over(base).utilisation(primitives.to(base.device), self.T_world_module, secondary)
 
 
 @dataclass(frozen=True)
@@ -85,19 +93,20 @@ def mean_powers(powers: Sequence[Mapping[str, LampPower]], shares: Sequence[floa
     return {side: of(side) for side in first}
 
 
-def shining_modules(scenario: LightingScenario, device: torch.device) -> tuple[ShiningModule, ...]:
+def shining_modules(scenario: Scenario, device: torch.device) -> tuple[ShiningModule, ...]:
     """The shining modules of a scenario's lamps, all where it names none. Raises LuxloopError as `mounted`, and for a missing beam."""
     modules = []
     for each in mounted(scenario.headlight, device, lambda lamp: lamp.modules):
         light, flux, raw = each.headlight, pixel_flux(each.headlight), _raw(scenario, each.name, each.headlight)
         base = scenario.lighting.base.names if raw is None else ()
         beams: dict[str, Morphing] = {name: Morphing(light, each.lamp.beam(name)[each.number].to(flux)) for name in base}
-        controller = pixel_controller(scenario, light)
+        lasting = beams.get(scenario.lighting.base.beam)  # None of one by the situation
+        controller = pixel_controller(scenario, light, None if lasting is None else lasting.beam)
         modules.append(ShiningModule(each.side, each.lamp, each.number, light, each.T_world_module, controller, flux, beams, raw))
     return tuple(modules)
 
 
-def _raw(scenario: LightingScenario, name: str, headlight: Headlight) -> RawUtilisation | None:
+def _raw(scenario: Scenario, name: str, headlight: Headlight) -> RawUtilisation | None:
     """The raw utilisations of a module. Raises LuxloopError that names the key and the file where they are not its own."""
     mine = [(i, raw) for i, raw in enumerate(scenario.lighting.raw) if meant(raw.modules, name)]
     if len(mine) > 1:
@@ -108,6 +117,11 @@ def _raw(scenario: LightingScenario, name: str, headlight: Headlight) -> RawUtil
             file = named(raw.file, "utilisations")
             return read_sequence(file, headlight.pixel_rows, headlight.pixel_cols, raw.rate_hz, raw.repeat)
     return None
+
+
+def dark_modules(modules: Sequence[ShiningModule]) -> list[LampModule]:
+    """What a plant is given of the modules: they show nothing that is not asked for."""
+    return [LampModule(each.name, each.headlight, Utilisation(0 * each.flux, slice(0, 0)), each.T_world_module) for each in modules]
 
 
 def flux_by_side(modules: Sequence[ShiningModule], lights: Sequence[Tensor]) -> dict[str, float]:
@@ -124,8 +138,8 @@ def driven(
     secondary: Sequence[SecondaryRays],
     power_limit: float | None,
     power_w: Callable[[float], float],
-) -> tuple[tuple[Tensor, ...], Mapping[str, LampPower]]:
-    """Utilisations `[n_p]`, one a module, and the power of each lamp by its side, within the limit if there is one.
+) -> tuple[tuple[Utilisation, ...], Mapping[str, LampPower]]:
+    """Utilisations, one a module, and the power of each lamp by its side, within the limit if there is one.
 
     secondary: of each module. power_w: electrical power of a lamp that gives so many lm.
     """
@@ -133,10 +147,13 @@ def driven(
     lights, powers = [], {}
     for side in dict.fromkeys(module.side for module in modules):
         mine = [module for module in modules if module.side == side]
-        u = torch.cat([module.utilisation(plan, asks[module.name]) for module in mine])
-        flux = torch.cat([module.flux for module in mine])
-        u, factor = limit_power(u, flux, flux.sum() * (1.0 if power_limit is None else power_limit))
-        total = float((u * flux).sum())
-        powers[side] = LampPower(total, total / float(flux.sum()), float(factor), power_w(total), total)
-        lights += u.split([len(module.flux) for module in mine])
+        shown, factor, most = [module.utilisation(plan, asks[module.name]) for module in mine], 1.0, sum(each.flux_lm for each in mine)
+        if power_limit is not None:
+            flux = torch.cat([module.flux for module in mine])
+            u, least = limit_power(torch.cat([each.u for each in shown]), flux, most * power_limit)
+            parts, factor = u.split([len(module.flux) for module in mine]), float(least)
+            shown = [Utilisation(part, each.band) for part, each in zip(parts, shown, strict=True)]
+        total = sum(float(each.u @ module.flux) for each, module in zip(shown, mine, strict=True))
+        powers[side] = LampPower(total, total / most, factor, power_w(total), total)
+        lights += shown
     return tuple(lights), powers

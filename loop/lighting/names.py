@@ -4,12 +4,12 @@ from collections.abc import Iterator
 from typing import Any
 
 from loop.lighting.lamps import ShiningModule
-from loop.scenario.model import LightingScenario
+from loop.scenario.model import Scenario
 from perception.detection.params import TruthParams
 from world.errors import LuxloopError
 
 
-def check_names(scenario: LightingScenario, modules: tuple[ShiningModule, ...]) -> None:
+def check_names(scenario: Scenario, modules: tuple[ShiningModule, ...]) -> None:
     """Raises LuxloopError where raw utilisations or a function are meant for a lamp, module or object that is not there."""
     known = dict.fromkeys(word for module in modules for word in (*module.name.split(" ", 1), module.name))
     objects = [item.name for item in scenario.all_objects if item.category is not None]
@@ -28,12 +28,12 @@ def check_names(scenario: LightingScenario, modules: tuple[ShiningModule, ...]) 
                 )
 
 
-def refuse_unknown(scenario: LightingScenario) -> None:
+def refuse_unknown(scenario: Scenario) -> None:
     """Raises LuxloopError that names the first key that needs a plant which knows the truth."""
-    params = scenario.lighting
+    params, tracked = scenario.lighting, any(each.category for each in scenario.all_objects)
     wants = {
         "detector.kind": (isinstance(scenario.detector, TruthParams), "give a detector that looks at frames"),
-        "objects": (bool(scenario.all_objects) and scenario.detector is None, "give a [detector] that finds them in frames"),
+        "objects": (tracked and scenario.detector is None, "give a [detector] that finds them in frames, or take them out"),
         "lighting.street_lamps": (params.street_lamps, "leave it out"),
         "lighting.shadow_rays": (params.shadow_rays, "leave it out"),
         **{f"functions.{name}": (function.kind == "material", "take it out") for name, function in scenario.functions.items()},

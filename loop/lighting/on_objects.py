@@ -2,10 +2,14 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 from torch import Tensor
 
+from controllers.functions.glare_free import GlareFreeParams
+from controllers.pixels.rthc import masks
+from controllers.situation import Situation, TrackedObject
 from loop.lighting.sight import Recognised, name_of
 from loop.plant.world import Metered
 
@@ -47,3 +51,11 @@ def on_objects(
             peak = max(float(lx.max()) for lx in lights)
         found[name] = OnObject(len(lights[0]), low, mean, high, peak, number in dark)
     return found
+
+
+def must_be_dark(functions: Mapping[str, Any], each: TrackedObject, now: Situation) -> bool:
+    """Whether a glare-free function keeps all light off an object: its own mask is there, and not fading."""
+    alone = replace(now, objects=(each,))
+    there = each.since_s <= now.time_s < each.until_s
+    glare_free = (function for function in functions.values() if isinstance(function, GlareFreeParams))
+    return there and any(any(masks(part)) for function in glare_free for part in function.primitives(alone))

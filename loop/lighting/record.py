@@ -1,20 +1,26 @@
 """Recordings of lighting functions: a row a step with the lamps' power and the light on every tracked object."""
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
+import torch
 
 from loop.lighting.compared import compared
+from loop.lighting.controlled import Held
 from loop.lighting.on_materials import quantities
-from loop.lighting.result import LightingResult
-from loop.lighting.simulation import LightingSimulation
+from loop.lighting.result import StepResult
+from loop.lighting.simulation import Simulation
 from loop.lighting.summary import summarise
+from loop.recording.columns import AIM, CENTROIDS, CUT, ERRORS, POSE, SYMBOL, loss_name, of_one
 from loop.recording.frames import FrameRecorder
 from loop.recording.manifest import Manifest
-from loop.recording.recorder import SYMBOL, Checked, Report, TableRecorder, no_report, of_symbol, unchecked
+from loop.recording.recorder import Checked, Report, TableRecorder, no_report, unchecked
+from loop.recording.summary import summarise as summarise_symbol
 from loop.scenario.plant import shadow_of
+from perception.judge import Verdict
 
 # name: (type, unit, description); lamps and objects have columns of their own.
 STEP = {
@@ -73,6 +79,8 @@ ZONE = {
     "target": (pa.float64(), "cd/m^2", "luminance wanted"),
 }
 MATERIAL = {"lx": ("lx", "illuminance"), "luminance": ("cd/m^2", "luminance")}
+NAN = torch.tensor(torch.nan)
+NOT_JUDGED = Verdict(NAN.expand(2), NAN, NAN, NAN, NAN)
 LOOKED_AT = {
     "track": (pa.int64(), "", "number of the track that shows it; empty without one"),
     "confidence": (pa.float64(), "1", "of that track, filtered over frames, 0 without one; empty while the camera sees nothing of it"),
@@ -80,7 +88,7 @@ LOOKED_AT = {
 }
 
 
-def schema(simulation: LightingSimulation) -> pa.Schema:
+def schema(simulation: Simulation) -> pa.Schema:
     """Columns of a simulation's recording: `lamp.left.flux_lm`, `objects.NAME.lx_max` and so on."""
     sides = dict.fromkeys(module.side for module in simulation.modules)
     tracked, looks = simulation.watched, simulation.sight is not None
@@ -114,12 +122,12 @@ def schema(simulation: LightingSimulation) -> pa.Schema:
     return pa.schema(pa.field(name, kind, metadata={"unit": unit, "description": text}) for name, (kind, unit, text) in columns.items())
 
 
-def valued(simulation: LightingSimulation) -> set[str]:
-    """Names of what has values in the run of another light (`LightingSimulation.lit_by`), under which nothing must be dark."""
+def valued(simulation: Simulation) -> set[str]:
+    """Names of what has values in the run of another light (`Simulation.lit_by`), under which nothing must be dark."""
     return {*schema(simulation).names, *LEARNING} - {"dark_lx_max"}
 
 
-def row(result: LightingResult) -> dict[str, Any]:
+def row(result: StepResult) -> dict[str, Any]:
     """A step as plain values by the names of its schema's columns."""
     base, primitives = result.plan.base, result.plan.primitives
     values: dict[str, Any] = {
@@ -133,6 +141,7 @@ def row(result: LightingResult) -> dict[str, Any]:
         "dark_lx_max": result.dark_lx_max,
         "symbol_iou_min": result.symbol_iou_min,
         **{f"{part}_ms": ms for part, ms in result.timings.items()},
+        "look_ms": result.timings["plant"] + result.timings["look"],
     }
     values |= {"base_share": base.share, "power_w": sum(power.watts for power in result.powers.values())}
     for side, power in result.powers.items():
@@ -141,7 +150,7 @@ def row(result: LightingResult) -> dict[str, Any]:
     for name, each in result.objects.items():
         values |= {f"objects.{name}.{key}": getattr(each, key) for key in OBJECT | OBJECT_PEAK}
     for name, held in result.held.items():
-        values |= {f"functions.{name}.{key}": value for key, value in of_symbol(held, held.seen).items()}
+        values |= {f"functions.{name}.{key}": value for key, value in of_symbol(held).items()}
     for name, zone in result.zones.items():
         values |= {f"functions.{name}.{key}": getattr(zone, key) for key in ZONE}
     for name, material in result.materials.items():
@@ -156,13 +165,50 @@ def row(result: LightingResult) -> dict[str, Any]:
     return values
 
 
-class LightingRecorder(TableRecorder[LightingResult]):
+def of_symbol(held: Held) -> dict[str, Any]:
+    """What is recorded of one symbol in a step, by the names of SYMBOL."""
+    verdict, seen = held.verdict or NOT_JUDGED, held.seen
+    degrees = torch.tensor([1.0, 1.0, 180 / torch.pi, 180 / torch.pi], dtype=torch.float64)
+    tensors = {
+        POSE: held.pose,
+        ("z_m",): held.z,
+        ERRORS: seen.errors,
+        tuple(f"pose_error_{name}" for name in POSE): seen.pose_error,
+        CENTROIDS: seen.appearance.centroids,
+        ("area_ratio",): seen.area_ratio,
+        ("centroid_error_x_percent", "centroid_error_y_percent"): verdict.centroid_percent,
+        ("iou", "ssim", "length", "shear"): torch.stack([verdict.iou, verdict.ssim, verdict.length, verdict.shear]),
+        CUT: held.cut,
+        AIM: held.aim,
+        ("code",): seen.code,
+    }
+    host = torch.cat([tensor.flatten().double() for tensor in tensors.values()]).cpu()
+    host[:4] *= degrees
+    host[9:13] *= degrees
+    values = dict(zip([name for names in tensors for name in names], host.tolist(), strict=True))
+    return values | {"loss": loss_name(int(values.pop("code")))}
+
+
+def summary_of(simulation: Simulation, table: pa.Table, last: Mapping[str, StepResult]) -> dict[str, Any]:
+    """The summary of a run's steps. last: of each symbol the last step that shows it, beside which the open loop is judged."""
+    scenario, held = simulation.scenario, dict[str, dict[str, Any]]()
+    for name, symbol in simulation.controlled.items():
+        iou = math.nan
+        if symbol.judge is not None and name in last:
+            time_s = last[name].time_s
+            iou = float(symbol.judge.judged(simulation.world.added(time_s, *simulation.opened(last[name], name)), time_s).iou)
+        held[name] = summarise_symbol(of_one(table, name), symbol.params.name, iou)
+    summary = summarise(table, scenario.name, compared(simulation, table), held) | {"shadow_of": shadow_of(scenario.plant)}
+    return summary | ({"flicker": {"rate_hz": scenario.rate_hz, "on_share": 1 - scenario.off_share}} if held else {})
+
+
+class Recorder(TableRecorder[StepResult]):
     """Records a run of lighting functions."""
 
     def __init__(
         self,
         directory: Path,
-        simulation: LightingSimulation,
+        simulation: Simulation,
         report: Report = no_report,
         checked: Checked = unchecked,
         frames: bool = False,
@@ -170,21 +216,17 @@ class LightingRecorder(TableRecorder[LightingResult]):
         """frames: whether to keep them. Raises LuxloopError as any recorder does, and if an input file cannot be read."""
         self.simulation = simulation
         kept = FrameRecorder(directory, simulation.scenario.camera.bits) if frames else None
-        self.idle = set(simulation.scenario.functions)
+        self.idle, self.last = set(simulation.scenario.functions), dict[str, StepResult]()
         manifest = Manifest.of(simulation.scenario, simulation.renderer, simulation.device)
         super().__init__(directory, manifest, schema(simulation), report, checked, kept)
 
-    def row(self, result: LightingResult) -> dict[str, Any]:
+    def row(self, result: StepResult) -> dict[str, Any]:
         if self.idle:
             self.idle &= self.simulation.idle(result)
+        self.last |= dict.fromkeys(result.held, result)
         return row(result)
 
     def figures(self) -> dict[str, Any]:
         """The steps so far in a few numbers."""
         idle = [f"functions.{name} ({each.kind})" for name, each in sorted(self.simulation.scenario.functions.items()) if name in self.idle]
-        table = self.table()
-        summary = summarise(table, self.simulation.scenario.name, compared(self.simulation, table))
-        scenario = self.simulation.scenario
-        if scenario.holds:
-            summary["flicker"] = {"rate_hz": scenario.rate_hz, "on_share": 1 - scenario.off_share}
-        return summary | {"idle_functions": idle, "shadow_of": shadow_of(scenario.plant)}
+        return summary_of(self.simulation, self.table(), self.last) | {"idle_functions": idle}

@@ -1,4 +1,4 @@
-"""What happened in a step of a lighting scenario, and what is known before the next."""
+"""What happened in a step, and what is known before the next."""
 
 import time
 from collections.abc import Mapping
@@ -9,7 +9,7 @@ from torch import Tensor
 
 from controllers.functions.planner import Plan, States
 from controllers.situation import Situation
-from loop.lighting.controlled import Held, HeldState, Moment
+from loop.lighting.controlled import Frames, Held, HeldState, Moment
 from loop.lighting.lamps import LampPower
 from loop.lighting.observed import ObservedSymbol
 from loop.lighting.on_materials import OnMaterial
@@ -18,6 +18,7 @@ from loop.lighting.sight import Recognised
 from loop.lighting.zoned import InZone
 from loop.plant.pairing import UnderWay
 from loop.plant.protocol import Arrivals, Frame, Showing
+from loop.scenario.model import only
 from perception.detection.protocol import Detections
 from perception.egomotion import Samples
 from perception.tracks import TrackedBoxes
@@ -25,7 +26,7 @@ from world.view import View
 
 
 @dataclass(frozen=True, eq=False)
-class LightingState:
+class SimulationState:
     """What the car knows before a step. tracks: the tracker's state, None without a detector. functions: what each of them has learnt.
 
     plant: its state. arrivals: what has come in by its beginning. samples: the newest of each of the vehicle's sensors.
@@ -63,14 +64,15 @@ class Look:
 
 
 @dataclass(frozen=True)
-class LightingResult:
+class StepResult:
     """What happened in one step.
 
     now: what was known, and functions: what they had learnt, when the light was planned. view: of the camera from the ground frame then, as
     the car believed. masked: names of objects that must be dark. lights: utilisations `[n_p]`, one a module. powers: by the lamps' sides.
     illuminance: `[height, width]` lx from the lamps alone, and luminance: in cd/m^2 with all other light, as the camera sees them; None
-    where the plant does not know the truth.
-    frame: digital numbers of the newest frame that came in this step, None where none came. objects: by name, those that are there and have
+    where the plant does not know the truth, and the illuminance where nobody asks for it.
+    frame: digital numbers of the newest frame that came in this step, None where none came. frames: the newest on and off frame that
+    controllers got, taken at taken_s, NaN where none came. objects: by name, those that are there and have
     a category. look: None without a detector. symbols: those that are meant for an observer, from their eyes. held: those that controllers
     hold; zones, materials: all by name. showings: the exposures. timings: ms by part.
     """
@@ -87,6 +89,8 @@ class LightingResult:
     illuminance: Tensor | None
     luminance: Tensor | None
     frame: Tensor | None
+    frames: Frames | None
+    taken_s: float
     objects: Mapping[str, OnObject]
     look: Look | None
     symbols: tuple[ObservedSymbol, ...]
@@ -95,6 +99,11 @@ class LightingResult:
     materials: Mapping[str, OnMaterial]
     showings: tuple[Showing, ...]
     timings: Mapping[str, float]
+
+    @property
+    def symbol(self) -> Held:
+        """The only symbol that is shown and held. Raises LuxloopError where there are several or none."""
+        return self.held[only(self.held)]
 
     @property
     def dark_lx_max(self) -> float | None:

@@ -10,25 +10,23 @@ import torch
 from torch import Tensor
 
 from controllers.functions.base_beams import BaseBeamParams, BeamName
-from controllers.functions.glare_free import GlareFreeParams
 from controllers.functions.planner import Plan, Planner
 from controllers.pixels.primitives import Primitives
-from controllers.pixels.rthc import masks
 from controllers.pixels.secondary import Light, SecondaryRays, scene_caster
 from controllers.pixels.ssc import Utilisation
 from controllers.pixels.windows import projected_windows
 from controllers.situation import Seen, Situation, TrackedObject
 from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.observer import Seen as SeenSymbol
-from controllers.symbol.sensing.protocol import Shown
-from loop.assembly.truth import LampModule
-from loop.lighting.controlled import ControlledSymbol, Moment, controlled_symbols, lights_of, turn
-from loop.lighting.lamps import LampPower, ShiningModule, driven, mean_powers, shining_modules
+from controllers.symbol.sensing.protocol import SymbolController
+from loop.lighting.controlled import ControlledSymbol, Moment, controlled_symbols, turn
+from loop.lighting.ground import attitude, moved, seen_from
+from loop.lighting.lamps import LampPower, ShiningModule, dark_modules, driven, mean_powers, shining_modules
 from loop.lighting.names import check_names, refuse_unknown
 from loop.lighting.observed import ObservedSymbol, in_white, observed_symbols
 from loop.lighting.on_materials import OnMaterial, on_materials
-from loop.lighting.on_objects import OnObject, on_objects, told_as
-from loop.lighting.result import Clock, LightingResult, LightingState, Look
+from loop.lighting.on_objects import OnObject, must_be_dark, on_objects, told_as
+from loop.lighting.result import Clock, Look, SimulationState, StepResult
 from loop.lighting.sight import Sight, false_positives, recognised
 from loop.lighting.zoned import in_zones
 from loop.plant.build import build_plant
@@ -37,14 +35,14 @@ from loop.plant.protocol import Arrivals, Exposure, Plant, Showing
 from loop.plant.simulated import as_simulated
 from loop.plant.world import LitScene, Metered, World, categories
 from loop.scenario.checks import Light as OtherLight
-from loop.scenario.model import LightingScenario, RoadConditionParams
+from loop.scenario.model import Scenario, only
 from loop.scenario.shipped import named
 from perception.camera import camera_view, luminance_of, saturation_luminance
 from perception.detection.protocol import Detections
 from perception.egomotion import Ego, Samples, ego_of, newest
 from perception.judge import Verdict
 from world.errors import LuxloopError, located
-from world.frames import inverse, transform
+from world.frames import inverse
 from world.scene.scene import StreetLamp
 from world.view import View
 
@@ -52,15 +50,15 @@ BEAMS: Mapping[OtherLight, BeamName] = {"full_light": "full", "low_beam": "low"}
 
 
 @dataclass(frozen=True, eq=False)
-class LightingSimulation:
-    """A lighting scenario made ready to run on one device.
+class Simulation:
+    """A scenario made ready to run on one device.
 
     Functions live in the ground frame, which drives with the car. view: what the camera of a car on a level body would see, as the car
     believes. sight: None without a detector. controlled: symbols that are held, by name. Without any of these steps depend on their time
     alone, unless a function learns.
     """
 
-    scenario: LightingScenario
+    scenario: Scenario
     device: torch.device
     planner: Planner
     modules: tuple[ShiningModule, ...]
@@ -71,18 +69,17 @@ class LightingSimulation:
     controlled: Mapping[str, ControlledSymbol] = field(default_factory=dict)
 
     @classmethod
-    def prepare(cls, scenario: LightingScenario, device: torch.device | str = "cpu") -> "LightingSimulation":
+    def prepare(cls, scenario: Scenario, device: torch.device | str = "cpu") -> "Simulation":
         """Build scene and lamps, load symbols, plan a step. Raises LuxloopError where something is missing, beams included, or broken."""
         with located(scenario.source):
             return cls._prepare(scenario, torch.device(device))
 
     @classmethod
-    def _prepare(cls, scenario: LightingScenario, device: torch.device) -> "LightingSimulation":
+    def _prepare(cls, scenario: Scenario, device: torch.device) -> "Simulation":
         planner = Planner.prepare(scenario.functions, scenario.lighting, lambda image: named(image, "symbols"))
         modules = shining_modules(scenario, device)
         check_names(scenario, modules)
-        dark = [LampModule(each.name, each.headlight, Utilisation(0 * each.flux), each.T_world_module) for each in modules]
-        plant = build_plant(scenario, dark)
+        plant = build_plant(scenario, dark_modules(modules))
         truth = getattr(plant, "truth", None)
         if truth is None:
             refuse_unknown(scenario)
@@ -107,11 +104,38 @@ class LightingSimulation:
         return truth
 
     @property
+    def symbol(self) -> ControlledSymbol:
+        """The only symbol that a controller holds. Raises LuxloopError where there are several or none."""
+        return self.controlled[only(self.controlled)]
+
+    def with_controller(self, controller: SymbolController) -> "Simulation":
+        """The same with another controller of the only symbol that is held. Raises as `symbol`."""
+        return replace(self, controlled={only(self.controlled): replace(self.symbol, controller=controller)})
+
+    def opened(self, result: StepResult, name: str) -> tuple[tuple[Utilisation, ...], tuple[Utilisation, ...]]:
+        """Lights of a step with one of its symbols as the open loop draws it, and without that one."""
+        symbol, T_ground_body = self.controlled[name], result.view.T_world_view @ inverse(self.view.T_world_view)
+        drawn: dict[str, Sequence[Primitives]] = {**self.planner.drawn(result.now, result.functions)}
+        drawn |= {other: self.controlled[other].command(held.drawing, T_ground_body) for other, held in result.held.items()}
+        drawn[name] = symbol.command(Drawing(symbol.projector.target), T_ground_body)
+        lights, others = (
+            self._driven(self.planner.composed(result.now, result.functions, each), result.now)[0]
+            for each in (drawn, _without(drawn, [name]))
+        )
+        return lights, others
+
+    def of_all(self, symbol: ControlledSymbol, light: Sequence[Utilisation]) -> tuple[Utilisation, ...]:
+        """What a light of a symbol's modules adds to their base beams, as utilisations of all modules."""
+        drawn = dict(zip(symbol.drawn_by, zip(light, symbol.projector.resting, strict=True), strict=True))
+        added = {k: Utilisation(each.u - beam.u, each.band) for k, (each, beam) in drawn.items()}
+        return tuple(added.get(k, Utilisation(0 * module.flux, slice(0, 0))) for k, module in enumerate(self.modules))
+
+    @property
     def renderer(self) -> str:
         """Source of the simulated plant's G-buffers, else what the plant is called."""
         return self.scenario.plant.kind if self.truth is None else self.truth.source.name
 
-    def lit_by(self, light: OtherLight) -> "LightingSimulation":
+    def lit_by(self, light: OtherLight) -> "Simulation":
         """The same world with the same noise: in open loop, or lit by nothing but a beam, all pixels on or the low beam.
 
         Raises LuxloopError where there is no such beam, and on a plant that is not the simulated world.
@@ -144,7 +168,7 @@ class LightingSimulation:
         T_ground_body = attitude(ego)
         lights = tuple((name, replace(each, T_world_headlight=moved(T_ground_body, each.T_world_headlight))) for name, each in self.lights)
         speed, yaw_rate = (0.0, 0.0) if ego is None or ego.stands else (float(ego.speed_m_s), float(ego.yaw_rate_rad_s))
-        conditions = conditions_at(self.scenario.conditions, time_s)
+        conditions = self.scenario.conditions_at(time_s)
         return Situation(
             time_s,
             torch.eye(4, dtype=torch.float64),
@@ -157,13 +181,13 @@ class LightingSimulation:
             lights=lights,
         )
 
-    def start(self, step: int = 0) -> LightingState:
+    def start(self, step: int = 0) -> SimulationState:
         """The state before a step, with nothing seen yet."""
         (plant, arrivals), tracks = self.plant.start(), None if self.sight is None else self.sight.tracker.start()
         if step:
             arrivals = self.sensed(step / self.scenario.rate_hz)
         held = {name: each.start() for name, each in self.controlled.items()}
-        return LightingState(step, tracks, self.planner.start(), plant, arrivals, newest({}, arrivals.samples), held)
+        return SimulationState(step, tracks, self.planner.start(), plant, arrivals, newest({}, arrivals.samples), held)
 
     def sensed(self, time_s: float) -> Arrivals:
         """What the sensors have told by a time. Raises LuxloopError on a plant that is not the simulated world."""
@@ -173,7 +197,7 @@ class LightingSimulation:
         """What is known of the car's motion at a time, None of one that stands."""
         return ego_of(samples, self.scenario.vehicle, time_s, self.scenario.shares[0] / self.scenario.rate_hz)
 
-    def step(self, state: LightingState) -> tuple[LightingState, LightingResult]:
+    def step(self, state: SimulationState) -> tuple[SimulationState, StepResult]:
         """One step: light is planned with what is known, and what is then seen adds to it.
 
         Where symbols are held all light is shown first, and for the rest of the step all but the symbols whose turn it is.
@@ -190,20 +214,22 @@ class LightingSimulation:
             plans.append(self.planner.composed(now, state.functions, _without(drawn, measured)))
         clock.lap("plan")
         driven = [self._driven(plan, now) for plan in plans]
-        plan, lights = plans[0], driven[0][0]
+        plan, exposures = plans[0], [lights for lights, _ in driven] * (per_step // len(driven))
+        exposures[0] = self._raw(exposures[0], drawings)
+        asked = [drawings, *[{name: each for name, each in drawings.items() if name not in measured}] * (per_step - 1)]
         clock.lap("light")
         plant, arrivals, samples, frames, showings = state.plant, state.arrivals, state.samples, state.frames, list[Showing]()
-        exposures = [tuple(Utilisation(u) for u in light) for light, _ in driven] * (per_step // len(driven))
         metered: list[Metered] = []
-        for part, (share, shown) in enumerate(zip(shares, exposures, strict=True)):
-            before, exposure = arrivals, Exposure(per_step * state.step + part, arrivals.time_s, share / self.scenario.rate_hz, shown)
+        for part, (share, shown, drawing) in enumerate(zip(shares, exposures, asked, strict=True)):
+            number, duration_s = per_step * state.step + part, share / self.scenario.rate_hz
+            before, exposure = arrivals, Exposure(number, arrivals.time_s, duration_s, shown, drawing)
             plant, arrivals = self.plant.show(plant, exposure)
-            if world is not None:  # what the simulated plant has just metered
+            if world is not None and world.metered:  # what the simulated plant has just metered
                 metered.append(world.meter(before.time_s, shown))
             showings.append(Showing(before, exposure, arrivals))
             frames, samples = frames + arrivals.frames, newest(samples, arrivals.samples)
         lit = metered[0] if metered else None
-        clock.lap("look")
+        clock.lap("plant")
         watched = {"on": (0,), "off": (per_step - 1,), "both": range(per_step)}[self.scenario.detector_frames]
         believed = {**state.believed, **{per_step * state.step + part: view for part in watched}}
         tracks, functions, image, found, then_s = state.tracks, state.functions, None, None, time_s
@@ -222,21 +248,20 @@ class LightingSimulation:
             believed = {number: each for number, each in believed.items() if number > frames[-1].number}
         look = None if self.sight is None else self._look(self.sight, tracks, found, then_s, metered)
         clock.lap("find")
-        moment = Moment(drawings, measured, exposures[0], exposures[-1], ego)
+        alone = len(drawings) == 1 and len(self.planner.functions) == 1 and self.scenario.lighting.power_limit is None
+        moment = Moment(drawings, measured, exposures[0], exposures[-1], ego, alone)
         looks, under_way, frames = paired((*state.under_way, (per_step * state.step, moment)), frames) if self.controlled else ([], (), ())
         newer = self.ego(samples, arrivals.time_s)
         held = {name: replace(each, turn=state.step) if name in measured else each for name, each in state.held.items()}
         looked = dict[str, SeenSymbol]()
         for each in looks:
-            moment, on, off = each.what, *lights_of(each)
-            for name, drawing in moment.drawings.items():
-                symbol, shown_then = self.controlled[name], Shown(drawing, self.controlled[name].light(on, off), moment.ego)
-                images = each.images if name in moment.measured else None
-                held[name], looked[name] = symbol.step(held[name], images, shown_then, newer)
+            drawn_then = each.what.as_shown(each).drawings
+            for name in (name for name in held if name in drawn_then):
+                held[name], looked[name] = self.controlled[name].step(held[name], name, each, newer)
         clock.lap("control")
-        masked = frozenset(each.name for each in now.objects if self.masked(each, now))
+        masked = frozenset(each.name for each in now.objects if must_be_dark(self.scenario.functions, each, now))
         told = told_as(self.watched, None if look is None else look.recognised)
-        luminance = None if lit is None else lit.luminance
+        luminance = None if world is None else world.luminance(time_s, exposures[0])[0]
         zones = in_zones(self.planner.functions, state.functions, luminance, view if world is None else world.view_from_ground(time_s))
         objects: Mapping[str, OnObject] = {}
         materials: Mapping[str, OnMaterial] = {}
@@ -246,13 +271,14 @@ class LightingSimulation:
             objects = on_objects(self.watched, frozenset(told[name] for name in masked & told.keys()), metered, shares)
             materials = on_materials(self.planner.functions, functions, now, told, lit.seen, lit.illuminance, lit.luminance)
             if (white := in_white(plan)) is not None:
-                symbols = observed_symbols(plan, lights, self._driven(white, now)[0], world, time_s)
-            every = self.scenario.judge_every
-            if measured and every and state.step % every == 0:
-                verdicts = self._judged(state, now, drawn, measured, exposures[-1], lit.leaving)
+                whitened = [light.u for light in self._driven(white, now)[0]]
+                symbols = observed_symbols(plan, [light.u for light in exposures[0]], whitened, world, time_s)
+        every = self.scenario.judge_every
+        if world is not None and measured and every and state.step % every == 0:
+            verdicts = self._judged(state, now, drawn, measured, exposures)
         results = {name: self.controlled[name].held(each, looked.get(name), verdicts.get(name)) for name, each in drawings.items()}
         clock.lap("look")
-        result = LightingResult(
+        result = StepResult(
             state.step,
             time_s,
             now,
@@ -260,11 +286,13 @@ class LightingSimulation:
             state.functions,
             masked,
             plan,
-            lights,
+            tuple(light.u for light in exposures[0]),
             mean_powers([powers for _, powers in driven], shares),
             None if lit is None else lit.illuminance,
             luminance,
             image,
+            looks[-1].images if looks else None,
+            looks[-1].taken_s if looks else math.nan,
             objects,
             look,
             symbols,
@@ -274,30 +302,40 @@ class LightingSimulation:
             tuple(showings),
             clock.taken_ms,
         )
-        return LightingState(state.step + 1, tracks, functions, plant, arrivals, samples, held, believed, under_way, frames), result
+        return SimulationState(state.step + 1, tracks, functions, plant, arrivals, samples, held, believed, under_way, frames), result
 
     def _judged(
         self,
-        state: LightingState,
+        state: SimulationState,
         now: Situation,
         drawn: Mapping[str, Sequence[Primitives]],
         measured: Sequence[str],
-        off: tuple[Utilisation, ...],
-        leaving: Tensor,
+        exposures: Sequence[tuple[Utilisation, ...]],
     ) -> Mapping[str, Verdict]:
-        """Of each symbol that is measured. off: the light without all of them. leaving: luminance `[height, width]` of all lamps' light."""
-        verdicts = {}
+        """Of each symbol that is measured. exposures: the light with all of them, and without."""
+        verdicts, (on, off) = {}, exposures
         for name in measured:
-            other = off
             if len(measured) > 1:
-                u, _ = self._driven(self.planner.composed(now, state.functions, _without(drawn, [name])), now)
-                other = tuple(map(Utilisation, u))
+                off, _ = self._driven(self.planner.composed(now, state.functions, _without(drawn, [name])), now)
             judge = self.controlled[name].judge
             assert judge is not None
-            verdicts[name] = judge.judged(leaving - self.world.meter(now.time_s, other).leaving, now.time_s)
+            verdicts[name] = judge.judged(self.world.added(now.time_s, on, off), now.time_s)
         return verdicts
 
-    def _drawn(self, state: LightingState, now: Situation, ego: Ego | None) -> tuple[dict[str, Drawing], dict[str, tuple[Primitives, ...]]]:
+    def _raw(self, lights: tuple[Utilisation, ...], drawings: Mapping[str, Drawing]) -> tuple[Utilisation, ...]:
+        """With the utilisations that a controller gives in place of a symbol. Raises LuxloopError beside other functions."""
+        shown = list(lights)
+        for name, drawing in drawings.items():
+            if drawing.raw is not None:
+                if len(self.planner.functions) > 1:
+                    raise LuxloopError(f"functions.{name}.controller: drives all pixels, which leaves none to others; take them out")
+                for k, u in zip(self.controlled[name].drawn_by, drawing.raw, strict=True):
+                    shown[k] = Utilisation(u)
+        return tuple(shown)
+
+    def _drawn(
+        self, state: SimulationState, now: Situation, ego: Ego | None
+    ) -> tuple[dict[str, Drawing], dict[str, tuple[Primitives, ...]]]:
         """What controllers want drawn of the symbols that are shown now, and the primitives of all functions."""
         shown = {name: each for name, each in self.controlled.items() if each.function.shows(now)}
         drawings = {name: each.controller.drawing(state.held[name].controller, ego) for name, each in shown.items()}
@@ -307,7 +345,7 @@ class LightingSimulation:
                 commands[name] = shown[name].command(drawing, attitude(ego))
         return drawings, self.planner.drawn(now, state.functions) | commands
 
-    def at(self, step: int) -> LightingResult:
+    def at(self, step: int) -> StepResult:
         """One step alone, before which nothing was seen; that of the run where nothing depends on what was seen."""
         return self.step(self.start(step))[1]
 
@@ -318,7 +356,8 @@ class LightingSimulation:
             state, _ = self.step(state)
         ego = self.ego(newest({}, self.sensed(time_s).samples), time_s)
         now = self.situation(time_s, state.tracks, ego)
-        return self._driven(self.planner.composed(now, state.functions, self._drawn(state, now, ego)[1]), now)[0]
+        lights, _ = self._driven(self.planner.composed(now, state.functions, self._drawn(state, now, ego)[1]), now)
+        return tuple(light.u for light in lights)
 
     @property
     def remembers(self) -> bool:
@@ -331,7 +370,7 @@ class LightingSimulation:
         told = "base beam off" if beam == "off" else f"{beam} beam"
         return "raw utilisations" if all(raw) else f"{told} and raw utilisations" if any(raw) else told
 
-    def run(self) -> Iterator[LightingResult]:
+    def run(self) -> Iterator[StepResult]:
         """All steps of the scenario."""
         state = self.start()
         for _ in range(self.scenario.steps):
@@ -339,21 +378,14 @@ class LightingSimulation:
                 state, result = self.step(state)
             yield result
 
-    def masked(self, each: TrackedObject, now: Situation) -> bool:
-        """Whether a glare-free function keeps all light off an object: its own mask is there, and not fading."""
-        alone = replace(now, objects=(each,))
-        functions = (function for function in self.scenario.functions.values() if isinstance(function, GlareFreeParams))
-        there = each.since_s <= now.time_s < each.until_s
-        return there and any(any(masks(part)) for function in functions for part in function.primitives(alone))
-
-    def idle(self, result: LightingResult) -> set[str]:
+    def idle(self, result: StepResult) -> set[str]:
         """Names of the functions of which no ray of any lamp that draws them can hit anything at that moment."""
         drawn = self.planner.drawn(result.now, result.functions)
         reach = {name for name, parts in drawn.items() if any(self._in_reach(part, result.now) for part in parts)}
         return drawn.keys() - reach - result.held.keys()
 
     def _all_objects(self, time_s: float) -> tuple[TrackedObject, ...]:
-        if self.truth is None:
+        if self.truth is None or not self.scenario.all_objects:
             return ()
         T_ground_world = inverse(self.world.motion.at(time_s).T_world_ground)
         told = ((body, item.category) for body, item in zip(self.world.scene.objects, self.scenario.all_objects, strict=True))
@@ -395,13 +427,13 @@ class LightingSimulation:
                 return True
         return False
 
-    def _driven(self, plan: Plan, now: Situation) -> tuple[tuple[Tensor, ...], Mapping[str, LampPower]]:
+    def _driven(self, plan: Plan, now: Situation) -> tuple[tuple[Utilisation, ...], Mapping[str, LampPower]]:
         params = self.scenario.lighting
         street_lamps: tuple[StreetLamp, ...] = ()
         occluded = None
         if params.street_lamps or params.shadow_rays:
             T_world_ground = self.world.motion.at(now.time_s).T_world_ground
-            street_lamps = tuple(_seen_from(T_world_ground, lamp) for lamp in self.world.scene.street_lamps) if params.street_lamps else ()
+            street_lamps = tuple(seen_from(T_world_ground, lamp) for lamp in self.world.scene.street_lamps) if params.street_lamps else ()
             occluded = scene_caster(self.world.lit(now.time_s).triangles, T_world_ground) if params.shadow_rays else None
         secondary = [SecondaryRays(now.lights, own, street_lamps, occluded) for own in range(len(self.modules))]
         modules = [
@@ -410,28 +442,5 @@ class LightingSimulation:
         return driven(modules, plan, secondary, params.power_limit, self.scenario.headlight.power_w)
 
 
-def attitude(ego: Ego | None) -> Tensor:
-    """Pose `[4, 4]` of the body in the ground frame, as measured; level where nothing is."""
-    if ego is None or math.isnan(ego.attitude_s):
-        return torch.eye(4, dtype=torch.float64)
-    return ego.at(ego.time_s).T_ground_body.double().cpu()
-
-
-def moved(T_ground_body: Tensor, T_body_module: Tensor) -> Tensor:
-    """Pose `[4, 4]` of a module in the ground frame."""
-    return T_ground_body.to(T_body_module) @ T_body_module
-
-
-def _seen_from(T_world_ground: Tensor, lamp: StreetLamp) -> StreetLamp:
-    """A street lamp in the ground frame."""
-    x, y, z = transform(inverse(T_world_ground), torch.tensor(lamp.position_m, dtype=torch.float64)[:, None])[:, 0].tolist()
-    return lamp.model_copy(update={"position_m": (x, y, z)})
-
-
 def _without(drawn: Mapping[str, Sequence[Primitives]], names: Collection[str]) -> dict[str, Sequence[Primitives]]:
     return {name: each for name, each in drawn.items() if name not in names}
-
-
-def conditions_at(timeline: tuple[RoadConditionParams, ...], time_s: float) -> RoadConditionParams:
-    """The conditions of a time; the first before they begin."""
-    return max((each for each in timeline if each.time_s <= time_s), key=lambda each: each.time_s, default=timeline[0])

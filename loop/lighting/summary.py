@@ -10,6 +10,7 @@ from rich.table import Table
 
 from controllers.zones.material import Quantity
 from loop.recording.checks import lines
+from loop.recording.remedies import remedies
 from loop.recording.summary import column
 from loop.terminal.tables import facts, number
 
@@ -18,14 +19,16 @@ SETTLED = 0.05  # greatest deviation of a zone from its target, as a share of it
 LAST_STEPS = 10  # that a confidence at the end is the mean of
 UNITS: Mapping[Quantity, str] = {"luminance": "cd/m^2", "lx": "lx"}
 WELL_LIT_LX = 5.0  # from which on detectors are trained to find objects
-IOUS = {"final": "at the end", "mean": "on average", "min": "at least, in the second half of the run"}
+CONTROL = ("plan_ms", "light_ms", "control_ms")  # which are the car's own
 LOOKING = ("detections", "false_positives")  # whose means are told
 
 
-def summarise(table: pa.Table, scenario: str, compared_w: Mapping[str, NDArray[np.floating]]) -> dict[str, Any]:
+def summarise(
+    table: pa.Table, scenario: str, compared_w: Mapping[str, NDArray[np.floating]], held: Mapping[str, dict[str, Any]]
+) -> dict[str, Any]:
     """A recording in a few numbers, ready for JSON: None where a value does not exist.
 
-    compared_w: electrical power `[steps]` in W that the recording's is compared with, by name.
+    compared_w: electrical power `[steps]` in W that the recording's is compared with, by name. held: summaries of symbols, by name.
     """
     known = table.column_names
     lamps = [name.split(".")[1] for name in table.column_names if name.startswith("lamp.") and name.endswith(".flux_lm")]
@@ -38,7 +41,6 @@ def summarise(table: pa.Table, scenario: str, compared_w: Mapping[str, NDArray[n
 
     return {
         "scenario": scenario,
-        "functions": "lighting",
         "steps": table.num_rows,
         "dark_lx_max": over("dark_lx_max", "max"),
         "symbol_iou_min": over("symbol_iou_min", "min") if "symbol_iou_min" in table.column_names else None,
@@ -58,7 +60,7 @@ def summarise(table: pa.Table, scenario: str, compared_w: Mapping[str, NDArray[n
             }
             for name in objects
         },
-        **({"symbols": symbols} if (symbols := _symbols(table)) else {}),
+        "functions": dict(held),
         **({"zones": zones} if (zones := _zones(table)) else {}),
         **({"materials": materials} if (materials := _materials(table)) else {}),
         **(
@@ -73,7 +75,7 @@ def summarise(table: pa.Table, scenario: str, compared_w: Mapping[str, NDArray[n
         ),
         **{key: over(key, "mean") for key in LOOKING if key in known},
         **(_eyes(table) | {"tracks_of_nothing": steps_of_nothing(table, objects)} if "eyes_lx_max" in known else {}),
-        "control_ms_median": float(np.median(column(table, "plan_ms") + column(table, "light_ms"))) if table.num_rows else None,
+        "control_ms_median": float(np.median(sum(column(table, part) for part in CONTROL if part in known))) if table.num_rows else None,
     }
 
 
@@ -118,28 +120,6 @@ def eyes_lx(table: pa.Table, from_s: float = 0.0) -> float | None:
 
 def _eyes(table: pa.Table) -> dict[str, Any]:
     return {"eyes_lx_max": eyes_lx(table), "eyes_lx_max_after_start_up": eyes_lx(table, START_UP_S)}
-
-
-def held_in(table: pa.Table) -> list[str]:
-    """Names of the symbols of a recording that controllers hold."""
-    return [each.removeprefix("functions.").removesuffix(".iou") for each in table.column_names if each.endswith(".iou")]
-
-
-def _symbols(table: pa.Table) -> dict[str, Any]:
-    """By name: how well a symbol lies at the end, on average and at least in the second half of the run, and for how long it was lost."""
-    found = {}
-    for name in held_in(table):
-        iou = column(table, f"functions.{name}.iou")
-        late, judged = iou[len(iou) // 2 :], iou[np.isfinite(iou)]
-        late = late[np.isfinite(late)]
-        lost = sum(reason not in ("", None, "no_frame") for reason in table[f"functions.{name}.loss"].to_pylist())
-        found[name] = {
-            "iou_final": float(judged[-1]) if len(judged) else None,
-            "iou_mean": float(late.mean()) if len(late) else None,
-            "iou_min": float(late.min()) if len(late) else None,
-            "steps_lost": lost,
-        }
-    return found
 
 
 def _zones(table: pa.Table) -> dict[str, Any]:
@@ -205,10 +185,8 @@ def shown(values: dict[str, Any], files: str) -> Table:
         rows[f"light on {spoken(name)}"] = "never in the camera's sight" if most is None else f"{mean:.3g} lx (mean), {most:.3g} lx at most"
     if values["dark_lx_max"] is not None:
         rows["on what must be dark"] = f"{values['dark_lx_max']:.3g} lx at most"
-    for name, symbol in values.get("symbols", {}).items():
-        gone = f", lost in {symbol['steps_lost']} steps" if symbol["steps_lost"] else ""
-        ious = ", ".join(f"{number(symbol[f'iou_{key}'], '.3f')} {text}" for key, text in IOUS.items())
-        rows[f"symbol {spoken(name)}"] = f"IoU {ious}{gone}"
+    for name, symbol in values["functions"].items():
+        rows |= {f"{spoken(name)}: {key}": text for key, text in _of_symbol(symbol).items()}
     if (flicker := values.get("flicker")) is not None:
         rows["flicker"] = f"a symbol that is measured is on for {flicker['on_share']:.0%} of a step, at {flicker['rate_hz']:g} Hz"
     for name, zone in values.get("zones", {}).items():
@@ -254,10 +232,25 @@ def shown(values: dict[str, Any], files: str) -> Table:
             large = "" if each["tracks"] else f", of {each['pixels_max']:.0f} px at most"
             steps = f"{gone} of the {each['steps_in_sight']} steps"
             rows[f"{word} {spoken(name)}"] = f"no track shows it in {steps} in which it is in sight{large}"
-    rows["time a step"] = f"{number(values['control_ms_median'], '.1f')} ms (median) for planning and all lamps"
+    rows["time a step"] = f"{number(values['control_ms_median'], '.1f')} ms (median) for planning, all lamps and controllers"
     rows |= lines(values)
+    if notes := [] if values["shadow_of"] else [note for name, each in values["functions"].items() for note in remedies(name, each)]:
+        rows["note"] = "\n".join(notes)
     rows["files"] = files
     return facts(rows)
+
+
+def _of_symbol(values: dict[str, Any]) -> dict[str, str]:
+    x, y = values["centroid_error_percent"]
+    settled = values["settle_step"]
+    late = f"; {number(values['iou_mean'], '.3f')} on average and {number(values['iou_min'], '.3f')} at least in the second half"
+    return {
+        "settle step": f"{settled} of {values['shown_steps']}" if settled is not None else "not settled",
+        "centroid error": f"{number(x, '.2f')} % along, {number(y, '.2f')} % across",
+        "IoU, open loop → final": f"{number(values['iou_open'], '.3f')} → {number(values['iou_final'], '.3f')}{late}",
+        "overshoot": number(values["overshoot_percent"], ".1f", " %"),
+        "lost steps": str(values["lost_steps"]),
+    }
 
 
 def _of_energy(own_j: float, compared_j: Mapping[str, float]) -> str:

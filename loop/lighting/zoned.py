@@ -1,4 +1,4 @@
-"""How bright the zones of a lighting scenario are, beside what was wanted."""
+"""How bright the zones of a scenario are, beside what was wanted."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

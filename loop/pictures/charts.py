@@ -13,7 +13,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, MultipleLocator, NullLocator
 
 from loop.pictures.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, Image, Seen, grey
-from loop.recording.report import NIGHT
+from loop.recording.style import NIGHT
 
 FALSE_COLOURS = "turbo"
 MOST_LINES, DECADES = 8, 3

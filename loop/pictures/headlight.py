@@ -15,8 +15,8 @@ from loop.pictures.overview import draw_overview
 from loop.pictures.panels import WALL_M, draw_birdseye, draw_eye, draw_pixels, draw_texture, draw_wall
 from loop.pictures.styles import check_format, style_of
 from loop.pictures.views import SIDES, LitCar, Road, beside, birdseye, driver
-from loop.recording.report import STYLE
-from loop.scenario.model import HeadlightParams, WorldScenario
+from loop.recording.style import STYLE
+from loop.scenario.model import HeadlightParams, Scenario
 from world.errors import LuxloopError
 from world.files import whole
 from world.headlight.lamp import Lamp
@@ -42,7 +42,7 @@ def show(
     beam: str | Mapping[str, Sequence[Tensor]] | None = None,
     view: str = "overview",
     style: str | None = None,
-    scenario: WorldScenario | None = None,
+    scenario: Scenario | None = None,
     time_s: float = 0.0,
     title: str = "own pattern",
     visibility_m: float | None = None,

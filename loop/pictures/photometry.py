@@ -13,7 +13,7 @@ from loop.pictures import charts
 from loop.pictures.headlight import DPI, write
 from loop.pictures.styles import check_format
 from loop.pictures.views import Image
-from loop.recording.report import FOUR, STYLE
+from loop.recording.style import FOUR, STYLE
 from world.photometry import Distribution, Photometry
 
 SAMPLES = (721, 541)  # of the map, horizontally and vertically

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from loop.assembly.build import build_scene
 from loop.assembly.lamps import T_world_lamp
-from loop.scenario.model import HeadlightParams, WorldScenario, validate
+from loop.scenario.model import HeadlightParams, Scenario, validate
 from world.frames import R_ISO_OPENCV, pose, pose_from_degrees
 from world.headlight.lamp import Lamp, direction
 from world.headlight.matrix import LUMINANCE
@@ -94,7 +94,7 @@ class Seen:
 class Road:
     """A scenario's road and objects at one time, ready to be looked at."""
 
-    def __init__(self, scenario: WorldScenario | None = None, time_s: float = 0.0) -> None:
+    def __init__(self, scenario: Scenario | None = None, time_s: float = 0.0) -> None:
         """Without a scenario: flat asphalt with a lane's markings."""
         self.scenario, self.time_s = scenario or _plain_road(), time_s
         self._shadows: WeakKeyDictionary[Source, ShadowMap] = WeakKeyDictionary()
@@ -178,9 +178,9 @@ def _through_air(
     return veiled.view(luminance.shape)
 
 
-def _plain_road() -> WorldScenario:
+def _plain_road() -> Scenario:
     tables = {"surface": {"markings": True}, "light": {"ambient_lx": NIGHT_LX}}
-    return validate({"name": "flat road", "symbol": {"image": "snowflake"}, **tables}, "flat road")
+    return validate({"name": "flat road", **tables}, "flat road")
 
 
 def driver(width_px: int = 1280) -> View:

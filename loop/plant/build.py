@@ -7,7 +7,7 @@ from loop.assembly.truth import LampModule
 from loop.plant.protocol import Plant
 from loop.plant.recorded import recorded_plant
 from loop.plant.simulated import simulated_plant
-from loop.scenario.model import WorldScenario
+from loop.scenario.model import Scenario
 from loop.scenario.plant import RecordedPlantParams, SimulatedPlantParams
 from world import plugin
 
@@ -15,7 +15,7 @@ KEY = "plant.kind"
 METHODS = ("start", "show")
 
 
-def build_plant(scenario: WorldScenario, modules: Sequence[LampModule]) -> Plant:
+def build_plant(scenario: Scenario, modules: Sequence[LampModule]) -> Plant:
     """Raises LuxloopError where a file is missing or broken, or a plant of one's own cannot be made."""
     params = scenario.plant
     if isinstance(params, SimulatedPlantParams):

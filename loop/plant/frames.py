@@ -6,6 +6,7 @@ exposures may share.
 
 import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -25,6 +26,7 @@ from world.arrays import Arrays, read_npz, write_npz
 from world.errors import LuxloopError
 from world.files import content, reading, regular, whole
 from world.images import decoded
+from world.params import PLAIN
 from world.parquet import read_parquet
 
 FOLDER: Final = "frames"
@@ -105,11 +107,12 @@ def light_arrays(exposure: Exposure) -> Arrays:
     for k, light in enumerate(exposure.lights):
         band = None if light.band is None else torch.tensor([light.band.start, light.band.stop], dtype=torch.float64)
         arrays |= {f"u_{k}": light.u, f"band_{k}": band}
-    if (drawing := exposure.drawing) is not None:
-        arrays |= {"pose": drawing.pose, "z": drawing.z, "shape": drawing.shape, "aim": drawing.aim}
-        arrays |= {f"raw_{k}": u for k, u in enumerate(drawing.raw or ())}
+    for name, drawing in exposure.drawings.items():
+        of_it = {"pose": drawing.pose, "z": drawing.z, "shape": drawing.shape, "aim": drawing.aim}
+        of_it |= {f"raw_{k}": u for k, u in enumerate(drawing.raw or ())}
         if (warp := drawing.warp) is not None:
-            arrays |= {"source": warp.source, "dimming": warp.dimming, "size_m": torch.tensor(warp.size_m, dtype=torch.float64)}
+            of_it |= {"source": warp.source, "dimming": warp.dimming, "size_m": torch.tensor(warp.size_m, dtype=torch.float64)}
+        arrays |= {f"{name}.{key}": value for key, value in of_it.items()}
     return {name: each.detach().cpu().numpy() for name, each in arrays.items() if each is not None}
 
 
@@ -119,8 +122,8 @@ def write_light(file: Path, arrays: Arrays) -> None:
         write_npz(part, arrays.items())
 
 
-def read_light(file: Path, pixels: Sequence[int], device: torch.device) -> tuple[tuple[Utilisation, ...], Drawing | None]:
-    """Lights and drawing, None without one, on the device. pixels: of each module.
+def read_light(file: Path, pixels: Sequence[int], device: torch.device) -> tuple[tuple[Utilisation, ...], dict[str, Drawing]]:
+    """Lights, and drawings by the names of their symbols, on the device. pixels: of each module.
 
     Raises LuxloopError for utilisations of other modules.
     """
@@ -134,12 +137,10 @@ def read_light(file: Path, pixels: Sequence[int], device: torch.device) -> tuple
             if u.min() < 0 or u.max() > 1 or (band is not None and not 0 <= band[0] <= band[1] <= n):
                 raise ValueError(f"u_{k} is no utilisation")
             lights.append(Utilisation(u, None if band is None else slice(int(band[0]), int(band[1]))))
-        if "pose" not in arrays:
-            return tuple(lights), None
-        raw = tuple(_tensor(arrays, f"raw_{k}", device, (n,)) for k, n in enumerate(pixels) if f"raw_{k}" in arrays)
-        z, shape, aim = (_optional(arrays, name, device, size) for name, size in (("z", ()), ("shape", (4,)), ("aim", (2,))))
-        pose, warp = _tensor(arrays, "pose", device, (4,)), _warp(arrays, len(pixels), device)
-        return tuple(lights), Drawing(pose, z, warp, raw or None, shape, aim)
+        names = [key.removesuffix(".pose") for key in arrays if key.endswith(".pose")]
+        if strange := [name for name in names if not re.fullmatch(PLAIN, name)]:
+            raise ValueError(f"{strange[0]!r} is no name of a symbol")
+        return tuple(lights), {name: _drawing(arrays, name, len(pixels), device) for name in names}
 
 
 def sample_values(samples: Sequence[Sample]) -> str:
@@ -188,6 +189,13 @@ def _tensor(arrays: Arrays, name: str, device: torch.device, shape: tuple[int, .
 
 def _optional(arrays: Arrays, name: str, device: torch.device, shape: tuple[int, ...]) -> Tensor | None:
     return _tensor(arrays, name, device, shape) if name in arrays else None
+
+
+def _drawing(arrays: Arrays, name: str, modules: int, device: torch.device) -> Drawing:
+    own = {key.removeprefix(f"{name}."): value for key, value in arrays.items() if key.startswith(f"{name}.")}
+    raw = tuple(_tensor(own, key, device, own[key].shape) for k in range(modules) if (key := f"raw_{k}") in own)
+    z, shape, aim = (_optional(own, key, device, size) for key, size in (("z", ()), ("shape", (4,)), ("aim", (2,))))
+    return Drawing(_tensor(own, "pose", device, (4,)), z, _warp(own, modules, device), raw or None, shape, aim)
 
 
 def _warp(arrays: Arrays, modules: int, device: torch.device) -> Warp | None:

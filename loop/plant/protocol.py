@@ -1,6 +1,7 @@
 """What every plant is: it shows light, exposes frames of it and owns time. The loop knows nothing else of the world."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from torch import Tensor
@@ -14,15 +15,15 @@ from perception.egomotion import Sample
 class Exposure:
     """Light that is shown for `duration_s` s from `start_s` s on, with one frame of it.
 
-    number: ascending, never used twice. lights: utilisations, one a module, base beams included. drawing: of the controlled symbol in these
-    lights, None without one; a plant has no use for it.
+    number: ascending, never used twice. lights: utilisations, one a module, base beams included. drawings: of the symbols in these lights
+    that controllers hold, by name; a plant has no use for them.
     """
 
     number: int
     start_s: float
     duration_s: float
     lights: tuple[Utilisation, ...]
-    drawing: Drawing | None = None
+    drawings: Mapping[str, Drawing] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from torch import Tensor
 from loop.assembly.truth import LampModule
 from loop.plant.frames import TABLE, Row, image_file, light_file, read_exposures, read_image, read_light, read_samples
 from loop.plant.protocol import Arrivals, Exposure, Frame
-from loop.scenario.model import WorldScenario
+from loop.scenario.model import Scenario
 from loop.scenario.plant import RecordedPlantParams
 from perception.camera import CameraParams
 from world.errors import LuxloopError
@@ -49,15 +49,15 @@ class RecordedPlant:
 
     def _frame(self, row: Mapping[str, Any]) -> Frame:
         number = row["number"]
-        lights, drawing = read_light(inside(light_file(self.folder, row["light"]), self.folder), self.pixels, self.like.device)
-        shown = Exposure(number, row["time_s"], row["duration_s"], lights, drawing)
+        lights, drawings = read_light(inside(light_file(self.folder, row["light"]), self.folder), self.pixels, self.like.device)
+        shown = Exposure(number, row["time_s"], row["duration_s"], lights, drawings)
         if row["lost"]:
             return Frame(number, float("nan"), float("nan"), None, shown)
         image = read_image(inside(image_file(self.folder, number), self.folder), self.camera, self.like)
         return Frame(number, row["taken_s"], row["arrived_s"], image, shown)
 
 
-def recorded_plant(scenario: WorldScenario, params: RecordedPlantParams, modules: Sequence[LampModule]) -> RecordedPlant:
+def recorded_plant(scenario: Scenario, params: RecordedPlantParams, modules: Sequence[LampModule]) -> RecordedPlant:
     """The recording that a scenario names. Raises LuxloopError where it has no frames of such exposures, or too few of them."""
     folder, per_step = Path(params.folder), len(scenario.shares)
     table = inside(folder / TABLE, folder)
@@ -69,8 +69,12 @@ def recorded_plant(scenario: WorldScenario, params: RecordedPlantParams, modules
     pixels, like = tuple(module.headlight.n_pixels for module in modules), modules[0].beam.u
     if len(rows) > per_step:
         lights = [read_light(inside(light_file(folder, row["light"]), folder), pixels, like.device) for row in rows[:per_step]]
-        if per_step > 1 and [drawing is None for _, drawing in lights] != [False, True]:
-            raise LuxloopError(f"plant.folder: {folder} shows no symbol that is held; name the recording of a [symbol]")
+        if scenario.controlled and not (held := lights[0][1].keys() - lights[-1][1].keys()) & set(scenario.controlled):
+            shown = ", ".join(sorted(held)) or "none"
+            raise LuxloopError(
+                f"plant.folder: {folder} shows none of the symbols that are held here, {', '.join(scenario.controlled)}, but {shown}; "
+                "run it with the scenario that was recorded"
+            )
         given_s, shown_s = rows[0]["duration_s"], scenario.shares[0] / scenario.rate_hz
         if not math.isclose(given_s, shown_s):
             raise LuxloopError(

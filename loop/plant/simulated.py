@@ -12,7 +12,7 @@ from loop.assembly.truth import LampModule, true_camera, true_modules
 from loop.plant.protocol import Arrivals, Exposure, Frame, Plant
 from loop.plant.world import World
 from loop.scenario.disturbances import UNDISTURBED, DisturbanceParams
-from loop.scenario.model import WorldScenario
+from loop.scenario.model import Scenario
 from perception.camera import expose, frame_generator
 from perception.egomotion import Sample
 from perception.glare import glare
@@ -108,7 +108,7 @@ class SimulatedPlant:
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(step, key)))
 
 
-def simulated_plant(scenario: WorldScenario, modules: Sequence[LampModule]) -> SimulatedPlant:
+def simulated_plant(scenario: Scenario, modules: Sequence[LampModule]) -> SimulatedPlant:
     """The world of a scenario, lit by these modules. Raises LuxloopError where a file is missing or broken."""
     motion, source = build_motion(scenario), face_source(scenario.renderer)
     scene, true = build_scene(scenario, motion), true_modules(scenario.disturbances, modules)

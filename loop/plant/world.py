@@ -1,10 +1,11 @@
 """The simulated world: a scene, lamps and a camera on a vehicle, and what the camera sees of it."""
 
-from collections import OrderedDict
+import math
+from collections import OrderedDict, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import torch
 from torch import Tensor
@@ -30,6 +31,7 @@ from world.traffic.objects import ObjectParams
 from world.traffic.tracked import ROAD_USERS, Category
 from world.view import View
 
+Made = TypeVar("Made")
 KEPT_VIEWS = 4  # on and off frame, before and after a change
 
 
@@ -70,6 +72,8 @@ class LitScene:
         """Luminance `[..., height, width]` in cd/m^2 of all light, the lamps' lights `[..., n_p]` included."""
         if all(light is resting for light, resting in zip(lights, self.resting, strict=True)):
             return self.off
+        if all(light.band is not None and light.band.stop <= light.band.start for light in lights):
+            return self.base
         return added_light(self.transports, lights, self.base)
 
     def luminance(self, lights: Sequence[Utilisation]) -> Tensor:
@@ -178,7 +182,8 @@ class World:
         self.device = self.modules[0].T_world_headlight.device
         self.resting = tuple(module.beam for module in self.modules)
         self._lit: OrderedDict[Any, LitScene] = OrderedDict()
-        self._metered: tuple[tuple[Utilisation, ...], Metered] | None = None
+        self._made: deque[tuple[LitScene, tuple[Utilisation, ...], Any]] = deque(maxlen=2)  # of an on and an off exposure
+        self._asked: tuple[float, Any] = (math.nan, None)
         self._triangles = NOTHING
 
     def view_at(self, t_s: float) -> View:
@@ -192,37 +197,54 @@ class World:
     def luminance(self, time_s: float, lights: tuple[Utilisation, ...]) -> tuple[Tensor, Tensor]:
         """Luminances in cd/m^2 at a time: `[..., height, width]` of all light, and `[height, width]` without the lamps."""
         lit = self.lit(time_s)
-        return self.meter(time_s, lights).luminance if self.metered else lit.shown(lights), lit.base
+        return self.meter(time_s, lights).luminance if self.metered else self._once(lit, lights, lambda: lit.shown(lights)), lit.base
 
     def meter(self, time_s: float, lights: tuple[Utilisation, ...]) -> Metered:
-        """The lamps' light at a time; what was shown last serves until it changes. Of a metered world only."""
+        """The lamps' light at a time. Of a metered world only."""
         lit = self.lit(time_s)
-        if self._metered is None or self._metered[0] is not lights or self._metered[1].seen is not lit:
-            self._metered = lights, Metered(lit, *lit.light([light.u for light in lights]))
-        return self._metered[1]
+        return self._once(lit, lights, lambda: Metered(lit, *lit.light([light.u for light in lights])))
+
+    def _once(self, lit: LitScene, lights: tuple[Utilisation, ...], make: Callable[[], Made]) -> Made:
+        """What a light does to a scene, made anew only where it is not one of the last two."""
+        for scene, shown, made in self._made:
+            if scene is lit and shown is lights:
+                return cast(Made, made)
+        made = make()
+        self._made.append((lit, lights, made))
+        return made
+
+    def added(self, time_s: float, lights: tuple[Utilisation, ...], others: tuple[Utilisation, ...]) -> Tensor:
+        """Luminance `[height, width]` in cd/m^2 at a time of what lights have beyond others."""
+        return self.luminance(time_s, lights)[0] - self.luminance(time_s, others)[0]
 
     def lit(self, t_s: float) -> LitScene:
         """The camera's view of the scene at a time; rendered only when geometry or the vehicle has moved."""
-        where = () if self.motion is STANDING else tuple(self.motion.at(t_s).T_world_body.flatten().tolist())
-        key = (self.scene.key_at(t_s), where)
+        if self._asked[0] != t_s:  # a step asks for the same time again and again
+            self._asked = t_s, self._key(t_s)
+        key = self._asked[1]
         if key not in self._lit:
-            self._lit[key] = self._render(t_s, self.view_at(t_s), self.camera.oversampling)
+            self._lit[key] = self._render(t_s, self.view_at(t_s), self.camera.oversampling, self.moving or self.metered)
             if len(self._lit) > KEPT_VIEWS:
                 self._lit.popitem(last=False)
         self._lit.move_to_end(key)
         return self._lit[key]
 
+    def _key(self, t_s: float) -> Any:
+        """Of what is seen at a time: the same where nothing has moved."""
+        where = () if self.motion is STANDING else tuple(self.motion.at(t_s).T_world_body.flatten().tolist())
+        return self.scene.key_at(t_s), where
+
     def through(self, view: View, t_s: float) -> LitScene:
         """The scene at a time through another view, which is given in the ground frame of that time."""
-        return self._render(t_s, replace(view, T_world_view=self.motion.at(t_s).T_world_ground @ view.T_world_view), 1)
+        return self._render(t_s, replace(view, T_world_view=self.motion.at(t_s).T_world_ground @ view.T_world_view), 1, direct=True)
 
-    def _render(self, t_s: float, view: View, samples: int) -> LitScene:
+    def _render(self, t_s: float, view: View, samples: int, direct: bool) -> LitScene:
         vehicle, scene = self.motion.at(t_s), self.scene
         self._triangles = triangles = scene.at(t_s, vehicle.T_world_ground, self._triangles)
         surfaces = self.surfaces.gbuffer(triangles, view.with_rows(samples)).to(self.device)
         base = average_rows(ambient_luminance(surfaces, scene.ambient_lx, scene.street_lamps, scene.spotlights_at(t_s)), samples)
 
-        modules, direct, T_world_body = self.modules, self.moving or self.metered, vehicle.T_world_body
+        modules, T_world_body = self.modules, vehicle.T_world_body
 
         @cache
         def shadows(*lamp_m: float) -> Shadows:

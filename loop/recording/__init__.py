@@ -1,1 +1,1 @@
-"""What a run leaves: manifest, recording, summary, report, video; and how it is replayed."""
+"""What a run leaves: manifest, recording, summary, video."""

@@ -9,7 +9,7 @@ import pyarrow as pa
 
 from loop.recording.summary import column
 from loop.scenario.checks import CheckParams, Light
-from loop.scenario.model import AnyScenario
+from loop.scenario.model import Scenario
 from world.errors import LuxloopError, did_you_mean
 
 Result = TypeVar("Result")
@@ -23,7 +23,7 @@ class Compared(Protocol[Made]):
     """A simulation that other light can run beside."""
 
     @property
-    def scenario(self) -> AnyScenario: ...
+    def scenario(self) -> Scenario: ...
 
     def lit_by(self, light: Light) -> Self:
         """The same world with the same noise, under another light."""

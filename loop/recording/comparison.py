@@ -1,13 +1,13 @@
 """Two trajectories of one scenario held against each other, column by column, within stated tolerances."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import pyarrow as pa
 
 from controllers.symbol.sensing.flat_model import FeatureParams
-from loop.recording.recorder import AIM, CENTROIDS, COLUMNS, CUT, ERRORS, LATER
+from loop.recording.columns import AIM, CENTROIDS, CUT, ERRORS, of_one
 from loop.recording.summary import steady_step
 
 SHEAR = (0.005, "a quarter of what counts as settled")
@@ -35,7 +35,22 @@ TOLERANCES: dict[str, tuple[float, str]] = {
 }
 CENTROID_PX = (0.1, "a tenth of a pixel of the raw image")
 CENTROID_M = (0.001, "a millimetre, as the pose's")
+SHARE = 2e-3  # of a column's largest value: a pixel at the border of a shadow moves a mean of hundreds of pixels by so much
 STEADY_STEPS = 1  # a symbol at the border of 2 % may come to rest a step sooner or later
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """How a replay differs from its recording. notes: what was different from the start, a sentence each."""
+
+    steps: int
+    differences: tuple["Difference", ...]
+    notes: tuple[str, ...]
+
+    @property
+    def agrees(self) -> bool:
+        """Whether nothing is out of tolerance."""
+        return not self.differences
 
 
 @dataclass(frozen=True)
@@ -59,42 +74,53 @@ def tolerances(what: FeatureParams) -> dict[str, tuple[float, str]]:
     return {**TOLERANCES, **features, **dict.fromkeys(CENTROIDS, centroid)}
 
 
-def compare(recorded: pa.Table, replayed: pa.Table, within: dict[str, tuple[float, str]]) -> tuple[Difference, ...]:
-    """Columns that differ by more than `within` has for them, in the order of the file; exactly those that it has not.
+def compare(recorded: pa.Table, replayed: pa.Table, held: Mapping[str, FeatureParams], *, exact: bool = False) -> tuple[Difference, ...]:
+    """Columns that differ by more than two machines may, in the order of the file; words must be the same, and so must darkness.
 
-    Both tables have the columns of a recording, the recorded one perhaps those of an older version; steps that only one has are a
-    difference of the column "step". What was not seen in both is equal, what was not seen in one is an infinite difference. An empty
-    `within` asks for bit-identical trajectories.
+    held: what controllers look at of each symbol that they hold, by name. Both tables have the columns of `replayed`; steps that only one
+    has are a difference of the column "step". What is there in one alone is an infinite difference. exact: whether none is allowed.
     """
     steps = min(recorded.num_rows, replayed.num_rows)
     found = []
     if recorded.num_rows != replayed.num_rows:
         last = float(abs(recorded.num_rows - replayed.num_rows))
         found.append(Difference("step", 0.0, steps, float(recorded.num_rows), float(replayed.num_rows), last, steps))
-    lacking = {name for name in LATER if name not in recorded.column_names}
-    for name in (name for name in COLUMNS if not name.endswith("_ms") and name not in lacking):
-        tolerance = within.get(name, (0.0, ""))[0]
+    within = {f"functions.{name}.{key}": each for name, what in held.items() for key, (each, _) in tolerances(what).items()}
+    symbols = tuple(f"functions.{name}." for name in held)
+    for name in (name for name in replayed.column_names if not name.endswith("_ms")):
+        tolerance = 0.0
+        if not exact:
+            shared = 0.0 if name.startswith(symbols) else _shared(recorded[name])
+            tolerance = within.get(name, TOLERANCES["time_s"][0] if name == "time_s" else shared)
         apart = _distance(recorded[name][:steps], replayed[name][:steps])
         outside = np.flatnonzero(apart > tolerance)
         if len(outside):
             first, worst = int(outside[0]), int(apart.argmax())
             values = recorded[name][first].as_py(), replayed[name][first].as_py()
             found.append(Difference(name, tolerance, first, *values, float(apart[worst]), worst))
-    return (*found, *_coming_to_rest(recorded, replayed, STEADY_STEPS if within else 0))
+    return (*found, *(each for name in held for each in _coming_to_rest(name, recorded, replayed, 0 if exact else STEADY_STEPS)))
+
+
+def _shared(column: pa.ChunkedArray) -> float:
+    """Tolerance of numbers that many things make."""
+    if not pa.types.is_floating(column.type):
+        return 0.0
+    return SHARE * max((abs(value) for value in column.to_pylist() if value is not None), default=0.0)
 
 
 def _distance(a: pa.ChunkedArray, b: pa.ChunkedArray) -> np.ndarray:
-    """Absolute differences `[steps]`; infinite where words differ or only one value is there."""
-    if pa.types.is_string(a.type):
-        return np.where(np.array(a.to_pylist()) == np.array(b.to_pylist()), 0.0, np.inf)
+    """Absolute differences `[steps]`; infinite where words or truths differ, or only one value is there."""
+    if pa.types.is_string(b.type) or pa.types.is_boolean(b.type):
+        return np.where(np.array(a.to_pylist(), object) == np.array(b.to_pylist(), object), 0.0, np.inf)
     a_values, b_values = a.to_numpy().astype(float), b.to_numpy().astype(float)
-    apart = np.abs(a_values - b_values)
+    with np.errstate(invalid="ignore"):
+        apart = np.where(a_values == b_values, 0.0, np.abs(a_values - b_values))
     return np.where(np.isnan(a_values) & np.isnan(b_values), 0.0, np.where(np.isnan(apart), np.inf, apart))
 
 
-def _coming_to_rest(recorded: pa.Table, replayed: pa.Table, tolerance: int) -> Iterator[Difference]:
-    a, b = steady_step(recorded), steady_step(replayed)
+def _coming_to_rest(name: str, recorded: pa.Table, replayed: pa.Table, tolerance: int) -> Iterator[Difference]:
+    a, b = (steady_step(of_one(table, name)) for table in (recorded, replayed))
     apart = 0.0 if a == b else float("inf") if a is None or b is None else float(abs(a - b))
     if apart > tolerance:
         first = min(step for step in (a, b) if step is not None)
-        yield Difference("steady_step", tolerance, first, a, b, apart, first)
+        yield Difference(f"functions.{name}: steady step", tolerance, first, a, b, apart, first)

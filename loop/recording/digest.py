@@ -13,6 +13,7 @@ SHOWING = (  # folders that decide no figure of a run
     "loop/evaluation/",
     "loop/jobs/",
     "loop/pictures/",
+    "loop/report/",
     "loop/studies/",
     "loop/terminal/",
     "loop/training/",

@@ -17,7 +17,7 @@ from loop.assembly.build import symbol_path
 from loop.plant.frames import TABLE
 from loop.recording.sources import sources_of
 from loop.scenario import data
-from loop.scenario.model import AnyScenario, Scenario
+from loop.scenario.model import Scenario
 from loop.scenario.plant import RecordedPlantParams
 from loop.scenario.shipped import named
 from world.errors import LuxloopError
@@ -62,7 +62,7 @@ class Manifest(Params):
     started_utc: str = Field(description="start time, ISO 8601")
 
     @classmethod
-    def of(cls, scenario: AnyScenario, renderer: str, device: torch.device) -> "Manifest":
+    def of(cls, scenario: Scenario, renderer: str, device: torch.device) -> "Manifest":
         """The manifest of a run that starts now; renderer: name of the face source. Raises LuxloopError where an input file is missing."""
         return cls(
             scenario=scenario.model_dump(mode="json"),
@@ -142,28 +142,27 @@ def write_json(file: Path, value: Any) -> None:
         part.write_text(json.dumps(value, indent=2, allow_nan=False) + "\n", "utf-8")
 
 
-def input_files(scenario: AnyScenario) -> Iterator[tuple[str, Path]]:
+def input_files(scenario: Scenario) -> Iterator[tuple[str, Path]]:
     """Files that decide a run beside the scenario and luxloop's code, by the key that names them: symbols, roads, meshes, lamps and what
     their descriptions name, detectors, and modules of one's own with what they import from beside them."""
-    if isinstance(scenario, Scenario):
-        yield "symbol.image", symbol_path(scenario.symbol.image)
-        if isinstance(scenario.plant, RecordedPlantParams):
-            yield "plant.folder", Path(scenario.plant.folder) / TABLE
-    else:
-        for name, function in scenario.functions.items():
-            image = getattr(function, "image", None)
-            for file in files_at(symbol_path(image)) if image is not None else ():
+    if isinstance(scenario.plant, RecordedPlantParams):
+        yield "plant.folder", Path(scenario.plant.folder) / TABLE
+    for name, function in scenario.functions.items():
+        if (image := getattr(function, "image", None)) is not None:
+            path = symbol_path(image)
+            for file in files_at(path) if os.path.isdir(path) else (path,):
                 yield f"functions.{name}.image {file.name}", file
-        for i, raw in enumerate(scenario.lighting.raw):
-            for file in sequence_files(named(raw.file, "utilisations")):
-                yield f"lighting.raw[{i}].file {file.name}", file
-        for key in ("file", "weights"):
-            if (given := getattr(scenario.detector, key, None)) is not None:
-                yield f"detector.{key}", Path(given)
-    believed = getattr(scenario.controller, "road", None) if isinstance(scenario, Scenario) else None
-    for key, road in (("road.file", scenario.road), ("controller.road.file", believed)):
-        if isinstance(road, OpenCrgRoad):
-            yield key, Path(data.locate(road.file))
+        believed = getattr(getattr(function, "controller", None), "road", None)
+        if isinstance(believed, OpenCrgRoad):
+            yield f"functions.{name}.controller.road.file", Path(data.locate(believed.file))
+    for i, raw in enumerate(scenario.lighting.raw):
+        for file in sequence_files(named(raw.file, "utilisations")):
+            yield f"lighting.raw[{i}].file {file.name}", file
+    for key in ("file", "weights"):
+        if (given := getattr(scenario.detector, key, None)) is not None:
+            yield f"detector.{key}", Path(given)
+    if isinstance(scenario.road, OpenCrgRoad):
+        yield "road.file", Path(data.locate(scenario.road.file))
     for file in lamp_files(scenario.headlight.model):
         yield f"headlight.model {os.path.relpath(file, Path(scenario.headlight.model).parent)}", file
     for _, part in named_parts(scenario):
@@ -173,7 +172,7 @@ def input_files(scenario: AnyScenario) -> Iterator[tuple[str, Path]]:
             yield f"objects[{i}].file", item.file
 
 
-def digests(scenario: AnyScenario) -> dict[str, str]:
+def digests(scenario: Scenario) -> dict[str, str]:
     """SHA-256 of each of `input_files`, by the key that names it. Raises LuxloopError where one is missing."""
     return {key: sha256(file) for key, file in input_files(scenario)}
 

@@ -1,4 +1,4 @@
-"""What went wrong in the run of a symbol, and the key that helps, in a sentence each."""
+"""What went wrong with a symbol that is held, and the key that helps, in a sentence each."""
 
 from typing import Any
 
@@ -11,17 +11,19 @@ SHORT = 40  # steps, as the shipped scenarios have: thesis_pid still moves after
 AT_ONCE = ("open", "feedforward", "luxloop")  # controllers that show the symbol at its target, wherever it starts
 BORDERS = {"left": "left", "right": "right", "top": "upper", "bottom": "lower"}
 INTO_THE_FIELD = {
-    "left": "bring symbol.y_m nearer to 0",
-    "right": "bring symbol.y_m nearer to 0",
-    "top": "lower symbol.x_m",
-    "bottom": "raise symbol.x_m",
+    "left": "bring NAME.y_m nearer to 0",
+    "right": "bring NAME.y_m nearer to 0",
+    "top": "lower NAME.x_m",
+    "bottom": "raise NAME.x_m",
 }
 
 
-def remedies(values: dict[str, Any]) -> list[str]:
-    """Of a run's summary (`loop.recording.summary.summarise`); empty where nothing went wrong."""
-    if values["shadow_of"] is not None:
-        return [f"{SHADOW} {values['shadow_of']}, whose light the frames show; what this run asked for was shown nowhere and not judged"]
+def remedies(name: str, values: dict[str, Any]) -> list[str]:
+    """Of the symbol of a name and its summary (`loop.recording.summary.summarise`); empty where nothing went wrong."""
+    return [each.replace("NAME", f"functions.{name}") for each in _remedies(values)]
+
+
+def _remedies(values: dict[str, Any]) -> list[str]:
     cut, why = values["cut"], values["unsettled"]
     is_cut = cut is not None and cut > CUT
     found = [_cut(cut, values["cut_side"])] if is_cut else []
@@ -52,16 +54,16 @@ def _why_unsettled(values: dict[str, Any]) -> str:
             return f"most frames of the last {FINAL} steps are missing; lower {keys}, or take disturbances.drops out"
         case "moving":
             what = f"the symbol goes on moving in the last {FINAL} steps"
-            if values["steps"] < SHORT:
+            if values["shown_steps"] < SHORT:
                 return f"{what}; raise steps to {SHORT} at least"
             if values["controller"] == "luxloop":
-                return f"{what}, as it does where the car or an object moves; if none does, lower symbol.x_m, as a nearer symbol moves less"
-        case "lost" if values["lost_steps"] == values["steps"]:
+                return f"{what}, as it does where the car or an object moves; if none does, lower NAME.x_m, as a nearer symbol moves less"
+        case "lost" if not values["seen_steps"]:
             what = "the camera never saw the symbol, whose light may pass over a road that falls"
             if values["controller"] not in AT_ONCE:
-                return f'{what}; lower start.x_m, and try controller.name = "luxloop"'
+                return f'{what}; lower NAME.start.x_m, and try NAME.controller.name = "luxloop"'
         case "lost":
-            what = f"the camera lost the symbol in {values['lost_steps']} of {values['steps']} steps and at the end"
+            what = f"the camera lost the symbol in {values['lost_steps']} of {values['shown_steps']} steps and at the end"
         case _:
             what = f"the symbol lies {max(off):.0f} % of its size off its target" if off else "no light of the symbol reaches its target"
     if values["z_m_final"] and abs(values["z_m_final"]) > PLANE_M:
@@ -73,8 +75,8 @@ def _of_controller(name: str) -> str:
     """The remedy for a symbol that does not lie right, by controller."""
     match name:
         case "luxloop":
-            return "lower symbol.x_m, as its light is brighter on a nearer road, and the road moves it less"
+            return "lower NAME.x_m, as its light is brighter on a nearer road, and the road moves it less"
         case "feedforward":
-            return "give the road as it is in controller.road, or, near the plane z = 0, measure it with controller.survey = true"
+            return "give the road as it is in NAME.controller.road, or, near the plane z = 0, measure it with NAME.controller.survey = true"
         case _:
-            return 'try controller.name = "luxloop", which draws for the heights of the road that it finds'
+            return 'try NAME.controller.name = "luxloop", which draws for the heights of the road that it finds'

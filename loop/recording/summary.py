@@ -1,4 +1,4 @@
-"""A recording in a few numbers: whether and when the symbol settled, how far it overshot, how well it lies in the end."""
+"""How a symbol that is held has come to lie, in a few numbers: when it settled, how far it overshot, how well it lies in the end."""
 
 import math
 from typing import Any
@@ -21,20 +21,24 @@ OFF_PERCENT = 5.0  # a symbol that ends further from the target has not settled 
 LEAST_START_PERCENT = 5.0  # an axis that starts nearer to the target says nothing about overshoot
 
 
-def summarise(table: pa.Table, scenario: str, controller: str, iou_open: float, shadow_of: str | None = None) -> dict[str, Any]:
-    """Summary of a recording's table, ready for JSON: None where a value does not exist.
+def summarise(table: pa.Table, controller: str, iou_open: float) -> dict[str, Any]:
+    """Summary of one symbol's columns (`loop.recording.columns.of_one`), ready for JSON: None where a value does not exist.
 
     iou_open: what the judge says of the open loop at the last step, NaN where there is none. centroid_error_percent: [x, y], signed, mean
-    of the last five steps. shadow_of: the recording that was played, None where light was shown.
+    of the last five steps.
     unsettled: why there is no settle_step (`unsettled`). cut: share of the symbol beyond the borders of the lamps' field at the last step,
     and the side where most of it is. aim: [x, y] in m of where the symbol lies at the last step in place of its target, None for that.
+    iou_mean, iou_min: of the second half of the run. shown_steps: how many show it; in seen_steps frames came that do, in lost_steps
+    frames in which it was not found.
     """
-    seen, lain = table.num_rows > 0, judged(table)
+    shown, lain, losses = table.num_rows > 0, judged(table), table["loss"].to_pylist()
+    late = column(table, "iou")[table.num_rows // 2 :]
+    late = late[np.isfinite(late)]
     return {
-        "scenario": scenario,
         "controller": controller,
-        "shadow_of": shadow_of,
-        "steps": table.num_rows,
+        "shown_steps": table.num_rows,
+        "seen_steps": losses.count(""),
+        "lost_steps": sum(loss not in ("", "no_frame") for loss in losses),
         "settle_step": settle_step(table),
         "unsettled": unsettled(table),
         "steady_step": steady_step(table),
@@ -44,10 +48,10 @@ def summarise(table: pa.Table, scenario: str, controller: str, iou_open: float, 
         "aim": _aim(table),
         "iou_open": _number(iou_open),
         "iou_final": _number(column(lain, "iou")[-1]) if lain.num_rows else None,
-        "z_m_final": _number(column(table, "z_m")[-1]) if seen else None,
+        "iou_mean": float(late.mean()) if len(late) else None,
+        "iou_min": float(late.min()) if len(late) else None,
+        "z_m_final": _number(column(table, "z_m")[-1]) if shown else None,
         "ssim_final": _number(column(lain, "ssim")[-1]) if lain.num_rows else None,
-        "lost_steps": sum(loss != "" for loss in table["loss"].to_pylist()),
-        "step_ms_median": _number(np.median(column(table, "step_ms"))) if seen else None,
     }
 
 
@@ -72,7 +76,7 @@ def unsettled(table: pa.Table) -> str | None:
         return "not_judged"
     if judged(table).num_rows < FINAL:
         return "too_short"
-    losses = table["loss"][-FINAL:].to_pylist()
+    losses = judged(table)["loss"][-FINAL:].to_pylist()
     if 2 * losses.count("") < FINAL:
         return "no_frame" if 2 * losses.count("no_frame") > FINAL else "lost"
     error = final_error_percent(table)

@@ -13,7 +13,7 @@ Light = Literal["open_loop", "full_light", "low_beam"]
 class CheckParams(Params):
     """A column of the recording over a window of time, and the bounds that hold it."""
 
-    metric: str = Field(min_length=1, description="column of the recording, such as `iou` or `lamp.left.flux_lm`")
+    metric: str = Field(min_length=1, description="column of the recording, such as `functions.symbol.iou` or `lamp.left.flux_lm`")
     from_s: float = Field(0.0, ge=0, le=1e6, description="start of the window")
     until_s: float | None = Field(None, ge=0, le=1e6, description="end of the window, which belongs to it; left out: the end of the run")
     take: Literal["mean", "min", "max", "last"] = Field("mean", description="what is taken of the values in the window")
@@ -37,7 +37,7 @@ class CheckParams(Params):
 
 
 def refuse_lights(checks: Mapping[str, CheckParams], possible: Sequence[Light]) -> None:
-    """Raises ValueError where a check compares with a light that its kind of scenario does not have."""
+    """Raises ValueError where a check compares with a light that its scenario does not have."""
     for name, check in checks.items():
         if check.compare is not None and check.compare not in possible:
             lacking = "controller of a symbol" if check.compare == "open_loop" else "lighting function"

@@ -1,31 +1,27 @@
-"""Scenario files: a typed, frozen model for each of the two kinds; TOML, `--set key=value` and every other front end edit it alone."""
+"""Scenario files: a typed, frozen model; TOML, `--set key=value` and every other front end edit it alone."""
 
-import difflib
 import hashlib
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Final, Literal, Self
+from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from controllers.functions.planner import Functions, LightingParams
+from controllers.functions.symbol import SymbolFunctionParams
 from controllers.jpo.controller import JpoParams
 from controllers.pixels.mrpc import MrpcParams
-from controllers.symbol import ControllerParams, LuxloopParams, refuse_place, refuse_start
-from controllers.symbol.sensing.flat_model import FeatureParams
-from controllers.symbol.sensing.projector import StartParams, SymbolParams
 from loop.scenario.checks import CheckParams, Light, refuse_lights
 from loop.scenario.disturbances import DisturbanceParams
 from loop.scenario.overrides import Override, is_file, overridden, resolve_paths, tables, texts
-from loop.scenario.plant import PlantParams, SimulatedPlantParams, refuse_long_exposures, refuse_shadow
+from loop.scenario.plant import PlantParams, SimulatedPlantParams, refuse_long_exposures
 from loop.scenario.shipped import find
 from perception.camera import CameraParams
 from perception.detection.params import DetectorParams
-from perception.extraction import Extraction, ExtractionParams
 from perception.sensors import SensorParams
 from perception.trackers import AnyTracker
 from perception.tracking import TrackerParams
@@ -43,24 +39,25 @@ from world.validation import read_toml, validated
 
 SCHEMA_VERSION: Final = 1
 PIXEL_CONTROLLERS = ("ssc", "jpo")
-LIT = ("lighting", "functions")  # tables of which a scenario of lighting functions has one at least
 
 
 class HeadlightParams(Params):
-    """The vehicle's pair of headlamps, and what of them draws the symbol."""
+    """The vehicle's pair of headlamps, of which all modules shine unless some are named."""
 
-    model: str = Field("idealised-332x1024", min_length=1, description="preset, or lamp file: .npz, .toml, .ies or .ldt")
+    model: str = Field("ssl-hd", min_length=1, description="preset, or lamp file: .npz, .toml, .ies or .ldt")
     intensity_cd: float | None = Field(
-        None, gt=0, le=500_000, description="peak of the brightest module that draws, all pixels on; left out: the model's own"
+        None, gt=0, le=500_000, description="peak of the brightest module, all pixels on; left out: the model's own"
     )
     height_m: float = Field(0.75, gt=0.1, le=2.0, description="height of the lamps' origins above the road")
     distance_m: float = Field(1.2, ge=0, le=3, description="distance between the lamps' origins")
-    lamps: tuple[Literal["left", "right"], ...] = Field(("left",), min_length=1, description="lamps that draw the symbol")
-    modules: tuple[str, ...] | None = Field(
-        None, min_length=1, description="their modules that draw it; left out: the one with the finest pixels"
-    )
+    lamps: tuple[Literal["left", "right"], ...] = Field(("left", "right"), min_length=1, description="lamps that shine")
+    modules: tuple[str, ...] | None = Field(None, min_length=1, description="their modules that shine; left out: all")
     swivel_deg: float = Field(0.0, ge=-30, le=30, description="turns the modules that can be turned to the left (physical bending)")
     level_deg: float = Field(0.0, ge=-10, le=10, description="turns the modules that can be levelled down (physical levelling)")
+    standby_w: float = Field(5.0, ge=0, le=1e6, description="electrical power of a lamp that is dark: its electronics and fan")
+    efficacy_lm_w: float = Field(
+        40.0, gt=0, le=1000, description="luminous flux that leaves a lamp for each watt that its light sources take"
+    )
 
     @field_validator("lamps", "modules")
     @classmethod
@@ -69,13 +66,9 @@ class HeadlightParams(Params):
             raise ValueError(f"name each of the {info.field_name} once")
         return names
 
-
-class DrawingLampsParams(HeadlightParams):
-    """The vehicle's pair of headlamps, and the base beam that a symbol is drawn into."""
-
-    beam: str = Field(
-        "off", min_length=1, description="what the modules that draw show beside the symbol: a beam of the lamp, such as low, full or off"
-    )
+    def power_w(self, flux_lm: float) -> float:
+        """Electrical power of one lamp that gives so much light."""
+        return self.standby_w + flux_lm / self.efficacy_lm_w
 
 
 class LightParams(Params):
@@ -85,8 +78,16 @@ class LightParams(Params):
     street_lamps: tuple[StreetLamp, ...] = Field((), description="point lights")
 
 
-class WorldScenario(Params):
-    """What every scenario has: the world, the lamps, the camera, and how long it runs."""
+class RoadConditionParams(Params):
+    """Rain and street lighting from one time on, as lighting functions know them."""
+
+    time_s: float = Field(0.0, ge=0, le=1e6, description="time from which on this holds, until the next entry")
+    wet: bool = Field(False, description="whether it rains")
+    street_lit: bool = Field(False, description="whether street lamps light the road")
+
+
+class Scenario(Params):
+    """Everything that decides a run."""
 
     schema_version: Literal[1] = Field(SCHEMA_VERSION, description="version of this file format")
     name: str = Field(min_length=1, max_length=80, description="name, for tables and reports")
@@ -113,7 +114,18 @@ class WorldScenario(Params):
     plant: Annotated[PlantParams, Field(description="what shows the light and exposes the frames")] = SimulatedPlantParams()
     judge_every: int = Field(1, ge=0, le=100_000, description="steps from one judgement of a symbol that is held to the next; 0: none")
     off_share: float = Field(0.5, gt=0, lt=1, description="share of a control step for which symbols that are held are off")
-    metered: ClassVar[bool]  # whether the illuminance on objects is asked for, beside what the camera sees
+    conditions: tuple[RoadConditionParams, ...] = Field(
+        (RoadConditionParams(),), min_length=1, description="rain and street lighting, in ascending time"
+    )
+    lighting: LightingParams = Field(LightingParams(), description="base beam, and what holds for all lighting functions")
+    functions: Functions = Field({}, description="lighting functions, each by its name")
+    detector: DetectorParams | None = Field(
+        None, description="what finds objects in the camera's frames; left out: lighting functions get the true places of all"
+    )
+    detector_frames: Literal["on", "off", "both"] = Field(
+        "on", description="where controllers hold symbols: frames that the detector gets, with the measured symbols, without them, or both"
+    )
+    tracker: AnyTracker = Field(TrackerParams(), description="follows detections from frame to frame")
 
     @field_validator("pixel_controller")
     @classmethod
@@ -134,134 +146,12 @@ class WorldScenario(Params):
         refuse_lights(self.checks, self.lights)
         return self
 
-    @property
-    def holds(self) -> bool:
-        """Whether a controller holds a symbol."""
-        raise NotImplementedError
-
-    @property
-    def shares(self) -> tuple[float, ...]:
-        """Of a control step, one an exposure: with the symbols that are held and without them, or the whole."""
-        return (1 - self.off_share, self.off_share) if self.holds else (1.0,)
-
-    @property
-    def lights(self) -> tuple[Light, ...]:
-        """Those that checks may compare with."""
-        return ()
-
     @model_validator(mode="after")
     def _aimed_lamps_draw(self) -> Self:
         for k, aim in enumerate(self.disturbances.aim):
             if aim.lamp is not None and aim.lamp not in self.headlight.lamps:
                 raise ValueError(f"disturbances.aim[{k}].lamp: the {aim.lamp} lamp is dark here; name it in headlight.lamps as well")
         return self
-
-    @property
-    def all_objects(self) -> tuple[ObjectParams, ...]:
-        """The objects that are given one by one, and those of the traffic."""
-        return self.objects + (self.traffic.objects() if self.traffic else ())
-
-    @cached_property
-    def source(self) -> str:
-        """Where it was read, for messages; its name where it was made in Python."""
-        return self.name
-
-    @property
-    def digest(self) -> str:
-        """SHA-256 of the resolved scenario, hexadecimal."""
-        return hashlib.sha256(json.dumps(self.model_dump(mode="json"), sort_keys=True).encode()).hexdigest()
-
-
-class Scenario(WorldScenario):
-    """Everything that decides a run of the closed loop around a symbol."""
-
-    headlight: DrawingLampsParams = Field(DrawingLampsParams(), description="the lamps")
-    symbol: SymbolParams = Field(description="what is projected, and where it shall lie")
-    start: StartParams = Field(StartParams(), description="where the control starts")
-    features: FeatureParams = Field(FeatureParams(), description="what of the symbol the controller looks at")
-    extraction: Extraction = Field(ExtractionParams(), description="how the symbol is found in the image")
-    controller: Annotated[ControllerParams, Field(description="the controller of the symbol")] = LuxloopParams()
-    metered = False
-
-    @property
-    def holds(self) -> bool:
-        return True
-
-    @property
-    def lights(self) -> tuple[Light, ...]:
-        return ("open_loop",)
-
-    @model_validator(mode="after")
-    def _share_of_a_beam(self) -> Self:
-        if self.symbol.quantity == "u_rel" and self.headlight.beam == "off":
-            raise ValueError('symbol.quantity: u_rel is a multiple of the base beam, but there is none; give headlight.beam = "low", say')
-        return self
-
-    @model_validator(mode="after")
-    def _can_be_held(self) -> Self:
-        refuse_long_exposures(self.camera.exposure_s, self.off_share, self.rate_hz)
-        refuse_place(self.controller, self.symbol.target, "symbol.")
-        refuse_start(self.controller, self.start)
-        return self
-
-
-class CarLampsParams(HeadlightParams):
-    """The vehicle's pair of headlamps, of which all modules shine unless some are named."""
-
-    model: str = Field("ssl-hd", min_length=1, description="preset, or lamp file: .npz, .toml, .ies or .ldt")
-    intensity_cd: float | None = Field(
-        None, gt=0, le=500_000, description="peak of the brightest module, all pixels on; left out: the model's own"
-    )
-    lamps: tuple[Literal["left", "right"], ...] = Field(("left", "right"), min_length=1, description="lamps that shine")
-    modules: tuple[str, ...] | None = Field(None, min_length=1, description="their modules that shine; left out: all")
-    standby_w: float = Field(5.0, ge=0, le=1e6, description="electrical power of a lamp that is dark: its electronics and fan")
-    efficacy_lm_w: float = Field(
-        40.0, gt=0, le=1000, description="luminous flux that leaves a lamp for each watt that its light sources take"
-    )
-
-    def power_w(self, flux_lm: float) -> float:
-        """Electrical power of one lamp that gives so much light."""
-        return self.standby_w + flux_lm / self.efficacy_lm_w
-
-
-class RoadConditionParams(Params):
-    """Rain and street lighting from one time on, as lighting functions know them."""
-
-    time_s: float = Field(0.0, ge=0, le=1e6, description="time from which on this holds, until the next entry")
-    wet: bool = Field(False, description="whether it rains")
-    street_lit: bool = Field(False, description="whether street lamps light the road")
-
-
-class LightingScenario(WorldScenario):
-    """Everything that decides a run of lighting functions."""
-
-    headlight: CarLampsParams = Field(CarLampsParams(), description="the lamps")
-    conditions: tuple[RoadConditionParams, ...] = Field(
-        (RoadConditionParams(),), min_length=1, description="rain and street lighting, in ascending time"
-    )
-    lighting: LightingParams = Field(LightingParams(), description="base beam, and what holds for all lighting functions")
-    functions: Functions = Field({}, description="lighting functions, each by its name")
-    detector: DetectorParams | None = Field(
-        None, description="what finds objects in the camera's frames; left out: lighting functions get the true places of all"
-    )
-    detector_frames: Literal["on", "off", "both"] = Field(
-        "on", description="where controllers hold symbols: frames that the detector gets, with the measured symbols, without them, or both"
-    )
-    tracker: AnyTracker = Field(TrackerParams(), description="follows detections from frame to frame")
-    metered = True
-
-    @property
-    def holds(self) -> bool:
-        return bool(self.controlled)
-
-    @property
-    def controlled(self) -> tuple[str, ...]:
-        """Names of the symbols that a controller holds."""
-        return tuple(name for name, each in self.functions.items() if getattr(each, "controller", None) is not None)
-
-    @property
-    def lights(self) -> tuple[Light, ...]:
-        return ("full_light", "low_beam", *(("open_loop",) if self.controlled else ()))
 
     @model_validator(mode="after")
     def _has_on_frames_alone(self) -> Self:
@@ -275,11 +165,6 @@ class LightingScenario(WorldScenario):
                 raise ValueError(
                     f"disturbances.{key}[{off[0]}].frames: without a symbol that a controller holds steps have no off frame; leave it out"
                 )
-        return self
-
-    @model_validator(mode="after")
-    def _knows_what_was_drawn(self) -> Self:
-        refuse_shadow(self.plant, self.controlled)
         return self
 
     @model_validator(mode="after")
@@ -306,6 +191,59 @@ class LightingScenario(WorldScenario):
             raise ValueError(f"objects: the name {doubled[0]!r} is there twice, but recordings tell objects by name; rename one")
         return self
 
+    @property
+    def all_objects(self) -> tuple[ObjectParams, ...]:
+        """The objects that are given one by one, and those of the traffic."""
+        return self.objects + (self.traffic.objects() if self.traffic else ())
+
+    def conditions_at(self, time_s: float) -> RoadConditionParams:
+        """Those of a time; the first before they begin."""
+        there = (each for each in self.conditions if each.time_s <= time_s)
+        return max(there, key=lambda each: each.time_s, default=self.conditions[0])
+
+    @cached_property
+    def source(self) -> str:
+        """Where it was read, for messages; its name where it was made in Python."""
+        return self.name
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the resolved scenario, hexadecimal."""
+        return hashlib.sha256(json.dumps(self.model_dump(mode="json"), sort_keys=True).encode()).hexdigest()
+
+    @property
+    def holds(self) -> bool:
+        """Whether a controller holds a symbol."""
+        return bool(self.controlled)
+
+    @property
+    def metered(self) -> bool:
+        """Whether the light on objects or for functions is asked for, beside what the camera sees."""
+        told = any(each.category for each in self.all_objects)
+        return told or self.detector is not None or len(self.functions) > len(self.controlled)
+
+    @property
+    def controlled(self) -> tuple[str, ...]:
+        """Names of the symbols that a controller holds."""
+        return tuple(name for name, each in self.functions.items() if getattr(each, "controller", None) is not None)
+
+    @property
+    def symbol(self) -> SymbolFunctionParams:
+        """The only symbol that a controller holds. Raises LuxloopError where there are several or none."""
+        symbol = self.functions[only(self.controlled)]
+        assert isinstance(symbol, SymbolFunctionParams)
+        return symbol
+
+    @property
+    def shares(self) -> tuple[float, ...]:
+        """Of a control step, one an exposure: with the symbols that are held and without them, or the whole."""
+        return (1 - self.off_share, self.off_share) if self.holds else (1.0,)
+
+    @property
+    def lights(self) -> tuple[Light, ...]:
+        """Those that checks may compare with."""
+        return ("full_light", "low_beam", *(("open_loop",) if self.controlled else ()))
+
 
 def _names_objects(function: Any) -> bool:
     selections = (function, *(getattr(function, key, None) for key in ("when", "unless")))
@@ -313,36 +251,25 @@ def _names_objects(function: Any) -> bool:
     return any(getattr(each, "names", None) for each in selections) or (observer is not None and observer.name is not None)
 
 
-AnyScenario = Scenario | LightingScenario
-EXAMPLES: Final[dict[type[AnyScenario], str]] = {
-    Scenario: "`luxloop new FILE` writes a complete example; lighting functions come in [functions.NAME] instead of [symbol]",
-    LightingScenario: "`luxloop list` shows examples of all functions, `luxloop new FILE --like path_projection` copies one, say, and "
-    "`--like obl` one with a detector",
-}
+def only(held: Iterable[str]) -> str:
+    """The one name there is of symbols that a controller holds. Raises LuxloopError where there are several or none."""
+    names = tuple(held)
+    if len(names) != 1:
+        raise LuxloopError(f"symbols that a controller holds: {', '.join(names) or 'none'}, not one; take each by its name")
+    return names[0]
+
+
+EXAMPLES: Final = (
+    "`luxloop list` shows examples of all functions, `luxloop new FILE` writes one with a symbol that is held, "
+    "`--like path_projection` copies another, say, and `--like obl` one with a detector"
+)
 
 
 def load(name: str, overrides: Sequence[Override] = (), *, allow_code: bool = False, **values: Any) -> Scenario:
-    """Read the scenario of a symbol, as `load_any` does. Raises LuxloopError for a lighting scenario as well."""
-    return _of_a_symbol(load_any(name, overrides, allow_code=allow_code, **values), name)
-
-
-def validate(data: Mapping[str, Any], source: str) -> Scenario:
-    """Check the scenario of a symbol, as `validate_any` does. Raises LuxloopError for a lighting scenario as well."""
-    return _of_a_symbol(validate_any(data, source), source)
-
-
-def validate_lighting(data: Mapping[str, Any], source: str) -> LightingScenario:
-    """Check the scenario of lighting functions, as `validate_any` does. Raises LuxloopError for that of a symbol as well."""
-    scenario = validate_any(data, source)
-    if isinstance(scenario, Scenario):
-        raise LuxloopError(f"{source}: is the scenario of a [symbol], but this needs one with [functions]; `luxloop run` runs both kinds")
-    return scenario
-
-
-def load_any(name: str, overrides: Sequence[Override] = (), *, allow_code: bool = False, **values: Any) -> AnyScenario:
     """Read a scenario by shipped name or path; values are top-level keys, overrides on top of them.
 
-    allow_code: whether modules that a file names may run; those named in values and in overrides that are no files always may.
+    A value `controller` is that of the only symbol that a controller holds. allow_code: whether modules that a file names may run; those
+    named in values and in overrides that are no files always may.
 
     An override is `key.sub=value` or `list[0].sub=value` in TOML syntax, the path of a TOML file of such keys, or nested tables; it changes
     single keys of tables that have defaults, too. Raises LuxloopError that names the file, the key and the remedy.
@@ -351,7 +278,7 @@ def load_any(name: str, overrides: Sequence[Override] = (), *, allow_code: bool 
     data = read_toml(path)
     resolve_paths(data, path.parent)
     keys = tables(values)
-    if "controller" in keys and "functions" in data:
+    if "controller" in keys:
         _of_the_controlled(data, path)["controller"] = keys.pop("controller")
     data.update(keys)
     if overrides:
@@ -360,16 +287,16 @@ def load_any(name: str, overrides: Sequence[Override] = (), *, allow_code: bool 
         *(f"{key}={value['name'] if isinstance(value, dict) and 'name' in value else value}" for key, value in values.items()),
         *(override for override in overrides if isinstance(override, str)),
     ]
-    scenario = validate_any(data, f"{path} with {' '.join(given)}" if given else str(path))
+    scenario = validate(data, f"{path} with {' '.join(given)}" if given else str(path))
     if not allow_code:
         refuse_code(scenario, scenario.source, typed=set(texts([tables(each) for each in (values, *overrides) if not is_file(each)])))
     return scenario
 
 
-def validate_any(data: Mapping[str, Any], source: str) -> AnyScenario:
-    """Check a scenario given as plain data; its table [symbol], or [lighting] or [functions], tells the kinds apart.
+def validate(data: Mapping[str, Any], source: str) -> Scenario:
+    """Check a scenario given as plain data.
 
-    Modules that it names may run: it is for data of the caller's own, and for what `load_any` has let pass.
+    Modules that it names may run: it is for data of the caller's own, and for what `load` has let pass.
     Raises LuxloopError that names the source, the key and the remedy.
     """
     version = data.get("schema_version", SCHEMA_VERSION)
@@ -377,27 +304,8 @@ def validate_any(data: Mapping[str, Any], source: str) -> AnyScenario:
         raise LuxloopError(
             f"{source}: schema_version: this luxloop reads version {SCHEMA_VERSION}, not {version!r}; get another luxloop for it"
         )
-    lighting, lit = data.get("lighting"), next((key for key in LIT if key in data), None)
-    if "symbol" in data and isinstance(lighting, Mapping) and lighting.get("raw"):
-        raise LuxloopError(
-            f"{source}: lighting.raw: the controller of a [symbol] moves a primitive, which raw utilisations have none of; take one of the "
-            "two out, or give a lamp file the utilisations as a beam (docs/lampfiles.md) and draw the symbol into it with headlight.beam"
-        )
-    if "symbol" in data and lit:
-        raise LuxloopError(
-            f"{source}: has both a [symbol] and [{lit}]; a scenario is of one kind, take one of the two out (what a lighting "
-            "function draws is its own image, as in functions.NAME.image)"
-        )
-    if "symbol" in data and (strange := [key for key in data if key in LightingScenario.model_fields and key not in Scenario.model_fields]):
-        raise LuxloopError(
-            f"{source}: {strange[0]}: goes with [lighting], but this is the scenario of a [symbol]; leave it out, or take one with "
-            "lighting functions, such as obl"
-        )
-    if "controller" in data and lit:
-        raise LuxloopError(f"{source}: controller: a scenario with [{lit}] has no controller; leave it out")
-    kind = _kind(data)
     with located(source):
-        return validated(kind, _spelt_out(data), EXAMPLES[kind]).model_copy(update={"source": source})
+        return validated(Scenario, _spelt_out(data), EXAMPLES).model_copy(update={"source": source})
 
 
 def _spelt_out(data: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -413,19 +321,11 @@ def _spelt_out(data: Mapping[str, Any]) -> Mapping[str, Any]:
     return {**data, "functions": {name: table(function) for name, function in functions.items()}}
 
 
-def _kind(data: Mapping[str, Any]) -> type[AnyScenario]:
-    """By its table; where it has neither, by the others that it has, or by one that may have been meant."""
-    if any(key in data for key in ("symbol", *LIT)):
-        return Scenario if "symbol" in data else LightingScenario
-    strange = [key for key in data if key not in Scenario.model_fields]
-    meant = any(key in LightingScenario.model_fields or difflib.get_close_matches(key, LIT, cutoff=0.8) for key in strange)
-    return LightingScenario if meant else Scenario
-
-
 def _of_the_controlled(data: dict[str, Any], path: Path) -> dict[str, Any]:
     """The table of the only symbol that a controller holds. Raises LuxloopError where there are several or none."""
-    functions = data["functions"] if isinstance(data["functions"], dict) else {}
-    held = {name: each for name, each in functions.items() if isinstance(each, dict) and "controller" in each}
+    functions = data.get("functions")
+    items = functions.items() if isinstance(functions, dict) else ()
+    held = {name: each for name, each in items if isinstance(each, dict) and "controller" in each}
     if len(held) == 1:
         return next(iter(held.values()))
     told = f"several symbols have one: {', '.join(held)}; set functions.NAME.controller" if held else "none of its functions has one"
@@ -435,12 +335,6 @@ def _of_the_controlled(data: dict[str, Any], path: Path) -> dict[str, Any]:
 def _with_defaults(data: dict[str, Any]) -> dict[str, Any]:
     """The same scenario with all defaults in place; data that is none, which overrides may mend, stays as it is."""
     try:
-        return validate_any(data, "").model_dump(mode="json")
+        return validate(data, "").model_dump(mode="json")
     except LuxloopError:
         return data
-
-
-def _of_a_symbol(scenario: AnyScenario, source: str) -> Scenario:
-    if isinstance(scenario, LightingScenario):
-        raise LuxloopError(f"{source}: is a lighting scenario, but this needs one with a [symbol]; `luxloop run` runs both kinds")
-    return scenario

@@ -124,11 +124,13 @@ def _same_variant(table: Mapping[str, Any], changes: Mapping[str, Any]) -> bool:
 def resolve_paths(data: dict[str, Any], folder: Path) -> None:
     """Make paths absolute against the file's folder, those of modules that lie there too; names of what is shipped or known stay names."""
     objects, functions, lighting = (data.get(key) for key in ("objects", "functions", "lighting"))
-    controller = data.get("controller")
-    believed = controller.get("road") if isinstance(controller, dict) else None
+    held = [*(functions.values() if isinstance(functions, dict) else ()), data]  # `load` may give a controller beside them
+    controllers = [each["controller"] for each in held if isinstance(each, dict) and isinstance(each.get("controller"), dict)]
+    believed = [each.get("road") for each in controllers]
+    extractions = [(each.get("extraction"), "kind") for each in held if isinstance(each, dict)]
     raw = lighting.get("raw") if isinstance(lighting, dict) else None
-    tables = [(data.get("symbol"), "image"), (data.get("road"), "file"), (believed, "file"), (data.get("headlight"), "model")]
-    tables += [(data.get("plant"), "folder")]
+    tables = [(data.get("road"), "file"), (data.get("headlight"), "model"), (data.get("plant"), "folder")]
+    tables += [(road, "file") for road in believed]
     tables += [(data.get("detector"), key) for key in ("file", "weights")]
     for items, key in ((objects, "file"), (functions, "image"), (raw, "file")):
         items = list(items.values()) if isinstance(items, dict) else items
@@ -136,8 +138,10 @@ def resolve_paths(data: dict[str, Any], folder: Path) -> None:
     for table, key in tables:
         if isinstance(table, dict) and isinstance(table.get(key), str) and (key == "folder" or any(mark in table[key] for mark in "/\\.")):
             table[key] = str((folder / table[key]).resolve())
-    parts = [(data.get(key), "kind") for key in ("road", "extraction", "detector", "tracker", "plant")]
+    parts = [(data.get(key), "kind") for key in ("road", "detector", "tracker", "plant")]
     parts += [(function, "kind") for function in functions.values()] if isinstance(functions, dict) else []
-    for table, key in [*parts, (believed, "kind"), (controller, "name"), (data, "pixel_controller")]:
+    parts += [*((road, "kind") for road in believed), *((each, "name") for each in controllers), *extractions]
+    parts += [(each, "controller") for each in held]
+    for table, key in [*parts, (data, "pixel_controller")]:
         if isinstance(table, dict) and isinstance(table.get(key), str):
             table[key] = plugin.beside(table[key], folder)

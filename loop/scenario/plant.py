@@ -1,6 +1,5 @@
 """Plants by name; a scenario names one, and what it asks of one."""
 
-from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, Tag
@@ -32,15 +31,6 @@ class OwnPlantParams(Params):
 def shadow_of(plant: SimulatedPlantParams | RecordedPlantParams | OwnPlantParams) -> str | None:
     """The recording that is played, None where light is shown."""
     return plant.folder if isinstance(plant, RecordedPlantParams) else None
-
-
-def refuse_shadow(plant: SimulatedPlantParams | RecordedPlantParams | OwnPlantParams, controlled: Sequence[str]) -> None:
-    """Raises ValueError where a recording is played to controllers of these functions."""
-    if controlled and isinstance(plant, RecordedPlantParams):
-        raise ValueError(
-            "plant.kind: a recording of lighting functions says what was lit, but not what each controller had drawn; "
-            f"take functions.{controlled[0]}.controller out"
-        )
 
 
 def refuse_long_exposures(exposure_s: float, off_share: float, rate_hz: float) -> None:

@@ -6,26 +6,36 @@ from typing import Any, Literal, cast, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from controllers.functions.symbol import UNCONTROLLED, SymbolFunctionParams
 from controllers.symbol import CONTROLLERS, LuxloopParams
+from controllers.symbol.sensing.flat_model import FeatureParams
+from controllers.symbol.sensing.projector import StartParams
 from loop.scenario.model import Scenario
 from loop.scenario.plant import SimulatedPlantParams
 from loop.scenario.shipped import shipped_files
 from perception.extraction import ExtractionParams
+from perception.tracking import TrackerParams
 from world.roads.shapes import Mixed, RoadParams
 from world.traffic.generator import varied
 
 LEFT_OUT = ("schema_version", "objects")  # said in HEAD and TAIL
 CHOSEN: dict[str, dict[str, Any]] = {
-    "symbol": {"image": "snowflake", "width_m": 2.0, "length_m": 4.0, "x_m": 17.0, "y_m": 0.0},
-    "start": {"x_m": 20.0, "y_m": 1.5, "roll_deg": 5.0, "pitch_deg": -2.0},
     "road": {"kind": "mixed"},
+    "headlight": {"model": "idealised-332x1024", "lamps": ("left",)},
+}
+SYMBOL: dict[str, dict[str, Any]] = {  # of the function, and of its tables
+    "": {"kind": "symbol", "image": "snowflake", "width_m": 2.0, "length_m": 4.0, "x_m": 17.0, "y_m": 0.0},
+    "start": {"x_m": 20.0, "y_m": 1.5, "roll_deg": 5.0, "pitch_deg": -2.0},
     "controller": {"name": "luxloop"},
 }
 VARIANTS: dict[str, type[BaseModel]] = {
     "road": Mixed,
-    "extraction": ExtractionParams,
-    "controller": LuxloopParams,
     "plant": SimulatedPlantParams,
+    "tracker": TrackerParams,
+    "start": StartParams,
+    "controller": LuxloopParams,
+    "features": FeatureParams,
+    "extraction": ExtractionParams,
 }
 HEAD = """\
 # A scenario of luxloop. Check it with `luxloop check FILE`, run it with `luxloop run FILE`.
@@ -61,7 +71,9 @@ def template(name: str) -> str:
     for key, field in Scenario.model_fields.items():
         if key in LEFT_OUT:
             continue
-        if key in CHOSEN or isinstance(field.default, BaseModel):
+        if key == "functions":
+            tables.append(_symbol())
+        elif key in CHOSEN or isinstance(field.default, BaseModel):
             tables.append(_table(key, field))
         else:
             keys.append(_line(key, field, chosen.get(key)))
@@ -85,15 +97,23 @@ def night(name: str, seed: int) -> str:
     return NIGHT_HEAD + "\n".join(lines) + "\n"
 
 
-def _table(key: str, field: FieldInfo) -> str:
-    chosen = CHOSEN.get(key, {})
+def _symbol() -> str:
+    """A symbol that is held, and its tables."""
+    fields = {key: each for key, each in SymbolFunctionParams.model_fields.items() if key not in UNCONTROLLED}
+    lines = ["[functions.symbol]  # a lighting function; `luxloop list functions` has all kinds, and a file may have several"]
+    lines.append(f"# shipped images: {', '.join(shipped_files('symbols'))}")
+    lines += [_line(key, each, SYMBOL[""].get(key)) for key, each in fields.items() if key not in VARIANTS]
+    tables = [_table(key, fields[key], "functions.symbol.", SYMBOL.get(key, {})) for key in VARIANTS if key in fields]
+    return "\n\n".join(["\n".join(lines), *tables])
+
+
+def _table(key: str, field: FieldInfo, within: str = "", chosen: dict[str, Any] | None = None) -> str:
+    chosen = CHOSEN.get(key, {}) if chosen is None else chosen
     model = VARIANTS.get(key) or cast(type[BaseModel], field.annotation)
-    lines = [f"[{key}]  # {field.description}"]
+    lines = [f"[{within}{key}]  # {field.description}"]
     if key == "road":
         kinds = [get_args(kind)[1].tag for kind in get_args(get_args(RoadParams)[0])]
         lines.append(f"# kinds: {', '.join(kinds)}; `luxloop schema` has the keys of each")
-    if key == "symbol":
-        lines.append(f"# shipped images: {', '.join(shipped_files('symbols'))}")
     if key == "controller":
         lines.append(f"# controllers: {', '.join(CONTROLLERS)}")
     lines += [_line(name, inner, chosen.get(name)) for name, inner in model.model_fields.items()]

@@ -2,7 +2,7 @@
 
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -14,7 +14,7 @@ from loop.jobs.executors import Executor
 from loop.jobs.runner import Job, Results, run
 from loop.recording.digest import digest_of_code
 from loop.recording.manifest import digests
-from loop.scenario.model import AnyScenario, Scenario, load_any, validate_any
+from loop.scenario.model import Scenario, load, only, validate
 from loop.scenario.overrides import resolve_paths
 from world.errors import LuxloopError, located
 from world.folders import output_folder
@@ -52,12 +52,13 @@ class Run:
     """One run: which it is in the campaign, and its scenario with all that the campaign changes."""
 
     params: RunParams
-    scenario: AnyScenario
+    scenario: Scenario
 
     @property
     def row(self) -> Row:
         """What tells it from others."""
-        controller = self.scenario.controller.name if isinstance(self.scenario, Scenario) else None
+        held = self.scenario.symbol.controller if len(self.scenario.controlled) == 1 else None
+        controller = None if held is None else held.name
         return {
             "scenario": Path(self.params.scenario).stem,
             "controller": controller,
@@ -145,7 +146,7 @@ def figures_of(scenario: Mapping[str, Any], inputs: dict[str, str], device: str)
     return figures(checked(scenario, inputs), device)
 
 
-def checked(scenario: Mapping[str, Any], inputs: dict[str, str]) -> AnyScenario:
+def checked(scenario: Mapping[str, Any], inputs: dict[str, str]) -> Scenario:
     """A job's scenario, ready to run with one thread wherever that is, so that figures do not depend on it.
 
     Raises LuxloopError where it is no scenario, or its files are others here.
@@ -153,7 +154,7 @@ def checked(scenario: Mapping[str, Any], inputs: dict[str, str]) -> AnyScenario:
     import torch
 
     torch.set_num_threads(1)
-    valid = validate_any(scenario, str(scenario["name"]))
+    valid = validate(scenario, str(scenario["name"]))
     here = digests(valid)
     if others := [key for key in inputs | here if inputs.get(key) != here.get(key)]:
         raise LuxloopError(
@@ -177,17 +178,16 @@ def _all(params: CampaignParams) -> Iterator[RunParams]:
 def _run(file: Path, params: CampaignParams, one: RunParams, allow_code: bool) -> Run:
     if one.variant is not None and one.variant not in params.variants:
         raise LuxloopError(f"{file}: runs: there is no variant {one.variant!r}; write its keys below [variants.{one.variant}]")
-    changes: Sequence[dict[str, Any]] = [
-        {"controller": {"name": one.controller}} if one.controller else {},
-        params.set,
-        params.variants[one.variant] if one.variant else {},
-        {"seed": one.seed},
-    ]
-    for each in changes:
-        resolve_paths(each, file.parent)
+    changes: list[dict[str, Any]] = [params.set, params.variants[one.variant] if one.variant else {}, {"seed": one.seed}]
     beside = file.parent / one.scenario
     with located(f"{file}: variants.{one.variant}" if one.variant else str(file)):
-        scenario = load_any(str(beside) if os.path.isfile(beside) else one.scenario, changes, allow_code=True)
+        name = str(beside) if os.path.isfile(beside) else one.scenario
+        if one.controller:
+            held = only(load(name, allow_code=True).controlled)
+            changes.insert(0, {"functions": {held: {"controller": {"name": one.controller}}}})
+        for each in changes:
+            resolve_paths(each, file.parent)
+        scenario = load(name, changes, allow_code=True)
         if not allow_code:  # changes are out of a file, too
             refuse_code(scenario, one.scenario)
         return Run(one, scenario)

@@ -12,16 +12,17 @@ from optuna.trial import create_trial
 from torch import Tensor
 
 from loop.jobs.executors import Executor
+from loop.lighting.batch import Rollout, check
+from loop.lighting.simulation import Simulation
 from loop.run import prepare
+from loop.scenario.model import only
 from loop.studies.ranges import Range
 from loop.studies.study import STUDY, finished, keeping, study_in
 from loop.studies.surrogate import Learned, near
 from loop.studies.tune import FAILURES, TRACES, Task, Trace, Tuned, begun, failed, ran
-from loop.symbol.batch import Rollout, check
-from loop.symbol.simulation import Simulation
 from loop.terminal.progress import progress
 from perception.extraction import ExtractionParams
-from world.errors import LuxloopError
+from world.errors import LuxloopError, located
 from world.folders import turn
 
 STARTS, DRAWS = 24, 3  # descents at once, each through so many kinds of noise
@@ -42,16 +43,17 @@ class Iteration:
 def tune_by_gradient(task: Task, out: Path, iterations: int, execute: Executor) -> Tuned:
     """Go on with the study in a folder until it has so many trials; all but the first with the given values are found by descent.
 
-    Raises what `loop.studies.tune.tune` and `loop.symbol.batch.check` raise, and LuxloopError where a symbol is never seen.
+    Raises what `loop.studies.tune.tune` and `loop.lighting.batch.check` raise, and LuxloopError where a symbol is never seen.
     """
     if whole := [each.key for each in task.ranges if each.whole]:
         raise LuxloopError(f"--key {whole[0]}: takes whole numbers, which have no gradient; leave it out, or tune without --gradient")
     simulations = []
     for scenario in task.scenarios:
-        if not isinstance(scenario.extraction, ExtractionParams):
-            raise LuxloopError(
-                f"{scenario.name}: extraction.kind: no error model for an own extraction; leave it out, or tune without --gradient"
-            )
+        with located(f"{scenario.name}: --gradient"):
+            symbol = scenario.symbol
+        if not isinstance(symbol.extraction, ExtractionParams):
+            key = f"functions.{only(scenario.controlled)}.extraction.kind"
+            raise LuxloopError(f"{scenario.name}: {key}: no error model for an own extraction; leave it out, or tune without --gradient")
         simulations.append(prepare(scenario, task.device))
         check(simulations[-1], [each.key for each in task.ranges])
     with study_in(out, task.digest) as study, keeping(out, lambda: f"{finished(study)} of {iterations} iterations"):

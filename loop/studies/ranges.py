@@ -1,4 +1,4 @@
-"""Keys of a scenario that are tuned, and the ranges that they are tuned in: `controller.position.kp=0.1:2`."""
+"""Keys of a scenario that are tuned, and the ranges that they are tuned in: `functions.symbol.controller.position.kp=0.1:2`."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -35,7 +35,9 @@ def parse(text: str, scenarios: Sequence[Scenario]) -> Range:
     try:
         low, high = float(low_text), float(high_text)
     except ValueError as error:
-        raise LuxloopError(f"{where}: is not of the form key=low:high; write for example controller.position.kp=0.1:2") from error
+        raise LuxloopError(
+            f"{where}: is not of the form key=low:high; write for example functions.symbol.controller.position.kp=0.1:2"
+        ) from error
     if scale not in ("", "log"):
         raise LuxloopError(f"{where}: {scale!r} is no scale; write {key}={low_text}:{high_text}:log, or leave it out")
     if not (math.isfinite(low) and math.isfinite(high) and low < high):

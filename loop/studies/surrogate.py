@@ -7,9 +7,9 @@ import torch
 from torch import Tensor
 
 from controllers.symbol.sensing.observer import Seen
+from loop.lighting.batch import Rollout, loops
+from loop.lighting.simulation import Simulation
 from loop.recording.summary import FINAL
-from loop.symbol.batch import Rollout, loops
-from loop.symbol.simulation import Simulation
 from perception.extraction import Loss
 
 NEAR = 0.02  # of the symbol's size: about how far off a symbol may be that has settled
@@ -55,6 +55,6 @@ class Learned:
             squares = ((poses[:, None] - self.poses) / apart).square().sum(-1)
             weights = (squares + 1.0) ** -2
             offsets = (weights / weights.sum(-1, keepdim=True)) @ self.offsets
-            return replace(simulation.observer.lost(poses, Loss.SEEN), pose_error=poses + offsets + self.noise * noise[step])
+            return replace(simulation.symbol.observer.lost(poses, Loss.SEEN), pose_error=poses + offsets + self.noise * noise[step])
 
         return loops(simulation, values, looked)

@@ -33,7 +33,7 @@ TRACES = "traces"  # of what has been run and may be learned from
 APART = 1_000_003  # between the seeds of two searches' first trials, so that they share none
 STARTUP = 8  # trials at random before the sampler learns
 Runs = list[tuple[dict[str, Any], dict[str, str], str]]
-Trace = list[list[Any]] | str  # of a run: poses, errors and whether seen (`loop.symbol.batch.Rollout`), or why it failed
+Trace = list[list[Any]] | str  # of a run: poses, errors and whether seen (`loop.metrics.traced`), or why it failed
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ def _traced(task: tuple[int, tuple[dict[str, Any], dict[str, str], str]]) -> tup
     number, (scenario, inputs, device) = task
     try:
         figures, run = traced(cast(Scenario, checked(scenario, inputs)), device)
-        return number, figures, [part[0].tolist() for part in vars(run).values()]
+        return number, figures, [] if run is None else [part[0].tolist() for part in vars(run).values()]
     except Exception as error:
         return number, {}, reason(error)
 

@@ -30,7 +30,7 @@ def do_tune(task: Task, folder: Path, trials: int, processes: int | None, gradie
     Raises LuxloopError before anything runs where something makes no sense.
     """
     if not task.ranges:
-        raise LuxloopError("--key: what is to be tuned? Give keys with ranges, such as --key controller.position.kp=0.1:2")
+        raise LuxloopError("--key: what is to be tuned? Give keys with ranges, such as --key functions.symbol.controller.position.kp=0.1:2")
     for name, value in (("--trials", trials), ("--seeds", task.seeds), ("--jobs", processes or 1)):
         if value < 1:
             raise LuxloopError(f"{name}: {value} is too few; give 1 or more")

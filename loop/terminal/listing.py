@@ -6,17 +6,18 @@ from typing import Any, Literal, get_args
 from loop.scenario import data
 from loop.scenario.shipped import examples, shipped, shipped_files
 
-Kind = Literal["scenarios", "controllers", "roads", "symbols", "detectors", "lamps", "examples"]
+Kind = Literal["scenarios", "functions", "controllers", "roads", "symbols", "detectors", "lamps", "plants", "examples"]
 USES: dict[Kind, str] = {
     "scenarios": "Run one with `luxloop run NAME`, copy it with `luxloop new FILE --like NAME`.",
-    "controllers": "Take one with `--controller NAME`, or as controller.name of a scenario; one of your own is package.module:Name.",
+    "functions": "Take one as functions.NAME.kind of a scenario (keys in docs/functions.md); one of your own is package.module:Name.",
+    "controllers": "Take one with `--controller NAME`, or as functions.NAME.controller; one of your own is package.module:Name.",
     "roads": "Take one with `--set road.kind=NAME`; `luxloop schema` has the keys of each; one of your own is package.module:Name.",
-    "symbols": "Take one with `--set symbol.image=NAME`; one of your own is the path of a picture.",
-    "detectors": "Take one with `--set detector.kind=NAME` in a scenario with [functions.NAME]; one of your own is package.module:Name.",
+    "symbols": "Take one as functions.NAME.image of a symbol; one of your own is the path of a picture.",
+    "detectors": "Take one with `--set detector.kind=NAME`; one of your own is package.module:Name.",
     "lamps": "Take one with `--set headlight.model=NAME`; `luxloop headlight info NAME` describes it.",
+    "plants": "Take one with `--set plant.kind=NAME`, a recording with `--plant FOLDER`; one of your own is package.module:Name.",
     "examples": "Copy one with `luxloop new --like NAME`.",
 }
-DEFAULT_CONTROLLER = "luxloop"  # of scenarios that name none, whose model imports torch
 
 
 def listing(kind: Kind) -> list[dict[str, Any]]:
@@ -39,6 +40,14 @@ def listing(kind: Kind) -> list[dict[str, Any]]:
             from controllers.symbol import ControllerParams
 
             return _variants(ControllerParams)
+        case "functions":
+            from controllers.functions.planner import FunctionParams
+
+            return _variants(FunctionParams)
+        case "plants":
+            from loop.scenario.plant import PlantParams
+
+            return _variants(PlantParams)
         case "roads":
             from world.roads.shapes import RoadParams
 
@@ -61,19 +70,24 @@ def _scenarios() -> list[dict[str, Any]]:
 
 
 def _uses(content: dict[str, Any]) -> list[str]:
-    """The controller of a symbol, or the kinds of lighting functions, the base beam where there are none."""
-    if not content.keys() & {"lighting", "functions"}:
-        return [str(content.get("controller", {}).get("name", DEFAULT_CONTROLLER))]
+    """The controllers of symbols and the kinds of other lighting functions, the base beam where there are none."""
     lighting = content.get("lighting", {})
     raw = ["raw utilisations"] if "raw" in lighting else []
-    kinds = list(dict.fromkeys([*raw, *(function["kind"] for function in content.get("functions", {}).values())]))
+    functions = content.get("functions", {}).values()
+    kinds = list(dict.fromkeys([*raw, *(_controller(each) or each["kind"] for each in functions)]))
     return kinds or [f"{lighting['base']['beam']} beam"]
+
+
+def _controller(function: dict[str, Any]) -> str | None:
+    given = function.get("controller")
+    return given["name"] if isinstance(given, dict) else given
 
 
 def _showing(symbol: str) -> list[str]:
     """The scenarios that show a symbol."""
     contents = {name: tomllib.loads(file.read_text("utf-8")) for name, file in shipped().items()}
-    return [name for name, content in contents.items() if content.get("symbol", {}).get("image") == symbol]
+    functions = {name: content.get("functions", {}).values() for name, content in contents.items()}
+    return [name for name, each in functions.items() if symbol in [function.get("image") for function in each]]
 
 
 def _first_line(text: str) -> str:

@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from rich.table import Table
 
-from loop.recording.report import FOUR, STYLE
+from loop.recording.style import FOUR, STYLE
 from loop.terminal import tables
 from loop.terminal.tables import number
 from loop.training.judge import AGREE, ALONE_LX, AROUND_LX, FOUND_IOU, HEIGHT_PX, JUDGED_LX, VISIBLE

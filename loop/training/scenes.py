@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from loop.assembly.build import build_scene
-from loop.scenario.model import LightingScenario, validate_lighting
+from loop.scenario.model import Scenario, validate
 from perception.camera import CameraParams, camera_view
 from perception.ground_truth import ground_truth
 from world.files import whole
@@ -166,12 +166,12 @@ def _file(folder: str, seed: int) -> Path:
     return Path(folder) / f"{seed}.npy"
 
 
-def _scenario(seed: int) -> LightingScenario:
+def _scenario(seed: int) -> Scenario:
     tables = varied(seed)
     traffic = tables["traffic"]
     for key in ("pedestrians", "cyclists", "animals"):  # nights are emptier than what is worth drawing
         traffic[key] += 1
-    return validate_lighting({"name": "training", "lighting": {}, **tables}, f"seed {seed}")
+    return validate({"name": "training", "lighting": {}, **tables}, f"seed {seed}")
 
 
 def _road_seed(seed: int) -> int:

@@ -69,7 +69,7 @@ def draw(name: str, folder: Path) -> None:
         {"name": each, "kind": "box", "size_m": size, "albedo": 0.3, "track": [{"position_m": place, "yaw_deg": yaw}]}
         for each, _, place, yaw, size in objects
     ]
-    scenario = validate({"name": name, "symbol": {"image": "snowflake"}, "objects": boxes, "light": {"ambient_lx": 0.02}}, name)
+    scenario = validate({"name": name, "objects": boxes, "light": {"ambient_lx": 0.02}}, name)
     lamp = Lamp("fine", (Module("fine", light),))
     out = folder / f"functions-{name}.jpg"
     show_headlight({"left": lamp, "right": lamp}, out, beam=beam, view="driver", style="luminance", scenario=scenario)

@@ -6,12 +6,11 @@ sees it: slow is bad, and so is a symbol that ends up distorted.
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from pydantic import BaseModel
 
-from luxloop import Scenario, Simulation, build_controller, load, prepare
+from luxloop import Simulation, build_controller, load, prepare
 
 RATES = ("x_rate_m", "y_rate_m", "roll_rate_deg", "pitch_rate_deg")
 GAINS = ("kp", "ki", "kd")
@@ -31,8 +30,8 @@ def varied(params: BaseModel, rng: np.random.Generator) -> BaseModel:
 
 def cost(simulation: Simulation, params: BaseModel) -> float:
     """Mean of 1 - IoU over a run with this controller."""
-    controller = build_controller(params, simulation.observer)
-    return float(np.mean([1 - float(result.verdict.iou) for result in replace(simulation, controller=controller).run()]))
+    controller = build_controller(params, simulation.symbol.observer)
+    return float(np.mean([1 - float(result.symbol.verdict.iou) for result in simulation.with_controller(controller).run()]))
 
 
 def as_toml(params: BaseModel) -> str:
@@ -42,7 +41,7 @@ def as_toml(params: BaseModel) -> str:
         return [f"{key} = {value:g}" for key, value in model if isinstance(value, float)]
 
     loops = [f"{loop} = {{ {', '.join(pairs(getattr(params, loop)))} }}" for loop in LOOPS]
-    return "\n".join(["[controller]", 'name = "thesis_pid"', *loops, *pairs(params)])
+    return "\n".join(["[functions.symbol.controller]", 'name = "thesis_pid"', *loops, *pairs(params)])
 
 
 def main() -> None:
@@ -54,10 +53,10 @@ def main() -> None:
     given = parser.parse_args()
 
     scenario = load(given.scenario, steps=given.steps)
-    if not isinstance(scenario, Scenario) or scenario.controller.name != "thesis_pid":
+    if scenario.symbol.controller.name != "thesis_pid":
         parser.error(f"{given.scenario} is not controlled by thesis_pid; take a scenario that is")
     simulation = prepare(scenario)
-    best = scenario.controller
+    best = scenario.symbol.controller
     least = before = cost(simulation, best)
     print(f"as the scenario has it: {before:.4f}")
     rng = np.random.default_rng(given.seed)

@@ -25,6 +25,7 @@ def test_the_step_benchmark_compares_the_same_work(tmp_path: Path) -> None:
     for name in ("numpy", "luxloop"):
         parts = result[name]
         assert all(parts[part] > 0 for part in ("light", "luminance", "camera", "perceive", "control"))
+    assert result["step of a run"] > 0
     without = result["step without render, ratio"]
     assert without == pytest.approx(result["numpy"]["step without render"] / result["luxloop"]["step without render"])
 
@@ -38,18 +39,26 @@ def test_a_baseline_that_does_other_work_is_refused(tmp_path: Path) -> None:
     assert "not the same work" in done.stderr
 
 
-def test_the_driving_benchmark_renders_both_ways(tmp_path: Path) -> None:
+def test_the_driving_benchmark_renders_both_ways_and_times_whole_steps(tmp_path: Path) -> None:
     file = tmp_path / "driving.json"
     command = [sys.executable, "benchmarks/driving.py", "--quick", "--json", str(file)]
     done = subprocess.run(command, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=300)
     if "there is no OpenGL here" in done.stderr:
         pytest.skip("no OpenGL")
     assert done.returncode == 0, done.stderr
-    (result,) = json.loads(file.read_text())["results"]
+    content = json.loads(file.read_text())
+    (result,) = content["results"]
     ms = result["ms"]
     assert all(value > 0 for value in (*ms.values(), *result["parts ms"].values()))
     assert result["step to real time, ratio"] == pytest.approx(ms["step"] / (1e3 / 30))
     assert result["exact to quick, ratio"] == pytest.approx(ms["exact"] / ms["quick"])
+    driving, night_drive = content["runs"]
+    for run in (driving, night_drive):
+        assert all(run["parts ms"][part] > 0 for part in ("plan", "light", "plant"))
+        assert sum(run["parts ms"].values()) == pytest.approx(run["ms"])  # of two steps medians are means
+    assert driving["parts ms"]["control"] > night_drive["parts ms"]["control"], "one holds a symbol"
+    assert night_drive["parts ms"]["find"] > driving["parts ms"]["find"], "the other has a detector"
+    assert [(goal["value"], goal["limit"]) for goal in content["goals"]] == [(driving["ms"], 80), (night_drive["ms"], 150)]
 
 
 def test_the_benchmark_on_the_move_draws_best_for_what_is_true(tmp_path: Path) -> None:

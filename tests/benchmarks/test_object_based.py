@@ -119,3 +119,27 @@ def test_scenes_are_others_than_those_of_training_and_newcomers_have_room() -> N
     given = object_based_cases.lit(case.scenario)
     newcomer, *others = (each.pose_track().pose_at(2.5)[:2, 3] for each in given.all_objects)
     assert len(others) > 2 and all(float((newcomer - other).norm()) > object_based_cases.FREE_M for other in others)
+
+
+def test_the_jobs_run_through_the_whole_chain(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a few steps each, which judge nothing."""
+    for name, value in {"STEPS": 4, "COMES": 2, "END": range(1, 2), "LATE": range(3, 4)}.items():
+        monkeypatch.setattr(object_based_cases, name, value)
+    (case,) = object_based_cases.cases(1, 1)
+    given = case.parameters
+    found = object_based_cases.illuminated(given["scenario"], {"luxloop": given["variants"]["luxloop"]}, {"luxloop": 1})
+    (own,) = found["runs"]["luxloop"]
+    assert len(own["flux_lm"]) == 4 and len(own["newcomer_lx"]) == 2
+    assert 0 < own["flux_lm"][-1] < found["lamps"]["high beam"]["flux_lm"] < found["lamps"]["full light"]["flux_lm"]
+    jobs = list(object_based_parts.track_jobs(seeds=1, times=1, steps=2))
+    assert len({job.key for job in jobs}) == 4 and all(object_based_cases.lit(job.parameters["scenario"]) for job in jobs)
+    (objects,) = object_based_parts.tracked(**jobs[0].parameters)["objects"]
+    assert [each["frames"] for each in objects] == [2, 2]
+
+
+def test_a_lamp_with_less_overlap_gives_nearly_the_same_frame() -> None:
+    (job,) = object_based_parts.pair_jobs(1)
+    simulation = object_based_parts.Simulation.prepare(object_based_cases.lit(job.parameters["scenario"]))
+    whole, reduced = (object_based_parts._frame(each) for each in (simulation, object_based_parts._with_less_overlap(simulation)))
+    apart = object_based_parts._apart(whole, reduced)
+    assert 0 < apart["mae"] < 1e-3 and not apart["alone"]

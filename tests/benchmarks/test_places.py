@@ -17,8 +17,8 @@ from loop.scenario.model import load
 TINY = ("camera={width_px=320, height_px=240}",)
 
 
-def place(road: str = "flat", **changes: Any) -> Any:
-    return places_cases.Place("grade", "here", load("flat", (*TINY, f"road={{kind='{road}'}}"), **changes))
+def place(road: str = "flat", *changes: str, steps: int = 40) -> Any:
+    return places_cases.Place("grade", "here", load("flat", (*TINY, f"road={{kind='{road}'}}", *changes), steps=steps))
 
 
 def judged(iou: list[float | None], lost: int = 0, centroid: float | None = 1.0) -> dict[str, Any]:
@@ -72,7 +72,7 @@ def test_the_bound_is_that_of_a_prototype_by_other_means(percent: float, iou: fl
 def test_the_bound_of_a_flat_road_is_the_open_loop() -> None:
     simulation = prepare(place().scenario, "cpu")
     found = places_bound.bound(simulation)
-    opened = simulation.projector.light(simulation.projector.target)
+    opened = simulation.symbol.projector.light(simulation.symbol.projector.target)
     # SuperSampling Control takes the symbol at some rays a pixel and its overlap otherwise: a few of a hundred pixels at edges differ.
     assert (found.lights[0].u - opened[0].u).abs().mean() < 1e-4
     assert found.iou > 0.97 and found.visible > 0.98
@@ -115,7 +115,7 @@ def test_grades_on_the_road_itself_are_held_to_085_or_the_bound() -> None:
 
 
 def test_the_page_is_written_and_a_second_run_does_nothing_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    drop = place("step", steps=7, symbol={"image": "snowflake", "x_m": 13.0})
+    drop = place("step", "functions.symbol.x_m=13", steps=7)
     monkeypatch.setattr(places, "places", lambda quick: iter([drop]))
     monkeypatch.setattr("places_page.VISIBLE", 2.0)  # so that it is shown as a place with less to be seen
     arguments = ["--quick", "--jobs", "1", "--out", str(tmp_path / "run"), "--page", str(tmp_path), "--json", str(tmp_path / "rows.json")]

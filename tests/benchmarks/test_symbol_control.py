@@ -9,13 +9,12 @@ from typing import Any
 import pytest
 import symbol_control
 import symbol_control_cases
-from symbol_control_cases import trajectories
+from symbol_control_cases import controlled, trajectories, uncontrolled
 from symbol_control_goals import GOALS, Goal
 from symbol_control_page import goals
 
-from loop.recording.recorder import row
 from loop.run import prepare
-from loop.scenario.model import load, validate
+from loop.scenario.model import load
 
 TINY = ("camera={width_px=320, height_px=240}",)
 
@@ -93,11 +92,11 @@ def test_a_symbol_that_is_never_seen_overshoots() -> None:
 
 def test_controllers_side_by_side_run_as_each_does_alone() -> None:
     """Rendered views are shared, noise and states are not."""
-    scenario = load("snowflake", (*TINY, "camera.latency_steps=1"), steps=5).model_dump(mode="json", exclude={"controller"})
+    scenario = uncontrolled(load("snowflake", (*TINY, "camera.latency_steps=1"), steps=5))
     tables = {"thesis_pid": {"name": "thesis_pid"}, "luxloop": {"name": "luxloop"}}
     together = trajectories(scenario, tables)["judged"]
     for name, table in tables.items():
-        alone = [row(result)["iou"] for result in prepare(validate({**scenario, "controller": table}, "alone"), "cpu").run()]
+        alone = [float(result.symbol.verdict.iou) for result in prepare(controlled(scenario, table), "cpu").run()]
         assert together[name]["iou"] == [round(iou, 4) for iou in alone]
 
 

@@ -17,16 +17,17 @@ import torch
 from controllers.pixels.ssc import Utilisation
 from controllers.symbol.sensing.drawing import Drawing, Warp
 from loop.jobs.runner import run as run_jobs
+from loop.lighting import replay
 from loop.plant import frames
 from loop.plant.protocol import Exposure
 from loop.recording.manifest import Manifest
-from loop.recording.replay import read_table
 from loop.run import check
-from loop.scenario.model import load_any, validate_any
+from loop.scenario.model import load, validate
 from loop.scenario.shipped import shipped
 from loop.studies import campaign
 from perception.camera import CameraParams
 from perception.detection import network
+from perception.egomotion import Sample
 from tests.fuzz import mutations
 from world.headlight import Headlight
 from world.headlight.lamp import Lamp, Module
@@ -34,6 +35,7 @@ from world.headlight.pixel_sources import TableSource
 from world.lampfiles import archive, description
 from world.lampfiles.utilisations import read_utilisation
 from world.opencrg import Crg, write_crg
+from world.parquet import read_parquet
 from world.photometry import lm63
 from world.photometry.distribution import Distribution
 from world.photometry.files import read as read_photometry
@@ -97,7 +99,7 @@ def _scenarios(folder: Path) -> dict[str, bytes]:
 
 @functools.cache
 def _plain(name: str) -> dict[str, Any]:
-    return load_any(name).model_dump(mode="json")
+    return load(name).model_dump(mode="json")
 
 
 def _resolved(folder: Path) -> dict[str, bytes]:
@@ -105,18 +107,18 @@ def _resolved(folder: Path) -> dict[str, bytes]:
 
 
 def _manifests(folder: Path) -> dict[str, bytes]:
-    manifest = Manifest.of(load_any("flat"), "raycast", torch.device("cpu")).model_dump(mode="json")
+    manifest = Manifest.of(load("flat"), "raycast", torch.device("cpu")).model_dump(mode="json")
     return {"manifest.json": json.dumps(manifest).encode()}
 
 
 def _read_manifest(path: Path) -> None:
     path.rename(path.with_name("manifest.json"))
-    validate_any(Manifest.read(path.parent).scenario, str(path))
+    validate(Manifest.read(path.parent).scenario, str(path))
 
 
 def _overridden(path: Path) -> None:
     """Build it, small, with one key of a recorded scenario changed."""
-    check(load_any(path.stem, [*SMALL, path.read_text()]))
+    check(load(path.stem, [*SMALL, path.read_text()]))
 
 
 def _overrides(folder: Path) -> dict[str, bytes]:
@@ -312,14 +314,19 @@ def _parquet(folder: Path) -> dict[str, bytes]:
     return _written(folder, *writers)
 
 
+def _read_recording(path: Path) -> None:
+    replay._of(read_parquet(path), pq.read_schema(RECORDING), path)
+
+
 LIKE = torch.zeros(4)
 
 
 def _frames(folder: Path) -> dict[str, bytes]:
     times = {"duration_s": 0.01, "light": 0, "taken_s": 0.0, "arrived_s": 0.0, "came_with": 0, "lost": False}
-    rows = [{"number": k, "time_s": 0.01 * k, **times} for k in range(3)]
+    samples = frames.sample_values([Sample("wheels", 0.005, 0.01, torch.ones(2)), Sample("gyro", 0.008, 0.009, torch.zeros(3))])
+    rows = [{"number": k, "time_s": 0.01 * k, "samples": samples, **times} for k in range(3)]
     drawing = Drawing(LIKE, warp=Warp(torch.rand(1, 2, 4, 3), torch.rand(1, 4, 3), (4.0, 2.0)))
-    light = frames.light_arrays(Exposure(0, 0.0, 0.1, (Utilisation(torch.rand(6), slice(1, 5)),), drawing))
+    light = frames.light_arrays(Exposure(0, 0.0, 0.1, (Utilisation(torch.rand(6), slice(1, 5)),), {"symbol": drawing}))
     return _written(
         folder,
         ("exposures.parquet", lambda path: pq.write_table(pa.Table.from_pylist(rows, frames.SCHEMA), path)),
@@ -338,8 +345,7 @@ def _read_frames(path: Path) -> None:
     elif path.suffix == ".png":
         frames.read_image(path, CameraParams(width_px=160, height_px=90), LIKE)
     else:
-        for row in frames.read_exposures(path):
-            frames.read_ego(row, LIKE)
+        frames.read_exposures(path)
 
 
 JOBS = b'{"id": "0123", "key": "a", "result": {"x": 1.5}}\n{"id": "4567", "key": "b", "result": {"x": null}}\n'
@@ -359,9 +365,9 @@ def _read_mesh(path: Path) -> None:
 
 
 ALL: dict[str, Kind] = {
-    "scenario": Kind(_scenarios, _text, lambda path: load_any(str(path)), 12),
-    "resolved": Kind(_resolved, _nested, lambda path: validate_any(json.loads(path.read_bytes()), str(path)), 8),
-    "override": Kind(_overrides, _override, lambda path: load_any(path.stem, [path.read_text()]), 12),
+    "scenario": Kind(_scenarios, _text, lambda path: load(str(path)), 12),
+    "resolved": Kind(_resolved, _nested, lambda path: validate(json.loads(path.read_bytes()), str(path)), 8),
+    "override": Kind(_overrides, _override, lambda path: load(path.stem, [path.read_text()]), 12),
     "manifest": Kind(_manifests, _json, _read_manifest, 8),
     "campaign": Kind(lambda folder: {"c.toml": CAMPAIGN}, _text, campaign.read, 2),
     "lamp description": Kind(lambda folder: {"lamp.toml": LAMP}, _text, description.build, 6),
@@ -374,7 +380,7 @@ ALL: dict[str, Kind] = {
     "video": Kind(_videos, mutations.of_bytes, video, 4),
     "utilisations": Kind(_utilisations, _damaged_utilisation, lambda path: read_utilisation(path, 3, 4), 8),
     "weights": Kind(_weights, mutations.of_archive, lambda path: network.load(path, torch.device("cpu")), 2),
-    "recording": Kind(_parquet, mutations.of_bytes, read_table, 6),
+    "recording": Kind(_parquet, mutations.of_bytes, _read_recording, 6),
     "frames": Kind(_frames, _damaged_frames, _read_frames, 6),
     "jobs": Kind(lambda folder: {"jobs.jsonl": JOBS}, _either, lambda path: run_jobs(dict, [], path, version=""), 4),
     "mesh": Kind(_meshes, _either, _read_mesh, 8),

@@ -11,20 +11,27 @@ from torch import Tensor
 
 from controllers.pixels.ssc import Utilisation
 from loop.commands import cli
+from loop.lighting.result import StepResult
+from loop.lighting.simulation import Simulation
 from loop.plant.protocol import Exposure
 from loop.plant.simulated import SimulatedPlant
 from loop.scenario.model import Scenario, validate
-from loop.symbol.simulation import Simulation, StepResult
 
 SMALL: dict[str, Any] = {
     "name": "small",
     "steps": 12,
-    "symbol": {"image": "snowflake"},
-    "start": {"x_m": 19.0, "y_m": 1.0, "roll_deg": 5.0, "pitch_deg": -2.0},
     "camera": {"width_px": 320, "height_px": 180},
     "surface": {"grain": 0.0},
-    "controller": {"name": "thesis_pid"},
+    "headlight": {"model": "idealised-332x1024", "lamps": ["left"]},
     "renderer": "raycast",
+    "functions": {
+        "symbol": {
+            "kind": "symbol",
+            "image": "snowflake",
+            "start": {"x_m": 19.0, "y_m": 1.0, "roll_deg": 5.0, "pitch_deg": -2.0},
+            "controller": {"name": "thesis_pid"},
+        }
+    },
 }
 
 FILE = """
@@ -36,11 +43,14 @@ grain = 0.0
 [camera]
 width_px = 320
 height_px = 180
-[symbol]
+[headlight]
+model = "idealised-332x1024"
+lamps = ["left"]
+[functions.symbol]
+kind = "symbol"
 image = "chevrons"
-[start]
-x_m = 18.0
-roll_deg = 2.0
+controller = "luxloop"
+start = { x_m = 18.0, roll_deg = 2.0 }
 """
 
 Lux = Callable[..., tuple[int, str, str]]

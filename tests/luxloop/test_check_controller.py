@@ -183,7 +183,8 @@ def test_each_way_to_break_the_contract_is_told_in_a_sentence(broken: Any, devic
 
 @pytest.mark.parametrize("name", ["thesis_pid", "gauss_newton", "open"])
 def test_controllers_that_are_shipped_keep_the_contract(name: str, device: torch.device) -> None:
-    params = luxloop.load("flat", [f"controller.name={name}"]).controller
+    params = luxloop.load("flat", [f"functions.symbol.controller.name={name}"]).symbol.controller
+    assert params is not None
 
     class Shipped:
         def __init__(self, observer: Observer) -> None:

@@ -24,7 +24,7 @@ def write_video(path: Path, frames: list[np.ndarray], rate: int = 10) -> None:
         container.mux(stream.encode())
 
 
-def write(folder: Path, image: np.ndarray, name: str = "symbol.png") -> Path:
+def write(folder: Path, image: np.ndarray, name: str = "functions.symbol.png") -> Path:
     path = folder / name
     cv2.imencode(path.suffix, image)[1].tofile(path)
     return path

@@ -6,7 +6,9 @@ are fixed to.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import Final, Self
 
@@ -136,6 +138,14 @@ class Motion:
 
     def at(self, t_s: float) -> VehicleState:
         """The vehicle at a time in s, linear between the integrated times and constant outside."""
+        return self._known(min(max(t_s, float(self.times_s[0])), float(self.times_s[-1])))
+
+    @cached_property
+    def _known(self) -> Callable[[float], VehicleState]:
+        """States by time; a control step asks for the same few again and again."""
+        return lru_cache(maxsize=8)(self._interpolated)
+
+    def _interpolated(self, t_s: float) -> VehicleState:
         now = {name: float(np.interp(t_s, self.times_s, column)) for name, column in zip(COLUMNS, self.states.T, strict=True)}
         x, y, yaw = (now.pop(name) for name in ("x_m", "y_m", "yaw_rad"))
         T_ground_body = body_pose(_vector(now["heave_m"], now["roll_rad"], now["pitch_rad"]), self.pivot_x_m)

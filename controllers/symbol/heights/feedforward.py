@@ -39,7 +39,7 @@ class FeedforwardParams(Params):
 
     name: Literal["feedforward"] = "feedforward"
     road: RoadParams = Field(Flat(), description="the road's shape, with the keys of [road]")
-    survey: bool = Field(False, description="measure the road with structured light in the first steps, in place of [controller.road]")
+    survey: bool = Field(False, description="measure the road with structured light in the first steps, in place of controller.road")
     offset_m: float = Field(0.0, ge=-0.2, le=0.2, description="added to its heights, to see what a wrong road does")
 
 

@@ -1,11 +1,12 @@
-"""From a scenario's [headlight] to the modules that draw the symbol."""
+"""From a scenario's [headlight] to the modules that shine, and to those of them that draw a symbol."""
 
 from pathlib import Path
 
 import pytest
 import torch
 
-from loop.assembly.build import build_projector
+from loop.lighting.lamps import shining_modules
+from loop.lighting.simulation import Simulation
 from loop.scenario.model import Scenario, load
 from world.errors import LuxloopError
 from world.frames import pose_from_degrees
@@ -36,29 +37,42 @@ def with_headlight(scenario: Scenario, **values: object) -> Scenario:
     return scenario.model_copy(update={"headlight": scenario.headlight.model_copy(update=values)})
 
 
-def test_the_finest_module_draws_from_where_it_is_mounted(scenario: Scenario) -> None:
-    (module,) = build_projector(scenario, CPU).modules
-    assert module.name == "left narrow"
+def test_modules_are_where_they_are_mounted_and_the_finest_one_draws(tmp_path: Path) -> None:
+    """That of the first lamp, unless the symbol names its modules; the others show their base beams, here none."""
+    wide, fine = idealised(10, 40, half_width_deg=20.0, intensity_cd=9000.0), idealised(100, 200, intensity_cd=50_000.0)
+    mount = pose_from_degrees((0.0, 0.1, 0.05), pitch_deg=0.5)
+    archive.save(tmp_path / "lamp.npz", Lamp("lamp", (Module("wide", wide), Module("fine", fine, mount))))
+    small = ["camera={ width_px=320, height_px=180 }", "renderer=raycast", "headlight.lamps=['left', 'right']"]
+    scenario = load("flat", [f"headlight.model={tmp_path / 'lamp.npz'}", *small])
+    simulation = Simulation.prepare(scenario)
+    (module,) = simulation.symbol.projector.modules
+    assert module.name == "left fine" and simulation.symbol.drawn_by == (1,)
     expected = pose_from_degrees((0.0, 0.7, 0.8), pitch_deg=0.5)
     torch.testing.assert_close(module.T_world_headlight, expected, rtol=0, atol=1e-12)
-    assert module.pixel_controller.headlight.peak_cd == pytest.approx(2000)
+    assert module.pixel_controller.headlight.peak_cd == pytest.approx(50_000)
+    assert [bool(u.any()) for u in simulation.at(0).lights] == [False, True, False, False]
+    for named, drawing in ((("fine",), (1, 3)), (("right",), (2, 3)), (("right fine",), (3,))):
+        symbol = scenario.symbol.model_copy(update={"modules": named})
+        assert Simulation.prepare(scenario.model_copy(update={"functions": {"symbol": symbol}})).symbol.drawn_by == drawing
 
 
-def test_named_modules_of_both_lamps_draw_and_the_brightest_gets_the_intensity(scenario: Scenario) -> None:
+def test_named_modules_of_both_lamps_shine_and_the_brightest_gets_the_intensity(scenario: Scenario) -> None:
     both = with_headlight(scenario, lamps=("left", "right"), modules=("wide", "narrow"), intensity_cd=8000.0)
-    modules = build_projector(both, CPU).modules
+    modules = shining_modules(both, CPU)
     assert [module.name for module in modules] == ["left wide", "left narrow", "right wide", "right narrow"]
-    assert [module.pixel_controller.headlight.peak_cd for module in modules] == pytest.approx([4000, 8000, 4000, 8000])
+    assert [module.headlight.peak_cd for module in modules] == pytest.approx([4000, 8000, 4000, 8000])
     # The right lamp is the left one's mirror image.
-    assert [float(module.T_world_headlight[1, 3]) for module in modules] == pytest.approx([0.6, 0.7, -0.6, -0.7])
+    assert [float(module.T_world_module[1, 3]) for module in modules] == pytest.approx([0.6, 0.7, -0.6, -0.7])
+    (alone,) = shining_modules(with_headlight(scenario, modules=("narrow",)), CPU)
+    assert alone.name == "left narrow" and [each.name for each in shining_modules(scenario, CPU)] == ["left wide", "left narrow"]
 
 
 def test_what_can_turn_is_turned_and_the_rest_stays(scenario: Scenario) -> None:
     turned = with_headlight(scenario, modules=("wide", "narrow"), swivel_deg=10.0, level_deg=1.5)
-    wide, narrow = build_projector(turned, CPU).modules
-    assert wide.T_world_headlight[:3, :3].equal(torch.eye(3, dtype=torch.float64))
+    wide, narrow = shining_modules(turned, CPU)
+    assert wide.T_world_module[:3, :3].equal(torch.eye(3, dtype=torch.float64))
     expected = pose_from_degrees((0, 0, 0), pitch_deg=0.5)[:3, :3] @ pose_from_degrees((0, 0, 0), 0, 1.5, 10)[:3, :3]
-    torch.testing.assert_close(narrow.T_world_headlight[:3, :3], expected, rtol=0, atol=1e-12)
+    torch.testing.assert_close(narrow.T_world_module[:3, :3], expected, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -73,10 +87,10 @@ def test_what_can_turn_is_turned_and_the_rest_stays(scenario: Scenario) -> None:
 )
 def test_what_the_lamp_has_not_is_named(scenario: Scenario, values: dict, words: str) -> None:
     with pytest.raises(LuxloopError, match=words):
-        build_projector(with_headlight(scenario, **values), CPU)
+        shining_modules(with_headlight(scenario, **values), CPU)
 
 
 def test_modules_that_give_no_light_cannot_be_scaled(tmp_path: Path) -> None:
     archive.save(tmp_path / "dark.npz", Lamp("dark", (Module("main", idealised(4, 8).scaled(0.0)),)))
     with pytest.raises(LuxloopError, match="main give no light"):
-        build_projector(load("flat", [f"headlight.model={tmp_path / 'dark.npz'}", "headlight.intensity_cd=1000"]), CPU)
+        shining_modules(load("flat", [f"headlight.model={tmp_path / 'dark.npz'}", "headlight.intensity_cd=1000"]), CPU)

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from loop.run import check
-from loop.scenario.model import load_any
+from loop.scenario.model import load
 from world import presets
 from world.errors import LuxloopError
 from world.headlight.lamp import direction
@@ -243,6 +243,6 @@ def test_lamps_that_are_not_there_are_named(name: str, words: str) -> None:
 def test_a_pixel_too_wide_for_a_symbol_is_said_in_angles_that_there_are(angles: NDArray[np.float64], words: str, tmp_path: Path) -> None:
     lm63.write(tmp_path / "wide.ies", Distribution("A", angles, angles, np.full((len(angles), len(angles)), 500.0)))
     with pytest.raises(LuxloopError) as error:
-        check(load_any("snowflake", [f"headlight.model={tmp_path / 'wide.ies'}"]))
+        check(load("snowflake", [f"headlight.model={tmp_path / 'wide.ies'}"]))
     assert words in str(error.value)
     assert "(a pixel of left wide spans about 120 x 148 deg across and down, and the symbol 6.73 x 0.602 deg" in str(error.value)

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from loop.assembly.build import build_scene
-from loop.scenario.model import validate_any
+from loop.scenario.model import validate
 from perception.camera import CameraParams, camera_view
 from perception.materials import material_picture
 from world.materials.library import MATERIALS
@@ -23,7 +23,7 @@ OBJECTS = [
 def test_materials_are_named(beads: bool) -> None:
     surface = {"markings": True, "beads": beads, "grain": 0.0, "albedo": 0.1}
     data = {"name": "street", "objects": OBJECTS, "surface": surface, "lighting": {}}
-    scenario = validate_any(data | {"spots": [{"x_m": 9, "y_m": 0, "material": "wet_asphalt"}]}, "street")
+    scenario = validate(data | {"spots": [{"x_m": 9, "y_m": 0, "material": "wet_asphalt"}]}, "street")
     view = camera_view(CameraParams(width_px=320, height_px=180))
     triangles = build_scene(scenario).at(0.0)
     surfaces = gbuffer(triangles, view, face_source("raycast").face_ids(triangles, view))

@@ -1,4 +1,4 @@
-"""Pixel controllers by name: each drives both kinds of scenarios, and keeps masks dark."""
+"""Pixel controllers by name: each drives lighting functions and symbols that are held, and keeps masks dark."""
 
 from typing import Any
 
@@ -7,35 +7,47 @@ import torch
 
 from controllers.jpo.controller import Jpo
 from controllers.pixels.ssc import Ssc
-from loop.assembly.build import build_projector
 from loop.assembly.pixel_control import pixel_controller
-from loop.lighting.simulation import LightingSimulation
-from loop.scenario.model import LightingScenario, Scenario, validate, validate_lighting
+from loop.lighting.simulation import Simulation
+from loop.scenario.model import Scenario, validate
 from perception.metrics import mae
 from world.errors import LuxloopError
 
-SYMBOL = {"name": "drawn", "symbol": {"image": "snowflake"}, "headlight": {"model": "hd84"}}
+FLAKE = {"kind": "symbol", "image": "snowflake", "width_m": 4.0, "length_m": 8.0, "controller": "thesis_pid"}
+SYMBOL = {
+    "name": "drawn",
+    "functions": {"symbol": FLAKE},
+    "headlight": {"model": "ssl-hd-lores", "lamps": ["left"]},
+    "camera": {"width_px": 320, "height_px": 180},
+    "renderer": "raycast",
+}
 OWN = """
 from dataclasses import dataclass, replace
 
-import torch
-from controllers.pixels.ssc import Utilisation
+from controllers.pixels.ssc import Ssc, Utilisation
 
 
 @dataclass(frozen=True)
 class Half:
-    headlight: object
-    default: torch.Tensor
+    ssc: Ssc
 
     @classmethod
     def prepare(cls, headlight):
-        return cls(headlight, torch.zeros(headlight.n_pixels))
+        return cls(Ssc.prepare(headlight))
+
+    @property
+    def headlight(self):
+        return self.ssc.headlight
+
+    @property
+    def default(self):
+        return self.ssc.default
 
     def over(self, default):
-        return replace(self, default=default)
+        return replace(self, ssc=self.ssc.over(default))
 
     def utilisation(self, primitives, T_world_headlight, secondary=None):
-        return Utilisation(0.5 * self.default)
+        return Utilisation(0.5 * self.ssc.utilisation(primitives, T_world_headlight, secondary).u)
 
 
 class Unfinished:
@@ -43,7 +55,7 @@ class Unfinished:
 """
 
 
-def lit(**changes: Any) -> LightingScenario:
+def lit(**changes: Any) -> Scenario:
     box = {
         "kind": "box",
         "name": "van",
@@ -54,7 +66,7 @@ def lit(**changes: Any) -> LightingScenario:
     pole = {"kind": "box", "name": "pole", "category": "other", "size_m": [0.05, 0.05, 2], "track": [{"position_m": [12, -1.5, 0]}]}
     mask = {"kind": "glare_free", "categories": ["car", "other"], "soft_zones": [{"margin_m": 0.6, "u_rel": 0.4}]}
     lane = {"kind": "lane", "value": 0.8}
-    return validate_lighting(
+    return validate(
         {
             "name": "lit",
             "headlight": {"model": "hd84"},
@@ -74,7 +86,7 @@ def lit(**changes: Any) -> LightingScenario:
 def test_masks_are_exactly_dark_with_joint_optimisation_too(model: str, objective: str) -> None:
     """Measured on what the camera sees of the bodies; what is not masked is lit, so that darkness is none of the lamps'."""
     jpo = {"objective": objective, "iterations": 10}
-    simulation = LightingSimulation.prepare(lit(headlight={"model": model}, pixel_controller="jpo", jpo=jpo))
+    simulation = Simulation.prepare(lit(headlight={"model": model}, pixel_controller="jpo", jpo=jpo))
     result = simulation.at(0)
     assert all(each.masked and each.pixels > 5 and each.lx_max == 0.0 for each in result.objects.values()), result.objects
     assert result.dark_lx_max == 0.0 and float(result.illuminance.max()) > 1.0
@@ -84,7 +96,7 @@ def test_joint_optimisation_comes_nearer_to_what_functions_want_than_ssc() -> No
     """The goal is a bent beam with a sign dimmed in it; its error is what jpo makes least, by some 20 % with pixels as coarse as these."""
     sign = {"kind": "box", "name": "sign", "category": "sign", "size_m": [0.1, 2.0, 2.0], "track": [{"position_m": [35, 0.5, 1.0]}]}
     functions = {"dim": {"kind": "sign", "value": 0.2}}
-    joint, single = (LightingSimulation.prepare(lit(pixel_controller=name, functions=functions, objects=[sign])) for name in ("jpo", "ssc"))
+    joint, single = (Simulation.prepare(lit(pixel_controller=name, functions=functions, objects=[sign])) for name in ("jpo", "ssc"))
     plan = joint.planner.plan(joint.situation(0.0))
     for k, module in enumerate(joint.modules):
         controller = module.controller.over(module.base(plan))
@@ -99,7 +111,7 @@ def test_joint_optimisation_comes_nearer_to_what_functions_want_than_ssc() -> No
 
 def test_a_symbol_is_drawn_by_the_controller_that_is_named() -> None:
     ssc, jpo = (
-        build_projector(validate({**SYMBOL, **named}, "drawn"), torch.device("cpu"))
+        Simulation.prepare(validate({**SYMBOL, **named}, "drawn")).symbol.projector
         for named in ({"ssc": {"a_r": 2.0}}, {"ssc": {"a_r": 2.0}, "pixel_controller": "jpo", "jpo": {"iterations": 7}})
     )
     (one,), (other,) = ssc.modules, jpo.modules
@@ -110,14 +122,13 @@ def test_a_symbol_is_drawn_by_the_controller_that_is_named() -> None:
 
 
 @pytest.mark.usefixtures("own")
-def test_one_of_the_users_own_drives_both_kinds() -> None:
-    simulation = LightingSimulation.prepare(lit(pixel_controller="own:Half"))
-    beams = [module.base(simulation.planner.plan(simulation.situation(0.0))) for module in simulation.modules]
-    for u, beam in zip(simulation.at(0).lights, beams, strict=True):
-        torch.testing.assert_close(u, 0.5 * beam, rtol=0, atol=0)
-    scenario: Scenario = validate({**SYMBOL, "pixel_controller": "own:Half"}, "own")
-    projector = build_projector(scenario, torch.device("cpu"))
-    assert not projector.light(projector.target)[0].u.any()
+def test_one_of_the_users_own_drives_functions_and_symbols_that_are_held() -> None:
+    for scenario in (lit(), validate(SYMBOL, "drawn")):
+        own = validate(scenario.model_dump(mode="json") | {"pixel_controller": "own:Half"}, "own")
+        whole, half = (Simulation.prepare(each).at(0).lights for each in (scenario, own))
+        assert any(bool(u.any()) for u in whole)
+        for u, full in zip(half, whole, strict=True):
+            torch.testing.assert_close(u, 0.5 * full, rtol=0, atol=0)
 
 
 WRONG = {
@@ -135,5 +146,5 @@ WRONG = {
 def test_what_cannot_drive_is_named_in_a_sentence(changes: dict[str, Any], words: list[str]) -> None:
     with pytest.raises(LuxloopError) as caught:
         scenario = lit(**changes)
-        pixel_controller(scenario, LightingSimulation.prepare(lit()).modules[0].headlight)
+        pixel_controller(scenario, Simulation.prepare(lit()).modules[0].headlight)
     assert all(word in str(caught.value) for word in words), caught.value

@@ -14,8 +14,8 @@ from loop.beams.goal import BeamGoal, BeamJudge
 from loop.beams.optimise import _method
 from loop.beams.search import alike, begin, descend, sample
 from loop.commands import cli
-from loop.lighting.simulation import LightingSimulation
-from loop.scenario.model import load_any, validate_any
+from loop.lighting.simulation import Simulation
+from loop.scenario.model import load, validate
 from perception.detection.build import detector
 from perception.detection.params import HogParams, NetworkParams
 from world.errors import LuxloopError
@@ -33,8 +33,8 @@ SCENE: dict[str, Any] = {
 
 
 def judge(goal: BeamGoal, params: NetworkParams | HogParams | None = None, **changes: Any) -> BeamJudge:
-    scenario = validate_any(SCENE | changes, "beam")
-    simulation = LightingSimulation.prepare(scenario)
+    scenario = validate(SCENE | changes, "beam")
+    simulation = Simulation.prepare(scenario)
     return BeamJudge.prepare(simulation, goal, None if params is None else detector(params, simulation.device))
 
 
@@ -87,7 +87,7 @@ def test_the_command_leaves_what_a_scenario_plays(tmp_path: Path, capsys: pytest
     summary = json.loads((out / "beam.json").read_text())
     assert summary["beams"]["before, as much flux"]["flux_lm"] == pytest.approx(summary["beams"]["found"]["flux_lm"], rel=1e-4)
     assert all(math.isfinite(score) for each in summary["beams"].values() for score in each["scores"].values())
-    played = LightingSimulation.prepare(load_any(str(file), [str(out / "raw.toml")])).at(0)
+    played = Simulation.prepare(load(str(file), [str(out / "raw.toml")])).at(0)
     lm = sum(power.flux_lm for power in played.powers.values())
     assert lm == pytest.approx(summary["beams"]["found"]["flux_lm"], rel=1e-4)
     assert f"luxloop run {file} --set {out / 'raw.toml'}" in capsys.readouterr().out
@@ -96,7 +96,6 @@ def test_the_command_leaves_what_a_scenario_plays(tmp_path: Path, capsys: pytest
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (["snowflake"], r"has a \[symbol\]"),
         (["gfhb", "--energy", "-1"], "energy"),
         (["gfhb", "--steps", "0"], "nothing can be found"),
         (["zones", "--metric", "edges"], r"zones\.toml: objects: none with a category"),

@@ -14,7 +14,6 @@ import torch
 
 from loop.commands import cli
 from loop.scenario import data
-from loop.scenario.model import validate
 from loop.terminal import listing
 from loop.terminal.doctor import Check
 from tests.loop.conftest import FILE, Lux, assert_one_sentence
@@ -27,11 +26,13 @@ ROOT = Path(__file__).parents[3]
     ("kind", "some"),
     [
         ("scenarios", ["snowflake", "gfhb"]),
+        ("functions", ["symbol", "glare_free", "lane", "marker"]),
         ("controllers", ["luxloop", "open", "thesis_pid"]),
         ("roads", ["flat", "opencrg"]),
         ("symbols", ["chevrons"]),
         ("detectors", ["network", "truth"]),
         ("lamps", ["ssl-hd"]),
+        ("plants", ["simulated", "recording"]),
         ("examples", ["night.toml", "tune_gains.py"]),
     ],
 )
@@ -45,24 +46,41 @@ def test_each_kind_is_listed_for_people_and_for_programs(lux: Lux, kind: str, so
     assert all(set(each) == keys and each["description"] for each in listed.values())
 
 
+def test_scenarios_are_listed_with_their_controllers_and_other_functions(lux: Lux) -> None:
+    uses = {each["name"]: each["uses"] for each in json.loads(lux("list", "--json")[1])}
+    assert uses["snowflake"] == ["thesis_pid"] and uses["gfhb"] == ["glare_free"]
+    assert uses["held_on_the_move"] == ["luxloop", "glare_free", "object_based"]
+
+
 def test_check_and_tune_take_a_controller(lux: Lux) -> None:
-    assert "controller thesis_pid)" in lux("check", "small.toml", "--controller", "thesis_pid")[1]
+    assert "symbol (symbol, held by thesis_pid)" in lux("check", "small.toml", "--controller", "thesis_pid")[1]
     code, _, error = lux("check", "small.toml", "--controller", "thesis_pdi")
     assert code == cli.WRONG and "did you mean 'thesis_pid'?" in error
-    tuned = ("tune", "small.toml", "--key", "controller.position.kp=0.1:1", "--trials", "2", "--jobs", "1", "--device", "cpu")
-    code, _, error = lux(*tuned)
-    assert code == cli.WRONG and "controller.position" in error, "luxloop, the default, has no such key"
-    code, out, _ = lux(*tuned, "--controller", "thesis_pid")
+    line = "tune small.toml --key functions.symbol.controller.position.kp=0.1:1 --trials 2 --jobs 1 --device cpu"
+    code, _, error = lux(*line.split())
+    assert code == cli.WRONG and "functions.symbol.controller.position" in error, "luxloop has no such key"
+    code, out, _ = lux(*line.split(), "--controller", "thesis_pid")
     assert code == 0 and ("--controller thesis_pid --set" in out or "no trial is better" in out)
 
 
 def test_check_for_programs_says_what_was_found_and_what_is_wrong(lux: Lux) -> None:
     code, out, _ = lux("check", "small.toml", "--json")
     assert code == 0
-    assert json.loads(out) == {"scenario": "small.toml", "ok": True, "steps": 3, "road": "flat", "controller": "luxloop"}
+    assert json.loads(out) == {
+        "scenario": "small.toml",
+        "ok": True,
+        "steps": 3,
+        "road": "flat",
+        "base": "base beam off",
+        "functions": {"symbol": "symbol"},
+        "controllers": {"symbol": "luxloop"},
+        "objects": 0,
+        "detector": None,
+    }
     code, out, _ = lux("check", "gfhb", "--json", "--set", "headlight.model=hd84", "renderer=raycast")
     found = json.loads(out)
     assert code == 0 and found["functions"] == {"guard_traffic": "glare_free"} and found["objects"] == 5 and found["detector"] is None
+    assert found["controllers"] == {}
     code, out, error = lux("check", "small.toml", "--json", "--set", "camera.bitz=8")
     found = json.loads(out)
     assert code == cli.WRONG and found["ok"] is False and error == f"error: {found['error']}\n"
@@ -105,7 +123,7 @@ def test_help_and_version(lux: Lux) -> None:
         ("run small.toml --device cpuu", '"cpu"'),
         ("run small.toml --controller thesis_pdi", "'thesis_pid'"),
         ("run small.toml --set camera.bitz=8", "'bits'"),
-        ("run small.toml --set symbol.image=snowflak", "'snowflake'"),
+        ("run small.toml --set functions.symbol.image=snowflak", "'snowflake'"),
         ("run small.toml --set road.kind=bumpz", "'bumps'"),
     ],
 )
@@ -143,20 +161,27 @@ def test_several_errors_have_a_line_each(lux: Lux, command: str) -> None:
         ("run small.toml --out small.toml", ["small.toml", "--out"]),
         ("run small.toml --out .", ["no recording", "new directory"]),
         ("run small.toml --set road.kind=mixed road.bumps_m=[0.1,-0.1]", ["road.bumps_m", "[0.1, -0.1]", "[lowest, highest]"]),
-        ("run small.toml --set symbol.image=none.png", ["none.png", "does not exist"]),
-        ("run small.toml --set symbol.image=black.png", ["black.png", "black"]),
-        ("run small.toml --set symbol.image=text.png", ["text.png", "picture"]),
-        ("run small.toml --set symbol.image=empty.png", ["empty.png", "picture"]),
+        ("run small.toml --set functions.symbol.image=none.png", ["none.png", "does not exist"]),
+        ("run small.toml --set functions.symbol.image=black.png", ["black.png", "black"]),
+        ("run small.toml --set functions.symbol.image=text.png", ["text.png", "picture"]),
+        ("run small.toml --set functions.symbol.image=empty.png", ["empty.png", "picture"]),
         ("run small.toml --set road.kind=opencrg road.file=none.crg", ["none.crg", "check the path"]),
         ("run small.toml --set road.kind=opencrg road.file=text.png", ["text.png", "OpenCRG"]),
         ("run small.toml --set road.kind=opencrg road.file=short.crg", ["short.crg", "truncated"]),
         ("run mesh.toml --set road.kind=flat", ["none.obj", "no such mesh"]),
         ("run badmesh.toml", ["text.stl", "triangles"]),
-        ("run small.toml --set camera.yaw_deg=90", ["symbol.x_m = 17", "camera's sight"]),
-        ("run small.toml --set symbol.y_m=-9 camera.yaw_deg=-26", ["symbol.y_m = -9", "lamps' reach"]),
+        ("run small.toml --set camera.yaw_deg=90", ["functions.symbol: the target at x_m = 17", "camera's sight"]),
+        (
+            "run small.toml --set functions.symbol.y_m=-9 camera.yaw_deg=-26",
+            ["functions.symbol: the target at x_m = 17, y_m = -9", "lamps' reach"],
+        ),
         ("run small.toml --set headlight.intensity_cd=1", ["noise", "headlight.intensity_cd"]),
         ("check small.toml --set headlight.model=hd84", ["noise", "left matrix", "6.73 x 0.6", "finer pixels"]),
         ("check small.toml --set a=1", ["a: unknown key"]),
+        ("check small.toml --set symbol.image=chevrons", ["symbol: unknown key; known are", "functions"]),
+        ("check gfhb --controller open", ["controller: none of its functions has one"]),
+        ("check two_symbols --controller open", ["controller: several symbols have one: flake, way; set functions.NAME.controller"]),
+        ("schema --kind symbol", ["--kind"]),
         ("check mesh.toml", ["none.obj"]),
         ("replay .", ["no recording", "luxloop run"]),
         ("replay nowhere", ["nowhere", "luxloop run"]),
@@ -196,20 +221,21 @@ def test_device_that_is_not_there(lux: Lux) -> None:
 def test_check(lux: Lux) -> None:
     code, out, error = lux("check", "small.toml")
     assert (code, error) == (0, "")
-    assert out == "small.toml: ok (3 steps, road flat, controller luxloop)\n"
+    assert out == "small.toml: ok (3 steps, road flat, base beam off, functions symbol (symbol, held by luxloop), 0 objects, no detector)\n"
     assert "(5 steps, " in lux("check", "small.toml", "--set", "steps=5")[1]
 
 
 def test_schema_is_json(lux: Lux) -> None:
-    both, symbol, lighting = (json.loads(lux("schema", *kind)[1]) for kind in ([], ["--kind", "symbol"], ["--kind", "lighting"]))
-    assert symbol["properties"]["steps"]["minimum"] == lighting["properties"]["steps"]["minimum"] == 1
-    assert "symbol" in symbol["required"] and "functions" in lighting["properties"]
-    assert {each["$ref"] for each in both["anyOf"]} == {"#/$defs/Scenario", "#/$defs/LightingScenario"}
+    code, out, _ = lux("schema")
+    found = json.loads(out)
+    assert code == 0 and found["required"] == ["name"] and found["properties"]["steps"]["minimum"] == 1
+    assert {"functions", "lighting"} <= set(found["properties"]) and "image" in found["$defs"]["SymbolFunctionParams"]["required"]
 
 
 def test_list_names_missing_data_and_how_to_get_it(lux: Lux, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     paved = tmp_path / "paved.toml"
-    paved.write_text('name = "paved"\ndescription = "On stones."\nroad = {file = "belgian_block"}\ncontroller = {name = "open"}\n')
+    symbol = 'functions.symbol = {kind = "symbol", image = "snowflake", controller = "open"}\n'
+    paved.write_text('name = "paved"\ndescription = "On stones."\nroad = {file = "belgian_block"}\n' + symbol)
     monkeypatch.setattr(listing, "shipped", lambda: {"paved": paved})
     monkeypatch.setenv("LUXLOOP_DATA", str(tmp_path))
     monkeypatch.setattr(data, "cache_folder", lambda: tmp_path / "cache")
@@ -221,10 +247,6 @@ def test_list_names_missing_data_and_how_to_get_it(lux: Lux, tmp_path: Path, mon
     (tmp_path / data.entry("belgian_block").file).parent.mkdir(exist_ok=True)
     (tmp_path / data.entry("belgian_block").file).touch()
     assert "luxloop data get" not in lux("list")[1]
-
-
-def test_list_knows_the_controller_that_applies_where_none_is_named() -> None:
-    assert validate({"name": "bare", "symbol": {"image": "snowflake"}}, "bare").controller.name == listing.DEFAULT_CONTROLLER
 
 
 def test_data_commands(lux: Lux, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from loop.commands import cli
-from loop.scenario.model import Scenario, load, load_any
+from loop.scenario.model import Scenario, load
 from loop.scenario.shipped import examples, shipped
 from tests.loop.conftest import Lux, assert_one_sentence
 
@@ -19,10 +19,12 @@ def test_new_scenario_is_valid_and_shows_the_defaults(lux: Lux, tmp_path: Path) 
     assert scenario.name == "my"
     text = (tmp_path / "my.toml").read_text()
     for key in Scenario.model_fields:
-        assert re.search(rf"^(# )?(\[+{key}\]+|{key} = )", text, re.MULTILINE), key
+        assert re.search(rf"^(# )?(\[+{key}(\.\w+)?\]+|{key} = )", text, re.MULTILINE), key
     everything = re.sub(r"^# (\[\[\w+\]\]|\w+ = (?!\.\.\.))", r"\1", text, flags=re.MULTILINE)
     (tmp_path / "all.toml").write_text(everything)
-    assert len(tomllib.loads(everything)["camera"]) == len(type(scenario.camera).model_fields)
+    tables = tomllib.loads(everything)
+    assert len(tables["camera"]) == len(type(scenario.camera).model_fields)
+    assert len(tables["functions"]["symbol"]["controller"]) == len(type(scenario.symbol.controller).model_fields)
     assert load("all.toml").model_copy(update={"objects": ()}) == scenario
     assert len(load("all.toml").objects) == 1
 
@@ -30,7 +32,7 @@ def test_new_scenario_is_valid_and_shows_the_defaults(lux: Lux, tmp_path: Path) 
 @pytest.mark.parametrize("like", shipped())
 def test_new_scenario_like_a_shipped_one_differs_in_its_name_alone(lux: Lux, like: str) -> None:
     assert lux("new", "my.toml", "--like", like)[0] == 0
-    assert load_any("my.toml").model_copy(update={"name": like}) == load_any(like)
+    assert load("my.toml").model_copy(update={"name": like}) == load(like)
 
 
 @pytest.mark.parametrize("like", examples())
@@ -42,7 +44,7 @@ def test_every_example_can_be_copied_from_where_luxloop_is_installed(lux: Lux, l
 
 def test_new_names_the_copy_like_the_original_unless_told_otherwise(lux: Lux) -> None:
     assert lux("new", "--like", "curb")[0] == 0
-    assert load_any("curb.toml") == load_any("curb")
+    assert load("curb.toml") == load("curb")
 
 
 @pytest.mark.parametrize(
@@ -69,7 +71,7 @@ def test_new_scenario_like_none_is_refused_and_nothing_written(lux: Lux, tmp_pat
 
 def test_new_night_is_valid_and_its_traffic_comes_from_the_seed(lux: Lux) -> None:
     assert lux("new", "a.toml", "--traffic", "7")[0] == lux("new", "b.toml", "--traffic", "8")[0] == 0
-    a, b = load_any("a.toml"), load_any("b.toml")
+    a, b = load("a.toml"), load("b.toml")
     assert len(a.all_objects) > 5 and a.all_objects != b.all_objects and a.surface != b.surface
     assert all(each.on_road for each in a.all_objects)
     assert lux("check", "a.toml")[0] == 0

@@ -8,7 +8,7 @@ import av
 import pandas as pd
 import pytest
 
-from loop.symbol.simulation import Simulation
+from loop.lighting.simulation import Simulation
 from tests.loop.conftest import FILE, Lux
 from world.errors import LuxloopError
 
@@ -24,7 +24,8 @@ def test_run_replay_and_what_differs(lux: Lux, tmp_path: Path) -> None:
         assert part in out
     manifest = json.loads((folder / "manifest.json").read_text())
     assert (manifest["seed"], manifest["scenario"]["steps"], manifest["scenario"]["camera"]["bits"]) == (7, 4, 8)
-    assert json.loads((folder / "summary.json").read_text())["iou_open"] == pytest.approx(1, abs=0.01)  # a flat road needs no control
+    summary = json.loads((folder / "summary.json").read_text())["functions"]["symbol"]
+    assert summary["iou_open"] == pytest.approx(1, abs=0.01)  # a flat road needs no control
     with av.open(str(folder / "video.mp4")) as video:
         assert video.streams.video[0].frames == 4
 
@@ -34,7 +35,7 @@ def test_run_replay_and_what_differs(lux: Lux, tmp_path: Path) -> None:
     assert code == 0 and "agree" not in out
     assert list(pd.read_csv("steps.csv")["step"]) == [0, 1, 2, 3]
 
-    manifest["scenario"]["start"]["x_m"] = 18.5
+    manifest["scenario"]["functions"]["symbol"]["start"]["x_m"] = 18.5
     (folder / "manifest.json").write_text(json.dumps(manifest))
     code, out, _ = lux("replay", "runs/small", "--compare")
     assert code == 1
@@ -42,10 +43,10 @@ def test_run_replay_and_what_differs(lux: Lux, tmp_path: Path) -> None:
 
 
 def test_controller_starts_with_its_defaults_and_set_comes_on_top(lux: Lux, tmp_path: Path) -> None:
-    (tmp_path / "small.toml").write_text(FILE + '[controller]\nname = "thesis_pid"\nx_rate_m = 0.1\n')
+    (tmp_path / "small.toml").write_text(FILE.replace('"luxloop"', '{ name = "thesis_pid", x_rate_m = 0.1 }'))
     arguments = ["run", "small.toml", "--no-video", "--steps", "1", "--out", "a"]
-    assert lux(*arguments, "--controller", "thesis_pid", "--set", "controller.y_rate_m=0.2")[0] == 0
-    controller = json.loads((tmp_path / "a" / "manifest.json").read_text())["scenario"]["controller"]
+    assert lux(*arguments, "--controller", "thesis_pid", "--set", "functions.symbol.controller.y_rate_m=0.2")[0] == 0
+    controller = json.loads((tmp_path / "a" / "manifest.json").read_text())["scenario"]["functions"]["symbol"]["controller"]
     assert (controller["x_rate_m"], controller["y_rate_m"]) == (1.5, 0.2)
     assert {path.name for path in (tmp_path / "a").iterdir()} == FILES - {"video.mp4"}
 

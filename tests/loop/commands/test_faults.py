@@ -29,13 +29,13 @@ SMALL = """
 name = "small"
 steps = 100_000
 renderer = "raycast"
-symbol = { image = "snowflake", width_m = 4.0, length_m = 8.0 }
 camera = { width_px = 160, height_px = 90, oversampling = 1 }
-headlight = { model = "hd84" }
+headlight = { model = "hd84", lamps = ["left"] }
+functions.symbol = { kind = "symbol", image = "snowflake", width_m = 4.0, length_m = 8.0, controller = "luxloop" }
 """
 FORKS = multiprocessing.get_context("forkserver")
 FORKS.set_forkserver_preload(
-    ["loop.commands.cli", "loop.commands.runs", "loop.symbol.simulation", "loop.studies.tune"]
+    ["loop.commands.cli", "loop.commands.runs", "loop.lighting.simulation", "loop.studies.tune"]
 )  # imported once for all processes: seconds
 
 
@@ -120,7 +120,7 @@ def test_a_signal_ends_a_run_with_all_its_files(folder: Path, how: signal.Signal
 @pytest.mark.parametrize(
     ("largest", "room", "options"),
     [
-        ("trajectory.parquet", 20_100, ["--no-video"]),  # the table of one step has some 19 400 bytes, and each further step 200
+        ("trajectory.parquet", 26_500, ["--no-video"]),  # the table of one step has some 25 800 bytes, and each further step 200
         pytest.param("video.mp4", 30_000, ["--video", "--set", "camera.width_px=320", "camera.height_px=180"], marks=pytest.mark.slow),
     ],
 )
@@ -176,8 +176,8 @@ def test_one_run_has_a_folder_for_itself_until_it_is_killed(folder: Path) -> Non
     assert status(folder / "out") == "complete" and not half_written(folder)
 
 
-TUNE = ("tune", "small.toml", "--key", "controller.position.kp=0.1:2", "--objective", "iou", "--jobs", "1", "--out", "out")
-QUICK = ("--set", "steps=3", "controller.name=thesis_pid")
+TUNE = ("tune", "small.toml", "--key", "functions.symbol.controller.position.kp=0.1:2", "--objective", "iou", "--jobs", "1", "--out", "out")
+QUICK = ("--set", "steps=3", "functions.symbol.controller.name=thesis_pid")
 
 
 def study(folder: Path) -> optuna.Study:
@@ -190,7 +190,7 @@ def test_two_tunes_share_the_trials_asked_for(folder: Path) -> None:
     assert [each.ended()[0] for each in both] == [0, 0]
     trials = study(folder).trials
     assert [trial.state in FINISHED for trial in trials] == [True] * 5
-    assert len({trial.params["controller.position.kp"] for trial in trials}) == 5
+    assert len({trial.params["functions.symbol.controller.position.kp"] for trial in trials}) == 5
     assert "5 trials" in (folder / "out" / "report.md").read_text()
 
 

@@ -1,4 +1,4 @@
-"""Symbols among the lighting functions that controllers hold: alone, beside masks, several of them, and what a file may ask for."""
+"""Symbols that controllers hold among the lighting functions: beside masks, several of them, and what a file may ask for."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,11 +11,10 @@ from controllers.pixels.ssc import Utilisation
 from controllers.symbol.sensing.protocol import Look, Shown
 from loop.commands import cli
 from loop.lighting.record import row, schema
-from loop.lighting.result import LightingResult
-from loop.lighting.simulation import LightingSimulation
+from loop.lighting.result import StepResult
+from loop.lighting.simulation import Simulation
 from loop.plant.protocol import Arrivals, Exposure
-from loop.scenario.model import load_any, validate, validate_lighting
-from loop.symbol.simulation import Simulation
+from loop.scenario.model import load, validate
 from perception.extraction import Loss
 from world.errors import LuxloopError
 
@@ -32,30 +31,18 @@ START = {"x_m": 15.0, "y_m": -0.8, "roll_deg": 3.0, "pitch_deg": -1.0}
 LEFT, RIGHT = FLAKE | {"x_m": 17.5, "y_m": 1.6}, FLAKE | {"image": "chevrons", "x_m": 16.0, "y_m": -1.6}
 
 
-def simulation(functions: dict[str, Any], **changes: Any) -> LightingSimulation:
-    return LightingSimulation.prepare(validate_lighting(WORLD | {"functions": functions} | changes, "held"))
+def simulation(functions: dict[str, Any], **changes: Any) -> Simulation:
+    return Simulation.prepare(validate(WORLD | {"functions": functions} | changes, "held"))
 
 
-def run(functions: dict[str, Any], **changes: Any) -> list[LightingResult]:
+def run(functions: dict[str, Any], **changes: Any) -> list[StepResult]:
     return list(simulation(functions, **changes).run())
 
 
-def ious(results: Sequence[LightingResult], name: str) -> list[float]:
+def ious(results: Sequence[StepResult], name: str) -> list[float]:
     """Of the steps in which it was judged."""
     verdicts = [each.held[name].verdict for each in results if name in each.held]
     return [float(each.iou) for each in verdicts if each is not None]
-
-
-@pytest.mark.parametrize("controller", ["luxloop", "thesis_pid"])
-def test_a_symbol_alone_is_held_as_by_a_scenario_of_a_symbol(controller: str) -> None:
-    symbol = validate(WORLD | {"symbol": {"image": "snowflake"}, "start": START, "controller": {"name": controller}}, "symbol")
-    alone = list(Simulation.prepare(symbol).run())
-    held = run({"flake": FLAKE | {"start": START, "controller": controller}})
-    for one, other in zip(alone, held, strict=True):
-        # the same light is summed in another order: rounding of float32, and the noise's level it may tip over
-        torch.testing.assert_close(other.held["flake"].pose, one.pose, rtol=0, atol=1e-3)
-        assert one.verdict is not None and other.held["flake"].verdict is not None
-        assert float(other.held["flake"].verdict.iou) == pytest.approx(float(one.verdict.iou), abs=0.01)
 
 
 @pytest.mark.parametrize("controller", ["luxloop", "thesis_pid"])
@@ -128,7 +115,10 @@ def test_flux_is_the_mean_of_both_exposures() -> None:
         ({"observer": {}}, ["functions.flake", "observer", "leave it out"]),
         ({"yaw_deg": 10.0}, ["yaw_deg"]),
         ({"animation": {"kind": "blink"}}, ["animation"]),
-        ({"start": {"x_m": 45.0}, "controller": {"name": "thesis_pid"}}, ["start.x_m", "controller.x_range_m"]),
+        (
+            {"start": {"x_m": 45.0}, "controller": {"name": "thesis_pid"}},
+            ["functions.flake: start.x_m", "controller.x_range_m"],
+        ),
         ({"target": "place", "controller": "thesis_pid"}, ["target", "holds no place"]),
         ({"x_m": 200.0}, ["x_m", "100"]),
         ({"controller": "luxlop"}, ["luxlop", "luxloop"]),
@@ -145,8 +135,8 @@ def test_what_cannot_be_held_is_refused_in_a_sentence(changes: dict[str, Any], w
 
 
 def test_the_controller_of_the_only_symbol_goes_by_the_option(capsys: pytest.CaptureFixture[str]) -> None:
-    masked = load_any("masked_symbol", controller={"name": "open"})
-    assert masked.functions["flake"].controller.name == "open"  # type: ignore[union-attr]
+    controller = load("masked_symbol", controller={"name": "open"}).symbol.controller
+    assert controller is not None and controller.name == "open"
     assert cli.main(["check", "two_symbols", "--controller", "open"]) == cli.WRONG
     assert "several symbols have one: flake, way; set functions.NAME.controller" in capsys.readouterr().err
     assert cli.main(["check", "gfhb", "--controller", "open"]) == cli.WRONG

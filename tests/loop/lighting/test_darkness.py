@@ -5,9 +5,9 @@ from typing import Any
 import pytest
 import torch
 
-from loop.lighting.result import LightingResult
-from loop.lighting.simulation import LightingSimulation
-from loop.scenario.model import LightingScenario, load_any, validate_lighting
+from loop.lighting.result import StepResult
+from loop.lighting.simulation import Simulation
+from loop.scenario.model import Scenario, load, validate
 from loop.scenario.shipped import shipped
 from perception.camera import CameraParams, camera_view
 from world.light.illumination import illuminance, reach
@@ -33,12 +33,12 @@ LAMPS = ("hd84", "ssl-hd", "idealised-332x1024")
 MASK = {"kind": "glare_free", "categories": ["other"], "margin_m": 0.0, "margin_deg": 0.0}  # the box itself: no margin hides a fault
 
 
-def scenario(model: str, **changes: Any) -> LightingScenario:
+def scenario(model: str, **changes: Any) -> Scenario:
     def track(name: str) -> list[dict[str, Any]]:
         return [{"time_s": float(k), "position_m": (x, y, 0.0), "yaw_deg": yaw} for k, (x, y, yaw) in enumerate(PLACES[name])]
 
     boxes = [{"kind": "box", "name": name, "category": "other", "size_m": size, "track": track(name)} for name, size in SIZES.items()]
-    return validate_lighting(
+    return validate(
         {
             "name": model,
             "steps": 3,
@@ -56,14 +56,14 @@ def scenario(model: str, **changes: Any) -> LightingScenario:
     )
 
 
-def views(simulation: LightingSimulation) -> dict[str, View]:
+def views(simulation: Simulation) -> dict[str, View]:
     """The camera's view and that of one module of each lamp."""
     first = {module.side: module for module in reversed(simulation.modules)}
     lamps = {side: module.headlight.view(module.T_world_module, 480, 130) for side, module in first.items()}
     return {"camera": camera_view(simulation.scenario.camera), **lamps}
 
 
-def most_light(simulation: LightingSimulation, result: LightingResult, names: set[str]) -> dict[str, dict[str, float]]:
+def most_light(simulation: Simulation, result: StepResult, names: set[str]) -> dict[str, dict[str, float]]:
     """By view and body: the most light in lx of all modules on what the view sees of the body, as if nothing threw a shadow."""
     triangles = simulation.world.scene.at(result.time_s)
     found: dict[str, dict[str, float]] = {}
@@ -81,7 +81,7 @@ def most_light(simulation: LightingSimulation, result: LightingResult, names: se
 
 @pytest.mark.parametrize("model", LAMPS)
 def test_masked_bodies_get_exactly_no_light(model: str) -> None:
-    simulation = LightingSimulation.prepare(scenario(model))
+    simulation = Simulation.prepare(scenario(model))
     for step in range(3):
         result = simulation.at(step)
         light = most_light(simulation, result, set(SIZES))
@@ -91,13 +91,13 @@ def test_masked_bodies_get_exactly_no_light(model: str) -> None:
 
 
 def test_without_a_mask_they_are_lit() -> None:
-    simulation = LightingSimulation.prepare(scenario("hd84", functions={}))
+    simulation = Simulation.prepare(scenario("hd84", functions={}))
     light = most_light(simulation, simulation.at(0), set(SIZES))
     assert all(lx > 0.5 for lx in light["camera"].values()), light
 
 
 def test_a_power_limit_keeps_masks_dark() -> None:
-    simulation = LightingSimulation.prepare(scenario("hd84", lighting={"base": {"beam": "full"}, "power_limit": 0.2}))
+    simulation = Simulation.prepare(scenario("hd84", lighting={"base": {"beam": "full"}, "power_limit": 0.2}))
     result = simulation.at(0)
     assert all(power.share == pytest.approx(0.2) and power.factor < 1 for power in result.powers.values())
     assert result.dark_lx_max == 0.0
@@ -110,7 +110,7 @@ def test_a_mask_that_fades_lights_no_other_masked_body() -> None:
         return {"kind": "box", "name": name, "category": "car", "size_m": SIZES["car"], "track": [{"position_m": (x, y, 0.0)}], **track}
 
     boxes = [box("car", 50.0, 0.0), box("before", 20.0, 0.0, vanishes_s=0.1), box("beside", 48.0, 3.0, vanishes_s=0.1)]
-    simulation = LightingSimulation.prepare(scenario("hd84", rate_hz=4, objects=boxes, functions={"guard": {"kind": "glare_free"}}))
+    simulation = Simulation.prepare(scenario("hd84", rate_hz=4, objects=boxes, functions={"guard": {"kind": "glare_free"}}))
     for step in (1, 2):
         result = simulation.at(step)
         assert result.dark_lx_max == 0.0 and result.objects["car"].masked
@@ -119,9 +119,8 @@ def test_a_mask_that_fades_lights_no_other_masked_body() -> None:
 
 @pytest.mark.parametrize("name", [name for name in shipped() if name.startswith("gfhb")])
 def test_shipped_glare_free_scenarios_are_dark_where_they_must_be(name: str) -> None:
-    loaded = load_any(name, camera=CameraParams(width_px=480, height_px=200, hfov_deg=34, pitch_deg=1.5).model_dump(mode="json"))
-    assert isinstance(loaded, LightingScenario)
-    simulation = LightingSimulation.prepare(loaded)
+    loaded = load(name, camera=CameraParams(width_px=480, height_px=200, hfov_deg=34, pitch_deg=1.5).model_dump(mode="json"))
+    simulation = Simulation.prepare(loaded)
     for step in range(0, loaded.steps, max(1, (loaded.steps - 1) // 2)):
         result = simulation.at(step)
         masked = {each for each, light in result.objects.items() if light.masked}

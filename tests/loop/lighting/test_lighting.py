@@ -1,4 +1,4 @@
-"""Lighting scenarios run, are recorded as they went, and replay."""
+"""Scenarios run, are recorded as they went, and replay."""
 
 import json
 from dataclasses import replace
@@ -12,14 +12,14 @@ import pytest
 import torch
 
 from loop.commands import cli
-from loop.lighting.picture import measured, white_of
 from loop.lighting.record import schema
-from loop.lighting.report import lit_part
-from loop.lighting.simulation import LightingSimulation, conditions_at
+from loop.lighting.simulation import Simulation
 from loop.pictures.views import BIRDSEYE_X_M, BIRDSEYE_Y_M
+from loop.report.page import lit_part
+from loop.report.picture import measured, white_of
 from loop.run import run
-from loop.scenario.model import LightingScenario, RoadConditionParams, validate_lighting
-from perception.camera import CameraParams, noise_std
+from loop.scenario.model import Scenario, validate
+from perception.camera import noise_std
 from world.errors import LuxloopError
 from world.lampfiles import archive
 from world.presets import lamp
@@ -36,7 +36,7 @@ GLARE_FREE = {"kind": "glare_free"}
 SYMBOL = {"kind": "symbol", "image": "snowflake"}
 
 
-def scenario(**changes: Any) -> LightingScenario:
+def scenario(**changes: Any) -> Scenario:
     base = {
         "name": "lit",
         "steps": 3,
@@ -49,19 +49,19 @@ def scenario(**changes: Any) -> LightingScenario:
         "functions": {"guard": GLARE_FREE},
         "renderer": "raycast",
     }
-    return validate_lighting(base | changes, "lit")
+    return validate(base | changes, "lit")
 
 
 def test_objects_on_a_road_are_seen_and_tracked_at_its_height() -> None:
     """On 5 % from 10 m on after a curve of 4 m, 40 m ahead is 1.4 m up, and the van sinks by 0.5 m on its way of 10 m."""
     road = {"kind": "grade", "grade_percent": 5.0, "crossfall_percent": 0.0, "start_x_m": 10.0}
-    simulation = LightingSimulation.prepare(scenario(road=road, objects=[BOX | {"on_road": True}]))
+    simulation = Simulation.prepare(scenario(road=road, objects=[BOX | {"on_road": True}]))
     assert not torch.equal(simulation.world.scene.at(0.0).placed[1].T_world_body, simulation.world.scene.at(1.0).placed[1].T_world_body)
     for t_s, height_m in ((0.0, 1.4), (1.0, 0.9)):
         (van,) = simulation.situation(t_s).objects
         foot = simulation.world.scene.at(t_s).placed[1].corners[..., 2].min()
         assert float(van.T_world_object[2, 3]) == pytest.approx(height_m, abs=1e-9) == float(foot)
-    (sunk,) = LightingSimulation.prepare(scenario(road=road)).situation(0.0).objects
+    (sunk,) = Simulation.prepare(scenario(road=road)).situation(0.0).objects
     assert float(sunk.T_world_object[2, 3]) == 0
 
 
@@ -79,9 +79,7 @@ def test_a_run_is_recorded_filmed_and_reported(tmp_path: Path) -> None:
 
 
 def test_pictures_have_the_cameras_noise_and_measured_light_has_none() -> None:
-    noisy, other, still = (
-        LightingSimulation.prepare(scenario(**each)) for each in ({}, {"seed": 1}, {"camera": {**CAMERA, "noise": False}})
-    )
+    noisy, other, still = (Simulation.prepare(scenario(**each)) for each in ({}, {"seed": 1}, {"camera": {**CAMERA, "noise": False}}))
     result, camera = noisy.at(1), noisy.scenario.camera
     assert torch.equal(result.luminance, other.at(1).luminance) and torch.equal(result.illuminance, other.at(1).illuminance)
     image, exact = measured(result, noisy), result.luminance
@@ -116,11 +114,11 @@ def test_functions_without_effect_are_told(tmp_path: Path) -> None:
 
 
 def test_pictures_of_light_beyond_the_camera_are_white_and_not_black() -> None:
-    camera = CameraParams(**CAMERA)
+    simulation = Simulation.prepare(scenario())
     saturation = 1000 / (0.015 * 50_000)  # cd/m^2, of the camera's defaults
-    bright, dim = torch.full((9, 16), 25.0), torch.full((9, 16), 0.2)
-    assert float(white_of(bright, camera)) == pytest.approx(saturation)
-    assert float(white_of(dim, camera)) == pytest.approx(0.3)  # half as much again as the scene
+    bright, dim = (replace(simulation.at(0), luminance=torch.full((9, 16), each)) for each in (25.0, 0.2))
+    assert float(white_of(bright, simulation)) == pytest.approx(saturation)
+    assert float(white_of(dim, simulation)) == pytest.approx(0.3)  # half as much again as the scene
 
 
 def test_the_recording_replays_and_a_changed_one_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -149,7 +147,7 @@ def test_what_is_interrupted_is_kept(tmp_path: Path) -> None:
     assert (tmp_path / "lit" / "report.png").stat().st_size > 10_000
 
 
-def test_the_command_line_knows_both_kinds(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_line_lists_and_checks(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["list"]) == cli.OK
     listed = capsys.readouterr().out
     assert "glare_free" in listed and "thesis_pid" in listed
@@ -162,16 +160,10 @@ def test_the_command_line_knows_both_kinds(capsys: pytest.CaptureFixture[str]) -
     )
 
 
-def test_a_symbol_has_no_place_beside_lighting(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["check", "gfhb", "--set", "symbol.image=none.png"]) == cli.WRONG
-    told = capsys.readouterr().err
-    assert "both a [symbol] and [lighting]" in told and "functions.NAME.image" in told and "lighting.raw" not in told
-
-
 def test_light_on_an_object_is_that_of_the_law_of_distances() -> None:
     """An upright plate far ahead, in the full beam of one lamp: E = I / d^2 within what its extent makes of it."""
     plate = BOX | {"name": "plate", "size_m": [0.02, 0.2, 0.2], "track": [{"position_m": [20, 0, 0.65]}]}
-    simulation = LightingSimulation.prepare(
+    simulation = Simulation.prepare(
         scenario(
             headlight={"model": "hd84", "lamps": ["left"], "distance_m": 0.0},
             objects=[plate],
@@ -189,7 +181,7 @@ def test_light_on_an_object_is_that_of_the_law_of_distances() -> None:
 
 
 def test_an_object_appears_to_the_tracker_when_it_does_in_the_scene() -> None:
-    simulation = LightingSimulation.prepare(scenario(objects=[BOX | {"appears_s": 0.3, "vanishes_s": 0.5}], steps=4))
+    simulation = Simulation.prepare(scenario(objects=[BOX | {"appears_s": 0.3, "vanishes_s": 0.5}], steps=4))
     results = list(simulation.run())
     assert [result.objects["van"].pixels > 0 for result in results] == [False, False, True, False]
     assert [result.objects["van"].masked for result in results] == [False, False, True, False]
@@ -197,14 +189,14 @@ def test_an_object_appears_to_the_tracker_when_it_does_in_the_scene() -> None:
 
 
 def test_what_stands_still_is_rendered_once() -> None:
-    simulation = LightingSimulation.prepare(scenario(objects=[]))
+    simulation = Simulation.prepare(scenario(objects=[]))
     assert simulation.world.lit(0.0) is simulation.world.lit(5.0)
     torch.testing.assert_close(simulation.at(0).illuminance, simulation.at(2).illuminance)
 
 
 def test_conditions_hold_until_the_next() -> None:
-    timeline = (RoadConditionParams(time_s=1, wet=True), RoadConditionParams(time_s=3, street_lit=True))
-    assert [conditions_at(timeline, time_s).wet for time_s in (0.0, 1.0, 2.9, 3.0, 9.0)] == [True, True, True, False, False]
+    timeline = scenario(conditions=[{"time_s": 1, "wet": True}, {"time_s": 3, "street_lit": True}])
+    assert [timeline.conditions_at(time_s).wet for time_s in (0.0, 1.0, 2.9, 3.0, 9.0)] == [True, True, True, False, False]
 
 
 WRONG = {
@@ -225,7 +217,7 @@ WRONG = {
 @pytest.mark.parametrize(("changes", "named"), WRONG.values(), ids=WRONG.keys())
 def test_what_is_not_there_is_named_in_a_sentence(changes: dict[str, Any], named: list[str]) -> None:
     with pytest.raises(LuxloopError) as caught:
-        LightingSimulation.prepare(scenario(**changes))
+        Simulation.prepare(scenario(**changes))
     assert all(part in str(caught.value) for part in named), caught.value
 
 
@@ -235,9 +227,9 @@ def test_every_beam_that_may_come_is_asked_for_beforehand(tmp_path: Path, beam: 
     hd84 = lamp("hd84")
     archive.save(tmp_path / "own.npz", replace(hd84, beams={name: hd84.beam("full") for name in ("low", "town", "adverse")}))
     with pytest.raises(LuxloopError, match=f"no beam '{lacking}'; it has low, town"):
-        LightingSimulation.prepare(scenario(headlight={"model": str(tmp_path / "own.npz")}, lighting={"base": {"beam": beam}}))
+        Simulation.prepare(scenario(headlight={"model": str(tmp_path / "own.npz")}, lighting={"base": {"beam": beam}}))
 
 
 def test_columns_are_described() -> None:
-    for field in schema(LightingSimulation.prepare(scenario())):
+    for field in schema(Simulation.prepare(scenario())):
         assert field.metadata[b"description"], field.name

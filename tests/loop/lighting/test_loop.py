@@ -14,12 +14,12 @@ from rich.console import Console
 from controllers.situation import AdaptiveFunction
 from loop.commands import cli
 from loop.lighting.record import LOOKED_AT, row, schema
-from loop.lighting.simulation import LightingSimulation
+from loop.lighting.simulation import Simulation
 from loop.lighting.summary import shown
 from loop.recording.manifest import input_files
 from loop.recording.recorder import table_of
 from loop.run import run
-from loop.scenario.model import LightingScenario, validate_lighting
+from loop.scenario.model import Scenario, validate
 from perception.detection.protocol import Detections
 from world.errors import LuxloopError
 
@@ -30,7 +30,7 @@ PARKED = {"kind": "car", "name": "parked", "category": None, "lit": False, "trac
 OBL = {"kind": "object_based"}
 
 
-def scenario(**changes: Any) -> LightingScenario:
+def scenario(**changes: Any) -> Scenario:
     base = {
         "name": "closed",
         "steps": 8,
@@ -43,7 +43,7 @@ def scenario(**changes: Any) -> LightingScenario:
         "functions": {"object_light": OBL, "guard": {"kind": "glare_free"}},
         "renderer": "raycast",
     }
-    return validate_lighting(base | changes, "closed")
+    return validate(base | changes, "closed")
 
 
 def test_everyone_is_found_tracked_placed_and_recorded(tmp_path: Path) -> None:
@@ -70,7 +70,7 @@ def test_everyone_is_found_tracked_placed_and_recorded(tmp_path: Path) -> None:
 
 def test_masks_follow_tracks_and_darken_them() -> None:
     masked = scenario(steps=6, lighting={"base": {"beam": "full"}}, functions={"guard": {"kind": "glare_free"}})
-    results = list(LightingSimulation.prepare(masked).run())
+    results = list(Simulation.prepare(masked).run())
     assert not results[0].masked and results[0].objects["oncoming"].lx_max > 1
     last = results[-1].objects
     assert last["oncoming"].masked and last["parked"].masked and not last["walker"].masked
@@ -79,17 +79,17 @@ def test_masks_follow_tracks_and_darken_them() -> None:
 
 def test_late_frames_make_tracks_late() -> None:
     late = scenario(camera=CAMERA | {"latency_steps": 2}, steps=7)
-    results = list(LightingSimulation.prepare(late).run())
+    results = list(Simulation.prepare(late).run())
     assert [each.frame is None for each in results] == [True, True] + [False] * 5
     assert [each.look is not None and len(each.look.tracks) for each in results] == [0, 0, 0, 0, 3, 3, 3]
-    in_time = list(LightingSimulation.prepare(scenario(steps=5)).run())
+    in_time = list(Simulation.prepare(scenario(steps=5)).run())
     assert results[2].frame is not None and in_time[0].frame is not None
     assert results[2].frame.equal(in_time[0].frame)  # no function has anything to do before a track is confirmed
 
 
 def test_a_track_is_predicted_where_frames_are_lost() -> None:
     lost = scenario(disturbances={"drops": [{"from_step": 4, "until_step": 6}]}, steps=6)
-    *_, last = LightingSimulation.prepare(lost).run()
+    *_, last = Simulation.prepare(lost).run()
     assert last.frame is None and last.look is not None and len(last.look.found) == 0 and len(last.look.tracks) == 3
     made = last.look.recognised["walker"]  # whose track goes on as he does: they still overlap
     assert made.track is not None and made.score == 0.0
@@ -98,7 +98,7 @@ def test_a_track_is_predicted_where_frames_are_lost() -> None:
 @pytest.mark.parametrize("late", [{"camera": CAMERA | {"latency_steps": 1}}, {"disturbances": {"drops": [{"until_step": 1}]}}], ids=str)
 def test_what_no_frame_shows_is_recorded_as_unknown(late: dict[str, Any]) -> None:
     functions = {"matter": {"kind": "material", "lights": [{"materials": ["asphalt"], "lx": 5.0}], "road_m": [5, 30]}}
-    simulation = LightingSimulation.prepare(scenario(functions=functions, steps=3, **late))
+    simulation = Simulation.prepare(scenario(functions=functions, steps=3, **late))
     first, *_, last = (row(result) for result in simulation.run())
     assert first["functions.matter.asphalt.lx"] is None and last["functions.matter.asphalt.lx"] > 0
     assert "detections" not in first and "objects.walker.score" not in first and last["detections"] == 3
@@ -112,7 +112,7 @@ def test_lighting_functions_have_no_off_frame() -> None:
 def test_lamps_that_are_misaimed_or_worn_light_other_places_than_planned() -> None:
     low = {"lighting": {"base": {"beam": "low"}}, "functions": {}}
     results = [
-        LightingSimulation.prepare(scenario(**low, detector=None, disturbances=each)).at(0)
+        Simulation.prepare(scenario(**low, detector=None, disturbances=each)).at(0)
         for each in ({}, {"aim": [{"pitch_deg": -1.0}]}, {"wear": {"aged": 1.0}})
     ]
     plain, raised, worn = (float(each.objects["oncoming"].lx_mean) for each in results)
@@ -124,7 +124,7 @@ def test_a_camera_that_looks_elsewhere_misplaces_tracks() -> None:
     wrong = scenario(disturbances={"calibration": {"yaw_deg": 1.0}}, steps=4)
     places = []
     for each in (scenario(steps=4), wrong):
-        simulation = LightingSimulation.prepare(each)
+        simulation = Simulation.prepare(each)
         *_, last = simulation.run()
         assert last.look is not None and last.look.recognised["walker"].track is not None
         name = f"track_{last.look.recognised['walker'].track}"
@@ -137,10 +137,10 @@ def test_a_camera_that_looks_elsewhere_misplaces_tracks() -> None:
 
 
 def test_tracks_are_where_objects_are() -> None:
-    simulation = LightingSimulation.prepare(scenario(steps=8))
+    simulation = Simulation.prepare(scenario(steps=8))
     *_, last = simulation.run()
     assert last.look is not None
-    true = {each.name: each for each in LightingSimulation.prepare(scenario(detector=None)).situation(last.time_s).objects}
+    true = {each.name: each for each in Simulation.prepare(scenario(detector=None)).situation(last.time_s).objects}
     for name, length_m in (("walker", 0.5), ("oncoming", 4.0)):
         told = next(each for each in last.now.objects if each.name == f"track_{last.look.recognised[name].track}")
         error = told.T_world_object[:2, 3] - true[name].T_world_object[:2, 3]
@@ -151,18 +151,18 @@ def test_tracks_are_where_objects_are() -> None:
 
 
 def test_a_state_taken_up_again_goes_on_as_the_run_did() -> None:
-    simulation = LightingSimulation.prepare(scenario())
+    simulation = Simulation.prepare(scenario())
     state = simulation.start()
     for _ in range(4):
         state, _ = simulation.step(state)
     _, first = simulation.step(state)
-    _, again = LightingSimulation.prepare(scenario()).step(state)
+    _, again = Simulation.prepare(scenario()).step(state)
     assert all(torch.equal(a, b) for a, b in zip(first.lights, again.lights, strict=True))
     assert first.step == 4 and torch.equal(first.frame, again.frame)
 
 
 def test_the_lights_of_a_time_are_those_of_the_run() -> None:
-    simulation = LightingSimulation.prepare(scenario(steps=6))
+    simulation = Simulation.prepare(scenario(steps=6))
     *_, last = simulation.run()
     assert all(torch.equal(a, b) for a, b in zip(simulation.lights_at(5 / 30), last.lights, strict=True))
 
@@ -171,7 +171,7 @@ def test_a_base_beam_is_dimmed_as_functions_ask() -> None:
     half = {"kind": "object_based", "method": "constant", "share": 0.5, "setpoint_lx": 0.0}
     most = half | {"share": 0.8}
     bright, dim, both = (
-        LightingSimulation.prepare(scenario(objects=[], functions=functions)).at(0)
+        Simulation.prepare(scenario(objects=[], functions=functions)).at(0)
         for functions in ({}, {"half": half}, {"half": half, "most": most})
     )
     for full, one, two in zip(bright.lights, dim.lights, both.lights, strict=True):
@@ -180,7 +180,7 @@ def test_a_base_beam_is_dimmed_as_functions_ask() -> None:
 
 
 def test_without_a_detector_functions_that_learn_are_told_the_truth() -> None:
-    simulation = LightingSimulation.prepare(scenario(detector=None))
+    simulation = Simulation.prepare(scenario(detector=None))
     assert simulation.planner.learns and isinstance(simulation.planner.functions["object_light"], AdaptiveFunction)
     state, result = simulation.step(simulation.start())
     assert state.tracks is None and [each.name for each in result.now.objects] == ["walker", "oncoming"]
@@ -195,13 +195,13 @@ def test_a_detectors_file_is_among_the_inputs_of_a_run(tmp_path: Path) -> None:
     given = scenario(detector={"kind": "network", "weights": str(weights)})
     assert dict(input_files(given))["detector.weights"] == weights
     with pytest.raises(LuxloopError, match=r"detector\.weights"):
-        LightingSimulation.prepare(given)
+        Simulation.prepare(given)
 
 
 def test_scenes_without_objects_and_out_of_sight_are_recorded(tmp_path: Path) -> None:
     behind = WALKER | {"path": None, "track": [{"position_m": [-20, 0, 0]}]}
     for objects in ([], [behind]):
-        simulation = LightingSimulation.prepare(scenario(objects=objects))
+        simulation = Simulation.prepare(scenario(objects=objects))
         result = simulation.at(0)
         assert (
             result.look is not None and result.look.false_positives == 0 and result.look.eyes_lx_max is None and len(result.look.found) == 0

@@ -5,9 +5,9 @@ from typing import Any
 import pytest
 import torch
 
-from loop.lighting.result import LightingResult
-from loop.lighting.simulation import LightingSimulation
-from loop.scenario.model import validate_lighting
+from loop.lighting.result import StepResult
+from loop.lighting.simulation import Simulation
+from loop.scenario.model import validate
 from world.frames import inverse, transform
 
 NODS = {"course": [{"speed_m_s": 20.0}], "oscillation": {"pitch_deg": 1.0, "rate_hz": 1.25}}
@@ -20,7 +20,7 @@ ONCOMING = {
 }
 
 
-def simulation(**changes: Any) -> LightingSimulation:
+def simulation(**changes: Any) -> Simulation:
     base = {
         "name": "moves",
         "steps": 4,
@@ -32,10 +32,10 @@ def simulation(**changes: Any) -> LightingSimulation:
         "lighting": {},
         "renderer": "raycast",
     }
-    return LightingSimulation.prepare(validate_lighting(base | changes, "moves"))
+    return Simulation.prepare(validate(base | changes, "moves"))
 
 
-def guarded(**changes: Any) -> list[LightingResult]:
+def guarded(**changes: Any) -> list[StepResult]:
     lit: dict[str, Any] = {"lighting": {"base": {"beam": "high"}}, "functions": {"guard": {"kind": "glare_free"}}, "objects": [ONCOMING]}
     return list(simulation(**(lit | changes)).run())
 

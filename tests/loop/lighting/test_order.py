@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 import torch
 
-from loop.lighting.simulation import LightingSimulation
-from loop.scenario.model import LightingScenario, validate_lighting
+from loop.lighting.simulation import Simulation
+from loop.scenario.model import Scenario, validate
 
 ROAD = {"x_m": 16.0, "width_m": 4.0, "length_m": 8.0}
 FUNCTIONS: dict[str, dict[str, Any]] = {  # all of one priority, and all on the same road and the same walker
@@ -28,14 +28,14 @@ FUNCTIONS: dict[str, dict[str, Any]] = {  # all of one priority, and all on the 
 }
 
 
-def scenario(functions: dict[str, dict[str, Any]]) -> LightingScenario:
+def scenario(functions: dict[str, dict[str, Any]]) -> Scenario:
     at = {"walker": (20, 0.5, 90), "van": (28, 2.0, 180)}
     size = {"walker": (0.4, 0.5, 1.8), "van": (4.5, 1.8, 1.9)}
     boxes = [
         {"kind": "box", "name": name, "size_m": size[name], "track": [{"position_m": (x, y, 0), "yaw_deg": yaw}]}
         for name, (x, y, yaw) in at.items()
     ]
-    return validate_lighting(
+    return validate(
         {
             "name": "overlapping",
             "headlight": {"model": "ssl-hd-lores"},
@@ -49,9 +49,9 @@ def scenario(functions: dict[str, dict[str, Any]]) -> LightingScenario:
     )
 
 
-def lights(given: LightingScenario) -> list[torch.Tensor]:
+def lights(given: Scenario) -> list[torch.Tensor]:
     """Utilisations of the first two steps, the second with what functions have learnt."""
-    simulation = LightingSimulation.prepare(given)
+    simulation = Simulation.prepare(given)
     state, first = simulation.step(simulation.start())
     return [*first.lights, *simulation.step(state)[1].lights]
 

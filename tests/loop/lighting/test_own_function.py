@@ -4,9 +4,9 @@ from typing import Any
 
 import pytest
 
-from loop.lighting.simulation import LightingSimulation
+from loop.lighting.simulation import Simulation
 from loop.run import run
-from loop.scenario.model import LightingScenario, validate_lighting
+from loop.scenario.model import Scenario, validate
 from world.errors import LuxloopError
 
 OWN = """
@@ -52,7 +52,7 @@ class Forgetful:
 """
 
 
-def scenario(**functions: Any) -> LightingScenario:
+def scenario(**functions: Any) -> Scenario:
     data = {
         "name": "own",
         "steps": 3,
@@ -62,11 +62,11 @@ def scenario(**functions: Any) -> LightingScenario:
         "functions": functions,
         "renderer": "raycast",
     }
-    return validate_lighting(data, "own")
+    return validate(data, "own")
 
 
 def lights(**functions: Any) -> list[Any]:
-    return [result.lights[0] for result in LightingSimulation.prepare(scenario(**functions)).run()]
+    return [result.lights[0] for result in Simulation.prepare(scenario(**functions)).run()]
 
 
 @pytest.mark.usefixtures("own")
@@ -86,7 +86,7 @@ def test_it_draws_as_the_others_do(tmp_path: Any) -> None:
 def test_one_that_learns_keeps_its_state_from_step_to_step() -> None:
     first, second, third = lights(a={"kind": "own:Brightening"})
     assert (first.sum(), second.sum()) < (second.sum(), third.sum())
-    simulation = LightingSimulation.prepare(scenario(a={"kind": "own:Brightening"}))
+    simulation = Simulation.prepare(scenario(a={"kind": "own:Brightening"}))
     state, result = simulation.step(simulation.start())
     assert simulation.planner.learns and state.functions == {"a": 1} and result.plan.base.share == 0.5
 

@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 
-from loop.lighting.simulation import LightingSimulation
-from loop.scenario.model import LightingScenario, validate_lighting
+from loop.lighting.simulation import Simulation
+from loop.scenario.model import Scenario, validate
 from world.errors import LuxloopError
 
 OWN = """
@@ -63,7 +63,7 @@ WALKERS = [
 ]
 
 
-def scenario(**tracker: Any) -> LightingScenario:
+def scenario(**tracker: Any) -> Scenario:
     data = {
         "name": "tracked",
         "steps": 5,
@@ -75,11 +75,11 @@ def scenario(**tracker: Any) -> LightingScenario:
         "lighting": {"base": {"beam": "low"}},
         "renderer": "raycast",
     }
-    return validate_lighting(data, "tracked")
+    return validate(data, "tracked")
 
 
 def looked(**tracker: Any) -> list[Any]:
-    results = LightingSimulation.prepare(scenario(**tracker)).run()
+    results = Simulation.prepare(scenario(**tracker)).run()
     return [(each.look.tracks.boxes.tolist(), each.look.recognised, [o.name for o in each.now.objects]) for each in results]
 
 

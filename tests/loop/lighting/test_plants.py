@@ -11,11 +11,11 @@ from rich.console import Console
 from torch import Tensor
 
 from loop.lighting.record import row
-from loop.lighting.result import LightingResult
-from loop.lighting.simulation import LightingSimulation
+from loop.lighting.result import StepResult
+from loop.lighting.simulation import Simulation
 from loop.lighting.summary import shown
 from loop.run import run
-from loop.scenario.model import validate_lighting
+from loop.scenario.model import validate
 from tests.loop.conftest import Lux, assert_one_sentence
 from world.errors import LuxloopError
 
@@ -59,11 +59,11 @@ SEES = {"detector": {"kind": "own:Brightest"}, "objects": [CAR], "functions": WO
 BLIND = {"kind": "own:Blind"}
 
 
-def simulation(**changes: Any) -> LightingSimulation:
-    return LightingSimulation.prepare(validate_lighting(WORLD | changes, "lit"))
+def simulation(**changes: Any) -> Simulation:
+    return Simulation.prepare(validate(WORLD | changes, "lit"))
 
 
-def lights(results: Sequence[LightingResult]) -> list[Tensor]:
+def lights(results: Sequence[StepResult]) -> list[Tensor]:
     return list(chain.from_iterable(each.lights for each in results))
 
 
@@ -97,7 +97,7 @@ def test_a_symbol_is_held_on_a_plant_without_truth() -> None:
 
 @pytest.mark.usefixtures("own")
 def test_a_run_without_truth_is_recorded_reported_and_repeated(lux: Lux, tmp_path: Path) -> None:
-    summary = run(validate_lighting(WORLD | SEES | {"plant": BLIND}, "lit"), tmp_path / "blind", device="cpu").summary
+    summary = run(validate(WORLD | SEES | {"plant": BLIND}, "lit"), tmp_path / "blind", device="cpu").summary
     console = Console(record=True, width=160)
     console.print(shown(summary, "blind"))
     assert "boxes a step" in (told := console.export_text()) and "nothing" not in told
@@ -111,7 +111,7 @@ def test_a_run_without_truth_is_recorded_reported_and_repeated(lux: Lux, tmp_pat
 def test_functions_work_in_shadow_on_the_frames_of_a_recording(tmp_path: Path) -> None:
     """The same functions ask for the same light again; others see what was lit then, not what they ask for."""
     folder = tmp_path / "recorded"
-    run(validate_lighting(WORLD | SEES, "lit"), folder, frames=True, video=False, report=False, device="cpu")
+    run(validate(WORLD | SEES, "lit"), folder, frames=True, video=False, report=False, device="cpu")
     recording = {"plant": {"kind": "recording", "folder": str(folder)}}
     again = list(simulation(**SEES, **recording).run())
     table = pq.read_table(folder / "trajectory.parquet")
@@ -122,7 +122,7 @@ def test_functions_work_in_shadow_on_the_frames_of_a_recording(tmp_path: Path) -
     assert not lights(other)[-1].equal(lights(again)[-1])
     for a, b in zip(again, other, strict=True):
         assert (a.frame is None) == (b.frame is None) and (a.frame is None or a.frame.equal(b.frame))
-    summary = run(validate_lighting(WORLD | SEES | recording, "lit"), tmp_path / "shadow", video=False, report=False, device="cpu").summary
+    summary = run(validate(WORLD | SEES | recording, "lit"), tmp_path / "shadow", video=False, report=False, device="cpu").summary
     assert summary["shadow_of"] == str(folder)
 
 
@@ -152,10 +152,10 @@ def test_what_needs_the_simulated_world_is_refused_on_another_plant() -> None:
 
 def test_a_recording_of_other_exposures_or_of_held_symbols_is_refused(tmp_path: Path) -> None:
     folder = tmp_path / "recorded"
-    run(validate_lighting(WORLD | {"steps": 4}, "lit"), folder, frames=True, video=False, report=False, device="cpu")
+    run(validate(WORLD | {"steps": 4}, "lit"), folder, frames=True, video=False, report=False, device="cpu")
     recording = {"plant": {"kind": "recording", "folder": str(folder)}, "steps": 4}
     with pytest.raises(LuxloopError, match=r"exposures of 33.33 ms, but those of this scenario take 20 ms"):
         simulation(**recording, rate_hz=50.0)
-    with pytest.raises(LuxloopError, match=r"functions\.flake\.controller"):
+    with pytest.raises(LuxloopError, match="shows none of the symbols that are held here, flake, but none"):
         simulation(**recording, functions={"flake": {"kind": "symbol", "image": "snowflake", "controller": "luxloop"}})
     assert lights(list(simulation(**recording).run()))[-1].equal(lights(list(simulation(steps=4).run()))[-1])

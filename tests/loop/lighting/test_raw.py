@@ -1,4 +1,4 @@
-"""Raw utilisations in lighting scenarios: shown as they are, frame by frame, below functions and limits; what does not fit is named."""
+"""Raw utilisations: shown as they are, frame by frame, below functions and limits; what does not fit is named."""
 
 from pathlib import Path
 from typing import Any
@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import torch
 
-from loop.lighting.simulation import LightingSimulation
+from loop.lighting.simulation import Simulation
 from loop.recording.manifest import input_files
-from loop.scenario.model import LightingScenario, load_any, validate_any, validate_lighting
+from loop.scenario.model import Scenario, load, validate
 from world.errors import LuxloopError
 from world.lampfiles.utilisations import read_sequence
 from world.photometry.distribution import Array
@@ -21,11 +21,11 @@ MASK = {"kind": "glare_free"}
 VAN = {"kind": "box", "name": "van", "category": "car", "size_m": [4.5, 1.8, 1.9], "track": [{"position_m": [30, 3, 0], "yaw_deg": 180}]}
 
 
-def scenario(raw: Any, **changes: Any) -> LightingScenario:
+def scenario(raw: Any, **changes: Any) -> Scenario:
     lighting = {"raw": raw, **changes.pop("lighting", {})}
     camera = {"width_px": 160, "height_px": 90}
     given = {"name": "raw", "rate_hz": 10, "headlight": {"model": "hd84"}, "camera": camera, "renderer": "raycast", "lighting": lighting}
-    return validate_lighting(given | changes, "raw")
+    return validate(given | changes, "raw")
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +79,7 @@ def test_a_video_without_loss_gives_its_frames_at_its_own_rate(tmp_path: Path) -
 def test_both_lamps_show_the_frame_of_the_time(written: dict[str, Path], sequence: Array) -> None:
     """At 10 steps and 5 frames a second each frame stays for two steps; then it starts over, or the last one stays."""
     raw = {"file": str(written["folder"]), "rate_hz": 5.0}
-    again, held = (LightingSimulation.prepare(scenario([raw | {"repeat": repeat}])) for repeat in (True, False))
+    again, held = (Simulation.prepare(scenario([raw | {"repeat": repeat}])) for repeat in (True, False))
     for step in range(10):
         frame = torch.from_numpy(sequence[step // 2 % FRAMES]).flatten().float()
         for u in again.at(step).lights:
@@ -90,13 +90,13 @@ def test_both_lamps_show_the_frame_of_the_time(written: dict[str, Path], sequenc
 
 def test_modules_that_are_not_meant_keep_their_base_beam(written: dict[str, Path], sequence: Array) -> None:
     raw = {"file": str(written["folder"]), "modules": ["right"]}
-    left, right = LightingSimulation.prepare(scenario([raw], lighting={"base": {"beam": "full"}})).at(0).lights
+    left, right = Simulation.prepare(scenario([raw], lighting={"base": {"beam": "full"}})).at(0).lights
     assert (left == 1).all() and right.view(ROWS, COLUMNS)[0, 0] == pytest.approx(sequence[0, 0, 0])
 
 
 def test_it_is_said_what_shines_below_the_functions(written: dict[str, Path]) -> None:
     def words(*raw: dict[str, Any]) -> str:
-        return LightingSimulation.prepare(scenario(raw, lighting={"base": {"beam": "low"}})).base("low")
+        return Simulation.prepare(scenario(raw, lighting={"base": {"beam": "low"}})).base("low")
 
     file = str(written["array"])
     assert (words(), words({"file": file})) == ("low beam", "raw utilisations")
@@ -106,7 +106,7 @@ def test_it_is_said_what_shines_below_the_functions(written: dict[str, Path]) ->
 def test_functions_draw_over_them_and_limits_hold(written: dict[str, Path]) -> None:
     raw = [{"file": str(written["folder"])}]
     bare, masked, limited = (
-        LightingSimulation.prepare(scenario(raw, objects=[VAN], **changes)).at(0)
+        Simulation.prepare(scenario(raw, objects=[VAN], **changes)).at(0)
         for changes in ({}, {"functions": {"guard": MASK}}, {"lighting": {"power_limit": 0.1}})
     )
     assert bare.objects["van"].lx_max > 0.5 and masked.dark_lx_max == 0.0
@@ -118,8 +118,8 @@ def test_functions_draw_over_them_and_limits_hold(written: dict[str, Path]) -> N
 
 def test_paths_are_those_beside_the_file_and_every_frame_is_an_input(written: dict[str, Path], tmp_path: Path) -> None:
     (tmp_path / "my.toml").write_text('name = "my"\n[headlight]\nmodel = "hd84"\n[[lighting.raw]]\nfile = "./png/*.png"\n')
-    mine = load_any(str(tmp_path / "my.toml"))
-    assert isinstance(mine, LightingScenario) and LightingSimulation.prepare(mine).at(0).lights[0].any()
+    mine = load(str(tmp_path / "my.toml"))
+    assert Simulation.prepare(mine).at(0).lights[0].any()
     assert [file.name for _, file in input_files(mine)] == [f"{k:02d}.png" for k in range(FRAMES)]
     assert len(dict(input_files(mine))) == FRAMES
 
@@ -161,10 +161,5 @@ def test_what_does_not_fit_is_named_in_a_sentence(raw: list[dict[str, Any]], wor
     np.savez(tmp_path / "two.npz", np.ones(84), np.ones(84))
     given = [each | ({"file": str(tmp_path / each["file"])} if set("/.") & set(each["file"]) else {}) for each in raw]
     with pytest.raises(LuxloopError) as caught:
-        LightingSimulation.prepare(scenario(given))
+        Simulation.prepare(scenario(given))
     assert all(word in str(caught.value) for word in words), caught.value
-
-
-def test_a_scenario_with_a_symbol_takes_none() -> None:
-    with pytest.raises(LuxloopError, match=r"lighting.raw: the controller of a \[symbol\] moves a primitive.*headlight.beam"):
-        validate_any({"name": "both", "symbol": {"image": "snowflake"}, "lighting": {"raw": [{"file": "curtain"}]}}, "both.toml")

@@ -15,20 +15,20 @@ from rich.console import Console
 
 from loop.lighting import record
 from loop.lighting.compared import compared
-from loop.lighting.courses import _materials, write_courses
-from loop.lighting.marks import Mark, readable
-from loop.lighting.simulation import LightingSimulation
+from loop.lighting.simulation import Simulation
 from loop.lighting.summary import eyes_lx, lost_steps, shown, steps_of_nothing
-from loop.recording.report import STYLE
+from loop.recording.style import STYLE
+from loop.report.courses import _materials, write_courses
+from loop.report.marks import Mark, readable
 from loop.run import check, in_words, run
-from loop.scenario.model import LightingScenario, validate_lighting
+from loop.scenario.model import Scenario, validate
 
 WALKER = {"kind": "pedestrian", "name": "walker", "seed": 3, "track": [{"position_m": [15, -2, 0]}]}
 ZONE = {"kind": "zone", "centre_m": [14, 1, 1.0], "size_m": [0, 1.6, 1.6], "luminance_cd_m2": 0.1}
 HALF = {"kind": "object_based", "method": "constant", "share": 0.5, "setpoint_lx": 0.0}
 
 
-def scenario(functions: dict[str, dict[str, Any]], beam: str = "high", **changes: Any) -> LightingScenario:
+def scenario(functions: dict[str, dict[str, Any]], beam: str = "high", **changes: Any) -> Scenario:
     base = {
         "name": "told",
         "steps": 4,
@@ -41,7 +41,7 @@ def scenario(functions: dict[str, dict[str, Any]], beam: str = "high", **changes
         "functions": functions,
         "renderer": "raycast",
     }
-    return validate_lighting(base | changes, "told")
+    return validate(base | changes, "told")
 
 
 def test_every_chart_is_there_and_no_legend_lies_over_one(tmp_path: Path) -> None:
@@ -51,7 +51,7 @@ def test_every_chart_is_there_and_no_legend_lies_over_one(tmp_path: Path) -> Non
     with rc_context(STYLE):
         figure = Figure((5.4, 7.4), 80, layout="constrained")
         FigureCanvasAgg(figure)
-        write_courses(figure.add_subfigure(figure.add_gridspec()[0]), LightingSimulation.prepare(given), table)
+        write_courses(figure.add_subfigure(figure.add_gridspec()[0]), Simulation.prepare(given), table)
         figure.canvas.draw()
     charts = {_title(axes): axes for axes in figure.axes}
     assert [title.split()[0] for title in charts] == ["Luminous", "Electrical", "Luminance", "Confidence", "The"]
@@ -97,12 +97,12 @@ def test_energy_stands_beside_that_of_standby_and_of_undimmed_beams(tmp_path: Pa
 def test_power_is_compared_within_the_same_limit_and_beams_are_named_once() -> None:
     table = pa.table({"time_s": [0.0, 0.1], "beam": ["low", "low"]})
     free, limited = (
-        compared(LightingSimulation.prepare(scenario({}, "low", lighting={"base": {"beam": "low"}, "power_limit": limit})), table)
+        compared(Simulation.prepare(scenario({}, "low", lighting={"base": {"beam": "low"}, "power_limit": limit})), table)
         for limit in (1.0, 0.001)
     )
     assert list(free) == list(limited) == ["standby", "low beam"]
     assert free["low beam"].shape == (2,) and free["standby"][0] < limited["low beam"][0] < free["low beam"][0]
-    dark = compared(LightingSimulation.prepare(scenario({}, "off")), pa.table({"time_s": [0.0], "beam": ["off"]}))
+    dark = compared(Simulation.prepare(scenario({}, "off")), pa.table({"time_s": [0.0], "beam": ["off"]}))
     assert list(dark) == ["standby", "low beam"]
 
 

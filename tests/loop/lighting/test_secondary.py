@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from loop.lighting.observed import WIDTH_PX, observed_symbols, picture_view
-from loop.lighting.result import LightingResult
-from loop.lighting.simulation import LightingSimulation
-from loop.scenario.model import LightingScenario, load_any, validate_lighting
+from loop.lighting.result import StepResult
+from loop.lighting.simulation import Simulation
+from loop.scenario.model import Scenario, load, validate
 from loop.scenario.shipped import shipped
 from perception.camera import CameraParams
 
@@ -18,10 +18,10 @@ WANTED_LX = 1.0  # a single lamp of 50 kcd can give it up to 33 m ahead
 PATCH = (18.0, 26.0, 1.0)  # from, to and half the width in m, well inside of the carpet
 BARRIER = {"kind": "box", "name": "barrier", "size_m": [0.1, 0.5, 0.9], "albedo": 0.2, "track": [{"position_m": [12.0, 0.6, 0]}]}
 SMALL = CameraParams(width_px=240, height_px=135, hfov_deg=26).model_dump(mode="json")
-LIGHTING = [name for name in shipped() if isinstance(load_any(name), LightingScenario)]
+METERED = [name for name in shipped() if load(name).metered]  # others run as they were recorded, in tests/regression
 
 
-def run(lighting: dict[str, Any], function: dict[str, Any] = CARPET, **changes: Any) -> tuple[LightingSimulation, LightingResult]:
+def run(lighting: dict[str, Any], function: dict[str, Any] = CARPET, **changes: Any) -> tuple[Simulation, StepResult]:
     base = {
         "name": "carpet",
         "headlight": {"model": "hd84"},
@@ -31,12 +31,12 @@ def run(lighting: dict[str, Any], function: dict[str, Any] = CARPET, **changes: 
         "functions": {"drawn": function},
         "renderer": "raycast",
     }
-    scenario = validate_lighting(base | changes, "carpet")
-    simulation = LightingSimulation.prepare(scenario)
+    scenario = validate(base | changes, "carpet")
+    simulation = Simulation.prepare(scenario)
     return simulation, simulation.at(0)
 
 
-def on_road(simulation: LightingSimulation, result: LightingResult, aside_m: float = 0.0) -> float:
+def on_road(simulation: Simulation, result: StepResult, aside_m: float = 0.0) -> float:
     """Mean illuminance in lx of a patch in the middle of the carpet."""
     surfaces = simulation.world.lit(0.0).surfaces
     x, y, _ = surfaces.position
@@ -108,17 +108,16 @@ def test_the_wanted_picture_fills_the_observers_camera() -> None:
 @pytest.mark.slow
 def test_driver_cyclist_and_pedestrian_see_what_they_shall_see() -> None:
     """The shipped scenario, on a flat road with 1.3 million mirrors: 0.03 are left to the blur of their edges."""
-    scenario = load_any("observer_symbol", ["renderer=raycast"])
-    assert isinstance(scenario, LightingScenario) and scenario.headlight.model == "dmd-1m3"
-    seen = [result.symbol_iou_min for result in LightingSimulation.prepare(scenario).run()]
+    scenario = load("observer_symbol", ["renderer=raycast"])
+    assert scenario.headlight.model == "dmd-1m3"
+    seen = [result.symbol_iou_min for result in Simulation.prepare(scenario).run()]
     assert len(seen) == 3
     assert all(iou is not None and iou >= 0.97 for iou in seen), seen  # 0.983, 0.990 and 0.979
 
 
-def by_lamps_that_load_at_once(name: str) -> LightingScenario:
+def by_lamps_that_load_at_once(name: str) -> Scenario:
     """A shipped scenario with them; raw utilisations fit their own alone."""
-    scenario = load_any(name, camera=SMALL)
-    assert isinstance(scenario, LightingScenario)
+    scenario = load(name, camera=SMALL)
     model = scenario.headlight.model if scenario.lighting.raw else "hd84"
     headlight = scenario.headlight.model_copy(update={"modules": None, "model": model})
     functions = {
@@ -128,14 +127,13 @@ def by_lamps_that_load_at_once(name: str) -> LightingScenario:
     return scenario.model_copy(update={"functions": functions, "headlight": headlight})
 
 
-@pytest.mark.parametrize("name", LIGHTING)
+@pytest.mark.parametrize("name", METERED)
 def test_shipped_scenarios_run(name: str) -> None:
     """First and last steps, or two where steps depend on earlier ones; symbols that are held need their own lamps and camera."""
-    scenario = load_any(name)
-    assert isinstance(scenario, LightingScenario)
+    scenario = load(name)
     if not scenario.controlled:
         scenario = by_lamps_that_load_at_once(name)
-    simulation = LightingSimulation.prepare(scenario)
+    simulation = Simulation.prepare(scenario)
     state, first = simulation.step(simulation.start())
     last = simulation.step(state)[1] if simulation.remembers else simulation.at(scenario.steps - 1)
     assert all(power.flux_lm > 0 for power in last.powers.values())

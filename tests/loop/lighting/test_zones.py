@@ -8,17 +8,17 @@ import pytest
 from rich.console import Console
 
 from controllers.zones.zone import ZoneParams, region_of
-from loop.lighting.marks import marks
-from loop.lighting.simulation import LightingSimulation
+from loop.lighting.simulation import Simulation
 from loop.lighting.summary import shown
+from loop.report.marks import marks
 from loop.run import run
-from loop.scenario.model import LightingScenario, validate_lighting
+from loop.scenario.model import Scenario, validate
 
 CAMERA = {"width_px": 320, "height_px": 180, "oversampling": 1, "saturation_e": 2000, "pitch_deg": 1.5}
 WALLS = {0.05: 3.0, 0.2: 0.0, 0.8: -3.0}  # y in m by reflectance
 
 
-def scenario(functions: dict[str, dict[str, Any]], **changes: Any) -> LightingScenario:
+def scenario(functions: dict[str, dict[str, Any]], **changes: Any) -> Scenario:
     walls = [
         {
             "kind": "box",
@@ -40,7 +40,7 @@ def scenario(functions: dict[str, dict[str, Any]], **changes: Any) -> LightingSc
         "functions": functions,
         "renderer": "raycast",
     }
-    return validate_lighting(base | changes, "zones")
+    return validate(base | changes, "zones")
 
 
 def test_zones_settle_within_10_steps_over_all_reflectances(tmp_path: Path) -> None:
@@ -64,7 +64,7 @@ def test_a_white_wall_in_the_low_beam_settles_as_its_zone_counts_more_than_the_b
     zone = {"kind": "zone", "centre_m": [25, 0, 1.0], "size_m": [0, 1.6, 1.6], "luminance_cd_m2": 0.9}
     wall = {"kind": "box", "name": "white", "albedo": 0.8, "size_m": [0.2, 2, 2], "track": [{"position_m": [25.1, 0, 0]}]}
     zones = {"wall": zone | ({} if weight is None else {"weight": weight})}
-    simulation = LightingSimulation.prepare(scenario(zones, objects=[wall], lighting={"base": {"beam": "low"}}))
+    simulation = Simulation.prepare(scenario(zones, objects=[wall], lighting={"base": {"beam": "low"}}))
     seen = [result.zones["wall"].luminance or 0.0 for result in simulation.run()]
     beyond = [step for step, each in enumerate(seen) if abs(each / 0.9 - 1) > 0.05]
     # with 1 the beam's light at the foot of the wall is more than the zone can take away, and clipped besides
@@ -82,7 +82,7 @@ def test_a_zone_behind_the_camera_keeps_its_light_and_has_no_luminance(tmp_path:
 
 def test_zones_are_drawn_where_the_camera_sees_them() -> None:
     zone = {"kind": "zone", "centre_m": [15, 0, 1.0], "size_m": [0, 1.6, 1.6], "luminance_cd_m2": 0.6}
-    simulation = LightingSimulation.prepare(scenario({"to_the_back": zone | {"centre_m": [-15, 0, 1.0]}, "in_front": zone}, objects=[]))
+    simulation = Simulation.prepare(scenario({"to_the_back": zone | {"centre_m": [-15, 0, 1.0]}, "in_front": zone}, objects=[]))
     _, result = simulation.step(simulation.start())
     ahead, behind = marks(result, simulation)
     assert ahead.text == "in front" and not behind.lines and not behind.text
@@ -131,7 +131,7 @@ def test_paint_gets_its_own_light() -> None:
     lights = [{"materials": ["lane_paint"], "lx": 8.0}, {"materials": ["asphalt"], "lx": 1.0}]
     function = {"kind": "material", "lights": lights}
     # pixels finer than the line is wide at 20 m, 0.34 deg; the lamp lights from 18 m on
-    simulation = LightingSimulation.prepare(scenario({"by_material": function}, objects=[], headlight={"model": "idealised-332x1024"}))
+    simulation = Simulation.prepare(scenario({"by_material": function}, objects=[], headlight={"model": "idealised-332x1024"}))
     state = simulation.start()
     for _ in range(2):
         state, result = simulation.step(state)

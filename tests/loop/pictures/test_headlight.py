@@ -56,7 +56,7 @@ def car(lamps: dict[str, Lamp]) -> LitCar:
 
 
 def scenario(**tables: object) -> Scenario:
-    return validate({"name": "test", "symbol": {"image": "snowflake"}, "surface": {"grain": 0.0}, "renderer": "raycast", **tables}, "test")
+    return validate({"name": "test", "surface": {"grain": 0.0}, "renderer": "raycast", **tables}, "test")
 
 
 @pytest.fixture(scope="module")

@@ -8,15 +8,17 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
+from loop.lighting.record import row as row_of
+from loop.lighting.record import schema
+from loop.lighting.simulation import Simulation
 from loop.plant.pairing import paired
 from loop.plant.protocol import Arrivals, Exposure
 from loop.plant.simulated import SimulatedPlant
-from loop.recording.recorder import row as row_of
+from loop.recording.columns import of_one
 from loop.recording.recorder import table_of
 from loop.recording.summary import summarise
 from loop.run import prepare
 from loop.scenario.model import validate
-from loop.symbol.simulation import Simulation
 from perception.extraction import Loss
 from tests.loop.conftest import SMALL, Lux, assert_one_sentence
 from world.errors import LuxloopError
@@ -58,8 +60,10 @@ class Half:
 JUDGED = ("iou", "ssim", "length", "shear", "centroid_error_x_percent")
 
 
-def prepared(**changes: Any) -> Simulation:
-    return prepare(validate({**SMALL, "start": {}, **changes}, "plants"), "cpu")
+def prepared(controller: str = "thesis_pid", **changes: Any) -> Simulation:
+    """Control starts at the target."""
+    symbol = {"kind": "symbol", "image": "snowflake", "controller": {"name": controller}}
+    return prepare(validate({**SMALL, "functions": {"symbol": symbol}, **changes}, "plants"), "cpu")
 
 
 def test_exposures_are_numbered_once_and_follow_each_other(small_simulation: Simulation) -> None:
@@ -80,9 +84,7 @@ def test_exposures_are_numbered_once_and_follow_each_other(small_simulation: Sim
 
 
 def test_frames_that_are_late_by_a_varying_time_find_the_light_that_they_show() -> None:
-    simulation = prepared(
-        steps=20, controller={"name": "luxloop"}, road={"kind": "bumps"}, camera=SMALL["camera"] | {"latency_spread_steps": 3}
-    )
+    simulation = prepared("luxloop", steps=20, road={"kind": "bumps"}, camera=SMALL["camera"] | {"latency_spread_steps": 3})
     plant = simulation.plant
     assert isinstance(plant, SimulatedPlant)
     late = [plant._latency(step) for step in range(200)]
@@ -94,11 +96,11 @@ def test_frames_that_are_late_by_a_varying_time_find_the_light_that_they_show() 
         assert all(number // 2 <= state.step for number, _ in state.under_way)
     assert 0 < max(waiting) <= 3 and len(set(waiting)) > 1
     # in time it has 0.93 on these bumps; looks that come in pairs, or not at all, cost it nothing in the end
-    assert result.verdict is not None and float(result.verdict.iou) > 0.85
+    assert result.symbol.verdict is not None and float(result.symbol.verdict.iou) > 0.85
 
 
 def test_a_pair_that_lacks_a_frame_waits_and_one_that_lost_a_frame_is_lost(small_simulation: Simulation) -> None:
-    plant, shown = small_simulation.plant, small_simulation.projector.resting
+    plant, shown = small_simulation.plant, small_simulation.symbol.projector.resting
     _, came = plant.show((), Exposure(0, 0.0, 1 / 60, shown))
     (frame,) = came.frames
     off = replace(frame, number=1)
@@ -119,8 +121,8 @@ def test_a_plant_without_truth_runs_to_the_end(lux: Lux, tmp_path: Path) -> None
     code, out, _ = lux("run", "blind.toml", "--set", "plant.kind=own:Blind", "--out", "runs/blind")
     assert code == 0 and "nobody judged how the symbol lies" in " ".join(out.split())
     table = pq.read_table(tmp_path / "runs/blind/trajectory.parquet")
-    assert table.num_rows == 11 and all(table[name].null_count == 11 for name in JUDGED)
-    assert set(table["loss"].to_pylist()) == {""} and table["e_x"].null_count == 0
+    assert table.num_rows == 11 and all(table[f"functions.symbol.{name}"].null_count == 11 for name in JUDGED)
+    assert set(table["functions.symbol.loss"].to_pylist()) == {""} and table["functions.symbol.e_x"].null_count == 0
     assert {each.name for each in (tmp_path / "runs/blind").iterdir()} >= {"report.png", "video.mp4", "summary.json"}
     code, out, _ = lux("replay", "runs/blind", "--compare", "--allow-code")
     assert code == 0 and "11 steps agree" in out
@@ -129,21 +131,20 @@ def test_a_plant_without_truth_runs_to_the_end(lux: Lux, tmp_path: Path) -> None
 @pytest.mark.usefixtures("own")
 def test_a_step_of_which_one_frame_is_lost_is_not_seen() -> None:
     results = list(prepared(plant={"kind": "own:Blind", "options": {"lost": [3, 4]}}, steps=4).run())
-    assert [int(each.seen.code) for each in results] == [Loss.SEEN, Loss.NO_FRAME, Loss.NO_FRAME, Loss.SEEN]
+    assert [int(each.symbol.seen.code) for each in results] == [Loss.SEEN, Loss.NO_FRAME, Loss.NO_FRAME, Loss.SEEN]
 
 
 @pytest.mark.usefixtures("own")
 def test_samples_of_a_plant_of_ones_own_become_the_ego_motion() -> None:
-    changes = {"controller": {"name": "luxloop"}, "vehicle": {"course": [{"speed_m_s": 0.0}]}}
-    simulation = prepared(plant={"kind": "own:Rig"}, **changes)
+    simulation = prepared("luxloop", plant={"kind": "own:Rig"}, vehicle={"course": [{"speed_m_s": 0.0}]})
     state = simulation.start()
     for measured_s in (-0.02, 1 / 30 - 0.02, 0.05 - 0.02, 0.05 - 0.02):  # the last sample holds
-        ego = simulation.ego(state)
+        ego = simulation.ego(state.samples, state.arrivals.time_s)
         assert ego is not None and ego.time_s == pytest.approx(state.step / 30)
         assert (float(ego.speed_m_s), ego.rates_s, ego.speed_s) == pytest.approx((5.0, measured_s, measured_s + 0.02))
         assert float(ego.yaw_rate_rad_s) == pytest.approx(0.1 * measured_s) and bool(ego.attitude.isnan().all())
         state, result = simulation.step(state)
-        assert bool(result.pose.isfinite().all()), "what no sensor tells is left open"
+        assert bool(result.symbol.pose.isfinite().all()), "what no sensor tells is left open"
 
 
 @pytest.mark.usefixtures("own")
@@ -165,16 +166,22 @@ def test_a_plant_that_is_none_is_refused(lux: Lux, plant: str, words: str) -> No
 def test_what_needs_the_simulated_world_says_so() -> None:
     blind = prepared(plant={"kind": "own:Blind"})
     with pytest.raises(LuxloopError, match="the plant own:Blind does not know the truth"):
-        _ = blind.truth
+        _ = blind.world
     with pytest.raises(LuxloopError, match="compare = 'open_loop': needs the simulated world"):
         blind.lit_by("open_loop")
 
 
 def test_the_judge_looks_as_often_as_it_is_asked_to() -> None:
-    every, third, never = (list(prepared(steps=12, judge_every=n).run()) for n in (1, 3, 0))
+    simulations = [prepared(steps=12, judge_every=n) for n in (1, 3, 0)]
+    results = [list(each.run()) for each in simulations]
+    every, third, never = ([result.symbol for result in of_run] for of_run in results)
     assert [each.verdict is not None for each in third] == [step % 3 == 0 for step in range(12)]
     assert all(each.verdict is None for each in never)
     assert all(a.pose.equal(b.pose) and a.seen.errors.equal(b.seen.errors) for a, b in zip(every, never, strict=True))
-    summary = summarise(table_of([row_of(each) for each in third]), "name", "luxloop", 0.5)
+    tables = [
+        table_of([row_of(each) for each in of_run], schema(simulation)) for simulation, of_run in zip(simulations, results, strict=True)
+    ]
+    _, summary, unjudged = (summarise(of_one(table, "symbol"), "luxloop", 0.5) for table in tables)
+    assert every[9].verdict is not None
     assert summary["iou_final"] == pytest.approx(float(every[9].verdict.iou)) and summary["unsettled"] == "too_short"
-    assert summarise(table_of([row_of(each) for each in never]), "name", "luxloop", 0.5)["unsettled"] == "not_judged"
+    assert unjudged["unsettled"] == "not_judged"

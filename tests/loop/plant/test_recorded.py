@@ -13,27 +13,47 @@ import pyarrow.parquet as pq
 import pytest
 import torch
 
+from loop.lighting.record import row, schema
+from loop.lighting.simulation import Simulation
 from loop.plant.frames import TABLE, image_file, light_file
 from loop.plant.protocol import Exposure
 from loop.plant.recorded import RecordedPlant
-from loop.recording.recorder import row
+from loop.recording.columns import of_one
+from loop.recording.recorder import table_of
 from loop.run import prepare, run
-from loop.scenario.model import Scenario, load_any, validate
-from loop.symbol.simulation import Simulation
+from loop.scenario.model import Scenario, load, validate
 from tests.loop.conftest import SMALL, Lux, assert_one_sentence
 from world.errors import LuxloopError
+
+
+def held_by(controller: str) -> dict[str, Any]:
+    return {"symbol": SMALL["functions"]["symbol"] | {"controller": {"name": controller}}}
+
 
 STANDS = {**SMALL, "steps": 6, "camera": SMALL["camera"] | {"latency_spread_steps": 2, "drop_probability": 0.2}}
 DRIVES = {
     **SMALL,
     "steps": 5,
-    "controller": {"name": "luxloop"},
+    "functions": held_by("luxloop"),
     "vehicle": {"course": [{"speed_m_s": 10.0}]},
     "road": {"kind": "bumps"},
     "sensors": {"attitude": {"noise_deg": 0.01, "delay_s": 0.03}, "gyro": {"rate_hz": 100}},
 }
+PARKED = [{"position_m": [15.4, 1.1, 0.0]}]
+TWO: dict[str, Any] = {
+    **SMALL,
+    "steps": 4,
+    "road": {"kind": "bumps", "seed": 3},
+    "functions": {
+        "flake": {"kind": "symbol", "image": "snowflake", "x_m": 17.5, "y_m": 1.4, "controller": "thesis_pid", "start": {"x_m": 15.0}},
+        "way": {"kind": "symbol", "image": "chevrons", "x_m": 16.0, "y_m": -1.4, "controller": "luxloop", "start": {"x_m": 17.0}},
+        "guard": {"kind": "glare_free"},
+    },
+    "objects": [{"kind": "box", "name": "motorcycle", "category": "motorcycle", "size_m": [2.1, 0.8, 1.3], "track": PARKED}],
+}
 ASKED = ("x_m", "y_m", "z_m", "roll_deg", "pitch_deg")
 OTHER = "holds the light of other modules than those that draw here; run it with the scenario recorded"
+RECORDED = {"stands": STANDS, "drives": DRIVES, "two": TWO}
 SEEN = ("e_x", "e_y", "pose_error_x_m", "c_u", "c_v", "area_ratio", "loss")
 
 
@@ -45,62 +65,94 @@ def playing(data: dict[str, Any], folder: Path, **changes: Any) -> Simulation:
     return prepare(scenario_of(data, plant={"kind": "recording", "folder": str(folder)}, **changes), "cpu")
 
 
-def column(rows: list[dict[str, Any]], name: str) -> list[Any]:
-    """Its values, as a table has them: None where there is none."""
-    return [None if each[name] != each[name] else each[name] for each in rows]
+def recorded_in(folder: Path, name: str = "symbol") -> pa.Table:
+    """Of a symbol, under the short names of its columns."""
+    return of_one(pq.read_table(folder / "trajectory.parquet"), name)
+
+
+def run_of(simulation: Simulation) -> pa.Table:
+    """A row a step, as a recording has them."""
+    return table_of([row(result) for result in simulation.run()], schema(simulation))
+
+
+def asked_and_seen(simulation: Simulation) -> pa.Table:
+    """The same of its symbol, under the short names of its columns."""
+    return of_one(run_of(simulation), "symbol")
 
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Recordings of a car that stands and of one that drives."""
+    """Recordings of a car that stands, of one that drives, and of two symbols beside a mask."""
     folder = tmp_path_factory.mktemp("recorded")
-    for name, data in (("stands", STANDS), ("drives", DRIVES)):
+    for name, data in RECORDED.items():
         run(scenario_of(data), folder / name, frames=True, video=False, report=False, device="cpu")
-    return {name: folder / name for name in ("stands", "drives")}
+    return {name: folder / name for name in RECORDED}
 
 
 @pytest.mark.parametrize(("name", "data"), [("stands", STANDS), ("drives", DRIVES)])
 def test_the_controller_that_was_recorded_asks_for_the_same_again(name: str, data: dict[str, Any], recorded: dict[str, Path]) -> None:
-    table, simulation = pq.read_table(recorded[name] / "trajectory.parquet"), playing(data, recorded[name])
-    again = [row(result) for result in simulation.run()]
+    table, simulation = recorded_in(recorded[name]), playing(data, recorded[name])
+    again = asked_and_seen(simulation)
     for each in (*ASKED, *SEEN, "time_s"):
-        assert column(again, each) == table[each].to_pylist(), f"{each}, bit for bit"
-    assert simulation.judge is None and set(column(again, "iou")) == {None}
+        assert again[each].to_pylist() == table[each].to_pylist(), f"{each}, bit for bit"
+    assert simulation.symbol.judge is None and again["iou"].null_count == len(again)
     assert None in table["e_x"].to_pylist() or name == "drives", "some frames are lost"
 
 
 def test_another_controller_asks_for_its_own_and_sees_what_was_shown(recorded: dict[str, Path]) -> None:
     """What it sees is that of the recording, however far from it is what it asks for."""
-    table = pq.read_table(recorded["stands"] / "trajectory.parquet")
-    again = [row(result) for result in playing(STANDS, recorded["stands"], controller={"name": "open"}).run()]
-    assert column(again, "x_m") == [17.0] * 6 and table["x_m"].to_pylist() != [17.0] * 6
-    other = [row(result) for result in playing(STANDS, recorded["stands"], controller={"name": "gauss_newton"}).run()]
+    table = recorded_in(recorded["stands"])
+    again = asked_and_seen(playing(STANDS, recorded["stands"], functions=held_by("open")))
+    assert again["x_m"].to_pylist() == [17.0] * 6 and table["x_m"].to_pylist() != [17.0] * 6
+    other = asked_and_seen(playing(STANDS, recorded["stands"], functions=held_by("gauss_newton")))
     for each in SEEN:
-        assert column(again, each) == column(other, each) == table[each].to_pylist()
-    assert other[-1]["x_m"] != table["x_m"][-1].as_py() != 17.0
+        assert again[each].to_pylist() == other[each].to_pylist() == table[each].to_pylist()
+    assert other["x_m"][-1].as_py() != table["x_m"][-1].as_py() != 17.0
+
+
+def test_symbols_that_lie_side_by_side_and_below_a_mask_are_played(recorded: dict[str, Path]) -> None:
+    """The mask is in the light that is recorded; who plays it need not know of whom. Each symbol keeps its own controller."""
+    again = run_of(playing(TWO, recorded["two"], objects=[]))
+    flake = TWO["functions"]["flake"] | {"controller": "gauss_newton"}
+    other = run_of(playing(TWO, recorded["two"], objects=[], functions=TWO["functions"] | {"flake": flake}))
+    for name in ("flake", "way"):
+        table = recorded_in(recorded["two"], name)
+        assert 0 < table["e_x"].null_count < 4, "they lie in one another's way, so that each is measured in its turn"
+        for each in (*ASKED, *SEEN):
+            assert of_one(again, name)[each].to_pylist() == table[each].to_pylist(), f"{name}, {each}, bit for bit"
+        for each in SEEN if name == "flake" else (*ASKED, *SEEN):
+            assert of_one(other, name)[each].to_pylist() == table[each].to_pylist(), f"{name}, {each}, bit for bit"
+    assert of_one(other, "flake")["x_m"][-1].as_py() != recorded_in(recorded["two"], "flake")["x_m"][-1].as_py()
+    with pytest.raises(LuxloopError, match=r"objects: needs the truth, which the plant recording does not know; .*or take them out"):
+        playing(TWO, recorded["two"])
+    unlike = {"symbol": SMALL["functions"]["symbol"]}
+    with pytest.raises(LuxloopError, match=r"shows none of the symbols that are held here, symbol, but (flake|way)"):
+        playing(TWO, recorded["two"], objects=[], functions=unlike)
 
 
 def test_an_old_state_shows_the_same_frames_again(recorded: dict[str, Path]) -> None:
     simulation = playing(DRIVES, recorded["drives"])
-    plant, exposure = simulation.plant, Exposure(0, 0.0, 0.1, simulation.projector.resting)
+    plant, exposure = simulation.plant, Exposure(0, 0.0, 0.1, simulation.symbol.projector.resting)
     state, first = plant.start()
     states = [(state, first)]
     for _ in range(4):
         states.append(plant.show(states[-1][0], exposure))
     (frame,), (again,) = states[3][1].frames, plant.show(states[2][0], exposure)[1].frames
     assert frame.number == again.number == 2 and frame.image is not None and again.image is not None and frame.image.equal(again.image)
-    assert frame.shown is not None and frame.shown.drawing is not None and states[4][1].frames[0].shown is not None
+    assert frame.shown is not None and set(frame.shown.drawings) == {"symbol"}
+    off = states[4][1].frames[0].shown
+    assert off is not None and off.drawings == {}
 
 
 def test_a_shadow_is_recorded_beside_and_says_what_it_is(lux: Lux, tmp_path: Path) -> None:
     assert lux("run", "small.toml", "--out", "drive", "--frames", "--no-video", "--no-report")[0] == 0
     before = {file.name: file.read_bytes() for file in (tmp_path / "drive").rglob("*") if file.is_file()}
     code, out, _ = lux("run", "small.toml", "--plant", "drive", "--controller", "thesis_pid", "--out", "shadow")
-    words = f"in shadow of {tmp_path / 'drive'}, whose light the frames show; what this run asked for was shown nowhere and not judged"
+    words = f"in shadow on the frames of {tmp_path / 'drive'}; what this run asked for was shown nowhere and not judged"
     assert code == 0 and "".join(words.split()) in "".join(out.split())
     assert (tmp_path / "shadow/report.png").exists() and (tmp_path / "shadow/video.mp4").exists()
     assert {file.name: file.read_bytes() for file in (tmp_path / "drive").rglob("*") if file.is_file()} == before
-    drive, shadow = (pq.read_table(tmp_path / name / "trajectory.parquet") for name in ("drive", "shadow"))
+    drive, shadow = (recorded_in(tmp_path / name) for name in ("drive", "shadow"))
     assert drive["x_m"].to_pylist() != shadow["x_m"].to_pylist() and shadow["iou"].null_count == 3
     code, out, _ = lux("replay", "shadow")
     assert code == 0 and "3 steps agree" in out
@@ -115,20 +167,19 @@ def test_a_shadow_is_recorded_beside_and_says_what_it_is(lux: Lux, tmp_path: Pat
 
 def test_frames_of_a_shadow_are_kept_with_the_light_that_they_show(recorded: dict[str, Path], tmp_path: Path) -> None:
     folder = {"kind": "recording", "folder": str(recorded["stands"])}
-    scenario = scenario_of(STANDS, plant=folder, controller={"name": "open"})
+    scenario = scenario_of(STANDS, plant=folder, functions=held_by("open"))
     run(scenario, tmp_path / "copy", frames=True, video=False, report=False, device="cpu")
-    again = [row(result) for result in playing(STANDS, tmp_path / "copy").run()]
-    first = [row(result) for result in playing(STANDS, recorded["stands"]).run()]
-    assert column(again, "x_m") == column(first, "x_m")
+    again, first = (asked_and_seen(playing(STANDS, folder)) for folder in (tmp_path / "copy", recorded["stands"]))
+    assert again["x_m"].to_pylist() == first["x_m"].to_pylist()
 
 
 def test_a_folder_is_that_beside_the_scenario(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recorded: dict[str, Path]) -> None:
     (tmp_path / "there").mkdir()
-    text = 'name = "small"\nsymbol = { image = "snowflake" }\nplant = { kind = "recording", folder = "drive" }\n'
+    text = 'name = "small"\nplant = { kind = "recording", folder = "drive" }\n'
     (tmp_path / "there/shadow.toml").write_text(text)
     monkeypatch.chdir(tmp_path)
-    scenario = load_any("there/shadow.toml")
-    assert isinstance(scenario, Scenario) and scenario.plant == scenario_of(SMALL, plant=scenario.plant.model_dump()).plant
+    scenario = load("there/shadow.toml")
+    assert scenario.plant == scenario_of(SMALL, plant=scenario.plant.model_dump()).plant
     assert scenario.plant.model_dump()["folder"] == str(tmp_path / "there/drive")
 
 
@@ -173,7 +224,7 @@ def of_too_much(folder: Path) -> None:
     np.savez(light_file(folder, 2), u_0=np.full(332 * 1024, 2, np.float32))
 
 
-def table_of(change: Callable[[pa.Table], pa.Table]) -> Callable[[Path], None]:
+def in_table(change: Callable[[pa.Table], pa.Table]) -> Callable[[Path], None]:
     return lambda folder: pq.write_table(change(pq.read_table(folder / TABLE)), folder / TABLE)
 
 
@@ -201,14 +252,14 @@ DAMAGE: dict[str, tuple[Callable[[Path], Any], str]] = {
     "of nothing": (of_nothing, "u_0 is no finite float"),
     "of too much": (of_too_much, "u_0 is no utilisation"),
     "no table": (lambda folder: (folder / TABLE).unlink(), "holds no frames; record them with `luxloop run --frames`"),
-    "no row": (table_of(lambda table: table.slice(0, 1)), "no exposures that are numbered from 0"),
-    "other rows": (table_of(lambda table: table.slice(2)), "no exposures that are numbered from 0"),
-    "no column": (table_of(lambda table: table.drop(["came_with"])), "exposures.parquet: damaged, or no table of exposures .*came_with"),
-    "no light": (table_of(without("light", 3)), "exposure 3 is not complete"),
-    "no time": (table_of(without("taken_s", 2)), "the frame of exposure 2 has no times"),
-    "no gyro": (table_of(without("samples", 1, '[["gyro", 0, 0, [1, 2]]]')), "a sample of gyro has no such values"),
-    "no sensor": (table_of(without("samples", 1, '[["radar", 0, 0, [1]]]')), "exposures.parquet: damaged, or no table of exposures"),
-    "no samples": (table_of(without("samples", 1)), "time or samples of exposure 1 are not complete"),
+    "no row": (in_table(lambda table: table.slice(0, 1)), "no exposures that are numbered from 0"),
+    "other rows": (in_table(lambda table: table.slice(2)), "no exposures that are numbered from 0"),
+    "no column": (in_table(lambda table: table.drop(["came_with"])), "exposures.parquet: damaged, or no table of exposures .*came_with"),
+    "no light": (in_table(without("light", 3)), "exposure 3 is not complete"),
+    "no time": (in_table(without("taken_s", 2)), "the frame of exposure 2 has no times"),
+    "no gyro": (in_table(without("samples", 1, '[["gyro", 0, 0, [1, 2]]]')), "a sample of gyro has no such values"),
+    "no sensor": (in_table(without("samples", 1, '[["radar", 0, 0, [1]]]')), "exposures.parquet: damaged, or no table of exposures"),
+    "no samples": (in_table(without("samples", 1)), "time or samples of exposure 1 are not complete"),
 }
 
 
@@ -225,14 +276,15 @@ def test_what_is_damaged_or_lies_elsewhere_is_refused_in_a_sentence(name: str, r
 
 
 @pytest.mark.parametrize(
-    ("lamps", "words"), [("['left', 'right']", OTHER), ("['left']", "shows no symbol that is held; name the recording")]
+    ("lamps", "words"),
+    [("['left', 'right']", OTHER), ("['left']", "shows none of the symbols that are held here, symbol, but none; run it")],
 )
 def test_frames_of_lighting_functions_hold_no_symbol(lamps: str, words: str, tmp_path: Path) -> None:
     given = ["camera.width_px=320", "camera.height_px=180", "camera.oversampling=1", "renderer=raycast", f"headlight.lamps={lamps}"]
     run("gfhb", tmp_path / "gfhb", frames=True, video=False, report=False, overrides=given, steps=2)
-    model = load_any("gfhb", given).headlight.model
+    model = load("gfhb", given).headlight.model
     with pytest.raises(LuxloopError, match=words):
-        playing({**SMALL, "steps": 1, "headlight": {"model": model}}, tmp_path / "gfhb")
+        playing({**SMALL, "steps": 1, "headlight": {"model": model, "lamps": ["left"]}}, tmp_path / "gfhb")
 
 
 def test_a_plant_may_say_that_it_shows_something_else(small_simulation: Simulation) -> None:
@@ -246,13 +298,13 @@ def test_a_plant_may_say_that_it_shows_something_else(small_simulation: Simulati
             return small_simulation.plant.start()
 
         def show(self, state: Any, exposure: Exposure) -> Any:
-            pose = small_simulation.projector.target + torch.tensor([0.0, 0.5, 0.0, 0.0])
-            lights = exposure.lights if exposure.number % 2 else small_simulation.projector.light(pose)
+            pose = small_simulation.symbol.projector.target + torch.tensor([0.0, 0.5, 0.0, 0.0])
+            lights = exposure.lights if exposure.number % 2 else small_simulation.symbol.projector.light(pose)
             shown = replace(exposure, lights=lights)
             state, arrivals = small_simulation.plant.show(state, shown)
             return state, replace(arrivals, frames=tuple(replace(each, shown=shown if self.says else None) for each in arrivals.frames))
 
-    silent, told = (next(replace(small_simulation, plant=Moved(says)).run()) for says in (False, True))
+    silent, told = (next(replace(small_simulation, plant=Moved(says)).run()).symbol for says in (False, True))
     assert float((told.seen.area_ratio - 1).abs()) < float((silent.seen.area_ratio - 1).abs())
 
 
@@ -260,4 +312,4 @@ def test_the_plant_does_not_know_the_truth(recorded: dict[str, Path]) -> None:
     simulation = playing(STANDS, recorded["stands"])
     assert isinstance(simulation.plant, RecordedPlant)
     with pytest.raises(LuxloopError, match="the plant recording does not know the truth"):
-        _ = simulation.truth
+        _ = simulation.world

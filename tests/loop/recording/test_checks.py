@@ -8,13 +8,14 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+from loop.lighting.record import row, schema
+from loop.lighting.simulation import Simulation
 from loop.recording.checks import Checks, lines, outcome, ratio, refuse_unknown
-from loop.recording.recorder import SCHEMA, row, table_of
+from loop.recording.recorder import table_of
 from loop.run import check, run
 from loop.scenario.checks import CheckParams
-from loop.scenario.model import Scenario, load_any, validate, validate_any
+from loop.scenario.model import load, validate
 from loop.scenario.shipped import shipped
-from loop.symbol.simulation import Simulation
 from tests.loop.conftest import SMALL, Lux, assert_one_sentence
 from world.errors import LuxloopError
 
@@ -31,6 +32,7 @@ LIT: dict[str, Any] = {
     ],
     "renderer": "raycast",
 }
+IOU = "functions.symbol.iou"
 FLUX = {"metric": "lamp.left.flux_lm", "at_most": 0.7, "compare": "full_light"}
 
 
@@ -40,9 +42,10 @@ def with_checks(kind: dict[str, Any], **checks: dict[str, Any]) -> dict[str, Any
 
 def of(values: list[float | None], **check: Any) -> dict[str, Any]:
     """The outcome of a check of the IoU, of a run at 10 Hz with these values of it."""
-    columns = {"time_s": [k / 10 for k in range(len(values))], "iou": values}
-    table = pa.table(columns, pa.schema([SCHEMA.field(name) for name in columns]))
-    return outcome(CheckParams(metric="iou", **check), table, {})
+    columns = {"time_s": [k / 10 for k in range(len(values))], IOU: values}
+    units = {"time_s": "s", IOU: "1"}
+    table = pa.table(columns, pa.schema([pa.field(name, pa.float64(), metadata={"unit": unit}) for name, unit in units.items()]))
+    return outcome(CheckParams(metric=IOU, **check), table, {})
 
 
 @pytest.mark.parametrize(
@@ -66,7 +69,7 @@ def test_a_value_is_taken_of_the_steps_in_the_window_that_have_one(check: dict[s
     assert got["value"] == (value if value is None else pytest.approx(value))
     assert got["passed"] is (value is not None and value >= 0.3)
     if value is None:
-        assert lines({"checks": {"it": got}})["check it"].endswith("iou, nothing was there to check, at least 0.3: failed")
+        assert lines({"checks": {"it": got}})["check it"].endswith(f"{IOU}, nothing was there to check, at least 0.3: failed")
 
 
 @pytest.mark.parametrize(
@@ -76,7 +79,7 @@ def test_bounds_hold_the_value_themselves_included(bounds: dict[str, float], hol
     got = of([0.5], **bounds)
     assert got["passed"] is holds
     said = lines({"checks": {"it": got}})["check it"]
-    assert said.startswith("mean iou 0.5, ") and said.endswith("passed" if holds else "failed")
+    assert said.startswith(f"mean {IOU} 0.5, ") and said.endswith("passed" if holds else "failed")
 
 
 def test_a_ratio_has_an_answer_where_there_is_nothing_to_divide_by() -> None:
@@ -88,15 +91,15 @@ def test_a_ratio_has_an_answer_where_there_is_nothing_to_divide_by() -> None:
 
 # what is wrong: the check, what the sentence must name
 REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], list[str]]] = {
-    "no bound": (SMALL, {"metric": "iou"}, ["checks.it", "at_least, at_most"]),
-    "bounds exchanged": (SMALL, {"metric": "iou", "at_least": 2.0, "at_most": 1.0}, ["checks.it", "exchange"]),
-    "window exchanged": (SMALL, {"metric": "iou", "at_least": 0.0, "from_s": 2.0, "until_s": 1.0}, ["checks.it", "exchange"]),
-    "unknown key": (SMALL, {"metric": "iou", "atleast": 0.0}, ["checks.it.atleast", "'at_least'"]),
-    "unknown column": (SMALL, {"metric": "iuo", "at_least": 0.0}, ["checks.it.metric", "'iou'"]),
-    "texts": (SMALL, {"metric": "loss", "at_least": 0.0}, ["checks.it.metric", "'loss'", "numbers"]),
-    "a symbol in full light": (SMALL, {"metric": "iou", "at_least": 0.0, "compare": "full_light"}, ["checks.it.compare", "open_loop"]),
+    "no bound": (SMALL, {"metric": IOU}, ["checks.it", "at_least, at_most"]),
+    "bounds exchanged": (SMALL, {"metric": IOU, "at_least": 2.0, "at_most": 1.0}, ["checks.it", "exchange"]),
+    "window exchanged": (SMALL, {"metric": IOU, "at_least": 0.0, "from_s": 2.0, "until_s": 1.0}, ["checks.it", "exchange"]),
+    "unknown key": (SMALL, {"metric": IOU, "atleast": 0.0}, ["checks.it.atleast", "'at_least'"]),
+    "unknown column": (SMALL, {"metric": "functions.symbol.iuo", "at_least": 0.0}, ["checks.it.metric", f"'{IOU}'"]),
+    "texts": (SMALL, {"metric": "functions.symbol.loss", "at_least": 0.0}, ["checks.it.metric", ".loss'", "numbers"]),
+    "a symbol in full light": (SMALL, {"metric": IOU, "at_least": 0.0, "compare": "full_light"}, ["checks.it.metric", "leave compare out"]),
     "no symbol": (LIT, FLUX | {"compare": "open_loop"}, ["checks.it.compare", "full_light or low_beam"]),
-    "timings": (SMALL, {"metric": "step_ms", "at_most": 1.0, "compare": "open_loop"}, ["checks.it", "step_ms", "leave compare out"]),
+    "timings": (SMALL, {"metric": "light_ms", "at_most": 1.0, "compare": "open_loop"}, ["checks.it", "light_ms", "leave compare out"]),
     "unknown object": (LIT, {"metric": "objects.walkr.lx_max", "at_most": 1.0}, ["checks.it.metric", "'objects.walker.lx_max'"]),
     "no masks beside": (LIT, FLUX | {"metric": "dark_lx_max"}, ["checks.it.metric", "full_light", "leave compare out"]),
 }
@@ -105,7 +108,7 @@ REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], list[str]]] = {
 @pytest.mark.parametrize(("kind", "given", "named"), REFUSED.values(), ids=REFUSED)
 def test_a_check_that_makes_no_sense_is_refused_before_the_run(kind: dict[str, Any], given: dict[str, Any], named: list[str]) -> None:
     with pytest.raises(LuxloopError) as error:
-        check(validate_any(with_checks(kind, it=given), "here"), "cpu")
+        check(validate(with_checks(kind, it=given), "here"), "cpu")
     assert str(error.value).startswith("here: ") and all(each in str(error.value) for each in named), error.value
 
 
@@ -130,38 +133,38 @@ def test_a_light_that_the_lamp_has_no_beam_for_is_refused(tmp_path: Path) -> Non
     (tmp_path / "bare.toml").write_text(LAMP)
     bare = LIT | {"headlight": {"model": str(tmp_path / "bare.toml")}, "lighting": {"base": {"beam": "full"}}, "functions": {}}
     with pytest.raises(LuxloopError, match=r"^lit: checks: compare = 'low_beam': lamp 'bare' has no beam 'low'; it has full, off$"):
-        check(validate_any(with_checks(bare, it=FLUX | {"compare": "low_beam"}), "lit"), "cpu")
+        check(validate(with_checks(bare, it=FLUX | {"compare": "low_beam"}), "lit"), "cpu")
 
 
 def test_names_of_checks_are_plain() -> None:
     with pytest.raises(LuxloopError, match=r"checks\.IoU.*write iou"):
-        validate(with_checks(SMALL, IoU={"metric": "iou", "at_least": 0.0}), "here")
+        validate(with_checks(SMALL, IoU={"metric": IOU, "at_least": 0.0}), "here")
 
 
-def test_open_loop_beside_is_the_run_that_it_would_be_alone(small_scenario: Scenario) -> None:
-    scenario = validate(
-        with_checks(SMALL, gain={"metric": "iou", "take": "last", "at_least": 1.0, "compare": "open_loop"}) | {"steps": 3}, "x"
-    )
+def test_open_loop_beside_is_the_run_that_it_would_be_alone() -> None:
+    gain = {"metric": IOU, "take": "last", "at_least": 1.0, "compare": "open_loop"}
+    scenario = validate(with_checks(SMALL, gain=gain) | {"steps": 3}, "x")
     simulation = Simulation.prepare(scenario)
     checks = Checks(simulation, row, beside=True)
     rows = []
     for result in simulation.run():
         rows.append(row(result))
         checks.step()
-    table = table_of(rows)
-    alone = Simulation.prepare(validate(SMALL | {"steps": 3, "controller": {"name": "open"}}, "open"))
+    table = table_of(rows, schema(simulation))
+    opened = {"symbol": SMALL["functions"]["symbol"] | {"controller": {"name": "open"}}}
+    alone = Simulation.prepare(validate(SMALL | {"steps": 3, "functions": opened}, "open"))
     *_, last = (row(result) for result in alone.run())
     got = checks.outcomes(table)["gain"]
-    assert got["compared_value"] == last["iou"]  # the same bits: world and noise are the same
-    assert got["value"] == table["iou"][-1].as_py() and got["ratio"] == got["value"] / last["iou"]
+    assert got["compared_value"] == last[IOU]  # the same bits: world and noise are the same
+    assert got["value"] == table[IOU][-1].as_py() and got["ratio"] == got["value"] / last[IOU]
 
 
 def test_a_run_is_compared_with_full_light_in_the_same_world(tmp_path: Path) -> None:
     checked = {"flux": FLUX, "car": {"metric": "objects.car.lx_max", "take": "max", "at_most": 0.5, "compare": "full_light"}}
     dark = {"dark": {"metric": "dark_lx_max", "take": "max", "at_most": 0.3}}
-    scenario = validate_any(with_checks(LIT, **checked, **dark), "lit")
+    scenario = validate(with_checks(LIT, **checked, **dark), "lit")
     summary = run(scenario, tmp_path, device="cpu", video=False, report=False, checks=True).summary
-    full = validate_any(LIT | {"lighting": {"base": {"beam": "full"}}, "functions": {}}, "full")
+    full = validate(LIT | {"lighting": {"base": {"beam": "full"}}, "functions": {}}, "full")
     alone = run(full, device="cpu", video=False, report=False)
     flux, car = summary["checks"]["flux"], summary["checks"]["car"]
     assert flux["compared_value"] == alone.summary["lamps"]["left"]["flux_lm_mean"]
@@ -173,10 +176,10 @@ def test_a_run_is_compared_with_full_light_in_the_same_world(tmp_path: Path) -> 
 
 CHECKS = """
 [checks.lies]
-metric = "iou"
+metric = "functions.symbol.iou"
 at_least = 0.0
 [checks.gains]
-metric = "iou"
+metric = "functions.symbol.iou"
 take = "last"
 at_least = 2.0
 compare = "open_loop"
@@ -194,20 +197,20 @@ def test_the_command_says_what_passed_and_fails_where_a_check_does(lux: Lux) -> 
     assert lux(*quick, "--checks", "--set", "checks.gains={}")[0] == 0
     code, said, _ = lux(*quick, "--checks", "--set", "checks={}")
     assert code == 0 and "small has no [checks.NAME]" in said
-    code, _, error = lux(*quick, "--checks", "--set", "checks.lies.metric=iuo")
-    assert code == 2 and "did you mean 'iou'" in error
+    code, _, error = lux(*quick, "--checks", "--set", "checks.lies.metric=functions.symbol.iuo")
+    assert code == 2 and "did you mean 'functions.symbol.iou'" in error
     assert_one_sentence(error)
 
 
-def test_columns_of_texts_are_not_named_as_known() -> None:
+def test_columns_of_texts_are_not_named_as_known(small_simulation: Simulation) -> None:
     scenario = validate(with_checks(SMALL, it={"metric": "lo", "at_least": 0.0}), "test")
     with pytest.raises(LuxloopError, match="known are step") as error:
-        refuse_unknown(scenario.checks, SCHEMA, SCHEMA.names)
+        refuse_unknown(scenario.checks, schema(small_simulation), ())
     assert "loss" not in str(error.value)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in shipped() if load_any(name).checks])
+@pytest.mark.parametrize("name", [name for name in shipped() if load(name).checks])
 def test_shipped_scenarios_pass_their_checks(name: str) -> None:
     summary = run(name, device="cpu", video=False, report=False, checks=True).summary
     failed = {key: line for key, line in lines(summary).items() if not line.endswith("passed")}

@@ -10,6 +10,9 @@ import pytest
 import torch
 
 from controllers.symbol.sensing.drawing import Drawing, Warp
+from loop.lighting.record import Recorder
+from loop.lighting.result import StepResult
+from loop.lighting.simulation import Simulation
 from loop.plant.frames import (
     COLUMNS,
     FOLDER,
@@ -26,10 +29,8 @@ from loop.plant.frames import (
 )
 from loop.plant.protocol import Exposure, Frame, Showing
 from loop.recording.manifest import Manifest
-from loop.recording.recorder import Recorder
 from loop.run import run
 from loop.scenario.model import validate
-from loop.symbol.simulation import Simulation, StepResult
 from perception.camera import CameraParams
 from perception.egomotion import Sample
 from tests.loop.conftest import SMALL
@@ -37,13 +38,15 @@ from world.errors import LuxloopError
 
 DRIVES = {
     "steps": 6,
-    "controller": {"name": "luxloop"},
     "vehicle": {"course": [{"speed_m_s": 10.0}]},
     "road": {"kind": "bumps"},
     "sensors": {"attitude": {"heave_noise_m": 0.01}, "gyro": {"rate_hz": 200, "delay_s": 0.01}},
     "camera": SMALL["camera"] | {"latency_steps": 1, "drop_probability": 0.3},
-    "headlight": {"beam": "low", "model": "hd84"},
-    "symbol": SMALL["symbol"] | {"value": 0.5},
+    "headlight": {"model": "ssl-hd-lores", "lamps": ["left"]},
+    "lighting": {"base": {"beam": "low"}},
+    "functions": {
+        "symbol": SMALL["functions"]["symbol"] | {"value": 0.5, "width_m": 4.0, "length_m": 8.0, "controller": {"name": "luxloop"}}
+    },
 }
 
 
@@ -62,7 +65,7 @@ def test_all_that_was_shown_and_came_is_kept_bit_for_bit(changes: dict[str, Any]
         for result in results:
             recorder.add(result)
     showings = [showing for result in results for showing in result.showings]
-    rows, camera, like = read_exposures(tmp_path / TABLE), simulation.scenario.camera, simulation.projector.target
+    rows, camera, like = read_exposures(tmp_path / TABLE), simulation.scenario.camera, simulation.symbol.projector.target
     assert len(rows) == len(showings) + 1 and pq.read_schema(tmp_path / TABLE).equals(SCHEMA, check_metadata=True)
     for row, showing in zip(rows, showings, strict=False):
         assert (row["number"], row["time_s"], row["duration_s"]) == (
@@ -72,10 +75,10 @@ def test_all_that_was_shown_and_came_is_kept_bit_for_bit(changes: dict[str, Any]
         )
         assert same(read_samples(row, like), showing.before.samples)
         pixels = [light.u.numel() for light in showing.exposure.lights]
-        lights, drawing = read_light(light_file(tmp_path, row["light"]), pixels, like.device)
-        asked = showing.exposure.drawing
+        lights, drawings = read_light(light_file(tmp_path, row["light"]), pixels, like.device)
+        asked = showing.exposure.drawings
         assert all(a.u.equal(b.u) and a.band == b.band for a, b in zip(lights, showing.exposure.lights, strict=True))
-        assert (drawing is None) == (asked is None) and (drawing is None or asked is None or drawing.shows(asked))
+        assert drawings.keys() == asked.keys() and all(drawings[name].shows(asked[name]) for name in asked)
     assert same(read_samples(rows[-1], like), showings[-1].after.samples) and rows[-1]["time_s"] == showings[-1].after.time_s
     came = {frame.number: (frame, showing) for showing in showings for frame in showing.after.frames}
     assert {row["number"] for row in rows if row["came_with"] is not None} == came.keys()
@@ -86,23 +89,25 @@ def test_all_that_was_shown_and_came_is_kept_bit_for_bit(changes: dict[str, Any]
         assert frame.image is None or read_image(image_file(tmp_path, number), camera, like).equal(frame.image)
     lost = [frame.image is None for frame, _ in came.values()]
     assert any(lost) == bool(camera.drop_probability) and not all(lost)
+    assert any(showing.exposure.drawings for showing in showings) and not all(showing.exposure.drawings for showing in showings)
     light_files = len(list((tmp_path / FOLDER).glob("light_*")))
     assert light_files <= len(results) + 1, "off exposures share one light"
 
 
 def test_a_warped_drawing_is_kept_bit_for_bit(tmp_path: Path, small_simulation: Simulation) -> None:
-    target, generator = small_simulation.projector.target, torch.Generator().manual_seed(0)
+    target, generator = small_simulation.symbol.projector.target, torch.Generator().manual_seed(0)
     warp = Warp(torch.rand((1, 2, 8, 4), generator=generator), torch.rand((1, 8, 4), generator=generator), (4.1, 2.3))
     numbers = torch.rand(6, generator=generator)
-    lights = small_simulation.projector.resting
+    lights = small_simulation.symbol.projector.resting
     drawing = Drawing(target, numbers[0], warp, tuple(light.u for light in lights), target + 1, numbers[1:3])
-    write_light(tmp_path / "light.npz", light_arrays(Exposure(0, 0.0, 0.1, lights, drawing)))
-    _, again = read_light(tmp_path / "light.npz", [light.u.numel() for light in lights], target.device)
-    assert again is not None and again.shows(drawing) and again.aim is not None and again.aim.equal(numbers[1:3])
+    write_light(tmp_path / "light.npz", light_arrays(Exposure(0, 0.0, 0.1, lights, {"mine": drawing})))
+    _, drawings = read_light(tmp_path / "light.npz", [light.u.numel() for light in lights], target.device)
+    (again,) = (drawings[name] for name in drawings if name == "mine")
+    assert again.shows(drawing) and again.aim is not None and again.aim.equal(numbers[1:3])
     assert again.warp is not None and again.warp.size_m == warp.size_m
 
 
-def test_lighting_functions_keep_frames_too(tmp_path: Path) -> None:
+def test_functions_without_a_symbol_that_is_held_keep_frames(tmp_path: Path) -> None:
     given = ["camera.width_px=160", "camera.height_px=90", "camera.oversampling=1", "renderer=raycast"]
     seen: list[Any] = []
     run("gfhb", tmp_path, frames=True, video=False, report=False, on_step=seen.append, overrides=given, steps=3)
@@ -111,8 +116,8 @@ def test_lighting_functions_keep_frames_too(tmp_path: Path) -> None:
     camera = CameraParams.model_validate(Manifest.read(tmp_path).scenario["camera"])
     for row, result in zip(rows, seen, strict=False):
         assert read_image(image_file(tmp_path, row["number"]), camera, result.frame).equal(result.frame)
-        lights, drawing = read_light(light_file(tmp_path, row["light"]), [u.numel() for u in result.lights], result.frame.device)
-        assert drawing is None and all(light.u.equal(u) for light, u in zip(lights, result.lights, strict=True))
+        lights, drawings = read_light(light_file(tmp_path, row["light"]), [u.numel() for u in result.lights], result.frame.device)
+        assert not drawings and all(light.u.equal(u) for light, u in zip(lights, result.lights, strict=True))
 
 
 def test_documentation_names_every_column() -> None:

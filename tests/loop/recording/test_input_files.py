@@ -9,12 +9,12 @@ import pytest
 from loop.metrics import figures
 from loop.objective import parse
 from loop.recording.manifest import digests, input_files
-from loop.scenario.model import load, load_any
+from loop.scenario.model import load
 from loop.studies.campaign import figures_of
 from loop.studies.tune import Task
 from world.errors import LuxloopError
 
-SMALL = ["steps=1", "camera={ width_px=160, height_px=90, oversampling=1 }", "symbol={ width_m=4.0, length_m=8.0 }"]
+SMALL = ["steps=1", "camera={ width_px=160, height_px=90, oversampling=1 }", "functions.symbol={ width_m=4.0, length_m=8.0 }"]
 LAMP = """
 name = "mine"
 [[module]]
@@ -37,18 +37,18 @@ def test_every_file_that_decides_is_an_input(tmp_path: Path, monkeypatch: pytest
     monkeypatch.syspath_prepend(tmp_path)
     road = "{{ kind = 'opencrg', file = '{}' }}"
     model, roads = f"headlight.model={tmp_path / 'lamp.toml'}", [road.format(tmp_path / name) for name in ("road.crg", "believed.crg")]
-    believing = load("flat", [model, f"road={roads[0]}", f"controller={{ name='feedforward', road={roads[1]} }}"])
+    believing = load("flat", [model, f"road={roads[0]}", f"functions.symbol.controller={{ name='feedforward', road={roads[1]} }}"])
     found = {os.path.relpath(file, tmp_path): key for key, file in input_files(believing) if file.is_relative_to(tmp_path)}
     lamp = {name: f"headlight.model {name}" for name in ("lamp.toml", "pixels/a.ies", "pixels/b.ies", "spot.ies", "half.npy")}
-    assert found == lamp | {"road.crg": "road.file", "believed.crg": "controller.road.file"}
-    own = load("flat", ["controller={ name='found_by_python:Mine' }"])
+    assert found == lamp | {"road.crg": "road.file", "believed.crg": "functions.symbol.controller.road.file"}
+    own = load("flat", ["functions.symbol.controller={ name='found_by_python:Mine' }"])
     assert dict(input_files(own))["module found_by_python"] == tmp_path / "found_by_python.py"
 
 
 def test_animations_of_many_files_are_inputs(tmp_path: Path) -> None:
     for name in ("0.png", "1.png"):
         (tmp_path / name).write_text(name)
-    shown = load_any("animated_symbol", [f"functions.guidance.image={tmp_path}"])
+    shown = load("animated_symbol", [f"functions.guidance.image={tmp_path}"])
     assert [file.name for key, file in input_files(shown) if "image" in key] == ["0.png", "1.png"]
 
 
@@ -68,10 +68,10 @@ def drawn(folder: Path, width: int) -> Path:
 
 
 def test_a_changed_symbol_is_another_run(symbol: Path) -> None:
-    scenario = load("flat", [*SMALL, f"symbol.image={symbol}", "headlight.model=hd84"])
+    scenario = load("flat", [*SMALL, f"functions.symbol.image={symbol}", "headlight.model=hd84"])
     before, asked, study = figures(scenario, "cpu"), digests(scenario), Task((scenario,), (), parse("iou")).digest
     drawn(symbol.parent, 80)
     assert figures(scenario, "cpu")["utilisation_mean"] > before["utilisation_mean"]  # type: ignore[operator]
     assert Task((scenario,), (), parse("iou")).digest != study
-    with pytest.raises(LuxloopError, match=re.escape("flat: symbol.image: is another file here")):
+    with pytest.raises(LuxloopError, match=re.escape("flat: functions.symbol.image mine.svg: is another file here")):
         figures_of(scenario.model_dump(mode="json"), asked, "cpu")

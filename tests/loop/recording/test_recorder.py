@@ -18,12 +18,15 @@ import pytest
 import torch
 
 from controllers.symbol.sensing.drawing import Drawing
+from loop.lighting.record import ZONE, Recorder, row, schema
+from loop.lighting.replay import load
+from loop.lighting.result import StepResult
+from loop.lighting.simulation import Simulation
 from loop.recording import recorder
+from loop.recording.columns import POSE, SYMBOL, loss_name
 from loop.recording.manifest import Manifest
-from loop.recording.recorder import COLUMNS, SCHEMA, Recorder, row, table_of
-from loop.recording.replay import load
+from loop.recording.recorder import table_of
 from loop.scenario.model import Scenario, validate
-from loop.symbol.simulation import Simulation, StepResult
 from perception.extraction import Loss
 from world.errors import LuxloopError
 
@@ -45,36 +48,40 @@ def strict_json(file: Path) -> Any:
     return json.loads(file.read_text(), parse_constant=refuse)
 
 
-def test_documentation_names_every_column() -> None:
+def test_documentation_names_every_column_of_functions() -> None:
     page = (ROOT / "docs" / "recordings.md").read_text()
-    columns = page.split("## Columns")[1].split("### Of lighting functions")[0]
-    documented = {name: (unit, text) for name, unit, text in re.findall(r"^\| `(\w+)` \| (.*?) \| (.*?) \|$", columns, re.MULTILINE)}
-    assert documented == COLUMNS
+    columns = page.split("## Columns")[1].split("## Summary")[0]
+    documented = re.findall(r"^\| `functions\.NAME\.(\w+)` \| (.*?) \| (.*?) \|$", columns, re.MULTILINE)
+    of_functions = SYMBOL | {name: (unit, text) for name, (_, unit, text) in ZONE.items()}
+    assert {name: (unit, text) for name, unit, text in documented} == of_functions
 
 
-def test_row_has_plain_values_in_the_units_of_their_names(small_results: list[StepResult]) -> None:
+def test_row_has_plain_values_in_the_units_of_their_names(small_simulation: Simulation, small_results: list[StepResult]) -> None:
     result = small_results[0]
-    values = row(result)
-    assert list(values) == list(COLUMNS)
-    assert {type(value) for value in values.values()} == {int, float, str}
-    assert [values[name] for name in recorder.POSE] == pytest.approx([19.0, 1.0, 5.0, -2.0])
+    all_values = row(result)
+    names = schema(small_simulation).names
+    assert {type(all_values[name]) for name in names if name != "dark_lx_max"} == {int, float, str}
+    assert all_values["dark_lx_max"] is None, "nothing must be dark"
+    values = {name: all_values[f"functions.symbol.{name}"] for name in SYMBOL}
+    assert [values[name] for name in POSE] == pytest.approx([19.0, 1.0, 5.0, -2.0])
     assert values["z_m"] == 0.0
-    assert values["pose_error_roll_deg"] == pytest.approx(math.degrees(result.seen.pose_error[2]))
-    assert values["br_v"] == result.seen.appearance.centroids[4, 1].item()
-    assert values["centroid_error_y_percent"] == result.verdict.centroid_percent[1].item()
+    assert values["pose_error_roll_deg"] == pytest.approx(math.degrees(result.symbol.seen.pose_error[2]))
+    assert values["br_v"] == result.symbol.seen.appearance.centroids[4, 1].item()
+    assert result.symbol.verdict is not None
+    assert values["centroid_error_y_percent"] == result.symbol.verdict.centroid_percent[1].item()
     assert values["loss"] == ""
-    parts = ("light", "plant", "perceive", "control")
-    assert values["step_ms"] == pytest.approx(sum(values[f"{part}_ms"] for part in parts))
+    assert {f"{part}_ms" for part in ("plan", "light", "look", "control")} == {name for name in names if name.endswith("_ms")}
+    assert all_values["look_ms"] == result.timings["plant"] + result.timings["look"], "rendering is no part of the car"
 
 
 def test_lost_symbol_is_a_row_with_a_reason(small_simulation: Simulation, small_results: list[StepResult]) -> None:
     result = small_results[0]
-    lost = replace(result, frames=None, seen=small_simulation.observer.look(None, Drawing(result.pose), result.lights))
-    values = row(lost)
-    assert values["loss"] == "no_frame"
-    assert math.isnan(values["c_u"]) and math.isnan(values["e_pitch"])
-    assert table_of([values])["c_u"].null_count == 1
-    assert {recorder.loss_name(code) for code in Loss} == {"", "no_frame", "nothing", "too_small", "too_large"}
+    seen = small_simulation.symbol.observer.look(None, Drawing(result.symbol.pose), small_simulation.symbol.projector.resting)
+    values = row(replace(result, frames=None, held={"symbol": replace(result.symbol, seen=seen)}))
+    assert values["functions.symbol.loss"] == "no_frame"
+    assert math.isnan(values["functions.symbol.c_u"]) and math.isnan(values["functions.symbol.e_pitch"])
+    assert table_of([values], schema(small_simulation))["functions.symbol.c_u"].null_count == 1
+    assert {loss_name(code) for code in Loss} == {"", "no_frame", "nothing", "too_small", "too_large"}
 
 
 def test_recording_is_complete(tmp_path: Path, small_simulation: Simulation, small_results: list[StepResult]) -> None:
@@ -83,17 +90,19 @@ def test_recording_is_complete(tmp_path: Path, small_simulation: Simulation, sma
     assert sorted(path.name for path in directory.iterdir()) == ["manifest.json", "summary.json", "trajectory.parquet"]
     manifest = strict_json(directory / "manifest.json")
     assert manifest["status"] == "complete"
-    assert manifest["renderer"] == small_simulation.truth.world.source.name
+    assert manifest["renderer"] == small_simulation.world.source.name
     assert validate(manifest["scenario"], "manifest") == small_simulation.scenario
     symbol = ROOT / "scenarios" / "symbols" / "snowflake.png"
-    assert manifest["inputs"]["symbol.image"]["sha256"] == hashlib.sha256(symbol.read_bytes()).hexdigest()
+    assert manifest["inputs"]["functions.symbol.image snowflake.png"]["sha256"] == hashlib.sha256(symbol.read_bytes()).hexdigest()
     table = pq.read_table(directory / "trajectory.parquet")
-    assert table.schema.equals(SCHEMA, check_metadata=True)
-    assert table.schema.field("pitch_deg").metadata[b"unit"] == b"deg"
-    assert table.equals(table_of([row(result) for result in small_results]))
+    columns = schema(small_simulation)
+    assert table.schema.equals(columns, check_metadata=True)
+    assert table.schema.field("functions.symbol.pitch_deg").metadata[b"unit"] == b"deg"
+    assert table.equals(table_of([row(result) for result in small_results], columns))
     summary = strict_json(directory / "summary.json")
     assert summary["steps"] == len(small_results)
-    assert summary["iou_open"] == pytest.approx(1, abs=0.02)  # open loop on a flat road is the target itself but for shadows and facets
+    iou_open = summary["functions"]["symbol"]["iou_open"]
+    assert iou_open == pytest.approx(1, abs=0.02)  # open loop on a flat road is the target itself but for shadows and facets
 
 
 @pytest.mark.parametrize("done", [1, 5])
@@ -133,9 +142,9 @@ def test_death_in_the_middle_of_a_write_leaves_the_write_before(
 RUN = """
 import itertools, json, sys
 from pathlib import Path
-from loop.recording.recorder import Recorder
+from loop.lighting.record import Recorder
+from loop.lighting.simulation import Simulation
 from loop.scenario.model import validate
-from loop.symbol.simulation import Simulation
 
 simulation = Simulation.prepare(validate(json.loads(sys.argv[2]), "test"))
 with Recorder(Path(sys.argv[1]), simulation) as recording:
@@ -170,16 +179,16 @@ def test_one_seed_gives_the_same_bits_in_two_processes(tmp_path: Path, small_sce
     for process in processes:
         process.communicate()
         assert process.returncode == 0
-    exact = [name for name in COLUMNS if not name.endswith("_ms")]
-    a, b = (load(tmp_path / name).table.select(exact) for name in ("a", "b"))
+    a, b = (load(tmp_path / name).table for name in ("a", "b"))
+    exact = [name for name in a.column_names if not name.endswith("_ms")]
     assert a.num_rows == 5
-    assert a.equals(b)
+    assert a.select(exact).equals(b.select(exact))
 
 
 def test_another_seed_gives_another_trajectory(small_scenario: Scenario, small_results: list[StepResult]) -> None:
     other = Simulation.prepare(small_scenario.model_copy(update={"seed": 1}))
     _, result = other.step(other.start())
-    assert not torch.equal(result.seen.errors, small_results[0].seen.errors)
+    assert not torch.equal(result.symbol.seen.errors, small_results[0].symbol.seen.errors)
 
 
 def test_old_recording_is_replaced_as_a_whole(tmp_path: Path, small_simulation: Simulation, small_results: list[StepResult]) -> None:

@@ -16,16 +16,20 @@ import pyarrow.parquet as pq
 import pytest
 
 from controllers.symbol.sensing.flat_model import FeatureParams
-from loop.recording.comparison import CENTROID_M, CENTROID_PX, SHEAR, TOLERANCES, compare, tolerances
-from loop.recording.recorder import COLUMNS, SCHEMA, Recorder, row, table_of
-from loop.recording.replay import load, replay, to_csv
+from loop.lighting.record import Recorder, row, schema
+from loop.lighting.replay import load, replay, to_csv
+from loop.lighting.result import StepResult
+from loop.lighting.simulation import Simulation
+from loop.recording.columns import SYMBOL, of_one
+from loop.recording.comparison import CENTROID_M, CENTROID_PX, SHARE, SHEAR, TOLERANCES, compare, tolerances
+from loop.recording.recorder import table_of
 from loop.recording.summary import steady_step
 from loop.scenario.model import Scenario
-from loop.symbol.simulation import Simulation, StepResult
 from world.errors import LuxloopError
 from world.parquet import read_parquet
 
 PAGE = Path(__file__).parents[3] / "docs" / "recordings.md"
+HELD = {"symbol": FeatureParams()}
 RAW = tolerances(FeatureParams())
 
 
@@ -45,8 +49,8 @@ def recording(recorded: Path, tmp_path: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def table(small_results: list[StepResult]) -> pa.Table:
-    return table_of([row(result) for result in small_results])
+def table(small_simulation: Simulation, small_results: list[StepResult]) -> pa.Table:
+    return table_of([row(result) for result in small_results], schema(small_simulation))
 
 
 def edit(file: Path, **changes: Any) -> None:
@@ -54,8 +58,13 @@ def edit(file: Path, **changes: Any) -> None:
 
 
 def changed(table: pa.Table, name: str, values: Any) -> pa.Table:
-    index = table.column_names.index(name)
-    return table.set_column(index, SCHEMA.field(name), pa.array(values, SCHEMA.field(name).type, from_pandas=True))
+    field = table.schema.field(name)
+    return table.set_column(table.column_names.index(name), field, pa.array(values, field.type, from_pandas=True))
+
+
+def of_symbol(name: str) -> str:
+    """A column of the recording's symbol."""
+    return f"functions.symbol.{name}"
 
 
 @pytest.mark.slow
@@ -79,14 +88,15 @@ def test_replay_of_an_untouched_recording_agrees(recorded: Path, small_results: 
 
 
 def test_replay_tells_what_differs_from_where_and_by_how_much(recording: Path, table: pa.Table) -> None:
-    y = table["y_m"].to_numpy().copy()
+    name = of_symbol("y_m")
+    y = table[name].to_numpy().copy()
     y[4:] += 0.01
     y[6] += 0.1
-    pq.write_table(changed(table, "y_m", y), recording / "trajectory.parquet")
+    pq.write_table(changed(table, name, y), recording / "trajectory.parquet")
     comparison = replay(recording)
     assert not comparison.agrees
     (difference,) = comparison.differences
-    assert (difference.column, difference.first_step, difference.largest_step) == ("y_m", 4, 6)
+    assert (difference.column, difference.first_step, difference.largest_step) == (name, 4, 6)
     assert difference.recorded == pytest.approx(difference.replayed + 0.01)
     assert difference.largest == pytest.approx(0.11)
     assert difference.tolerance == 0.001
@@ -97,16 +107,16 @@ def test_replay_follows_the_manifest_and_says_that_it_was_edited(recording: Path
     edit(recording / "manifest.json", scenario={**scenario, "seed": 5})
     comparison = replay(recording)
     assert comparison.notes == ("the scenario in the manifest was edited after the recording",)
-    assert {"c_u", "x_m"} <= {difference.column for difference in comparison.differences}
+    assert {of_symbol("c_u"), of_symbol("x_m")} <= {difference.column for difference in comparison.differences}
 
 
 def test_replay_says_what_is_not_as_it_was(recording: Path) -> None:
     manifest = json.loads((recording / "manifest.json").read_text())
-    manifest["inputs"]["symbol.image"]["sha256"] = "0" * 64
+    manifest["inputs"]["functions.symbol.image snowflake.png"]["sha256"] = "0" * 64
     manifest["versions"]["numpy"] = "1.0"
     edit(recording / "manifest.json", **{**manifest, "renderer": "brush"})
     notes = replay(recording).notes
-    assert re.match(r"symbol.image: .*snowflake.png has changed since the recording", notes[0])
+    assert re.match(r"functions.symbol.image snowflake.png: .*snowflake.png has changed since the recording", notes[0])
     assert notes[1].startswith("renderer: recorded with brush, replayed with ")
     assert notes[2].startswith("numpy: recorded with version 1.0, replayed with ")
     assert len(notes) == 3
@@ -135,58 +145,64 @@ def test_ray_caster_and_rasteriser_give_the_same_run(small_scenario: Scenario, t
         simulation = Simulation.prepare(small_scenario.model_copy(update={"renderer": "opengl"}))
     except NoOpenGL as error:
         pytest.skip(f"no OpenGL here: {error}")
-    assert compare(table, table_of([row(result) for result in simulation.run()]), RAW) == ()
+    assert compare(table, table_of([row(result) for result in simulation.run()], table.schema), HELD) == ()
 
 
-@pytest.mark.parametrize("name", [name for name in COLUMNS if name not in ("step", "loss") and not name.endswith("_ms")])
+@pytest.mark.parametrize("name", ["time_s", "lamp.left.flux_lm", *(of_symbol(name) for name in SYMBOL if name != "loss")])
 def test_every_column_is_held_at_its_tolerance(table: pa.Table, name: str) -> None:
     # a tenth of the tolerance is far above rounding
-    values, tolerance = np.nan_to_num(table[name].to_numpy()), RAW[name][0]  # of an ordinary symbol there is no aim
+    values = np.nan_to_num(table[name].to_numpy())  # of an ordinary symbol there is no aim
+    tolerance = SHARE * values.max() if name.startswith("lamp.") else RAW[name.removeprefix("functions.symbol.")][0]
     table = changed(table, name, values)
-    assert compare(table, changed(table, name, values + 0.9 * tolerance), RAW) == ()
-    found = compare(table, changed(table, name, values + 1.1 * tolerance), RAW)
+    assert compare(table, changed(table, name, values + 0.9 * tolerance), HELD) == ()
+    found = compare(table, changed(table, name, values + 1.1 * tolerance), HELD)
     assert [difference.column for difference in found] == [name]
     assert found[0].first_step == 0
 
 
 def test_loss_and_steps_are_held_exactly_and_timings_not_at_all(table: pa.Table) -> None:
     steps = table.num_rows
-    lost = compare(table, changed(table, "loss", [*[""] * (steps - 1), "nothing"]), RAW)
-    assert [(d.column, d.first_step, d.recorded, d.replayed) for d in lost] == [("loss", steps - 1, "", "nothing")]
-    assert compare(table, changed(table, "step_ms", np.arange(steps) * 1e6), {}) == ()
-    (shorter,) = compare(table, table.slice(0, steps - 3), RAW)
+    lost = compare(table, changed(table, of_symbol("loss"), [*[""] * (steps - 1), "nothing"]), HELD)
+    assert [(d.column, d.first_step, d.recorded, d.replayed) for d in lost] == [(of_symbol("loss"), steps - 1, "", "nothing")]
+    assert compare(table, changed(table, "control_ms", np.arange(steps) * 1e6), HELD, exact=True) == ()
+    (shorter,) = compare(table, table.slice(0, steps - 3), HELD)
     assert (shorter.column, shorter.recorded, shorter.replayed, shorter.largest) == ("step", steps, steps - 3, 3)
 
 
 def test_missing_in_one_differs_and_missing_in_both_agrees(table: pa.Table) -> None:
-    values = table["c_u"].to_numpy().copy()
+    name = of_symbol("c_u")
+    values = table[name].to_numpy().copy()
     values[3] = np.nan
-    gap = changed(table, "c_u", values)
-    assert compare(gap, gap, {}) == ()
-    (difference,) = compare(table, gap, RAW)
-    assert (difference.column, difference.first_step, difference.replayed, difference.largest) == ("c_u", 3, None, np.inf)
+    gap = changed(table, name, values)
+    assert compare(gap, gap, HELD, exact=True) == ()
+    (difference,) = compare(table, gap, HELD)
+    assert (difference.column, difference.first_step, difference.replayed, difference.largest) == (name, 3, None, np.inf)
 
 
-def test_empty_tolerances_ask_for_the_same_bits(table: pa.Table) -> None:
-    values = table["c_u"].to_numpy().copy()
+@pytest.mark.parametrize("name", [of_symbol("c_u"), "lamp.left.flux_lm"])
+def test_an_exact_comparison_asks_for_the_same_bits(table: pa.Table, name: str) -> None:
+    values = table[name].to_numpy().copy()
     values[7] = np.nextafter(values[7], np.inf)
-    assert [(d.column, d.first_step) for d in compare(table, changed(table, "c_u", values), {})] == [("c_u", 7)]
+    other = changed(table, name, values)
+    assert [(d.column, d.first_step) for d in compare(table, other, HELD, exact=True)] == [(name, 7)]
+    assert compare(table, other, HELD) == ()
 
 
 def test_steady_step_may_shift_by_one(table: pa.Table) -> None:
     def settling(step: int | None) -> pa.Table:
         k = np.arange(30)
         long = pa.concat_tables([table.slice(0, 1)] * 30)
-        at_rest = {"step": k, "length": 0 * k + 1.0, "shear": 0.0 * k, "centroid_error_y_percent": 0.0 * k}
+        long = changed(long, "step", k)
+        at_rest = {"length": 0 * k + 1.0, "shear": 0.0 * k, "centroid_error_y_percent": 0.0 * k}
         at_rest["centroid_error_x_percent"] = np.where(k < (30 if step is None else step), 9.0 * (-1.0) ** k, 0.0)
         for name, values in at_rest.items():
-            long = changed(long, name, values)
-        assert steady_step(long) == step
+            long = changed(long, of_symbol(name), values)
+        assert steady_step(of_one(long, "symbol")) == step
         return long
 
     def differing(a: int | None, b: int | None) -> list[tuple[float, float | str | None, float | str | None]]:
-        found = compare(settling(a), settling(b), RAW)
-        return [(d.largest, d.recorded, d.replayed) for d in found if d.column == "steady_step"]
+        found = compare(settling(a), settling(b), HELD)
+        return [(d.largest, d.recorded, d.replayed) for d in found if d.column == "functions.symbol: steady step"]
 
     assert differing(10, 11) == []
     assert differing(10, 12) == [(2, 10, 12)]
@@ -211,6 +227,7 @@ def test_documentation_has_the_tolerances() -> None:
     assert documented == TOLERANCES
 
 
+NO_IMAGE = {"kind": "symbol", "image": "/none.png", "controller": "open"}
 DAMAGE = {
     "no directory": (lambda d: shutil.rmtree(d), r"recording: is not a directory; give a directory that `luxloop run` wrote"),
     "empty": (lambda d: [f.unlink() for f in d.iterdir()], r"recording: holds no recording \(manifest.json is missing\); give a directory"),
@@ -226,12 +243,15 @@ DAMAGE = {
     "list": (lambda d: (d / "manifest.json").write_text("[]"), r"manifest.json: not the manifest of a recording"),
     "newer": (lambda d: edit(d / "manifest.json", format_version=2), r"format_version: 2 is not understood, this luxloop reads 1; use the"),
     "key of wrong type": (lambda d: edit(d / "manifest.json", inputs=3), r"manifest.json: damaged, inputs: .*; record the run again"),
-    "broken scenario": (lambda d: edit(d / "manifest.json", scenario={"name": "x"}), r"manifest.json: scenario: symbol: is missing"),
-    "missing symbol": (lambda d: edit(d / "manifest.json", scenario={"name": "x", "symbol": {"image": "/none.png"}}), r"none\.png"),
+    "broken scenario": (lambda d: edit(d / "manifest.json", scenario={"steps": 3}), r"manifest.json: scenario: name: is missing"),
+    "missing symbol": (lambda d: edit(d / "manifest.json", scenario={"name": "x", "functions": {"s": NO_IMAGE}}), r"none\.png"),
     "no trajectory": (lambda d: (d / "trajectory.parquet").unlink(), r"trajectory.parquet: is missing, no step was recorded; record"),
     "truncated": (lambda d: truncate(d / "trajectory.parquet"), r"trajectory.parquet: damaged, not readable as Parquet \(.*\); record"),
     "empty file": (lambda d: (d / "trajectory.parquet").write_bytes(b""), r"trajectory.parquet: damaged, not readable as Parquet"),
-    "missing column": (lambda d: rewrite(d, lambda t: t.drop_columns("iou")), r"the column 'iou' is missing; record the run again"),
+    "missing column": (
+        lambda d: rewrite(d, lambda t: t.drop_columns(of_symbol("iou"))),
+        r"the column 'functions.symbol.iou' is missing; record the run again",
+    ),
     "a type of another kind": (
         lambda d: rewrite(d, lists),
         r"damaged, not readable as Parquet \(the column 'more' is of no type that recordings have\); record",
@@ -252,7 +272,8 @@ def rewrite(directory: Path, change: Any) -> None:
 
 
 def words(table: pa.Table) -> pa.Table:
-    return table.set_column(2, "x_m", pa.array(["far"] * table.num_rows))
+    name = of_symbol("x_m")
+    return table.set_column(table.column_names.index(name), name, pa.array(["far"] * table.num_rows))
 
 
 def lists(table: pa.Table) -> pa.Table:
@@ -271,27 +292,21 @@ def test_damaged_recording_is_told_in_a_sentence(recording: Path, kind: str) -> 
 
 def test_trajectory_from_elsewhere_may_have_more_columns(recording: Path, table: pa.Table) -> None:
     rewrite(recording, lambda t: t.append_column("mine", pa.array(range(t.num_rows))))
-    assert load(recording).table.equals(table)
-
-
-def test_recording_of_an_older_version_has_no_height_and_agrees(recording: Path, small_results: list[StepResult]) -> None:
-    rewrite(recording, lambda t: t.drop_columns(["z_m"]))
-    assert "z_m" not in load(recording).table.column_names
-    comparison = replay(recording)
-    assert comparison.agrees
-    assert comparison.steps == len(small_results)
+    assert load(recording).table.select(table.column_names).equals(table)
+    assert replay(recording).agrees
 
 
 def test_csv_has_every_value(recording: Path, tmp_path: Path, table: pa.Table) -> None:
-    gap = changed(table, "c_u", [np.nan, *table["c_u"].to_pylist()[1:]])
+    c_u, iou, loss = (of_symbol(name) for name in ("c_u", "iou", "loss"))
+    gap = changed(table, c_u, [np.nan, *table[c_u].to_pylist()[1:]])
     pq.write_table(gap, recording / "trajectory.parquet")
     to_csv(recording, tmp_path / "out.csv")
     with (tmp_path / "out.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
-    assert list(rows[0]) == list(COLUMNS)
-    assert rows[0]["c_u"] == ""
-    assert [float(values["iou"]) for values in rows] == table["iou"].to_pylist()
-    assert [values["loss"] for values in rows] == table["loss"].to_pylist()
+    assert list(rows[0]) == table.column_names
+    assert rows[0][c_u] == ""
+    assert [float(values[iou]) for values in rows] == table[iou].to_pylist()
+    assert [values[loss] for values in rows] == table[loss].to_pylist()
 
 
 def test_csv_that_cannot_be_written_is_told(recorded: Path, tmp_path: Path) -> None:

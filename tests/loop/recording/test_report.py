@@ -6,40 +6,52 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pyarrow as pa
 import pytest
 import torch
 
-from loop.recording.recorder import REPORT, row, table_of
-from loop.recording.report import PAST_SYMBOLS, Gathered, write_report
-from loop.recording.summary import summarise
+from loop.lighting.record import row, schema, summary_of
+from loop.lighting.result import StepResult
+from loop.lighting.simulation import Simulation
+from loop.recording.recorder import REPORT, table_of
+from loop.report.page import DPI, LIGHT_IN, WIDE_IN, Watched, write_report
+from loop.report.symbol import HIGH_IN, PAST_SYMBOLS, Gathered
 from loop.run import run
-from loop.scenario.model import Scenario
-from loop.symbol.simulation import Simulation, StepResult
+from loop.scenario.model import Scenario, validate
 from perception.extraction import Loss
+from tests.loop.conftest import SMALL
+
+SYMBOL = SMALL["functions"]["symbol"]
 
 
 def drawn(file: Path, simulation: Simulation, results: list[StepResult]) -> np.ndarray:
-    gathered, rows = Gathered(len(results)), []
+    watched, rows = Watched(simulation), []
     for result in results:
-        gathered.add(result)
+        watched.add(result)
         rows.append(row(result))
-    table: pa.Table = table_of(rows)
-    write_report(file, simulation, gathered, table, summarise(table, "small", "thesis_pid", 0.5))
-    return cv2.imread(str(file))
+    table = table_of(rows, schema(simulation))
+    last = {name: result for result in results for name in result.held}
+    write_report(file, simulation, watched, table, summary_of(simulation, table, last))
+    page = cv2.imread(str(file))
+    assert page is not None
+    return page
+
+
+def size(height_in: float) -> tuple[int, int, int]:
+    return (round(DPI * height_in), round(DPI * WIDE_IN), 3)
 
 
 def lost(result: StepResult) -> StepResult:
     nan = torch.full((4,), torch.nan)
     code = torch.tensor(int(Loss.NOTHING))
-    return replace(result, seen=replace(result.seen, code=code, errors=nan, pose_error=nan))
+    seen = replace(result.symbol.seen, code=code, errors=nan, pose_error=nan)
+    return replace(result, held={"symbol": replace(result.symbol, seen=seen)})
 
 
 def test_page_is_readable_in_print_and_shows_target_and_past(
     tmp_path: Path, small_simulation: Simulation, small_results: list[StepResult]
 ) -> None:
     page = drawn(tmp_path / "report.png", small_simulation, small_results)
-    assert page.shape == (1410, 1800, 3)
+    assert page.shape == size(HIGH_IN)
     blue, green, red = (page[..., i].astype(int) for i in range(3))
     assert ((red > 80) & (green < 50) & (blue < 50)).sum() > 500, "no past symbol in red"
     assert ((blue > 200) & (green > 150) & (red < 80)).sum() > 200, "no target in cyan"
@@ -54,23 +66,29 @@ def test_page_of_an_unlucky_run(which: str, tmp_path: Path, small_simulation: Si
         "last step lost": [first, *others[:2], lost(others[2])],
         "all steps lost": [lost(first), lost(others[0])],
     }[which]
-    assert drawn(tmp_path / "report.png", small_simulation, results).shape[1] == 1800
+    assert drawn(tmp_path / "report.png", small_simulation, results).shape == size(HIGH_IN)
 
 
-def test_page_of_two_lamps_seen_from_above(tmp_path: Path, small_scenario: Scenario) -> None:
-    scenario = small_scenario.model_copy(
-        update={
-            "headlight": small_scenario.headlight.model_copy(update={"lamps": ("left", "right")}),
-            "features": small_scenario.features.model_copy(update={"view": "birdseye", "shape": "moments"}),
-            "steps": 2,
-        }
-    )
-    simulation = Simulation.prepare(scenario)
-    assert drawn(tmp_path / "report.png", simulation, list(simulation.run())).shape[1] == 1800
+def test_page_of_two_lamps_seen_from_above(tmp_path: Path) -> None:
+    lamps = {"model": "idealised-332x1024", "lamps": ["left", "right"]}
+    symbol = SYMBOL | {"modules": ["left", "right"], "features": {"view": "birdseye", "shape": "moments"}}
+    simulation = Simulation.prepare(validate(SMALL | {"headlight": lamps, "functions": {"symbol": symbol}, "steps": 2}, "two lamps"))
+    assert len(simulation.symbol.projector.modules) == 2
+    assert drawn(tmp_path / "report.png", simulation, list(simulation.run())).shape == size(HIGH_IN)
+
+
+def test_page_has_all_light_and_then_each_symbol(tmp_path: Path) -> None:
+    box = {"kind": "box", "name": "box", "category": "car", "size_m": [1.0, 0.5, 0.6], "track": [{"position_m": [25, 0, 0]}]}
+    functions = {name: SYMBOL | {"y_m": y_m, "start": {"x_m": 17.0, "y_m": y_m}} for name, y_m in (("left", 1.6), ("right", -1.6))}
+    simulation = Simulation.prepare(validate(SMALL | {"objects": [box], "functions": functions, "steps": 4}, "lit"))
+    results = list(simulation.run())
+    assert drawn(tmp_path / "both.png", simulation, results).shape == size(LIGHT_IN + 2 * HIGH_IN)
+    without = [replace(result, held={name: each for name, each in result.held.items() if name == "right"}) for result in results]
+    assert drawn(tmp_path / "one.png", simulation, without).shape == size(LIGHT_IN + HIGH_IN), "a symbol that was never shown has no part"
 
 
 def test_long_run_keeps_few_images(small_results: list[StepResult]) -> None:
-    gathered = Gathered(10_000)
+    gathered = Gathered("symbol", 10_000)
     for step in range(10_000):
         gathered.add(small_results[step] if step < 3 else replace(small_results[3], step=step))
     assert len(gathered.symbols) <= PAST_SYMBOLS
@@ -79,10 +97,11 @@ def test_long_run_keeps_few_images(small_results: list[StepResult]) -> None:
 
 
 def test_path_is_the_centroid_in_the_image(small_results: list[StepResult]) -> None:
-    gathered = Gathered(2)
+    gathered = Gathered("symbol", 2)
     gathered.add(small_results[0])
     gathered.add(lost(small_results[1]))
-    assert gathered.path[0] == pytest.approx(small_results[0].seen.appearance.centroids[0].tolist(), abs=1e-3)  # float32 sums of 320 px
+    centre = small_results[0].symbol.seen.appearance.centroids[0].tolist()
+    assert gathered.path[0] == pytest.approx(centre, abs=1e-3)  # float32 sums of 320 px
     assert np.isnan(gathered.path[1]).all()
 
 

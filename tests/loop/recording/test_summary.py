@@ -3,26 +3,29 @@
 import json
 import math
 import re
-from operator import attrgetter
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pytest
 
-from loop.commands.runs import of_symbol
-from loop.recording.recorder import COLUMNS, table_of
+from loop.lighting import summary as of_run
+from loop.recording.columns import SYMBOL
+from loop.recording.recorder import table_of
 from loop.recording.remedies import remedies
 from loop.recording.summary import overshoot_percent, settle_step, steady_step, summarise, unsettled
 from loop.scenario.model import load
 
+SCHEMA = pa.schema([("step", pa.int64()), *((name, pa.string() if name == "loss" else pa.float64()) for name in SYMBOL)])
+
 
 def table(steps: int = 40, loss: list[str] | None = None, **columns: Any) -> pa.Table:
-    """A recording that is at rest but for the given columns (numbers or arrays)."""
+    """One symbol's columns of a recording; it is at rest but for those given (numbers or arrays)."""
     columns = {"length": 1.0, "aim_x_m": math.nan, "aim_y_m": math.nan, **columns}
-    values = {name: np.broadcast_to(columns.get(name, 0.0), steps).tolist() for name in COLUMNS}
+    values = {name: np.broadcast_to(columns.get(name, 0.0), steps).tolist() for name in SYMBOL}
     values |= {"step": list(range(steps)), "loss": loss or [""] * steps}
-    return table_of([{name: values[name][k] for name in COLUMNS} for k in range(steps)])
+    return table_of([{name: values[name][k] for name in values} for k in range(steps)], SCHEMA)
 
 
 def decay(start: float, ratio: float, steps: int = 40) -> np.ndarray:
@@ -119,7 +122,7 @@ def test_only_a_symbol_that_is_seen_on_its_target_has_settled(recorded: pa.Table
 
 
 def test_a_lost_symbol_is_steady_but_has_not_settled() -> None:
-    summary = summarise(table(loss=["too_small"] * 40, iou=0.0), "name", "luxloop", 0.0)
+    summary = summarise(table(loss=["too_small"] * 40, iou=0.0), "luxloop", 0.0)
     assert (summary["settle_step"], summary["unsettled"], summary["steady_step"]) == (None, "lost", 0)
 
 
@@ -136,68 +139,78 @@ def test_a_lost_symbol_is_steady_but_has_not_settled() -> None:
     ],
 )
 def test_the_closing_table_says_what_went_wrong_and_names_keys_that_exist(recorded: pa.Table, controller: str) -> None:
-    values = summarise(recorded, "name", controller, 0.0)
-    (note,) = (cell for cell in of_symbol(values | {"checks": {}}, "runs/name").columns[1].cells if ";" in str(cell))
-    keys = re.findall(r"\b(?:camera|controller|disturbances|start|symbol)\.[a-z_]+|\bsteps$", str(note))
-    scenario = load("snowflake", ["controller={name='feedforward'}"] if "controller.survey" in keys else [])
+    values = summarise(recorded, controller, 0.0)
+    run = of_run.summarise(pa.table({"dark_lx_max": [math.nan]}), "name", {}, {"symbol": values})
+    shown = of_run.shown(run | {"shadow_of": None, "idle_functions": [], "checks": {}}, "runs/name")
+    names, cells = (list(column.cells) for column in shown.columns)
+    note = str(cells[names.index("[bold]note[/]")])
+    keys = re.findall(r"\b(?:functions\.symbol|camera|disturbances)(?:\.[a-z_]+)+|\bjudge_every\b|(?<=raise )steps\b", note)
+    scenario = load("snowflake", ["functions.symbol.controller={name='feedforward'}"] if controller == "feedforward" else [])
     assert keys
     for key in keys:
-        attrgetter(key)(scenario)
+        found: Any = scenario
+        for name in key.split("."):
+            found = found[name] if isinstance(found, Mapping) else getattr(found, name)
 
 
 @pytest.mark.parametrize(
     ("shares", "said"),
     [
         ({"bottom": 0.019}, []),
-        ({"bottom": 0.3, "left": 0.1}, ["40 % of the symbol lies beyond the lower border of the lamps' field; raise symbol.x_m"]),
-        ({"left": 0.03}, ["3 % of the symbol lies beyond the left border of the lamps' field; bring symbol.y_m nearer to 0"]),
+        ({"bottom": 0.3, "left": 0.1}, ["40 % of the symbol lies beyond the lower border of the lamps' field; raise functions.symbol.x_m"]),
+        ({"left": 0.03}, ["3 % of the symbol lies beyond the left border of the lamps' field; bring functions.symbol.y_m nearer to 0"]),
     ],
 )
 def test_what_is_cut_at_the_border_of_the_field_is_said_even_of_a_settled_symbol(shares: dict[str, float], said: list[str]) -> None:
     recorded = table(**{f"cut_{side}": np.where(np.arange(40) < 39, 0.0, share) for side, share in shares.items()})
-    values = summarise(recorded, "name", "luxloop", 0.0)
+    values = summarise(recorded, "luxloop", 0.0)
     assert values["cut"] == pytest.approx(sum(shares.values())) and values["cut_side"] == max(shares, key=shares.__getitem__)
-    assert remedies(values) == said
+    assert remedies("symbol", values) == said
 
 
 def test_a_symbol_that_was_aimed_elsewhere_is_off_its_target_for_no_other_reason() -> None:
-    values = summarise(table(**{OFF: math.nan}, aim_x_m=28.31, aim_y_m=0.0), "name", "luxloop", 0.0)
+    values = summarise(table(**{OFF: math.nan}, aim_x_m=28.31, aim_y_m=0.0), "luxloop", 0.0)
     assert values["aim"] == [28.31, 0.0] and values["unsettled"] == "off_target"
-    (said,) = remedies(values)
+    (said,) = remedies("symbol", values)
     assert "28.3 m ahead" in said
 
 
 def test_a_symbol_that_is_cut_is_lost_for_no_other_reason() -> None:
-    values = summarise(table(loss=["nothing"] * 40, cut_bottom=0.9), "name", "luxloop", 0.0)
-    assert len(remedies(values)) == 1 and "lower border" in remedies(values)[0]
+    values = summarise(table(loss=["nothing"] * 40, cut_bottom=0.9), "luxloop", 0.0)
+    assert len(remedies("symbol", values)) == 1 and "lower border" in remedies("symbol", values)[0]
 
 
 def test_how_far_the_road_lies_off_the_plane_is_said_where_it_is_drawn_for() -> None:
-    (said,) = remedies(summarise(table(**{OFF: 12.0}, z_m=-0.57), "name", "luxloop", 0.0))
+    (said,) = remedies("symbol", summarise(table(**{OFF: 12.0}, z_m=-0.57), "luxloop", 0.0))
     assert said.startswith(
-        "the symbol lies 12 % of its size off its target, drawn for a road 0.6 m below the plane z = 0; lower symbol.x_m"
+        "the symbol lies 12 % of its size off its target, drawn for a road 0.6 m below the plane z = 0; lower functions.symbol.x_m"
     )
 
 
 @pytest.mark.parametrize(
     ("controller", "key"),
-    [("thesis_pid", "start.x_m"), ("open", "controller.name"), ("feedforward", "controller.road"), ("luxloop", "symbol.x_m")],
+    [
+        ("thesis_pid", "functions.symbol.start.x_m"),
+        ("open", "functions.symbol.controller.name"),
+        ("feedforward", "functions.symbol.controller.road"),
+        ("luxloop", "functions.symbol.x_m"),
+    ],
 )
 def test_a_symbol_that_was_never_seen_starts_too_far_only_where_a_controller_moves_it(controller: str, key: str) -> None:
-    (said,) = remedies(summarise(table(loss=["nothing"] * 40), "name", controller, 0.0))
+    (said,) = remedies("symbol", summarise(table(loss=["nothing"] * 40), controller, 0.0))
     assert said.startswith("the camera never saw the symbol") and key in said
-    assert ("start.x_m" in said) == (controller == "thesis_pid")
+    assert ("functions.symbol.start.x_m" in said) == (controller == "thesis_pid")
 
 
 def test_a_symbol_that_was_lost_is_counted() -> None:
-    (lost,) = remedies(summarise(table(loss=[""] * 20 + ["nothing"] * 20), "name", "luxloop", 0.0))
+    (lost,) = remedies("symbol", summarise(table(loss=[""] * 20 + ["nothing"] * 20), "luxloop", 0.0))
     assert lost.startswith("the camera lost the symbol in 20 of 40 steps")
 
 
 def test_a_symbol_that_swings_on_needs_more_steps_only_in_a_short_run() -> None:
     short, long = (table(steps, **{OFF: 10 * np.sin(np.arange(steps))}) for steps in (30, 40))
-    assert "raise steps" in remedies(summarise(short, "name", "thesis_pid", 0.0))[0]
-    assert 'controller.name = "luxloop"' in remedies(summarise(long, "name", "thesis_pid", 0.0))[0]
+    assert "raise steps" in remedies("symbol", summarise(short, "thesis_pid", 0.0))[0]
+    assert 'functions.symbol.controller.name = "luxloop"' in remedies("symbol", summarise(long, "thesis_pid", 0.0))[0]
 
 
 def test_summary_has_every_field() -> None:
@@ -207,13 +220,12 @@ def test_summary_has_every_field() -> None:
         centroid_error_x_percent=k - 37.0,
         iou=k / 40,
         ssim=k / 80,
-        step_ms=k**2,
     )
-    assert summarise(recorded, "name", "thesis_pid", 0.25) == {
-        "scenario": "name",
+    assert summarise(recorded, "thesis_pid", 0.25) == {
         "controller": "thesis_pid",
-        "shadow_of": None,
-        "steps": 40,
+        "shown_steps": 40,
+        "seen_steps": 38,
+        "lost_steps": 1,  # frames came in the last one
         "settle_step": None,
         "unsettled": "moving",
         "steady_step": None,
@@ -224,20 +236,19 @@ def test_summary_has_every_field() -> None:
         "aim": None,
         "iou_open": 0.25,
         "iou_final": 39 / 40,
+        "iou_mean": pytest.approx(29.5 / 40),  # steps 20 to 39
+        "iou_min": 20 / 40,
         "z_m_final": 0.0,
         "ssim_final": 39 / 80,
-        "lost_steps": 2,
-        "step_ms_median": 380.5,
     }
 
 
 @pytest.mark.parametrize("steps", [0, 1, 40])
 def test_nothing_seen_is_null_in_json(steps: int) -> None:
-    numbers = [name for name in COLUMNS if name not in ("step", "loss")]
-    summary = summarise(table(steps, **dict.fromkeys(numbers, math.nan)), "name", "open", math.nan)
+    numbers = [name for name in SYMBOL if name != "loss"]
+    summary = summarise(table(steps, **dict.fromkeys(numbers, math.nan)), "open", math.nan)
     written = json.loads(json.dumps(summary, allow_nan=False))
-    assert written["steps"] == steps
-    assert [
-        written[key] for key in ("settle_step", "steady_step", "overshoot_percent", "iou_open", "iou_final", "ssim_final", "step_ms_median")
-    ] == [None] * 7
+    assert written["shown_steps"] == steps
+    nothing = ("settle_step", "steady_step", "overshoot_percent", "iou_open", "iou_final", "iou_mean", "iou_min", "ssim_final", "z_m_final")
+    assert {key: written[key] for key in nothing} == dict.fromkeys(nothing)
     assert written["centroid_error_percent"] == [None, None]

@@ -2,7 +2,8 @@
 
 import json
 import sys
-from collections.abc import Callable
+from functools import reduce
+from operator import getitem
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +11,10 @@ import pytest
 
 from loop.commands import cli
 from loop.jobs.executors import local
-from loop.lighting.replay import replay as replay_lighting
+from loop.lighting.replay import replay
 from loop.recording.manifest import FILE, Manifest, digests
-from loop.recording.replay import replay
 from loop.run import run
-from loop.scenario.model import load, load_any
+from loop.scenario.model import load
 from loop.studies import campaign
 from world import plugin
 from world.errors import LuxloopError
@@ -45,19 +45,28 @@ class Stays:
     def step(self, state, look):
         return 1 / 0 if self.fails else state
 """
-SMALL = 'renderer = "raycast"\nsteps = 1\ncamera = { width_px = 160, height_px = 90, oversampling = 1 }\nheadlight = { model = "hd84" }\n'
-SYMBOL = f'name = "mine"\n{SMALL}symbol = {{ image = "snowflake", width_m = 4.0, length_m = 8.0 }}\n'
-LIGHTING = f'name = "mine"\n{SMALL}lighting = {{}}\n'
+BARE = """
+name = "mine"
+renderer = "raycast"
+steps = 1
+camera = { width_px = 160, height_px = 90, oversampling = 1 }
+headlight = { model = "hd84", lamps = ["left"] }
+"""
+SYMBOL = BARE + "".join(
+    f"functions.symbol.{line}\n" for line in ('kind = "symbol"', 'image = "snowflake"', "width_m = 4.0", "length_m = 8.0")
+)
+HELD = SYMBOL + 'functions.symbol.controller = "luxloop"\n'
 NAMING = {
-    "road.kind": SYMBOL + 'road = { kind = "mine:Road" }',
-    "controller.name": SYMBOL + 'controller = { name = "mine:Stays" }',
-    "controller.road.kind": SYMBOL + 'controller = { name = "feedforward", road = { kind = "mine:Road" } }',
-    "extraction.kind": SYMBOL + 'extraction = { kind = "mine:Looks" }',
-    "pixel_controller": SYMBOL + 'pixel_controller = "mine:Stays"',
-    "plant.kind": SYMBOL + 'plant = { kind = "mine:Stays" }',
-    "detector.kind": LIGHTING + 'detector = { kind = "mine:Looks" }',
-    "functions.mine.kind": LIGHTING + 'functions.mine = { kind = "mine:Looks" }',
-    "tracker.kind": LIGHTING + 'detector = { kind = "truth" }\ntracker = { kind = "mine:Looks" }',
+    "road.kind": HELD + 'road = { kind = "mine:Road" }',
+    "functions.symbol.controller.name": SYMBOL + 'functions.symbol.controller = { name = "mine:Stays" }',
+    "functions.symbol.controller.road.kind": SYMBOL
+    + 'functions.symbol.controller = { name = "feedforward", road = { kind = "mine:Road" } }',
+    "functions.symbol.extraction.kind": HELD + 'functions.symbol.extraction = { kind = "mine:Looks" }',
+    "pixel_controller": HELD + 'pixel_controller = "mine:Stays"',
+    "plant.kind": HELD + 'plant = { kind = "mine:Stays" }',
+    "detector.kind": BARE + 'detector = { kind = "mine:Looks" }',
+    "functions.mine.kind": BARE + 'functions.mine = { kind = "mine:Looks" }',
+    "tracker.kind": BARE + 'detector = { kind = "truth" }\ntracker = { kind = "mine:Looks" }',
 }
 
 
@@ -69,7 +78,7 @@ def mine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder = tmp_path / "mine"
     folder.mkdir()
     (folder / "mine.py").write_text(MINE)
-    (folder / "plain.toml").write_text(SYMBOL)
+    (folder / "plain.toml").write_text(HELD)
     monkeypatch.chdir(tmp_path)
     return folder
 
@@ -82,10 +91,10 @@ def ran(folder: Path) -> bool:
 def test_a_scenario_runs_no_code_unless_that_is_allowed(key: str, text: str, mine: Path) -> None:
     (file := mine / "scenario.toml").write_text(text)
     with pytest.raises(LuxloopError) as caught:
-        load_any(str(file))
+        load(str(file))
     for part in (f"{file}: {key}: ", "the module mine;", "--allow-code", "allow_code=True"):
         assert part in str(caught.value), caught.value
-    scenario = load_any(str(file), allow_code=True)
+    scenario = load(str(file), allow_code=True)
     ((found, name),) = plugin.named(scenario)
     assert (found, name.folder, name.module) == (key, mine, "mine")
     assert digests(scenario)["module mine"] and not ran(mine), "even so, nothing runs before it is needed"
@@ -98,51 +107,43 @@ def test_what_is_typed_or_given_in_python_is_the_users_own(key: str, mine: Path,
     base = {"detector.kind": "gfhb", "functions.mine.kind": "gfhb", "tracker.kind": "obl"}.get(key, "flat")
     name = NAMING[key].rpartition("mine:")[2].partition('"')[0]
     sets = [f"{key}=mine:{name}"]
-    if key == "controller.road.kind":
-        sets = [f"controller={{ name='feedforward', road={{ kind='mine:{name}' }} }}"]
-    assert [each for _, each in plugin.named(load_any(base, sets))] == [f"{mine}/mine:{name}"]
-    if key == "controller.name":
-        assert load(base, controller={"name": f"mine:{name}"}).controller.name == f"{mine}/mine:{name}"
+    if key == "functions.symbol.controller.road.kind":
+        sets = [f"functions.symbol.controller={{ name='feedforward', road={{ kind='mine:{name}' }} }}"]
+    assert [each for _, each in plugin.named(load(base, sets))] == [f"{mine}/mine:{name}"]
+    if key == "functions.symbol.controller.name":
+        assert load(base, controller={"name": f"mine:{name}"}).symbol.controller.name == f"{mine}/mine:{name}"
     (mine / "keys.toml").write_text("[road]\nkind = 'mine:Road'\n")
     with pytest.raises(LuxloopError, match=r"road\.kind: .*--allow-code"):
-        load_any(base, ["keys.toml"])
-    assert load_any(base, ["keys.toml"], allow_code=True).road.kind == f"{mine}/mine:Road"
+        load(base, ["keys.toml"])
+    assert load(base, ["keys.toml"], allow_code=True).road.kind == f"{mine}/mine:Road"
 
 
 def test_a_name_in_a_file_stays_untrusted_beside_what_is_typed(mine: Path) -> None:
-    (file := mine / "scenario.toml").write_text(NAMING["extraction.kind"])
+    (file := mine / "scenario.toml").write_text(NAMING["functions.symbol.extraction.kind"])
     with pytest.raises(LuxloopError, match=r"extraction\.kind: .*--allow-code"):
-        load_any(str(file), ["road.kind=bumps", "extraction.area_low=0.3"])
-    assert load(str(file), ["extraction.kind=differential"]).extraction.kind == "differential"
+        load(str(file), ["road.kind=bumps", "functions.symbol.extraction.area_low=0.3"])
+    assert load(str(file), ["functions.symbol.extraction.kind=differential"]).symbol.extraction.kind == "differential"
 
 
-def recorded(mine: Path, text: str, **changes: Any) -> Path:
-    """A recording whose manifest was edited."""
+def recorded(mine: Path, text: str, key: str, value: Any) -> Path:
+    """A recording in whose manifest a key of the scenario was edited."""
     (mine / "plain.toml").write_text(text)
-    scenario = load_any(str(mine / "plain.toml"))
+    scenario = load(str(mine / "plain.toml"))
     run(scenario, mine / "run", device="cpu", video=False)
     manifest = json.loads((mine / "run" / FILE).read_text())
-    manifest["scenario"] |= changes
+    *tables, last = key.split(".")
+    reduce(getitem, tables, manifest["scenario"])[last] = value
     (mine / "run" / FILE).write_text(json.dumps(manifest))
     return mine / "run"
 
 
-@pytest.mark.parametrize(
-    ("text", "again", "changes"),
-    [
-        (SYMBOL, replay, {"extraction": {"kind": "{}/mine:Looks"}}),
-        (LIGHTING, replay_lighting, {"road": {"kind": "{}/mine:Road"}}),
-    ],
-)
-def test_an_edited_manifest_runs_no_code(
-    text: str, again: Callable[..., Any], changes: dict[str, Any], mine: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    ((table, named),) = changes.items()
-    directory = recorded(mine, text, **{table: {key: value.format(mine) for key, value in named.items()}})
+@pytest.mark.parametrize(("text", "table", "name"), [(HELD, "functions.symbol.extraction", "Looks"), (BARE, "road", "Road")])
+def test_an_edited_manifest_runs_no_code(text: str, table: str, name: str, mine: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    directory = recorded(mine, text, table, {"kind": f"{mine}/mine:{name}"})
     with pytest.raises(LuxloopError, match=rf"manifest\.json: {table}\.kind: .*the module mine;.*--allow-code"):
-        again(directory)
+        replay(directory)
     assert cli.main(["replay", str(directory)]) == cli.WRONG and not ran(mine)
-    assert again(directory, allow_code=True).agrees and ran(mine), "the manifest knows where the module was"
+    assert replay(directory, allow_code=True).agrees and ran(mine), "the manifest knows where the module was"
     assert "the scenario in the manifest was edited" in " ".join(Manifest.read(directory).changes(Manifest.read(directory)))
 
 
@@ -163,7 +164,9 @@ def test_a_campaign_names_code_as_a_scenario_does(mine: Path) -> None:
 
 @pytest.mark.slow
 def test_workers_run_what_the_campaign_may(mine: Path) -> None:
-    (file := mine / "campaign.toml").write_text('scenarios = ["plain.toml"]\nseeds = [0, 1]\n[set.extraction]\nkind = "mine:Looks"\n')
+    (file := mine / "campaign.toml").write_text(
+        'scenarios = ["plain.toml"]\nseeds = [0, 1]\n[set.functions.symbol.extraction]\nkind = "mine:Looks"\n'
+    )
     done = campaign.run_campaign(file, mine / "out", executor=local(2), allow_code=True)
     assert not done.failures and ran(mine)
     assert "mine" not in sys.modules, "it ran in workers"
@@ -186,7 +189,9 @@ def test_commands_take_the_flag(mine: Path, capsys: pytest.CaptureFixture[str]) 
 
 
 def test_a_step_that_fails_says_where_and_debug_shows_how(mine: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (file := mine / "scenario.toml").write_text(SYMBOL + 'controller = { name = "mine:Stays", options = { fails = true } }')
+    (file := mine / "scenario.toml").write_text(
+        SYMBOL + 'functions.symbol.controller = { name = "mine:Stays", options = { fails = true } }'
+    )
     line = 1 + MINE.splitlines().index("        return 1 / 0 if self.fails else state")
     command = ["run", str(file), "--allow-code", "--no-video", "--device", "cpu"]
     assert cli.main(command) == cli.WRONG

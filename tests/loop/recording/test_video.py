@@ -9,8 +9,10 @@ import pytest
 import torch
 
 from controllers.symbol.sensing.drawing import Drawing
-from loop.recording.video import LOST_RGB, SEEN_RGB, TARGET_RGB, VideoWriter, frame_picture, tone_map
-from loop.symbol.simulation import Simulation, StepResult
+from loop.lighting.result import StepResult
+from loop.lighting.simulation import Simulation
+from loop.recording.video import Picture, VideoWriter, tone_map
+from loop.report.picture import LOST_RGB, SEEN_RGB, TARGET_RGB, frame_picture, white_of
 from world.errors import LuxloopError
 
 
@@ -27,29 +29,36 @@ def shows(picture: np.ndarray, rgb: tuple[int, int, int]) -> bool:
     return bool(((strength > 0.5) & (np.abs(colour - strength[..., None] * tint).max(-1) < 10)).any())
 
 
+def drawn(result: StepResult, simulation: Simulation) -> Picture:
+    return frame_picture(result, simulation, white_of(result, simulation))
+
+
 def test_picture_has_the_cameras_size_and_shows_symbol_and_target(small_simulation: Simulation, small_results: list[StepResult]) -> None:
-    picture = frame_picture(small_results[-1], small_simulation)
+    picture = drawn(small_results[-1], small_simulation)
     assert picture.shape == (180, 320, 3)
     assert picture.dtype == np.uint8
-    below_insets = picture[90:]
-    assert shows(below_insets, SEEN_RGB) and shows(below_insets, TARGET_RGB)
+    between = picture[90:130]  # insets and captions
+    assert shows(between, SEEN_RGB) and shows(between, TARGET_RGB)
     assert shows(picture[:90, :60], TARGET_RGB)
 
 
 def test_symbol_is_outlined_where_it_is(small_simulation: Simulation, small_results: list[StepResult]) -> None:
     result = small_results[0]
-    bare = replace(result, seen=replace(result.seen, symbol=torch.zeros_like(result.seen.symbol)))
-    changed = (frame_picture(result, small_simulation) != frame_picture(bare, small_simulation)).any(-1)
+    seen = result.symbol.seen
+    nothing = replace(seen, symbol=torch.zeros_like(seen.symbol))
+    bare = replace(result, held={"symbol": replace(result.symbol, seen=nothing)})
+    changed = (drawn(result, small_simulation) != drawn(bare, small_simulation)).any(-1)
     v, u = np.nonzero(changed)
-    crop, (lit_v, lit_u) = result.seen.crop, torch.nonzero(result.seen.symbol > 0.5).T
+    crop, (lit_v, lit_u) = seen.crop, torch.nonzero(seen.symbol > 0.5).T
     assert (v.min(), v.max()) == (int(lit_v.min()) + crop.v_start, int(lit_v.max()) + crop.v_start)
     assert (u.min(), u.max()) == (int(lit_u.min()) + crop.u_start, int(lit_u.max()) + crop.u_start)
 
 
 def test_lost_frames_are_a_dark_picture_that_says_so(small_simulation: Simulation, small_results: list[StepResult]) -> None:
     result = small_results[0]
-    lost = replace(result, frames=None, seen=small_simulation.observer.look(None, Drawing(result.pose), result.lights))
-    picture = frame_picture(lost, small_simulation)
+    seen = small_simulation.symbol.observer.look(None, Drawing(result.symbol.pose), small_simulation.symbol.projector.resting)
+    lost = replace(result, frame=None, frames=None, held={"symbol": replace(result.symbol, seen=seen)})
+    picture = drawn(lost, small_simulation)
     assert not shows(picture, SEEN_RGB)
     assert shows(picture[-12:, :80], LOST_RGB)
 

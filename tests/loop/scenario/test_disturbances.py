@@ -9,19 +9,21 @@ from torch import Tensor
 
 from controllers.pixels.ssc import Utilisation
 from loop.assembly.truth import true_camera, true_modules, worn
+from loop.lighting.result import StepResult
+from loop.lighting.simulation import Simulation
 from loop.plant.simulated import SimulatedPlant
 from loop.plant.world import World
 from loop.run import prepare
 from loop.scenario.disturbances import DisturbanceParams, WearParams
 from loop.scenario.model import Scenario, validate
-from loop.symbol.simulation import Simulation, StepResult
 from perception.camera import luminance_of, saturation_luminance
 from tests.loop.conftest import SMALL, frames_of
 from world.errors import LuxloopError
 from world.roads.shapes import Flat
 from world.scene.vehicle import VehicleParams, drive
 
-AT_TARGET: dict[str, Any] = {**SMALL, "controller": {"name": "open"}, "start": {}, "steps": 1}
+SYMBOL = SMALL["functions"]["symbol"]
+AT_TARGET: dict[str, Any] = {**SMALL, "functions": {"symbol": {**SYMBOL, "controller": {"name": "open"}, "start": {}}}, "steps": 1}
 QUIET = {"camera": {**SMALL["camera"], "noise": False}}
 
 
@@ -44,8 +46,8 @@ def disturbed(world: World, **disturbances: Any) -> SimulatedPlant:
 
 def frames(simulation: Simulation, step: int = 0, **disturbances: Any) -> tuple[Tensor, Tensor] | None:
     """Luminance in cd/m^2 of a step's on and off frame with the symbol at its target, on the same road in the same light."""
-    world = simulation.truth.world
-    seen = frames_of(disturbed(world, **disturbances), simulation.projector.light(simulation.projector.target), step)
+    world = simulation.world
+    seen = frames_of(disturbed(world, **disturbances), simulation.symbol.projector.light(simulation.symbol.projector.target), step)
     return None if seen is None else (luminance_of(seen[0], world.camera), luminance_of(seen[1], world.camera))
 
 
@@ -56,9 +58,9 @@ def test_ambient_light_changes_in_the_frames_and_steps_that_are_named(plain: Sim
         on_now, off_now = frames(plain, step, ambient=[spell])
         assert torch.equal(on_now, on)
         # four times the base, each coded to half a level of 4095
-        assert torch.allclose(off_now, (4 if step in (3, 4) else 1) * off, atol=3 * saturation_luminance(plain.truth.world.camera) / 4095)
+        assert torch.allclose(off_now, (4 if step in (3, 4) else 1) * off, atol=3 * saturation_luminance(plain.world.camera) / 4095)
     both, _ = frames(plain, 4, ambient=[spell | {"frames": "both"}, {"factor": 0.5}])
-    assert torch.allclose(both - on, off, atol=2 * saturation_luminance(plain.truth.world.camera) / 4095)  # factors multiply: 2 in all
+    assert torch.allclose(both - on, off, atol=2 * saturation_luminance(plain.world.camera) / 4095)  # factors multiply: 2 in all
 
 
 def test_a_headlamp_in_one_frame_only_saturates_and_veils_that_frame(plain: Simulation) -> None:
@@ -69,19 +71,19 @@ def test_a_headlamp_in_one_frame_only_saturates_and_veils_that_frame(plain: Simu
         on_now, off_now = frames(plain, step, oncoming=[lamp])
         assert torch.equal(off_now, off)
         position = torch.tensor([40.0 - 15 * step / 30, 2.0, 0.65], dtype=torch.float64)
-        uv, _ = plain.truth.world.view.project(position[:, None])
+        uv, _ = plain.world.view.project(position[:, None])
         u, v = (int(x) for x in uv[:, 0])
-        assert float(on_now[v, u]) == pytest.approx(saturation_luminance(plain.truth.world.camera))
-        theta = math.degrees(math.hypot(u + 60 - float(uv[0]) + 0.5, v + 0.5 - float(uv[1])) / plain.truth.world.view.fx)
+        assert float(on_now[v, u]) == pytest.approx(saturation_luminance(plain.world.camera))
+        theta = math.degrees(math.hypot(u + 60 - float(uv[0]) + 0.5, v + 0.5 - float(uv[1])) / plain.world.view.fx)
         veil = (on_now - on)[v, u + 60]
         # one level of code; the plane's tangent in place of the angle is 0.5 % at 6 deg
-        expected = 0.1 * 10 * 3000 / float((position - plain.truth.world.view.origin).square().sum()) / theta**2
-        assert float(veil) == pytest.approx(expected, rel=0.03, abs=saturation_luminance(plain.truth.world.camera) / 4095)
+        expected = 0.1 * 10 * 3000 / float((position - plain.world.view.origin).square().sum()) / theta**2
+        assert float(veil) == pytest.approx(expected, rel=0.03, abs=saturation_luminance(plain.world.camera) / 4095)
 
 
 def test_a_car_drives_towards_a_headlamp_that_stands(plain: Simulation) -> None:
     lamp = {"position_m": (60.0, 2.0, 0.65), "diameter_m": 0.5, "veil": 0.0, "intensity_cd": 5.0}
-    scene, modules, camera, source = plain.truth.world.scene, plain.truth.world.modules, plain.truth.world.camera, plain.truth.world.source
+    scene, modules, camera, source = plain.world.scene, plain.world.modules, plain.world.camera, plain.world.source
     motion = drive(VehicleParams.model_validate({"course": [{"speed_m_s": 20.0}]}), Flat(), 1.0)
     world = World(scene, modules, camera, source, motion)
     plant = disturbed(world, oncoming=[lamp])
@@ -99,9 +101,7 @@ def test_noise_is_as_many_times_as_wide(plain: Simulation) -> None:
     _, quiet = frames(plain)
     bright = {"ambient": [{"factor": 20.0}]}  # far from black and white, which clamp
     _, level = frames(plain, **bright)
-    inside = (level > 0.25 * saturation_luminance(plain.truth.world.camera)) & (
-        level < 0.75 * saturation_luminance(plain.truth.world.camera)
-    )
+    inside = (level > 0.25 * saturation_luminance(plain.world.camera)) & (level < 0.75 * saturation_luminance(plain.world.camera))
     assert int(inside.sum()) > 10_000 and quiet[inside].max() < 0.1
     noisy = prepared(camera=SMALL["camera"])
     once, ten = (float((frames(noisy, 2, **bright, noise=[{"factor": f}])[1] - level)[inside].std()) for f in (0.5, 4.0))
@@ -111,7 +111,7 @@ def test_noise_is_as_many_times_as_wide(plain: Simulation) -> None:
 def test_frames_are_lost_when_listed_and_as_often_as_they_shall(plain: Simulation) -> None:
     spells = [{"from_step": 2, "until_step": 4}, {"from_step": 7, "until_step": 8}]
     assert [step for step in range(10) if frames(plain, step, drops=spells) is None] == [2, 3, 7]
-    plant = disturbed(plain.truth.world, drops=[{"probability": 0.5}, {"probability": 0.2, "from_step": 1000}])
+    plant = disturbed(plain.world, drops=[{"probability": 0.5}, {"probability": 0.2, "from_step": 1000}])
     lost = [plant._dropped(step) for step in range(2000)]
     assert lost == [plant._dropped(step) for step in range(2000)]
     # 0.5, and 1 - 0.5 * 0.8 where both hold; three standard errors of a share of a thousand are 0.048
@@ -119,8 +119,8 @@ def test_frames_are_lost_when_listed_and_as_often_as_they_shall(plain: Simulatio
 
 
 def test_a_batch_is_disturbed_as_each_of_it_alone(plain: Simulation) -> None:
-    plant = disturbed(plain.truth.world, oncoming=[{"position_m": (40.0, 2.0, 0.65)}], ambient=[{"factor": 3.0, "frames": "off"}])
-    (light,) = plain.projector.light(plain.projector.target)
+    plant = disturbed(plain.world, oncoming=[{"position_m": (40.0, 2.0, 0.65)}], ambient=[{"factor": 3.0, "frames": "off"}])
+    (light,) = plain.symbol.projector.light(plain.symbol.projector.target)
     batch, off = frames_of(plant, [Utilisation(torch.stack([light.u, 0.5 * light.u]))])
     for k, share in enumerate((1.0, 0.5)):
         alone, off_alone = frames_of(plant, [Utilisation(share * light.u)])
@@ -133,11 +133,11 @@ def test_a_camera_that_looks_elsewhere_moves_the_image_and_not_the_light(plain: 
     simulation = prepared({"calibration": off_by})
     right, wrong = first(plain), first(simulation)
     # the controller expects what it did; the light lies as well as before, and the judge, who knows the true camera, sees that
-    assert torch.equal(simulation.observer.model.target, plain.observer.model.target)
-    assert wrong.verdict.centroid_percent.abs().max() < 0.2 and float(wrong.verdict.iou) > 0.97
-    u, v = right.seen.appearance.centroids[0].tolist()
-    u_wrong, v_wrong = wrong.seen.appearance.centroids[0].tolist()
-    fx = plain.truth.world.view.fx
+    assert torch.equal(simulation.symbol.observer.model.target, plain.symbol.observer.model.target)
+    assert wrong.symbol.verdict.centroid_percent.abs().max() < 0.2 and float(wrong.symbol.verdict.iou) > 0.97
+    u, v = right.symbol.seen.appearance.centroids[0].tolist()
+    u_wrong, v_wrong = wrong.symbol.seen.appearance.centroids[0].tolist()
+    fx = plain.world.view.fx
     expected_u = 160 + 1.02 * fx * math.tan(math.atan((u - 160) / fx) + math.radians(0.4))
     # the symbol's edges fall on other parts of pixels; a yaw about an inclined axis lifts nothing this near to the middle
     assert (u_wrong, v_wrong) == pytest.approx((expected_u, 90 + 1.02 * (v - 90)), abs=0.15)
@@ -171,49 +171,51 @@ def test_errors_that_leave_nothing_to_see_are_told(disturbances: dict[str, Any],
 
 def test_a_lamp_aimed_too_high_throws_the_symbol_further() -> None:
     up = math.radians(0.1)
-    x, y = first(prepared({"aim": [{"pitch_deg": -0.1}]})).verdict.centroid_percent.tolist()
+    x, y = first(prepared({"aim": [{"pitch_deg": -0.1}]})).symbol.verdict.centroid_percent.tolist()
     moved = 0.75 / math.tan(math.atan(0.75 / 17) - up) - 17
     # the symbol grows about its middle ray, which moves its centroid by a tenth of the shift at most; the left lamp's rays go to the right
     assert x == pytest.approx(100 * moved / 4, rel=0.1) and y == pytest.approx(-100 * 0.6 * moved / 17 / 2, rel=0.2)
 
 
 def test_two_lamps_draw_one_symbol_until_one_is_aimed_aside(plain: Simulation) -> None:
-    both: dict[str, Any] = {"headlight": {"lamps": ["left", "right"]}}
+    drawn = {**AT_TARGET["functions"]["symbol"], "modules": ["left", "right"]}
+    both = {"headlight": {**SMALL["headlight"], "lamps": ["left", "right"]}, "functions": {"symbol": drawn}}
     together = prepared(**both)
     shared, alone = first(together), first(plain)
-    assert float(shared.verdict.iou) > 0.97
-    share = [float(light.u.sum()) for light in shared.lights]
+    assert float(shared.symbol.verdict.iou) > 0.97
+    share = [float(u.sum()) for u in shared.lights]
     assert share[0] == pytest.approx(share[1], rel=0.01)  # lamps mirrored about a symbol in the middle
-    lit = [float(sim.truth.world.lit(0.0).luminance(result.lights).sum()) for sim, result in ((together, shared), (plain, alone))]
+    runs = ((together, shared), (plain, alone))
+    lit = [float(sim.world.lit(0.0).luminance(result.showings[0].exposure.lights).sum()) for sim, result in runs]
     assert lit[0] == pytest.approx(lit[1], rel=0.01)  # each gives half of the setpoint
     apart = first(prepared({"aim": [{"lamp": "right", "yaw_deg": -1.0}]}, **both))
-    y_percent = float(apart.verdict.centroid_percent[1])
+    y_percent = float(apart.symbol.verdict.centroid_percent[1])
     # half of the light has moved by a degree at 17 m, 30 cm of 2 m to the right
-    assert y_percent == pytest.approx(-100 * math.tan(math.radians(1)) * 17 / 2 / 2, rel=0.2) and float(apart.verdict.iou) < 0.8
+    assert y_percent == pytest.approx(-100 * math.tan(math.radians(1)) * 17 / 2 / 2, rel=0.2) and float(apart.symbol.verdict.iou) < 0.8
 
 
 def worn_world(plain: Simulation, **wear: Any) -> World:
     """The plain simulation's world in the light of worn lamps."""
     disturbances = DisturbanceParams.model_validate({"wear": wear})
-    world = plain.truth.world
+    world = plain.world
     modules = true_modules(disturbances, world.modules)
     return World(world.scene, modules, world.camera, world.source)
 
 
 def test_worn_pixels_give_as_much_less_light(plain: Simulation) -> None:
     aged = worn_world(plain, dead=0.2, aged=0.5, aged_factor=0.4, seed=5)
-    matrix, whole = aged.modules[0].headlight.matrix, plain.truth.world.modules[0].headlight.matrix
+    matrix, whole = aged.modules[0].headlight.matrix, plain.world.modules[0].headlight.matrix
     left = matrix.values / whole.values
     shares = [float(left.isclose(torch.tensor(share)).double().mean()) for share in (0.0, 0.4, 1.0)]
     assert shares == pytest.approx([0.2, 0.5, 0.3], abs=1e-5)  # one entry a pixel, 339,968 of them
-    light = plain.projector.light(plain.projector.target)
-    added = [world.lit(0.0).luminance(light).sum() for world in (aged, plain.truth.world)]
+    light = plain.symbol.projector.light(plain.symbol.projector.target)
+    added = [world.lit(0.0).luminance(light).sum() for world in (aged, plain.world)]
     # 0.3 + 0.5 * 0.4; the symbol has some thousand pixels, each with a standard deviation of 0.37
     assert float(added[0] / added[1]) == pytest.approx(0.5, abs=0.03)
 
 
 def test_modules_wear_each_in_its_own_way_and_as_their_seed_says(plain: Simulation) -> None:
-    module = plain.projector.modules[0]
+    module = plain.symbol.projector.modules[0]
 
     def values(seed: int, number: int) -> Tensor:
         return worn(module.pixel_controller.headlight, module.name, WearParams(dead=0.1, seed=seed), number).matrix.values
@@ -223,7 +225,7 @@ def test_modules_wear_each_in_its_own_way_and_as_their_seed_says(plain: Simulati
 
 
 def test_dead_pixels_that_are_named_are_dead(plain: Simulation) -> None:
-    (light,) = plain.projector.light(plain.projector.target)
+    (light,) = plain.symbol.projector.light(plain.symbol.projector.target)
     lit = torch.nonzero(light.u)[:, 0].tolist()
     assert not worn_world(plain, dead_pixels=lit).lit(0.0).luminance([light]).any()
     with pytest.raises(LuxloopError, match=r"wear\.dead_pixels: left matrix has no pixel 339968; give numbers from 0 to 339967"):
@@ -234,8 +236,9 @@ def test_a_box_hides_the_road_and_shades_what_lies_behind(plain: Simulation) -> 
     box = {"kind": "box", "name": "box", "size_m": (0.3, 3.0, 0.4), "appears_s": 0.1, "vanishes_s": 0.2}
     track = [{"time_s": 0.1, "position_m": (13.0, 0.0, 0.0)}, {"time_s": 0.2, "position_m": (13.0, 10.0, 0.0)}]
     simulation = prepared(objects=[box | {"track": track}])
-    (light,) = simulation.projector.light(simulation.projector.target)
-    free, hidden, gone = (simulation.truth.verdict((light,), t) for t in (0.0, 0.1, 0.19))
+    symbol = simulation.symbol
+    lights = simulation.of_all(symbol, symbol.projector.light(symbol.projector.target))
+    free, hidden, gone = (symbol.judge.verdict(lights, t) for t in (0.0, 0.1, 0.19))
     assert float(free.iou) > 0.97 and float(gone.iou) == pytest.approx(float(free.iou), abs=0.01)
     # from 0.75 m a box of 0.4 m at 13 m shades to 28 m: all of the symbol, and its own face is no part of it
     assert float(hidden.iou) < 0.1

@@ -13,19 +13,23 @@ from controllers.functions.lane import LaneParams
 from controllers.functions.planner import LightingParams
 from controllers.symbol import LuxloopParams
 from controllers.symbol.laws.feedback import GaussNewtonParams
+from controllers.symbol.laws.thesis_pid import ThesisPidParams
 from controllers.symbol.laws.warping import WarpParams
-from loop.scenario.model import LightingScenario, Scenario, load, load_any, validate, validate_any, validate_lighting
+from loop.scenario.model import Scenario, load, validate
 from loop.scenario.shipped import shipped
 from perception.camera import CameraParams
 from world.errors import LuxloopError
 from world.roads.shapes import Bumps, Flat
 
-GOOD = """
+SYMBOL = """
 name = "good"
 steps = 3
-[symbol]
+[functions.symbol]
+kind = "symbol"
 image = "snowflake"
 """
+GOOD = SYMBOL + 'controller = "luxloop"\n'
+PID = SYMBOL + '[functions.symbol.controller]\nname = "thesis_pid"\n'
 BOX = '[[objects]]\nkind = "box"\nname = "crate"\nsize_m = [1, 1, 1]\ntrack = [{position_m = [17, 0, 0]}]\n'
 
 # what is wrong, what the file has then, what the sentence must name: the key and the remedy
@@ -35,26 +39,36 @@ BROKEN = {
     "typo in a table": (GOOD + "[camera]\nwidht_px = 640", ["camera.widht_px", "'width_px'"]),
     "typo in a variant": (GOOD + '[road]\nkind = "bumps"\nsead = 3', ["road.sead", "'seed'"]),
     "typo in a list of variants": (GOOD + BOX + "albedoo = 0.3", ["objects[0].albedoo", "'albedo'"]),
-    "typo deep in a controller": (GOOD + '[controller]\nname = "thesis_pid"\nposition = {kpp = 1}', ["controller.position.kpp", "'kp'"]),
+    "typo deep in a controller": (
+        PID + "position = {kpp = 1}",
+        ["functions.symbol.controller.position.kpp", "'kp'"],
+    ),
     "text for a whole number": ('steps = "40"\n' + GOOD.replace("steps = 3", ""), ["steps", "'40'", "whole number"]),
     "fraction for a whole number": (GOOD.replace("3", "3.5"), ["steps", "3.5", "whole number"]),
     "number for a text": (GOOD.replace('"good"', "7"), ["name", "7", "quotes"]),
     "truth for a number": (GOOD + "[camera]\nhfov_deg = true", ["camera.hfov_deg", "true is not a number"]),
-    "value for a table": ('camera = 3\nname = "x"\nsymbol = {image = "snowflake"}', ["camera", "table"]),
+    "value for a table": ("camera = 3" + GOOD, ["camera", "table"]),
     "value for a list": (GOOD + "[headlight]\nlamps = 'left'", ["headlight.lamps", "list"]),
     "below the range": (GOOD.replace("steps = 3", "steps = 0"), ["steps", "greater than or equal to 1"]),
     "above the range": (GOOD + "[camera]\nhfov_deg = 200", ["camera.hfov_deg", "less than or equal to 150"]),
     "negative seed": ("seed = -1" + GOOD, ["seed", "-1", "greater than or equal to 0"]),
     "infinity": (GOOD + "[camera]\nexposure_s = inf", ["camera.exposure_s", "inf", "finite"]),
-    "not a number": (GOOD + "[start]\nx_m = nan", ["start.x_m", "nan", "finite"]),
+    "not a number": (GOOD + "[functions.symbol.start]\nx_m = nan", ["functions.symbol.start.x_m", "nan", "finite"]),
     "a date": ("seed = 2024-01-01" + GOOD, ["seed", "date", "number"]),
     "a date in a list": (GOOD + BOX.replace("17,", "2024-01-01,"), ["objects[0].track[0].position_m[0]", "date"]),
-    "no symbol": ('name = "x"', ["symbol", "missing", "luxloop new"]),
-    "no name": ('[symbol]\nimage = "snowflake"', ["name", "missing"]),
+    "no image": ('name = "x"\n[functions.symbol]\nkind = "symbol"', ["functions.symbol.image: is missing", "luxloop new"]),
+    "no name": (GOOD.replace('name = "good"', ""), ["name", "missing"]),
+    "a symbol beside the functions": ('symbol = {image = "snowflake"}' + GOOD, ["symbol: unknown key; known are", "functions"]),
+    "a start beside the functions": ("start = {x_m = 12.0}" + GOOD, ["start: unknown key", "functions"]),
+    "a start without control": (
+        SYMBOL + "start = {x_m = 12.0}",
+        ["functions.symbol: start: ", 'give controller = "luxloop"', "leave it out"],
+    ),
+    "animation under control": (GOOD + 'animation = {kind = "blinking"}', ["functions.symbol: animation: ", "controller", "leave it out"]),
     "empty file": ("", ["name", "missing", "luxloop new"]),
     "unknown road": (GOOD + '[road]\nkind = "bumpz"', ["road.kind", "'bumpz'", "'bumps'"]),
     "road without kind": (GOOD + "[road]\nseed = 1", ["road.kind", "missing"]),
-    "unknown controller": (GOOD + '[controller]\nname = "thesis_pdi"', ["controller.name", "'thesis_pid'"]),
+    "unknown controller": (PID.replace("pid", "pdi"), ["functions.symbol.controller.name", "'thesis_pid'"]),
     "unknown object": (GOOD + BOX.replace('"box"', '"bocks"'), ["objects[0].kind", "'bocks'", "known are box"]),
     "unknown lamp": (GOOD + '[headlight]\nlamps = ["lefft"]', ["headlight.lamps[0]", "'left'"]),
     "one lamp twice": (GOOD + '[headlight]\nlamps = ["left", "left"]', ["headlight.lamps", "once"]),
@@ -70,15 +84,15 @@ BROKEN = {
     "future version": ("schema_version = 2" + GOOD, ["schema_version", "version 1, not 2"]),
     "long exposure": (GOOD + "[camera]\nexposure_s = 0.02", ["camera.exposure_s", "half a control period", "0.01667", "rate_hz"]),
     "limits the wrong way": (
-        GOOD + '[controller]\nname = "thesis_pid"\nx_range_m = [40, 8]',
-        ["controller.x_range_m", "40 must be less than 8"],
+        PID + "x_range_m = [40, 8]",
+        ["functions.symbol: controller.x_range_m", "40 must be less than 8"],
     ),
     "start outside of the limits": (
-        GOOD + '[controller]\nname = "thesis_pid"\n[start]\nx_m = 50',
-        ["start.x_m", "controller.x_range_m", "[8, 40]"],
+        PID + "[functions.symbol.start]\nx_m = 50",
+        ["functions.symbol: start.x_m", "controller.x_range_m", "[8, 40]"],
     ),
     "not TOML": ("name = snowflake", ["not valid TOML", "line 1", "quotes"]),
-    "one key twice": (GOOD + "[symbol]\n", ["not valid TOML", "symbol"]),
+    "one key twice": (GOOD + "[functions.symbol]\n", ["not valid TOML", "symbol"]),
 }
 
 
@@ -143,7 +157,7 @@ def test_wrong_override_is_shown_beside_the_file(file: Path) -> None:
 
 
 def test_overrides_win_over_the_file_and_keep_the_rest(file: Path) -> None:
-    scenario = load(str(file), ["camera.bits=8", "camera.gamma=2.2", "name=other", "symbol.width_m=1.5"], steps=7)
+    scenario = load(str(file), ["camera.bits=8", "camera.gamma=2.2", "name=other", "functions.symbol.width_m=1.5"], steps=7)
     assert (scenario.camera.bits, scenario.camera.gamma, scenario.name, scenario.steps) == (8, 2.2, "other", 7)
     assert (scenario.symbol.image, scenario.symbol.width_m) == ("snowflake", 1.5)
 
@@ -163,7 +177,7 @@ def test_paths_are_relative_to_the_file_and_overrides_to_the_working_folder(file
     assert Path(scenario.road.file) == file.parent.parent / "scan.crg"
     (file.parent / "here").mkdir()
     monkeypatch.chdir(file.parent / "here")
-    assert load(str(file), ["symbol.image=other.png"]).symbol.image == str(file.parent / "here" / "other.png")
+    assert load(str(file), ["functions.symbol.image=other.png"]).symbol.image == str(file.parent / "here" / "other.png")
 
 
 def test_manifest_gives_the_same_scenario_back(file: Path) -> None:
@@ -177,7 +191,7 @@ def test_manifest_gives_the_same_scenario_back(file: Path) -> None:
 
 @pytest.mark.parametrize("name", shipped())
 def test_shipped_scenarios_are_valid_and_named_like_their_files(name: str) -> None:
-    scenario = load_any(name)
+    scenario = load(name)
     assert scenario.name == name
     assert scenario.description
 
@@ -187,19 +201,16 @@ def test_every_key_is_described() -> None:
         for key, value in schema.get("properties", {}).items():  # type: ignore[attr-defined]
             assert "description" in value or "const" in value, key
 
-    for kind in (Scenario, LightingScenario):
-        schema = kind.model_json_schema()
-        described(schema)
-        for inner in schema["$defs"].values():
-            described(inner)
+    schema = Scenario.model_json_schema()
+    described(schema)
+    for inner in schema["$defs"].values():
+        described(inner)
 
 
 LIT = 'name = "lit"\n[lighting]\nbase = { beam = "low" }\n'
 
 BROKEN_LIGHTING = {
-    "both kinds": (LIT + '[symbol]\nimage = "snowflake"', ["[symbol] and [lighting]", "take one"]),
-    "neither kind": ('name = "x"', ["symbol", "missing", "[functions.NAME]"]),
-    "a loop's key": (LIT + '[controller]\nname = "open"', ["controller: a scenario with [lighting] has no controller"]),
+    "a controller beside the functions": (LIT + '[controller]\nname = "open"', ["controller: unknown key", "'pixel_controller'"]),
     "no path": (LIT + '[functions.marker]\nkind = "path"', ["functions.marker.control_m: is missing", "path_projection"]),
     "more than all": (LIT + '[functions.own]\nkind = "width"\nvalue = 2', ["functions.own: value: u_abs", "at most 1", "u_rel"]),
     "unknown function": (LIT + '[functions.own]\nkind = "glarefree"', ["functions.own.kind", "'glare_free'"]),
@@ -227,24 +238,42 @@ BROKEN_LIGHTING = {
 def test_broken_lighting_scenario_gives_one_sentence(file: Path, text: str, named: list[str]) -> None:
     file.write_text(text)
     with pytest.raises(LuxloopError) as caught:
-        load_any(str(file))
+        load(str(file))
     message = str(caught.value)
     assert all(map(is_one_sentence, caught.value.args)) and message.startswith(str(file))
     for part in named:
         assert part in message
 
 
-def test_the_kinds_are_told_apart_by_their_tables(file: Path) -> None:
-    assert isinstance(load_any(str(file)), Scenario)
-    file.write_text(LIT + '[functions.own]\nkind = "symbol"\nimage = "mine.svg"\n')
-    scenario = load_any(str(file), ["lighting.power_limit=0.5"], steps=2)
-    assert isinstance(scenario, LightingScenario)
-    assert (scenario.steps, scenario.lighting.power_limit, scenario.headlight.lamps) == (2, 0.5, ("left", "right"))
+def test_a_name_alone_is_a_scenario_of_darkness(file: Path) -> None:
+    file.write_text('name = "x"')
+    scenario = load(str(file))
+    assert (scenario.functions, scenario.lighting.base.beam, scenario.holds) == ({}, "off", False)
+    assert (scenario.headlight.model, scenario.headlight.lamps, scenario.headlight.modules) == ("ssl-hd", ("left", "right"), None)
+    with pytest.raises(LuxloopError, match="symbols that a controller holds: none, not one; take each by its name"):
+        _ = scenario.symbol
+
+
+def test_functions_are_given_with_or_without_a_controller(file: Path) -> None:
+    file.write_text(GOOD + LIT.partition("\n")[2] + '[functions.own]\nkind = "symbol"\nimage = "mine.svg"\n')
+    scenario = load(str(file), ["lighting.power_limit=0.5"], steps=2)
+    assert (scenario.steps, scenario.lighting.power_limit, scenario.lighting.base.beam) == (2, 0.5, "low")
     assert scenario.functions["own"].image == str(file.parent / "mine.svg")  # type: ignore[union-attr]
-    assert "is a lighting scenario" in failure(file)
-    with pytest.raises(LuxloopError, match=r"^mine: is the scenario of a \[symbol\]"):
-        validate_lighting({"name": "mine", "symbol": {"image": "snowflake"}}, "mine")
-    assert validate_any(json.loads(json.dumps(scenario.model_dump(mode="json"))), "manifest.json") == scenario
+    assert scenario.controlled == ("symbol",) and scenario.symbol.controller == LuxloopParams()
+    assert validate(json.loads(json.dumps(scenario.model_dump(mode="json"))), "manifest.json") == scenario
+    both = load(str(file), ["functions.own.controller=open"])
+    assert both.controlled == ("own", "symbol")
+    with pytest.raises(LuxloopError, match="symbols that a controller holds: own, symbol, not one; take each by its name"):
+        _ = both.symbol
+
+
+def test_a_controller_given_beside_the_file_is_that_of_the_only_symbol_held(file: Path) -> None:
+    assert load(str(file), controller={"name": "thesis_pid"}).symbol.controller == ThesisPidParams()
+    file.write_text(SYMBOL)
+    assert "controller: none of its functions has one" in failure(file, controller={"name": "open"})
+    file.write_text(GOOD + GOOD[GOOD.index("[") :].replace("functions.symbol", "functions.other"))
+    message = failure(file, controller={"name": "open"})
+    assert "controller: several symbols have one: symbol, other; set functions.NAME.controller" in message
 
 
 def test_items_of_a_list_that_an_earlier_override_made_can_be_changed() -> None:
@@ -254,31 +283,30 @@ def test_items_of_a_list_that_an_earlier_override_made_can_be_changed() -> None:
 
 def test_one_key_of_one_item_of_a_list_can_be_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    before = load_any("marker_light")
+    before = load("marker_light")
     sets = [
         "functions.pedestrian_light.value=0.25",
         "functions.guide_line.animation.rate_hz=3",
         "objects[0].track[1].position_m=[30, 0, 0]",
     ]
-    now = load_any("marker_light", sets)
-    assert isinstance(before, LightingScenario) and isinstance(now, LightingScenario)
+    now = load("marker_light", sets)
     line, body = now.functions["guide_line"], now.functions["pedestrian_light"]
     assert body == before.functions["pedestrian_light"].model_copy(update={"value": 0.25})
     assert line.animation.rate_hz == 3 and line.width_m == 0.35  # type: ignore[union-attr]
     assert [key.position_m[1] for key in now.objects[0].track] == [-4.5, 0]
-    assert load_any("obl", ["functions.object_light.method=constant"]).functions["object_light"].method == "constant"  # type: ignore[union-attr]
-    shown = load_any("animated_symbol", ["functions.guidance.image=./own.png"])
+    assert load("obl", ["functions.object_light.method=constant"]).functions["object_light"].method == "constant"  # type: ignore[union-attr]
+    shown = load("animated_symbol", ["functions.guidance.image=./own.png"])
     assert shown.functions["guidance"].image == str((tmp_path / "own.png").resolve())  # type: ignore[union-attr]
     with pytest.raises(LuxloopError, match=r"^objects\[1\]: there are 1 objects, numbered from 0"):
-        load_any("marker_light", ["objects[1].albedo=1"])
+        load("marker_light", ["objects[1].albedo=1"])
     with pytest.raises(LuxloopError, match=r"functions.guide_line.valeu: unknown key; did you mean 'value'"):
-        load_any("marker_light", ["functions.guide_line.valeu=1"])
+        load("marker_light", ["functions.guide_line.valeu=1"])
     with pytest.raises(LuxloopError, match=r"functions\..*: '' is no name"):
-        load_any("marker_light", ["functions.''.kind=lane"])
+        load("marker_light", ["functions.''.kind=lane"])
     with pytest.raises(LuxloopError, match=r"^objects: is a list and has no '0'; write --set 'objects\[0\].KEY"):
-        load_any("marker_light", ["objects.0.albedo=1"])
+        load("marker_light", ["objects.0.albedo=1"])
     with pytest.raises(LuxloopError, match=r"^objects\[0\].track\[7\]: there are \d+ track, numbered from 0"):
-        load_any("marker_light", ["objects[0].track[7].time_s=1"])
+        load("marker_light", ["objects[0].track[7].time_s=1"])
 
 
 SEVERAL = {
@@ -291,7 +319,11 @@ SEVERAL = {
 }
 MARKERS = '[functions.name]\nkind = "marker"\nanimation = { kind = "blinking" }\n[functions.kind]\nkind = "marker"\n'
 OF_A_KIND = {
-    GOOD + '[controller]\nname = "thesis_pid"\n': {"controller.position.kp": '"x"', "start.x_m": "[]", "symbol.imag": "3"},
+    PID: {
+        "functions.symbol.controller.position.kp": '"x"',
+        "functions.symbol.start.x_m": "[]",
+        "functions.symbol.imag": "3",
+    },
     LIT + MARKERS: {
         "functions.name.animation.rate_hz": '"x"',
         "functions.kind.kind": '"markr"',
@@ -301,12 +333,12 @@ OF_A_KIND = {
 }
 
 
-@pytest.mark.parametrize(("text", "of_the_kind"), OF_A_KIND.items(), ids=("symbol", "lighting"))
+@pytest.mark.parametrize(("text", "of_the_kind"), OF_A_KIND.items(), ids=("held", "functions"))
 def test_all_errors_of_a_file_are_listed(text: str, of_the_kind: dict[str, str], file: Path) -> None:
     file.write_text('headlight.lamps = ["left", "right"]\n' + text + BOX)
     wrong = SEVERAL | of_the_kind
     with pytest.raises(LuxloopError) as caught:
-        load_any(str(file), [f"{key}={value}" for key, value in wrong.items()])
+        load(str(file), [f"{key}={value}" for key, value in wrong.items()])
     first, *lines = caught.value.args
     assert first.startswith(str(file)) and first.endswith(f": {len(wrong)} errors")
     assert sorted(line.partition(": ")[0] for line in lines) == sorted(wrong)
@@ -325,11 +357,11 @@ def leaves(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
 @pytest.mark.parametrize("name", shipped())
 def test_each_key_that_is_broken_is_named(name: str) -> None:
     rng = random.Random(name)
-    alone = (".kind", "controller.name", "schema_version")  # others of the table, or of the file, mean nothing once they are wrong
-    keys = [(key, value) for key, value in leaves(load_any(name).model_dump(mode="json")) if value is not None and not key.endswith(alone)]
+    alone = (".kind", ".controller.name", "schema_version")  # others of the table, or of the file, mean nothing once they are wrong
+    keys = [(key, value) for key, value in leaves(load(name).model_dump(mode="json")) if value is not None and not key.endswith(alone)]
     broken = {key: "3" if isinstance(value, str) else '"zzz"' for key, value in rng.sample(keys, 8)}
     with pytest.raises(LuxloopError) as caught:
-        load_any(name, [f"{key}={value}" for key, value in broken.items()])
+        load(name, [f"{key}={value}" for key, value in broken.items()])
     assert sorted(line.partition(": ")[0] for line in caught.value.args[1:]) == sorted(broken)
 
 
@@ -339,7 +371,7 @@ def test_each_key_that_is_broken_is_named(name: str) -> None:
         ("snowflake", ["road={}"], "road", Flat()),
         ("snowflake", ["road={}", "road.kind=bumps"], "road", Bumps()),
         ("snowflake", ["road.seed=5", "camera={}", "road.kind=bumps"], "road", Bumps(seed=5)),
-        ("snowflake", ["controller={}"], "controller", LuxloopParams()),
+        ("flat", ["functions.symbol.controller={}", "functions.symbol.start={}"], "controlled", ()),
         ("snowflake", ["camera={}", "camera.bits=8"], "camera", CameraParams(bits=8)),
         ("snowflake", ["camera.bits=8", "camera={}"], "camera", CameraParams()),
         ("gfhb", ["lighting={}"], "lighting", LightingParams()),
@@ -352,22 +384,41 @@ def test_each_key_that_is_broken_is_named(name: str) -> None:
         ("snowflake", ["traffic={}"], "traffic", None),
         ("snowflake", [{"traffic": {"seed": 3}}, {"traffic": {}}], "traffic", None),
         ("marker_light", ["objects[0]={}"], "objects", ()),
-        ("speed_bump", ['controller={name="gauss_newton", warp={}}'], "controller", GaussNewtonParams(warp=WarpParams())),
-        ("speed_bump", ['controller={name="gauss_newton", warp={}}', "controller.warp={}"], "controller", GaussNewtonParams()),
     ],
 )
 def test_an_empty_table_clears_what_is_there(name: str, overrides: list[Any], key: str, left: Any) -> None:
-    assert getattr(load_any(name, overrides), key) == left
+    assert getattr(load(name, overrides), key) == left
+
+
+def test_an_empty_table_in_one_that_starts_anew_has_its_defaults() -> None:
+    controller = 'functions.symbol.controller={name="gauss_newton", warp={}}'
+    assert load("speed_bump", [controller]).symbol.controller == GaussNewtonParams(warp=WarpParams())
+    assert load("speed_bump", [controller, "functions.symbol.controller.warp={}"]).symbol.controller == GaussNewtonParams()
 
 
 def test_an_item_of_a_list_can_get_another_name() -> None:
-    before = load_any("marker_light").objects[0]
-    assert load_any("marker_light", ["objects[0].name=bert"]).objects[0] == before.model_copy(update={"name": "bert"})
+    before = load("marker_light").objects[0]
+    assert load("marker_light", ["objects[0].name=bert"]).objects[0] == before.model_copy(update={"name": "bert"})
 
 
-def test_what_goes_with_lighting_is_told_where_there_is_a_symbol() -> None:
-    with pytest.raises(LuxloopError, match=r"detector: goes with \[lighting\], but this is the scenario of a \[symbol\]; .* such as obl"):
-        load_any("snowflake", ["detector.kind=hog"])
+@pytest.mark.parametrize(
+    ("name", "override", "said"),
+    [
+        ("snowflake", "detector_frames=off", "detector_frames: there is no detector here"),
+        ("obl", "detector_frames=off", "detector_frames: there is no symbol that a controller holds here"),
+        ("obl", "off_share=0.3", "off_share: no controller holds a symbol here that could be off; leave it out"),
+        ("obl", "disturbances.ambient=[{factor=2.0, frames='off'}]", "disturbances.ambient[0].frames: without a symbol that a controller"),
+        ("snowflake", "tracker.confirm_frames=5", "tracker: follows what a detector finds, but there is none"),
+        ("night_traffic", "detector.kind=hog", "names objects, but a detector knows them by class alone"),
+    ],
+)
+def test_what_means_nothing_without_something_else_is_told(name: str, override: str, said: str) -> None:
+    assert said in failure(name, override)
+
+
+def test_a_detector_goes_with_a_symbol_that_is_held() -> None:
+    scenario = load("snowflake", ["detector.kind=hog", "detector_frames=both"])
+    assert scenario.holds and scenario.detector is not None and scenario.detector.kind == "hog"
 
 
 DEEP, LONG = "[" * 3000 + "]" * 3000, "9" * 5000
@@ -378,15 +429,15 @@ def test_files_beyond_all_reason_are_told_in_a_sentence(text: str, file: Path) -
     file.write_text(text)
     assert len(failure(file)) < 1000
     with pytest.raises(LuxloopError):
-        load_any("flat", [text])
+        load("flat", [text])
 
 
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (f'symbol.image = "snowflake"\nroad.kind = "{"a" * 300}:Road"', "--allow-code"),
-        ('symbol.image = "snowflake"\nroad.kind = "\\u0000/a:Road"', "a text has a NUL character"),
-        ('symbol.image = "\\u0000.png"', "a text has a NUL character"),
+        (f'road.kind = "{"a" * 300}:Road"', "--allow-code"),
+        ('road.kind = "\\u0000/a:Road"', "a text has a NUL character"),
+        ('functions.symbol = {kind = "symbol", image = "\\u0000.png"}', "a text has a NUL character"),
     ],
 )
 def test_names_that_no_file_can_have_are_told_in_a_sentence(text: str, said: str, file: Path) -> None:

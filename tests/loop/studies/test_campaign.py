@@ -29,8 +29,10 @@ SMALL = """
 steps = 3
 headlight.model = "hd84"
 camera = { width_px = 160, height_px = 90, oversampling = 1 }
-symbol = { width_m = 4.0, length_m = 8.0 }
+functions.symbol = { width_m = 4.0, length_m = 8.0 }
 """
+
+HELD = 'functions.symbol = { kind = "symbol", image = "chevrons", controller = "thesis_pid" }\n'
 
 
 def written(folder: Path, text: str, name: str = "night.toml") -> Path:
@@ -40,7 +42,7 @@ def written(folder: Path, text: str, name: str = "night.toml") -> Path:
 
 
 def test_a_grid_and_a_list_become_runs_with_their_scenarios(tmp_path: Path) -> None:
-    (tmp_path / "mine.toml").write_text('name = "m"\n[symbol]\nimage = "chevrons"\n')
+    (tmp_path / "mine.toml").write_text(f'name = "m"\n{HELD}')
     runs = read(
         written(
             tmp_path,
@@ -54,6 +56,12 @@ def test_a_grid_and_a_list_become_runs_with_their_scenarios(tmp_path: Path) -> N
     late = next(run for run in runs if run.key == "mine, open, late, seed 5")
     assert (late.scenario.camera.latency_steps, late.scenario.seed, late.scenario.steps) == (2, 5, 3)
     assert next(run for run in runs if run.key == "mine, open, soon, seed 5").scenario.camera.latency_steps == 0
+
+
+def test_controllers_of_ones_own_are_found_beside_the_campaign(tmp_path: Path) -> None:
+    (tmp_path / "beside_it.py").write_text("")
+    (run,) = read(written(tmp_path, 'scenarios = ["flat"]\ncontrollers = ["beside_it:Law"]\n'), allow_code=True)
+    assert run.scenario.symbol.controller is not None and run.scenario.symbol.controller.name == f"{tmp_path}/beside_it:Law"
 
 
 def test_the_example_is_what_the_docs_show() -> None:
@@ -77,7 +85,7 @@ def test_the_example_is_what_the_docs_show() -> None:
     ],
 )
 def test_what_is_wrong_with_a_file_is_one_sentence(text: str, said: str, tmp_path: Path) -> None:
-    (tmp_path / "flat.toml").write_text('name = "mine"\n[symbol]\nimage = "chevrons"\n[controller]\nname = "thesis_pid"\n')
+    (tmp_path / "flat.toml").write_text(f'name = "mine"\n{HELD}')
     with pytest.raises(LuxloopError, match=rf"night\.toml.*{said}"):
         read(written(tmp_path, text))
 
@@ -93,7 +101,8 @@ def test_all_errors_of_a_file_and_of_a_scenario_are_listed(tmp_path: Path) -> No
 def test_table_report_and_failures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # Light that comes down behind the camera's sight is found only when the run begins.
     file = written(
-        tmp_path, 'scenarios = ["flat"]\ncontrollers = ["open", "thesis_pid"]\nvariants.here = {}\nvariants.off.symbol.y_m = 15.0\n'
+        tmp_path,
+        'scenarios = ["flat"]\ncontrollers = ["open", "thesis_pid"]\nvariants.here = {}\nvariants.off.functions.symbol.y_m = 15.0\n',
     )
     out = tmp_path / "out"
     found = run_campaign(file, out, processes=1)
@@ -106,7 +115,7 @@ def test_table_report_and_failures(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     write_report(found, out)
     text = (out / "report.md").read_text()
     assert text == page(found)
-    assert "4 runs, 2 failed" in text and "- flat, open, off, seed 0: flat: the target" in text
+    assert "4 runs, 2 failed" in text and "- flat, open, off, seed 0: flat: functions.symbol: the target" in text
     assert (out / "report.png").stat().st_size > 5_000
 
     started = []
@@ -131,7 +140,7 @@ def test_a_campaign_whose_runs_all_fail_says_why(
 
 
 def test_runs_that_share_a_simulation_are_as_those_that_do_not() -> None:
-    small = ["steps=3", "headlight.model=hd84", "camera={ width_px=160, height_px=90 }", "symbol={ width_m=4.0, length_m=8.0 }"]
+    small = ["steps=3", "headlight.model=hd84", "camera={ width_px=160, height_px=90 }", "functions.symbol={ width_m=4.0, length_m=8.0 }"]
     first, other = (load("flat", [*small, f"seed={seed}"]) for seed in (1, 2))
     alone = [figures(scenario, "cpu") for scenario in (first, other)]
     _prepared.cache_clear()
@@ -228,6 +237,6 @@ def test_a_name_that_no_file_can_have_is_refused_in_a_sentence(tmp_path: Path) -
 def test_an_input_that_never_ends_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "c.toml"
     (tmp_path / "pipe").symlink_to("/dev/zero")
-    file.write_text('scenarios = ["flat"]\n[set.symbol]\nimage = "./pipe"\n')
+    file.write_text('scenarios = ["flat"]\n[set.functions.symbol]\nimage = "./pipe"\n')
     with pytest.raises(LuxloopError, match=r"/dev/zero: cannot be read \(it is no regular file\)"):
         run_campaign(file, tmp_path / "out")

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
-from loop.scenario.model import LightingScenario, Scenario, load_any
+from loop.scenario.model import Scenario, load
 from loop.studies.campaign import CampaignParams
 from world.errors import LuxloopError
 from world.lampfiles.description import LampDescription
@@ -26,7 +26,7 @@ def numbers(schema: Any, place: str) -> Iterator[tuple[str, dict[str, Any]]]:
             yield from numbers(each, place)
 
 
-@pytest.mark.parametrize("model", [Scenario, LightingScenario, LampDescription, CampaignParams])
+@pytest.mark.parametrize("model", [Scenario, LampDescription, CampaignParams])
 def test_every_number_has_a_range(model: type[BaseModel]) -> None:
     found = dict(numbers(model.model_json_schema(), model.__name__))
     endless = [place for place, schema in found.items() if not ({*LEAST} & schema.keys() and {*MOST} & schema.keys())]
@@ -40,8 +40,8 @@ def test_every_number_has_a_range(model: type[BaseModel]) -> None:
         ("flat", "camera.exposure_s=1e-300", "camera.exposure_s"),
         ("flat", "camera.saturation_e=1e-300", "too close to 0"),
         ("flat", "rate_hz=1e-300", "rate_hz"),
-        ("flat", "start.x_m=nan", "start.x_m"),
-        ("flat", "symbol.width_m=inf", "symbol.width_m"),
+        ("flat", "functions.symbol.start.x_m=nan", "functions.symbol.start.x_m"),
+        ("flat", "functions.symbol.width_m=inf", "functions.symbol.width_m"),
         ("zones", "functions.crossing.pid.kp=1e300", "kp"),
         ("flat", "objects=[{kind='box', name='a', size_m=[1e300, 1, 1], position_m=[9, 0, 0]}]", "size_m"),
         (
@@ -53,5 +53,5 @@ def test_every_number_has_a_range(model: type[BaseModel]) -> None:
 )
 def test_numbers_beyond_all_reason_are_told_by_their_key(scenario: str, given: str, words: str) -> None:
     with pytest.raises(LuxloopError) as error:
-        load_any(scenario, [given])
+        load(scenario, [given])
     assert words in str(error.value)

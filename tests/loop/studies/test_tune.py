@@ -13,6 +13,8 @@ from torch import Tensor
 from loop import objective
 from loop.commands import cli
 from loop.jobs.executors import local
+from loop.lighting.batch import Rollout, rollouts
+from loop.lighting.simulation import Simulation
 from loop.scenario.model import Scenario, load
 from loop.studies import gradient, ranges
 from loop.studies import tune as module
@@ -20,17 +22,20 @@ from loop.studies.study import FINISHED, STUDY
 from loop.studies.surrogate import Learned, near
 from loop.studies.tune import Task, Trace, Tuned, tune
 from loop.studies.tune_report import BEST, PICTURE, REPORT, write
-from loop.symbol.batch import Rollout, rollouts
-from loop.symbol.simulation import Simulation
 from world.errors import LuxloopError
 
-SMALL = ["steps=3", "headlight.model=hd84", "camera={ width_px=160, height_px=90, oversampling=1 }", "symbol={ width_m=4.0, length_m=8.0 }"]
-KEYS = ["controller.position.kp=0.1:2:log", "controller.losses_to_reset=1:4"]
+SMALL = [
+    "steps=3",
+    "headlight.model=hd84",
+    "camera={ width_px=160, height_px=90, oversampling=1 }",
+    "functions.symbol={ width_m=4.0, length_m=8.0 }",
+]
+KEYS = ["functions.symbol.controller.position.kp=0.1:2:log", "functions.symbol.controller.losses_to_reset=1:4"]
 
 
 @pytest.fixture(scope="module")
 def scenario() -> Scenario:
-    return load("flat", [*SMALL, "controller.name=thesis_pid"])
+    return load("flat", [*SMALL, "functions.symbol.controller.name=thesis_pid"])
 
 
 def task(scenario: Scenario, seeds: int = 2) -> Task:
@@ -40,25 +45,28 @@ def task(scenario: Scenario, seeds: int = 2) -> Task:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("controller.position.kq=0.1:2", "controller.position.kq: unknown key; did you mean 'kp'"),
-        ("controler.position.kp=0.1:2", "did you mean 'controller'"),
-        ("controller.position.kp.a=0.1:2", "controller.position.kp: a table is not a number"),
+        ("functions.symbol.controller.position.kq=0.1:2", "functions.symbol.controller.position.kq: unknown key; did you mean 'kp'"),
+        ("functions.symbol.controler.position.kp=0.1:2", "did you mean 'controller'"),
+        ("functions.symbol.controller.position.kp.a=0.1:2", "functions.symbol.controller.position.kp: a table is not a number"),
         ("headlight.lamps[1]=0.1:2", r"lamps\[1\]: there are 1 lamps, numbered from 0"),
         ("headlight.lamps[0]=0.1:2", "is no number"),
         ("objects=0.1:2", "is no number"),
-        ("controller.supervisor.grace_step=1:9", "unknown key; did you mean 'grace_steps'"),
-        ("controller.position=0.1:2", "is no number.*such as controller.position.kp"),
-        ("controller.name=0.1:2", "is no number"),
+        ("functions.symbol.controller.supervisor.grace_step=1:9", "unknown key; did you mean 'grace_steps'"),
+        ("functions.symbol.controller.position=0.1:2", "is no number.*such as functions.symbol.controller.position.kp"),
+        ("functions.symbol.controller.name=0.1:2", "is no number"),
         ("camera.noise=0:1", "is no number"),
-        ("controller.position.kp=2:0.1", "wrong way round.*write controller.position.kp=0.1:2"),
-        ("controller.position.kp=2:2", "two different ends"),
-        ("controller.position.kp=2", "not of the form"),
-        ("controller.position.kp", "not of the form"),
-        ("controller.position.kp=0:2:log", "no logarithm"),
-        ("controller.position.kp=1:2:ln", "'ln' is no scale"),
-        ("controller.losses_to_reset=1:2.5", "only whole numbers"),
-        ("controller.losses_to_reset=0:2", "controller.losses_to_reset: 0 should be greater than or equal to 1"),
-        ("controller.x_rate_m=-1:2", "greater than 0"),
+        ("functions.symbol.controller.position.kp=2:0.1", "wrong way round.*write functions.symbol.controller.position.kp=0.1:2"),
+        ("functions.symbol.controller.position.kp=2:2", "two different ends"),
+        ("functions.symbol.controller.position.kp=2", "not of the form"),
+        ("functions.symbol.controller.position.kp", "not of the form"),
+        ("functions.symbol.controller.position.kp=0:2:log", "no logarithm"),
+        ("functions.symbol.controller.position.kp=1:2:ln", "'ln' is no scale"),
+        ("functions.symbol.controller.losses_to_reset=1:2.5", "only whole numbers"),
+        (
+            "functions.symbol.controller.losses_to_reset=0:2",
+            "functions.symbol.controller.losses_to_reset: 0 should be greater than or equal to 1",
+        ),
+        ("functions.symbol.controller.x_rate_m=-1:2", "greater than 0"),
     ],
 )
 def test_wrong_ranges_are_one_sentence(text: str, said: str, scenario: Scenario) -> None:
@@ -69,22 +77,22 @@ def test_wrong_ranges_are_one_sentence(text: str, said: str, scenario: Scenario)
 def test_every_number_that_set_takes_is_tuned(tmp_path: Path) -> None:
     """Items of lists, of tables in them, and keys of tables that are left out; what is best can be run with --set."""
     box = 'objects=[{kind="box", name="a", size_m=[0.4, 0.4, 0.3], track=[{position_m=[17, 1, 0]}]}]'
-    scenario = load("flat", [*SMALL, "controller.name=thesis_pid", box])
+    scenario = load("flat", [*SMALL, "functions.symbol.controller.name=thesis_pid", box])
     keys = {
         "objects[0].track[0].position_m[1]": (-1.0, 1.0, False, 1.0),
         "objects[0].albedo": (0.1, 0.9, False, 0.2),
-        "controller.supervisor.grace_steps": (1, 9, True, None),
-        "controller.warp.takes_over": (0, 1, False, None),
-        "controller.losses_to_reset": (1, 4, True, 2),
+        "functions.symbol.controller.supervisor.grace_steps": (1, 9, True, None),
+        "functions.symbol.controller.warp.takes_over": (0, 1, False, None),
+        "functions.symbol.controller.losses_to_reset": (1, 4, True, 2),
     }
     for key, (low, high, whole, given) in keys.items():
-        if key != "controller.warp.takes_over":
+        if key != "functions.symbol.controller.warp.takes_over":
             assert ranges.parse(f"{key}={low}:{high}", [scenario]) == ranges.Range(key, low, high, whole=whole)
         assert ranges.value_of(scenario, key) == given
-    assert not ranges.parse("controller.warp.takes_over=0.1:1", [scenario]).whole
+    assert not ranges.parse("functions.symbol.controller.warp.takes_over=0.1:1", [scenario]).whole
     values = {key: high for key, (_, high, _, _) in keys.items()}
     (tmp_path / BEST).write_text(ranges.overlay(values))
-    run = load("flat", [*SMALL, "controller.name=thesis_pid", box, str(tmp_path / BEST)])
+    run = load("flat", [*SMALL, "functions.symbol.controller.name=thesis_pid", box, str(tmp_path / BEST)])
     assert run == ranges.changed(scenario, values)
     assert {key: ranges.value_of(run, key) for key in keys} == values
 
@@ -144,14 +152,37 @@ def test_what_is_best_is_better_and_can_be_run(tuned: Tuned, scenario: Scenario,
     assert cost < tuned.given_cost
     assert cost == min(value for _, value, state in trials(tuned) if value is not None and state == "COMPLETE")
     assert all(
-        0.1 <= each["controller.position.kp"] <= 2 and each["controller.losses_to_reset"] in (1, 2, 3, 4) for each, _, _ in trials(tuned)
+        0.1 <= each["functions.symbol.controller.position.kp"] <= 2 and each["functions.symbol.controller.losses_to_reset"] in (1, 2, 3, 4)
+        for each, _, _ in trials(tuned)
     )
     write(tuned, tmp_path)
-    run = load("flat", [*SMALL, "controller.name=thesis_pid", str(tmp_path / BEST)])
+    run = load("flat", [*SMALL, "functions.symbol.controller.name=thesis_pid", str(tmp_path / BEST)])
     assert run == ranges.changed(scenario, values)
     text = (tmp_path / REPORT).read_text()
     assert f"| cost |  | {tuned.given_cost:.4g} | {cost:.4g} |" in text and "5 trials" in text
     assert (tmp_path / PICTURE).stat().st_size > 5_000
+
+
+def test_what_is_held_beside_other_functions_is_tuned(tmp_path: Path) -> None:
+    """One symbol that is shown late, and two, each beside a lane; keys of any function are tuned, but not by gradient."""
+    lane = "functions.carpet={ kind='lane', value=0.3 }"
+    one = load("flat", [*SMALL, "functions.symbol.start_s=0.03", lane])
+    other = "functions.other={ kind='symbol', image='snowflake', y_m=2.0, width_m=4.0, length_m=8.0, controller='thesis_pid' }"
+    two = load("flat", [*SMALL, other, lane])
+    for name, scenario in (("one", one), ("two", two)):
+        found = ("functions.symbol.controller.position.kp=0.1:2", "functions.carpet.value=0.1:0.5")
+        given = Task((scenario,), tuple(ranges.parse(key, [scenario]) for key in found), objective.parse("iou+energy"))
+        tuned = tune(given, tmp_path / name, 3, local(1))
+        (first, cost, _), *others = trials(tuned)
+        assert first == given.given and cost == tuned.given_cost < objective.FAILED and not tuned.failures
+        assert len(others) == 2 and all(each is not None and each != cost for _, each, _ in others)
+    for scenario, said in (
+        (one, "flat: batched rollouts are of a symbol alone; .*tune without --gradient"),
+        (two, "flat: --gradient: .*not one"),
+    ):
+        gains = (ranges.parse("functions.symbol.controller.position.kp=0.1:2", [scenario]),)
+        with pytest.raises(LuxloopError, match=said):
+            gradient.tune_by_gradient(Task((scenario,), gains, objective.parse("iou")), tmp_path / "gradient", 1, local(1))
 
 
 def interrupted(monkeypatch: pytest.MonkeyPatch, module: ModuleType, name: str, at: int) -> None:
@@ -178,11 +209,14 @@ def test_a_seeded_study_is_the_same_with_more_processes_and_after_a_stop(
 
 def test_what_scenarios_do_not_share_is_given_by_none(scenario: Scenario, tmp_path: Path) -> None:
     """No trial says that one's gain costs what each costs with its own; the search by gradient starts in the middle of the range."""
-    low, high = (load("snowflake", [*SEEN, f"controller.position.kp={kp}"]) for kp in (0.3, 0.6))
+    low, high = (load("snowflake", [*SEEN, f"functions.symbol.controller.position.kp={kp}"]) for kp in (0.3, 0.6))
     both = Task((low, high), small(low).ranges, objective.parse("iou"))
-    assert both.given == {"controller.position.kp": None, "controller.rotation.kp": small(low).given["controller.rotation.kp"]}
+    assert both.given == {
+        "functions.symbol.controller.position.kp": None,
+        "functions.symbol.controller.rotation.kp": small(low).given["functions.symbol.controller.rotation.kp"],
+    }
     (found,) = trials(gradient.tune_by_gradient(both, tmp_path, 1, local(1)))
-    assert found[0]["controller.rotation.kp"] != both.given["controller.rotation.kp"]
+    assert found[0]["functions.symbol.controller.rotation.kp"] != both.given["functions.symbol.controller.rotation.kp"]
 
 
 def test_another_search_has_other_trials(tuned: Tuned, scenario: Scenario, tmp_path: Path) -> None:
@@ -210,15 +244,17 @@ def test_failures_of_trials_are_told_and_those_of_all_given_runs_stop(tmp_path: 
     monkeypatch.syspath_prepend(tmp_path)
 
     def weighing(weight: float) -> Task:
-        scenario = load("flat", [*SMALL, f"controller={{ name='frail_controllers:Frail', options={{ weight={weight} }} }}"])
-        return Task((scenario,), (ranges.parse("controller.options.weight=0.0:1.0", [scenario]),), objective.parse("iou"))
+        scenario = load(
+            "flat", [*SMALL, f"functions.symbol.controller={{ name='frail_controllers:Frail', options={{ weight={weight} }} }}"]
+        )
+        return Task((scenario,), (ranges.parse("functions.symbol.controller.options.weight=0.0:1.0", [scenario]),), objective.parse("iou"))
 
     folder = tmp_path / "study"
     with pytest.raises(LuxloopError, match=r"every run with the given values fails.*IndexError: too heavy"):
         tune(weighing(0.9), folder, 1, local(1))
     tuned = tune(weighing(0.1), folder, 4, local(1))  # in the same folder, of which nothing was made
     heavy = [values for values, cost, _ in trials(tuned) if cost == objective.FAILED]
-    assert 0 < len(heavy) < 4 and all(values["controller.options.weight"] > 0.5 for values in heavy)
+    assert 0 < len(heavy) < 4 and all(values["functions.symbol.controller.options.weight"] > 0.5 for values in heavy)
     assert len(tuned.failures) == len(heavy)
     write(tuned, folder)
     assert re.search(rf"{len(heavy)} runs? failed, the first: .*IndexError: too heavy", (folder / REPORT).read_text())
@@ -239,7 +275,7 @@ def test_other_settings_need_another_folder(tuned: Tuned, scenario: Scenario, tm
 
 def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.chdir(tmp_path)
-    given = ["--objective", "iou", "--trials", "2", "--jobs", "1", "--set", *SMALL, "controller.name=thesis_pid"]
+    given = ["--objective", "iou", "--trials", "2", "--jobs", "1", "--set", *SMALL, "functions.symbol.controller.name=thesis_pid"]
     assert cli.main(["tune", "flat", "--key", *KEYS, *given]) == cli.OK
     said = capsys.readouterr()
     assert "runs/tune-flat" in said.out and said.err == ""  # not that of an empty folder something was done before
@@ -252,19 +288,28 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
 
 
 SEEN = [
-    *("steps=4", "controller.name=thesis_pid", "headlight.model=ssl-hd-lores", "symbol={ width_m=3.0, length_m=8.0 }", "start.x_m=15.0"),
+    *(
+        "steps=4",
+        "functions.symbol.controller.name=thesis_pid",
+        "headlight.model=ssl-hd-lores",
+        "functions.symbol={ width_m=3.0, length_m=8.0 }",
+        "functions.symbol.start.x_m=15.0",
+    ),
     *("camera={ width_px=240, height_px=135, oversampling=1 }", "renderer=raycast", "road.kind=flat"),
 ]
 
 
 def small(scenario: Scenario) -> Task:
-    found = tuple(ranges.parse(key, [scenario]) for key in ("controller.position.kp=0.05:1.5:log", "controller.rotation.kp=0.05:1"))
+    found = tuple(
+        ranges.parse(key, [scenario])
+        for key in ("functions.symbol.controller.position.kp=0.05:1.5:log", "functions.symbol.controller.rotation.kp=0.05:1")
+    )
     return Task((scenario,), found, objective.parse("iou"))
 
 
 def test_descent_learns_from_its_runs_and_goes_on_after_a_stop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gradient, "STEPS", 20)
-    slow = small(load("snowflake", [*SEEN, "controller.position.kp=0.1"]))
+    slow = small(load("snowflake", [*SEEN, "functions.symbol.controller.position.kp=0.1"]))
     tuned = gradient.tune_by_gradient(slow, tmp_path / "whole", 3, local(1))
     start, *others = trials(tuned)
     assert start == (slow.given, tuned.given_cost, "COMPLETE")
@@ -282,7 +327,7 @@ def test_descent_learns_from_its_runs_and_goes_on_after_a_stop(tmp_path: Path, m
 
 def test_what_has_been_run_is_predicted_and_differentiable_in_gains() -> None:
     simulation = Simulation.prepare(load("snowflake", SEEN))
-    gains = {"controller.position.kp": torch.tensor([0.5]), "controller.rotation.kp": torch.tensor([0.4])}
+    gains = {"functions.symbol.controller.position.kp": torch.tensor([0.5]), "functions.symbol.controller.rotation.kp": torch.tensor([0.4])}
     run = rollouts(simulation, gains)
     scene = Learned.of([run], 0)
     assert len(scene.poses) == 4
@@ -320,24 +365,26 @@ def test_scenarios_of_which_all_runs_fail_are_named_with_the_reason(tmp_path: Pa
 
 
 def test_a_symbol_that_is_never_seen_is_not_descended_on(tmp_path: Path) -> None:
-    blind = small(load("snowflake", [*SEEN, "extraction.area_low=0.9999999", "extraction.area_high=1.0000001"]))
+    blind = small(
+        load("snowflake", [*SEEN, "functions.symbol.extraction.area_low=0.9999999", "functions.symbol.extraction.area_high=1.0000001"])
+    )
     with pytest.raises(LuxloopError, match="snowflake: its symbol is never seen"):
         gradient.tune_by_gradient(blind, tmp_path, 2, local(1))
 
 
 @pytest.mark.parametrize("given", [5.4321e-8, 0.12345678])
 def test_what_descent_finds_keeps_its_digits_and_its_range(given: float) -> None:
-    scenario = load("snowflake", [*SEEN, "steps=3", f"controller.position.ki={given}"])
-    narrow = (ranges.parse(f"controller.position.ki={0.9999999 * given}:{1.0000001 * given}:log", [scenario]),)
+    scenario = load("snowflake", [*SEEN, "steps=3", f"functions.symbol.controller.position.ki={given}"])
+    narrow = (ranges.parse(f"functions.symbol.controller.position.ki={0.9999999 * given}:{1.0000001 * given}:log", [scenario]),)
     tuned = Task((scenario,), narrow, objective.parse("iou"))
     (found,) = gradient._values(tuned, gradient._logits(tuned, tuned.given)).values()
     assert narrow[0].low <= found <= narrow[0].high
 
 
 def test_an_extraction_of_ones_own_is_not_descended_on(tmp_path: Path) -> None:
-    own = load("flat", [*SMALL, "controller.name=thesis_pid", "extraction.kind=own:Extraction"])
-    position = ranges.parse("controller.position.kp=0.1:2", [own])
-    with pytest.raises(LuxloopError, match=r"flat: extraction.kind: no error model for .* leave it out"):
+    own = load("flat", [*SMALL, "functions.symbol.controller.name=thesis_pid", "functions.symbol.extraction.kind=own:Extraction"])
+    position = ranges.parse("functions.symbol.controller.position.kp=0.1:2", [own])
+    with pytest.raises(LuxloopError, match=r"flat: functions.symbol.extraction.kind: no error model for .* leave it out"):
         gradient.tune_by_gradient(Task((own,), (position,), objective.parse("iou")), tmp_path, 1, local(1))
 
 

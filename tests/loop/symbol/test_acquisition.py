@@ -9,13 +9,17 @@ from torch import Tensor
 from controllers.symbol.sensing.acquisition import Acquired
 from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.shape import reached
+from loop.lighting.simulation import Simulation
 from loop.run import prepare
 from loop.scenario.model import load
-from loop.symbol.simulation import Simulation
 from perception.extraction import Loss
 from tests.loop.conftest import frames_of
 
-SMALL = ["camera={width_px=640, height_px=480}", "start={x_m=17.0, y_m=0.0, roll_deg=0.0, pitch_deg=0.0}", "controller={name='open'}"]
+SMALL = [
+    "camera={width_px=640, height_px=480}",
+    "functions.symbol.start={x_m=17.0, y_m=0.0, roll_deg=0.0, pitch_deg=0.0}",
+    "functions.symbol.controller={name='open'}",
+]
 FLAT = "{kind='flat'}"
 
 
@@ -29,7 +33,7 @@ def simulation(road: str, *more: str) -> Simulation:
 
 
 def shown_at_target(prepared: Simulation) -> tuple[Tensor, Tensor]:
-    lights = prepared.projector.light(prepared.projector.target)
+    lights = prepared.symbol.projector.light(prepared.symbol.projector.target)
     frames = frames_of(prepared.plant, lights)
     assert frames is not None
     return frames
@@ -37,7 +41,8 @@ def shown_at_target(prepared: Simulation) -> tuple[Tensor, Tensor]:
 
 def acquired(road: str, *more: str) -> Acquired:
     prepared = simulation(road, *more)
-    return prepared.observer.acquire(shown_at_target(prepared), prepared.projector.light(prepared.projector.target))
+    projector = prepared.symbol.projector
+    return prepared.symbol.observer.acquire(shown_at_target(prepared), projector.light(projector.target))
 
 
 def test_a_ray_meets_the_road_where_the_quadratic_is_solved() -> None:
@@ -54,7 +59,7 @@ def test_a_ray_meets_the_road_where_the_quadratic_is_solved() -> None:
 def test_the_shape_of_a_grade_is_found_where_its_light_is(percent: float, crossfall: float) -> None:
     prepared, found = simulation(grade(percent, crossfall)), acquired(grade(percent, crossfall))
     assert found.found
-    lamp = prepared.projector.modules[0].T_world_headlight[:3, 3]
+    lamp = prepared.symbol.projector.modules[0].T_world_headlight[:3, 3]
     way = torch.tensor([[17.0], [0.0], [0.0]]) - lamp[:, None]
     x, y, z = (lamp[:, None] + way * reached(found.shape[None], 17.0, lamp, way)[0])[:, 0].tolist()
     # the height at which the middle ray is met: half a camera row is 1 cm of height there
@@ -70,7 +75,7 @@ def test_a_flat_road_is_found_to_be_flat() -> None:
 
 def test_one_bright_place_hides_no_area_of_the_light_around_it() -> None:
     prepared = simulation(FLAT)
-    projector, acquisition = prepared.projector, prepared.observer.acquisition
+    projector, acquisition = prepared.symbol.projector, prepared.symbol.observer.acquisition
     (texture,) = projector.textures(projector.light(projector.target))
     spotted, (row, col) = texture.clone(), divmod(int(texture.argmax()), texture.shape[-1])
     spotted[row : row + 4, col : col + 4] *= 5  # as where a patch is dimmed all but at its border
@@ -89,20 +94,21 @@ def test_one_bright_place_hides_no_area_of_the_light_around_it() -> None:
 )
 def test_what_is_no_symbol_is_not_taken_for_it(disturbance: str) -> None:
     prepared = simulation(FLAT, disturbance)
-    nothing = prepared.projector.light(prepared.projector.target)
+    nothing = prepared.symbol.projector.light(prepared.symbol.projector.target)
     dark = tuple(type(light)(torch.zeros_like(light.u)) for light in nothing)
     frames = frames_of(prepared.plant, dark)
     assert frames is not None
-    assert not prepared.observer.acquire(frames, nothing).found
+    assert not prepared.symbol.observer.acquire(frames, nothing).found
 
 
 def test_a_symbol_that_is_plainly_in_the_image_is_never_lost() -> None:
     for percent in (-2.0, 3.0, 4.0):
         prepared = simulation(grade(percent))
-        lights = prepared.projector.light(prepared.projector.target)
-        seen = prepared.observer.look(shown_at_target(prepared), Drawing(prepared.projector.target), lights)
+        observer, drawing = prepared.symbol.observer, Drawing(prepared.symbol.projector.target)
+        lights = observer.projector.light(drawing.pose)
+        seen = observer.look(shown_at_target(prepared), drawing, lights)
         assert seen.code == Loss.SEEN, percent
-        again = prepared.observer.look(shown_at_target(prepared), Drawing(prepared.projector.target), lights, seen.shape)
+        again = observer.look(shown_at_target(prepared), drawing, lights, seen.shape)
         assert again.code == Loss.SEEN
         assert again.acquired is None, "once found it is looked for where it was"
 
@@ -110,9 +116,9 @@ def test_a_symbol_that_is_plainly_in_the_image_is_never_lost() -> None:
 @pytest.mark.parametrize(("percent", "least"), [(-2.0, 0.72), (2.0, 0.90), (4.0, 0.85)])
 def test_two_looks_lay_the_symbol_straight_on_a_grade(percent: float, least: float) -> None:
     """As well as exact inverse ray tracing onto the true road does, which leaves the light of near parts as bright as it is."""
-    prepared = prepare(load("snowflake", [*SMALL[:2], f"road={grade(percent)}", "controller={name='luxloop'}"], steps=4), "cpu")
-    *_, last = prepared.run()
-    assert float(last.verdict.iou) > least - 0.01
+    changes = [*SMALL[:2], f"road={grade(percent)}", "functions.symbol.controller={name='luxloop'}"]
+    *_, last = prepare(load("snowflake", changes, steps=4), "cpu").run()
+    assert float(last.symbol.verdict.iou) > least - 0.01
 
 
 NOISY = "sensors={attitude={noise_deg=0.05, heave_noise_m=0.002}, gyro={noise_deg_s=0.2}, wheels={noise_m_s=0.02}}"
@@ -120,9 +126,9 @@ NOISY = "sensors={attitude={noise_deg=0.05, heave_noise_m=0.002}, gyro={noise_de
 
 def test_a_car_that_stands_acquires_the_road_whatever_noise_its_sensors_have() -> None:
     standing = ["vehicle={course=[{speed_m_s=0.0}]}", NOISY]
-    changes = [*SMALL[:2], f"road={grade(3.0)}", "controller={name='luxloop'}", *standing]
+    changes = [*SMALL[:2], f"road={grade(3.0)}", "functions.symbol.controller={name='luxloop'}", *standing]
     *_, last = prepare(load("snowflake", changes, steps=4), "cpu").run()
-    assert last.verdict.iou > 0.95 * 0.87  # what lamp and camera allow
+    assert last.symbol.verdict.iou > 0.95 * 0.87  # what lamp and camera allow
 
 
 @pytest.mark.parametrize(
@@ -135,14 +141,15 @@ def test_a_car_that_stands_acquires_the_road_whatever_noise_its_sensors_have() -
     ],
 )
 def test_what_is_known_of_a_road_does_not_get_worse(road: str, image: str, x_m: float, latency: int, steps: int, least: float) -> None:
-    start = f"start={{x_m={x_m * 21 / 17}, y_m=2.6, roll_deg=5.0, pitch_deg=-2.0}}"
-    changes = [SMALL[0], start, f"camera.latency_steps={latency}", f"symbol={{image='{image}', x_m={x_m}, y_m=0.0}}", f"road={road}"]
-    *_, last = prepare(load("flat", [*changes, "controller={name='luxloop'}"], steps=steps), "cpu").run()
-    assert last.verdict.iou > least
+    start = f"functions.symbol.start={{x_m={x_m * 21 / 17}, y_m=2.6, roll_deg=5.0, pitch_deg=-2.0}}"
+    symbol = f"functions.symbol={{image='{image}', x_m={x_m}, y_m=0.0, controller={{name='luxloop'}}}}"
+    changes = [SMALL[0], start, f"camera.latency_steps={latency}", symbol, f"road={road}"]
+    *_, last = prepare(load("flat", changes, steps=steps), "cpu").run()
+    assert last.symbol.verdict.iou > least
 
 
 def test_a_car_that_pulls_away_is_seen_to_move_before_it_is_fast() -> None:
     course = "vehicle={course=[{time_s=0, speed_m_s=0}, {time_s=0.4, speed_m_s=0}, {time_s=1.4, speed_m_s=4}]}"
-    changes = [course, "controller={name='luxloop'}", "camera={width_px=320, height_px=240}", "road={kind='bumps'}"]
+    changes = [course, "functions.symbol.controller={name='luxloop'}", "camera={width_px=320, height_px=240}", "road={kind='bumps'}"]
     *_, last = prepare(load("speed_bump", changes, steps=15), "cpu").run()
-    assert last.verdict.iou > 0.8  # 0.89; 0.43 where the body's first pitch is taken for noise
+    assert last.symbol.verdict.iou > 0.8  # 0.89; 0.43 where the body's first pitch is taken for noise

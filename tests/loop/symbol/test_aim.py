@@ -9,7 +9,7 @@ from controllers.symbol.sensing.aim import aimed, elsewhere
 from controllers.symbol.sensing.planes import HERE
 from controllers.symbol.sensing.projector import Projector, SymbolParams
 from controllers.symbol.sensing.shape import height
-from loop.assembly.build import build_projector
+from loop.lighting.simulation import Simulation
 from loop.scenario.model import load
 from world.frames import inverse, transform
 
@@ -18,7 +18,8 @@ EYE = torch.tensor([0.0, 0.0, 1.3], dtype=torch.float64)
 
 @cache
 def projector() -> Projector:
-    return build_projector(load("flat"), torch.device("cpu"))
+    small = ["camera.width_px=320", "camera.height_px=180", "renderer=raycast"]
+    return Simulation.prepare(load("flat", small)).symbol.projector
 
 
 def symbol(target: str) -> SymbolParams:

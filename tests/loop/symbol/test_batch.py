@@ -1,7 +1,6 @@
 """Batched rollouts: each is the single run, and errors are differentiable in gains."""
 
 from dataclasses import replace
-from typing import Any
 
 import pytest
 import torch
@@ -9,34 +8,39 @@ from torch import Tensor
 
 from controllers.pixels.ssc import Ssc
 from controllers.symbol.laws.thesis_pid import ThesisPid
-from controllers.symbol.sensing.projector import Projector
-from loop.assembly.build import build_projector
+from loop.lighting.batch import GAINS, check, rollouts, with_values
+from loop.lighting.lamps import ShiningModule, shining_modules
+from loop.lighting.simulation import Simulation
 from loop.scenario.model import Scenario, load
 from loop.studies.ranges import changed, value_of
-from loop.symbol.batch import GAINS, check, rollouts, with_values
-from loop.symbol.simulation import Simulation
 from world.errors import LuxloopError
+from world.symbols import load_still
 
 SMALL = [
-    *("controller.name=thesis_pid", "headlight.model=ssl-hd-lores", "symbol={ width_m=3.0, length_m=8.0 }", "start.x_m=15.0"),
+    *(
+        "functions.symbol.controller.name=thesis_pid",
+        "headlight.model=ssl-hd-lores",
+        "functions.symbol={ width_m=3.0, length_m=8.0 }",
+        "functions.symbol.start.x_m=15.0",
+    ),
     *("camera={ width_px=240, height_px=135, oversampling=1 }", "renderer=raycast", "road.kind=flat"),
 ]
-KEYS = ("controller.position.kp", "controller.rotation.ki", "controller.roll_rate_deg")
+KEYS = ("functions.symbol.controller.position.kp", "functions.symbol.controller.rotation.ki", "functions.symbol.controller.roll_rate_deg")
 
 
 def scenario(*more: str, steps: int = 5) -> Scenario:
     return load("snowflake", [*SMALL, f"steps={steps}", *more])
 
 
-@pytest.fixture(scope="module", params=["", "camera.latency_steps=1"])
+@pytest.fixture(scope="module", params=[(), ("camera.latency_steps=1",), ("headlight.lamps=['left', 'right']", "lighting.base.beam=low")])
 def simulation(request: pytest.FixtureRequest) -> Simulation:
-    return Simulation.prepare(scenario(*filter(None, [request.param])))
+    return Simulation.prepare(scenario(*request.param))
 
 
 def test_each_rollout_is_the_run_with_its_gains(simulation: Simulation) -> None:
     given = {key: float(value_of(simulation.scenario, key) or 0.0) for key in KEYS}
     single = list(simulation.run())
-    poses = torch.stack([result.pose for result in single])
+    poses = torch.stack([result.symbol.pose for result in single])
     alone = rollouts(simulation, {key: torch.tensor([value]) for key, value in given.items()})
     torch.testing.assert_close(alone.poses[0], poses, rtol=0, atol=0)
     # Beside others it is looked for in the footprint of all, where a little more noise may be seen.
@@ -50,27 +54,29 @@ def test_each_rollout_is_the_run_with_its_gains(simulation: Simulation) -> None:
 
 def test_every_gain_arrives_where_parameters_would_put_it(simulation: Simulation) -> None:
     for key in GAINS:
-        expected = ThesisPid.prepare(changed(simulation.scenario, {key: 0.37}).controller, simulation.projector.target).gains
-        made = with_values(simulation.controller.inner, {key: torch.tensor([0.1, 0.37])}).gains
+        expected = ThesisPid.prepare(
+            changed(simulation.scenario, {f"functions.symbol.{key}": 0.37}).symbol.controller, simulation.symbol.projector.target
+        ).gains
+        made = with_values(simulation.symbol.controller.inner, {key: torch.tensor([0.1, 0.37])}).gains
         for name in ("kp", "ki", "kd", "rate_limit", "tracking_time"):
             torch.testing.assert_close(getattr(made, name).expand(2, 4)[1], getattr(expected, name))
 
 
-def in_float64(scenario: Scenario, device: torch.device) -> Projector:
-    projector = build_projector(scenario, device)
+def in_float64(scenario: Scenario, device: torch.device) -> tuple[ShiningModule, ...]:
+    def precise(module: ShiningModule) -> ShiningModule:
+        lamp = replace(module.headlight, matrix=module.headlight.matrix.to(torch.float64))
+        beams = {name: replace(beam, beam=beam.beam.double()) for name, beam in module.beams.items()}
+        controller = Ssc.prepare(lamp, module.controller.params)
+        return replace(module, headlight=lamp, controller=controller, flux=module.flux.double(), beams=beams)
 
-    def precise(module: Any) -> Any:
-        lamp = module.pixel_controller.headlight
-        controller = Ssc.prepare(replace(lamp, matrix=lamp.matrix.to(torch.float64)), module.pixel_controller.params)
-        return replace(module, pixel_controller=controller)
-
-    return replace(projector, modules=tuple(map(precise, projector.modules)), symbol=projector.symbol.double())
+    return tuple(map(precise, shining_modules(scenario, device)))
 
 
 def test_errors_are_differentiable_in_gains(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("loop.symbol.simulation.build_projector", in_float64)
-    loop = Simulation.prepare(scenario("extraction.edges=soft", steps=4))
-    keys = ("controller.position.kp", "controller.position.kd", "controller.rotation.kp")
+    monkeypatch.setattr("loop.lighting.simulation.shining_modules", in_float64)
+    monkeypatch.setattr("loop.lighting.controlled.load_still", lambda file: load_still(file).double())
+    loop = Simulation.prepare(scenario("functions.symbol.extraction.edges=soft", steps=4))
+    keys = ("functions.symbol.controller.position.kp", "functions.symbol.controller.position.kd", "functions.symbol.controller.rotation.kp")
 
     def errors(*gains: Tensor) -> Tensor:
         found = rollouts(loop, dict(zip(keys, gains, strict=True)), quantise=False)
@@ -85,11 +91,11 @@ def test_errors_are_differentiable_in_gains(monkeypatch: pytest.MonkeyPatch) -> 
 @pytest.mark.parametrize(
     ("changes", "keys", "said"),
     [
-        (["controller.name=open"], [], "for controller.name = thesis_pid, not open"),
-        ([], ["controller.position.kq"], "has no gradient; did you mean 'controller.position.kp'"),
+        (["functions.symbol.controller.name=open"], [], "for controller.name = thesis_pid, not open"),
+        ([], ["functions.symbol.controller.position.kq"], "has no gradient; did you mean 'functions.symbol.controller.position.kp'"),
         (["camera.drop_probability=0.5"], [], "no frame is lost"),
-        (["controller.warp.takes_over=0.3"], [], "leave out controller.warp"),
-        (["controller.supervisor.grace_steps=8"], [], "leave out controller.warp and controller.supervisor"),
+        (["functions.symbol.controller.warp.takes_over=0.3"], [], "leave out controller.warp"),
+        (["functions.symbol.controller.supervisor.grace_steps=8"], [], "leave out controller.warp and controller.supervisor"),
         (["disturbances.oncoming=[{ position_m=[40, 2, 0.65] }]"], [], r"know nothing of disturbances\.oncoming"),
         (["disturbances.ambient=[{ factor=2.0 }]"], [], r"know nothing of disturbances\.ambient"),
         (["disturbances.noise=[{ factor=2.0 }]"], [], r"know nothing of disturbances\.noise"),
@@ -97,5 +103,7 @@ def test_errors_are_differentiable_in_gains(monkeypatch: pytest.MonkeyPatch) -> 
     ],
 )
 def test_what_cannot_be_rolled_out_is_said_so(changes: list[str], keys: list[str], said: str, simulation: Simulation) -> None:
+    given = scenario(*changes)
+    changed_simulation = replace(simulation, scenario=given, controlled={"symbol": replace(simulation.symbol, function=given.symbol)})
     with pytest.raises(LuxloopError, match=said):
-        check(replace(simulation, scenario=scenario(*changes)), keys)
+        check(changed_simulation, keys)

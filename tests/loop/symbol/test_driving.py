@@ -1,7 +1,6 @@
 """The loop in a car that drives: what lamps, camera and judge see of it."""
 
 import math
-from dataclasses import replace
 
 import pytest
 import torch
@@ -9,14 +8,16 @@ from torch import Tensor
 
 from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.protocol import Look
+from loop.lighting.result import StepResult
+from loop.lighting.simulation import Simulation
 from loop.scenario.model import Scenario, validate
-from loop.symbol.simulation import Simulation, StepResult
 from perception.egomotion import Ego
 from tests.loop.conftest import SMALL
 from world.errors import LuxloopError
 from world.frames import inverse, transform
 
-OPEN = {"controller": {"name": "open"}, "start": {}, "steps": 3, "renderer": "auto"}
+SYMBOL = SMALL["functions"]["symbol"] | {"controller": {"name": "open"}, "start": {}}
+OPEN = {"functions": {"symbol": SYMBOL}, "steps": 3, "renderer": "auto"}
 LATE = {"wheels": {"delay_s": 0.03, "scale": 1.1}, "gyro": {"delay_s": 0.03}, "attitude": {"delay_s": 0.03}}  # a step of 33 ms
 PITCH_DEG, RATE_HZ = 0.3, 7.5  # down at the second step, up at the fourth
 
@@ -40,12 +41,12 @@ def test_a_flat_road_looks_the_same_from_a_car_that_drives_smoothly():
     (standing,) = run(steps=1)
     for now in run(vehicle={"course": [{"speed_m_s": 20.0}]}):
         # the road's triangles lie in one plane, but float32 in another order and snapped corners remain
-        assert (standing.verdict.centroid_percent - now.verdict.centroid_percent).abs().max() < 0.1
-        assert abs(float(standing.verdict.iou - now.verdict.iou)) < 0.01 and float(now.verdict.iou) > 0.97
+        assert (standing.symbol.verdict.centroid_percent - now.symbol.verdict.centroid_percent).abs().max() < 0.1
+        assert abs(float(standing.symbol.verdict.iou - now.symbol.verdict.iou)) < 0.01 and float(now.symbol.verdict.iou) > 0.97
 
 
 def test_a_nose_that_goes_down_brings_the_symbol_nearer(nodding):
-    at = [float(result.verdict.centroid_percent[0]) for result in nodding.run()]
+    at = [float(result.symbol.verdict.centroid_percent[0]) for result in nodding.run()]
     pitch, to_lamp = math.radians(PITCH_DEG), 2.2
     for sign, seen in ((1, at[1]), (-1, at[3])):
         height = 0.75 - sign * to_lamp * pitch
@@ -56,13 +57,13 @@ def test_a_nose_that_goes_down_brings_the_symbol_nearer(nodding):
 
 
 def test_the_judge_looks_at_the_ground_under_the_car(nodding):
-    point = torch.tensor([[17.0], [0.5], [0.0]], dtype=torch.float64)
+    point, judge = torch.tensor([[17.0], [0.5], [0.0]], dtype=torch.float64), nodding.symbol.judge
     for step in range(4):
         time_s = step / 30
-        uv, _ = nodding.truth.world.view_from_ground(time_s).project(point)
-        in_body = transform(inverse(nodding.truth.world.motion.at(time_s).T_ground_body), point)
-        assert torch.allclose(uv, nodding.truth.world.view.project(in_body)[0])
-        moved_px = (nodding.truth.plane_at(time_s).map_v - nodding.truth.plane.map_v).abs().median()
+        uv, _ = nodding.world.view_from_ground(time_s).project(point)
+        in_body = transform(inverse(nodding.world.motion.at(time_s).T_ground_body), point)
+        assert torch.allclose(uv, nodding.world.view.project(in_body)[0])
+        moved_px = (judge.plane_at(time_s).map_v - judge.plane.map_v).abs().median()
         # 0.3 deg are 3.1 px of focal length 597 px; half the oscillation's period later there are none
         assert moved_px > 2 if step % 2 else moved_px < 0.01
 
@@ -71,9 +72,10 @@ def test_sensors_tell_what_the_vehicle_does(nodding, small_simulation):
     state = nodding.start()
     for _ in range(3):
         state, _ = nodding.step(state)
-    ego = nodding.ego(state)
+    ego = nodding.ego(state.samples, state.arrivals.time_s)
     assert (float(ego.speed_m_s), ego.attitude_s, ego.time_s) == pytest.approx((22.0, 2 / 30, 3 / 30))
-    assert small_simulation.ego(small_simulation.start()) is None, "it stands"
+    standing = small_simulation.start()
+    assert small_simulation.ego(standing.samples, standing.arrivals.time_s) is None, "it stands"
 
 
 class Listening:
@@ -96,8 +98,8 @@ class Listening:
 
 
 def test_light_is_drawn_with_what_is_known_when_it_is_exposed(nodding):
-    controller = Listening(nodding.projector.target)
-    results = list(replace(nodding, controller=controller).run())
+    controller = Listening(nodding.symbol.projector.target)
+    results = list(nodding.with_controller(controller).run())
     assert [ego.time_s for ego in controller.drawn] == pytest.approx([result.time_s for result in results])
     assert [ego.attitude_s for ego in controller.drawn] == pytest.approx([0, 0, 1 / 30, 2 / 30]), "a step late"
     assert [then for then, _ in controller.looked] == controller.drawn

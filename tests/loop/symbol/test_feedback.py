@@ -17,19 +17,19 @@ GIVEN = f"{{name='feedforward', road={LIFTED}}}"
 
 def run(controller: str, steps: int, *more: str) -> tuple[torch.Tensor, list[float]]:
     """The judge's centroid errors `[steps, 2]` in % and IoU on a plane 3 cm too high."""
-    simulation = prepare(load("flat", [*SMALL, f"road={LIFTED}", f"controller={controller}", *more]), "cpu")
+    simulation = prepare(load("flat", [*SMALL, f"road={LIFTED}", f"functions.symbol.controller={controller}", *more]), "cpu")
     state, centroids, ious = simulation.start(), [], []
     for _ in range(steps):
         state, result = simulation.step(state)
-        centroids.append(result.verdict.centroid_percent)
-        ious.append(float(result.verdict.iou))
+        centroids.append(result.symbol.verdict.centroid_percent)
+        ious.append(float(result.symbol.verdict.iou))
     return torch.stack(centroids), ious
 
 
 @pytest.mark.parametrize("dof", ["x", "z"])
 @pytest.mark.parametrize("features", ["{}", "{view='birdseye', shape='moments'}"])
 def test_gauss_newton_pulls_the_symbol_onto_its_place(dof: str, features: str) -> None:
-    centroids, _ = run(f"{{name='gauss_newton', dof='{dof}'}}", 12, f"features={features}")
+    centroids, _ = run(f"{{name='gauss_newton', dof='{dof}'}}", 12, f"functions.symbol.features={features}")
     # it starts 50 % off; a tenth of a camera row, 20 cm here, is half a percent of the symbol's length
     assert centroids[-1].abs().max() < 1.0
 
@@ -67,5 +67,5 @@ def test_a_given_road_is_followed_along_lines_of_sight() -> None:
 
 
 def test_a_wrong_road_that_is_believed_is_told_from_the_road() -> None:
-    with pytest.raises(LuxloopError, match=r": controller: road\.kind: no_such_roads:Along: No module"):
+    with pytest.raises(LuxloopError, match=r": functions\.symbol: controller: road\.kind: no_such_roads:Along: No module"):
         run("{name='feedforward', road={kind='no_such_roads:Along'}}", 0)

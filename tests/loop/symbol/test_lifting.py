@@ -10,26 +10,26 @@ from controllers.symbol.sensing.acquisition import Acquired
 from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.field import cut
 from controllers.symbol.sensing.protocol import Look, Shown
+from loop.lighting.simulation import Simulation
 from loop.run import prepare
 from loop.scenario.model import load
-from loop.symbol.simulation import Simulation
 from perception.extraction import Loss
 from perception.judge import Verdict
 from tests.loop.conftest import frames_of
 from world.frames import inverse, pose, rotation, transform
 
-SMALL = ["camera={width_px=640, height_px=480}", "start={x_m=17.0, y_m=0.0, roll_deg=0.0, pitch_deg=0.0}"]
+SMALL = ["camera={width_px=640, height_px=480}", "functions.symbol.start={x_m=17.0, y_m=0.0, roll_deg=0.0, pitch_deg=0.0}"]
 PLANE = torch.tensor([0.21, 0.02, -0.015, 0.0])
 ASIDE = torch.tensor([17.5, 0.3, 0.03, -0.01])  # m and rad
 
 
 def simulation(percent: float, controller: str, *more: str, steps: int = 15) -> Simulation:
     road = f"road={{kind='grade', grade_percent={percent}, crossfall_percent=0.0, start_x_m=3.0}}"
-    return prepare(load("snowflake", [*SMALL, road, f"controller={controller}", *more], steps=steps), "cpu")
+    return prepare(load("snowflake", [*SMALL, road, f"functions.symbol.controller={controller}", *more], steps=steps), "cpu")
 
 
 def verdicts(sim: Simulation) -> list[Verdict]:
-    return [result.verdict for result in sim.run()]
+    return [result.symbol.verdict for result in sim.run()]
 
 
 @pytest.fixture(scope="module")
@@ -43,19 +43,18 @@ def height(shape: torch.Tensor, x: torch.Tensor, y: torch.Tensor) -> torch.Tenso
 
 
 def test_on_the_plane_itself_nothing_changes(flat: Simulation) -> None:
-    projector = flat.projector
+    projector = flat.symbol.projector
     (light,), (lifted,) = projector.light(ASIDE), projector.draw(Drawing(ASIDE, shape=torch.zeros(4)))
     # reading the symbol through cells of 1 cm takes something from edges, which are long beside the strokes
     assert float((light.u - lifted.u).abs().sum() / light.u.abs().sum()) < 0.05
 
 
 def test_the_rectangle_lies_on_the_plane_of_the_road(flat: Simulation) -> None:
-    drawing = flat.projector.on_road(Drawing(ASIDE, shape=PLANE))
+    projector = flat.symbol.projector
+    drawing = projector.on_road(Drawing(ASIDE, shape=PLANE))
     assert drawing.warp is not None
-    corners = flat.projector._rectangle(drawing.pose, *drawing.warp.size_m, flat.projector.symbol).corners()[0] + torch.stack(
-        [torch.tensor(0.0), torch.tensor(0.0), drawing.z]
-    )
-    x, y, z = corners.T
+    corners = projector._rectangle(drawing.pose, *drawing.warp.size_m, projector.symbol).corners()[0]
+    x, y, z = (corners + torch.stack([torch.tensor(0.0), torch.tensor(0.0), drawing.z])).T
     torch.testing.assert_close(z, height(PLANE, x, y), rtol=0, atol=1e-5)  # single precision
 
 
@@ -63,7 +62,7 @@ def test_the_rectangle_lies_on_the_plane_of_the_road(flat: Simulation) -> None:
 def test_the_eye_sees_each_place_of_the_symbol_where_it_is_on_the_plane(flat: Simulation, curvature: float) -> None:
     shape = PLANE.clone()
     shape[3] = curvature
-    projector = flat.projector
+    projector = flat.symbol.projector
     drawing = projector.on_road(Drawing(projector.target, shape=shape))
     assert drawing.warp is not None
     x_y = torch.tensor([[15.3, 0.9], [17.0, 0.0], [18.8, -0.7]])
@@ -102,20 +101,21 @@ def test_stages_act_on_a_grade_as_on_the_plane(stage: str) -> None:
 
 
 def test_a_shape_begins_the_controller_anew_and_is_given_up_where_nothing_is_seen(flat: Simulation) -> None:
-    lifting = flat.controller
+    lifting = flat.symbol.controller
     assert isinstance(lifting, Lifting)
     start = torch.tensor([15.0, 1.5, 0.08, -0.03])
     before = lifting.start(start)
-    lost = flat.observer.lost(start, Loss.NOTHING)
+    lost = flat.symbol.observer.lost(start, Loss.NOTHING)
     acquired = Acquired(PLANE, 0.95, 0.0)
     found = replace(lost, code=torch.tensor(0), shape=PLANE, acquired=acquired, errors=torch.ones(4), pose_error=torch.ones(4))
 
     def shown(drawing: Drawing) -> Shown:
-        return Shown(drawing, flat.projector.draw(drawing))
+        return Shown(drawing, flat.symbol.projector.draw(drawing))
 
     state = lifting.step(before, Look(found, None, shown(lifting.drawing(before, None))))
     drawing = lifting.drawing(state, None)
-    assert drawing.shows(Drawing(flat.projector.target, shape=PLANE)), "errors of light that was not drawn for the road move nothing"
+    at_target = Drawing(flat.symbol.projector.target)
+    assert drawing.shows(replace(at_target, shape=PLANE)), "errors of light that was not drawn for the road move nothing"
     late = lifting.step(state, Look(found, None, shown(lifting.drawing(before, None))))
     assert lifting.drawing(late, None).shows(drawing)
     moved = lifting.step(late, Look(found, None, shown(drawing)))
@@ -123,34 +123,34 @@ def test_a_shape_begins_the_controller_anew_and_is_given_up_where_nothing_is_see
     for _ in range(LOSSES):
         assert moved.shape is not None
         moved = lifting.step(moved, Look(lost, None, shown(lifting.drawing(moved, None))))
-    assert lifting.drawing(moved, None).shows(Drawing(flat.projector.target))
+    assert lifting.drawing(moved, None).shows(at_target)
 
 
 def test_a_symbol_that_goes_on_beyond_its_footprint_is_searched_for() -> None:
     prepared = simulation(-2.0, "{name='thesis_pid'}")
     state, result = prepared.step(prepared.start())
-    assert result.seen.code == Loss.SEEN and result.seen.shape is None
-    assert state.controller.shape is not None
+    assert result.symbol.seen.code == Loss.SEEN and result.symbol.seen.shape is None
+    assert state.held["symbol"].controller.shape is not None
 
 
 def test_late_looks_at_light_for_another_road_do_not_change_the_road() -> None:
     road = "road={kind='step', x_m=12.0, height_m=0.4, ramp_m=0.5}"
-    changes = [*SMALL, road, "controller={name='model_reference'}", "camera.latency_steps=2"]
+    changes = [*SMALL, road, "functions.symbol.controller={name='model_reference'}", "camera.latency_steps=2"]
     prepared = prepare(load("snowflake", changes, steps=12), "cpu")
     state, shapes = prepared.start(), []
     for _ in range(12):
         state, result = prepared.step(state)
-        shapes.append(state.controller.shape)
+        shapes.append(state.held["symbol"].controller.shape)
     assert shapes[-1] is not None and all(shape is shapes[-1] or shape.equal(shapes[-1]) for shape in shapes[-5:])
-    assert float(result.verdict.iou) > 0.6  # 0.46 while three shapes follow each other for ever
+    assert float(result.symbol.verdict.iou) > 0.6  # 0.46 while three shapes follow each other for ever
 
 
 @pytest.mark.parametrize("height", [0.4, 0.8, -0.5])
 def test_a_symbol_on_a_road_that_is_flat_again_is_seen_whole(flat: Simulation, height: float) -> None:
-    drawing = Drawing(flat.projector.target)
-    lights = flat.projector.draw(drawing)
+    symbol, drawing = flat.symbol, Drawing(flat.symbol.projector.target)
+    lights = symbol.projector.draw(drawing)
     frames = frames_of(flat.plant, lights)
-    seen = flat.observer.look(frames, drawing, lights, torch.tensor([height, 0.0, 0.0, 0.0]))
+    seen = symbol.observer.look(frames, drawing, lights, torch.tensor([height, 0.0, 0.0, 0.0]))
     assert seen.code == Loss.SEEN
     assert seen.errors.abs().max() < 0.5, "noise; a crop that cuts the symbol off moves its centroid by pixels"
 
@@ -159,4 +159,4 @@ def test_what_is_cut_of_a_lifted_symbol_is_that_of_the_lifted_one(flat: Simulati
     drawing = Drawing(torch.tensor([13.0, 0.0, 0.0, 0.0]))
     lifted = replace(drawing, shape=torch.zeros(4))
     # a patch has other cells than the symbol's rectangle
-    torch.testing.assert_close(cut(flat.projector, lifted), cut(flat.projector, drawing), rtol=0, atol=0.01)
+    torch.testing.assert_close(cut(flat.symbol.projector, lifted), cut(flat.symbol.projector, drawing), rtol=0, atol=0.01)

@@ -22,9 +22,10 @@ from controllers.symbol.sensing.planes import HERE
 from controllers.symbol.sensing.projector import SymbolParams
 from controllers.symbol.sensing.protocol import Look, Shown
 from controllers.symbol.sensing.shape import reached
+from loop.lighting.result import SimulationState
+from loop.lighting.simulation import Simulation
 from loop.run import prepare
 from loop.scenario.model import DisturbanceParams, load
-from loop.symbol.simulation import Simulation, SimulationState
 from perception.birdseye import Region
 from tests.loop.conftest import frames_of
 
@@ -133,7 +134,8 @@ def test_each_lamp_has_a_drawing_of_its_own() -> None:
     torch.testing.assert_close(right, torch.stack([-left[0], left[1]]).flip(-1), rtol=0, atol=2e-4)
     torch.testing.assert_close(warp.dimming[1], warp.dimming[0].flip(-1), rtol=0, atol=1e-4)
     assert (left[0] - right[0]).abs().max() > 0.04, "3 cm of road over and under the patch move a lamp's light by 2 cm sideways"
-    projector = prepare(load("flat", [*SMALL, 'headlight.lamps=["left", "right"]']), "cpu").projector
+    by_both = ['headlight.lamps=["left", "right"]', 'functions.symbol.modules=["left", "right"]']
+    projector = prepare(load("flat", [*SMALL, *by_both]), "cpu").symbol.projector
     both = projector.draw(Drawing(projector.target, warp=warp))
     for k, light in enumerate(both):
         for_all = replace(warp, source=warp.source[k, None], dimming=warp.dimming[k, None])
@@ -150,7 +152,7 @@ def test_neighbours_settle_what_is_ambiguous() -> None:
 
 @cache
 def simulation(road: str, *more: str) -> Simulation:
-    return prepare(load("flat", [*SMALL, f"road={road}", "controller={name='luxloop'}", *more]), "cpu")
+    return prepare(load("flat", [*SMALL, f"road={road}", "functions.symbol.controller={name='luxloop'}", *more]), "cpu")
 
 
 @pytest.fixture
@@ -160,7 +162,7 @@ def lifted() -> Simulation:
 
 
 def test_one_look_tells_how_high_the_road_is(lifted: Simulation) -> None:
-    controller, projector = lifted.controller, lifted.projector
+    controller, projector = lifted.symbol.controller, lifted.symbol.projector
     lights = projector.light(projector.target)
     frames = frames_of(lifted.plant, lights)
     fine = controller.registration.sight
@@ -186,7 +188,7 @@ def course(prepared: Simulation, state: SimulationState, steps: int) -> tuple[li
     for _ in range(steps):
         state, result = prepared.step(states[-1])
         states.append(state)
-        seen.append(float(result.verdict.iou))
+        seen.append(float(result.symbol.verdict.iou))
     return states, seen
 
 
@@ -203,7 +205,8 @@ def disturbed(prepared: Simulation, **disturbances: Any) -> Simulation:
 
 def opened(prepared: Simulation) -> float:
     """IoU of the open loop."""
-    return float(prepared.truth.verdict(prepared.projector.light(prepared.projector.target), 0.0).iou)
+    symbol = prepared.symbol
+    return float(symbol.judge.verdict(prepared.of_all(symbol, symbol.projector.light(symbol.projector.target)), 0.0).iou)
 
 
 def test_other_light_that_changes_between_the_frames_is_not_taken_for_the_symbol() -> None:
@@ -225,52 +228,54 @@ def test_a_flat_road_keeps_the_open_loop() -> None:
     state = prepared.start()
     for _ in range(3):
         state, _ = prepared.step(state)
-    drawing = prepared.controller.drawing(state.controller, prepared.ego(state))
+    ego = prepared.ego(state.samples, state.arrivals.time_s)
+    drawing = prepared.symbol.controller.drawing(state.held["symbol"].controller, ego)
     assert drawing.warp is None
-    assert torch.equal(drawing.pose, prepared.projector.target)
+    assert torch.equal(drawing.pose, prepared.symbol.projector.target)
 
 
 def test_without_frames_and_without_light_the_open_loop_is_shown() -> None:
     prepared = simulation('{kind="flat"}')
     state, result = prepared.step(prepared.start())
-    blind = prepared.controller.step(prepared.controller.start(result.pose), _look(prepared, None))
-    assert torch.equal(blind.drawing.pose, prepared.projector.target)
+    controller, target = prepared.symbol.controller, prepared.symbol.projector.target
+    blind = controller.step(controller.start(result.symbol.pose), _look(prepared, None))
+    assert torch.equal(blind.drawing.pose, target)
     dark = tuple(torch.zeros_like(frame) for frame in result.frames)
-    assert torch.equal(prepared.controller.step(state.controller, _look(prepared, dark)).drawing.pose, prepared.projector.target)
+    assert torch.equal(controller.step(state.held["symbol"].controller, _look(prepared, dark)).drawing.pose, target)
 
 
 def _look(prepared: Simulation, frames: tuple[Tensor, Tensor] | None) -> Look:
-    lights = prepared.projector.light(prepared.projector.target)
-    pose = prepared.projector.target
-    return Look(prepared.observer.look(frames, Drawing(pose), lights), frames, Shown(Drawing(pose), lights))
+    observer, drawing = prepared.symbol.observer, Drawing(prepared.symbol.projector.target)
+    lights = observer.projector.light(drawing.pose)
+    return Look(observer.look(frames, drawing, lights), frames, Shown(drawing, lights))
 
 
 def test_a_batch_of_warped_drawings_equals_singles() -> None:
     prepared = simulation('{kind="flat"}')
-    target = prepared.projector.target
+    projector, target = prepared.symbol.projector, prepared.symbol.projector.target
     shifted = warp_of(drawn(relief(0.0)))
     warps = [shifted, replace(shifted, source=shifted.source + 0.05)]
     batch = Warp(torch.stack([w.source for w in warps]), torch.stack([w.dimming for w in warps]), shifted.size_m)
-    (together,) = prepared.projector.draw(Drawing(target.expand(2, 4), warp=batch))
+    (together,) = projector.draw(Drawing(target.expand(2, 4), warp=batch))
     for light, warp in zip(together.u, warps, strict=True):
-        assert torch.equal(light, prepared.projector.draw(Drawing(target, warp=warp))[0].u)
-    plain = prepared.projector.light(target)[0].u
+        assert torch.equal(light, projector.draw(Drawing(target, warp=warp))[0].u)
+    plain = projector.light(target)[0].u
     # the symbol is resampled once more: pixels at its edges differ
     assert (together.u[0] - plain).abs().sum() < 0.1 * plain.sum()
 
 
 def test_a_wrong_belief_at_the_start_is_drawn_and_given_up() -> None:
-    prepared = simulation('{kind="flat"}', "controller={name='luxloop', start_height_m=0.03}")
+    prepared = simulation('{kind="flat"}', "functions.symbol.controller={name='luxloop', start_height_m=0.03}")
     _, first = prepared.step(prepared.start())
     # the camera at 1.35 m takes the target for 17 m (1 - 0.03 / 1.35), where the lamp at 0.75 m casts light 0.75 / 0.72 times as far
-    assert float(first.seen.pose_error[0]) == pytest.approx(0.3, abs=0.1)  # of a symbol that is some cm longer, too
+    assert float(first.symbol.seen.pose_error[0]) == pytest.approx(0.3, abs=0.1)  # of a symbol that is some cm longer, too
     _, seen = course(prepared, prepared.start(), 5)
     assert seen[0] < opened(prepared) - 0.1
     assert min(seen[1:]) > 0.9  # one look is enough; at this resolution noise alone costs up to 0.03 in some steps
 
 
 def test_looks_that_agree_add_up_until_noise_hardly_moves_the_symbol() -> None:
-    found = [state.controller.memory.heights for state in on_bumps()[0][1:11]]
+    found = [state.held["symbol"].controller.memory.heights for state in on_bumps()[0][1:11]]
     heights, known = [each.mean for each in found], [float(each.information.trace()) for each in found]
     assert known[-1] > 2 * known[1]
     moves = [float((after - before).abs().mean()) for before, after in pairwise(heights)]
@@ -279,7 +284,8 @@ def test_looks_that_agree_add_up_until_noise_hardly_moves_the_symbol() -> None:
 
 def shown_at_target(prepared: Simulation) -> tuple[tuple[Tensor, Tensor], tuple[Tensor, ...]]:
     """Frames of the symbol at its target, and its light textures."""
-    modules, lights = prepared.projector.modules, prepared.projector.light(prepared.projector.target)
+    projector = prepared.symbol.projector
+    modules, lights = projector.modules, projector.light(projector.target)
     frames = frames_of(prepared.plant, lights)
     assert frames is not None
     controllers = [module.pixel_controller for module in modules]
@@ -292,7 +298,7 @@ def test_noise_is_measured_where_the_camera_does_not_tell() -> None:
     limits = []
     for prepared in (usual, noisy):
         frames, textures = shown_at_target(prepared)
-        sight = prepared.controller.registration.sight
+        sight = prepared.symbol.controller.registration.sight
         contrast, limit = sight.observe_symbol(frames, textures)
         assert (limit >= sight.observe(frames)[1]).all()
         unlit = (sight.inside > 0) & (contrast < contrast.max() / 2)
@@ -311,8 +317,8 @@ def test_ten_times_the_noise_leaves_the_symbol_where_it_was() -> None:
 
 def test_a_symbol_that_fills_most_of_what_is_seen_is_not_taken_for_noise(tmp_path: Path) -> None:
     Image.new("L", (8, 8), 255).save(tmp_path / "white.png")
-    large = simulation('{kind="bumps"}', f'symbol={{image="{tmp_path / "white.png"}", width_m=4.0, length_m=8.0}}')
-    sight = large.controller.registration.sight
+    large = simulation('{kind="bumps"}', f'functions.symbol={{image="{tmp_path / "white.png"}", width_m=4.0, length_m=8.0}}')
+    sight = large.symbol.controller.registration.sight
     frames, textures = shown_at_target(large)
     contrast, limit = sight.observe(frames)
     assert float((contrast > limit)[sight.inside > 0].float().mean()) > 0.5

@@ -17,8 +17,8 @@ from controllers.symbol.heights.memory import Memory
 from controllers.symbol.heights.registration import Heights
 from controllers.symbol.heights.sight import Sight
 from controllers.symbol.heights.springs import PARTS, followed
+from loop.lighting.simulation import Simulation
 from loop.scenario.model import load
-from loop.symbol.simulation import Simulation
 from perception.birdseye import Region
 from perception.egomotion import Ego, Samples, ego_of, newest
 from perception.sensors import SensorParams, Sensors
@@ -223,12 +223,12 @@ def test_springs_are_those_that_the_controller_believes_in(suspension: float) ->
 @pytest.mark.parametrize("suspension", SOFT_AND_STIFF)
 def test_a_wrong_belief_of_the_springs_costs_little_and_no_filter_much(suspension: float) -> None:
     true = [*SMALL, "steps=30", *(f"vehicle.suspension.{key}={hz}" for key, hz in springs(suspension).items())]
-    simulation = Simulation.prepare(load("driving", [*true, "controller={name='luxloop'}"]))
-    usual = simulation.controller
+    simulation = Simulation.prepare(load("driving", [*true, "functions.symbol.controller={name='luxloop'}"]))
+    usual = simulation.symbol.controller
     assert isinstance(usual, Luxloop)
     believing = Luxloop(usual.params.model_copy(update={"body": BodyParams(**springs(suspension))}), usual.observer)
     right, wrong, none = (
-        np.mean([float(result.verdict.iou) for result in replace(simulation, controller=each).run()][10:])
+        np.mean([float(result.symbol.verdict.iou) for result in simulation.with_controller(each).run()][10:])
         for each in (believing, usual, Unfiltered(usual.params, usual.observer))
     )
     # usual belief 0.86 on soft and 0.84 on stiff springs, without a filter 0.83 and 0.77
@@ -285,18 +285,19 @@ def test_a_symbol_is_laid_on_the_ground_from_a_tilted_body(attitude: tuple[float
     simulation = Simulation.prepare(load("flat", SMALL))
     drawing = laid(target, inverse(body))
     z = drawing.z
-    corners = simulation.projector.primitive(drawing.pose).corners().squeeze(0) + torch.tensor([0.0, 0.0, 0.0 if z is None else float(z)])
-    flat = simulation.projector.primitive(target).corners().squeeze(0)
+    projector = simulation.symbol.projector
+    corners = projector.primitive(drawing.pose).corners().squeeze(0) + torch.tensor([0.0, 0.0, 0.0 if z is None else float(z)])
+    flat = projector.primitive(target).corners().squeeze(0)
     # the yaw that is left out is the product of roll and pitch, 1.7e-4 rad over 2 m
     torch.testing.assert_close(transform(body, corners.T).T, flat, rtol=0, atol=6e-4)
 
 
 def test_the_off_frame_is_seen_from_where_the_on_frame_was() -> None:
     """Raw frames differ by all the road's texture, which moves by a third of a metre between them."""
-    more = ["camera.oversampling=4", "light.ambient_lx=4", "camera.noise=false", "controller={name='luxloop'}"]
+    more = ["camera.oversampling=4", "light.ambient_lx=4", "camera.noise=false", "functions.symbol.controller={name='luxloop'}"]
     simulation = Simulation.prepare(load("driving", [*EXACT, *more]))
     _, result = simulation.step(simulation.start())
-    world, seer, controller = simulation.truth.world, simulation.observer, simulation.controller
+    world, seer, controller = simulation.world, simulation.symbol.observer, simulation.symbol.controller
     assert result.frames is not None and isinstance(controller, Luxloop)
     on_s, off_s = result.time_s, result.time_s + 0.5 / simulation.scenario.rate_hz
     now, later = (world.motion.at(t) for t in (on_s, off_s))
@@ -315,18 +316,19 @@ def test_the_off_frame_is_seen_from_where_the_on_frame_was() -> None:
 
 def test_a_nodding_car_keeps_its_symbol_in_place() -> None:
     changes = [*SMALL, *EXACT, "road.kind=flat", "vehicle={course=[{speed_m_s=10}], oscillation={pitch_deg=0.3}}", "steps=8"]
-    simulation = Simulation.prepare(load("driving", [*changes, "controller={name='luxloop'}"]))
-    still = simulation.projector.light(simulation.projector.target)
+    simulation = Simulation.prepare(load("driving", [*changes, "functions.symbol.controller={name='luxloop'}"]))
+    symbol = simulation.symbol
+    still = simulation.of_all(symbol, symbol.projector.light(symbol.projector.target))
     for result in simulation.run():
         if result.step > 3:
             # edges of half a camera row are left; the open loop's symbol is off by half of its length
-            assert result.verdict.iou > 0.7
-            assert simulation.truth.verdict(still, result.time_s).iou < 0.5
+            assert result.symbol.verdict.iou > 0.7
+            assert symbol.judge.verdict(still, result.time_s).iou < 0.5
 
 
 def test_a_car_that_stands_and_nods_is_not_at_rest_where_it_swings_through() -> None:
     changes = [*SMALL, *EXACT, "road.kind=flat", "vehicle={course=[{speed_m_s=0}], oscillation={pitch_deg=0.2}}", "steps=16"]
-    simulation = Simulation.prepare(load("driving", [*changes, "controller={name='luxloop'}"]))
-    ious = [float(result.verdict.iou) for result in simulation.run() if result.verdict is not None]
+    simulation = Simulation.prepare(load("driving", [*changes, "functions.symbol.controller={name='luxloop'}"]))
+    ious = [float(result.symbol.verdict.iou) for result in simulation.run() if result.symbol.verdict is not None]
     # 0.85 at worst; drawn for rest where it swings through, 0.76
     assert min(ious[4:]) > 0.82

@@ -29,13 +29,13 @@ SMALL = ["camera.width_px=320", "camera.height_px=180", "camera.oversampling=2"]
 
 @pytest.mark.usefixtures("own")
 def test_a_controller_of_ones_own_is_named_in_the_scenario() -> None:
-    scenario = load("flat", [*SMALL, "controller={name='own:Halfway', options={share=0.25}}"])
+    scenario = load("flat", [*SMALL, "functions.symbol.controller={name='own:Halfway', options={share=0.25}}"])
     simulation = prepare(scenario, "cpu")
     state, first = simulation.step(simulation.start())
     _, second = simulation.step(state)
-    assert simulation.controller.inner.share == 0.25
-    assert (second.pose - first.pose + 0.25 * first.seen.pose_error).abs().max() < 1e-6
-    assert isinstance(simulation.controller.drawing(state.controller, None), Drawing)
+    assert simulation.symbol.controller.inner.share == 0.25
+    assert (second.symbol.pose - first.symbol.pose + 0.25 * first.symbol.seen.pose_error).abs().max() < 1e-6
+    assert isinstance(simulation.symbol.controller.drawing(state.held["symbol"].controller, None), Drawing)
     again = type(scenario).model_validate_json(scenario.model_dump_json())
     assert again == scenario, "recordings hold it"
 
@@ -46,12 +46,12 @@ def test_a_controller_of_ones_own_is_named_in_the_scenario() -> None:
     [
         ("{name='no_such_module_at_all:Halfway'}", ["no_such_module_at_all", "PYTHONPATH"]),
         ("{name='own:Quarterway'}", ["own", "no Quarterway"]),
-        ("{name='own:Halfway', options={gain=1}}", ["controller.options", "gain"]),
+        ("{name='own:Halfway', options={gain=1}}", ["functions.symbol: controller.options", "gain"]),
         ("{name='own:Speechless'}", ["no method start", "drawing"]),
-        ("{name='own:'}", ["controller.name", "pattern"]),
+        ("{name='own:'}", ["functions.symbol.controller.name", "pattern"]),
     ],
 )
 def test_what_is_wrong_with_it_is_said_in_a_sentence(controller: str, words: list[str]) -> None:
     with pytest.raises(LuxloopError) as error:
-        prepare(load("flat", [*SMALL, f"controller={controller}"]), "cpu")
+        prepare(load("flat", [*SMALL, f"functions.symbol.controller={controller}"]), "cpu")
     assert all(word in str(error.value) for word in words), str(error.value)

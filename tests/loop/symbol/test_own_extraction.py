@@ -6,9 +6,9 @@ import pytest
 import torch
 from torch import Tensor
 
+from loop.lighting.simulation import Simulation
 from loop.run import prepare
 from loop.scenario.model import load
-from loop.symbol.simulation import Simulation
 from perception.extraction import ExtractionParams, OwnExtractionParams, symbol_image
 from world.errors import LuxloopError
 
@@ -43,20 +43,20 @@ SMALL = ["camera.width_px=320", "camera.height_px=180", "camera.oversampling=2"]
 def looked(*overrides: Any) -> tuple[Simulation, Tensor]:
     """Errors of three steps on bumps."""
     simulation = prepare(load("flat", [*SMALL, "road.kind=bumps", *overrides], steps=3), "cpu")
-    return simulation, torch.stack([result.seen.errors for result in simulation.run()])
+    return simulation, torch.stack([result.symbol.seen.errors for result in simulation.run()])
 
 
 @pytest.mark.usefixtures("own")
 @pytest.mark.parametrize("controller", ["luxloop", "model_reference"])
 def test_the_loop_looks_with_it(controller: str) -> None:
     """Ours by another name sees, expects and registers the same, bit for bit; other edges do not."""
-    named = f"controller.name={controller}"
-    own = "extraction={kind='own:Ours', options={edges='binary'}, area_low=0.3}"
+    named = f"functions.symbol.controller.name={controller}"
+    own = "functions.symbol.extraction={kind='own:Ours', options={edges='binary'}, area_low=0.3}"
     _, as_own = looked(named, own)
-    simulation, as_ours = looked(named, "extraction={edges='binary', area_low=0.3}")
-    _, by_default = looked(named, "extraction.area_low=0.3")
+    simulation, as_ours = looked(named, "functions.symbol.extraction={edges='binary', area_low=0.3}")
+    _, by_default = looked(named, "functions.symbol.extraction.area_low=0.3")
     assert torch.equal(as_own, as_ours) and not torch.equal(as_own, by_default)
-    assert isinstance(simulation.scenario.extraction, ExtractionParams)
+    assert isinstance(simulation.scenario.symbol.extraction, ExtractionParams)
     scenario = load("flat", [own])
     assert type(scenario).model_validate_json(scenario.model_dump_json()) == scenario, "recordings hold it"
 
@@ -67,18 +67,18 @@ def test_the_loop_looks_with_it(controller: str) -> None:
     [
         ({"kind": "no_such_extractions:Ours"}, ["No module named 'no_such_extractions'", "PYTHONPATH"]),
         ({"kind": "own:Theirs"}, ["own has no Theirs"]),
-        ({"kind": "own:Ours", "options": {"edge": "grey"}}, ["extraction.options", "edge"]),
+        ({"kind": "own:Ours", "options": {"edge": "grey"}}, ["functions.symbol: extraction.options", "edge"]),
         ({"kind": "own:Blind"}, ["no method symbol_image"]),
         ({"kind": "own:Pooled"}, ["float32", "an image like that"]),
         ({"kind": "own:Listed"}, ["gives list"]),
         ({"kind": "own:Elsewhere"}, ["on meta for", "on cpu"]),
-        ({"kind": "own:Ours", "edges": "grey"}, ["extraction.edges", "unknown key"]),
-        ({"kind": "differentiall"}, ["extraction.kind", "did you mean 'differential'"]),
+        ({"kind": "own:Ours", "edges": "grey"}, ["functions.symbol.extraction.edges", "unknown key"]),
+        ({"kind": "differentiall"}, ["functions.symbol.extraction.kind", "did you mean 'differential'"]),
     ],
 )
 def test_what_is_wrong_with_it_is_said_in_a_sentence(extraction: dict[str, Any], words: list[str]) -> None:
     with pytest.raises(LuxloopError) as error:
-        looked({"extraction": extraction})
+        looked({"functions": {"symbol": {"extraction": extraction}}})
     message = str(error.value)
     assert all(word in message for word in ["extraction", *words]) and "\n" not in message, message
 

@@ -56,11 +56,11 @@ def test_it_lies_and_is_believed_in_as_the_same_road_of_ours() -> None:
     ours = "{kind='speed_bump', height_m=0.05}"
     runs = []
     for road in (own, ours):
-        scenario = load("flat", [*SMALL, f"road={road}", f"controller={{name='feedforward', road={road}}}"])
-        assert isinstance(scenario.controller, FeedforwardParams)
+        scenario = load("flat", [*SMALL, f"road={road}", f"functions.symbol.controller={{name='feedforward', road={road}}}"])
+        assert isinstance(scenario.symbol.controller, FeedforwardParams)
         _, result = (simulation := prepare(scenario, "cpu")).step(simulation.start())
         assert result.frames is not None
-        runs.append((scenario, *result.frames, result.lights[0].u))
+        runs.append((scenario, *result.frames, result.lights[0]))
     for one, other in zip(runs[0][1:], runs[1][1:], strict=True):
         assert one.equal(other)
     scenario = runs[0][0]

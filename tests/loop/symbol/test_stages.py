@@ -6,12 +6,12 @@ import pytest
 import torch
 
 from controllers.symbol.laws.alignment import Alignment, Placement
+from loop.lighting.simulation import Simulation
 from loop.run import prepare
 from loop.scenario.model import load
-from loop.symbol.simulation import Simulation
 from world.errors import LuxloopError
 
-SMALL = ["camera.width_px=640", "camera.height_px=360", "camera.oversampling=2", "symbol.image=snowflake"]
+SMALL = ["camera.width_px=640", "camera.height_px=360", "camera.oversampling=2", "functions.symbol.image=snowflake"]
 ROUGH = ["road.kind=bumps", "road.seed=3"]
 BOX = 'objects=[{kind="box", name="box", size_m=[0.4, 0.5, 0.3], albedo=0.2, track=[{position_m=[15.5, 0.2, 0.0]}]}]'
 
@@ -21,12 +21,13 @@ def simulation(*changes: str) -> Simulation:
 
 
 def ious(steps: int, controller: str, *changes: str) -> list[float]:
-    return [float(result.verdict.iou) for result in simulation(f"controller={controller}", f"steps={steps}", *changes).run()]
+    sim = simulation(f"functions.symbol.controller={controller}", f"steps={steps}", *changes)
+    return [float(result.symbol.verdict.iou) for result in sim.run()]
 
 
 @pytest.fixture(scope="module")
 def alignment() -> Alignment:
-    return Alignment.prepare(simulation("controller={name='open'}").observer)
+    return Alignment.prepare(simulation("functions.symbol.controller={name='open'}").symbol.observer)
 
 
 def moved(alignment: Alignment, placement: Placement) -> torch.Tensor:
@@ -83,26 +84,26 @@ def test_the_supervisor_lets_control_begin_from_the_open_loop() -> None:
 
 def test_a_controller_that_makes_things_worse_loses_the_charge() -> None:
     """With the errors' sign turned round the open loop is back after the grace."""
-    sim = simulation("controller={name='gauss_newton', supervisor={grace_steps=2}}", "steps=6", *ROUGH)
-    sim.controller.inner.inner.inverse.neg_()  # type: ignore[attr-defined]
-    drawn = [result.lights[0].u for result in sim.run()]
-    flat = sim.projector.light(sim.projector.target)[0].u
+    sim = simulation("functions.symbol.controller={name='gauss_newton', supervisor={grace_steps=2}}", "steps=6", *ROUGH)
+    sim.symbol.controller.inner.inner.inverse.neg_()  # type: ignore[attr-defined]
+    drawn = [result.lights[0] for result in sim.run()]
+    flat = sim.symbol.projector.light(sim.symbol.projector.target)[0].u
     assert [bool(u.equal(flat)) for u in drawn] == [True, False, False, False, True, True]
 
 
 @pytest.mark.parametrize("stage", ["warp", "supervisor"])
 def test_a_run_goes_on_from_a_stored_state(stage: str) -> None:
-    prepared = simulation(f"controller={{name='gauss_newton', {stage}={{}}}}", *ROUGH, "camera.latency_steps=1")
+    prepared = simulation(f"functions.symbol.controller={{name='gauss_newton', {stage}={{}}}}", *ROUGH, "camera.latency_steps=1")
     kept, stored = prepared.start(), prepared.start()
     found = []
     for _ in range(10):
         kept, result = prepared.step(kept)
         stored, again = prepared.step(pickle.loads(pickle.dumps(stored)))
-        found.append(float(result.verdict.iou))
-        assert float(again.verdict.iou) == found[-1]
+        found.append(float(result.symbol.verdict.iou))
+        assert float(again.symbol.verdict.iou) == found[-1]
     assert len(set(found[-6:])) > 1, "the stage has begun to act"
 
 
 def test_unknown_kinds_are_told() -> None:
     with pytest.raises(LuxloopError, match=r"controller\.(gauss_newton\.)?warp\.kind"):
-        simulation("controller={name='gauss_newton', warp={kind='affine'}}")
+        simulation("functions.symbol.controller={name='gauss_newton', warp={kind='affine'}}")

@@ -11,9 +11,9 @@ from torch import Tensor
 from controllers.situation import TrackedObject
 from controllers.symbol.sensing.projector import SymbolParams
 from controllers.zones.zone import ZoneParams
-from loop.lighting.result import LightingResult, Look
+from loop.lighting.result import Look, StepResult
 from loop.lighting.sight import name_of
-from loop.lighting.simulation import LightingSimulation
+from loop.lighting.simulation import Simulation
 from loop.lighting.summary import spoken
 from world.frames import transform
 from world.traffic.tracked import Category
@@ -39,7 +39,7 @@ class Mark:
     at: Point = (0, 0)
 
 
-def marks(result: LightingResult, simulation: LightingSimulation) -> tuple[Mark, ...]:
+def marks(result: StepResult, simulation: Simulation) -> tuple[Mark, ...]:
     """Zones, targets of symbols that are held, and boxes: on the road of what a perfect tracker tells, or in the image of tracks."""
     view = result.view
     functions = simulation.scenario.functions.items()

@@ -1,77 +1,64 @@
-"""report.png: what happened in a run, on one page, as the thesis' figures 9.12 to 9.17 show it."""
+"""What happened with a symbol that is held, as the thesis' figures 9.12 to 9.17 show it."""
 
 import math
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import torch
-from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import LinearSegmentedColormap
-from matplotlib.figure import Figure, SubFigure
+from matplotlib.figure import SubFigure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 from numpy.typing import NDArray
 from torch import Tensor
 
+from controllers.functions.symbol import SymbolFunctionParams
 from controllers.pixels.ssc import Utilisation
+from controllers.symbol.sensing.flat_model import FeatureParams
+from loop.lighting.controlled import ControlledSymbol
+from loop.lighting.judging import Judge
+from loop.lighting.result import StepResult
+from loop.lighting.simulation import Simulation
 from loop.plant.simulated import SimulatedPlant
-from loop.recording.recorder import ERRORS
+from loop.recording.columns import ERRORS
 from loop.recording.remedies import SHADOW, remedies
+from loop.recording.style import FOUR, NIGHT, STYLE, headed
 from loop.recording.summary import column
-from loop.scenario.plant import RecordedPlantParams
-from loop.symbol.judging import Judge
-from loop.symbol.simulation import Simulation, StepResult
+from loop.scenario.plant import shadow_of
 from perception.appearance import appearance, image_axes
 from perception.birdseye import rectify
 from perception.camera import luminance_of
 from perception.extraction import Crop, Loss
 from perception.judge import THRESHOLD
-from world.files import whole
 
 Lights = tuple[Utilisation, ...]
 Image = NDArray[np.floating]
 
-INCHES, DPI = (12.0, 9.4), 150
-STYLE: Any = {
-    "font.size": 9,
-    "axes.titlesize": 9.5,
-    "axes.titlelocation": "left",
-    "axes.titleweight": "bold",
-    "axes.spines.top": False,
-    "axes.grid": True,
-    "grid.alpha": 0.25,
-    "grid.linewidth": 0.6,
-    "lines.linewidth": 1.4,
-    "legend.framealpha": 0.75,
-    "legend.edgecolor": "none",
-    "legend.fontsize": 8,
-}
-FOUR = ("#0072b2", "#e69f00", "#009e73", "#cc79a7")  # Okabe and Ito: told apart by all eyes
 TARGET, PATH, LOST = "#00c8ff", "#ff2020", "#d55e00"
-NIGHT = LinearSegmentedColormap.from_list("night", ["#05070c", "#3a3f4a", "#a9a598", "#fffbe8"])
 PAST_SYMBOLS = 12
-CHARACTER_IN, LINE_IN, AROUND_IN = 0.055, 0.4, 0.7  # of a legend's text, its line with what is around it, and around a chart
+HIGH_IN = 9.4  # of a symbol's part of a page
 
 
 class Gathered:
-    """What a report needs of a run beside its table: the path of the centroid, a few past symbols, the last light, and what was shown in
+    """What a page needs of a symbol beside the table: the path of the centroid, a few past symbols, the last light, and what was shown in
     place of what was asked for."""
 
-    def __init__(self, steps: int) -> None:
+    def __init__(self, name: str, steps: int) -> None:
         """steps: how many there will be; past symbols are kept at ever larger intervals, since most of the way is made at first."""
+        self.name = name
         self._keep = set(np.geomspace(1, max(steps, 1), PAST_SYMBOLS).round().astype(int) - 1)
         self.path: list[tuple[float, float]] = []
         self.symbols: list[tuple[Crop, NDArray[np.bool_]]] = []
         self.frame: Tensor | None = None  # the newest on frame
-        self.last: StepResult | None = None
+        self.last: StepResult | None = None  # that shows it
         self.shown: dict[float, Tensor] = {}  # poses by their times in s
 
     def add(self, result: StepResult) -> None:
         """Take what is needed of a step."""
-        seen = result.seen
+        if (held := result.held.get(self.name)) is None:
+            return
+        seen = held.seen
         centre = (math.nan, math.nan)
         if int(seen.code) == Loss.SEEN:
             height, width = seen.symbol.shape
@@ -84,48 +71,60 @@ class Gathered:
         self.frame = self.frame if result.frames is None else result.frames[0]
         self.last = result
         shown = [frame.shown for showing in result.showings for frame in showing.after.frames if frame.shown is not None]
-        self.shown |= {each.start_s: each.drawing.pose for each in shown if each.drawing is not None}
+        self.shown |= {each.start_s: each.drawings[self.name].pose for each in shown if self.name in each.drawings}
 
 
-def write_report(file: Path, simulation: Simulation, gathered: Gathered, table: pa.Table, summary: dict[str, Any]) -> None:
-    """Draw the page of a run of at least one step; table and summary are the recording's.
-
-    Raises LuxloopError where the file cannot be written.
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """A symbol in the last step that shows it. on, off: the lights of that step. opened: with the symbol as the open loop draws it, and
+    without it.
     """
-    last = gathered.last
-    assert last is not None, "a report needs a step"
-    open_lights = simulation.projector.light(simulation.projector.target)
-    with rc_context(STYLE):
-        figure = Figure(INCHES, DPI, layout="constrained")
-        FigureCanvasAgg(figure)
-        figure.suptitle(_title(simulation, summary), x=0.012, ha="left", fontsize=12.5, weight="bold")
-        figure.supxlabel("\n".join(remedies(summary)), x=0.012, ha="left", fontsize=10)
-        left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(4.3, 7.7))[0]
-        _courses(left, simulation, gathered, table, summary)
-        views = _camera_images(simulation, open_lights, gathered)
-        after = views["at the end"]
-        if simulation.judge is None:
-            top, beam = right.subfigures(2, 1, squeeze=False, height_ratios=(2.75, 3.6))[:, 0]
-        else:
-            top, middle, bottom = right.subfigures(3, 1, squeeze=False, height_ratios=(2.75, 2.35, 3.6))[:, 0]
-            _camera_views(middle, simulation, views)
-            plane, beam = bottom.subfigures(1, 2, squeeze=False, width_ratios=(3.5, 4.2))[0]
-            _birds_eye_views(plane, simulation.judge, open_lights, last)
-        _progression(top, simulation, gathered, after)
-        _beam_patterns(beam, simulation, last.lights)
-        with whole(file) as part:
-            figure.savefig(part, format="png")
+
+    symbol: ControlledSymbol
+    last: StepResult
+    on: Lights
+    off: Lights
+    opened: tuple[Lights, Lights]
+
+    @classmethod
+    def of(cls, simulation: Simulation, name: str, last: StepResult) -> "Shown":
+        on, off = (showing.exposure.lights for showing in (last.showings[0], last.showings[-1]))
+        return cls(simulation.controlled[name], last, on, off, simulation.opened(last, name))
 
 
-def _title(simulation: Simulation, summary: dict[str, Any]) -> str:
-    if summary["shadow_of"] is not None:
-        return f"{simulation.scenario.name}  ({summary['controller']})  ·  {SHADOW} {summary['shadow_of']}"
+def draw_symbol(figure: SubFigure, simulation: Simulation, gathered: Gathered, table: pa.Table, summary: dict[str, Any]) -> None:
+    """A symbol's part of a page; table: its own columns (`loop.recording.columns.of_one`), of one step at least, and summary its own."""
+    assert gathered.last is not None, "a page needs a step"
+    shown = Shown.of(simulation, gathered.name, gathered.last)
+    shadow = shadow_of(simulation.scenario.plant)
+    figure.suptitle(_title(simulation, gathered.name, summary, shadow), x=0.012, ha="left", fontsize=12.5, weight="bold")
+    notes = [] if shadow else remedies(gathered.name, summary)
+    figure.supxlabel("\n".join(notes), x=0.012, ha="left", fontsize=10)
+    left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(4.3, 7.7))[0]
+    _courses(left, shown.symbol.function, gathered, table, summary)
+    views = _camera_images(simulation, shown, gathered)
+    after = views["at the end"]
+    if shown.symbol.judge is None:
+        top, beam = right.subfigures(2, 1, squeeze=False, height_ratios=(2.75, 3.6))[:, 0]
+    else:
+        top, middle, bottom = right.subfigures(3, 1, squeeze=False, height_ratios=(2.75, 2.35, 3.6))[:, 0]
+        _camera_views(middle, shown.symbol, views)
+        plane, beam = bottom.subfigures(1, 2, squeeze=False, width_ratios=(3.5, 4.2))[0]
+        _birds_eye_views(plane, shown.symbol.judge, shown)
+    _progression(top, shown.symbol, gathered, after)
+    _beam_patterns(beam, shown, "asked for" if shadow else "at the end")
+
+
+def _title(simulation: Simulation, name: str, summary: dict[str, Any], shadow: str | None) -> str:
+    who = f"{simulation.scenario.name}: {name}  ({summary['controller']})"
+    if shadow is not None:
+        return f"{who}  ·  {SHADOW} {shadow}"
     unsettled = summary["unsettled"]
     settled = f"settled at step {summary['settle_step']}" if unsettled is None else f"not settled: {unsettled.replace('_', ' ')}"
     x, y = (_number(value, ".1f") for value in summary["centroid_error_percent"])
-    lost = f"  ·  {summary['lost_steps']} steps lost" if summary["lost_steps"] else ""
+    lost = f"  ·  lost in {summary['lost_steps']} of {summary['shown_steps']} steps" if summary["lost_steps"] else ""
     return (
-        f"{simulation.scenario.name}  ({summary['controller']})  ·  {settled}  ·  "
+        f"{who}  ·  {settled}  ·  "
         f"IoU {_number(summary['iou_open'], '.2f')} → {_number(summary['iou_final'], '.2f')}  ·  centroid error {x} %, {y} %{lost}"
     )
 
@@ -134,7 +133,7 @@ def _number(value: float | None, form: str) -> str:
     return "–" if value is None else format(value, form).replace("-", "−")
 
 
-def _courses(figure: SubFigure, simulation: Simulation, gathered: Gathered, table: pa.Table, summary: dict[str, Any]) -> None:
+def _courses(figure: SubFigure, target: SymbolFunctionParams, gathered: Gathered, table: pa.Table, summary: dict[str, Any]) -> None:
     errors, pose, judged = figure.subplots(3, 1, sharex=True)
     steps = column(table, "step")
     lost = np.array([loss != "" for loss in table["loss"].to_pylist()])
@@ -148,7 +147,7 @@ def _courses(figure: SubFigure, simulation: Simulation, gathered: Gathered, tabl
             axes.axvline(summary["settle_step"], color="0.3", lw=1.2, ls=":", label="settled" if axes is errors else "_settled")
     marker = "o" if len(steps) <= 60 else ""
 
-    for name, colour, unit in zip(ERRORS, FOUR, _error_units(simulation), strict=True):
+    for name, colour, unit in zip(ERRORS, FOUR, _error_units(target.features), strict=True):
         values = column(table, name)
         peak = np.nanmax(np.abs(values), initial=0)
         label = f"$e_{{{name[2:]}}}$ / {peak:.3g}{unit}"
@@ -156,7 +155,6 @@ def _courses(figure: SubFigure, simulation: Simulation, gathered: Gathered, tabl
     errors.set_ylim(-1.1, 1.1)
     headed(errors, "Control errors, each by its largest")
 
-    target = simulation.scenario.symbol
     turned = _right_axis(pose)
     pose.plot(steps, column(table, "x_m") - target.x_m, color=FOUR[0], label=f"x − {target.x_m:g} m")
     pose.plot(steps, column(table, "y_m") - target.y_m, color=FOUR[1], label=f"y − {target.y_m:g} m" if target.y_m else "y")
@@ -190,29 +188,6 @@ def _courses(figure: SubFigure, simulation: Simulation, gathered: Gathered, tabl
     judged.xaxis.set_major_locator(MaxNLocator(integer=True))
 
 
-def headed(axes: Axes, title: str, *more: Axes) -> None:
-    """A title, and below it the legend, outside of the chart, where it hides nothing. more: axes in the same place with own labels."""
-    found = [each for one in (axes, *more) for each in one.get_legend_handles_labels()[0]]
-    if not found:
-        axes.set_title(title)
-        return
-    longest = max(len(str(each.get_label())) for each in found) * CHARACTER_IN + LINE_IN
-    width = axes.figure.bbox.width / axes.figure.dpi - AROUND_IN
-    axes.legend(
-        handles=found,
-        title=title,
-        title_fontproperties={"weight": "bold", "size": STYLE["axes.titlesize"]},
-        ncols=max(1, min(len(found), int(width / longest))),
-        loc="lower left",
-        bbox_to_anchor=(0, 1),
-        alignment="left",
-        borderaxespad=0.2,
-        borderpad=0.2,
-        handlelength=1.6,
-        columnspacing=1.2,
-    )
-
-
 def _right_axis(axes: Axes) -> Axes:
     twin = axes.twinx()
     twin.grid(False)
@@ -220,35 +195,32 @@ def _right_axis(axes: Axes) -> Axes:
     return twin
 
 
-def _error_units(simulation: Simulation) -> tuple[str, ...]:
-    what = simulation.scenario.features
+def _error_units(what: FeatureParams) -> tuple[str, ...]:
     unit = " px" if what.view == "raw" else " m"
     return (unit, unit, "" if what.shape == "moments" else unit, unit)
 
 
-def _camera_images(simulation: Simulation, open_lights: Lights, gathered: Gathered) -> dict[str, Image]:
+def _camera_images(simulation: Simulation, shown: Shown, gathered: Gathered) -> dict[str, Image]:
     """Luminances `[height, width]` in cd/m^2 that the camera measures: at the last step's time where the plant can expose it once more."""
-    camera, plant, last = simulation.scenario.camera, simulation.plant, gathered.last
-    assert last is not None
+    camera, plant, last = simulation.scenario.camera, simulation.plant, shown.last
     if isinstance(plant, SimulatedPlant):
-        lit = plant.world.lit(last.time_s)
         frames = {
-            name: plant.exposed(lit.shown(lights), lit.base, last.step, 0)
-            for name, lights in (("open loop", open_lights), ("at the end", last.lights))
+            name: plant.exposed(*plant.world.luminance(last.time_s, lights), last.step, 0)
+            for name, lights in (("open loop", shown.opened[0]), ("at the end", shown.on))
         }
     else:
         frames = {"at the end": torch.zeros(camera.height_px, camera.width_px) if gathered.frame is None else gathered.frame}
     return {name: luminance_of(frame, camera).cpu().numpy() for name, frame in frames.items()}
 
 
-def _target_luminance(simulation: Simulation) -> torch.Tensor:
-    projector = simulation.projector
-    return simulation.observer.model.luminance(projector.light(projector.target))
+def _target_luminance(symbol: ControlledSymbol) -> torch.Tensor:
+    projector = symbol.projector
+    return symbol.observer.model.luminance(projector.light(projector.target))
 
 
-def _target_outline(axes: Axes, simulation: Simulation) -> None:
+def _target_outline(axes: Axes, symbol: ControlledSymbol) -> None:
     """The symbol as it should lie on a flat road, in the camera's image."""
-    wanted = (_target_luminance(simulation) > THRESHOLD * simulation.brightness).float().cpu().numpy()
+    wanted = (_target_luminance(symbol) > THRESHOLD * symbol.brightness).float().cpu().numpy()
     rows, cols = (np.arange(n) + 0.5 for n in wanted.shape)
     axes.contour(cols, rows, wanted, levels=[0.5], colors=TARGET, linewidths=0.8)
 
@@ -267,25 +239,25 @@ def _show(axes: Axes, image: Image, white: float) -> None:
         spine.set_visible(False)
 
 
-def _white(simulation: Simulation, *images: Image) -> float:
+def _white(symbol: ControlledSymbol, *images: Image) -> float:
     """The luminance that is shown white: a bright part of the target or of the scene, so that glints do not make all else dark."""
-    wanted = _target_luminance(simulation)
-    bright = wanted[wanted > THRESHOLD * simulation.brightness]
+    wanted = _target_luminance(symbol)
+    bright = wanted[wanted > THRESHOLD * symbol.brightness]
     return max(float(bright.quantile(0.9)) if len(bright) else 0.0, *(float(np.quantile(image, 0.98)) for image in images))
 
 
-def _progression(figure: SubFigure, simulation: Simulation, gathered: Gathered, after: Image) -> None:
+def _progression(figure: SubFigure, symbol: ControlledSymbol, gathered: Gathered, after: Image) -> None:
     axes = figure.subplots()
     axes.set_title("Symbol progression in the camera's image  (red: past symbols and path, cyan: target)")
-    _show(axes, after, _white(simulation, after))
+    _show(axes, after, _white(symbol, after))
     final = np.zeros(after.shape, bool)  # past symbols leave the last one free
-    for crop, symbol in gathered.symbols[-1:]:
-        final[crop.slices] = symbol
-    for crop, symbol in gathered.symbols[:-1]:
-        overlay = np.zeros((*symbol.shape, 4), np.float32)
-        overlay[..., 0], overlay[..., 3] = 1.0, 0.3 * (symbol & ~final[crop.slices])
+    for crop, past in gathered.symbols[-1:]:
+        final[crop.slices] = past
+    for crop, past in gathered.symbols[:-1]:
+        overlay = np.zeros((*past.shape, 4), np.float32)
+        overlay[..., 0], overlay[..., 3] = 1.0, 0.3 * (past & ~final[crop.slices])
         axes.imshow(overlay, extent=(crop.u_start, crop.u_stop, crop.v_stop, crop.v_start), interpolation="nearest")
-    _target_outline(axes, simulation)
+    _target_outline(axes, symbol)
     path = np.array(gathered.path)
     axes.plot(*path.T, color=PATH, lw=1.3, marker="o", ms=2.5)
     seen = path[np.isfinite(path).all(1)]
@@ -293,12 +265,12 @@ def _progression(figure: SubFigure, simulation: Simulation, gathered: Gathered, 
         axes.plot(*seen[0], color=PATH, marker="o", ms=6, mfc="none", mew=1.4)
         axes.plot(*seen[-1], color=PATH, marker="x", ms=7, mew=1.8)
     boxes = [(crop.u_start, crop.v_start, crop.u_stop, crop.v_stop) for crop, _ in gathered.symbols]
-    _look_at(axes, simulation, boxes, after.shape, aspect=2.75)
+    _look_at(axes, symbol, boxes, after.shape, aspect=2.75)
 
 
-def _look_at(axes: Axes, simulation: Simulation, boxes: list[tuple[int, int, int, int]], shape: tuple[int, ...], aspect: float) -> None:
+def _look_at(axes: Axes, symbol: ControlledSymbol, boxes: list[tuple[int, int, int, int]], shape: tuple[int, ...], aspect: float) -> None:
     """Zoom to the target and the boxes (u0, v0, u1, v1) with some margin, in a window of an aspect that stays within the image."""
-    wanted = torch.nonzero(_target_luminance(simulation) > THRESHOLD * simulation.brightness)
+    wanted = torch.nonzero(_target_luminance(symbol) > THRESHOLD * symbol.brightness)
     if len(wanted):
         (v0, u0), (v1, u1) = wanted.amin(0).tolist(), wanted.amax(0).tolist()
         boxes = [*boxes, (u0, v0, u1, v1)]
@@ -313,24 +285,22 @@ def _look_at(axes: Axes, simulation: Simulation, boxes: list[tuple[int, int, int
     axes.set(xlim=(u - width / 2, u + width / 2), ylim=(v + height / 2, v - height / 2))
 
 
-def _camera_views(figure: SubFigure, simulation: Simulation, views: dict[str, Image]) -> None:
-    white = _white(simulation, *views.values())
+def _camera_views(figure: SubFigure, symbol: ControlledSymbol, views: dict[str, Image]) -> None:
+    white = _white(symbol, *views.values())
     for axes, (name, image) in zip(figure.subplots(1, len(views), squeeze=False)[0], views.items(), strict=True):
         axes.set_title(f"Camera's view, {name}")
         _show(axes, image, white)
-        _look_at(axes, simulation, [], image.shape, aspect=16 / 9)
+        _look_at(axes, symbol, [], image.shape, aspect=16 / 9)
 
 
-def _birds_eye_views(figure: SubFigure, judge: Judge, open_lights: Lights, last: StepResult) -> None:
-    goal, axes_m, symbol = judge.goal, judge.plane.axes, judge.symbol
+def _birds_eye_views(figure: SubFigure, judge: Judge, shown: Shown) -> None:
+    goal, axes_m, symbol, time_s = judge.goal, judge.plane.axes, judge.symbol, shown.last.time_s
     y, x = -axes_m.u.cpu().numpy(), -axes_m.v.cpu().numpy()
-    lit = judge.world.lit(last.time_s)
+    views = {"open loop": judge.world.added(time_s, *shown.opened), "at the end": judge.world.added(time_s, shown.on, shown.off)}
     mask = goal.mask.float().cpu().numpy()
     figure.suptitle("From above, noise-free", x=0.12, ha="left", weight="bold", fontsize=STYLE["axes.titlesize"])
-    for axes, lights, title in zip(
-        figure.subplots(1, 2, sharey=True), (open_lights, last.lights), ("open loop", "at the end"), strict=True
-    ):
-        plane = rectify(judge.plane_at(last.time_s), lit.luminance(lights)).cpu().numpy()
+    for axes, (title, light) in zip(figure.subplots(1, 2, sharey=True), views.items(), strict=True):
+        plane = rectify(judge.plane_at(time_s), light).cpu().numpy()
         axes.imshow(
             _night(plane, 1.5 * float(goal.median)),
             cmap=NIGHT,
@@ -348,15 +318,14 @@ def _birds_eye_views(figure: SubFigure, judge: Judge, open_lights: Lights, last:
     figure.axes[0].set_ylabel("x in m")
 
 
-def _beam_patterns(figure: SubFigure, simulation: Simulation, lights: Lights) -> None:
-    modules = simulation.projector.modules
-    when = "asked for" if isinstance(simulation.scenario.plant, RecordedPlantParams) else "at the end"
+def _beam_patterns(figure: SubFigure, shown: Shown, when: str) -> None:
+    modules, lights = shown.symbol.projector.modules, [shown.on[k] for k in shown.symbol.drawn_by]
     panels = figure.subplots(len(modules), 1, squeeze=False)[:, 0]
     for axes, module, light in zip(panels, modules, lights, strict=True):
         headlight = module.pixel_controller.headlight
         texture = headlight.light_texture(light.u).cpu().numpy() / 1e3
         left, right, bottom, top = (math.degrees(math.atan(t)) for t in (headlight.left, headlight.right, headlight.bottom, headlight.top))
-        shown = axes.imshow(texture, cmap="inferno", extent=(left, right, bottom, top), aspect="auto", interpolation="antialiased")
+        drawn = axes.imshow(texture, cmap="inferno", extent=(left, right, bottom, top), aspect="auto", interpolation="antialiased")
         rows, cols = np.nonzero(texture > 0)
         if len(rows):
             v = top + (np.array([rows.max() + 1, rows.min()]) / headlight.rows) * (bottom - top)
@@ -366,5 +335,5 @@ def _beam_patterns(figure: SubFigure, simulation: Simulation, lights: Lights) ->
         axes.set_title(f"Beam pattern of {module.name} {when}")
         axes.grid(False)
         axes.set_ylabel("up in deg")
-        figure.colorbar(shown, ax=axes, label="kcd", pad=0.02)
+        figure.colorbar(drawn, ax=axes, label="kcd", pad=0.02)
     panels[-1].set_xlabel("to the left in deg")

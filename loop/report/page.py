@@ -1,8 +1,10 @@
-"""report.png of lighting functions: the camera's view, the road from above, the beams on a wall, and charts over time."""
+"""report.png: the camera's view, the road from above, the beams on a wall, charts over time, and how symbols that are held lie."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from textwrap import fill
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -15,22 +17,27 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
-from loop.lighting.courses import write_courses
-from loop.lighting.marks import marks, readable
 from loop.lighting.observed import ObservedSymbol
-from loop.lighting.picture import WALL_DEG, measured, wall_light, white_of
-from loop.lighting.result import LightingResult
-from loop.lighting.simulation import LightingSimulation
+from loop.lighting.result import StepResult
+from loop.lighting.simulation import Simulation
 from loop.pictures.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, birdseye
+from loop.recording.columns import of_one
 from loop.recording.remedies import SHADOW
-from loop.recording.report import NIGHT, STYLE
+from loop.recording.style import NIGHT, STYLE
 from loop.recording.summary import column
+from loop.report.courses import write_courses
+from loop.report.marks import marks, readable
+from loop.report.picture import WALL_DEG, measured, wall_light, white_of
+from loop.report.symbol import HIGH_IN, Gathered, draw_symbol
 from loop.scenario.plant import shadow_of
+from perception.tracking import TrackerParams
 from world.files import whole
 from world.frames import transform
 
-INCHES, DPI = (13.0, 8.6), 120
-TALLER_INCHES = 2.2  # with a detector, for two large pictures of the camera, and with materials, for their chart
+WIDE_IN, DPI = 13.0, 130
+LIGHT_IN = 8.6  # of the part about all light
+TALLER_IN = 2.2  # with a detector, for two large pictures of the camera, and with materials, for their chart
+MOMENTS = 4  # that the page shows
 TRACKED, MASKED, FOUND, TARGET = "#4fd17a", "#ffaa28", "#6e82a0", "#50aaff"
 WALL_COLUMNS = 480
 CHARACTERS = 125  # of marks, side by side, that fill a large picture of the camera
@@ -40,13 +47,65 @@ FAINTEST_ROAD_LX, BRIGHTEST_ROAD_LX, ROAD_LEVELS_LX = 0.1, 30.0, (1.0, 3.0)  # o
 AROUND_M = 2.0  # that it shows around the light
 
 
-def write_report(file: Path, simulation: LightingSimulation, moments: Sequence[LightingResult], table: pa.Table) -> None:
-    """Draw a run on one page; moments: those to show, the last one is the end. Raises LuxloopError if the file cannot be written."""
-    last = moments[-1]
+class Watched:
+    """What a page needs of a run beside its table: a few moments, and of each symbol that is held what `Gathered` keeps."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        scenario = simulation.scenario
+        tracker, steps = scenario.tracker, scenario.steps
+        # the last step that tracks do not light
+        frames = scenario.camera.latency_steps + tracker.confirm_frames if scenario.detector and isinstance(tracker, TrackerParams) else 1
+        first = min(frames, steps) - 1
+        self._kept = {first + k * (steps - 1 - first) // (MOMENTS - 1) for k in range(MOMENTS)}
+        self._moments: dict[int, StepResult] = {}  # first, between, and the last so far
+        self.gathered = [Gathered(name, steps) for name in simulation.controlled]
+
+    @property
+    def moments(self) -> list[StepResult]:
+        """Those to show, the last one is the end."""
+        return list(self._moments.values())[-MOMENTS:]
+
+    def add(self, result: StepResult) -> None:
+        """Take what is needed of a step."""
+        self._moments = {step: each for step, each in self._moments.items() if step in self._kept} | {result.step: result}
+        for each in self.gathered:
+            each.add(result)
+
+
+def write_report(file: Path, simulation: Simulation, watched: Watched, table: pa.Table, summary: dict[str, Any]) -> None:
+    """Draw a run of at least one step on one page: all light, unless symbols are all there is, and each symbol that is held.
+
+    table and summary are the recording's. Raises LuxloopError if the file cannot be written.
+    """
+    shown = [each for each in watched.gathered if each.last is not None]
+    of_light = _of_light(simulation, watched.moments, table)
+    parts = [of_light] if not shown or not symbols_alone(simulation) else []
+    for each in shown:
+        draw = partial(draw_symbol, simulation=simulation, gathered=each, table=of_one(table, each.name))
+        parts.append((HIGH_IN, partial(draw, summary=summary["functions"][each.name])))
     with rc_context(STYLE):
-        height = INCHES[1] + (simulation.sight is not None or bool(last.materials)) * TALLER_INCHES
-        figure = Figure((INCHES[0], height), DPI, layout="constrained")
+        figure = Figure((WIDE_IN, sum(high for high, _ in parts)), DPI, layout="constrained")
         FigureCanvasAgg(figure)
+        ratios = [high for high, _ in parts]
+        for place, (_, draw_part) in zip(figure.subfigures(len(parts), 1, squeeze=False, height_ratios=ratios)[:, 0], parts, strict=True):
+            draw_part(place)
+        with whole(file) as part:
+            figure.savefig(part, format="png")
+
+
+def symbols_alone(simulation: Simulation) -> bool:
+    """Whether nothing shines and nothing is watched but symbols that are held."""
+    scenario = simulation.scenario
+    others = simulation.planner.functions.keys() - simulation.controlled.keys()
+    return not (others or simulation.watched or scenario.detector or scenario.lighting.raw or scenario.lighting.base.beam != "off")
+
+
+def _of_light(simulation: Simulation, moments: Sequence[StepResult], table: pa.Table) -> tuple[float, Callable[[SubFigure], None]]:
+    """How high the part of a page about all light is in inches, and what draws it."""
+    last = moments[-1]
+    height = LIGHT_IN + (simulation.sight is not None or bool(last.materials)) * TALLER_IN
+
+    def draw(figure: SubFigure) -> None:
         figure.suptitle(_title(simulation, last, table), x=0.012, ha="left", fontsize=12, weight="bold")
         left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(7.6, 5.4))[0]
         observed = [(result, symbol) for result in moments for symbol in result.symbols][-OBSERVED:]
@@ -60,11 +119,11 @@ def write_report(file: Path, simulation: LightingSimulation, moments: Sequence[L
         courses, walls = right.subfigures(2, 1, squeeze=False, height_ratios=(high, 3.4))[:, 0]
         write_courses(courses, simulation, table)
         _walls(walls, simulation, last)
-        with whole(file) as part:
-            figure.savefig(part, format="png")
+
+    return height, draw
 
 
-def _title(simulation: LightingSimulation, last: LightingResult, table: pa.Table) -> str:
+def _title(simulation: Simulation, last: StepResult, table: pa.Table) -> str:
     dark = column(table, "dark_lx_max")
     dark = dark[np.isfinite(dark)]
     masked = f"  ·  {dark.max():.3g} lx at most on what must be dark" if len(dark) else ""
@@ -75,9 +134,9 @@ def _title(simulation: LightingSimulation, last: LightingResult, table: pa.Table
     return f"{scenario.name}  ·  {scenario.headlight.model}  ·  {table.num_rows} steps to {last.time_s:.2f} s{masked}{flicker}"
 
 
-def _cameras(figure: SubFigure, simulation: LightingSimulation, moments: Sequence[LightingResult]) -> None:
+def _cameras(figure: SubFigure, simulation: Simulation, moments: Sequence[StepResult]) -> None:
     """With a detector the first and the last picture, as large as each other; else the last one large."""
-    white = float(max(white_of(result.luminance, simulation.scenario.camera) for result in moments))
+    white = float(max(white_of(result, simulation) for result in moments))
     *before, end = moments
     figure.suptitle(fill(_told_of_boxes(simulation), TOLD), x=0.02, ha="left", fontsize=9)
     if before and end.look is not None:
@@ -90,7 +149,7 @@ def _cameras(figure: SubFigure, simulation: LightingSimulation, moments: Sequenc
     _camera(figure.add_subplot(rows[1, :]), simulation, end, white)
 
 
-def _told_of_boxes(simulation: LightingSimulation) -> str:
+def _told_of_boxes(simulation: Simulation) -> str:
     """What the camera's pictures show: colours are named where they occur."""
     kinds = {function.kind for function in simulation.scenario.functions.values()}
     zones = "; with its name: a zone" if "zone" in kinds else ""
@@ -104,7 +163,7 @@ def _told_of_boxes(simulation: LightingSimulation) -> str:
     return f"What the camera sees; green: tracked, and how sure{orange}; grey: found in this frame{zones}"
 
 
-def _camera(axes: Axes, simulation: LightingSimulation, result: LightingResult, white: float) -> None:
+def _camera(axes: Axes, simulation: Simulation, result: StepResult, white: float) -> None:
     image = (measured(result, simulation).cpu().numpy() / white).clip(0, 1) ** 0.5
     axes.imshow(image, cmap=NIGHT, vmin=0, vmax=1, interpolation="antialiased")
     for mark in readable(marks(result, simulation), image.shape[1] / CHARACTERS, image.shape[1]):
@@ -121,7 +180,7 @@ def _camera(axes: Axes, simulation: LightingSimulation, result: LightingResult, 
     axes.grid(False)
 
 
-def _observed(figure: SubFigure, observed: Sequence[tuple[LightingResult, ObservedSymbol]]) -> None:
+def _observed(figure: SubFigure, observed: Sequence[tuple[StepResult, ObservedSymbol]]) -> None:
     figure.suptitle("What observers see of their symbols: luminance, as a share of that of a white picture", x=0.02, ha="left", fontsize=9)
     for axes, (result, symbol) in zip(figure.subplots(1, len(observed), squeeze=False)[0], observed, strict=True):
         axes.imshow(symbol.share.nan_to_num().cpu().numpy(), cmap=NIGHT, vmin=0, vmax=1, interpolation="antialiased")
@@ -130,7 +189,7 @@ def _observed(figure: SubFigure, observed: Sequence[tuple[LightingResult, Observ
         axes.grid(False)
 
 
-def _from_above(axes: Axes, simulation: LightingSimulation, last: LightingResult) -> None:
+def _from_above(axes: Axes, simulation: Simulation, last: StepResult) -> None:
     if simulation.truth is None:
         _outlines(axes, last)
         axes.set(xlabel="ahead in m", ylabel="to the left in m", title="Objects from above, at the end; nobody knows where the light lies")
@@ -156,7 +215,7 @@ def _from_above(axes: Axes, simulation: LightingSimulation, last: LightingResult
     bar.ax.minorticks_off()
 
 
-def _outlines(axes: Axes, last: LightingResult) -> None:
+def _outlines(axes: Axes, last: StepResult) -> None:
     """Of the objects that the car knows."""
     for each in last.now.objects:
         if each.since_s <= last.time_s < each.until_s:
@@ -175,7 +234,7 @@ def lit_part(light: NDArray[np.floating]) -> tuple[tuple[float, float], tuple[fl
     return (x[columns[0]] - AROUND_M, x[columns[-1]] + AROUND_M), (y[rows[-1]] - AROUND_M, y[rows[0]] + AROUND_M)
 
 
-def _walls(figure: SubFigure, simulation: LightingSimulation, last: LightingResult) -> None:
+def _walls(figure: SubFigure, simulation: Simulation, last: StepResult) -> None:
     sides = tuple(dict.fromkeys(module.side for module in simulation.modules))
     side_deg, down_deg, up_deg = WALL_DEG
     for axes, side in zip(figure.subplots(len(sides), 1, squeeze=False, sharex=True)[:, 0], sides, strict=True):

@@ -7,8 +7,8 @@ import torch
 from controllers.symbol.sensing.observer import Observer
 from controllers.symbol.sensing.projector import DrawingModule, Projector, SymbolParams
 from loop.assembly.truth import true_camera
-from loop.scenario.model import WorldScenario
-from loop.symbol.judging import Judge
+from loop.lighting.judging import Judge
+from loop.scenario.model import Scenario
 from perception.camera import CameraParams, camera_view, saturation_luminance
 from perception.judge import THRESHOLD
 from world.errors import LuxloopError
@@ -16,33 +16,33 @@ from world.errors import LuxloopError
 LEAST_PX = 4  # of the target in either direction; quadrants need two pixels each
 
 
-def refuse_unseen(symbol: SymbolParams, scenario: WorldScenario, table: str = "") -> None:
-    """Raises LuxloopError where the camera does not see the target. table: before the symbol's keys, such as "symbol."."""
+def refuse_unseen(symbol: SymbolParams, scenario: Scenario) -> None:
+    """Raises LuxloopError where the camera does not see the target."""
     if not _in_the_image(symbol, scenario.camera):
-        raise LuxloopError(f"{_target(symbol, table)} is out of the camera's sight; move it, or turn the camera")
+        raise LuxloopError(f"{_target(symbol)} is out of the camera's sight; move it, or turn the camera")
     if not _in_the_image(symbol, true_camera(scenario)):
-        raise LuxloopError(
-            f"{_target(symbol, table)} is out of the sight of the camera as it truly is; make disturbances.calibration smaller"
-        )
+        raise LuxloopError(f"{_target(symbol)} is out of the sight of the camera as it truly is; make disturbances.calibration smaller")
 
 
-def refuse_undrawable(observer: Observer, judge: Judge | None, beam: str, table: str = "") -> None:
+def refuse_undrawable(observer: Observer, judge: Judge | None, beam: str) -> None:
     """Raises LuxloopError where lamps cannot draw the symbol at its target, or the camera cannot measure it.
 
-    beam: name of the base beam. table: as above.
+    beam: name of the base beam.
     """
     projector, camera, model = observer.projector, observer.camera, observer.model
-    where = _target(projector.params, table)
+    where = _target(projector.params)
+    if projector.params.quantity == "u_rel" and not any(bool(each.u.any()) for each in projector.resting):
+        raise LuxloopError('quantity: u_rel is a multiple of the base beam, but there is none; give lighting.base.beam = "low", say')
     if judge is not None and not judge.goal.mask.any():
         if beam != "off" and model.beams.any():
-            raise LuxloopError(f"{where} is nowhere brighter than the {beam} beam; raise {table}value, or name a dimmer beam")
+            raise LuxloopError(f"{where} is nowhere brighter than the {beam} beam; raise value, or name a dimmer beam")
         raise LuxloopError(
             f"{where} is out of the lamps' reach, or the symbol is too small for their pixels ({_pixels_there(projector)}); move it, "
             "draw it larger, or let another lamp draw it"
         )
     if not (model.gains.isfinite() & (model.gains != 0)).all():
         raise LuxloopError(
-            f"{where} cannot be told from noise on a flat road ({_pixels_there(projector)}); raise {table}value or "
+            f"{where} cannot be told from noise on a flat road ({_pixels_there(projector)}); raise value or "
             "headlight.intensity_cd, draw the symbol larger or with wider strokes, or take a lamp with finer pixels or a finer camera"
         )
     brightest = float(brightness(observer, judge) + model.beams.median())
@@ -63,8 +63,8 @@ def brightness(observer: Observer, judge: Judge | None) -> torch.Tensor:
     return flat[flat > THRESHOLD * flat.max()].median()
 
 
-def _target(symbol: SymbolParams, table: str) -> str:
-    return f"the target at {table}x_m = {symbol.x_m:g}, {table}y_m = {symbol.y_m:g}"
+def _target(symbol: SymbolParams) -> str:
+    return f"the target at x_m = {symbol.x_m:g}, y_m = {symbol.y_m:g}"
 
 
 def _pixels_there(projector: Projector) -> str:

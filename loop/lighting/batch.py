@@ -1,24 +1,27 @@
 """Rollouts of many gain sets at once: one world and one camera crop for all, and differentiable from gains to errors."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from controllers.pixels.ssc import Utilisation
 from controllers.symbol.laws.lifting import Lifting
 from controllers.symbol.laws.thesis_pid import ThesisPid, ThesisPidParams
 from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.observer import Seen
 from controllers.symbol.sensing.protocol import Look, Shown
+from loop.lighting.simulation import Simulation
 from loop.scenario.plant import SimulatedPlantParams
-from loop.symbol.simulation import Lights, Simulation
 from perception.camera import expose, frame_generator
 from perception.extraction import Crop, Loss, symbol_image
 from world.errors import LuxloopError, did_you_mean
 from world.light.illumination import Transport, added_light
+
+Lights = tuple[Utilisation, ...]
 
 # Keys of thesis_pid that are tensors in its law: the gains' field, which of the loops x, y, roll, pitch, and the key's unit in theirs.
 GAINS: dict[str, tuple[str, tuple[int, ...], float]] = {
@@ -47,14 +50,18 @@ class Rollout:
 
 def check(simulation: Simulation, keys: Any) -> None:
     """Raises LuxloopError where a scenario cannot be rolled out in batches, or has no such gains."""
-    scenario = simulation.scenario
-    if not isinstance(scenario.controller, ThesisPidParams):
-        raise LuxloopError(f"{scenario.name}: batched rollouts are for controller.name = thesis_pid, not {scenario.controller.name}")
+    scenario, controller = simulation.scenario, simulation.symbol.params
+    if not isinstance(controller, ThesisPidParams):
+        raise LuxloopError(f"{scenario.name}: batched rollouts are for controller.name = thesis_pid, not {controller.name}")
     for key in keys:
-        if key not in GAINS:
-            raise LuxloopError(f"{key}: has no gradient; {did_you_mean(key, GAINS)}")
-    if scenario.controller.warp or scenario.controller.supervisor:
+        if _gain(key) not in GAINS:
+            before = key.removesuffix(_gain(key))
+            raise LuxloopError(f"{key}: has no gradient; {did_you_mean(key, [before + gain for gain in GAINS])}")
+    if controller.warp or controller.supervisor:
         raise LuxloopError(f"{scenario.name}: batched rollouts have no stages; leave out controller.warp and controller.supervisor")
+    if scenario.metered:
+        others = "other functions, the detector and objects' categories"
+        raise LuxloopError(f"{scenario.name}: batched rollouts are of a symbol alone; take {others} out, or tune without --gradient")
     changing = ("oncoming", "ambient", "noise", "drops")
     if found := [name for name in changing if getattr(scenario.disturbances, name)]:
         raise LuxloopError(
@@ -64,7 +71,7 @@ def check(simulation: Simulation, keys: Any) -> None:
         raise LuxloopError(
             f"{scenario.name}: batched rollouts are of the simulated plant, not of {scenario.plant.kind}; tune without --gradient"
         )
-    world, camera = simulation.truth.world, scenario.camera
+    world, camera = simulation.world, scenario.camera
     still = [scenario.vehicle is None, not world.moving, camera.drop_probability == 0, camera.latency_spread_steps == 0]
     if not (all(still) and all(isinstance(each, Transport) for each in world.lit(0.0).transports)):
         raise LuxloopError(
@@ -73,8 +80,13 @@ def check(simulation: Simulation, keys: Any) -> None:
         )
 
 
+def _gain(key: str) -> str:
+    """A key of the controller without the name of its function."""
+    return key[max(key.find("controller."), 0) :]
+
+
 def rollouts(simulation: Simulation, values: dict[str, Tensor], *, quantise: bool = True) -> Rollout:
-    """Run a standing scenario with thesis_pid for B sets of gains. values: `[B]` by the keys of GAINS, in their units.
+    """Run a standing scenario with thesis_pid for B sets of gains. values: `[B]` by keys of GAINS, in their units.
 
     The noise of all is that of a single run. quantise: false leaves digital numbers unrounded, for gradients; take edges = "soft" with it.
     """
@@ -84,16 +96,16 @@ def rollouts(simulation: Simulation, values: dict[str, Tensor], *, quantise: boo
 
 def loops(simulation: Simulation, values: dict[str, Tensor], look: Callable[[Tensor, int], Seen]) -> Rollout:
     """The same around anything that looks at poses `[B, 4]` that are shown at a step."""
-    assert isinstance(simulation.controller, Lifting)  # of which a batch needs nothing: nothing is searched for
-    controller = with_values(simulation.controller.inner, values)
+    assert isinstance(simulation.symbol.controller, Lifting)  # of which a batch needs nothing: nothing is searched for
+    controller = with_values(simulation.symbol.controller.inner, values)
     (batch,) = {len(value) for value in values.values()}
-    start = simulation.start().controller.inner.pid.output
+    start = simulation.symbol.start().controller.inner.pid.output
     state = controller.start(start.expand(batch, -1).to(next(iter(values.values()))))
     late, looks, rows = simulation.scenario.camera.latency_steps, [], []
     for step in range(simulation.scenario.steps):
         pose = controller.drawing(state, None).pose
         looks.append(look(pose, step))
-        seen = looks[step - late] if step >= late else simulation.observer.lost(pose, Loss.NO_FRAME)
+        seen = looks[step - late] if step >= late else simulation.symbol.observer.lost(pose, Loss.NO_FRAME)
         state = controller.step(state, Look(seen, None, Shown(Drawing(pose), ())))
         usable = (seen.code == Loss.SEEN) & seen.pose_error.isfinite().all(-1)
         rows.append((pose, torch.where(usable[:, None], seen.pose_error, 0.0), usable))
@@ -104,7 +116,7 @@ def with_values(controller: Any, values: dict[str, Tensor]) -> ThesisPid:
     """thesis_pid with gains `[B, 4]`."""
     gains = controller.gains
     for key, value in values.items():
-        name, loops, unit = GAINS[key]
+        name, loops, unit = GAINS[_gain(key)]
         columns = list(getattr(gains, name).to(value).expand(len(value), 4).unbind(-1))
         for loop in loops:
             columns[loop] = unit * value
@@ -115,22 +127,37 @@ def with_values(controller: Any, values: dict[str, Tensor]) -> ThesisPid:
 
 def look(simulation: Simulation, poses: Tensor, step: int, *, quantise: bool = True) -> Seen:
     """What the camera sees of poses `[B, 4]` at a step, exposed only where their light can be."""
-    observer, view, camera = simulation.observer, simulation.truth.world.lit(0.0), simulation.scenario.camera
-    crop = simulation.projector.footprint(Drawing(poses), observer.model.eye.view, observer.params.footprint_margin_m)
+    symbol, view, camera = simulation.symbol, simulation.world.lit(0.0), simulation.scenario.camera
+    observer, crop = symbol.observer, symbol.footprint(Drawing(poses))
     if crop.v_stop - crop.v_start < 2 or crop.u_stop - crop.u_start < 2:
         return observer.lost(poses, Loss.NOTHING)
     # One by one: the few rays and pixels that each pose touches are quicker than all of a batch.
-    lights = [simulation.projector.light(pose) for pose in poses]
+    lights, resting = [symbol.projector.light(pose) for pose in poses], _resting(simulation, step)
+    shown = [_among(resting, symbol.drawn_by, light) for light in lights]
     on, off = (
         expose(light, camera, noise[crop.slices].to(light), quantise=quantise)
         for light, noise in (
-            (_luminance(view.transports, lights, view.base, crop), _noise(simulation, step, 0)),
-            (view.off[crop.slices], _noise(simulation, step, 1)),
+            (_luminance(view.transports, shown, view.base, crop), _noise(simulation, step, 0)),
+            (_luminance(view.transports, [resting], view.base, crop)[0], _noise(simulation, step, 1)),
         )
     )
     model = observer.model
     flat = _luminance(model.transports, lights, -model.beams, crop)
     return observer.compare(on, off, symbol_image(flat, model.limit[crop.slices], model.params), crop)
+
+
+def _resting(simulation: Simulation, step: int) -> Lights:
+    """The base beams of all modules at a step."""
+    planner = simulation.planner
+    plan = planner.composed(simulation.situation(step / simulation.scenario.rate_hz), planner.start(), {})
+    beams = [module.base(plan) for module in simulation.modules]
+    return tuple(Utilisation(beam, None if bool(beam.any()) else slice(0, 0)) for beam in beams)
+
+
+def _among(resting: Lights, numbers: Sequence[int], light: Lights) -> Lights:
+    """Lights of all modules, of which those with these numbers show a light in place of their base beams."""
+    drawn = dict(zip(numbers, light, strict=True))
+    return tuple(drawn.get(k, each) for k, each in enumerate(resting))
 
 
 def _noise(simulation: Simulation, step: int, frame: int) -> Tensor:

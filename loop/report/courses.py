@@ -10,9 +10,10 @@ from matplotlib.figure import SubFigure
 from matplotlib.ticker import LogFormatter
 
 from loop.lighting.compared import compared
-from loop.lighting.simulation import LightingSimulation
-from loop.lighting.summary import START_UP_S, UNITS, eyes_lx, held_in, lost_steps, materials_of, spoken, steps_of_nothing, zones_of
-from loop.recording.report import FOUR, headed
+from loop.lighting.simulation import Simulation
+from loop.lighting.summary import START_UP_S, UNITS, eyes_lx, lost_steps, materials_of, spoken, steps_of_nothing, zones_of
+from loop.recording.columns import held_in
+from loop.recording.style import FOUR, headed
 from loop.recording.summary import column
 
 COLOURS = (*FOUR, "#56b4e9", "#d55e00", "#000000", "#999999")
@@ -21,7 +22,7 @@ FAINTEST_LX = 0.01  # where the scale of illuminance on objects begins
 FEW_STEPS = 30  # which are marked one by one
 
 
-def write_courses(figure: SubFigure, simulation: LightingSimulation, table: pa.Table) -> None:
+def write_courses(figure: SubFigure, simulation: Simulation, table: pa.Table) -> None:
     """One chart below the other, of what there is in a recording's table."""
     charts: dict[Callable[[Axes], None], float] = {lambda axes: _flux(axes, simulation, table): 1.0}  # and how high they are
     if "power_w" in table.column_names:
@@ -47,7 +48,7 @@ def _mark(table: pa.Table) -> str:
     return "." if table.num_rows < FEW_STEPS else ""
 
 
-def _flux(axes: Axes, simulation: LightingSimulation, table: pa.Table) -> None:
+def _flux(axes: Axes, simulation: Simulation, table: pa.Table) -> None:
     for side, colour in zip(dict.fromkeys(module.side for module in simulation.modules), FOUR, strict=False):
         factor = column(table, f"lamp.{side}.power_factor").min()
         label = f"{side}, dimmed to {100 * factor:.0f} % in the worst step" if factor < 1 else side
@@ -56,7 +57,7 @@ def _flux(axes: Axes, simulation: LightingSimulation, table: pa.Table) -> None:
     headed(axes, "Luminous flux of the lamps")
 
 
-def _power(axes: Axes, simulation: LightingSimulation, table: pa.Table) -> None:
+def _power(axes: Axes, simulation: Simulation, table: pa.Table) -> None:
     time_s = column(table, "time_s")
     axes.plot(time_s, column(table, "power_w"), marker=_mark(table), color="black", label="this run")
     for (name, watts), line in zip(compared(simulation, table).items(), GREYS, strict=False):

@@ -1,0 +1,70 @@
+"""What is recorded of a symbol that a controller holds: its columns, and its part of a recording."""
+
+import pyarrow as pa
+
+from controllers.symbol.sensing.field import SIDES
+from perception.extraction import Loss
+
+CUT = tuple(f"cut_{side}" for side in SIDES)
+AIM = ("aim_x_m", "aim_y_m")
+POSE = ("x_m", "y_m", "roll_deg", "pitch_deg")
+ERRORS = ("e_x", "e_y", "e_roll", "e_pitch")
+CENTROIDS = tuple(f"{point}_{axis}" for point in ("c", "tl", "tr", "bl", "br") for axis in "uv")
+
+# of each symbol that a controller holds, name: (unit, description); the shown light is seen camera.latency_steps later
+SYMBOL: dict[str, tuple[str, str]] = {
+    "x_m": ("m", "shown pose of the primitive: centre ahead of the lamps"),
+    "y_m": ("m", "shown pose: centre to the left"),
+    "z_m": ("m", "shown height of the primitive's centre above the assumed road"),
+    "roll_deg": ("deg", "shown pose: rotation about the forward axis"),
+    "pitch_deg": ("deg", "shown pose: rotation about the left axis, nose down positive"),
+    "cut_left": ("1", "share of the shown symbol that is cut: it lies beyond the left border of the lamps' field"),
+    "cut_right": ("1", "share cut at the right border"),
+    "cut_top": ("1", "share cut at the upper border"),
+    "cut_bottom": ("1", "share cut at the lower border"),
+    "aim_x_m": ("m", "place on the road where the symbol is aimed, since its target cannot be lit as asked; null for the target"),
+    "aim_y_m": ("m", "the same to the left"),
+    "e_x": ("axes", "error of the centre along u, seen minus target"),
+    "e_y": ("axes", "error of the centre along v"),
+    "e_roll": ("feature", "error of the roll feature"),
+    "e_pitch": ("feature", "error of the pitch feature"),
+    "pose_error_x_m": ("m", "e_y divided by its plant gain"),
+    "pose_error_y_m": ("m", "e_x divided by its plant gain"),
+    "pose_error_roll_deg": ("deg", "e_roll divided by its plant gain"),
+    "pose_error_pitch_deg": ("deg", "e_pitch divided by its plant gain"),
+    "c_u": ("axes", "centroid of the extracted symbol, u to the right"),
+    "c_v": ("axes", "centroid of the extracted symbol, v down or towards the car"),
+    "tl_u": ("axes", "centroid of the top left quadrant, u"),
+    "tl_v": ("axes", "centroid of the top left quadrant, v"),
+    "tr_u": ("axes", "centroid of the top right quadrant, u"),
+    "tr_v": ("axes", "centroid of the top right quadrant, v"),
+    "bl_u": ("axes", "centroid of the bottom left quadrant, u"),
+    "bl_v": ("axes", "centroid of the bottom left quadrant, v"),
+    "br_u": ("axes", "centroid of the bottom right quadrant, u"),
+    "br_v": ("axes", "centroid of the bottom right quadrant, v"),
+    "area_ratio": ("1", "area of the extracted symbol, as a multiple of what the flat road, or one of the acquired shape, would show"),
+    "loss": ("", "why the symbol was lost: no_frame, nothing, too_small or too_large; empty where it was seen"),
+    "centroid_error_x_percent": ("%", "judge: error of the centroid along x, of the symbol's length"),
+    "centroid_error_y_percent": ("%", "judge: error of the centroid along y, of the symbol's width"),
+    "iou": ("1", "judge: intersection over union with the target"),
+    "ssim": ("1", "judge: structural similarity to the target"),
+    "length": ("1", "judge: second-moment length as a multiple of the target's"),
+    "shear": ("1", "judge: shear mu11 / mu20 on the road plane"),
+}
+
+
+def held_in(table: pa.Table) -> list[str]:
+    """Names of the symbols of a recording that controllers hold."""
+    return [each.removeprefix("functions.").removesuffix(".iou") for each in table.column_names if each.endswith(".iou")]
+
+
+def of_one(table: pa.Table, name: str) -> pa.Table:
+    """Step, time and the columns of one symbol, by the names of SYMBOL, of the steps in which it is shown."""
+    names = {"step": "step", "time_s": "time_s", **{key: f"functions.{name}.{key}" for key in SYMBOL}}
+    found = pa.table({key: table[column] for key, column in names.items()})
+    return found.filter(found["x_m"].is_valid())
+
+
+def loss_name(code: int) -> str:
+    """A loss code as recordings write it: "" where the symbol was seen, else the reason in lower case."""
+    return "" if code == Loss.SEEN else Loss(code).name.lower()

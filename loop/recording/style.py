@@ -1,0 +1,47 @@
+"""How charts and pictures of light look: type, colours, and legends that hide nothing."""
+
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap
+
+STYLE: Any = {
+    "font.size": 9,
+    "axes.titlesize": 9.5,
+    "axes.titlelocation": "left",
+    "axes.titleweight": "bold",
+    "axes.spines.top": False,
+    "axes.grid": True,
+    "grid.alpha": 0.25,
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.4,
+    "legend.framealpha": 0.75,
+    "legend.edgecolor": "none",
+    "legend.fontsize": 8,
+}
+FOUR = ("#0072b2", "#e69f00", "#009e73", "#cc79a7")  # Okabe and Ito: told apart by all eyes
+NIGHT = LinearSegmentedColormap.from_list("night", ["#05070c", "#3a3f4a", "#a9a598", "#fffbe8"])
+CHARACTER_IN, LINE_IN, AROUND_IN = 0.055, 0.4, 0.7  # of a legend's text, its line with what is around it, and around a chart
+
+
+def headed(axes: Axes, title: str, *more: Axes) -> None:
+    """A title, and below it the legend, outside of the chart, where it hides nothing. more: axes in the same place with own labels."""
+    found = [each for one in (axes, *more) for each in one.get_legend_handles_labels()[0]]
+    if not found:
+        axes.set_title(title)
+        return
+    longest = max(len(str(each.get_label())) for each in found) * CHARACTER_IN + LINE_IN
+    width = axes.figure.bbox.width / axes.figure.dpi - AROUND_IN
+    axes.legend(
+        handles=found,
+        title=title,
+        title_fontproperties={"weight": "bold", "size": STYLE["axes.titlesize"]},
+        ncols=max(1, min(len(found), int(width / longest))),
+        loc="lower left",
+        bbox_to_anchor=(0, 1),
+        alignment="left",
+        borderaxespad=0.2,
+        borderpad=0.2,
+        handlelength=1.6,
+        columnspacing=1.2,
+    )

@@ -1,0 +1,1 @@
+"""Pages and pictures of runs: `page` puts together what there is to show."""

@@ -1,0 +1,158 @@
+"""A step of lighting functions as a picture: what the camera sees, the boxes that the tracker reports, and the beam on a wall."""
+
+import math
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+from controllers.symbol.sensing.observer import Seen
+from loop.lighting.controlled import Held
+from loop.lighting.judging import Judge
+from loop.lighting.lamps import ShiningModule
+from loop.lighting.result import StepResult
+from loop.lighting.simulation import Simulation
+from loop.recording.columns import loss_name
+from loop.recording.video import Picture, tone_map
+from loop.report.marks import marks, readable
+from loop.scenario.plant import shadow_of
+from perception.birdseye import rectify
+from perception.camera import expose, luminance_of
+from world.frames import pose_from_degrees
+from world.light.emitters import Source, wall_illuminance
+
+TRACKED_RGB, MASKED_RGB, FOUND_RGB, TEXT_RGB = (90, 220, 120), (255, 170, 40), (110, 130, 160), (235, 235, 235)
+TARGET_RGB, SEEN_RGB, LOST_RGB = (80, 170, 255), (255, 170, 40), (255, 90, 80)
+WHITE = 2.0  # luminance that is shown as white at least, as a multiple of the median of symbols that are held
+CLOSE = 1.4  # half the extent of the road seen from above, in symbol lengths and widths
+ABOVE = 0.44  # height of that inset, of the picture's
+CHARACTER = 0.47  # how wide a character is, of a line's height
+WALL_DEG = (24.0, 8.0, 6.0)  # to each side, down and up, of the wall that the lamps light
+WALL_SHARE = 0.3  # its width, of the picture's
+WALL_M = 25.0
+BRIGHT = 0.995  # quantile of the first picture's luminance that is shown as white
+
+
+def white_of(result: StepResult, simulation: Simulation) -> Tensor:
+    """Luminance in cd/m^2 that a run's pictures show as white, from its first step: no more than the camera can measure."""
+    camera = simulation.scenario.camera
+    most = luminance_of(expose(torch.tensor(math.inf), camera), camera)
+    symbols = [WHITE * float(each.brightness) for each in simulation.controlled.values()]
+    if result.luminance is None:
+        return torch.tensor(max(symbols)).to(most).clamp(max=most) if symbols else most
+    bright = torch.from_numpy(np.quantile(result.luminance.cpu().numpy(), BRIGHT, keepdims=True)).squeeze().clamp(min=1e-6) * 1.5
+    return bright.clamp(min=max(symbols, default=0.0)).clamp(max=most)
+
+
+def measured(result: StepResult, simulation: Simulation) -> Tensor:
+    """Luminance `[height, width]` in cd/m^2 that the camera measures, with the noise of its frame; dark where no frame came."""
+    camera = simulation.scenario.camera
+    return torch.zeros(camera.height_px, camera.width_px) if result.frame is None else luminance_of(result.frame, camera)
+
+
+def frame_picture(result: StepResult, simulation: Simulation, white: Tensor) -> Picture:
+    """A step as a picture `[H, W, 3]` in the camera's size: boxes in green, orange where a mask keeps them dark, grey of detections; of
+    symbols that are held what was extracted in orange, and in blue where they shall lie. The first of them lies on the upper left, as from
+    above and without noise; the beam is on the upper right."""
+    picture = tone_map(measured(result, simulation), white)
+    height, width = picture.shape[:2]
+    line, margin = max(height / 28, 9.0), max(height // 60, 1)
+    for mark in readable(marks(result, simulation), CHARACTER * line, width):
+        colour = TARGET_RGB if mark.target else FOUND_RGB if mark.faint else MASKED_RGB if mark.masked else TRACKED_RGB
+        for a, b in mark.lines:
+            cv2.line(picture, a, b, colour, 1, cv2.LINE_AA)
+        at = (mark.at[0], mark.at[1] - 3)
+        cv2.putText(picture, mark.text, at, cv2.FONT_HERSHEY_SIMPLEX, line / 38, colour, 1, cv2.LINE_AA)
+    for held in result.held.values():
+        _outline(picture, held.seen)
+    for name in list(result.held)[:1]:
+        if (judge := simulation.controlled[name].judge) is not None:
+            _paste(picture, _from_above(result, simulation, judge, white, round(ABOVE * height)), margin, left=True)
+    wall = wall_light(simulation.modules, result.lights, round(WALL_SHARE * width))
+    _paste(picture, tone_map(wall, wall.max().clamp(min=1e-6)), margin, left=False)
+    told = captions(result, simulation)
+    for number, (text, colour) in enumerate(told):
+        at = (margin, round(height - margin - line * (len(told) - 1 - number)))
+        for wide, shade in ((3, (0, 0, 0)), (1, colour)):  # outlined, as it may lie on lit road
+            cv2.putText(picture, text, at, cv2.FONT_HERSHEY_SIMPLEX, line / 38, shade, wide, cv2.LINE_AA)
+    return picture
+
+
+def _outline(picture: Picture, seen: Seen) -> None:
+    """Of an extracted symbol."""
+    mask = (seen.symbol > 0.5).to(torch.uint8).cpu().numpy()
+    if mask.size:
+        offset = (seen.crop.u_start, seen.crop.v_start)
+        contours, _ = cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE, offset=offset)
+        cv2.drawContours(picture, contours, -1, SEEN_RGB, 1)
+
+
+def _from_above(result: StepResult, simulation: Simulation, judge: Judge, white: Tensor, height: int) -> Picture:
+    """The road about a symbol's target, far end on top, with the target outlined; height: px."""
+    symbol, axes = judge.symbol, judge.plane.axes
+    on, off = (showing.exposure.lights for showing in (result.showings[0], result.showings[-1]))
+    light = simulation.world.added(result.time_s, on, off)
+    rows = (axes.v + symbol.x_m).abs() <= CLOSE * symbol.length_m
+    cols = (axes.u + symbol.y_m).abs() <= CLOSE * symbol.width_m
+    plane = rectify(judge.plane_at(result.time_s), light)[rows.to(light.device)][:, cols.to(light.device)]
+    flat = tone_map(plane, white)
+    picture = cv2.resize(flat, (round(flat.shape[1] * height / flat.shape[0]), height), interpolation=cv2.INTER_AREA)
+    px_per_m = height / (float(axes.v[1] - axes.v[0]) * int(rows.sum()))
+    centre = (-symbol.y_m - float(axes.u[cols][0]), -symbol.x_m - float(axes.v[rows][0]))
+    half = (symbol.width_m / 2, symbol.length_m / 2)
+    low, high = ([round(px_per_m * (c + sign * h)) for c, h in zip(centre, half, strict=True)] for sign in (-1, 1))
+    cv2.rectangle(picture, low, high, TARGET_RGB, 1)
+    return picture
+
+
+def _paste(picture: Picture, inset: Picture, margin: int, left: bool) -> None:
+    """Lay a framed inset into the upper left or right corner; what is too large is cut."""
+    inset = inset[: picture.shape[0] - 2 * margin, : picture.shape[1] - 2 * margin]
+    height, width = inset.shape[:2]
+    u = margin if left else picture.shape[1] - margin - width
+    picture[margin : margin + height, u : u + width] = inset
+    cv2.rectangle(picture, (u - 1, margin - 1), (u + width, margin + height), TEXT_RGB, 1)
+
+
+def captions(result: StepResult, simulation: Simulation) -> list[tuple[str, tuple[int, int, int]]]:
+    """What to know of a step, line by line, each with its colour."""
+    base = result.plan.base
+    lamps = ", ".join(f"{side} {power.flux_lm:.0f} lm" for side, power in result.powers.items())
+    lines = [simulation.scenario.name, f"step {result.step}, {result.time_s:.2f} s", simulation.base(base.name), lamps]
+    if shadow_of(simulation.scenario.plant) is not None:
+        lines[2] = f"asked for in shadow: {lines[2]}"
+    if base.bend or base.level or base.roll:
+        lines[2] += f", bend {math.degrees(base.bend):+.1f}, level {math.degrees(base.level):+.1f} deg"
+    if base.share < 1:
+        lines[2] += f" at {100 * base.share:.0f} %"
+    if result.look is not None:
+        lines[3] += f", {sum(power.watts for power in result.powers.values()):.0f} W"
+    if result.dark_lx_max is not None:
+        lines.append(f"on what must be dark: {result.dark_lx_max:.3g} lx")
+    return [(line, TEXT_RGB) for line in lines] + [_of_symbol(name, simulation, held) for name, held in result.held.items()]
+
+
+def _of_symbol(name: str, simulation: Simulation, held: Held) -> tuple[str, tuple[int, int, int]]:
+    loss, lies = loss_name(int(held.seen.code)), "not judged"
+    if held.verdict is not None:
+        x, y = held.verdict.centroid_percent.tolist()
+        lies = f"centroid error {x:+.1f} %, {y:+.1f} %; IoU {float(held.verdict.iou):.2f}"
+    seen = f"lost: {loss.replace('_', ' ')}" if loss else "seen"
+    return f"{name}, {simulation.controlled[name].params.name}: {seen}; {lies}", LOST_RGB if loss else SEEN_RGB
+
+
+def wall_light(modules: Sequence[ShiningModule], lights: Sequence[Tensor], columns: int) -> Tensor:
+    """Illuminance `[rows, columns]` in lx of a wall 25 m before the middle of the lamps, all modules together."""
+    side, down, up = WALL_DEG
+    h, v = torch.linspace(-side, side, columns), torch.linspace(up, -down, round(columns * (up + down) / (2 * side)))
+    lit = [
+        Source(module.headlight, module.headlight.light_texture(u), module.T_world_module.double().cpu())
+        for module, u in zip(modules, lights, strict=True)
+        if bool(u.any())
+    ]
+    height = float(modules[0].T_world_module[2, 3])
+    middle = pose_from_degrees((0.0, 0.0, height))
+    h_deg, v_deg = torch.meshgrid(h, v, indexing="xy")
+    return wall_illuminance(lit, middle, h_deg, v_deg, WALL_M)
