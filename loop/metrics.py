@@ -6,10 +6,12 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from controllers.functions.symbol import SymbolFunctionParams
 from loop.assembly.build import build_symbol_controller
 from loop.lighting.batch import Rollout
+from loop.lighting.controlled import Held
 from loop.lighting.record import row, schema, summary_of
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
@@ -51,31 +53,25 @@ def traced(scenario: Scenario, device: str = "auto") -> tuple[dict[str, float | 
 
     Raises as `figures`.
     """
-    simulation = _simulation(scenario, device)
-    found, results = _figures(simulation)
-    if len(simulation.controlled) != 1:
-        return found, None
-    name, target = only(simulation.controlled), simulation.symbol.projector.target
-    trace = []
-    for result in results:
-        if name not in result.held:  # it is not shown
-            trace.append((target, torch.zeros_like(target), torch.zeros_like(target[0], dtype=torch.bool)))
-            continue
-        held = result.held[name]
-        usable = (held.seen.code == Loss.SEEN) & held.seen.pose_error.isfinite().all()
-        trace.append((held.pose, torch.where(usable, held.seen.pose_error, 0.0), usable))
-    return found, Rollout(*(torch.stack(column)[None] for column in zip(*trace, strict=True)))
+    return _figures(_simulation(scenario, device))
 
 
-def _figures(simulation: Simulation) -> tuple[dict[str, float | str | None], list[StepResult]]:
-    results = list(simulation.run())
-    table = table_of([row(result) for result in results], schema(simulation))
-    told = summary_of(simulation, table, {name: result for result in results for name in result.held})
-    pixels = sum(u.numel() for u in results[0].lights)
+def _figures(simulation: Simulation) -> tuple[dict[str, float | str | None], Rollout | None]:
+    rows, utilisations, trace = [], list[float](), []
+    last = dict[str, StepResult]()
+    name = only(simulation.controlled) if len(simulation.controlled) == 1 else None
+    for result in simulation.run():  # which is not kept: a step is megabytes
+        rows.append(row(result))
+        utilisations.append(sum(float(u.sum()) for u in result.lights) / sum(u.numel() for u in result.lights))
+        last |= dict.fromkeys(result.held, result)
+        if name is not None:
+            trace.append(_traced(result.held.get(name), simulation.symbol.projector.target))
+    table = table_of(rows, schema(simulation))
+    told = summary_of(simulation, table, last)
     values = {
         **told,
         "flux_lm_mean": sum(each["flux_lm_mean"] for each in told["lamps"].values()),
-        "utilisation_mean": float(np.mean([sum(float(u.sum()) for u in result.lights) / pixels for result in results])),
+        "utilisation_mean": float(np.mean(utilisations)),
     }
     sure = [each["confidence_final"] for each in told["objects"].values() if each.get("confidence_final") is not None]
     values |= {"confidence_final_mean": float(np.mean(sure)), "confidence_final_min": min(sure)} if sure else {}
@@ -87,7 +83,15 @@ def _figures(simulation: Simulation) -> tuple[dict[str, float | str | None], lis
     for figure, worst in SHOWN.items() if told["functions"] else ():
         of_all = [symbol[figure] for symbol in told["functions"].values()]
         values[figure] = None if None in of_all else worst(of_all)
-    return _flat(values), results
+    return _flat(values), Rollout(*(torch.stack(part)[None] for part in zip(*trace, strict=True))) if trace else None
+
+
+def _traced(held: Held | None, target: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Pose, error of the pose, and whether it was seen; the target, unseen, while it is not shown."""
+    if held is None:
+        return target, torch.zeros_like(target), torch.zeros_like(target[0], dtype=torch.bool)
+    usable = (held.seen.code == Loss.SEEN) & held.seen.pose_error.isfinite().all()
+    return held.pose, torch.where(usable, held.seen.pose_error, 0.0), usable
 
 
 def _simulation(scenario: Scenario, device: str) -> Simulation:
