@@ -61,7 +61,7 @@ def rendered(world: World, exposures: tuple[float, float]) -> float:
     """ms to render a step's on and off view."""
     clock = Clock()
     on_s, off_s = exposures
-    _ = world.lit(on_s).transports, world.lit(off_s).off
+    _ = world.lit(on_s).transports, world.lit(off_s)
     return clock.lap()
 
 

@@ -66,7 +66,7 @@ def luxloop_step(simulation: Simulation, state: SimulationState, lap: Lap) -> tu
     lit_on = added_light(lit.transports, lights, lit.base)
     lap("luminance")
     noise = (frame_generator(scenario.seed, state.step, frame) for frame in (0, 1))
-    frames = (expose(lit_on, scenario.camera, next(noise)), expose(lit.off, scenario.camera, next(noise)))
+    frames = (expose(lit_on, scenario.camera, next(noise)), expose(lit.base, scenario.camera, next(noise)))
     lap("camera")
     seen = symbol.observer.look(frames, drawing, lights)
     lap("perceive")

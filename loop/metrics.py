@@ -26,7 +26,7 @@ from loop.scenario.plant import SimulatedPlantParams
 from perception.extraction import Loss
 
 KEPT = 4  # simulations made ready, half a gigabyte each
-SHOWN = {  # figures of symbols that are held, and which of several is the worst
+WORST = {  # figures of symbols that are held, and which of several is the worst
     "settle_step": max,
     "overshoot_percent": max,
     "residual_percent": max,
@@ -39,7 +39,7 @@ SHOWN = {  # figures of symbols that are held, and which of several is the worst
 def figures(scenario: Scenario, device: str = "auto") -> dict[str, float | str | None]:
     """Run a scenario and give its summary, flat: `lamps.left.flux_lm_mean`, say; None where a value does not exist.
 
-    flux_lm_mean is that of all lamps, utilisation_mean that of all pixels over all steps. Where symbols are held, the figures in `SHOWN`
+    flux_lm_mean is that of all lamps, utilisation_mean that of all pixels over all steps. Where symbols are held, the figures in `WORST`
     are also there without a name, those of the symbol that comes off worst; iou_mean is then that of all judged steps, and residual_percent
     is how far off the centroid ends, of the symbol's size. With a detector there are confidence_final_mean and _min, over the objects in
     sight at the end. Times are left out, so that the same scenario gives the same figures.
@@ -80,7 +80,7 @@ def _figures(simulation: Simulation) -> tuple[dict[str, float | str | None], Rol
         symbol["residual_percent"] = None if x is None or y is None else float(np.hypot(x, y))
         ious = column(judged(of_one(table, name)), "iou")
         symbol["iou_mean"] = float(ious.mean()) if len(ious) else None
-    for figure, worst in SHOWN.items() if told["functions"] else ():
+    for figure, worst in WORST.items() if told["functions"] else ():
         of_all = [symbol[figure] for symbol in told["functions"].values()]
         values[figure] = None if None in of_all else worst(of_all)
     return _flat(values), Rollout(*(torch.stack(part)[None] for part in zip(*trace, strict=True))) if trace else None

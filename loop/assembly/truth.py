@@ -8,7 +8,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from controllers.pixels.ssc import Utilisation
 from loop.scenario.disturbances import AimParams, DisturbanceParams, WearParams
 from loop.scenario.model import Scenario
 from perception.camera import CameraParams
@@ -19,11 +18,10 @@ from world.headlight import Headlight
 
 @dataclass(frozen=True)
 class LampModule:
-    """A module as it shines. beam: its base beam. T_world_headlight: `[4, 4]`, where the vehicle stands at its start."""
+    """A module as it shines. T_world_headlight: `[4, 4]`, where the vehicle stands at its start."""
 
     name: str
     headlight: Headlight
-    beam: Utilisation
     T_world_headlight: Tensor
 
 

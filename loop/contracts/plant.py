@@ -9,7 +9,7 @@ from typing import Any
 from torch import Tensor
 
 from loop.contracts.values import Parts, check_calls, check_state, check_tensor, copied, difference, name_of, pure
-from loop.lighting.lamps import dark_modules
+from loop.lighting.lamps import lamp_modules
 from loop.lighting.simulation import Simulation
 from loop.plant.build import KEY, METHODS
 from loop.plant.protocol import Arrivals, Exposure, Frame
@@ -49,7 +49,7 @@ def check_plant(plant: type, options: Mapping[str, Any] | None = None, device: s
     name = name_of(plant)
     check_methods(plant, f"{KEY}: {name}", METHODS)
     simulation = _world(device)
-    own = made(plant, name, KEY, {"scenario": simulation.scenario, "modules": dark_modules(simulation.modules)}, options or {})
+    own = made(plant, name, KEY, {"scenario": simulation.scenario, "modules": lamp_modules(simulation.modules)}, options or {})
     check_calls(own, CALLS)
     _check_truth(own)
     shown: list[Shown] = []

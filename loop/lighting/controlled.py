@@ -100,9 +100,11 @@ class Moment:
         moment = self if off is None else replace(self, off=off.lights, alone=False)
         if on is None:
             return moment
-        drawings = on.drawings or self.drawings
-        measured = self.measured if off is None else tuple(name for name in drawings if name not in off.drawings)
-        return replace(moment, on=on.lights, drawings=drawings, measured=measured, alone=False)
+        moment = replace(moment, on=on.lights, alone=False)
+        if off is None or not on.drawings:
+            return moment
+        measured = tuple(name for name in on.drawings if name not in off.drawings)
+        return replace(moment, drawings=on.drawings, measured=measured)
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,11 +205,10 @@ class ControlledSymbol:
             found.append(on[k] if same else Utilisation(beam.u + on[k].u - off[k].u))
         return tuple(found)
 
-    def step(self, state: HeldState, name: str, arrived: Arrived[Moment], ego: Ego | None) -> tuple[HeldState, Seen]:
-        """Look at the frames that show it, if they do, and control. name: its own."""
-        moment = arrived.what.as_shown(arrived)
+    def step(self, state: HeldState, name: str, moment: Moment, images: Frames | None, ego: Ego | None) -> tuple[HeldState, Seen]:
+        """Look at the frames of a moment that shows it, None where they are lost, and control. name: its own."""
         shown = Shown(moment.drawings[name], self.light(moment.on, moment.off), moment.ego)
-        frames = arrived.images if name in moment.measured else None
+        frames = images if name in moment.measured else None
         seen = self.observer.look(frames, shown.drawing, shown.lights, state.shape if ego is None or ego.stands else None)
         if not moment.alone:
             seen = self._less_masks(seen, shown)

@@ -119,9 +119,9 @@ def _raw(scenario: Scenario, name: str, headlight: Headlight) -> RawUtilisation 
     return None
 
 
-def dark_modules(modules: Sequence[ShiningModule]) -> list[LampModule]:
-    """What a plant is given of the modules: they show nothing that is not asked for."""
-    return [LampModule(each.name, each.headlight, Utilisation(0 * each.flux, slice(0, 0)), each.T_world_module) for each in modules]
+def lamp_modules(modules: Sequence[ShiningModule]) -> list[LampModule]:
+    """What a plant is given of the modules."""
+    return [LampModule(each.name, each.headlight, each.T_world_module) for each in modules]
 
 
 def flux_by_side(modules: Sequence[ShiningModule], lights: Sequence[Tensor]) -> dict[str, float]:

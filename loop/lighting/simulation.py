@@ -21,7 +21,7 @@ from controllers.symbol.sensing.observer import Seen as SeenSymbol
 from controllers.symbol.sensing.protocol import SymbolController
 from loop.lighting.controlled import ControlledSymbol, Moment, controlled_symbols, turn
 from loop.lighting.ground import attitude, moved, seen_from
-from loop.lighting.lamps import LampPower, ShiningModule, dark_modules, driven, mean_powers, shining_modules
+from loop.lighting.lamps import LampPower, ShiningModule, driven, lamp_modules, mean_powers, shining_modules
 from loop.lighting.names import check_names, refuse_unknown
 from loop.lighting.observed import ObservedSymbol, in_white, observed_symbols
 from loop.lighting.on_materials import OnMaterial, on_materials
@@ -79,7 +79,7 @@ class Simulation:
         planner = Planner.prepare(scenario.functions, scenario.lighting, lambda image: named(image, "symbols"))
         modules = shining_modules(scenario, device)
         check_names(scenario, modules)
-        plant = build_plant(scenario, dark_modules(modules))
+        plant = build_plant(scenario, lamp_modules(modules))
         truth = getattr(plant, "truth", None)
         if truth is None:
             refuse_unknown(scenario)
@@ -255,9 +255,9 @@ class Simulation:
         held = {name: replace(each, turn=state.step) if name in measured else each for name, each in state.held.items()}
         looked = dict[str, SeenSymbol]()
         for each in looks:
-            drawn_then = each.what.as_shown(each).drawings
-            for name in (name for name in held if name in drawn_then):
-                held[name], looked[name] = self.controlled[name].step(held[name], name, each, newer)
+            moment = each.what.as_shown(each)
+            for name in (name for name in held if name in moment.drawings):
+                held[name], looked[name] = self.controlled[name].step(held[name], name, moment, each.images, newer)
         clock.lap("control")
         masked = frozenset(each.name for each in now.objects if must_be_dark(self.scenario.functions, each, now))
         told = told_as(self.watched, None if look is None else look.recognised)

@@ -140,7 +140,7 @@ def read_light(file: Path, pixels: Sequence[int], device: torch.device) -> tuple
         names = [key.removesuffix(".pose") for key in arrays if key.endswith(".pose")]
         if strange := [name for name in names if not re.fullmatch(PLAIN, name)]:
             raise ValueError(f"{strange[0]!r} is no name of a symbol")
-        return tuple(lights), {name: _drawing(arrays, name, len(pixels), device) for name in names}
+        return tuple(lights), {name: _drawing(arrays, name, pixels, device) for name in names}
 
 
 def sample_values(samples: Sequence[Sample]) -> str:
@@ -191,11 +191,13 @@ def _optional(arrays: Arrays, name: str, device: torch.device, shape: tuple[int,
     return _tensor(arrays, name, device, shape) if name in arrays else None
 
 
-def _drawing(arrays: Arrays, name: str, modules: int, device: torch.device) -> Drawing:
+def _drawing(arrays: Arrays, name: str, pixels: Sequence[int], device: torch.device) -> Drawing:
     own = {key.removeprefix(f"{name}."): value for key, value in arrays.items() if key.startswith(f"{name}.")}
-    raw = tuple(_tensor(own, key, device, own[key].shape) for k in range(modules) if (key := f"raw_{k}") in own)
+    raw = [_tensor(own, key, device, own[key].shape) for k in range(len(pixels)) if (key := f"raw_{k}") in own]
+    if any(u.shape not in [(n,) for n in pixels] for u in raw):
+        raise ValueError(f"the utilisations of {name} are of none of the modules")
     z, shape, aim = (_optional(own, key, device, size) for key, size in (("z", ()), ("shape", (4,)), ("aim", (2,))))
-    return Drawing(_tensor(own, "pose", device, (4,)), z, _warp(own, modules, device), raw or None, shape, aim)
+    return Drawing(_tensor(own, "pose", device, (4,)), z, _warp(own, len(pixels), device), tuple(raw) or None, shape, aim)
 
 
 def _warp(arrays: Arrays, modules: int, device: torch.device) -> Warp | None:

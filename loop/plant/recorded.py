@@ -66,7 +66,7 @@ def recorded_plant(scenario: Scenario, params: RecordedPlantParams, modules: Seq
             f"plant.folder: {folder} holds no frames; record them with `luxloop run --frames` (a plant of your own: --set plant.kind=NAME)"
         )
     rows = tuple(read_exposures(table))
-    pixels, like = tuple(module.headlight.n_pixels for module in modules), modules[0].beam.u
+    pixels, like = tuple(module.headlight.n_pixels for module in modules), modules[0].headlight.matrix.values
     if len(rows) > per_step:
         lights = [read_light(inside(light_file(folder, row["light"]), folder), pixels, like.device) for row in rows[:per_step]]
         if scenario.controlled and not (held := lights[0][1].keys() - lights[-1][1].keys()) & set(scenario.controlled):

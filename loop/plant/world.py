@@ -44,9 +44,8 @@ def categories(objects: Sequence[ObjectParams]) -> tuple[Category | None, ...]:
 class LitScene:
     """A scene in a view at one time, and what the lamps do to it.
 
-    surfaces: at the centres of the view's pixels. base: luminance `[height, width]` in cd/m^2 without the lamps. resting: utilisations of
-    their base beams, one a module. transported: makes a module's light transport, which is needed only where it shines.
-    given: parameters of the objects 1, 2, ...
+    surfaces: at the centres of the view's pixels. base: luminance `[height, width]` in cd/m^2 without the lamps. modules: how many they
+    have. transported: makes a module's light transport, which is needed only where it shines. given: parameters of the objects 1, 2, ...
     """
 
     view: View
@@ -54,31 +53,24 @@ class LitScene:
     triangles: Triangles
     surfaces: GBuffer
     base: Tensor
-    resting: Sequence[Utilisation]
+    modules: int
     transported: Callable[[int], LightTransport]
     given: tuple[ObjectParams, ...]
 
     @cached_property
     def transports(self) -> tuple[LightTransport, ...]:
         """Light transport, one a module."""
-        return tuple(map(self.transported, range(len(self.resting))))
-
-    @cached_property
-    def off(self) -> Tensor:
-        """Luminance `[height, width]` in cd/m^2 with the base beams."""
-        return added_light(self.transports, self.resting, self.base) if any(bool(light.u.any()) for light in self.resting) else self.base
+        return tuple(map(self.transported, range(self.modules)))
 
     def shown(self, lights: Sequence[Utilisation]) -> Tensor:
         """Luminance `[..., height, width]` in cd/m^2 of all light, the lamps' lights `[..., n_p]` included."""
-        if all(light is resting for light, resting in zip(lights, self.resting, strict=True)):
-            return self.off
         if all(light.band is not None and light.band.stop <= light.band.start for light in lights):
             return self.base
         return added_light(self.transports, lights, self.base)
 
     def luminance(self, lights: Sequence[Utilisation]) -> Tensor:
-        """Luminance `[..., height, width]` in cd/m^2 of the symbol alone: on minus off, negative where it is darker than the base beams."""
-        return added_light(self.transports, lights, self.base - self.off)
+        """Luminance `[..., height, width]` in cd/m^2 of these lights alone."""
+        return added_light(self.transports, lights, torch.zeros_like(self.base))
 
     def light(self, lights: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
         """Illuminance in lx at the pixels' centres and luminance in cd/m^2 of the pixels `[height, width]`, from the lamps alone.
@@ -180,7 +172,6 @@ class World:
         self.surfaces = surface_source(source, self.moving)
         self.view = camera_view(camera)
         self.device = self.modules[0].T_world_headlight.device
-        self.resting = tuple(module.beam for module in self.modules)
         self._lit: OrderedDict[Any, LitScene] = OrderedDict()
         self._made: deque[tuple[LitScene, tuple[Utilisation, ...], Any]] = deque(maxlen=2)  # of an on and an off exposure
         self._asked: tuple[float, Any] = (math.nan, None)
@@ -259,4 +250,4 @@ class World:
                 return DirectTransport.of(surfaces, headlight, T_world_headlight, cast, view.width, samples)
             return transport(reach(surfaces, headlight, T_world_headlight, triangles), headlight, view.width, samples)
 
-        return LitScene(view, vehicle, triangles, surfaces.one_row_of(samples), base, self.resting, transported, self.given)
+        return LitScene(view, vehicle, triangles, surfaces.one_row_of(samples), base, len(modules), transported, self.given)

@@ -98,7 +98,8 @@ def frames_of(plant: SimulatedPlant, lights: Sequence[Utilisation], step: int = 
     """On and off frame of lights that are shown in a step, None where they are lost."""
     state, _ = plant.start()
     images = []
-    for part, shown in enumerate((tuple(lights), plant.world.resting)):
+    dark = tuple(Utilisation(0 * light.u, slice(0, 0)) for light in lights)
+    for part, shown in enumerate((tuple(lights), dark)):
         exposure = Exposure(2 * step + part, (step + part / 2) * plant.period_s, plant.period_s / 2, shown)
         state, arrivals = plant.show(state, exposure)
         images += [frame.image for frame in arrivals.frames]

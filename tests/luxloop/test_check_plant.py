@@ -53,7 +53,7 @@ class Slow(Kept):
     """Its time goes on as it likes, and its sensors tell nothing."""
 
     def __init__(self, scenario: Any, modules: Any) -> None:
-        self.dark = modules[0].beam.u.new_zeros(scenario.camera.height_px, scenario.camera.width_px)
+        self.dark = modules[0].headlight.matrix.values.new_zeros(scenario.camera.height_px, scenario.camera.width_px)
 
     def start(self) -> Any:
         return 100.0, Arrivals(100.0)
@@ -125,7 +125,7 @@ class QueueInSelf(Kept):
 class OneBuffer(Kept):
     def __init__(self, scenario: Any, modules: Any) -> None:
         super().__init__(scenario, modules)
-        self.buffer = modules[0].beam.u.new_zeros(scenario.camera.height_px, scenario.camera.width_px)
+        self.buffer = modules[0].headlight.matrix.values.new_zeros(scenario.camera.height_px, scenario.camera.width_px)
 
     def made(self, frame: Frame, exposure: Exposure) -> Frame:
         self.buffer += 1

@@ -111,7 +111,7 @@ def test_another_controller_asks_for_its_own_and_sees_what_was_shown(recorded: d
 
 
 def test_symbols_that_lie_side_by_side_and_below_a_mask_are_played(recorded: dict[str, Path]) -> None:
-    """The mask is in the light that is recorded; who plays it need not know of whom. Each symbol keeps its own controller."""
+    """The recorded light has the mask in it, so that the object that it covers need not be known. Each symbol has its own controller."""
     again = run_of(playing(TWO, recorded["two"], objects=[]))
     flake = TWO["functions"]["flake"] | {"controller": "gauss_newton"}
     other = run_of(playing(TWO, recorded["two"], objects=[], functions=TWO["functions"] | {"flake": flake}))
@@ -224,6 +224,15 @@ def of_too_much(folder: Path) -> None:
     np.savez(light_file(folder, 2), u_0=np.full(332 * 1024, 2, np.float32))
 
 
+def of_few_pixels(folder: Path) -> None:
+    drawing = {"symbol.pose": np.zeros(4, np.float32), "symbol.raw_0": np.zeros(3, np.float32)}
+    np.savez(light_file(folder, 2), u_0=np.zeros(332 * 1024, np.float32), **drawing)
+
+
+def of_no_name(folder: Path) -> None:
+    np.savez(light_file(folder, 2), u_0=np.zeros(332 * 1024, np.float32), **{"A/b.pose": np.zeros(4, np.float32)})
+
+
 def in_table(change: Callable[[pa.Table], pa.Table]) -> Callable[[Path], None]:
     return lambda folder: pq.write_table(change(pq.read_table(folder / TABLE)), folder / TABLE)
 
@@ -251,6 +260,8 @@ DAMAGE: dict[str, tuple[Callable[[Path], Any], str]] = {
     "of objects": (of_objects, "light_00000002.npz: damaged, or no light of a recording"),
     "of nothing": (of_nothing, "u_0 is no finite float"),
     "of too much": (of_too_much, "u_0 is no utilisation"),
+    "of few pixels": (of_few_pixels, "the utilisations of symbol are of none of the modules"),
+    "of no name": (of_no_name, "is no name of a symbol"),
     "no table": (lambda folder: (folder / TABLE).unlink(), "holds no frames; record them with `luxloop run --frames`"),
     "no row": (in_table(lambda table: table.slice(0, 1)), "no exposures that are numbered from 0"),
     "other rows": (in_table(lambda table: table.slice(2)), "no exposures that are numbered from 0"),

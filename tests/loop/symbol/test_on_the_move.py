@@ -304,7 +304,7 @@ def test_the_off_frame_is_seen_from_where_the_on_frame_was() -> None:
     driven = inverse(now.T_world_ground) @ later.T_world_ground
     where = (seer, controller.region, (0.2, 0.15), 2, 3, now.T_ground_body)
     raw, warped = (Sight.prepare(*where, T_off) for T_off in (now.T_ground_body, driven @ later.T_ground_body))
-    unlit = simulation.plant.exposed(world.lit(on_s).off, world.lit(on_s).base, 0, 0)
+    unlit = simulation.plant.exposed(world.lit(on_s).base, world.lit(on_s).base, 0, 0)
     errors = []
     for sight in (raw, warped):
         contrast, _ = sight.observe(result.frames)
