@@ -28,7 +28,7 @@ from loop.terminal import tables
 from perception.camera import camera_view
 from perception.egomotion import Ego
 from world.frames import inverse, transform
-from world.roads.base import Floats, Road
+from world.roads.base import Road
 from world.scene.vehicle import Motion
 
 STEPS, FROM = 60, 10
@@ -58,18 +58,6 @@ COLUMNS: Mapping[str, tuple[str, tuple[str, ...]]] = {
 
 
 @dataclass(frozen=True)
-class Ahead:
-    """A road as a ground frame sees it."""
-
-    road: Road
-    T_world_ground: Tensor
-
-    def z(self, x: Floats, y: Floats) -> Floats:
-        T = self.T_world_ground.numpy()
-        return self.road.z(*(T[k, 0] * x + T[k, 1] * y + T[k, 3] for k in (0, 1)))
-
-
-@dataclass(frozen=True)
 class Knowing:
     """Draws for the true road from where the body truly is; its state is the step."""
 
@@ -87,7 +75,7 @@ class Knowing:
         lamps = torch.stack([module.T_world_headlight[:3, 3].double() for module in projector.modules])
         ends = torch.stack([camera_view(self.observer.camera).origin, *lamps], 1)
         there = transform(now.T_ground_body, ends).T
-        relief = relief_of(Ahead(self.road, now.T_world_ground).z, region_of(symbol, *LuxloopParams().beyond_m), there[0])
+        relief = relief_of(self.road.z, region_of(symbol, *LuxloopParams().beyond_m), there[0], T_ground_plane=now.T_world_ground)
         return drawn_on(relief, there[1:].float(), symbol, inverse(now.T_ground_body))
 
     def step(self, state: int, look: Look) -> int:

@@ -9,12 +9,12 @@ import torch
 from torch import Tensor
 
 from world.frames import pose, rotation
-from world.scene.vehicle import VehicleParams, body_pose
+from world.scene.vehicle import VehicleParams, body_pose, ground_pose
 
 STANDS_M_S = 0.1  # slower than anybody drives, and more than the noise of a speed sensor at rest
 
 Sensor = Literal["wheels", "gyro", "attitude", "accelerometer", "suspension"]
-VALUES: Final[Mapping[Sensor, int | None]] = {"wheels": None, "gyro": 3, "attitude": 4, "accelerometer": 3, "suspension": 4}  # None: any
+VALUES: Final[Mapping[Sensor, int | None]] = {"wheels": None, "gyro": 3, "attitude": 8, "accelerometer": 3, "suspension": 4}  # None: any
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,10 +22,10 @@ class Sample:
     """What a sensor of the vehicle tells; x forward, y left, z up, pitch nose down (ISO 8855).
 
     sensor: its kind. measured_s: the time in s that it is of. arrived_s: when it arrived, in s. values: by kind; wheels: `[n]`, speeds
-    in m/s of wheels that are not steered; gyro: `[3]`, rates of roll, pitch and yaw in rad/s; attitude: `[4]`, heave in m, roll and
-    pitch in rad of the body over the ground, and the rate of heave in m/s; accelerometer: `[3]`, forward, left and up in m/s^2, without
-    gravity; suspension: `[4]`, how many m the body is farther above a wheel than at rest, front left, front right, rear left, rear
-    right.
+    in m/s of wheels that are not steered; gyro: `[3]`, rates of roll, pitch and yaw in rad/s; attitude: `[8]`, heave in m, roll and
+    pitch in rad of the body over the ground, how fast it rises in m/s, and of the ground height in m, slope in rad, and their rates in
+    m/s and rad/s (`Ego.ground`); accelerometer: `[3]`, forward, left and up in m/s^2, without gravity; suspension: `[4]`, how many m
+    the body is farther above a wheel than at rest, front left, front right, rear left, rear right.
     """
 
     sensor: Sensor
@@ -48,10 +48,12 @@ class Ego:
 
     time_s: when the next exposure begins; nothing newer is in it. on_s: how long that exposure lasts. attitude: `[3]`, heave in m, roll and
     pitch (nose down) in rad of the body over the ground, NaN where no sensor tells it. attitude_s: when it was measured. rates: `[3]`,
-    the same a second, NaN where no sensor tells them. rates_s: when those of roll and pitch were measured. speed_m_s: `[]`, of the rear
-    axle, mean since the sample before, which an accelerometer carries on to time_s. speed_s: when it was measured. yaw_rate_rad_s:
-    `[]`, to the left positive, mean since the sample before, 0 without a gyro. pivot_x_m: x in the ground frame about which the body
-    rolls and pitches. rear_x_m: x of the rear axle there.
+    of the body's rise and of its roll and pitch in the world, a second, NaN where no sensor tells them. rates_s: when those of roll and
+    pitch were measured. ground: `[4]` at attitude_s, height in m over a level plane of the ground frame's origin, slope of the ground
+    (nose down) in rad, and their rates in m/s and rad/s; 0 where no sensor tells them. speed_m_s: `[]`, of the rear axle, mean since
+    the sample before, which an accelerometer carries on to time_s. speed_s: when it was measured. yaw_rate_rad_s: `[]`, to the left
+    positive, mean since the sample before, 0 without a gyro. pivot_x_m: x in the ground frame about which the body rolls and pitches.
+    rear_x_m: x of the rear axle there.
     """
 
     time_s: float
@@ -60,6 +62,7 @@ class Ego:
     attitude_s: float
     rates: Tensor
     rates_s: float
+    ground: Tensor
     speed_m_s: Tensor
     speed_s: float
     yaw_rate_rad_s: Tensor
@@ -77,12 +80,26 @@ class Ego:
         return body_pose(self.attitude, self.pivot_x_m)
 
     @property
+    def T_level_ground(self) -> Tensor:
+        """Pose `[4, 4]` of the ground frame at attitude_s in a level frame, which drives along below it on a plane that does not move."""
+        return ground_pose(self.ground[:2])
+
+    @property
+    def level_attitude(self) -> Tensor:
+        """`[3]`, heave, roll and pitch over the level plane of `T_level_ground`, to first order."""
+        height, slope = self.ground[:2]
+        return self.attitude + torch.stack([height - slope * self.pivot_x_m, torch.zeros_like(slope), slope])
+
+    @property
     def told_s(self) -> tuple[float, ...]:
         """Ascending times at which anything was measured."""
         return tuple(sorted({time_s for time_s in (self.attitude_s, self.rates_s, self.speed_s) if not math.isnan(time_s)}))
 
     def way(self, duration_s: float) -> Tensor:
-        """Pose `[4, 4]` of the ground frame after `duration_s` s at this speed and yaw rate, in that at their beginning."""
+        """Pose `[4, 4]` of the level frame after `duration_s` s at this speed and yaw rate, in that at their beginning.
+
+        The same holds for the ground frame as long as its slope does not change.
+        """
         turn, length = self.yaw_rate_rad_s * duration_s, self.speed_m_s * duration_s
         chord = length * torch.sinc(turn / (2 * torch.pi))
         zero = torch.zeros_like(turn)
@@ -91,8 +108,11 @@ class Ego:
         return pose(torch.stack([x, y, zero]), rotation(zero, zero, turn))
 
     def at(self, time_s: float) -> "Ego":
-        """The attitude predicted to another time, linearly."""
-        return replace(self, attitude=self.attitude + self.rates.nan_to_num() * (time_s - self.attitude_s), attitude_s=time_s)
+        """Attitude and ground predicted to another time, linearly."""
+        (climb, bend), after_s = self.ground[2:], time_s - self.attitude_s
+        over = self.rates - torch.stack([climb - bend * self.pivot_x_m, torch.zeros_like(bend), bend])
+        ground = torch.cat([self.ground[:2] + after_s * self.ground[2:], self.ground[2:]])
+        return replace(self, attitude=self.attitude + after_s * over.nan_to_num(), ground=ground, attitude_s=time_s)
 
 
 def ego_of(samples: Samples, vehicle: VehicleParams | None, time_s: float, period_s: float) -> Ego | None:
@@ -100,17 +120,19 @@ def ego_of(samples: Samples, vehicle: VehicleParams | None, time_s: float, perio
     if "wheels" not in samples:
         return None
     wheels = samples["wheels"]
-    unknown = Sample("gyro", math.nan, math.nan, wheels.values.new_tensor([math.nan] * 4))
+    unknown = Sample("gyro", math.nan, math.nan, wheels.values.new_tensor([math.nan] * 8))
     gyro = samples.get("gyro", unknown)
-    body = samples.get("attitude", unknown if vehicle is None else _sprung(samples.get("suspension", unknown), vehicle))
+    travel = samples.get("suspension")
+    body = samples.get("attitude", unknown if vehicle is None or travel is None else _sprung(travel, vehicle))
     acceleration = samples.get("accelerometer", unknown).values[0].nan_to_num()
     return Ego(
         time_s,
         period_s,
         body.values[:3],
         body.measured_s,
-        torch.cat([body.values[3:], gyro.values[:2]]),
+        torch.cat([body.values[3:4], gyro.values[:2]]),
         gyro.measured_s,
+        body.values[4:].nan_to_num(),
         wheels.values.mean() + acceleration * (time_s - wheels.measured_s),
         wheels.measured_s,
         gyro.values[2].nan_to_num(),
@@ -119,7 +141,7 @@ def ego_of(samples: Samples, vehicle: VehicleParams | None, time_s: float, perio
 
 
 def _sprung(travel: Sample, vehicle: VehicleParams) -> Sample:
-    """The attitude over the plane of the wheels, whose rate of heave nobody tells."""
+    """The attitude over the plane of the wheels; nobody tells its rise, nor what the ground does."""
     fl, fr, rl, rr = travel.values
     roll, pitch = (fl + rl - fr - rr) / (2 * vehicle.track_m), (rl + rr - fl - fr) / (2 * vehicle.wheelbase_m)
-    return replace(travel, values=torch.stack([travel.values.mean(), roll, pitch, torch.full_like(roll, math.nan)]))
+    return replace(travel, values=torch.cat([torch.stack([travel.values.mean(), roll, pitch]), travel.values.new_full((5,), math.nan)]))

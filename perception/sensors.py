@@ -18,7 +18,7 @@ NOISE_KEY = 3  # beside the camera's generators of a step
 DRAWN: Final[Mapping[Sensor, list[int]]] = {  # a sensor's places in the noise that is drawn for the number of a sample
     "wheels": [0],
     "gyro": [6, 7, 1],
-    "attitude": [2, 3, 4, 5],
+    "attitude": [2, 3, 4, 5, 15, 16, 17, 18],
     "accelerometer": [8, 9, 10],
     "suspension": [11, 12, 13, 14],
 }
@@ -64,7 +64,7 @@ class GyroParams(SamplingParams):
 
 
 class AttitudeParams(SamplingParams):
-    """A unit that fuses inertial sensors to heave, roll and pitch of the body over the ground, and to the rate of heave."""
+    """A unit that fuses inertial sensors and odometry to the attitude of the body over the ground, and to height and slope of that."""
 
     heave_noise_m: float = Field(0.0, ge=0, le=1, description="standard deviation of the body's measured height")
     roll_bias_deg: float = Field(0.0, ge=-5, le=5, description="added to the measured roll")
@@ -72,10 +72,11 @@ class AttitudeParams(SamplingParams):
     noise_deg: float = Field(0.0, ge=0, le=5, description="standard deviation of measured roll and pitch")
 
     def measured(self, now: VehicleState, before: VehicleState, period_s: float) -> Measured:
-        """Heave, roll, pitch, rate of heave."""
+        """Heave, roll, pitch, rise; height and slope of the ground, and their rates."""
         roll, pitch = now.roll_rad + math.radians(self.roll_bias_deg), now.pitch_rad + math.radians(self.pitch_bias_deg)
         angle = math.radians(self.noise_deg)
-        return [now.heave_m, roll, pitch, now.heave_rate_m_s], [self.heave_noise_m, angle, angle, 0.0]
+        ground = [now.ground_m, now.slope_rad, now.climb_m_s, now.bend_rad_s]
+        return [now.heave_m, roll, pitch, now.rise_m_s, *ground], [self.heave_noise_m, angle, angle, *[0.0] * 5]
 
 
 class AccelerometerParams(SamplingParams):
@@ -85,7 +86,7 @@ class AccelerometerParams(SamplingParams):
 
     def measured(self, now: VehicleState, before: VehicleState, period_s: float) -> Measured:
         """Forward, left, up."""
-        upwards = (now.heave_rate_m_s - before.heave_rate_m_s) / period_s
+        upwards = (now.rise_m_s - before.rise_m_s) / period_s
         return [now.acceleration_m_s2, now.lateral_m_s2, upwards], [self.noise_m_s2] * 3
 
 

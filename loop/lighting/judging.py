@@ -10,7 +10,7 @@ from controllers.symbol.sensing.projector import SymbolParams
 from loop.plant.world import World
 from perception.birdseye import BirdsEye, Region, birds_eye, cells, region_around
 from perception.judge import CELL_M, Target, Verdict, judge, target
-from world.frames import transform
+from world.frames import inverse, transform
 from world.roads.base import Road
 from world.scene.vehicle import STANDING
 from world.view import View
@@ -48,7 +48,7 @@ class Judge:
         return judge(luminance, self.plane_at(time_s), self.goal)
 
     def plane_at(self, time_s: float) -> BirdsEye:
-        """Where the target lies, as the camera sees it at a time: the plane z = 0 under the vehicle, or the road itself."""
+        """Where the target lies, as the camera sees it at a time: the plane of the ground, or the road itself."""
         view, motion = self.world.view_from_ground(time_s), self.world.motion
         if motion is STANDING or (self.road is None and view.T_world_view.equal(self.world.view.T_world_view)):
             return self.plane
@@ -66,6 +66,7 @@ def _region(symbol: SymbolParams) -> Region:
 
 def _places(symbol: SymbolParams, road: Road, world: World, time_s: float) -> Tensor:
     """Places `[3, rows, cols]` m of the road in the ground frame of a time."""
-    x, y, z = cells(_region(symbol))
-    at_x, at_y, _ = transform(world.motion.at(time_s).T_world_ground, torch.stack([x, y, z]).flatten(1)).numpy()
-    return torch.stack([x, y, torch.from_numpy(road.z(at_x, at_y)).view_as(z)])
+    flat, T_world_ground = cells(_region(symbol)), world.motion.at(time_s).T_world_ground
+    x, y, _ = transform(T_world_ground, flat.flatten(1))
+    there = torch.stack([x, y, torch.from_numpy(road.z(x.numpy(), y.numpy()))])
+    return torch.cat([flat[:2], transform(inverse(T_world_ground), there)[2:].view_as(flat[2:])])

@@ -46,18 +46,26 @@ def test_exact_sensors_tell_the_truth(like):
     motion = motion_of(20, 0.01)
     for step in (0, 1, 40):
         ego, now = look(motion, step, like), motion.at(step * PERIOD_S)
-        # float32 of a few centimetres and milliradians
-        assert torch.allclose(ego.T_ground_body.cpu().double(), now.T_ground_body, atol=1e-7)
+        # float32 of a few centimetres and milliradians, and of the pivot 2.2 m behind
+        assert torch.allclose(ego.T_ground_body.cpu().double(), now.T_ground_body, atol=3e-7)
         assert ego.T_ground_body.device == like.device and ego.told_s == (ego.time_s,)
         assert (float(ego.speed_m_s), float(ego.yaw_rate_rad_s)) == pytest.approx((20, 0.2))
 
 
 def test_the_displacement_is_that_of_the_ground_frame_in_a_bend(like):
     motion = motion_of(20, 0.02)
-    ego = look(motion, 60, like)
-    before, now = (motion.at(t * PERIOD_S).T_world_ground for t in (59, 60))
+    (before, was), (ego, now) = ((look(motion, step, like), motion.at(step * PERIOD_S)) for step in (59, 60))
+    moved = inverse(before.T_level_ground) @ ego.way(ego.on_s) @ ego.T_level_ground
     # the motion is linear between points 4 cm apart, 0.02 * 0.04^2 / 8 = 4e-6 m off the circle at either end
-    assert torch.allclose(ego.way(ego.on_s).cpu().double(), inverse(before) @ now, atol=1e-5)
+    assert torch.allclose(moved.cpu().double(), inverse(was.T_world_ground) @ now.T_world_ground, atol=1e-5)
+
+
+def test_the_ground_is_predicted_as_the_body_over_it(like):
+    motion = motion_of(20)
+    ego, later = look(motion, 60, like).at(61 * PERIOD_S), motion.at(61 * PERIOD_S)
+    # on a road of class B the body swings by some 5 mm and mrad at 1.5 Hz: its rates change by 0.5 a second, 0.5 / 2 (33 ms)^2 is 0.3
+    assert torch.allclose(ego.T_ground_body.cpu().double(), later.T_ground_body, atol=5e-4)
+    assert torch.allclose(ego.ground[:2].cpu().double(), ego.ground.new_tensor([later.ground_m, later.slope_rad]).cpu().double(), atol=5e-4)
 
 
 def test_who_stands_measures_that(like):

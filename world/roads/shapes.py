@@ -1,13 +1,14 @@
 """The roads that a scenario may name. All are heights over the plane z = 0 that the vehicle stands on, see `Road`."""
 
 from functools import lru_cache
-from typing import Annotated, Literal
+from itertools import pairwise
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field, Tag, field_validator
+from pydantic import Field, Tag, field_validator, model_validator
 
-from world.params import Metres
+from world.params import Metres, Params
 from world.plugin import OWN, known_or_own
 from world.roads.base import Floats, MeshGrid, Road, RoadModel, ahead, smoothstep
 from world.roads.iso8608 import roughness
@@ -25,6 +26,7 @@ __all__ = [
     "OpenCrgRoad",
     "OwnRoad",
     "Pothole",
+    "Profile",
     "Road",
     "RoadParams",
     "SpeedBump",
@@ -59,10 +61,48 @@ class Grade(RoadModel):
 
     def z(self, x: ArrayLike, y: ArrayLike) -> Floats:
         x, y = _plane(x, y)
-        beyond = np.maximum(x - self.start_x_m, 0.0)
-        curved = np.minimum(beyond, self.curve_m)
-        rise = curved**2 / (2 * self.curve_m) + (beyond - curved)
+        rise = _rise(x - self.start_x_m, self.curve_m)
         return self.grade_percent / 100 * rise + self.crossfall_percent / 100 * y * ahead(x)
+
+
+def _rise(beyond: Floats, curve_m: float) -> Floats:
+    """Height of a road so far beyond the beginning of a parabolic vertical curve from level to a grade of 1."""
+    beyond = np.maximum(beyond, 0.0)
+    curved = np.minimum(beyond, curve_m)
+    return curved**2 / (2 * curve_m) + (beyond - curved)
+
+
+class GradeParams(Params):
+    """A grade of a profile."""
+
+    x_m: float = Field(ge=0.0, le=100_000, description="where the vertical curve to it begins")
+    percent: float = Field(ge=-20.0, le=20.0, description="rise beyond the curve")
+    curve_m: float = Field(default=40.0, gt=0.0, le=10_000, description="length of the parabolic vertical curve")
+
+
+class Profile(RoadModel):
+    """A road that rises and falls: grades with vertical curves between them, level until the first; with roughness from 6 m ahead on."""
+
+    kind: Literal["profile"] = "profile"
+    grades: tuple[GradeParams, ...] = Field(min_length=1, description="grades in ascending x_m, whose curves do not overlap")
+    roughness_class: RoughnessClass | None = Field(default=None, description="ISO 8608 class of the roughness on top; left out: none")
+    seed: int = Field(default=1, ge=0, lt=2**63, description="seed of the roughness")
+
+    @model_validator(mode="after")
+    def _one_after_the_other(self) -> Self:
+        for before, after in pairwise(self.grades):
+            if after.x_m < before.x_m + before.curve_m:
+                raise ValueError(f"grades: the curve at {after.x_m:g} m begins before that at {before.x_m:g} m ends; give a greater x_m")
+        return self
+
+    def z(self, x: ArrayLike, y: ArrayLike) -> Floats:
+        x, y = _plane(x, y)
+        found = np.zeros_like(x) if self.roughness_class is None else ahead(x) * roughness(self.roughness_class, self.seed, x, y)
+        percent = 0.0
+        for each in self.grades:
+            found = found + (each.percent - percent) / 100 * _rise(x - each.x_m, each.curve_m)
+            percent = each.percent
+        return found
 
 
 class Bumps(RoadModel):
@@ -235,6 +275,7 @@ RoadParams = Annotated[
     | Annotated[Pothole, Tag("pothole")]
     | Annotated[Iso8608, Tag("iso8608")]
     | Annotated[Mixed, Tag("mixed")]
+    | Annotated[Profile, Tag("profile")]
     | Annotated[OpenCrgRoad, Tag("opencrg")]
     | Annotated[OwnRoad, Tag(OWN)],
     known_or_own("kind"),

@@ -1,8 +1,8 @@
-"""The vehicle in motion: a course on the plane z = 0, and a body on springs that road and acceleration shake.
+"""The vehicle in motion: a course, the ground that follows the road below it, and a body on springs that road and acceleration shake.
 
-Three frames, all x forward, y left, z up, which coincide while the vehicle stands at its start, the origin below the middle of its lamps:
-the *world*; the *ground*, which drives along the course on the world's plane z = 0; and the *body* on its springs, which lamps and camera
-are fixed to.
+Three frames, all x forward, y left, z up, which coincide while the vehicle stands, the origin below the middle of its lamps: the *world*;
+the *ground*, which drives along the course on the plane through the low-passed road under the rear axle, x along its slope; and the *body*
+on its springs, which lamps and camera are fixed to.
 """
 
 import math
@@ -23,12 +23,15 @@ from world.params import Params
 from world.roads.base import Floats, Road
 
 COLUMNS: Final = (
-    *("x_m", "y_m", "yaw_rad", "speed_m_s", "yaw_rate_rad_s", "acceleration_m_s2", "lateral_m_s2"),
-    *("heave_m", "roll_rad", "pitch_rad", "heave_rate_m_s", "roll_rate_rad_s", "pitch_rate_rad_s"),
+    *("x_m", "y_m", "yaw_rad", "speed_m_s", "yaw_rate_rad_s", "acceleration_m_s2", "lateral_m_s2", "ground_m", "slope_rad"),
+    *("climb_m_s", "bend_rad_s"),
+    *("heave_m", "roll_rad", "pitch_rad", "rise_m_s", "roll_rate_rad_s", "pitch_rate_rad_s"),
     *("travel_fl_m", "travel_fr_m", "travel_rl_m", "travel_rr_m"),
 )
 
-BYTES_A_MOMENT: Final = 650  # of the integrated motion: all columns, and as many while they are made
+BYTES_A_MOMENT: Final = 800  # of the integrated motion: all columns, and as many while they are made
+LOW_PASS_M: Final = (10.0, 50.0)  # of the road's height and slope: a raised cosine leaves half of a wave of that length
+PROFILE_M: Final = 0.05  # spacing of the road's heights along the way
 
 
 class CourseParams(Params):
@@ -90,10 +93,12 @@ class VehicleParams(Params):
 
 @dataclass(frozen=True)
 class VehicleState:
-    """The vehicle at one time; poses `[4, 4]` float64, pitch nose down and yaw to the left positive (ISO 8855).
+    """The vehicle at one time; poses `[4, 4]` float64, pitch and slope nose down and yaw to the left positive (ISO 8855).
 
-    heave_m: of the body's point between the wheels. acceleration_m_s2: along, lateral_m_s2: to the left. travel_fl_m to travel_rr_m: how
-    much farther the body is above a wheel than at rest.
+    acceleration_m_s2: along, lateral_m_s2: to the left. ground_m: height in the world of the ground frame's origin. slope_rad: of the
+    ground, climb_m_s, bend_rad_s: their rates. heave_m: of the body's point between the wheels over the ground, roll_rad and pitch_rad:
+    of the body over it. rise_m_s: of that point in the world. roll_rate_rad_s, pitch_rate_rad_s: of the body in the world. travel_fl_m to
+    travel_rr_m: how much farther the body is above a wheel than at rest.
     """
 
     T_world_ground: Tensor
@@ -102,10 +107,14 @@ class VehicleState:
     yaw_rate_rad_s: float
     acceleration_m_s2: float
     lateral_m_s2: float
+    ground_m: float
+    slope_rad: float
+    climb_m_s: float
+    bend_rad_s: float
     heave_m: float
     roll_rad: float
     pitch_rad: float
-    heave_rate_m_s: float
+    rise_m_s: float
     roll_rate_rad_s: float
     pitch_rate_rad_s: float
     travel_fl_m: float
@@ -122,7 +131,7 @@ class VehicleState:
 class Motion:
     """A drive, integrated.
 
-    times_s: `[N]`, ascending. states: `[N, 17]`, the COLUMNS. pivot_x_m: where on the ground heave, pitch and roll act, between the wheels.
+    times_s: `[N]`, ascending. states: `[N, 21]`, the COLUMNS. pivot_x_m: where on the ground heave, pitch and roll act, between the wheels.
     rear_x_m: the rear axle, which goes where the vehicle heads.
     """
 
@@ -148,8 +157,10 @@ class Motion:
     def _interpolated(self, t_s: float) -> VehicleState:
         now = {name: float(np.interp(t_s, self.times_s, column)) for name, column in zip(COLUMNS, self.states.T, strict=True)}
         x, y, yaw = (now.pop(name) for name in ("x_m", "y_m", "yaw_rad"))
+        T_world_level = pose(_vector(x, y, 0.0), rotation(*_vector(0.0, 0.0, yaw)))
+        T_level_ground = ground_pose(_vector(now["ground_m"], now["slope_rad"]))
         T_ground_body = body_pose(_vector(now["heave_m"], now["roll_rad"], now["pitch_rad"]), self.pivot_x_m)
-        return VehicleState(pose(_vector(x, y, 0.0), rotation(*_vector(0.0, 0.0, yaw))), T_ground_body, **now)
+        return VehicleState(T_world_level @ T_level_ground, T_ground_body, **now)
 
 
 STANDING: Final = Motion(np.zeros(1), np.zeros((1, len(COLUMNS))))
@@ -162,6 +173,13 @@ def body_pose(attitude: Tensor, pivot_x_m: float) -> Tensor:
     R = rotation(roll, pitch, zero)
     pivot = torch.stack([zero + pivot_x_m, zero, zero], -1)
     return pose(pivot - (R @ pivot[..., None])[..., 0] + torch.stack([zero, zero, heave], -1), R)
+
+
+def ground_pose(ground: Tensor) -> Tensor:
+    """Pose `[4, 4]` of the ground frame in the level one below it, of its height in m and its slope (nose down) in rad `[2]`."""
+    height, slope = ground.unbind(-1)
+    zero = torch.zeros_like(height)
+    return pose(torch.stack([zero, zero, height]), rotation(zero, slope, zero))
 
 
 def drive(params: VehicleParams, road: Road, duration_s: float) -> Motion:
@@ -197,11 +215,37 @@ def drive(params: VehicleParams, road: Road, duration_s: float) -> Motion:
         math.radians(spring.lean_deg_per_m_s2) * lateral, spring.roll_hz, spring.damping, dt
     )
     pitch = pitch + math.radians(params.oscillation.pitch_deg) * np.sin(2 * np.pi * params.oscillation.rate_hz * t)
-    rates = (np.gradient(mode, dt) for mode in (heave, roll, pitch))
+    level, slope = _ground(params, road, np.concatenate([[0.0], np.cumsum(way)]), x, y, yaw)
+    climb, bend, *rates = (np.gradient(mode, dt) for mode in (level, slope, heave, roll, pitch))
     levers = [(end * params.wheelbase_m / 2, side * params.track_m / 2) for end in (1, -1) for side in (1, -1)]
     travel = (heave + left * roll - front * pitch - wheel for (front, left), wheel in zip(levers, wheels, strict=True))
-    columns = (x, y, yaw, speed, yaw_rate, acceleration, lateral, heave, roll, pitch, *rates, *travel)
+    over = np.cos(slope) * (heave - level) + np.sin(slope) * params.pivot_x_m
+    columns = (x, y, yaw, speed, yaw_rate, acceleration, lateral, level, slope, climb, bend, over, roll, pitch - slope, *rates, *travel)
     return Motion(t, np.stack(columns, axis=1), params.pivot_x_m, params.rear_x_m)
+
+
+def _ground(params: VehicleParams, road: Road, way_m: Floats, x: Floats, y: Floats, yaw: Floats) -> tuple[Floats, Floats]:
+    """Height `[N]` in m of the ground frame's origin and slope `[N]` in rad, nose down, of the plane through the low-passed road.
+
+    way_m: `[N]`, that the rear axle has driven, which goes on straight at both ends.
+    """
+    reach = math.ceil(max(LOW_PASS_M) / 2 / PROFILE_M) + 1
+    along = (np.arange(math.ceil(way_m[-1] / PROFILE_M) + 2 * reach + 2) - reach) * PROFILE_M
+    at_x, at_y, heading = (np.interp(along, way_m, column) for column in (x, y, yaw))
+    beyond = params.rear_x_m + along - np.clip(along, 0, way_m[-1])
+    at_x, at_y = at_x + beyond * np.cos(heading), at_y + beyond * np.sin(heading)
+    aside = params.track_m / 2 * np.array([[1], [-1]])
+    heights = road.z(at_x - aside * np.sin(heading), at_y + aside * np.cos(heading)).mean(0)
+    height, level = (np.convolve(heights, _window(each), mode="same") for each in LOW_PASS_M)
+    slope = -np.arctan(np.interp(way_m, along, np.gradient(level, PROFILE_M)))
+    return np.interp(way_m, along, height) + params.rear_x_m * np.sin(slope), slope
+
+
+def _window(length_m: float) -> Floats:
+    """A raised cosine of this length, of sum 1, at the profile's spacing."""
+    count = round(length_m / 2 / PROFILE_M)
+    window = 1 + np.cos(np.pi * np.arange(-count, count + 1) / count)
+    return window / window.sum()
 
 
 def _wheel_heights(params: VehicleParams, road: Road, x: Floats, y: Floats, yaw: Floats) -> tuple[Floats, ...]:

@@ -43,12 +43,12 @@ class BodyParams(Params):
 class BodyFilter:
     """What is known of the body and the road at time_s: mean `[n]` and covariance `[n, n]` of a state, float64 on the CPU.
 
-    State: heave in m, roll and pitch in rad, as the road shakes them, and their rates; the same three as other things shake them, their
-    rates and accelerations; the pitch in rad at the last look that is taken in; the road in m along the wheels' tracks, the mean of both,
-    then left minus right, in cells from start_m on.
-    way_m: driven so far. known_m: how far along it the road was seen. axles_m: x of front and rear axle on the ground. distance_m: of the
-    symbol from the middle between them, where a rise of the body looks like a pitch. looks: at later times, by how many rad the body had
-    pitched since the one before, None where that is not known.
+    All is over a level plane that does not move (`Ego.level_attitude`). State: heave in m, roll and pitch in rad, as the road shakes
+    them, and their rates; the same three as other things shake them, their rates and accelerations; the pitch in rad at the last look
+    that is taken in; the road in m along the wheels' tracks, the mean of both, then left minus right, in cells from start_m on.
+    way_m: driven so far. known_m: how far along it the road was seen. slope_rad: of the ground, with which the road goes on beyond.
+    axles_m: x of front and rear axle on the ground. distance_m: of the symbol from the middle between them, where a rise of the body looks
+    like a pitch. looks: at later times, by how many rad the body had pitched since the one before, None where that is not known.
     """
 
     params: BodyParams
@@ -57,6 +57,7 @@ class BodyFilter:
     speed_m_s: float
     start_m: float
     known_m: float
+    slope_rad: float
     axles_m: tuple[float, float]
     mean: Tensor
     covariance: Tensor
@@ -72,8 +73,11 @@ class BodyFilter:
         covariance = torch.diag(torch.tensor(FIRST, dtype=torch.float64).square().repeat_interleave(3))
         covariance = torch.block_diag(covariance, covariance[:1, :1], *(share * (UNEVEN_M**2 + _walk(count)) for share in (0.5, 2.0)))
         mean = torch.zeros(BODY + 2 * count, dtype=torch.float64)
+        height, slope, *_ = ego.ground.tolist()
+        mean[[0, 2]] = mean.new_tensor([height - slope * ego.pivot_x_m, slope])
+        mean[BODY : BODY + count] = height - slope * (start + CELL_M * torch.arange(count, dtype=torch.float64))
         distance_m = symbol_x_m - ego.pivot_x_m
-        body = cls(params, ego.told_s[0], 0.0, float(ego.speed_m_s), start, start, (front, rear), mean, covariance, distance_m)
+        body = cls(params, ego.told_s[0], 0.0, float(ego.speed_m_s), start, start, slope, (front, rear), mean, covariance, distance_m)
         rest = torch.eye(len(mean), dtype=torch.float64)
         rest[:3, BODY:] = body._bases(torch.zeros(1, dtype=torch.float64))[0]  # the body rests on the road
         return replace(body, covariance=rest @ covariance @ rest.T)._measured(ego).updated(ego)
@@ -99,7 +103,8 @@ class BodyFilter:
         for time_s in ego.told_s:
             if time_s > body.time_s:
                 past = tuple(look for look in body.looks if look[0] <= time_s)
-                known = replace(body, speed_m_s=float(ego.speed_m_s), looks=past).caught_up().at(time_s)._measured(ego)
+                told = replace(body, speed_m_s=float(ego.speed_m_s), slope_rad=float(ego.ground[1]), looks=past)
+                known = told.caught_up().at(time_s)._measured(ego)
                 body = replace(known, looks=body.looks[len(past) :])
         return body
 
@@ -134,15 +139,15 @@ class BodyFilter:
         rows = [torch.cat([none.new_zeros(len(way_m), BODY), at, side * at / 2], 1) for side in (1, -1)]
         return replace(self, known_m=float(way_m[-1]))._learnt(torch.cat(rows), exact(heights).flatten(), exact(variance).flatten())
 
-    def T_ground_body(self, time_s: float) -> Tensor:
-        """Pose `[4, 4]` of the body over the ground at another time."""
+    def T_level_body(self, time_s: float) -> Tensor:
+        """Pose `[4, 4]` of the body in the level frame below it at another time."""
         body = self._transition(time_s - self.time_s) @ self.mean
         return body_pose(_shaken(0, BODY) @ body, self.pivot_x_m)
 
     def _measured(self, ego: Ego) -> "BodyFilter":
         """After what was measured at its time."""
         rows = torch.cat([_shaken(0, len(self.mean)), _shaken(1, len(self.mean))])
-        values = torch.cat([exact(ego.attitude), exact(ego.rates)])
+        values = torch.cat([exact(ego.level_attitude), exact(ego.rates)])
         times_s = values.new_tensor([ego.attitude_s] * 4 + [ego.rates_s] * 2)
         told = (times_s == self.time_s) & values.isfinite()
         return self._learnt(rows[told], values[told], torch.tensor(NOISE, dtype=torch.float64).square().flatten()[told])
@@ -169,9 +174,10 @@ class BodyFilter:
         covariance[:BODY, strip], covariance[strip, :BODY] = shared[:, strip], shared[:, strip].T
         mean, way_m = torch.cat([body @ self.mean, self.mean[strip]]), self.way_m + self.speed_m_s * duration_s
         count, shift = len(self._cells()), max(math.floor((way_m + self.axles_m[1] - BEHIND_M - self.start_m) / CELL_M), 0)
-        kept = (torch.arange(count) + shift).clamp(max=count - 1)  # the road goes on as high as it was seen last
+        kept = (torch.arange(count) + shift).clamp(max=count - 1)  # the road goes on from where it was seen last
         order = torch.cat([torch.arange(BODY), BODY + kept, BODY + count + kept])
         mean, covariance = mean[order], covariance[order][:, order]
+        mean[BODY : BODY + count] -= self.slope_rad * CELL_M * (torch.arange(count) + shift - kept)
         new = torch.nn.functional.pad(_walk(min(shift, count)), (max(count - shift, 0), 0) * 2)
         covariance = covariance + torch.block_diag(new.new_zeros(BODY, BODY), 0.5 * new, 2.0 * new)
         return replace(self, time_s=time_s, way_m=way_m, start_m=self.start_m + shift * CELL_M, mean=mean, covariance=covariance)

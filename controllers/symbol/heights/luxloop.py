@@ -14,7 +14,7 @@ from controllers.symbol.heights.memory import Memory
 from controllers.symbol.heights.patch import drawn_on
 from controllers.symbol.heights.registration import HEIGHT_M, Heights, Registration
 from controllers.symbol.heights.sight import Sight
-from controllers.symbol.heights.stance import AT_REST, Following, Stances
+from controllers.symbol.heights.stance import AT_REST, Following, Stances, ground_at
 from controllers.symbol.heights.sweep import sweep
 from controllers.symbol.sensing.aim import aimed, elsewhere
 from controllers.symbol.sensing.drawing import Drawing
@@ -70,7 +70,8 @@ class LuxloopParams(Params):
 
 @dataclass(frozen=True)
 class LuxloopState:
-    """memory: what is known of the road, in the ground frame of time_s. body: what was known of it then, if it is measured.
+    """memory: what is known of the road, in the ground frame of time_s, which is ground in the level one, None before the first look. body:
+    what was known of it then, if it is measured.
 
     drawing: of a vehicle that stands, None on the move, where it depends on what is measured until it is shown. level_rad: pitch of the
     body that the memory's heights are based on. first: the first drawing for an acquired road; None once a look shows it. sought: the
@@ -84,6 +85,7 @@ class LuxloopState:
     level_rad: float = 0.0
     first: Drawing | None = None
     sought: bool = False
+    ground: Tensor | None = None
 
 
 class Luxloop:
@@ -114,10 +116,11 @@ class Luxloop:
         if state.drawing is not None:
             return state.drawing
         body = self._filtered(state.body, ego)
-        assert body is not None  # or it would stand
+        assert ego is not None and body is not None  # or it would stand
         now = body.caught_up()
         memory = state.memory.levelled(now.level_rad - state.level_rad, body.pivot_x_m)
-        return self._drawn(memory, Following.of(ego, now, state.time_s))
+        ground = ground_at(ego, state.time_s) if state.ground is None else state.ground
+        return self._drawn(memory, Following.of(ego, now, state.time_s, ground))
 
     def step(self, state: LuxloopState, look: Look) -> LuxloopState:
         """Register the look; the open loop's drawing, unless heights explain it better than a flat road does.
@@ -129,7 +132,7 @@ class Luxloop:
             if ego is not None and then is not None and ego.told_s[-1] < then.time_s + ROUNDING_S:
                 body = self._filtered(body, ego)
         now = None if body is None else body.caught_up()
-        stances = Stances.of(look, now, state.time_s)
+        stances = Stances.of(look, now, state.time_s, state.ground)
         memory, first, sought = state.memory, state.first, state.sought or bool(look.seen.code == Loss.SEEN)
         if anew := look.frames is not None and first is not None and look.shown.drawing.shows(first):
             first = None
@@ -153,13 +156,13 @@ class Luxloop:
                 now = body.caught_up()
                 memory = memory.levelled(now.level_rad - predicted, body.pivot_x_m)
         if body is not None and look.ego is not None and memory.T_ground_plane.equal(HERE):
-            body = _previewed(body, memory, stances.time_s, look.ego)
+            body = _previewed(body, memory, stances, look.ego)
         drawing, level_rad = self._drawn(memory) if stances.still else None, 0.0 if now is None else now.level_rad
         if drawing is not None and drawing.warp is not None:
             memory = memory.showing(drawing, self.in_flight)
         if memory.shape is not state.memory.shape:
             first = None if memory.shape is None else drawing
-        return LuxloopState(memory, stances.time_s, drawing, body, level_rad, first, sought)
+        return LuxloopState(memory, stances.time_s, drawing, body, level_rad, first, sought, stances.ground)
 
     def _filtered(self, before: BodyFilter | None, ego: Ego | None) -> BodyFilter | None:
         """What is known of the body after a measurement, if there is one; one without axles has no filter."""
@@ -299,14 +302,15 @@ class Luxloop:
         return Sight.prepare(self.observer, self.region, self.params.cell_m, step, samples, stances.on, stances.off)
 
 
-def _previewed(body: BodyFilter, memory: Memory, time_s: float, ego: Ego) -> BodyFilter:
-    """With the road that the wheels will come to, as it is known at a time when it has left the light."""
-    way_m, driven_m = body.unseen(), body.way_m + body.speed_m_s * (time_s - body.time_s)
+def _previewed(body: BodyFilter, memory: Memory, stances: Stances, ego: Ego) -> BodyFilter:
+    """With the road that the wheels will come to, as it is known after a look when it has left the light."""
+    way_m, driven_m = body.unseen(), body.way_m + body.speed_m_s * (stances.time_s - body.time_s)
     x = (way_m - driven_m).to(memory.eye)
     aside = ego.yaw_rate_rad_s / ego.speed_m_s.clamp(min=1.0) * (x - ego.rear_x_m) ** 2 / 2
     half_m = body.params.track_m / 2
     heights, information = memory.tracks(x.expand(2, -1), torch.stack([aside + half_m, aside - half_m]))
-    return body.seen(way_m, heights, ROAD_M**2 + 1 / information.clamp(min=1e-3))
+    level_m = transform(stances.ground.to(x), torch.stack([x, 0 * x, 0 * x]))[2]  # of the ground
+    return body.seen(way_m, level_m + heights, ROAD_M**2 + 1 / information.clamp(min=1e-3))
 
 
 def _believed(memory: Memory, heights: Tensor) -> Memory:

@@ -101,13 +101,13 @@ class Memory:
         if eye.equal(self.eye) and T.equal(torch.eye(4).to(T)):
             return self
         relief, nodes = self.relief(), self.nodes()
-        heights = relief.at(relief.heights, *self._seen_anew(nodes, torch.zeros_like(nodes[0]), eye, T, self.eye))
-        for _ in range(2):  # where on the road a line of sight ends is known once its height is
-            places = self._seen_anew(nodes, heights.flatten(), eye, T, self.eye)
-            heights = relief.at(relief.heights, *places)
+        heights = -transform(T, nodes)[2]  # of the old plane
+        for _ in range(3):  # where on the road a line of sight ends is known once its height is
+            *places, z = self._seen_anew(nodes, heights, eye, T, self.eye)
+            heights = heights + (relief.at(relief.heights, *places) - z).flatten()
         brightness, base = (relief.at(values.view(self.grid), *places).flatten() for values in (self.brightness, self.heights.base))
         information = self._carried(self._seen_anew(nodes, self.heights.mean, self.eye, inverse(T), eye))
-        return replace(self, heights=Heights(heights.flatten(), information, base), brightness=brightness, eye=eye, drawn=(), kept=None)
+        return replace(self, heights=Heights(heights, information, base), brightness=brightness, eye=eye, drawn=(), kept=None)
 
     def tracks(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
         """Height in m of the road at places `[2, k]` of the ground, and its information in 1/m^2: 0 outside of the region."""
@@ -146,16 +146,16 @@ class Memory:
             1
         )
 
-    def _seen_anew(self, nodes: Tensor, heights: Tensor, eye: Tensor, T: Tensor, other: Tensor) -> tuple[Tensor, Tensor]:
-        """Where on the plane another eye sees the road that is as high as `[n]` m on the lines of sight of an eye through nodes `[3, n]`.
+    def _seen_anew(self, nodes: Tensor, heights: Tensor, eye: Tensor, T: Tensor, other: Tensor) -> Tensor:
+        """Where on its plane another eye sees the road that is as high as `[n]` m on the lines of sight of an eye through nodes `[3, n]`.
 
-        T: the ground frame of eye and nodes in that of the other.
+        T: the ground frame of eye and nodes in that of the other. Returns x, y there and the road's height in that frame, `[3, 1, n]`.
         """
         road = transform(T, nodes + (eye[:, None] - nodes) * (heights / eye[2]))
         x, y, _ = other[:, None] + (road - other[:, None]) * (other[2] / (other[2] - road[2]))
-        return x.view(1, -1), y.view(1, -1)
+        return torch.stack([x, y, road[2]])[:, None]
 
-    def _carried(self, places: tuple[Tensor, Tensor]) -> Tensor:
+    def _carried(self, places: Tensor) -> Tensor:
         """Information `[n, n]` of the heights at the nodes, from that of heights that have come to lie at places between them.
 
         With `old = V new` the old `old^T L old` is `new^T V^T L V new`. What has left the region is forgotten.

@@ -26,12 +26,14 @@ class Following:
     body: Tensor = HERE
 
     @classmethod
-    def of(cls, ego: Ego | None, body: BodyFilter, since_s: float) -> "Following":
-        """As far as is known now. since_s: time of the last look."""
+    def of(cls, ego: Ego | None, body: BodyFilter, since_s: float, ground: Tensor) -> "Following":
+        """As far as is known now. since_s: time of the last look. ground: `T_level_ground` `[4, 4]` then."""
         if ego is None:
             return cls()
-        T_ground_body = body.T_ground_body(ego.time_s)
-        return cls() if ego.stands and _rests(body, ego.time_s) else cls(exact(ego.way(ego.time_s - since_s)), T_ground_body)
+        now = ground_at(ego, ego.time_s)
+        if ego.stands and _rests(body, now, ego.time_s):
+            return cls()
+        return cls(inverse(ground) @ exact(ego.way(ego.time_s - since_s)) @ now, inverse(now) @ body.T_level_body(ego.time_s))
 
     @property
     def still(self) -> bool:
@@ -46,26 +48,33 @@ AT_REST: Final = Following()
 class Stances:
     """The body over a look; all poses `[4, 4]`, float64 on the CPU.
 
-    time_s: of the look's on frame. since: its ground frame in that of the look before. on, off: `T_ground_body` of its two frames in its
-    ground frame.
+    time_s: of the look's on frame. ground: its ground frame in the level one. since: its ground frame in that of the look before. on, off:
+    `T_ground_body` of its two frames in its ground frame.
     """
 
     time_s: float = 0.0
+    ground: Tensor = HERE
     since: Tensor = HERE
     on: Tensor = HERE
     off: Tensor = HERE
 
     @classmethod
-    def of(cls, look: Look, body: BodyFilter | None, before_s: float) -> "Stances":
-        """With the body as it is known now; without one the vehicle stands on even wheels. before_s: time_s of the look before."""
+    def of(cls, look: Look, body: BodyFilter | None, before_s: float, before: Tensor | None) -> "Stances":
+        """With the body as it is known now; without one the vehicle stands on even wheels.
+
+        before_s, before: time_s and ground of the look before, None where there was none.
+        """
         then = look.shown.ego
         if look.ego is None or then is None or body is None:
             return cls()
         seen_s, on_s = then.time_s, then.on_s
-        on = body.T_ground_body(seen_s)
-        if then.stands and _rests(body, seen_s) and Following.of(look.ego, body, seen_s).still:
-            return cls(seen_s)
-        return cls(seen_s, exact(then.way(seen_s - before_s)), on, exact(then.way(on_s)) @ body.T_ground_body(seen_s + on_s))
+        ground = ground_at(then, seen_s)
+        if then.stands and _rests(body, ground, seen_s) and Following.of(look.ego, body, seen_s, ground).still:
+            return cls(seen_s, ground)
+        T_ground_level, way = inverse(ground), exact(then.way(seen_s - before_s))
+        since = inverse(ground if before is None else before) @ way @ ground
+        off = exact(then.way(on_s)) @ body.T_level_body(seen_s + on_s)
+        return cls(seen_s, ground, since, T_ground_level @ body.T_level_body(seen_s), T_ground_level @ off)
 
     @property
     def still(self) -> bool:
@@ -78,7 +87,12 @@ class Stances:
         return replace(self, on=T @ self.on, off=T @ self.off)
 
 
-def _rests(body: BodyFilter, time_s: float) -> bool:
+def ground_at(ego: Ego, time_s: float) -> Tensor:
+    """`T_level_ground` `[4, 4]` at a time, float64 on the CPU."""
+    return exact(ego.at(time_s).T_level_ground)
+
+
+def _rests(body: BodyFilter, ground: Tensor, time_s: float) -> bool:
     """Whether the body stands even at a time and does not only swing through; heave, of which no sensor tells the rate, may do so."""
-    away, later = ((body.T_ground_body(t_s) - HERE).abs() for t_s in (time_s, time_s + LATER_S))
+    away, later = ((inverse(ground) @ body.T_level_body(t_s) - HERE).abs() for t_s in (time_s, time_s + LATER_S))
     return bool((away < EVEN).all() and (later[:3, :3] < EVEN).all())
