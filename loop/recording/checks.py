@@ -15,7 +15,7 @@ from world.errors import LuxloopError, did_you_mean
 Result = TypeVar("Result")
 Made = TypeVar("Made", covariant=True)
 
-ROUNDING_S = 1e-9  # of sums of periods, at a window's ends
+ROUNDING_S = 1e-6  # of sums of periods and of clocks that count from 1970, at a window's ends
 NOTHING = "nothing was there to check"
 
 
