@@ -11,12 +11,13 @@ from typing import Any
 import pyarrow as pa
 import torch
 
-from loop.lighting.record import Recorder, row, schema, valued
+from loop.lighting.record import row, schema, valued
+from loop.lighting.recorder import Recorder
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
 from loop.plant.simulated import SimulatedPlant
 from loop.recording.checks import Checks, lights, refuse_unknown
-from loop.recording.recorder import REPORT, TRAJECTORY, VIDEO, Outputs, no_report
+from loop.recording.files import REPORT, TRAJECTORY, VIDEO, Outputs
 from loop.recording.video import VideoWriter
 from loop.report.page import Watched, write_report
 from loop.report.picture import frame_picture, white_of
@@ -89,7 +90,8 @@ def run(
     folder, outputs = Path(folder), Outputs(video, report, frames)
     with output_folder(folder):
         simulation = prepare(scenario, device)
-        summary = _recorded(simulation, folder, Checks(simulation, row, checks), outputs, on_step, on_end)
+        given = Checks(scenario.checks, (lambda light: map(row, simulation.lit_by(light).run())) if checks else None)
+        summary = _recorded(simulation, folder, given, outputs, on_step, on_end)
     gc.collect()  # matplotlib leaves exceptions of its parser in cycles, and their frames hold the simulation: half a gigabyte
     return RunResult(summary, read_parquet(folder / TRAJECTORY), folder, temporary)
 
@@ -97,7 +99,7 @@ def run(
 def _recorded(
     simulation: Simulation,
     directory: Path,
-    checks: Checks[StepResult],
+    checks: Checks,
     outputs: Outputs,
     on_step: Callable[[StepResult], None],
     on_end: Callable[[], None],
@@ -108,8 +110,10 @@ def _recorded(
         write_report(directory / REPORT, simulation, watched, table, summary)
 
     size = (scenario.camera.width_px, scenario.camera.height_px)
-    drawn = page if outputs.report else no_report
-    with Recorder(directory, simulation, drawn, checks.outcomes, outputs.frames) as recorder, ExitStack() as stack:
+    with (
+        Recorder(directory, simulation, page if outputs.report else None, checks.outcomes, outputs.frames) as recorder,
+        ExitStack() as stack,
+    ):
         film = stack.enter_context(VideoWriter(directory / VIDEO, VIDEO_FPS, size)) if outputs.video else None
         stack.callback(on_end)
         for result in simulation.run():

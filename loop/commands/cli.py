@@ -217,7 +217,7 @@ def run(
         Evaluate all checks of the scenario, those as well for which another light runs beside; exit code 1 where one fails.
     """
     from loop.commands.runs import run_scenario
-    from loop.recording.recorder import Outputs
+    from loop.recording.files import Outputs
     from loop.scenario.model import load
 
     given: dict[str, Any] = {key: value for key, value in {"seed": seed, "steps": steps}.items() if value is not None}

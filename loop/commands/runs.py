@@ -12,8 +12,8 @@ from loop.lighting.replay import replay
 from loop.lighting.result import StepResult
 from loop.lighting.summary import shown
 from loop.recording.checks import passed
+from loop.recording.files import TRAJECTORY, Outputs
 from loop.recording.manifest import Manifest
-from loop.recording.recorder import TRAJECTORY, Outputs
 from loop.run import run
 from loop.scenario.model import Scenario
 from loop.terminal import tables

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
@@ -15,9 +14,6 @@ from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
 from loop.lighting.summary import summarise
 from loop.recording.columns import AIM, CENTROIDS, CUT, ERRORS, POSE, SYMBOL, loss_name, of_one
-from loop.recording.frames import FrameRecorder
-from loop.recording.manifest import Manifest
-from loop.recording.recorder import Checked, Report, TableRecorder, no_report, unchecked
 from loop.recording.summary import summarise as summarise_symbol
 from loop.scenario.plant import shadow_of
 from perception.judge import Verdict
@@ -200,33 +196,3 @@ def summary_of(simulation: Simulation, table: pa.Table, last: Mapping[str, StepR
         held[name] = summarise_symbol(of_one(table, name), symbol.params.name, iou)
     summary = summarise(table, scenario.name, compared(simulation, table), held) | {"shadow_of": shadow_of(scenario.plant)}
     return summary | ({"flicker": {"rate_hz": scenario.rate_hz, "on_share": 1 - scenario.off_share}} if held else {})
-
-
-class Recorder(TableRecorder[StepResult]):
-    """Records a run of lighting functions."""
-
-    def __init__(
-        self,
-        directory: Path,
-        simulation: Simulation,
-        report: Report = no_report,
-        checked: Checked = unchecked,
-        frames: bool = False,
-    ) -> None:
-        """frames: whether to keep them. Raises LuxloopError as any recorder does, and if an input file cannot be read."""
-        self.simulation = simulation
-        kept = FrameRecorder(directory, simulation.scenario.camera.bits) if frames else None
-        self.idle, self.last = set(simulation.scenario.functions), dict[str, StepResult]()
-        manifest = Manifest.of(simulation.scenario, simulation.renderer, simulation.device)
-        super().__init__(directory, manifest, schema(simulation), report, checked, kept)
-
-    def row(self, result: StepResult) -> dict[str, Any]:
-        if self.idle:
-            self.idle &= self.simulation.idle(result)
-        self.last |= dict.fromkeys(result.held, result)
-        return row(result)
-
-    def figures(self) -> dict[str, Any]:
-        """The steps so far in a few numbers."""
-        idle = [f"functions.{name} ({each.kind})" for name, each in sorted(self.simulation.scenario.functions.items()) if name in self.idle]
-        return summary_of(self.simulation, self.table(), self.last) | {"idle_functions": idle}

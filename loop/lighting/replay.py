@@ -13,8 +13,8 @@ from loop.lighting.record import row, schema
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
 from loop.recording.comparison import Comparison, compare
+from loop.recording.files import TRAJECTORY, table_of
 from loop.recording.manifest import FILE, Manifest
-from loop.recording.recorder import TRAJECTORY, table_of
 from loop.scenario.model import Scenario, validate
 from world.errors import LuxloopError
 from world.files import whole

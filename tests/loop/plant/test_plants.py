@@ -15,7 +15,7 @@ from loop.plant.pairing import paired
 from loop.plant.protocol import Arrivals, Exposure
 from loop.plant.simulated import SimulatedPlant
 from loop.recording.columns import of_one
-from loop.recording.recorder import table_of
+from loop.recording.files import table_of
 from loop.recording.summary import summarise
 from loop.run import prepare
 from loop.scenario.model import validate

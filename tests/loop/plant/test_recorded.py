@@ -19,7 +19,7 @@ from loop.plant.frames import TABLE, image_file, light_file
 from loop.plant.protocol import Exposure
 from loop.plant.recorded import RecordedPlant
 from loop.recording.columns import of_one
-from loop.recording.recorder import table_of
+from loop.recording.files import table_of
 from loop.run import prepare, run
 from loop.scenario.model import Scenario, load, validate
 from tests.loop.conftest import SMALL, Lux, assert_one_sentence

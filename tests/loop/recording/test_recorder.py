@@ -18,14 +18,15 @@ import pytest
 import torch
 
 from controllers.symbol.sensing.drawing import Drawing
-from loop.lighting.record import ZONE, Recorder, row, schema
+from loop.lighting import recorder
+from loop.lighting.record import ZONE, row, schema
+from loop.lighting.recorder import Recorder
 from loop.lighting.replay import load
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
-from loop.recording import recorder
 from loop.recording.columns import POSE, SYMBOL, loss_name
+from loop.recording.files import table_of
 from loop.recording.manifest import Manifest
-from loop.recording.recorder import table_of
 from loop.scenario.model import Scenario, validate
 from perception.extraction import Loss
 from world.errors import LuxloopError
@@ -142,7 +143,7 @@ def test_death_in_the_middle_of_a_write_leaves_the_write_before(
 RUN = """
 import itertools, json, sys
 from pathlib import Path
-from loop.lighting.record import Recorder
+from loop.lighting.recorder import Recorder
 from loop.lighting.simulation import Simulation
 from loop.scenario.model import validate
 

@@ -12,7 +12,7 @@ import pytest
 
 from loop.lighting import summary as of_run
 from loop.recording.columns import SYMBOL
-from loop.recording.recorder import table_of
+from loop.recording.files import table_of
 from loop.recording.remedies import remedies
 from loop.recording.summary import overshoot_percent, settle_step, steady_step, summarise, unsettled
 from loop.scenario.model import load
