@@ -146,8 +146,8 @@ def check(scenario: Scenario, device: str = "auto") -> dict[str, Any]:
 
     `steps`, `road`, `base` (what shines below all functions), `functions` (their kinds by name), `controllers` (of symbols that are held,
     by name), `objects` (their number) and `detector` (None where there is none). With a detector also the number of `boxes` that it finds
-    in the first frame, `lx_max`, the most light on objects there (None where none is in sight), and `known`, whether the plant knows the
-    truth.
+    in the first frame, None where none came, `lx_max`, the most light on objects there (None where none is in sight), and `known`, whether
+    the plant knows the truth.
     """
     simulation = prepare(scenario, device)
     return {
@@ -168,7 +168,7 @@ def _first_look(simulation: Simulation) -> dict[str, Any]:
     with located(simulation.scenario.source):
         first = next((each for each in simulation.run() if each.frame is not None), None)
     if first is None or first.look is None:
-        return {"boxes": 0, "lx_max": None, "known": simulation.truth is not None}
+        return {"boxes": None, "lx_max": None, "known": simulation.truth is not None}
     lit = [each.lx_max for each in first.objects.values() if each.lx_max is not None]
     return {"boxes": len(first.look.found), "lx_max": max(lit, default=None), "known": simulation.truth is not None}
 
@@ -183,6 +183,8 @@ def in_words(facts: dict[str, Any]) -> str:
 
 
 def _looked(facts: dict[str, Any]) -> str:
+    if facts["boxes"] is None:
+        return f"no frame came in {facts['steps']} steps"
     if not facts["known"]:
         return f"{facts['boxes']} boxes in the first frame"
     light = "no object is in sight" if facts["lx_max"] is None else f"objects in sight have up to {facts['lx_max']:.3g} lx"

@@ -47,6 +47,7 @@ class Recorder:
         self.manifest = Manifest.of(simulation.scenario, simulation.renderer, simulation.device)
         self._frames = FrameRecorder(directory, simulation.scenario.camera.bits) if frames else None
         self._idle, self._last = set(simulation.scenario.functions), dict[str, StepResult]()
+        self._asked, self._came = set[int](), list[int]()  # numbers of exposures, and of frames with an image
         self._written = schema(simulation).empty_table()
         self._fresh: list[dict[str, Any]] = []
         self._next_write_s = 0.0
@@ -59,7 +60,10 @@ class Recorder:
         functions = sorted(self.simulation.scenario.functions.items())
         idle = [f"functions.{name} ({each.kind})" for name, each in functions if name in self._idle]
         checks = {} if self._checked is None else self._checked(self.table())
-        return summary_of(self.simulation, self.table(), self._last) | {"idle_functions": idle, "checks": checks}
+        fitting = sum(number in self._asked for number in self._came)
+        frames = {"asked": len(self._asked), "came": fitting, "unknown": len(self._came) - fitting}
+        looks = {"frames": frames} if self.simulation.remembers else {}
+        return summary_of(self.simulation, self.table(), self._last) | looks | {"idle_functions": idle, "checks": checks}
 
     def __enter__(self) -> Self:
         return self
@@ -70,6 +74,8 @@ class Recorder:
         if self._idle:
             self._idle &= self.simulation.idle(result)
         self._last |= dict.fromkeys(result.held, result)
+        self._asked |= {each.exposure.number for each in result.showings}
+        self._came += [frame.number for each in result.showings for frame in each.after.frames if frame.image is not None]
         if not self._begun:
             self._begin()
         if self._frames is not None:

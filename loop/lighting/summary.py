@@ -10,7 +10,7 @@ from rich.table import Table
 
 from controllers.zones.material import Quantity
 from loop.recording.checks import lines
-from loop.recording.remedies import remedies
+from loop.recording.remedies import of_frames, remedies
 from loop.recording.summary import column
 from loop.terminal.tables import facts, number
 
@@ -234,7 +234,9 @@ def shown(values: dict[str, Any], files: str) -> Table:
             rows[f"{word} {spoken(name)}"] = f"no track shows it in {steps} in which it is in sight{large}"
     rows["time a step"] = f"{number(values['control_ms_median'], '.1f')} ms (median) for planning, all lamps and controllers"
     rows |= lines(values)
-    if notes := [] if values["shadow_of"] else [note for name, each in values["functions"].items() for note in remedies(name, each)]:
+    notes = of_frames(values["frames"]) if "frames" in values else []
+    notes += [note for name, each in values["functions"].items() for note in remedies(name, each)]
+    if notes and not values["shadow_of"]:
         rows["note"] = "\n".join(notes)
     rows["files"] = files
     return facts(rows)

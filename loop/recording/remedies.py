@@ -18,6 +18,21 @@ INTO_THE_FIELD = {
 }
 
 
+def of_frames(frames: dict[str, int]) -> list[str]:
+    """What is wrong with the frames of a run, by their part of its summary; empty where nothing is."""
+    if frames["unknown"]:
+        return [
+            f"{frames['unknown']} frames were of no exposure that was shown, and nothing looked at them; give each frame of the plant the "
+            "number of its exposure, exposure.number, and try luxloop.check_plant"
+        ]
+    if not frames["came"]:
+        return [
+            f"no frame came of any of the {frames['asked']} exposures, so that nothing was seen; raise steps where frames are late, lower "
+            "camera.drop_probability, or try luxloop.check_plant on a plant of your own"
+        ]
+    return []
+
+
 def remedies(name: str, values: dict[str, Any]) -> list[str]:
     """Of the symbol of a name and its summary (`loop.recording.summary.summarise`); empty where nothing went wrong."""
     return [each.replace("NAME", f"functions.{name}") for each in _remedies(values)]
