@@ -215,16 +215,20 @@ class ControlledSymbol:
         return HeldState(self.controller.step(state.controller, Look(seen, frames, shown, ego)), state.turn, seen.shape), seen
 
     def _less_masks(self, seen: Seen, shown: Shown) -> Seen:
-        """Errors without what other functions took from the symbol or laid over it, which moves its centroids as well."""
-        if seen.code != Loss.SEEN:
+        """Errors without what other functions took from the symbol or laid over it, which moves its centroids as well; lost as covered
+        where they leave too little of it.
+        """
+        if seen.code == Loss.NO_FRAME:
             return seen
         alone = self.projector.draw(shown.drawing)
         if all(torch.allclose(a.u, b.u, rtol=0, atol=SAME) for a, b in zip(shown.lights, alone, strict=True)):
             return seen
-        moved = self.observer.rendered(shown.drawing, shown.lights) - self.observer.rendered(shown.drawing, alone)
-        if not bool(moved.isfinite().all()):
-            return self.observer.lost(shown.drawing.pose, Loss.NOTHING)
-        errors = seen.errors - moved
+        left, whole = (self.observer.rendered(shown.drawing, lights) for lights in (shown.lights, alone))
+        if bool(whole.isfinite().all()) and not bool(left.isfinite().all()):
+            return replace(seen, code=torch.full_like(seen.code, Loss.COVERED))
+        if seen.code != Loss.SEEN:
+            return seen
+        errors = seen.errors - (left - whole)
         return replace(seen, errors=errors, pose_error=self.observer.pose_error(errors))
 
     def held(self, drawing: Drawing, seen: Seen | None, verdict: Verdict | None) -> Held:

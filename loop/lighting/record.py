@@ -10,6 +10,7 @@ import torch
 from loop.lighting.compared import compared
 from loop.lighting.controlled import Held
 from loop.lighting.on_materials import quantities
+from loop.lighting.redrawn import covering, opened
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
 from loop.lighting.summary import summarise
@@ -185,14 +186,19 @@ def of_symbol(held: Held) -> dict[str, Any]:
     return values | {"loss": loss_name(int(values.pop("code")))}
 
 
-def summary_of(simulation: Simulation, table: pa.Table, last: Mapping[str, StepResult]) -> dict[str, Any]:
-    """The summary of a run's steps. last: of each symbol the last step that shows it, beside which the open loop is judged."""
+def summary_of(
+    simulation: Simulation, table: pa.Table, last: Mapping[str, StepResult], covered: Mapping[str, StepResult] | None = None
+) -> dict[str, Any]:
+    """The summary of a run's steps. last: of each symbol the last step that shows it, beside which the open loop is judged. covered: of
+    those that were lost as covered the last such step.
+    """
     scenario, held = simulation.scenario, dict[str, dict[str, Any]]()
     for name, symbol in simulation.controlled.items():
         iou = math.nan
         if symbol.judge is not None and name in last:
             time_s = last[name].time_s
-            iou = float(symbol.judge.judged(simulation.world.added(time_s, *simulation.opened(last[name], name)), time_s).iou)
-        held[name] = summarise_symbol(of_one(table, name), symbol.params.name, iou)
+            iou = float(symbol.judge.judged(simulation.world.added(time_s, *opened(simulation, last[name], name)), time_s).iou)
+        by = covering(simulation, covered[name], name) if covered and name in covered else ()
+        held[name] = summarise_symbol(of_one(table, name), symbol.params.name, iou, by)
     summary = summarise(table, scenario.name, compared(simulation, table), held) | {"shadow_of": shadow_of(scenario.plant)}
     return summary | ({"flicker": {"rate_hz": scenario.rate_hz, "on_share": 1 - scenario.off_share}} if held else {})

@@ -17,6 +17,7 @@ from loop.plant.frames import remove
 from loop.recording.files import FILES, SUMMARY, TRAJECTORY, table_of, write_table
 from loop.recording.frames import FrameRecorder
 from loop.recording.manifest import Manifest, write_json
+from perception.extraction import Loss
 from world.errors import LuxloopError
 
 REST = 10  # times what a write takes pass between two: recording costs a tenth at most, and a kill the last 50 ms or so
@@ -47,6 +48,7 @@ class Recorder:
         self.manifest = Manifest.of(simulation.scenario, simulation.renderer, simulation.device)
         self._frames = FrameRecorder(directory, simulation.scenario.camera.bits) if frames else None
         self._idle, self._last = set(simulation.scenario.functions), dict[str, StepResult]()
+        self._covered = dict[str, StepResult]()
         self._asked, self._came = set[int](), list[int]()  # numbers of exposures, and of frames with an image
         self._written = schema(simulation).empty_table()
         self._fresh: list[dict[str, Any]] = []
@@ -63,7 +65,7 @@ class Recorder:
         fitting = sum(number in self._asked for number in self._came)
         frames = {"asked": len(self._asked), "came": fitting, "unknown": len(self._came) - fitting}
         looks = {"frames": frames} if self.simulation.remembers else {}
-        return summary_of(self.simulation, self.table(), self._last) | looks | {"idle_functions": idle, "checks": checks}
+        return summary_of(self.simulation, self.table(), self._last, self._covered) | looks | {"idle_functions": idle, "checks": checks}
 
     def __enter__(self) -> Self:
         return self
@@ -74,6 +76,7 @@ class Recorder:
         if self._idle:
             self._idle &= self.simulation.idle(result)
         self._last |= dict.fromkeys(result.held, result)
+        self._covered |= {name: result for name, each in result.held.items() if each.seen.code == Loss.COVERED}
         self._asked |= {each.exposure.number for each in result.showings}
         self._came += [frame.number for each in result.showings for frame in each.after.frames if frame.image is not None]
         if not self._begun:

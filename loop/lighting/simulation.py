@@ -112,17 +112,9 @@ class Simulation:
         """The same with another controller of the only symbol that is held. Raises as `symbol`."""
         return replace(self, controlled={only(self.controlled): replace(self.symbol, controller=controller)})
 
-    def opened(self, result: StepResult, name: str) -> tuple[tuple[Utilisation, ...], tuple[Utilisation, ...]]:
-        """Lights of a step with one of its symbols as the open loop draws it, and without that one."""
-        symbol, T_ground_body = self.controlled[name], result.view.T_world_view @ inverse(self.view.T_world_view)
-        drawn: dict[str, Sequence[Primitives]] = {**self.planner.drawn(result.now, result.functions)}
-        drawn |= {other: self.controlled[other].command(held.drawing, T_ground_body) for other, held in result.held.items()}
-        drawn[name] = symbol.command(Drawing(symbol.projector.target), T_ground_body)
-        lights, others = (
-            self._driven(self.planner.composed(result.now, result.functions, each), result.now)[0]
-            for each in (drawn, _without(drawn, [name]))
-        )
-        return lights, others
+    def lights_of(self, result: StepResult, drawn: Mapping[str, Sequence[Primitives]]) -> tuple[Utilisation, ...]:
+        """Those of a step in which the functions draw these primitives, by name."""
+        return self._driven(self.planner.composed(result.now, result.functions, drawn), result.now)[0]
 
     def of_all(self, symbol: ControlledSymbol, light: Sequence[Utilisation]) -> tuple[Utilisation, ...]:
         """What a light of a symbol's modules adds to their base beams, as utilisations of all modules."""

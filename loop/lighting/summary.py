@@ -251,8 +251,13 @@ def _of_symbol(values: dict[str, Any]) -> dict[str, str]:
         "centroid error": f"{number(x, '.2f')} % along, {number(y, '.2f')} % across",
         "IoU, open loop → final": f"{number(values['iou_open'], '.3f')} → {number(values['iou_final'], '.3f')}{late}",
         "overshoot": number(values["overshoot_percent"], ".1f", " %"),
-        "lost steps": str(values["lost_steps"]),
+        "lost steps": f"{values['lost_steps']}{_covered(values)}",
     }
+
+
+def _covered(values: dict[str, Any]) -> str:
+    names = ", ".join(map(spoken, values["covered_by"])) or "other functions"
+    return f", of which {names} covered it in {values['covered_steps']}" if values["covered_steps"] else ""
 
 
 def _of_energy(own_j: float, compared_j: Mapping[str, float]) -> str:

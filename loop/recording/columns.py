@@ -43,7 +43,10 @@ SYMBOL: dict[str, tuple[str, str]] = {
     "br_u": ("axes", "centroid of the bottom right quadrant, u"),
     "br_v": ("axes", "centroid of the bottom right quadrant, v"),
     "area_ratio": ("1", "area of the extracted symbol, as a multiple of what the flat road, or one of the acquired shape, would show"),
-    "loss": ("", "why the symbol was lost: no_frame, nothing, too_small or too_large; empty where it was seen"),
+    "loss": (
+        "",
+        "why the symbol was lost: no_frame, nothing, too_small, too_large or covered (by other functions); empty where it was seen",
+    ),
     "centroid_error_x_percent": ("%", "judge: error of the centroid along x, of the symbol's length"),
     "centroid_error_y_percent": ("%", "judge: error of the centroid along y, of the symbol's width"),
     "iou": ("1", "judge: intersection over union with the target"),

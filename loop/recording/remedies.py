@@ -73,6 +73,11 @@ def _why_unsettled(values: dict[str, Any]) -> str:
                 return f"{what}; raise steps to {SHORT} at least"
             if values["controller"] == "luxloop":
                 return f"{what}, as it does where the car or an object moves; if none does, lower NAME.x_m, as a nearer symbol moves less"
+        case "covered":
+            others = ", ".join(f"functions.{name}" for name in values["covered_by"]) or "other functions"
+            return (
+                f"{others} took too much light from the symbol to measure it; move one of them, or raise NAME.priority where no mask does"
+            )
         case "lost" if not values["seen_steps"]:
             what = "the camera never saw the symbol, whose light may pass over a road that falls"
             if values["controller"] not in AT_ONCE:

@@ -18,6 +18,7 @@ from controllers.pixels.ssc import Utilisation
 from controllers.symbol.sensing.flat_model import FeatureParams
 from loop.lighting.controlled import ControlledSymbol
 from loop.lighting.judging import Judge
+from loop.lighting.redrawn import opened
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
 from loop.plant.simulated import SimulatedPlant
@@ -89,7 +90,7 @@ class Shown:
     @classmethod
     def of(cls, simulation: Simulation, name: str, last: StepResult) -> "Shown":
         on, off = (showing.exposure.lights for showing in (last.showings[0], last.showings[-1]))
-        return cls(simulation.controlled[name], last, on, off, simulation.opened(last, name))
+        return cls(simulation.controlled[name], last, on, off, opened(simulation, last, name))
 
 
 def draw_symbol(figure: SubFigure, simulation: Simulation, gathered: Gathered, table: pa.Table, summary: dict[str, Any]) -> None:

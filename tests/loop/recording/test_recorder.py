@@ -82,7 +82,7 @@ def test_lost_symbol_is_a_row_with_a_reason(small_simulation: Simulation, small_
     assert values["functions.symbol.loss"] == "no_frame"
     assert math.isnan(values["functions.symbol.c_u"]) and math.isnan(values["functions.symbol.e_pitch"])
     assert table_of([values], schema(small_simulation))["functions.symbol.c_u"].null_count == 1
-    assert {loss_name(code) for code in Loss} == {"", "no_frame", "nothing", "too_small", "too_large"}
+    assert {loss_name(code) for code in Loss} == {"", "no_frame", "nothing", "too_small", "too_large", "covered"}
 
 
 def test_recording_is_complete(tmp_path: Path, small_simulation: Simulation, small_results: list[StepResult]) -> None:
