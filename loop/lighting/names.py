@@ -5,6 +5,7 @@ from typing import Any
 
 from loop.lighting.lamps import ShiningModule
 from loop.scenario.model import Scenario
+from loop.scenario.plant import shadow_of
 from perception.detection.params import TruthParams
 from world.errors import LuxloopError
 
@@ -29,11 +30,17 @@ def check_names(scenario: Scenario, modules: tuple[ShiningModule, ...]) -> None:
 
 
 def refuse_unknown(scenario: Scenario) -> None:
-    """Raises LuxloopError that names the first key that needs a plant which knows the truth."""
+    """Raises LuxloopError that names the first key that needs a plant which knows the truth.
+
+    In shadow, where nothing is shown, objects are merely unknown.
+    """
     params, tracked = scenario.lighting, any(each.category for each in scenario.all_objects)
     wants = {
         "detector.kind": (isinstance(scenario.detector, TruthParams), "give a detector that looks at frames"),
-        "objects": (tracked and scenario.detector is None, "give a [detector] that finds them in frames, or take them out"),
+        "objects": (
+            tracked and scenario.detector is None and not shadow_of(scenario.plant),
+            "give a [detector] that finds them in frames, or take them out",
+        ),
         "lighting.street_lamps": (params.street_lamps, "leave it out"),
         "lighting.shadow_rays": (params.shadow_rays, "leave it out"),
         **{f"functions.{name}": (function.kind == "material", "take it out") for name, function in scenario.functions.items()},
