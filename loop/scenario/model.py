@@ -305,6 +305,8 @@ def validate(data: Mapping[str, Any], source: str) -> Scenario:
             f"{source}: schema_version: this luxloop reads version {SCHEMA_VERSION}, not {version!r}; get another luxloop for it"
         )
     with located(source):
+        if "symbol" in data:
+            raise LuxloopError('symbol: unknown key; a symbol is a lighting function, write [functions.NAME] with kind = "symbol"')
         return validated(Scenario, _spelt_out(data), EXAMPLES).model_copy(update={"source": source})
 
 

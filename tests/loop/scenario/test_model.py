@@ -58,7 +58,10 @@ BROKEN = {
     "a date in a list": (GOOD + BOX.replace("17,", "2024-01-01,"), ["objects[0].track[0].position_m[0]", "date"]),
     "no image": ('name = "x"\n[functions.symbol]\nkind = "symbol"', ["functions.symbol.image: is missing", "luxloop new"]),
     "no name": (GOOD.replace('name = "good"', ""), ["name", "missing"]),
-    "a symbol beside the functions": ('symbol = {image = "snowflake"}' + GOOD, ["symbol: unknown key; known are", "functions"]),
+    "a symbol beside the functions": (
+        'symbol = {image = "snowflake"}' + GOOD,
+        ["symbol: unknown key", "[functions.NAME]", 'kind = "symbol"'],
+    ),
     "a start beside the functions": ("start = {x_m = 12.0}" + GOOD, ["start: unknown key", "functions"]),
     "a start without control": (
         SYMBOL + "start = {x_m = 12.0}",
