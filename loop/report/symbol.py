@@ -76,7 +76,7 @@ class Gathered:
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
+class LastStep:
     """A symbol in the last step that shows it. on, off: the lights of that step. opened: with the symbol as the open loop draws it, and
     without it.
     """
@@ -88,7 +88,7 @@ class Shown:
     opened: tuple[Lights, Lights]
 
     @classmethod
-    def of(cls, simulation: Simulation, name: str, last: StepResult) -> "Shown":
+    def of(cls, simulation: Simulation, name: str, last: StepResult) -> "LastStep":
         on, off = (showing.exposure.lights for showing in (last.showings[0], last.showings[-1]))
         return cls(simulation.controlled[name], last, on, off, opened(simulation, last, name))
 
@@ -96,7 +96,7 @@ class Shown:
 def draw_symbol(figure: SubFigure, simulation: Simulation, gathered: Gathered, table: pa.Table, summary: dict[str, Any]) -> None:
     """A symbol's part of a page; table: its own columns (`loop.recording.columns.of_one`), of one step at least, and summary its own."""
     assert gathered.last is not None, "a page needs a step"
-    shown = Shown.of(simulation, gathered.name, gathered.last)
+    shown = LastStep.of(simulation, gathered.name, gathered.last)
     shadow = shadow_of(simulation.scenario.plant)
     figure.suptitle(_title(simulation, gathered.name, summary, shadow), x=0.012, ha="left", fontsize=12.5, weight="bold")
     notes = [] if shadow else remedies(gathered.name, summary)
@@ -201,7 +201,7 @@ def _error_units(what: FeatureParams) -> tuple[str, ...]:
     return (unit, unit, "" if what.shape == "moments" else unit, unit)
 
 
-def _camera_images(simulation: Simulation, shown: Shown, gathered: Gathered) -> dict[str, Image]:
+def _camera_images(simulation: Simulation, shown: LastStep, gathered: Gathered) -> dict[str, Image]:
     """Luminances `[height, width]` in cd/m^2 that the camera measures: at the last step's time where the plant can expose it once more."""
     camera, plant, last = simulation.scenario.camera, simulation.plant, shown.last
     if isinstance(plant, SimulatedPlant):
@@ -294,7 +294,7 @@ def _camera_views(figure: SubFigure, symbol: ControlledSymbol, views: dict[str, 
         _look_at(axes, symbol, [], image.shape, aspect=16 / 9)
 
 
-def _birds_eye_views(figure: SubFigure, judge: Judge, shown: Shown) -> None:
+def _birds_eye_views(figure: SubFigure, judge: Judge, shown: LastStep) -> None:
     goal, axes_m, symbol, time_s = judge.goal, judge.plane.axes, judge.symbol, shown.last.time_s
     y, x = -axes_m.u.cpu().numpy(), -axes_m.v.cpu().numpy()
     views = {"open loop": judge.world.added(time_s, *shown.opened), "at the end": judge.world.added(time_s, shown.on, shown.off)}
@@ -319,7 +319,7 @@ def _birds_eye_views(figure: SubFigure, judge: Judge, shown: Shown) -> None:
     figure.axes[0].set_ylabel("x in m")
 
 
-def _beam_patterns(figure: SubFigure, shown: Shown, when: str) -> None:
+def _beam_patterns(figure: SubFigure, shown: LastStep, when: str) -> None:
     modules, lights = shown.symbol.projector.modules, [shown.on[k] for k in shown.symbol.drawn_by]
     panels = figure.subplots(len(modules), 1, squeeze=False)[:, 0]
     for axes, module, light in zip(panels, modules, lights, strict=True):
