@@ -4,6 +4,7 @@ import gc
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -17,7 +18,7 @@ from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
 from loop.plant.simulated import SimulatedPlant
 from loop.recording.checks import Checks, lights, refuse_unknown
-from loop.recording.files import REPORT, TRAJECTORY, VIDEO, Outputs
+from loop.recording.files import REPORT, TRAJECTORY, VIDEO
 from loop.recording.video import VideoWriter
 from loop.report.page import Watched, write_report
 from loop.report.picture import frame_picture, white_of
@@ -87,44 +88,28 @@ def run(
     played = getattr(getattr(scenario, "plant", None), "folder", None)
     if played is not None and Path(played).resolve() == Path(folder).resolve():
         raise LuxloopError(f"{folder}: is the recording that is played, which this run would replace; give another folder with --out")
-    folder, outputs = Path(folder), Outputs(video, report, frames)
-    with output_folder(folder):
-        simulation = prepare(scenario, device)
-        given = Checks(scenario.checks, (lambda light: map(row, simulation.lit_by(light).run())) if checks else None)
-        summary = _recorded(simulation, folder, given, outputs, on_step, on_end)
-    gc.collect()  # matplotlib leaves exceptions of its parser in cycles, and their frames hold the simulation: half a gigabyte
-    return RunResult(summary, read_parquet(folder / TRAJECTORY), folder, temporary)
-
-
-def _recorded(
-    simulation: Simulation,
-    directory: Path,
-    checks: Checks,
-    outputs: Outputs,
-    on_step: Callable[[StepResult], None],
-    on_end: Callable[[], None],
-) -> dict[str, Any]:
-    scenario, watched, look = simulation.scenario, Watched(simulation), None
-
-    def page(table: pa.Table, summary: dict[str, Any]) -> None:
-        write_report(directory / REPORT, simulation, watched, table, summary)
-
-    size = (scenario.camera.width_px, scenario.camera.height_px)
-    with (
-        Recorder(directory, simulation, page if outputs.report else None, checks.outcomes, outputs.frames) as recorder,
-        ExitStack() as stack,
-    ):
-        film = stack.enter_context(VideoWriter(directory / VIDEO, VIDEO_FPS, size)) if outputs.video else None
+    folder = Path(folder)
+    with output_folder(folder), ExitStack() as stack:
+        simulation, look = prepare(scenario, device), None
+        camera, watched = scenario.camera, Watched(simulation)
+        run_checks = Checks(scenario.checks, (lambda light: map(row, simulation.lit_by(light).run())) if checks else None)
+        page = partial(write_report, folder / REPORT, simulation, watched) if report else None
+        recorder = stack.enter_context(Recorder(folder, simulation, page, run_checks.outcomes, frames))
+        film = VideoWriter(folder / VIDEO, VIDEO_FPS, (camera.width_px, camera.height_px)) if video else None
+        if film is not None:
+            stack.enter_context(film)
         stack.callback(on_end)
         for result in simulation.run():
             recorder.add(result)
-            checks.step()
+            run_checks.step()
             watched.add(result)
             if film is not None:
                 look = white_of(result, simulation) if look is None else look
                 film.add(frame_picture(result, simulation, look))
             on_step(result)
-    return recorder.summary()
+        summary = recorder.summary()
+    gc.collect()  # matplotlib leaves exceptions of its parser in cycles, and their frames hold the simulation: half a gigabyte
+    return RunResult(summary, read_parquet(folder / TRAJECTORY), folder, temporary)
 
 
 def prepare(scenario: Scenario, device: str = "auto") -> Simulation:

@@ -18,7 +18,6 @@ from controllers.pixels.windows import projected_windows
 from controllers.situation import Seen, Situation, TrackedObject
 from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.observer import Seen as SeenSymbol
-from controllers.symbol.sensing.protocol import SymbolController
 from loop.lighting.controlled import ControlledSymbol, Moment, controlled_symbols, turn
 from loop.lighting.ground import attitude, moved, seen_from
 from loop.lighting.lamps import LampPower, ShiningModule, driven, lamp_modules, mean_powers, shining_modules
@@ -107,10 +106,6 @@ class Simulation:
     def symbol(self) -> ControlledSymbol:
         """The only symbol that a controller holds. Raises LuxloopError where there are several or none."""
         return self.controlled[only(self.controlled)]
-
-    def with_controller(self, controller: SymbolController) -> "Simulation":
-        """The same with another controller of the only symbol that is held. Raises as `symbol`."""
-        return replace(self, controlled={only(self.controlled): replace(self.symbol, controller=controller)})
 
     def lights_of(self, result: StepResult, drawn: Mapping[str, Sequence[Primitives]]) -> tuple[Utilisation, ...]:
         """Those of a step in which the functions draw these primitives, by name."""

@@ -1,6 +1,5 @@
 """The files of a recording: what they are called, and tables as they are written."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,15 +11,6 @@ from world.files import whole
 
 TRAJECTORY, SUMMARY, REPORT, VIDEO = "trajectory.parquet", "summary.json", "report.png", "video.mp4"
 FILES = (TRAJECTORY, SUMMARY, REPORT, VIDEO, MANIFEST)
-
-
-@dataclass(frozen=True)
-class Outputs:
-    """What a run writes beside its table and summary."""
-
-    video: bool = True
-    report: bool = True
-    frames: bool = False
 
 
 def table_of(rows: list[dict[str, Any]], schema: pa.Schema) -> pa.Table:

@@ -23,7 +23,7 @@ from loop.lighting.simulation import Simulation
 from loop.pictures.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, birdseye
 from loop.recording.columns import of_one
 from loop.recording.remedies import SHADOW
-from loop.recording.style import NIGHT, STYLE
+from loop.recording.style import SHARES, STYLE
 from loop.recording.summary import column
 from loop.report.courses import write_courses
 from loop.report.marks import marks, readable
@@ -128,7 +128,7 @@ def _title(simulation: Simulation, last: StepResult, table: pa.Table) -> str:
     dark = dark[np.isfinite(dark)]
     masked = f"  ·  {dark.max():.3g} lx at most on what must be dark" if len(dark) else ""
     scenario = simulation.scenario
-    flicker = f"  ·  symbols on for {1 - scenario.off_share:.0%} at {scenario.rate_hz:g} Hz" if scenario.holds else ""
+    flicker = f"  ·  symbols on for {1 - scenario.off_share:.0%} at {scenario.rate_hz:g} Hz" if scenario.controlled else ""
     if (folder := shadow_of(scenario.plant)) is not None:
         flicker += f"  ·  {SHADOW} {folder}"
     return f"{scenario.name}  ·  {scenario.headlight.model}  ·  {table.num_rows} steps to {last.time_s:.2f} s{masked}{flicker}"
@@ -165,7 +165,7 @@ def _told_of_boxes(simulation: Simulation) -> str:
 
 def _camera(axes: Axes, simulation: Simulation, result: StepResult, white: float) -> None:
     image = (measured(result, simulation).cpu().numpy() / white).clip(0, 1) ** 0.5
-    axes.imshow(image, cmap=NIGHT, vmin=0, vmax=1, interpolation="antialiased")
+    axes.imshow(image, **SHARES)
     for mark in readable(marks(result, simulation), image.shape[1] / CHARACTERS, image.shape[1]):
         colour = TARGET if mark.target else FOUND if mark.faint else MASKED if mark.masked else TRACKED
         for (u0, v0), (u1, v1) in mark.lines:
@@ -183,7 +183,7 @@ def _camera(axes: Axes, simulation: Simulation, result: StepResult, white: float
 def _observed(figure: SubFigure, observed: Sequence[tuple[StepResult, ObservedSymbol]]) -> None:
     figure.suptitle("What observers see of their symbols: luminance, as a share of that of a white picture", x=0.02, ha="left", fontsize=9)
     for axes, (result, symbol) in zip(figure.subplots(1, len(observed), squeeze=False)[0], observed, strict=True):
-        axes.imshow(symbol.share.nan_to_num().cpu().numpy(), cmap=NIGHT, vmin=0, vmax=1, interpolation="antialiased")
+        axes.imshow(symbol.share.nan_to_num().cpu().numpy(), **SHARES)
         axes.set(xticks=[], yticks=[], anchor="N")
         axes.set_title(f"{result.time_s:.2f} s, IoU {symbol.iou:.3f}", weight="normal")
         axes.grid(False)
@@ -241,16 +241,9 @@ def _walls(figure: SubFigure, simulation: Simulation, last: StepResult) -> None:
         mine = [number for number, module in enumerate(simulation.modules) if module.side == side]
         wall = wall_light([simulation.modules[n] for n in mine], [last.lights[n] for n in mine], WALL_COLUMNS)
         extent = (-side_deg, side_deg, -down_deg, up_deg)
-        shown = axes.imshow(
-            wall.cpu().numpy(),
-            cmap="inferno",
-            vmin=0,
-            vmax=float(wall.max()) or 1,
-            extent=extent,
-            aspect="auto",
-            interpolation="antialiased",
-        )
-        axes.set(title=f"The {side} lamp on a wall at 25 m, at the end: {float(wall.max()):.3g} lx at most", ylabel="up in deg")
+        most = float(wall.max())
+        shown = axes.imshow(wall.cpu().numpy(), extent=extent, aspect="auto", **(SHARES | {"cmap": "inferno", "vmax": most or 1}))
+        axes.set(title=f"The {side} lamp on a wall at 25 m, at the end: {most:.3g} lx at most", ylabel="up in deg")
         axes.grid(False)
         axes.figure.colorbar(shown, ax=axes, label="lx", pad=0.01)
     axes.set_xlabel("to the right in deg")

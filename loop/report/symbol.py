@@ -24,7 +24,7 @@ from loop.lighting.simulation import Simulation
 from loop.plant.simulated import SimulatedPlant
 from loop.recording.columns import ERRORS
 from loop.recording.remedies import SHADOW, remedies
-from loop.recording.style import FOUR, NIGHT, STYLE, headed
+from loop.recording.style import FOUR, SHARES, STYLE, headed
 from loop.recording.summary import column
 from loop.scenario.plant import shadow_of
 from perception.appearance import appearance, image_axes
@@ -233,7 +233,7 @@ def _night(image: Image, white: float) -> Image:
 
 def _show(axes: Axes, image: Image, white: float) -> None:
     height, width = image.shape
-    axes.imshow(_night(image, white), cmap=NIGHT, vmin=0, vmax=1, extent=(0, width, height, 0), interpolation="antialiased")
+    axes.imshow(_night(image, white), extent=(0, width, height, 0), **SHARES)
     axes.set(xticks=[], yticks=[])
     axes.grid(False)
     for spine in axes.spines.values():
@@ -302,14 +302,7 @@ def _birds_eye_views(figure: SubFigure, judge: Judge, shown: LastStep) -> None:
     figure.suptitle("From above, noise-free", x=0.12, ha="left", weight="bold", fontsize=STYLE["axes.titlesize"])
     for axes, (title, light) in zip(figure.subplots(1, 2, sharey=True), views.items(), strict=True):
         plane = rectify(judge.plane_at(time_s), light).cpu().numpy()
-        axes.imshow(
-            _night(plane, 1.5 * float(goal.median)),
-            cmap=NIGHT,
-            vmin=0,
-            vmax=1,
-            extent=(y[0], y[-1], x[-1], x[0]),
-            interpolation="antialiased",
-        )
+        axes.imshow(_night(plane, 1.5 * float(goal.median)), extent=(y[0], y[-1], x[-1], x[0]), **SHARES)
         axes.contour(y, x, mask, levels=[0.5], colors=TARGET, linewidths=0.8)
         axes.set_title(title, weight="normal", loc="center")
         axes.grid(False)

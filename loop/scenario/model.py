@@ -212,11 +212,6 @@ class Scenario(Params):
         return hashlib.sha256(json.dumps(self.model_dump(mode="json"), sort_keys=True).encode()).hexdigest()
 
     @property
-    def holds(self) -> bool:
-        """Whether a controller holds a symbol."""
-        return bool(self.controlled)
-
-    @property
     def metered(self) -> bool:
         """Whether the light on objects or for functions is asked for, beside what the camera sees."""
         told = any(each.category for each in self.all_objects)
@@ -237,7 +232,7 @@ class Scenario(Params):
     @property
     def shares(self) -> tuple[float, ...]:
         """Of a control step, one an exposure: with the symbols that are held and without them, or the whole."""
-        return (1 - self.off_share, self.off_share) if self.holds else (1.0,)
+        return (1 - self.off_share, self.off_share) if self.controlled else (1.0,)
 
     @property
     def lights(self) -> tuple[Light, ...]:
