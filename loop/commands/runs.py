@@ -45,8 +45,8 @@ def run_scenario(scenario: Scenario, out: Path, device: str, checks: bool, *, re
 
         try:
             on_end = partial(advance, 0, writing)
-            kept = {"video": video, "report": report, "frames": frames, "checks": checks}
-            result = run(scenario, out, device=device, on_step=on_step, on_end=on_end, **kept)
+            kept = {"video": video, "report": report, "frames": frames}
+            result = run(scenario, out, device=device, checks=checks, on_step=on_step, on_end=on_end, **kept)
         except KeyboardInterrupt as error:
             raise KeyboardInterrupt(f"{done} of {scenario.steps} steps are kept in {out}" if done else "nothing was recorded") from error
     tables.show(shown(result.summary, str(out)))

@@ -122,24 +122,18 @@ class ControlledSymbol:
 
     @classmethod
     def prepare(
-        cls,
-        function: SymbolFunctionParams,
-        scenario: Scenario,
-        modules: Sequence[ShiningModule],
-        planner: Planner,
-        world: World | None,
+        cls, function: SymbolFunctionParams, scenario: Scenario, modules: Sequence[ShiningModule], planner: Planner, world: World | None
     ) -> "ControlledSymbol":
         """Raises LuxloopError where its file is missing or broken, and where its lamps cannot draw it or the camera cannot see it."""
         assert function.controller is not None
         refuse_unseen(function.held, scenario)
         base = planner.composed(Situation(0.0, torch.eye(4), torch.zeros(0, 3)), planner.start(), {})
         drawn_by = _chosen(function, modules)
-        drawing = []
-        for each in (modules[k] for k in drawn_by):
-            drawing.append(DrawingModule(each.name, each.controller.over(each.base(base)), each.T_world_module))
+        mine = [modules[k] for k in drawn_by]
+        drawing = tuple(DrawingModule(each.name, each.controller.over(each.base(base)), each.T_world_module) for each in mine)
         with located("image"):
             image = load_still(named(function.image, "symbols")).to(modules[0].flux.device)
-        projector = Projector(tuple(drawing), image, function.held, camera_view(scenario.camera).origin)
+        projector = Projector(drawing, image, function.held, camera_view(scenario.camera).origin)
 
         def model_of(camera: CameraParams) -> FlatModel:
             return flat_model(projector, camera, scenario.surface, scenario.light.ambient_lx, function.extraction, function.features)
@@ -199,11 +193,8 @@ class ControlledSymbol:
 
         on, off: of all modules with the symbol and without it.
         """
-        found = []
-        for k, beam in zip(self.drawn_by, self.projector.resting, strict=True):
-            same = off[k].u is beam.u  # nothing else shines
-            found.append(on[k] if same else Utilisation(beam.u + on[k].u - off[k].u))
-        return tuple(found)
+        beams = zip(self.drawn_by, self.projector.resting, strict=True)  # the same as off where nothing else shines
+        return tuple(on[k] if off[k].u is beam.u else Utilisation(beam.u + on[k].u - off[k].u) for k, beam in beams)
 
     def step(self, state: HeldState, name: str, moment: Moment, images: Frames | None, ego: Ego | None) -> tuple[HeldState, Seen]:
         """Look at the frames of a moment that shows it, None where they are lost, and control. name: its own."""

@@ -36,13 +36,7 @@ STEP = {
     "look_ms": (pa.float64(), "ms", "rendering, which is no part of the car"),
 }
 CONTROL = {"control_ms": (pa.float64(), "ms", "measurement and controllers of all symbols that are held")}
-OBSERVED = {
-    "symbol_iou_min": (
-        pa.float64(),
-        "1",
-        "least IoU of a symbol with what its observer shall see, from their eye; empty while there is none",
-    ),
-}
+OBSERVED = {"symbol_iou_min": (pa.float64(), "1", "least IoU of a symbol with what its observer shall see; empty while there is none")}
 LAMP = {
     "flux_lm": (pa.float64(), "lm", "luminous flux"),
     "power_share": (pa.float64(), "1", "power, as a share of all pixels on"),
@@ -91,12 +85,8 @@ def schema(simulation: Simulation) -> pa.Schema:
     tracked, looks = simulation.watched, simulation.sight is not None
     held = bool(simulation.controlled)  # so that a step has exposures of different light
     observed = any(getattr(function, "observer", None) for function in simulation.scenario.functions.values())
-    columns = (
-        STEP
-        | (CONTROL if simulation.controlled else {})
-        | (OBSERVED if observed else {})
-        | {f"lamp.{side}.{key}": of for side in sides for key, of in (LAMP | (LAMP_PEAK if held else {})).items()}
-    )
+    columns = STEP | (CONTROL if held else {}) | (OBSERVED if observed else {})
+    columns |= {f"lamp.{side}.{key}": of for side in sides for key, of in (LAMP | (LAMP_PEAK if held else {})).items()}
     columns |= LEARNING if looks or simulation.planner.learns else {}
     if looks:
         looking = LOOKING | (EYES_PEAK if held else {})

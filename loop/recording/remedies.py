@@ -9,28 +9,19 @@ PLANE_M = 0.2  # roads nearer to the plane z = 0 are drawn for on it
 SHADOW = "in shadow of"
 SHORT = 40  # steps, as the shipped scenarios have: thesis_pid still moves after 20 that began 40 m ahead, and settles in 40
 AT_ONCE = ("open", "feedforward", "luxloop")  # controllers that show the symbol at its target, wherever it starts
-BORDERS = {"left": "left", "right": "right", "top": "upper", "bottom": "lower"}
-INTO_THE_FIELD = {
-    "left": "bring NAME.y_m nearer to 0",
-    "right": "bring NAME.y_m nearer to 0",
-    "top": "lower NAME.x_m",
-    "bottom": "raise NAME.x_m",
+BORDERS = {  # and what brings a symbol back into the field
+    **{side: (side, "bring NAME.y_m nearer to 0") for side in ("left", "right")},
+    **{"top": ("upper", "lower NAME.x_m"), "bottom": ("lower", "raise NAME.x_m")},
 }
 
 
 def of_frames(frames: dict[str, int]) -> list[str]:
     """What is wrong with the frames of a run, by their part of its summary; empty where nothing is."""
+    mend = "give each frame the number of its exposure, exposure.number, and try luxloop.check_plant"
+    late = "raise steps where frames are late, lower camera.drop_probability, or try luxloop.check_plant on a plant of your own"
     if frames["unknown"]:
-        return [
-            f"{frames['unknown']} frames were of no exposure that was shown, and nothing looked at them; give each frame of the plant the "
-            "number of its exposure, exposure.number, and try luxloop.check_plant"
-        ]
-    if not frames["came"]:
-        return [
-            f"no frame came of any of the {frames['asked']} exposures, so that nothing was seen; raise steps where frames are late, lower "
-            "camera.drop_probability, or try luxloop.check_plant on a plant of your own"
-        ]
-    return []
+        return [f"{frames['unknown']} frames were of no exposure that was shown, and nothing looked at them; {mend}"]
+    return [] if frames["came"] else [f"no frame came of any of the {frames['asked']} exposures, so that nothing was seen; {late}"]
 
 
 def remedies(name: str, values: dict[str, Any]) -> list[str]:
@@ -53,7 +44,8 @@ def _remedies(values: dict[str, Any]) -> list[str]:
 
 
 def _cut(share: float, side: str) -> str:
-    return f"{100 * share:.0f} % of the symbol lies beyond the {BORDERS[side]} border of the lamps' field; {INTO_THE_FIELD[side]}"
+    border, back = BORDERS[side]
+    return f"{100 * share:.0f} % of the symbol lies beyond the {border} border of the lamps' field; {back}"
 
 
 def _why_unsettled(values: dict[str, Any]) -> str:

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -174,7 +174,7 @@ class Scenario(Params):
             raise ValueError(f"detector_frames: there is no {lacking} here, so that it means nothing; leave it out")
         if self.detector is None and self.tracker != TrackerParams():
             raise ValueError('tracker: follows what a detector finds, but there is none; give one, detector = {kind = "network"} say')
-        if self.detector is not None and (named := [name for name, each in self.functions.items() if _names_objects(each)]):
+        if self.detector is not None and (named := [name for name, each in self.functions.items() if any(objects_named(each))]):
             raise ValueError(
                 f"functions.{named[0]}: names objects, but a detector knows them by class alone; leave names out, "
                 "or take the [detector] out"
@@ -240,10 +240,13 @@ class Scenario(Params):
         return ("full_light", "low_beam", *(("open_loop",) if self.controlled else ()))
 
 
-def _names_objects(function: Any) -> bool:
-    selections = (function, *(getattr(function, key, None) for key in ("when", "unless")))
-    observer = getattr(function, "observer", None)
-    return any(getattr(each, "names", None) for each in selections) or (observer is not None and observer.name is not None)
+def objects_named(function: Any) -> Iterator[tuple[str, str]]:
+    """The objects that a function names, each after its key."""
+    for table in ("", "when.", "unless."):
+        selection = getattr(function, table[:-1], None) if table else function
+        yield from ((f"{table}names", name) for name in getattr(selection, "names", None) or ())
+    if (observer := getattr(function, "observer", None)) is not None and observer.name is not None:
+        yield "observer.name", observer.name
 
 
 def only(held: Iterable[str]) -> str:
