@@ -13,7 +13,7 @@ import rich.progress
 
 from loop.lighting.record import row, schema
 from loop.recording.columns import of_one
-from loop.recording.recorder import table_of
+from loop.recording.files import table_of
 from loop.recording.summary import summarise
 from loop.run import prepare
 from loop.scenario import data

@@ -12,7 +12,7 @@ from controllers.symbol import build_controller
 from loop.lighting.record import row, schema
 from loop.lighting.simulation import Simulation
 from loop.recording.columns import of_one
-from loop.recording.recorder import table_of
+from loop.recording.files import table_of
 from loop.recording.summary import AXES, column, overshoot_percent, settle_step
 from loop.run import prepare
 from loop.scenario import data

@@ -17,8 +17,8 @@ from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
 from loop.plant.simulated import SimulatedPlant
 from loop.recording.columns import of_one
+from loop.recording.files import table_of
 from loop.recording.manifest import digests
-from loop.recording.recorder import table_of
 from loop.recording.summary import column, judged
 from loop.run import prepare
 from loop.scenario.model import Scenario, only

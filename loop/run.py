@@ -4,6 +4,7 @@ import gc
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -11,12 +12,13 @@ from typing import Any
 import pyarrow as pa
 import torch
 
-from loop.lighting.record import Recorder, row, schema, valued
+from loop.lighting.record import row, schema, valued
+from loop.lighting.recorder import Recorder
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
 from loop.plant.simulated import SimulatedPlant
 from loop.recording.checks import Checks, lights, refuse_unknown
-from loop.recording.recorder import REPORT, TRAJECTORY, VIDEO, Outputs, no_report
+from loop.recording.files import REPORT, TRAJECTORY, VIDEO
 from loop.recording.video import VideoWriter
 from loop.report.page import Watched, write_report
 from loop.report.picture import frame_picture, white_of
@@ -86,41 +88,28 @@ def run(
     played = getattr(getattr(scenario, "plant", None), "folder", None)
     if played is not None and Path(played).resolve() == Path(folder).resolve():
         raise LuxloopError(f"{folder}: is the recording that is played, which this run would replace; give another folder with --out")
-    folder, outputs = Path(folder), Outputs(video, report, frames)
-    with output_folder(folder):
-        simulation = prepare(scenario, device)
-        summary = _recorded(simulation, folder, Checks(simulation, row, checks), outputs, on_step, on_end)
-    gc.collect()  # matplotlib leaves exceptions of its parser in cycles, and their frames hold the simulation: half a gigabyte
-    return RunResult(summary, read_parquet(folder / TRAJECTORY), folder, temporary)
-
-
-def _recorded(
-    simulation: Simulation,
-    directory: Path,
-    checks: Checks[StepResult],
-    outputs: Outputs,
-    on_step: Callable[[StepResult], None],
-    on_end: Callable[[], None],
-) -> dict[str, Any]:
-    scenario, watched, look = simulation.scenario, Watched(simulation), None
-
-    def page(table: pa.Table, summary: dict[str, Any]) -> None:
-        write_report(directory / REPORT, simulation, watched, table, summary)
-
-    size = (scenario.camera.width_px, scenario.camera.height_px)
-    drawn = page if outputs.report else no_report
-    with Recorder(directory, simulation, drawn, checks.outcomes, outputs.frames) as recorder, ExitStack() as stack:
-        film = stack.enter_context(VideoWriter(directory / VIDEO, VIDEO_FPS, size)) if outputs.video else None
+    folder = Path(folder)
+    with output_folder(folder), ExitStack() as stack:
+        simulation, look = prepare(scenario, device), None
+        camera, watched = scenario.camera, Watched(simulation)
+        run_checks = Checks(scenario.checks, (lambda light: map(row, simulation.lit_by(light).run())) if checks else None)
+        page = partial(write_report, folder / REPORT, simulation, watched) if report else None
+        recorder = stack.enter_context(Recorder(folder, simulation, page, run_checks.outcomes, frames))
+        film = VideoWriter(folder / VIDEO, VIDEO_FPS, (camera.width_px, camera.height_px)) if video else None
+        if film is not None:
+            stack.enter_context(film)
         stack.callback(on_end)
         for result in simulation.run():
             recorder.add(result)
-            checks.step()
+            run_checks.step()
             watched.add(result)
             if film is not None:
                 look = white_of(result, simulation) if look is None else look
                 film.add(frame_picture(result, simulation, look))
             on_step(result)
-    return recorder.summary()
+        summary = recorder.summary()
+    gc.collect()  # matplotlib leaves exceptions of its parser in cycles, and their frames hold the simulation: half a gigabyte
+    return RunResult(summary, read_parquet(folder / TRAJECTORY), folder, temporary)
 
 
 def prepare(scenario: Scenario, device: str = "auto") -> Simulation:
@@ -142,8 +131,8 @@ def check(scenario: Scenario, device: str = "auto") -> dict[str, Any]:
 
     `steps`, `road`, `base` (what shines below all functions), `functions` (their kinds by name), `controllers` (of symbols that are held,
     by name), `objects` (their number) and `detector` (None where there is none). With a detector also the number of `boxes` that it finds
-    in the first frame, `lx_max`, the most light on objects there (None where none is in sight), and `known`, whether the plant knows the
-    truth.
+    in the first frame, None where none came, `lx_max`, the most light on objects there (None where none is in sight), and `known`, whether
+    the plant knows the truth.
     """
     simulation = prepare(scenario, device)
     return {
@@ -164,7 +153,7 @@ def _first_look(simulation: Simulation) -> dict[str, Any]:
     with located(simulation.scenario.source):
         first = next((each for each in simulation.run() if each.frame is not None), None)
     if first is None or first.look is None:
-        return {"boxes": 0, "lx_max": None, "known": simulation.truth is not None}
+        return {"boxes": None, "lx_max": None, "known": simulation.truth is not None}
     lit = [each.lx_max for each in first.objects.values() if each.lx_max is not None]
     return {"boxes": len(first.look.found), "lx_max": max(lit, default=None), "known": simulation.truth is not None}
 
@@ -179,6 +168,8 @@ def in_words(facts: dict[str, Any]) -> str:
 
 
 def _looked(facts: dict[str, Any]) -> str:
+    if facts["boxes"] is None:
+        return f"no frame came in {facts['steps']} steps"
     if not facts["known"]:
         return f"{facts['boxes']} boxes in the first frame"
     light = "no object is in sight" if facts["lx_max"] is None else f"objects in sight have up to {facts['lx_max']:.3g} lx"

@@ -20,13 +20,14 @@ WHOLLY_LIT = 0.6  # of the brightest contrast nearby: above, a pixel counts whol
 
 
 class Loss(IntEnum):
-    """Why a symbol was lost; SEEN is none."""
+    """Why a symbol was lost; SEEN is none. COVERED: other light of the lamps takes too much of its own to measure it."""
 
     SEEN = 0
     NO_FRAME = 1
     NOTHING = 2
     TOO_SMALL = 3
     TOO_LARGE = 4
+    COVERED = 5
 
 
 class SearchParams(Params):

@@ -13,6 +13,7 @@ from loop.beams.goal import BeamGoal, BeamJudge, Metric
 from loop.beams.picture import write_picture
 from loop.beams.search import Found, Lights, alike, begin, descend, sample
 from loop.lighting.lamps import flux_by_side
+from loop.lighting.record import schema
 from loop.lighting.simulation import Simulation
 from loop.recording.manifest import write_json
 from loop.run import torch_device
@@ -116,8 +117,11 @@ def _write(out: Path, judge: BeamJudge, found: Found, beams: Mapping[str, Lights
         with whole(file) as part, part.open("wb") as stream:
             np.savez_compressed(stream, u=u.cpu().numpy().reshape(module.headlight.pixel_rows, module.headlight.pixel_cols))
         entries.append(f'  {{ file = "./{file.name}", modules = ["{module.name}"] }},\n')
+    known, checks = set(schema(judge.simulation).names) - {"dark_lx_max"}, judge.simulation.scenario.checks
+    gone = [name for name, each in checks.items() if each.metric not in known or each.compare == "open_loop"]  # with the functions
+    cleared = "".join(f"checks.{name} = {{}}\n" for name in gone)
     with whole(out / RAW) as part:
-        part.write_text(f"functions = {{}}\n\n[lighting]\nraw = [\n{''.join(entries)}]\n", "utf-8")
+        part.write_text(f"functions = {{}}\n{cleared}\n[lighting]\nraw = [\n{''.join(entries)}]\n", "utf-8")
     write_json(out / SUMMARY, summary)
     write_picture(out / PICTURE, judge, beams, found.losses, summary)
 

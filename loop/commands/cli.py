@@ -217,13 +217,12 @@ def run(
         Evaluate all checks of the scenario, those as well for which another light runs beside; exit code 1 where one fails.
     """
     from loop.commands.runs import run_scenario
-    from loop.recording.recorder import Outputs
     from loop.scenario.model import load
 
     given: dict[str, Any] = {key: value for key, value in {"seed": seed, "steps": steps}.items() if value is not None}
     given |= {} if plant is None else {"plant": {"kind": "recording", "folder": str(plant)}}
     scenario = load(name, set or [], allow_code=allow_code, **given, **with_controller(controller))
-    passed = run_scenario(scenario, out or Path("runs") / Path(name).stem, device, Outputs(video, report, frames), checks)
+    passed = run_scenario(scenario, out or Path("runs") / Path(name).stem, device, checks, video=video, report=report, frames=frames)
     return OK if passed or not checks else FAILED
 
 

@@ -1,7 +1,6 @@
 """The commands that run the loop, and tell how far it is."""
 
 import os
-from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
@@ -12,8 +11,8 @@ from loop.lighting.replay import replay
 from loop.lighting.result import StepResult
 from loop.lighting.summary import shown
 from loop.recording.checks import passed
+from loop.recording.files import TRAJECTORY
 from loop.recording.manifest import Manifest
-from loop.recording.recorder import TRAJECTORY, Outputs
 from loop.run import run
 from loop.scenario.model import Scenario
 from loop.terminal import tables
@@ -27,14 +26,14 @@ def _one_thread() -> None:
         torch.set_num_threads(1)
 
 
-def run_scenario(scenario: Scenario, out: Path, device: str, outputs: Outputs, checks: bool) -> bool:
+def run_scenario(scenario: Scenario, out: Path, device: str, checks: bool, *, report: bool, video: bool, frames: bool) -> bool:
     """Run, and say how it went and where the files lie; returns whether all checks have passed that were evaluated.
 
     Raises KeyboardInterrupt that says what was kept.
     """
     _one_thread()
     done = 0
-    wanted = [name for name, is_wanted in (("report", outputs.report), ("video", outputs.video)) if is_wanted]
+    wanted = [name for name, is_wanted in (("report", report), ("video", video)) if is_wanted]
     writing = f"{scenario.name}: writing {' and '.join(wanted) or 'recording'}"
 
     with progress(scenario.name, scenario.steps) as advance:
@@ -46,7 +45,8 @@ def run_scenario(scenario: Scenario, out: Path, device: str, outputs: Outputs, c
 
         try:
             on_end = partial(advance, 0, writing)
-            result = run(scenario, out, device=device, **asdict(outputs), checks=checks, on_step=on_step, on_end=on_end)
+            kept = {"video": video, "report": report, "frames": frames}
+            result = run(scenario, out, device=device, checks=checks, on_step=on_step, on_end=on_end, **kept)
         except KeyboardInterrupt as error:
             raise KeyboardInterrupt(f"{done} of {scenario.steps} steps are kept in {out}" if done else "nothing was recorded") from error
     tables.show(shown(result.summary, str(out)))

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from loop.lighting.simulation import Simulation
 from loop.scenario.model import Scenario
+from world.errors import LuxloopError
 
 
 def lights_by_side(scenario: Scenario, lamp: str, time_s: float) -> Mapping[str, Sequence[Tensor]]:
@@ -15,7 +16,13 @@ def lights_by_side(scenario: Scenario, lamp: str, time_s: float) -> Mapping[str,
     lamp: preset or lamp file, in place of the scenario's. Raises LuxloopError where the scenario cannot do with it.
     """
     headlight = scenario.headlight.model_copy(update={"model": lamp, "intensity_cd": None})
-    simulation = Simulation.prepare(scenario.model_copy(update={"headlight": headlight}))
+    try:
+        simulation = Simulation.prepare(scenario.model_copy(update={"headlight": headlight}))
+    except LuxloopError as error:
+        first, *others = error.args
+        raise LuxloopError(
+            f"{first}; or give --beam, which shows a beam of {lamp} there without what {scenario.name} draws", *others
+        ) from error
     found: dict[str, list[Tensor]] = {}
     for module, u in zip(simulation.modules, simulation.lights_at(time_s), strict=True):
         mine = found.setdefault(module.side, [torch.zeros(each.headlight.n_pixels) for each in module.lamp.modules])

@@ -62,7 +62,9 @@ def check_controller(controller: type, options: Mapping[str, Any] | None = None,
     simulation = _world(device)
     own = made(controller, name, KEY, {"observer": simulation.symbol.observer}, options or {})
     check_calls(own, CALLS)
-    seen = [result.symbol.seen for result in simulation.with_controller(Watched(own, simulation.symbol)).run()]
+    symbol = simulation.symbol
+    watched = replace(simulation, controlled={"symbol": replace(symbol, controller=Watched(own, symbol))})
+    seen = [result.symbol.seen for result in watched.run()]
     first, last = (math.hypot(*each.pose_error[:2].tolist()) for each in (seen[0], seen[-1]))
     if seen[-1].code != Loss.SEEN or last > AWAY * first:
         end = f"it is {last:.2g} m away" if seen[-1].code == Loss.SEEN else "it is not seen any more"

@@ -23,7 +23,7 @@ from world.plugin import Guarded, check_methods, made
 CALLS = {"start": (), "show": ("state", "exposure")}
 GIVES = "(state, arrivals)"
 EXPOSURES = 24  # more than those of the 10 steps by which the frames of a scenario's camera may be late
-ROUNDING_S = 1e-9  # of sums of periods
+ROUNDING_S = 1e-6  # of sums of periods and of clocks that count from 1970
 SCENARIO: dict[str, Any] = {
     "name": "check_plant",
     "camera": {"width_px": 320, "height_px": 180, "oversampling": 1},

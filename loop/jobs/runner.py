@@ -45,7 +45,7 @@ class Results:
         """Write the rows as Parquet, whole or not at all. Raises LuxloopError where that cannot be."""
         import pyarrow as pa  # and the recorder takes torch: workers need neither and start at once
 
-        from loop.recording.recorder import write_table
+        from loop.recording.files import write_table
 
         try:
             with _writing(file):

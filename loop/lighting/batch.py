@@ -15,6 +15,7 @@ from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.observer import Seen
 from controllers.symbol.sensing.protocol import Look, Shown
 from loop.lighting.simulation import Simulation
+from loop.scenario.model import only
 from loop.scenario.plant import SimulatedPlantParams
 from perception.camera import expose, frame_generator
 from perception.extraction import Crop, Loss, symbol_image
@@ -62,6 +63,11 @@ def check(simulation: Simulation, keys: Any) -> None:
     if scenario.metered:
         others = "other functions, the detector and objects' categories"
         raise LuxloopError(f"{scenario.name}: batched rollouts are of a symbol alone; take {others} out, or tune without --gradient")
+    if timed := [key for key in ("start_s", "stop_s") if getattr(scenario.symbol, key) is not None]:
+        key = f"functions.{only(scenario.controlled)}.{timed[0]}"
+        raise LuxloopError(
+            f"{scenario.name}: {key}: batched rollouts show the symbol in all steps; leave it out, or tune without --gradient"
+        )
     changing = ("oncoming", "ambient", "noise", "drops")
     if found := [name for name in changing if getattr(scenario.disturbances, name)]:
         raise LuxloopError(

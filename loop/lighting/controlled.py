@@ -122,24 +122,18 @@ class ControlledSymbol:
 
     @classmethod
     def prepare(
-        cls,
-        function: SymbolFunctionParams,
-        scenario: Scenario,
-        modules: Sequence[ShiningModule],
-        planner: Planner,
-        world: World | None,
+        cls, function: SymbolFunctionParams, scenario: Scenario, modules: Sequence[ShiningModule], planner: Planner, world: World | None
     ) -> "ControlledSymbol":
         """Raises LuxloopError where its file is missing or broken, and where its lamps cannot draw it or the camera cannot see it."""
         assert function.controller is not None
         refuse_unseen(function.held, scenario)
         base = planner.composed(Situation(0.0, torch.eye(4), torch.zeros(0, 3)), planner.start(), {})
         drawn_by = _chosen(function, modules)
-        drawing = []
-        for each in (modules[k] for k in drawn_by):
-            drawing.append(DrawingModule(each.name, each.controller.over(each.base(base)), each.T_world_module))
+        mine = [modules[k] for k in drawn_by]
+        drawing = tuple(DrawingModule(each.name, each.controller.over(each.base(base)), each.T_world_module) for each in mine)
         with located("image"):
             image = load_still(named(function.image, "symbols")).to(modules[0].flux.device)
-        projector = Projector(tuple(drawing), image, function.held, camera_view(scenario.camera).origin)
+        projector = Projector(drawing, image, function.held, camera_view(scenario.camera).origin)
 
         def model_of(camera: CameraParams) -> FlatModel:
             return flat_model(projector, camera, scenario.surface, scenario.light.ambient_lx, function.extraction, function.features)
@@ -199,11 +193,8 @@ class ControlledSymbol:
 
         on, off: of all modules with the symbol and without it.
         """
-        found = []
-        for k, beam in zip(self.drawn_by, self.projector.resting, strict=True):
-            same = off[k].u is beam.u  # nothing else shines
-            found.append(on[k] if same else Utilisation(beam.u + on[k].u - off[k].u))
-        return tuple(found)
+        beams = zip(self.drawn_by, self.projector.resting, strict=True)  # the same as off where nothing else shines
+        return tuple(on[k] if off[k].u is beam.u else Utilisation(beam.u + on[k].u - off[k].u) for k, beam in beams)
 
     def step(self, state: HeldState, name: str, moment: Moment, images: Frames | None, ego: Ego | None) -> tuple[HeldState, Seen]:
         """Look at the frames of a moment that shows it, None where they are lost, and control. name: its own."""
@@ -215,16 +206,20 @@ class ControlledSymbol:
         return HeldState(self.controller.step(state.controller, Look(seen, frames, shown, ego)), state.turn, seen.shape), seen
 
     def _less_masks(self, seen: Seen, shown: Shown) -> Seen:
-        """Errors without what other functions took from the symbol or laid over it, which moves its centroids as well."""
-        if seen.code != Loss.SEEN:
+        """Errors without what other functions took from the symbol or laid over it, which moves its centroids as well; lost as covered
+        where they leave too little of it.
+        """
+        if seen.code == Loss.NO_FRAME:
             return seen
         alone = self.projector.draw(shown.drawing)
         if all(torch.allclose(a.u, b.u, rtol=0, atol=SAME) for a, b in zip(shown.lights, alone, strict=True)):
             return seen
-        moved = self.observer.rendered(shown.drawing, shown.lights) - self.observer.rendered(shown.drawing, alone)
-        if not bool(moved.isfinite().all()):
-            return self.observer.lost(shown.drawing.pose, Loss.NOTHING)
-        errors = seen.errors - moved
+        left, whole = (self.observer.rendered(shown.drawing, lights) for lights in (shown.lights, alone))
+        if bool(whole.isfinite().all()) and not bool(left.isfinite().all()):
+            return replace(seen, code=torch.full_like(seen.code, Loss.COVERED))
+        if seen.code != Loss.SEEN:
+            return seen
+        errors = seen.errors - (left - whole)
         return replace(seen, errors=errors, pose_error=self.observer.pose_error(errors))
 
     def held(self, drawing: Drawing, seen: Seen | None, verdict: Verdict | None) -> Held:

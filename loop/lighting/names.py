@@ -1,10 +1,10 @@
 """Whether what a scenario's lighting names is there, and known."""
 
-from collections.abc import Iterator
 from typing import Any
 
 from loop.lighting.lamps import ShiningModule
-from loop.scenario.model import Scenario
+from loop.scenario.model import Scenario, objects_named
+from loop.scenario.plant import shadow_of
 from perception.detection.params import TruthParams
 from world.errors import LuxloopError
 
@@ -20,7 +20,7 @@ def check_names(scenario: Scenario, modules: tuple[ShiningModule, ...]) -> None:
             if name not in known:
                 raise LuxloopError(f"{where}.modules: there is no lamp or module {name!r}; there are {', '.join(known)}")
     for where, function in functions.items():
-        for key, name in _objects_named(function):
+        for key, name in objects_named(function):
             if name not in objects:
                 raise LuxloopError(
                     f"{where}.{key}: there is no object {name!r} with a category; there are "
@@ -29,11 +29,17 @@ def check_names(scenario: Scenario, modules: tuple[ShiningModule, ...]) -> None:
 
 
 def refuse_unknown(scenario: Scenario) -> None:
-    """Raises LuxloopError that names the first key that needs a plant which knows the truth."""
+    """Raises LuxloopError that names the first key that needs a plant which knows the truth.
+
+    In shadow, where nothing is shown, objects are merely unknown.
+    """
     params, tracked = scenario.lighting, any(each.category for each in scenario.all_objects)
     wants = {
         "detector.kind": (isinstance(scenario.detector, TruthParams), "give a detector that looks at frames"),
-        "objects": (tracked and scenario.detector is None, "give a [detector] that finds them in frames, or take them out"),
+        "objects": (
+            tracked and scenario.detector is None and not shadow_of(scenario.plant),
+            "give a [detector] that finds them in frames, or take them out",
+        ),
         "lighting.street_lamps": (params.street_lamps, "leave it out"),
         "lighting.shadow_rays": (params.shadow_rays, "leave it out"),
         **{f"functions.{name}": (function.kind == "material", "take it out") for name, function in scenario.functions.items()},
@@ -41,12 +47,3 @@ def refuse_unknown(scenario: Scenario) -> None:
     for key, (wanted, remedy) in wants.items():
         if wanted:
             raise LuxloopError(f"{key}: needs the truth, which the plant {scenario.plant.kind} does not know; {remedy}")
-
-
-def _objects_named(function: object) -> Iterator[tuple[str, str]]:
-    """The objects that a function names, each after its key."""
-    for table in ("", "when.", "unless."):
-        selection = getattr(function, table[:-1], None) if table else function
-        yield from ((f"{table}names", name) for name in getattr(selection, "names", None) or ())
-    if (observer := getattr(function, "observer", None)) is not None and observer.name is not None:
-        yield "observer.name", observer.name

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
@@ -11,13 +10,11 @@ import torch
 from loop.lighting.compared import compared
 from loop.lighting.controlled import Held
 from loop.lighting.on_materials import quantities
+from loop.lighting.redrawn import covering, opened
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
 from loop.lighting.summary import summarise
 from loop.recording.columns import AIM, CENTROIDS, CUT, ERRORS, POSE, SYMBOL, loss_name, of_one
-from loop.recording.frames import FrameRecorder
-from loop.recording.manifest import Manifest
-from loop.recording.recorder import Checked, Report, TableRecorder, no_report, unchecked
 from loop.recording.summary import summarise as summarise_symbol
 from loop.scenario.plant import shadow_of
 from perception.judge import Verdict
@@ -39,13 +36,7 @@ STEP = {
     "look_ms": (pa.float64(), "ms", "rendering, which is no part of the car"),
 }
 CONTROL = {"control_ms": (pa.float64(), "ms", "measurement and controllers of all symbols that are held")}
-OBSERVED = {
-    "symbol_iou_min": (
-        pa.float64(),
-        "1",
-        "least IoU of a symbol with what its observer shall see, from their eye; empty while there is none",
-    ),
-}
+OBSERVED = {"symbol_iou_min": (pa.float64(), "1", "least IoU of a symbol with what its observer shall see; empty while there is none")}
 LAMP = {
     "flux_lm": (pa.float64(), "lm", "luminous flux"),
     "power_share": (pa.float64(), "1", "power, as a share of all pixels on"),
@@ -94,12 +85,8 @@ def schema(simulation: Simulation) -> pa.Schema:
     tracked, looks = simulation.watched, simulation.sight is not None
     held = bool(simulation.controlled)  # so that a step has exposures of different light
     observed = any(getattr(function, "observer", None) for function in simulation.scenario.functions.values())
-    columns = (
-        STEP
-        | (CONTROL if simulation.controlled else {})
-        | (OBSERVED if observed else {})
-        | {f"lamp.{side}.{key}": of for side in sides for key, of in (LAMP | (LAMP_PEAK if held else {})).items()}
-    )
+    columns = STEP | (CONTROL if held else {}) | (OBSERVED if observed else {})
+    columns |= {f"lamp.{side}.{key}": of for side in sides for key, of in (LAMP | (LAMP_PEAK if held else {})).items()}
     columns |= LEARNING if looks or simulation.planner.learns else {}
     if looks:
         looking = LOOKING | (EYES_PEAK if held else {})
@@ -189,44 +176,19 @@ def of_symbol(held: Held) -> dict[str, Any]:
     return values | {"loss": loss_name(int(values.pop("code")))}
 
 
-def summary_of(simulation: Simulation, table: pa.Table, last: Mapping[str, StepResult]) -> dict[str, Any]:
-    """The summary of a run's steps. last: of each symbol the last step that shows it, beside which the open loop is judged."""
+def summary_of(
+    simulation: Simulation, table: pa.Table, last: Mapping[str, StepResult], covered: Mapping[str, StepResult] | None = None
+) -> dict[str, Any]:
+    """The summary of a run's steps. last: of each symbol the last step that shows it, beside which the open loop is judged. covered: of
+    those that were lost as covered the last such step.
+    """
     scenario, held = simulation.scenario, dict[str, dict[str, Any]]()
     for name, symbol in simulation.controlled.items():
         iou = math.nan
         if symbol.judge is not None and name in last:
             time_s = last[name].time_s
-            iou = float(symbol.judge.judged(simulation.world.added(time_s, *simulation.opened(last[name], name)), time_s).iou)
-        held[name] = summarise_symbol(of_one(table, name), symbol.params.name, iou)
+            iou = float(symbol.judge.judged(simulation.world.added(time_s, *opened(simulation, last[name], name)), time_s).iou)
+        by = covering(simulation, covered[name], name) if covered and name in covered else ()
+        held[name] = summarise_symbol(of_one(table, name), symbol.params.name, iou, by)
     summary = summarise(table, scenario.name, compared(simulation, table), held) | {"shadow_of": shadow_of(scenario.plant)}
     return summary | ({"flicker": {"rate_hz": scenario.rate_hz, "on_share": 1 - scenario.off_share}} if held else {})
-
-
-class Recorder(TableRecorder[StepResult]):
-    """Records a run of lighting functions."""
-
-    def __init__(
-        self,
-        directory: Path,
-        simulation: Simulation,
-        report: Report = no_report,
-        checked: Checked = unchecked,
-        frames: bool = False,
-    ) -> None:
-        """frames: whether to keep them. Raises LuxloopError as any recorder does, and if an input file cannot be read."""
-        self.simulation = simulation
-        kept = FrameRecorder(directory, simulation.scenario.camera.bits) if frames else None
-        self.idle, self.last = set(simulation.scenario.functions), dict[str, StepResult]()
-        manifest = Manifest.of(simulation.scenario, simulation.renderer, simulation.device)
-        super().__init__(directory, manifest, schema(simulation), report, checked, kept)
-
-    def row(self, result: StepResult) -> dict[str, Any]:
-        if self.idle:
-            self.idle &= self.simulation.idle(result)
-        self.last |= dict.fromkeys(result.held, result)
-        return row(result)
-
-    def figures(self) -> dict[str, Any]:
-        """The steps so far in a few numbers."""
-        idle = [f"functions.{name} ({each.kind})" for name, each in sorted(self.simulation.scenario.functions.items()) if name in self.idle]
-        return summary_of(self.simulation, self.table(), self.last) | {"idle_functions": idle}

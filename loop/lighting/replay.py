@@ -13,8 +13,8 @@ from loop.lighting.record import row, schema
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
 from loop.recording.comparison import Comparison, compare
+from loop.recording.files import TRAJECTORY, table_of
 from loop.recording.manifest import FILE, Manifest
-from loop.recording.recorder import TRAJECTORY, table_of
 from loop.scenario.model import Scenario, validate
 from world.errors import LuxloopError
 from world.files import whole
@@ -59,7 +59,7 @@ def replay(
         refuse_code(scenario, str(directory / FILE))
     simulation = Simulation.prepare(scenario, device or manifest.device_here)
     columns = schema(simulation)
-    recorded = _of(recording.table, columns, directory / TRAJECTORY)
+    recorded = columns_of(recording.table, columns, directory / TRAJECTORY)
     notes = manifest.changes(Manifest.of(scenario, simulation.renderer, simulation.device))
     rows = []
     for result in itertools.islice(simulation.run(), steps):
@@ -69,7 +69,7 @@ def replay(
     return Comparison(steps, compare(recorded, table_of(rows, columns), held), tuple(notes))
 
 
-def _of(table: pa.Table, columns: pa.Schema, file: Path) -> pa.Table:
+def columns_of(table: pa.Table, columns: pa.Schema, file: Path) -> pa.Table:
     """The columns of a recording and no others. Raises LuxloopError where one is missing or not of its type."""
     if missing := [name for name in columns.names if name not in table.column_names]:
         raise LuxloopError(f"{file}: the column {missing[0]!r} is missing; record the run again")

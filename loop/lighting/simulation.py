@@ -18,7 +18,6 @@ from controllers.pixels.windows import projected_windows
 from controllers.situation import Seen, Situation, TrackedObject
 from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.observer import Seen as SeenSymbol
-from controllers.symbol.sensing.protocol import SymbolController
 from loop.lighting.controlled import ControlledSymbol, Moment, controlled_symbols, turn
 from loop.lighting.ground import attitude, moved, seen_from
 from loop.lighting.lamps import LampPower, ShiningModule, driven, lamp_modules, mean_powers, shining_modules
@@ -46,6 +45,8 @@ from world.frames import inverse
 from world.scene.scene import StreetLamp
 from world.view import View
 
+Lights = tuple[Utilisation, ...]  # of all modules
+Parts = Mapping[str, Sequence[Primitives]]  # that functions draw, by name
 BEAMS: Mapping[OtherLight, BeamName] = {"full_light": "full", "low_beam": "low"}
 
 
@@ -108,23 +109,11 @@ class Simulation:
         """The only symbol that a controller holds. Raises LuxloopError where there are several or none."""
         return self.controlled[only(self.controlled)]
 
-    def with_controller(self, controller: SymbolController) -> "Simulation":
-        """The same with another controller of the only symbol that is held. Raises as `symbol`."""
-        return replace(self, controlled={only(self.controlled): replace(self.symbol, controller=controller)})
+    def lights_of(self, result: StepResult, drawn: Parts) -> Lights:
+        """Those of a step in which the functions draw these primitives, by name."""
+        return self._driven(self.planner.composed(result.now, result.functions, drawn), result.now)[0]
 
-    def opened(self, result: StepResult, name: str) -> tuple[tuple[Utilisation, ...], tuple[Utilisation, ...]]:
-        """Lights of a step with one of its symbols as the open loop draws it, and without that one."""
-        symbol, T_ground_body = self.controlled[name], result.view.T_world_view @ inverse(self.view.T_world_view)
-        drawn: dict[str, Sequence[Primitives]] = {**self.planner.drawn(result.now, result.functions)}
-        drawn |= {other: self.controlled[other].command(held.drawing, T_ground_body) for other, held in result.held.items()}
-        drawn[name] = symbol.command(Drawing(symbol.projector.target), T_ground_body)
-        lights, others = (
-            self._driven(self.planner.composed(result.now, result.functions, each), result.now)[0]
-            for each in (drawn, _without(drawn, [name]))
-        )
-        return lights, others
-
-    def of_all(self, symbol: ControlledSymbol, light: Sequence[Utilisation]) -> tuple[Utilisation, ...]:
+    def of_all(self, symbol: ControlledSymbol, light: Sequence[Utilisation]) -> Lights:
         """What a light of a symbol's modules adds to their base beams, as utilisations of all modules."""
         drawn = dict(zip(symbol.drawn_by, zip(light, symbol.projector.resting, strict=True), strict=True))
         added = {k: Utilisation(each.u - beam.u, each.band) for k, (each, beam) in drawn.items()}
@@ -305,12 +294,7 @@ class Simulation:
         return SimulationState(state.step + 1, tracks, functions, plant, arrivals, samples, held, believed, under_way, frames), result
 
     def _judged(
-        self,
-        state: SimulationState,
-        now: Situation,
-        drawn: Mapping[str, Sequence[Primitives]],
-        measured: Sequence[str],
-        exposures: Sequence[tuple[Utilisation, ...]],
+        self, state: SimulationState, now: Situation, drawn: Parts, measured: Sequence[str], exposures: Sequence[Lights]
     ) -> Mapping[str, Verdict]:
         """Of each symbol that is measured. exposures: the light with all of them, and without."""
         verdicts, (on, off) = {}, exposures
@@ -322,7 +306,7 @@ class Simulation:
             verdicts[name] = judge.judged(self.world.added(now.time_s, on, off), now.time_s)
         return verdicts
 
-    def _raw(self, lights: tuple[Utilisation, ...], drawings: Mapping[str, Drawing]) -> tuple[Utilisation, ...]:
+    def _raw(self, lights: Lights, drawings: Mapping[str, Drawing]) -> Lights:
         """With the utilisations that a controller gives in place of a symbol. Raises LuxloopError beside other functions."""
         shown = list(lights)
         for name, drawing in drawings.items():
@@ -333,9 +317,7 @@ class Simulation:
                     shown[k] = Utilisation(u)
         return tuple(shown)
 
-    def _drawn(
-        self, state: SimulationState, now: Situation, ego: Ego | None
-    ) -> tuple[dict[str, Drawing], dict[str, tuple[Primitives, ...]]]:
+    def _drawn(self, state: SimulationState, now: Situation, ego: Ego | None) -> tuple[dict[str, Drawing], Parts]:
         """What controllers want drawn of the symbols that are shown now, and the primitives of all functions."""
         shown = {name: each for name, each in self.controlled.items() if each.function.shows(now)}
         drawings = {name: each.controller.drawing(state.held[name].controller, ego) for name, each in shown.items()}
@@ -427,7 +409,7 @@ class Simulation:
                 return True
         return False
 
-    def _driven(self, plan: Plan, now: Situation) -> tuple[tuple[Utilisation, ...], Mapping[str, LampPower]]:
+    def _driven(self, plan: Plan, now: Situation) -> tuple[Lights, Mapping[str, LampPower]]:
         params = self.scenario.lighting
         street_lamps: tuple[StreetLamp, ...] = ()
         occluded = None
@@ -442,5 +424,5 @@ class Simulation:
         return driven(modules, plan, secondary, params.power_limit, self.scenario.headlight.power_w)
 
 
-def _without(drawn: Mapping[str, Sequence[Primitives]], names: Collection[str]) -> dict[str, Sequence[Primitives]]:
+def _without(drawn: Parts, names: Collection[str]) -> dict[str, Sequence[Primitives]]:
     return {name: each for name, each in drawn.items() if name not in names}

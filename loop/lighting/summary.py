@@ -10,7 +10,7 @@ from rich.table import Table
 
 from controllers.zones.material import Quantity
 from loop.recording.checks import lines
-from loop.recording.remedies import remedies
+from loop.recording.remedies import of_frames, remedies
 from loop.recording.summary import column
 from loop.terminal.tables import facts, number
 
@@ -234,7 +234,9 @@ def shown(values: dict[str, Any], files: str) -> Table:
             rows[f"{word} {spoken(name)}"] = f"no track shows it in {steps} in which it is in sight{large}"
     rows["time a step"] = f"{number(values['control_ms_median'], '.1f')} ms (median) for planning, all lamps and controllers"
     rows |= lines(values)
-    if notes := [] if values["shadow_of"] else [note for name, each in values["functions"].items() for note in remedies(name, each)]:
+    notes = of_frames(values["frames"]) if "frames" in values else []
+    notes += [note for name, each in values["functions"].items() for note in remedies(name, each)]
+    if notes and not values["shadow_of"]:
         rows["note"] = "\n".join(notes)
     rows["files"] = files
     return facts(rows)
@@ -249,8 +251,13 @@ def _of_symbol(values: dict[str, Any]) -> dict[str, str]:
         "centroid error": f"{number(x, '.2f')} % along, {number(y, '.2f')} % across",
         "IoU, open loop → final": f"{number(values['iou_open'], '.3f')} → {number(values['iou_final'], '.3f')}{late}",
         "overshoot": number(values["overshoot_percent"], ".1f", " %"),
-        "lost steps": str(values["lost_steps"]),
+        "lost steps": f"{values['lost_steps']}{_covered(values)}",
     }
+
+
+def _covered(values: dict[str, Any]) -> str:
+    names = ", ".join(map(spoken, values["covered_by"])) or "other functions"
+    return f", of which {names} covered it in {values['covered_steps']}" if values["covered_steps"] else ""
 
 
 def _of_energy(own_j: float, compared_j: Mapping[str, float]) -> str:

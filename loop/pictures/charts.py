@@ -13,7 +13,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, MultipleLocator, NullLocator
 
 from loop.pictures.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, Image, Seen, grey
-from loop.recording.style import NIGHT
+from loop.recording.style import SHARES
 
 FALSE_COLOURS = "turbo"
 MOST_LINES, DECADES = 8, 3
@@ -71,7 +71,7 @@ def as_seen(axes: Axes, luminance: Image, extent: tuple[float, float, float, flo
     light = grey(luminance)
     white = max(float(np.quantile(light, 0.99)), float(light.max()) / 20, 1e-9)
     code = (luminance / white).clip(0, 1) ** (1 / 2.2) * (0.6 if dimmed else 1.0)
-    axes.imshow(code, cmap=NIGHT, vmin=0, vmax=1, extent=extent, aspect="auto", interpolation="antialiased")
+    axes.imshow(code, extent=extent, aspect="auto", **SHARES)
 
 
 def degrees(angle: float) -> str:

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import cast
 
 from loop.assembly.truth import LampModule
+from loop.plant.clock import FromZero
 from loop.plant.protocol import Plant
 from loop.plant.recorded import recorded_plant
 from loop.plant.simulated import simulated_plant
@@ -16,11 +17,11 @@ METHODS = ("start", "show")
 
 
 def build_plant(scenario: Scenario, modules: Sequence[LampModule]) -> Plant:
-    """Raises LuxloopError where a file is missing or broken, or a plant of one's own cannot be made."""
+    """A plant whose time begins at 0. Raises LuxloopError where a file is missing or broken, or a plant of one's own cannot be made."""
     params = scenario.plant
     if isinstance(params, SimulatedPlantParams):
         return simulated_plant(scenario, modules)
     if isinstance(params, RecordedPlantParams):
         return recorded_plant(scenario, params, modules)
     given = {"scenario": scenario, "modules": modules}
-    return cast(Plant, plugin.make(params.kind, KEY, given, params.options, METHODS))
+    return FromZero(cast(Plant, plugin.make(params.kind, KEY, given, params.options, METHODS)))

@@ -65,7 +65,8 @@ class Showing:
 class Plant(Protocol):
     """Its state is a value; a plant of hardware holds the connection and returns what is known of it.
 
-    Frames come in the order of their exposures. One that knows the truth has an attribute `truth`, a `loop.plant.world.World`.
+    Frames come in the order of their exposures. Its clock may begin at any time; a scenario's times count from the arrivals of `start`.
+    One that knows the truth has an attribute `truth`, a `loop.plant.world.World`, whose time counts from there as well.
     """
 
     def start(self) -> tuple[Any, Arrivals]:

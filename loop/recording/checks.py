@@ -2,52 +2,32 @@
 
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from typing import Any, Generic, Protocol, Self, TypeVar
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
 from loop.recording.summary import column
 from loop.scenario.checks import CheckParams, Light
-from loop.scenario.model import Scenario
 from world.errors import LuxloopError, did_you_mean
 
-Result = TypeVar("Result")
-Made = TypeVar("Made", covariant=True)
-
-ROUNDING_S = 1e-9  # of sums of periods, at a window's ends
+ROUNDING_S = 1e-6  # of sums of periods and of clocks that count from 1970, at a window's ends
 NOTHING = "nothing was there to check"
 
 
-class Compared(Protocol[Made]):
-    """A simulation that other light can run beside."""
+class Checks:
+    """The checks of a run, and the lights that run beside it: `step` after each of its steps, and `outcomes` at its end."""
 
-    @property
-    def scenario(self) -> Scenario: ...
-
-    def lit_by(self, light: Light) -> Self:
-        """The same world with the same noise, under another light."""
-
-    def run(self) -> Iterator[Made]: ...
-
-
-class Checks(Generic[Result]):
-    """The checks of a run, and the lights that run beside it: `step` after each of its steps, and `outcomes` at its end.
-
-    row: a step as plain values by the names of columns. beside: whether other lights run; else the checks that need them are left out.
-    """
-
-    def __init__(self, simulation: Compared[Result], row: Callable[[Result], dict[str, Any]], beside: bool) -> None:
-        """Raises LuxloopError where a lamp lacks the beam that a check compares with."""
-        self._given = {name: check for name, check in simulation.scenario.checks.items() if beside or check.compare is None}
-        self._row = row
-        self._runs = {light: simulation.lit_by(light).run() for light in lights(self._given)}
+    def __init__(self, checks: Mapping[str, CheckParams], beside: Callable[[Light], Iterator[Mapping[str, Any]]] | None) -> None:
+        """beside: the run of another light, a step as plain values by the names of columns; None leaves out the checks that need one."""
+        self._given = {name: check for name, check in checks.items() if beside or check.compare is None}
+        self._runs = {} if beside is None else {light: beside(light) for light in lights(self._given)}
         self._rows: dict[Light, list[dict[str, Any]]] = {light: [] for light in self._runs}
 
     def step(self) -> None:
         """One step of each light beside; what is rendered for the run serves them as well."""
         for light, run in self._runs.items():
-            values = self._row(next(run))
+            values = next(run)
             self._rows[light].append({name: values.get(name) for name in ("time_s", *(check.metric for check in self._given.values()))})
 
     def outcomes(self, table: pa.Table) -> dict[str, dict[str, Any]]:

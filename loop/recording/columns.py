@@ -34,16 +34,16 @@ SYMBOL: dict[str, tuple[str, str]] = {
     "pose_error_pitch_deg": ("deg", "e_pitch divided by its plant gain"),
     "c_u": ("axes", "centroid of the extracted symbol, u to the right"),
     "c_v": ("axes", "centroid of the extracted symbol, v down or towards the car"),
-    "tl_u": ("axes", "centroid of the top left quadrant, u"),
-    "tl_v": ("axes", "centroid of the top left quadrant, v"),
-    "tr_u": ("axes", "centroid of the top right quadrant, u"),
-    "tr_v": ("axes", "centroid of the top right quadrant, v"),
-    "bl_u": ("axes", "centroid of the bottom left quadrant, u"),
-    "bl_v": ("axes", "centroid of the bottom left quadrant, v"),
-    "br_u": ("axes", "centroid of the bottom right quadrant, u"),
-    "br_v": ("axes", "centroid of the bottom right quadrant, v"),
+    **{
+        f"{point}_{axis}": ("axes", f"centroid of the {name} quadrant, {axis}")
+        for point, name in (("tl", "top left"), ("tr", "top right"), ("bl", "bottom left"), ("br", "bottom right"))
+        for axis in "uv"
+    },
     "area_ratio": ("1", "area of the extracted symbol, as a multiple of what the flat road, or one of the acquired shape, would show"),
-    "loss": ("", "why the symbol was lost: no_frame, nothing, too_small or too_large; empty where it was seen"),
+    "loss": (
+        "",
+        "why the symbol was lost: no_frame, nothing, too_small, too_large or covered (by other functions); empty where it was seen",
+    ),
     "centroid_error_x_percent": ("%", "judge: error of the centroid along x, of the symbol's length"),
     "centroid_error_y_percent": ("%", "judge: error of the centroid along y, of the symbol's width"),
     "iou": ("1", "judge: intersection over union with the target"),

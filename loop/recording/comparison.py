@@ -8,26 +8,22 @@ import pyarrow as pa
 
 from controllers.symbol.sensing.flat_model import FeatureParams
 from loop.recording.columns import AIM, CENTROIDS, CUT, ERRORS, of_one
-from loop.recording.summary import steady_step
+from loop.recording.summary import AXES, steady_step
 
 SHEAR = (0.005, "a quarter of what counts as settled")
 # Largest difference between two machines that is no difference in behaviour, and why. Timings are excepted, all else is exact.
 TOLERANCES: dict[str, tuple[float, str]] = {
     "time_s": (1e-9, "rounding of step times period"),
-    "x_m": (1e-3, "a millimetre"),
-    "y_m": (1e-3, "a millimetre"),
+    **dict.fromkeys(("x_m", "y_m"), (1e-3, "a millimetre")),
     "z_m": (1e-4, "what moves the symbol's light by two millimetres"),
-    "roll_deg": (0.05, "a hundredth of the range"),
-    "pitch_deg": (0.05, "a hundredth of the range"),
+    **dict.fromkeys(("roll_deg", "pitch_deg"), (0.05, "a hundredth of the range")),
     "pose_error_x_m": (0.02, "a tenth of a pixel: the raw image has 11 cm a pixel along the road at 17 m; twice, for the target's own"),
     "pose_error_y_m": (0.002, "a tenth of a pixel: the raw image has 8 mm a pixel across the road at 17 m; twice, for the target's own"),
-    "pose_error_roll_deg": (0.1, "twice the pose's"),
-    "pose_error_pitch_deg": (0.1, "twice the pose's"),
+    **dict.fromkeys(("pose_error_roll_deg", "pose_error_pitch_deg"), (0.1, "twice the pose's")),
     **dict.fromkeys(CUT, (0.005, "a quarter of what is mentioned")),
     **dict.fromkeys(AIM, (0.25, "a step between places that are tried")),
     "area_ratio": (0.01, "the gate's limits are tens of percents apart"),
-    "centroid_error_x_percent": (0.1, "a twentieth of what counts as settled"),
-    "centroid_error_y_percent": (0.1, "a twentieth of what counts as settled"),
+    **dict.fromkeys(AXES, (0.1, "a twentieth of what counts as settled")),
     "iou": (0.01, "thin strokes: a shift of 2 mm across the road costs as much"),
     "ssim": (0.005, "half the IoU's, which it follows"),
     "length": (0.002, "a tenth of what counts as settled"),

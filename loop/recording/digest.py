@@ -6,18 +6,8 @@ from importlib.resources import files
 from pathlib import Path
 
 PACKAGES = ("world", "perception", "controllers", "loop")
-SHOWING = (  # folders that decide no figure of a run
-    "loop/beams/",
-    "loop/commands/",
-    "loop/contracts/",
-    "loop/evaluation/",
-    "loop/jobs/",
-    "loop/pictures/",
-    "loop/report/",
-    "loop/studies/",
-    "loop/terminal/",
-    "loop/training/",
-)
+NO_FIGURE = ("beams", "commands", "contracts", "evaluation", "jobs", "pictures", "report", "studies", "terminal", "training")
+SHOWING = tuple(f"loop/{folder}/" for folder in NO_FIGURE)  # folders that decide no figure of a run
 
 
 @cache

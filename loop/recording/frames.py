@@ -36,7 +36,8 @@ class FrameRecorder:
             self._rows[exposure.number] |= {"time_s": exposure.start_s, "duration_s": exposure.duration_s, "light": self._light(exposure)}
             self._note(exposure.number + 1, showing.after)
             for frame in showing.after.frames:
-                self._frame(frame, exposure.number)
+                if frame.number <= exposure.number and frame.number in self._rows:
+                    self._frame(frame, exposure.number)
 
     def write(self) -> None:
         """Write the table, whole or not at all. Raises LuxloopError where that cannot be."""

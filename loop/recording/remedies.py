@@ -9,13 +9,19 @@ PLANE_M = 0.2  # roads nearer to the plane z = 0 are drawn for on it
 SHADOW = "in shadow of"
 SHORT = 40  # steps, as the shipped scenarios have: thesis_pid still moves after 20 that began 40 m ahead, and settles in 40
 AT_ONCE = ("open", "feedforward", "luxloop")  # controllers that show the symbol at its target, wherever it starts
-BORDERS = {"left": "left", "right": "right", "top": "upper", "bottom": "lower"}
-INTO_THE_FIELD = {
-    "left": "bring NAME.y_m nearer to 0",
-    "right": "bring NAME.y_m nearer to 0",
-    "top": "lower NAME.x_m",
-    "bottom": "raise NAME.x_m",
+BORDERS = {  # and what brings a symbol back into the field
+    **{side: (side, "bring NAME.y_m nearer to 0") for side in ("left", "right")},
+    **{"top": ("upper", "lower NAME.x_m"), "bottom": ("lower", "raise NAME.x_m")},
 }
+
+
+def of_frames(frames: dict[str, int]) -> list[str]:
+    """What is wrong with the frames of a run, by their part of its summary; empty where nothing is."""
+    mend = "give each frame the number of its exposure, exposure.number, and try luxloop.check_plant"
+    late = "raise steps where frames are late, lower camera.drop_probability, or try luxloop.check_plant on a plant of your own"
+    if frames["unknown"]:
+        return [f"{frames['unknown']} frames were of no exposure that was shown, and nothing looked at them; {mend}"]
+    return [] if frames["came"] else [f"no frame came of any of the {frames['asked']} exposures, so that nothing was seen; {late}"]
 
 
 def remedies(name: str, values: dict[str, Any]) -> list[str]:
@@ -38,7 +44,8 @@ def _remedies(values: dict[str, Any]) -> list[str]:
 
 
 def _cut(share: float, side: str) -> str:
-    return f"{100 * share:.0f} % of the symbol lies beyond the {BORDERS[side]} border of the lamps' field; {INTO_THE_FIELD[side]}"
+    border, back = BORDERS[side]
+    return f"{100 * share:.0f} % of the symbol lies beyond the {border} border of the lamps' field; {back}"
 
 
 def _why_unsettled(values: dict[str, Any]) -> str:
@@ -58,6 +65,11 @@ def _why_unsettled(values: dict[str, Any]) -> str:
                 return f"{what}; raise steps to {SHORT} at least"
             if values["controller"] == "luxloop":
                 return f"{what}, as it does where the car or an object moves; if none does, lower NAME.x_m, as a nearer symbol moves less"
+        case "covered":
+            others = ", ".join(f"functions.{name}" for name in values["covered_by"]) or "other functions"
+            return (
+                f"{others} took too much light from the symbol to measure it; move one of them, or raise NAME.priority where no mask does"
+            )
         case "lost" if not values["seen_steps"]:
             what = "the camera never saw the symbol, whose light may pass over a road that falls"
             if values["controller"] not in AT_ONCE:

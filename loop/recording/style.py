@@ -21,6 +21,7 @@ STYLE: Any = {
 }
 FOUR = ("#0072b2", "#e69f00", "#009e73", "#cc79a7")  # Okabe and Ito: told apart by all eyes
 NIGHT = LinearSegmentedColormap.from_list("night", ["#05070c", "#3a3f4a", "#a9a598", "#fffbe8"])
+SHARES: Any = {"cmap": NIGHT, "vmin": 0, "vmax": 1, "interpolation": "antialiased"}  # how an image in 0..1 is shown
 CHARACTER_IN, LINE_IN, AROUND_IN = 0.055, 0.4, 0.7  # of a legend's text, its line with what is around it, and around a chart
 
 

@@ -1,6 +1,7 @@
 """How a symbol that is held has come to lie, in a few numbers: when it settled, how far it overshot, how well it lies in the end."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ OFF_PERCENT = 5.0  # a symbol that ends further from the target has not settled 
 LEAST_START_PERCENT = 5.0  # an axis that starts nearer to the target says nothing about overshoot
 
 
-def summarise(table: pa.Table, controller: str, iou_open: float) -> dict[str, Any]:
+def summarise(table: pa.Table, controller: str, iou_open: float, covered_by: Sequence[str] = ()) -> dict[str, Any]:
     """Summary of one symbol's columns (`loop.recording.columns.of_one`), ready for JSON: None where a value does not exist.
 
     iou_open: what the judge says of the open loop at the last step, NaN where there is none. centroid_error_percent: [x, y], signed, mean
@@ -29,7 +30,7 @@ def summarise(table: pa.Table, controller: str, iou_open: float) -> dict[str, An
     unsettled: why there is no settle_step (`unsettled`). cut: share of the symbol beyond the borders of the lamps' field at the last step,
     and the side where most of it is. aim: [x, y] in m of where the symbol lies at the last step in place of its target, None for that.
     iou_mean, iou_min: of the second half of the run. shown_steps: how many show it; in seen_steps frames came that do, in lost_steps
-    frames in which it was not found.
+    frames in which it was not found, of which functions, covered_by, covered it in covered_steps.
     """
     shown, lain, losses = table.num_rows > 0, judged(table), table["loss"].to_pylist()
     late = column(table, "iou")[table.num_rows // 2 :]
@@ -39,6 +40,8 @@ def summarise(table: pa.Table, controller: str, iou_open: float) -> dict[str, An
         "shown_steps": table.num_rows,
         "seen_steps": losses.count(""),
         "lost_steps": sum(loss not in ("", "no_frame") for loss in losses),
+        "covered_steps": losses.count("covered"),
+        "covered_by": [*covered_by],
         "settle_step": settle_step(table),
         "unsettled": unsettled(table),
         "steady_step": steady_step(table),
@@ -69,8 +72,8 @@ def unsettled(table: pa.Table) -> str | None:
     """Why the symbol has not settled on the target; None where it has.
 
     not_judged: nobody said where it lies. too_short: fewer than ten steps. lost: not seen in most of the last ten; no_frame: as most of
-    their frames were missing. moving: lit, but not steady. off_target: nothing lit at the target, or more than 5 % of the symbol's length
-    or width off (mean of the last five steps).
+    their frames were missing; covered: as other functions took most of it. moving: lit, but not steady. off_target: nothing lit at the
+    target, or more than 5 % of the symbol's length or width off (mean of the last five steps).
     """
     if table.num_rows and not judged(table).num_rows:
         return "not_judged"
@@ -78,7 +81,7 @@ def unsettled(table: pa.Table) -> str | None:
         return "too_short"
     losses = judged(table)["loss"][-FINAL:].to_pylist()
     if 2 * losses.count("") < FINAL:
-        return "no_frame" if 2 * losses.count("no_frame") > FINAL else "lost"
+        return next((why for why in ("no_frame", "covered") if 2 * losses.count(why) > FINAL), "lost")
     error = final_error_percent(table)
     if np.isfinite(error).all() and steady_step(table) is None:
         return "moving"

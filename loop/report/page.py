@@ -23,7 +23,7 @@ from loop.lighting.simulation import Simulation
 from loop.pictures.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, birdseye
 from loop.recording.columns import of_one
 from loop.recording.remedies import SHADOW
-from loop.recording.style import NIGHT, STYLE
+from loop.recording.style import SHARES, STYLE
 from loop.recording.summary import column
 from loop.report.courses import write_courses
 from loop.report.marks import marks, readable
@@ -35,7 +35,7 @@ from world.files import whole
 from world.frames import transform
 
 WIDE_IN, DPI = 13.0, 130
-LIGHT_IN = 8.6  # of the part about all light
+LIGHT_IN, ABOVE_IN = 8.6, 3.4  # of the part about all light, and in it of the row of pictures from above
 TALLER_IN = 2.2  # with a detector, for two large pictures of the camera, and with materials, for their chart
 MOMENTS = 4  # that the page shows
 TRACKED, MASKED, FOUND, TARGET = "#4fd17a", "#ffaa28", "#6e82a0", "#50aaff"
@@ -78,8 +78,10 @@ def write_report(file: Path, simulation: Simulation, watched: Watched, table: pa
     table and summary are the recording's. Raises LuxloopError if the file cannot be written.
     """
     shown = [each for each in watched.gathered if each.last is not None]
-    of_light = _of_light(simulation, watched.moments, table)
-    parts = [of_light] if not shown or not symbols_alone(simulation) else []
+    parts: list[tuple[float, Callable[[SubFigure], None]]] = []
+    if not shown or not symbols_alone(simulation):
+        high = LIGHT_IN + (simulation.sight is not None or bool(watched.moments[-1].materials)) * TALLER_IN
+        parts.append((high, partial(_draw_light, simulation=simulation, moments=watched.moments, table=table, high=high)))
     for each in shown:
         draw = partial(draw_symbol, simulation=simulation, gathered=each, table=of_one(table, each.name))
         parts.append((HIGH_IN, partial(draw, summary=summary["functions"][each.name])))
@@ -100,27 +102,21 @@ def symbols_alone(simulation: Simulation) -> bool:
     return not (others or simulation.watched or scenario.detector or scenario.lighting.raw or scenario.lighting.base.beam != "off")
 
 
-def _of_light(simulation: Simulation, moments: Sequence[StepResult], table: pa.Table) -> tuple[float, Callable[[SubFigure], None]]:
-    """How high the part of a page about all light is in inches, and what draws it."""
-    last = moments[-1]
-    height = LIGHT_IN + (simulation.sight is not None or bool(last.materials)) * TALLER_IN
-
-    def draw(figure: SubFigure) -> None:
-        figure.suptitle(_title(simulation, last, table), x=0.012, ha="left", fontsize=12, weight="bold")
-        left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(7.6, 5.4))[0]
-        observed = [(result, symbol) for result in moments for symbol in result.symbols][-OBSERVED:]
-        high = height - 3.4
-        heights = (high, 3.4, 1.6) if observed else (high, 3.4)
-        top, bottom, *below = left.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
-        _cameras(top, simulation, moments)
-        _from_above(bottom.subplots(), simulation, last)
-        for figure_below in below:
-            _observed(figure_below, observed)
-        courses, walls = right.subfigures(2, 1, squeeze=False, height_ratios=(high, 3.4))[:, 0]
-        write_courses(courses, simulation, table)
-        _walls(walls, simulation, last)
-
-    return height, draw
+def _draw_light(figure: SubFigure, simulation: Simulation, moments: Sequence[StepResult], table: pa.Table, high: float) -> None:
+    """The part of a page about all light, so many inches high."""
+    last, upper = moments[-1], high - ABOVE_IN
+    figure.suptitle(_title(simulation, last, table), x=0.012, ha="left", fontsize=12, weight="bold")
+    left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(7.6, 5.4))[0]
+    observed = [(result, symbol) for result in moments for symbol in result.symbols][-OBSERVED:]
+    heights = (upper, ABOVE_IN, 1.6) if observed else (upper, ABOVE_IN)
+    top, bottom, *below = left.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
+    _cameras(top, simulation, moments)
+    _from_above(bottom.subplots(), simulation, last)
+    for figure_below in below:
+        _observed(figure_below, observed)
+    courses, walls = right.subfigures(2, 1, squeeze=False, height_ratios=(upper, ABOVE_IN))[:, 0]
+    write_courses(courses, simulation, table)
+    _walls(walls, simulation, last)
 
 
 def _title(simulation: Simulation, last: StepResult, table: pa.Table) -> str:
@@ -128,7 +124,7 @@ def _title(simulation: Simulation, last: StepResult, table: pa.Table) -> str:
     dark = dark[np.isfinite(dark)]
     masked = f"  ·  {dark.max():.3g} lx at most on what must be dark" if len(dark) else ""
     scenario = simulation.scenario
-    flicker = f"  ·  symbols on for {1 - scenario.off_share:.0%} at {scenario.rate_hz:g} Hz" if scenario.holds else ""
+    flicker = f"  ·  symbols on for {1 - scenario.off_share:.0%} at {scenario.rate_hz:g} Hz" if scenario.controlled else ""
     if (folder := shadow_of(scenario.plant)) is not None:
         flicker += f"  ·  {SHADOW} {folder}"
     return f"{scenario.name}  ·  {scenario.headlight.model}  ·  {table.num_rows} steps to {last.time_s:.2f} s{masked}{flicker}"
@@ -156,8 +152,7 @@ def _told_of_boxes(simulation: Simulation) -> str:
     zones += "; blue: where a symbol that is held shall lie" if simulation.controlled else ""
     if not simulation.watched and simulation.sight is None:
         return f"What the camera sees{zones}"
-    masks = "glare_free" in kinds
-    orange = ", orange where a mask keeps it dark" if masks else ""
+    orange = ", orange where a mask keeps it dark" if "glare_free" in kinds else ""
     if simulation.sight is None:
         return f"What the camera sees; a green box is an object that functions are told of{orange}{zones}"
     return f"What the camera sees; green: tracked, and how sure{orange}; grey: found in this frame{zones}"
@@ -165,7 +160,7 @@ def _told_of_boxes(simulation: Simulation) -> str:
 
 def _camera(axes: Axes, simulation: Simulation, result: StepResult, white: float) -> None:
     image = (measured(result, simulation).cpu().numpy() / white).clip(0, 1) ** 0.5
-    axes.imshow(image, cmap=NIGHT, vmin=0, vmax=1, interpolation="antialiased")
+    axes.imshow(image, **SHARES)
     for mark in readable(marks(result, simulation), image.shape[1] / CHARACTERS, image.shape[1]):
         colour = TARGET if mark.target else FOUND if mark.faint else MASKED if mark.masked else TRACKED
         for (u0, v0), (u1, v1) in mark.lines:
@@ -183,7 +178,7 @@ def _camera(axes: Axes, simulation: Simulation, result: StepResult, white: float
 def _observed(figure: SubFigure, observed: Sequence[tuple[StepResult, ObservedSymbol]]) -> None:
     figure.suptitle("What observers see of their symbols: luminance, as a share of that of a white picture", x=0.02, ha="left", fontsize=9)
     for axes, (result, symbol) in zip(figure.subplots(1, len(observed), squeeze=False)[0], observed, strict=True):
-        axes.imshow(symbol.share.nan_to_num().cpu().numpy(), cmap=NIGHT, vmin=0, vmax=1, interpolation="antialiased")
+        axes.imshow(symbol.share.nan_to_num().cpu().numpy(), **SHARES)
         axes.set(xticks=[], yticks=[], anchor="N")
         axes.set_title(f"{result.time_s:.2f} s, IoU {symbol.iou:.3f}", weight="normal")
         axes.grid(False)
@@ -241,16 +236,9 @@ def _walls(figure: SubFigure, simulation: Simulation, last: StepResult) -> None:
         mine = [number for number, module in enumerate(simulation.modules) if module.side == side]
         wall = wall_light([simulation.modules[n] for n in mine], [last.lights[n] for n in mine], WALL_COLUMNS)
         extent = (-side_deg, side_deg, -down_deg, up_deg)
-        shown = axes.imshow(
-            wall.cpu().numpy(),
-            cmap="inferno",
-            vmin=0,
-            vmax=float(wall.max()) or 1,
-            extent=extent,
-            aspect="auto",
-            interpolation="antialiased",
-        )
-        axes.set(title=f"The {side} lamp on a wall at 25 m, at the end: {float(wall.max()):.3g} lx at most", ylabel="up in deg")
+        most = float(wall.max())
+        shown = axes.imshow(wall.cpu().numpy(), extent=extent, aspect="auto", **(SHARES | {"cmap": "inferno", "vmax": most or 1}))
+        axes.set(title=f"The {side} lamp on a wall at 25 m, at the end: {most:.3g} lx at most", ylabel="up in deg")
         axes.grid(False)
         axes.figure.colorbar(shown, ax=axes, label="lx", pad=0.01)
     axes.set_xlabel("to the right in deg")

@@ -1,7 +1,6 @@
 """What happened with a symbol that is held, as the thesis' figures 9.12 to 9.17 show it."""
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,14 +17,16 @@ from controllers.pixels.ssc import Utilisation
 from controllers.symbol.sensing.flat_model import FeatureParams
 from loop.lighting.controlled import ControlledSymbol
 from loop.lighting.judging import Judge
+from loop.lighting.redrawn import opened
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
 from loop.plant.simulated import SimulatedPlant
 from loop.recording.columns import ERRORS
 from loop.recording.remedies import SHADOW, remedies
-from loop.recording.style import FOUR, NIGHT, STYLE, headed
+from loop.recording.style import FOUR, SHARES, STYLE, headed
 from loop.recording.summary import column
 from loop.scenario.plant import shadow_of
+from loop.terminal.tables import number
 from perception.appearance import appearance, image_axes
 from perception.birdseye import rectify
 from perception.camera import luminance_of
@@ -33,6 +34,7 @@ from perception.extraction import Crop, Loss
 from perception.judge import THRESHOLD
 
 Lights = tuple[Utilisation, ...]
+Pairs = dict[str, tuple[Lights, Lights]]  # with a symbol and without it, by when
 Image = NDArray[np.floating]
 
 TARGET, PATH, LOST = "#00c8ff", "#ff2020", "#d55e00"
@@ -74,45 +76,30 @@ class Gathered:
         self.shown |= {each.start_s: each.drawings[self.name].pose for each in shown if self.name in each.drawings}
 
 
-@dataclass(frozen=True, eq=False)
-class Shown:
-    """A symbol in the last step that shows it. on, off: the lights of that step. opened: with the symbol as the open loop draws it, and
-    without it.
-    """
-
-    symbol: ControlledSymbol
-    last: StepResult
-    on: Lights
-    off: Lights
-    opened: tuple[Lights, Lights]
-
-    @classmethod
-    def of(cls, simulation: Simulation, name: str, last: StepResult) -> "Shown":
-        on, off = (showing.exposure.lights for showing in (last.showings[0], last.showings[-1]))
-        return cls(simulation.controlled[name], last, on, off, simulation.opened(last, name))
-
-
 def draw_symbol(figure: SubFigure, simulation: Simulation, gathered: Gathered, table: pa.Table, summary: dict[str, Any]) -> None:
     """A symbol's part of a page; table: its own columns (`loop.recording.columns.of_one`), of one step at least, and summary its own."""
     assert gathered.last is not None, "a page needs a step"
-    shown = Shown.of(simulation, gathered.name, gathered.last)
+    symbol, last = simulation.controlled[gathered.name], gathered.last
+    lights = {
+        "open loop": opened(simulation, last, gathered.name),
+        "at the end": (last.showings[0].exposure.lights, last.showings[-1].exposure.lights),
+    }
     shadow = shadow_of(simulation.scenario.plant)
     figure.suptitle(_title(simulation, gathered.name, summary, shadow), x=0.012, ha="left", fontsize=12.5, weight="bold")
     notes = [] if shadow else remedies(gathered.name, summary)
     figure.supxlabel("\n".join(notes), x=0.012, ha="left", fontsize=10)
     left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(4.3, 7.7))[0]
-    _courses(left, shown.symbol.function, gathered, table, summary)
-    views = _camera_images(simulation, shown, gathered)
-    after = views["at the end"]
-    if shown.symbol.judge is None:
+    _courses(left, symbol.function, gathered, table, summary)
+    views = _camera_images(simulation, lights, gathered, last)
+    if symbol.judge is None:
         top, beam = right.subfigures(2, 1, squeeze=False, height_ratios=(2.75, 3.6))[:, 0]
     else:
         top, middle, bottom = right.subfigures(3, 1, squeeze=False, height_ratios=(2.75, 2.35, 3.6))[:, 0]
-        _camera_views(middle, shown.symbol, views)
+        _camera_views(middle, symbol, views)
         plane, beam = bottom.subfigures(1, 2, squeeze=False, width_ratios=(3.5, 4.2))[0]
-        _birds_eye_views(plane, shown.symbol.judge, shown)
-    _progression(top, shown.symbol, gathered, after)
-    _beam_patterns(beam, shown, "asked for" if shadow else "at the end")
+        _birds_eye_views(plane, symbol.judge, lights, last.time_s)
+    _progression(top, symbol, gathered, views["at the end"])
+    _beam_patterns(beam, symbol, lights["at the end"][0], "asked for" if shadow else "at the end")
 
 
 def _title(simulation: Simulation, name: str, summary: dict[str, Any], shadow: str | None) -> str:
@@ -121,16 +108,12 @@ def _title(simulation: Simulation, name: str, summary: dict[str, Any], shadow: s
         return f"{who}  ·  {SHADOW} {shadow}"
     unsettled = summary["unsettled"]
     settled = f"settled at step {summary['settle_step']}" if unsettled is None else f"not settled: {unsettled.replace('_', ' ')}"
-    x, y = (_number(value, ".1f") for value in summary["centroid_error_percent"])
+    x, y = (number(value, ".1f") for value in summary["centroid_error_percent"])
     lost = f"  ·  lost in {summary['lost_steps']} of {summary['shown_steps']} steps" if summary["lost_steps"] else ""
     return (
         f"{who}  ·  {settled}  ·  "
-        f"IoU {_number(summary['iou_open'], '.2f')} → {_number(summary['iou_final'], '.2f')}  ·  centroid error {x} %, {y} %{lost}"
+        f"IoU {number(summary['iou_open'], '.2f')} → {number(summary['iou_final'], '.2f')}  ·  centroid error {x} %, {y} %{lost}"
     )
-
-
-def _number(value: float | None, form: str) -> str:
-    return "–" if value is None else format(value, form).replace("-", "−")
 
 
 def _courses(figure: SubFigure, target: SymbolFunctionParams, gathered: Gathered, table: pa.Table, summary: dict[str, Any]) -> None:
@@ -200,14 +183,11 @@ def _error_units(what: FeatureParams) -> tuple[str, ...]:
     return (unit, unit, "" if what.shape == "moments" else unit, unit)
 
 
-def _camera_images(simulation: Simulation, shown: Shown, gathered: Gathered) -> dict[str, Image]:
+def _camera_images(simulation: Simulation, lights: Pairs, gathered: Gathered, last: StepResult) -> dict[str, Image]:
     """Luminances `[height, width]` in cd/m^2 that the camera measures: at the last step's time where the plant can expose it once more."""
-    camera, plant, last = simulation.scenario.camera, simulation.plant, shown.last
+    camera, plant, time_s = simulation.scenario.camera, simulation.plant, last.time_s
     if isinstance(plant, SimulatedPlant):
-        frames = {
-            name: plant.exposed(*plant.world.luminance(last.time_s, lights), last.step, 0)
-            for name, lights in (("open loop", shown.opened[0]), ("at the end", shown.on))
-        }
+        frames = {name: plant.exposed(*plant.world.luminance(time_s, on), last.step, 0) for name, (on, _) in lights.items()}
     else:
         frames = {"at the end": torch.zeros(camera.height_px, camera.width_px) if gathered.frame is None else gathered.frame}
     return {name: luminance_of(frame, camera).cpu().numpy() for name, frame in frames.items()}
@@ -232,7 +212,7 @@ def _night(image: Image, white: float) -> Image:
 
 def _show(axes: Axes, image: Image, white: float) -> None:
     height, width = image.shape
-    axes.imshow(_night(image, white), cmap=NIGHT, vmin=0, vmax=1, extent=(0, width, height, 0), interpolation="antialiased")
+    axes.imshow(_night(image, white), extent=(0, width, height, 0), **SHARES)
     axes.set(xticks=[], yticks=[])
     axes.grid(False)
     for spine in axes.spines.values():
@@ -293,22 +273,14 @@ def _camera_views(figure: SubFigure, symbol: ControlledSymbol, views: dict[str, 
         _look_at(axes, symbol, [], image.shape, aspect=16 / 9)
 
 
-def _birds_eye_views(figure: SubFigure, judge: Judge, shown: Shown) -> None:
-    goal, axes_m, symbol, time_s = judge.goal, judge.plane.axes, judge.symbol, shown.last.time_s
+def _birds_eye_views(figure: SubFigure, judge: Judge, lights: Pairs, time_s: float) -> None:
+    goal, axes_m, symbol = judge.goal, judge.plane.axes, judge.symbol
     y, x = -axes_m.u.cpu().numpy(), -axes_m.v.cpu().numpy()
-    views = {"open loop": judge.world.added(time_s, *shown.opened), "at the end": judge.world.added(time_s, shown.on, shown.off)}
     mask = goal.mask.float().cpu().numpy()
     figure.suptitle("From above, noise-free", x=0.12, ha="left", weight="bold", fontsize=STYLE["axes.titlesize"])
-    for axes, (title, light) in zip(figure.subplots(1, 2, sharey=True), views.items(), strict=True):
-        plane = rectify(judge.plane_at(time_s), light).cpu().numpy()
-        axes.imshow(
-            _night(plane, 1.5 * float(goal.median)),
-            cmap=NIGHT,
-            vmin=0,
-            vmax=1,
-            extent=(y[0], y[-1], x[-1], x[0]),
-            interpolation="antialiased",
-        )
+    for axes, (title, (on, off)) in zip(figure.subplots(1, 2, sharey=True), lights.items(), strict=True):
+        plane = rectify(judge.plane_at(time_s), judge.world.added(time_s, on, off)).cpu().numpy()
+        axes.imshow(_night(plane, 1.5 * float(goal.median)), extent=(y[0], y[-1], x[-1], x[0]), **SHARES)
         axes.contour(y, x, mask, levels=[0.5], colors=TARGET, linewidths=0.8)
         axes.set_title(title, weight="normal", loc="center")
         axes.grid(False)
@@ -318,8 +290,8 @@ def _birds_eye_views(figure: SubFigure, judge: Judge, shown: Shown) -> None:
     figure.axes[0].set_ylabel("x in m")
 
 
-def _beam_patterns(figure: SubFigure, shown: Shown, when: str) -> None:
-    modules, lights = shown.symbol.projector.modules, [shown.on[k] for k in shown.symbol.drawn_by]
+def _beam_patterns(figure: SubFigure, symbol: ControlledSymbol, on: Lights, when: str) -> None:
+    modules, lights = symbol.projector.modules, [on[k] for k in symbol.drawn_by]
     panels = figure.subplots(len(modules), 1, squeeze=False)[:, 0]
     for axes, module, light in zip(panels, modules, lights, strict=True):
         headlight = module.pixel_controller.headlight

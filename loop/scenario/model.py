@@ -3,7 +3,7 @@
 import hashlib
 import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -174,7 +174,7 @@ class Scenario(Params):
             raise ValueError(f"detector_frames: there is no {lacking} here, so that it means nothing; leave it out")
         if self.detector is None and self.tracker != TrackerParams():
             raise ValueError('tracker: follows what a detector finds, but there is none; give one, detector = {kind = "network"} say')
-        if self.detector is not None and (named := [name for name, each in self.functions.items() if _names_objects(each)]):
+        if self.detector is not None and (named := [name for name, each in self.functions.items() if any(objects_named(each))]):
             raise ValueError(
                 f"functions.{named[0]}: names objects, but a detector knows them by class alone; leave names out, "
                 "or take the [detector] out"
@@ -212,11 +212,6 @@ class Scenario(Params):
         return hashlib.sha256(json.dumps(self.model_dump(mode="json"), sort_keys=True).encode()).hexdigest()
 
     @property
-    def holds(self) -> bool:
-        """Whether a controller holds a symbol."""
-        return bool(self.controlled)
-
-    @property
     def metered(self) -> bool:
         """Whether the light on objects or for functions is asked for, beside what the camera sees."""
         told = any(each.category for each in self.all_objects)
@@ -237,7 +232,7 @@ class Scenario(Params):
     @property
     def shares(self) -> tuple[float, ...]:
         """Of a control step, one an exposure: with the symbols that are held and without them, or the whole."""
-        return (1 - self.off_share, self.off_share) if self.holds else (1.0,)
+        return (1 - self.off_share, self.off_share) if self.controlled else (1.0,)
 
     @property
     def lights(self) -> tuple[Light, ...]:
@@ -245,10 +240,13 @@ class Scenario(Params):
         return ("full_light", "low_beam", *(("open_loop",) if self.controlled else ()))
 
 
-def _names_objects(function: Any) -> bool:
-    selections = (function, *(getattr(function, key, None) for key in ("when", "unless")))
-    observer = getattr(function, "observer", None)
-    return any(getattr(each, "names", None) for each in selections) or (observer is not None and observer.name is not None)
+def objects_named(function: Any) -> Iterator[tuple[str, str]]:
+    """The objects that a function names, each after its key."""
+    for table in ("", "when.", "unless."):
+        selection = getattr(function, table[:-1], None) if table else function
+        yield from ((f"{table}names", name) for name in getattr(selection, "names", None) or ())
+    if (observer := getattr(function, "observer", None)) is not None and observer.name is not None:
+        yield "observer.name", observer.name
 
 
 def only(held: Iterable[str]) -> str:
@@ -305,6 +303,8 @@ def validate(data: Mapping[str, Any], source: str) -> Scenario:
             f"{source}: schema_version: this luxloop reads version {SCHEMA_VERSION}, not {version!r}; get another luxloop for it"
         )
     with located(source):
+        if "symbol" in data:
+            raise LuxloopError('symbol: unknown key; a symbol is a lighting function, write [functions.NAME] with kind = "symbol"')
         return validated(Scenario, _spelt_out(data), EXAMPLES).model_copy(update={"source": source})
 
 

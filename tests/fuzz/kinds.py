@@ -315,7 +315,7 @@ def _parquet(folder: Path) -> dict[str, bytes]:
 
 
 def _read_recording(path: Path) -> None:
-    replay._of(read_parquet(path), pq.read_schema(RECORDING), path)
+    replay.columns_of(read_parquet(path), pq.read_schema(RECORDING), path)
 
 
 LIKE = torch.zeros(4)

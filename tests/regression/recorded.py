@@ -5,7 +5,7 @@ from pathlib import Path
 import pyarrow as pa
 
 from loop.recording.comparison import Difference
-from loop.recording.recorder import write_table
+from loop.recording.files import write_table
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "scenarios" / "recordings"

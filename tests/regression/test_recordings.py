@@ -19,7 +19,7 @@ from loop.lighting.record import row, schema
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
 from loop.recording.comparison import compare
-from loop.recording.recorder import table_of
+from loop.recording.files import table_of
 from loop.scenario import data
 from loop.scenario.model import Scenario, load
 from loop.scenario.shipped import shipped

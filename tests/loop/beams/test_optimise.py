@@ -15,6 +15,7 @@ from loop.beams.optimise import _method
 from loop.beams.search import alike, begin, descend, sample
 from loop.commands import cli
 from loop.lighting.simulation import Simulation
+from loop.run import prepare
 from loop.scenario.model import load, validate
 from perception.detection.build import detector
 from perception.detection.params import HogParams, NetworkParams
@@ -80,14 +81,27 @@ def test_the_command_leaves_what_a_scenario_plays(tmp_path: Path, capsys: pytest
     tables = (
         '[headlight]\nmodel = "hd84"\n[camera]\nwidth_px = 320\nheight_px = 180\noversampling = 1\n[lighting]\nbase = { beam = "low" }\n'
     )
-    file.write_text(f'name = "beam"\nsteps = 1\n{objects}{tables}')
+    symbol = '[functions.flake]\nkind = "symbol"\nimage = "snowflake"\ncontroller = "open"\n[functions.guard]\nkind = "glare_free"\n'
+    checks = {
+        "iou": {"metric": "functions.flake.iou"},
+        "dark": {"metric": "dark_lx_max"},
+        "held": {"metric": "objects.eva.lx_max", "compare": "open_loop"},
+        "eva": {"metric": "objects.eva.lx_max"},
+        "dimmer": {"metric": "lamp.left.flux_lm", "compare": "full_light"},
+    }
+    lines = [
+        f"[checks.{name}]\nat_least = 0\n" + "".join(f"{key} = {value!r}\n" for key, value in of.items()) for name, of in checks.items()
+    ]
+    file.write_text(f'name = "beam"\nsteps = 1\n{objects}{tables}{symbol}{"".join(lines)}')
     out = tmp_path / "out"
     assert cli.main(["optimise-beam", str(file), "--metric", "edges", "--steps", "3", "--out", str(out), "--device", "cpu"]) == 0
     assert {each.name for each in out.iterdir()} == {"raw.toml", "beam.json", "beam.png", "left-matrix.npz", "right-matrix.npz"}
     summary = json.loads((out / "beam.json").read_text())
     assert summary["beams"]["before, as much flux"]["flux_lm"] == pytest.approx(summary["beams"]["found"]["flux_lm"], rel=1e-4)
     assert all(math.isfinite(score) for each in summary["beams"].values() for score in each["scores"].values())
-    played = Simulation.prepare(load(str(file), [str(out / "raw.toml")])).at(0)
+    raw = load(str(file), [str(out / "raw.toml")])
+    assert [*raw.checks] == ["eva", "dimmer"] and not raw.functions, "checks of functions that are left out go with them"
+    played = prepare(raw, "cpu").at(0)
     lm = sum(power.flux_lm for power in played.powers.values())
     assert lm == pytest.approx(summary["beams"]["found"]["flux_lm"], rel=1e-4)
     assert f"luxloop run {file} --set {out / 'raw.toml'}" in capsys.readouterr().out

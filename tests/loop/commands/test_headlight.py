@@ -100,7 +100,15 @@ def test_a_photometric_file_is_drawn_as_it_was_measured(lux: Lux) -> None:
         ("show hd84 --view driver --visibility-m 50", ["'driver'", "no fog", "'volume'"]),
         ("show hd84 --view volume --visibility-m nan", ["visibility of nan m"]),
         ("show hd84 --beam low --view pixels --scenario flat", ["'pixels'", "leave the scenario out"]),
-        ("show hd84 --view pixels --scenario flat", ["functions.symbol: the target", "cannot be told from noise", "finer pixels"]),
+        (
+            "show hd84 --view pixels --scenario flat",
+            [
+                "functions.symbol: the target",
+                "cannot be told from noise",
+                "finer pixels",
+                "or give --beam, which shows a beam of hd84 there",
+            ],
+        ),
         ("show hd84 --time-s 1", ["--time-s", "--scenario"]),
         ("show hd84 --scenario gfhb --time-s -1", ["--time-s", "from 0 on"]),
         ("show hd84 --scenario gfhb --traffic left", ["--traffic", "--beam"]),

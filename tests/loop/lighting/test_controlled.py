@@ -2,10 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
+from rich.console import Console
 
 from controllers.pixels.ssc import Utilisation
 from controllers.symbol.sensing.protocol import Look, Shown
@@ -13,7 +15,9 @@ from loop.commands import cli
 from loop.lighting.record import row, schema
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
+from loop.lighting.summary import shown
 from loop.plant.protocol import Arrivals, Exposure
+from loop.run import run as luxloop_run
 from loop.scenario.model import load, validate
 from perception.extraction import Loss
 from world.errors import LuxloopError
@@ -56,6 +60,21 @@ def test_a_mask_over_a_part_neither_moves_nor_loses_a_symbol(controller: str) ->
     apart = (masked[-1].held["flake"].pose - plain[-1].held["flake"].pose).abs()
     # what a pixel of this camera sees of the road at 17 m, 0.3 m along and 3 cm across, and an angle by which the ends move as far
     assert float(apart[0]) < 0.3 and float(apart[1]) < 0.03 and float(apart[2:].max()) < 0.015
+
+
+def test_a_symbol_under_other_functions_is_lost_as_covered_and_they_are_named(tmp_path: Path) -> None:
+    wall = {"kind": "box", "name": "wall", "category": "car", "size_m": [6.0, 5.0, 0.1], "track": [{"position_m": [17.0, 0.0, 0]}]}
+    beside = {"kind": "symbol", "image": "chevrons", "x_m": 30.0, "y_m": 3.0, "priority": 9}
+    functions = {"flake": FLAKE | {"controller": "open"}, "guard": {"kind": "glare_free"}, "beside": beside}
+    given = validate(WORLD | {"functions": functions, "objects": [wall], "steps": 11}, "covered")
+    done = luxloop_run(given, tmp_path / "covered", device="cpu", video=False)
+    assert set(done.trajectory["functions.flake.loss"].to_pylist()) == {"covered"}
+    told = done.summary["functions"]["flake"]
+    assert (told["unsettled"], told["lost_steps"], told["covered_steps"], told["covered_by"]) == ("covered", 11, 11, ["guard"])
+    console = Console(record=True, width=200)
+    console.print(shown(done.summary, "covered"))
+    text = " ".join(console.export_text().split())
+    assert "11, of which guard covered it in 11" in text and "functions.guard took too much light from the symbol to measure it" in text
 
 
 def test_symbols_apart_are_measured_in_each_step_and_each_is_judged_by_itself() -> None:
@@ -204,5 +223,5 @@ def test_what_a_frame_says_that_it_shows_is_what_is_measured() -> None:
 
     listening = replace(asked, plant=Half(), controlled={"flake": replace(symbol, controller=Listening())})
     results = list(listening.run())
-    for shown, each in zip(looks, results, strict=True):
-        torch.testing.assert_close(shown.lights[0].u, each.lights[0] / 2)
+    for look, each in zip(looks, results, strict=True):
+        torch.testing.assert_close(look.lights[0].u, each.lights[0] / 2)

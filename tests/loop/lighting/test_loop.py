@@ -16,8 +16,8 @@ from loop.commands import cli
 from loop.lighting.record import LOOKED_AT, row, schema
 from loop.lighting.simulation import Simulation
 from loop.lighting.summary import shown
+from loop.recording.files import table_of
 from loop.recording.manifest import input_files
-from loop.recording.recorder import table_of
 from loop.run import run
 from loop.scenario.model import Scenario, validate
 from perception.detection.protocol import Detections

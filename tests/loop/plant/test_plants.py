@@ -1,5 +1,6 @@
 """The loop on plants: one that does not know the truth, one whose frames are late by a varying time, one that loses them."""
 
+import json
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -15,9 +16,9 @@ from loop.plant.pairing import paired
 from loop.plant.protocol import Arrivals, Exposure
 from loop.plant.simulated import SimulatedPlant
 from loop.recording.columns import of_one
-from loop.recording.recorder import table_of
+from loop.recording.files import table_of
 from loop.recording.summary import summarise
-from loop.run import prepare
+from loop.run import check, in_words, prepare
 from loop.scenario.model import validate
 from perception.extraction import Loss
 from tests.loop.conftest import SMALL, Lux, assert_one_sentence
@@ -50,6 +51,20 @@ class Rig:
     def told(self, time_s):
         wheels, gyro = torch.tensor([4.9, 5.1]), torch.tensor([0.0, 0.01, 0.1 * (time_s - 0.02)])
         return Sample("wheels", time_s, time_s, wheels), Sample("gyro", time_s - 0.02, time_s, gyro)
+
+class Miscounting:
+    def __init__(self, scenario, modules, ahead=1):
+        self.inner, self.ahead = simulated_plant(scenario, modules), ahead
+    def start(self):
+        return self.inner.start()
+    def show(self, state, exposure):
+        state, came = self.inner.show(state, exposure)
+        return state, replace(came, frames=tuple(replace(frame, number=frame.number + self.ahead) for frame in came.frames))
+
+class Silent(Miscounting):
+    def show(self, state, exposure):
+        state, came = self.inner.show(state, exposure)
+        return state, replace(came, frames=())
 
 class Half:
     def __init__(self, scenario, modules):
@@ -126,6 +141,32 @@ def test_a_plant_without_truth_runs_to_the_end(lux: Lux, tmp_path: Path) -> None
     assert {each.name for each in (tmp_path / "runs/blind").iterdir()} >= {"report.png", "video.mp4", "summary.json"}
     code, out, _ = lux("replay", "runs/blind", "--compare", "--allow-code")
     assert code == 0 and "11 steps agree" in out
+
+
+@pytest.mark.usefixtures("own")
+@pytest.mark.parametrize(
+    ("plant", "frames", "words"),
+    [
+        ("{kind='own:Miscounting', options={ahead=1000}}", (6, 0, 6), "6 frames were of no exposure that was shown"),
+        ("{kind='own:Miscounting', options={ahead=-2}}", (6, 4, 2), "2 frames were of no exposure that was shown"),
+        ("{kind='own:Silent'}", (6, 0, 0), "no frame came of any of the 6 exposures"),
+        ("{kind='own:Blind', options={lost=[0, 1, 2, 3, 4, 5]}}", (6, 0, 0), "no frame came of any of the 6 exposures"),
+    ],
+)
+def test_frames_that_fit_no_exposure_are_told_at_the_end(
+    lux: Lux, tmp_path: Path, plant: str, frames: tuple[int, int, int], words: str
+) -> None:
+    code, out, error = lux("run", "small.toml", "--set", f"plant={plant}", "--frames", "--no-video", "--no-report", "--out", "run")
+    told = " ".join(out.split())
+    assert code == 0 and words in told and "luxloop.check_plant" in told, error
+    found = json.loads((tmp_path / "run" / "summary.json").read_text())["frames"]
+    assert (found["asked"], found["came"], found["unknown"]) == frames
+
+
+@pytest.mark.usefixtures("own")
+def test_a_check_of_a_detector_says_that_no_frame_came() -> None:
+    silent = check(validate({**SMALL, "detector": {"kind": "hog"}, "plant": {"kind": "own:Silent"}, "steps": 2}, "plants"), "cpu")
+    assert "detector hog (no frame came in 2 steps)" in in_words(silent)
 
 
 @pytest.mark.usefixtures("own")

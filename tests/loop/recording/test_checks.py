@@ -11,7 +11,7 @@ import pytest
 from loop.lighting.record import row, schema
 from loop.lighting.simulation import Simulation
 from loop.recording.checks import Checks, lines, outcome, ratio, refuse_unknown
-from loop.recording.recorder import table_of
+from loop.recording.files import table_of
 from loop.run import check, run
 from loop.scenario.checks import CheckParams
 from loop.scenario.model import load, validate
@@ -145,7 +145,7 @@ def test_open_loop_beside_is_the_run_that_it_would_be_alone() -> None:
     gain = {"metric": IOU, "take": "last", "at_least": 1.0, "compare": "open_loop"}
     scenario = validate(with_checks(SMALL, gain=gain) | {"steps": 3}, "x")
     simulation = Simulation.prepare(scenario)
-    checks = Checks(simulation, row, beside=True)
+    checks = Checks(simulation.scenario.checks, lambda light: map(row, simulation.lit_by(light).run()))
     rows = []
     for result in simulation.run():
         rows.append(row(result))

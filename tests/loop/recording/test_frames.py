@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from controllers.symbol.sensing.drawing import Drawing, Warp
-from loop.lighting.record import Recorder
+from loop.lighting.recorder import Recorder
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
 from loop.plant.frames import (

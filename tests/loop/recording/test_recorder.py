@@ -18,14 +18,15 @@ import pytest
 import torch
 
 from controllers.symbol.sensing.drawing import Drawing
-from loop.lighting.record import ZONE, Recorder, row, schema
+from loop.lighting import recorder
+from loop.lighting.record import ZONE, row, schema
+from loop.lighting.recorder import Recorder
 from loop.lighting.replay import load
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
-from loop.recording import recorder
 from loop.recording.columns import POSE, SYMBOL, loss_name
+from loop.recording.files import table_of
 from loop.recording.manifest import Manifest
-from loop.recording.recorder import table_of
 from loop.scenario.model import Scenario, validate
 from perception.extraction import Loss
 from world.errors import LuxloopError
@@ -81,7 +82,7 @@ def test_lost_symbol_is_a_row_with_a_reason(small_simulation: Simulation, small_
     assert values["functions.symbol.loss"] == "no_frame"
     assert math.isnan(values["functions.symbol.c_u"]) and math.isnan(values["functions.symbol.e_pitch"])
     assert table_of([values], schema(small_simulation))["functions.symbol.c_u"].null_count == 1
-    assert {loss_name(code) for code in Loss} == {"", "no_frame", "nothing", "too_small", "too_large"}
+    assert {loss_name(code) for code in Loss} == {"", "no_frame", "nothing", "too_small", "too_large", "covered"}
 
 
 def test_recording_is_complete(tmp_path: Path, small_simulation: Simulation, small_results: list[StepResult]) -> None:
@@ -142,7 +143,7 @@ def test_death_in_the_middle_of_a_write_leaves_the_write_before(
 RUN = """
 import itertools, json, sys
 from pathlib import Path
-from loop.lighting.record import Recorder
+from loop.lighting.recorder import Recorder
 from loop.lighting.simulation import Simulation
 from loop.scenario.model import validate
 

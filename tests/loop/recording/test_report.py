@@ -12,7 +12,7 @@ import torch
 from loop.lighting.record import row, schema, summary_of
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
-from loop.recording.recorder import REPORT, table_of
+from loop.recording.files import REPORT, table_of
 from loop.report.page import DPI, LIGHT_IN, WIDE_IN, Watched, write_report
 from loop.report.symbol import HIGH_IN, PAST_SYMBOLS, Gathered
 from loop.run import run

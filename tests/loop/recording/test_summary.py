@@ -12,7 +12,7 @@ import pytest
 
 from loop.lighting import summary as of_run
 from loop.recording.columns import SYMBOL
-from loop.recording.recorder import table_of
+from loop.recording.files import table_of
 from loop.recording.remedies import remedies
 from loop.recording.summary import overshoot_percent, settle_step, steady_step, summarise, unsettled
 from loop.scenario.model import load
@@ -109,6 +109,8 @@ OFF = "centroid_error_y_percent"
         (table(loss=HALF_LOST), None),
         (table(loss=[*HALF_LOST[:-1], "nothing"]), "lost"),
         (table(loss=[""] * 34 + ["no_frame"] * 6), "no_frame"),
+        (table(loss=[""] * 34 + ["covered"] * 6), "covered"),
+        (table(loss=[""] * 34 + ["covered"] * 5 + ["nothing"]), "lost"),
         (table(10, loss=LATE_FRAMES), None),
         (table(**{OFF: decay(40, 0.7) + 4.9}), None),
         (table(**{OFF: decay(40, 0.7) - 5.1}), "off_target"),
@@ -133,6 +135,7 @@ def test_a_lost_symbol_is_steady_but_has_not_settled() -> None:
         table(9),
         table(loss=["nothing"] * 40),
         table(loss=["no_frame"] * 40),
+        table(loss=["covered"] * 40),
         table(**{OFF: 12.0}),
         table(**{OFF: np.arange(40)}),
         table(**{OFF: math.nan}),
@@ -226,6 +229,8 @@ def test_summary_has_every_field() -> None:
         "shown_steps": 40,
         "seen_steps": 38,
         "lost_steps": 1,  # frames came in the last one
+        "covered_steps": 0,
+        "covered_by": [],
         "settle_step": None,
         "unsettled": "moving",
         "steady_step": None,

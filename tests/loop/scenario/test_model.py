@@ -58,7 +58,10 @@ BROKEN = {
     "a date in a list": (GOOD + BOX.replace("17,", "2024-01-01,"), ["objects[0].track[0].position_m[0]", "date"]),
     "no image": ('name = "x"\n[functions.symbol]\nkind = "symbol"', ["functions.symbol.image: is missing", "luxloop new"]),
     "no name": (GOOD.replace('name = "good"', ""), ["name", "missing"]),
-    "a symbol beside the functions": ('symbol = {image = "snowflake"}' + GOOD, ["symbol: unknown key; known are", "functions"]),
+    "a symbol beside the functions": (
+        'symbol = {image = "snowflake"}' + GOOD,
+        ["symbol: unknown key", "[functions.NAME]", 'kind = "symbol"'],
+    ),
     "a start beside the functions": ("start = {x_m = 12.0}" + GOOD, ["start: unknown key", "functions"]),
     "a start without control": (
         SYMBOL + "start = {x_m = 12.0}",
@@ -248,7 +251,7 @@ def test_broken_lighting_scenario_gives_one_sentence(file: Path, text: str, name
 def test_a_name_alone_is_a_scenario_of_darkness(file: Path) -> None:
     file.write_text('name = "x"')
     scenario = load(str(file))
-    assert (scenario.functions, scenario.lighting.base.beam, scenario.holds) == ({}, "off", False)
+    assert (scenario.functions, scenario.lighting.base.beam, scenario.controlled) == ({}, "off", ())
     assert (scenario.headlight.model, scenario.headlight.lamps, scenario.headlight.modules) == ("ssl-hd", ("left", "right"), None)
     with pytest.raises(LuxloopError, match="symbols that a controller holds: none, not one; take each by its name"):
         _ = scenario.symbol
@@ -418,7 +421,7 @@ def test_what_means_nothing_without_something_else_is_told(name: str, override: 
 
 def test_a_detector_goes_with_a_symbol_that_is_held() -> None:
     scenario = load("snowflake", ["detector.kind=hog", "detector_frames=both"])
-    assert scenario.holds and scenario.detector is not None and scenario.detector.kind == "hog"
+    assert scenario.controlled and scenario.detector is not None and scenario.detector.kind == "hog"
 
 
 DEEP, LONG = "[" * 3000 + "]" * 3000, "9" * 5000

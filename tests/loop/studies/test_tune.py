@@ -176,7 +176,10 @@ def test_what_is_held_beside_other_functions_is_tuned(tmp_path: Path) -> None:
         (first, cost, _), *others = trials(tuned)
         assert first == given.given and cost == tuned.given_cost < objective.FAILED and not tuned.failures
         assert len(others) == 2 and all(each is not None and each != cost for _, each, _ in others)
+    late, short = (load("flat", [*SMALL, f"functions.symbol.{key}=0.03"]) for key in ("start_s", "stop_s"))
     for scenario, said in (
+        (late, r"flat: functions\.symbol\.start_s: batched rollouts show the symbol in all steps; .*tune without --gradient"),
+        (short, r"flat: functions\.symbol\.stop_s: "),
         (one, "flat: batched rollouts are of a symbol alone; .*tune without --gradient"),
         (two, "flat: --gradient: .*not one"),
     ):

@@ -1,76 +1,29 @@
-"""Recordings: a directory with a manifest, a row a step, and a summary, readable at whatever moment the process dies."""
+"""Records a run into a directory, readable at whatever moment the process dies."""
 
 import tempfile
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Generic, Protocol, Self, TypeVar
+from typing import Any, Self
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
+from loop.lighting.record import row, schema, summary_of
+from loop.lighting.result import StepResult
+from loop.lighting.simulation import Simulation
 from loop.plant.frames import remove
-from loop.plant.protocol import Showing
+from loop.recording.files import FILES, SUMMARY, TRAJECTORY, table_of, write_table
 from loop.recording.frames import FrameRecorder
-from loop.recording.manifest import FILE as MANIFEST
 from loop.recording.manifest import Manifest, write_json
+from perception.extraction import Loss
 from world.errors import LuxloopError
-from world.files import whole
 
-Report = Callable[[pa.Table, dict[str, Any]], None]  # draws what the table and the summary of a run say
-Checked = Callable[[pa.Table], dict[str, Any]]  # what has come of the checks of a run, by name
-
-TRAJECTORY, SUMMARY, REPORT, VIDEO = "trajectory.parquet", "summary.json", "report.png", "video.mp4"
-FILES = (TRAJECTORY, SUMMARY, REPORT, VIDEO, MANIFEST)
 REST = 10  # times what a write takes pass between two: recording costs a tenth at most, and a kill the last 50 ms or so
 
 
-class Stepped(Protocol):
-    """What happened in a step, whatever stepped."""
-
-    @property
-    def showings(self) -> tuple[Showing, ...]:
-        """The exposures of the step."""
-
-
-Result = TypeVar("Result", bound=Stepped)
-
-
-@dataclass(frozen=True)
-class Outputs:
-    """What a run writes beside its table and summary."""
-
-    video: bool = True
-    report: bool = True
-    frames: bool = False
-
-
-def table_of(rows: list[dict[str, Any]], schema: pa.Schema) -> pa.Table:
-    """Rows as a table; NaN becomes null, and so does what a row lacks."""
-    columns = [pa.array([r.get(field.name) for r in rows], field.type, from_pandas=True) for field in schema]
-    return pa.Table.from_arrays(columns, schema=schema)
-
-
-def write_table(file: Path, table: pa.Table) -> None:
-    """Write Parquet, whole or not at all. Raises LuxloopError where it cannot be written."""
-    with whole(file) as part:
-        pq.write_table(table, part, use_dictionary=False)
-
-
-def no_report(table: pa.Table, summary: dict[str, Any]) -> None:
-    """For recordings without a report."""
-
-
-def unchecked(table: pa.Table) -> dict[str, Any]:
-    """For recordings without checks."""
-    return {}
-
-
-class TableRecorder(ABC, Generic[Result]):
+class Recorder:
     """Records a run into a directory; use it in a `with` statement and `add` every step.
 
     The first step begins the recording: until then the directory stays as it is, also where it holds an older one. Leaving the block
@@ -79,35 +32,53 @@ class TableRecorder(ABC, Generic[Result]):
     """
 
     def __init__(
-        self, directory: Path, manifest: Manifest, schema: pa.Schema, report: Report, checked: Checked, frames: FrameRecorder | None
+        self,
+        directory: Path,
+        simulation: Simulation,
+        report: Callable[[pa.Table, dict[str, Any]], None] | None = None,
+        checked: Callable[[pa.Table], dict[str, Any]] | None = None,
+        frames: bool = False,
     ) -> None:
-        """Raises LuxloopError if the directory holds something else than a recording, or cannot be written."""
-        self.directory, self.manifest, self._report, self._checked, self._frames = directory, manifest, report, checked, frames
-        self._written = schema.empty_table()
+        """report: draws what the table and the summary of the run say. checked: what has come of its checks, by name. frames: whether to
+        keep them.
+
+        Raises LuxloopError if the directory holds something else than a recording, or cannot be written, or an input file not be read.
+        """
+        self.directory, self.simulation, self._report, self._checked = directory, simulation, report, checked
+        self.manifest = Manifest.of(simulation.scenario, simulation.renderer, simulation.device)
+        self._frames = FrameRecorder(directory, simulation.scenario.camera.bits) if frames else None
+        self._idle, self._last = set(simulation.scenario.functions), dict[str, StepResult]()
+        self._covered = dict[str, StepResult]()
+        self._asked, self._came = set[int](), list[int]()  # numbers of exposures, and of frames with an image
+        self._written = schema(simulation).empty_table()
         self._fresh: list[dict[str, Any]] = []
         self._next_write_s = 0.0
         self._begun = False
         with self._writing():
             _refuse(directory)
 
-    @abstractmethod
-    def row(self, result: Result) -> dict[str, Any]:
-        """A step as plain Python values, by the names of the schema."""
-
-    @abstractmethod
-    def figures(self) -> dict[str, Any]:
-        """The steps so far in a few numbers."""
-
     def summary(self) -> dict[str, Any]:
-        """The summary of the steps so far: their figures, and what has come of checks."""
-        return self.figures() | {"checks": self._checked(self.table())}
+        """The steps so far in a few numbers, and what has come of checks."""
+        functions = sorted(self.simulation.scenario.functions.items())
+        idle = [f"functions.{name} ({each.kind})" for name, each in functions if name in self._idle]
+        checks = {} if self._checked is None else self._checked(self.table())
+        fitting = sum(number in self._asked for number in self._came)
+        frames = {"asked": len(self._asked), "came": fitting, "unknown": len(self._came) - fitting}
+        looks = {"frames": frames} if self.simulation.remembers else {}
+        return summary_of(self.simulation, self.table(), self._last, self._covered) | looks | {"idle_functions": idle, "checks": checks}
 
     def __enter__(self) -> Self:
         return self
 
-    def add(self, result: Result) -> dict[str, Any]:
-        """Record a step; returns its row. Raises LuxloopError if the directory can no longer be written."""
-        added = self.row(result)
+    def add(self, result: StepResult) -> None:
+        """Record a step. Raises LuxloopError if the directory can no longer be written."""
+        added = row(result)
+        if self._idle:
+            self._idle &= self.simulation.idle(result)
+        self._last |= dict.fromkeys(result.held, result)
+        self._covered |= {name: result for name, each in result.held.items() if each.seen.code == Loss.COVERED}
+        self._asked |= {each.exposure.number for each in result.showings}
+        self._came += [frame.number for each in result.showings for frame in each.after.frames if frame.image is not None]
         if not self._begun:
             self._begin()
         if self._frames is not None:
@@ -115,7 +86,6 @@ class TableRecorder(ABC, Generic[Result]):
         self._fresh.append(added)
         if time.perf_counter() >= self._next_write_s:
             self._write_trajectory()
-        return added
 
     def table(self) -> pa.Table:
         """All steps so far."""
@@ -133,7 +103,8 @@ class TableRecorder(ABC, Generic[Result]):
             summary = self.summary()
             write_json(self.directory / SUMMARY, summary)
             self.manifest = self.manifest.ended(ended, self.directory)
-            self._report(self.table(), summary)
+            if self._report is not None:
+                self._report(self.table(), summary)
         except Exception:
             with suppress(OSError):
                 self.manifest.fail(self.directory)

@@ -1,0 +1,43 @@
+"""The light of a step if something else had been drawn: its symbols in open loop, or without what covers them."""
+
+from collections.abc import Mapping, Sequence
+
+from controllers.pixels.primitives import Primitives
+from controllers.pixels.ssc import Utilisation
+from controllers.symbol.sensing.drawing import Drawing
+from loop.lighting.result import StepResult
+from loop.lighting.simulation import Simulation
+from world.frames import inverse
+
+TAKEN = 0.01  # of a symbol's light; less covers nothing
+Pair = tuple[tuple[Utilisation, ...], tuple[Utilisation, ...]]
+
+
+def opened(simulation: Simulation, result: StepResult, name: str) -> Pair:
+    """Lights of a step with one of its symbols that are held as the open loop draws it, and without that one."""
+    target = Drawing(simulation.controlled[name].projector.target)
+    return _pair(simulation, result, name, _drawn(simulation, result, {name: target}))
+
+
+def covering(simulation: Simulation, result: StepResult, name: str) -> tuple[str, ...]:
+    """Names of the functions each of which, alone with it, takes light from a step's symbol that is held."""
+    drawn = _drawn(simulation, result, {})
+
+    def own(*others: str) -> float:
+        on, off = _pair(simulation, result, name, {each: drawn[each] for each in (name, *others)})
+        return sum(float((on[k].u - off[k].u).abs().sum()) for k in simulation.controlled[name].drawn_by)
+
+    return tuple(other for other in drawn if other != name and own(other) < (1 - TAKEN) * own())
+
+
+def _drawn(simulation: Simulation, result: StepResult, others: dict[str, Drawing]) -> dict[str, Sequence[Primitives]]:
+    """Primitives of a step's functions, with some symbols as other drawings."""
+    T_ground_body = result.view.T_world_view @ inverse(simulation.view.T_world_view)
+    drawings = {name: each.drawing for name, each in result.held.items()} | others
+    commands = {name: simulation.controlled[name].command(each, T_ground_body) for name, each in drawings.items()}
+    return {**simulation.planner.drawn(result.now, result.functions), **commands}
+
+
+def _pair(simulation: Simulation, result: StepResult, name: str, drawn: Mapping[str, Sequence[Primitives]]) -> Pair:
+    without = {other: each for other, each in drawn.items() if other != name}
+    return simulation.lights_of(result, drawn), simulation.lights_of(result, without)
