@@ -39,18 +39,19 @@ def build_scene(scenario: Scenario, motion: Motion = STANDING) -> Scene:
     """Road, along the vehicle's course, and objects. Raises LuxloopError where a file is missing or broken."""
     road, surface = build_road(scenario), scenario.surface
     texture = SpottedTexture(surface, scenario.spots) if scenario.spots else surface.texture()
+    objects = tuple(_built(item, road) for item in scenario.all_objects)
     ground: Body | RoadTiles
     if motion is STANDING:
         ground = Body("road", road_mesh(road), surface.albedo, texture, smooth=True)
     else:
-        ground = RoadTiles(road, motion.range_y_m, surface.albedo, texture)
-    objects = tuple(_built(item, road) for item in scenario.all_objects)
+        others_y_m = tuple(y for each in objects for y in each.track.T_world_body[:, 1, 3].tolist())
+        ground = RoadTiles(road, motion.range_y_m, surface.albedo, texture, others_y_m=others_y_m)
     return Scene((ground, *objects), scenario.light.ambient_lx, scenario.light.street_lamps)
 
 
 def _built(item: ObjectParams, road: Road) -> Body | Figure:
     body = item.build()
-    return replace(body, track=replace(body.track, road=road)) if item.on_road else body
+    return replace(body, track=replace(body.track, road=road, wheels_m=item.wheels_m)) if item.on_road else body
 
 
 def build_symbol_controller(params: AnyParams, observer: Observer) -> SymbolController:

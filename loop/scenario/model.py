@@ -193,8 +193,10 @@ class Scenario(Params):
 
     @property
     def all_objects(self) -> tuple[ObjectParams, ...]:
-        """The objects that are given one by one, and those of the traffic."""
-        return self.objects + (self.traffic.objects() if self.traffic else ())
+        """The objects that are given one by one, and those of the traffic, in which the vehicle stands or drives."""
+        if self.traffic is None:
+            return self.objects
+        return self.objects + (self.traffic.along(self.vehicle, self.steps / self.rate_hz) if self.vehicle else self.traffic.objects())
 
     def conditions_at(self, time_s: float) -> RoadConditionParams:
         """Those of a time; the first before they begin."""

@@ -10,11 +10,14 @@ from scipy.spatial.transform import Rotation, Slerp
 from torch import Tensor
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
-from world.frames import pose
+from world.frames import pose, rotation
 from world.materials.brdf import LAMBERTIAN, Material
 from world.materials.library import MaterialName, Texture
 from world.materials.spots import SpottedTexture
 from world.roads.base import Road
+
+# ahead and to the left: front left, front right, rear left, rear right
+WHEELS = torch.tensor([[1.0, 1.0, -1.0, -1.0], [1.0, -1.0, 1.0, -1.0]], dtype=torch.float64)
 
 
 @dataclass(frozen=True)
@@ -44,7 +47,8 @@ class PoseTrack:
     """Where a body is and when it is there: position linear, rotation on the shortest arc between keyframes, constant outside.
 
     times_s: K ascending times. T_world_body: `[K, 4, 4]` float64. The body is there in `[appears_s, vanishes_s)`.
-    road: what heights count from, at the body's x and y; without one they are over z = 0.
+    road: what heights count from, at the body's x and y; without one they are over z = 0. wheels_m: distance of its wheels along and
+    across the body, with which it tilts as the road under them does; 0 across: it does not roll; None: it stays as the poses say.
     """
 
     times_s: tuple[float, ...]
@@ -52,6 +56,7 @@ class PoseTrack:
     appears_s: float = -float("inf")
     vanishes_s: float = float("inf")
     road: Road | None = None
+    wheels_m: tuple[float, float] | None = None
 
     @classmethod
     def static(cls, T_world_body: Tensor | None = None) -> "PoseTrack":
@@ -76,8 +81,16 @@ class PoseTrack:
         T = self._interpolated(t_s)
         if self.road is None:
             return T
-        x, y = T[:2, 3].tolist()
-        return pose(T[:3, 3] + T.new_tensor([0.0, 0.0, float(self.road.z(x, y))]), T[:3, :3])
+        R = T[:3, :3]
+        if self.wheels_m is None:
+            x, y = T[:2, 3].tolist()
+            return pose(T[:3, 3] + T.new_tensor([0.0, 0.0, float(self.road.z(x, y))]), R)
+        length, width = self.wheels_m
+        x, y = (T[:2, 3:] + R[:2, :2] @ (T.new_tensor([[length / 2], [width / 2]]) * WHEELS)).numpy()
+        z = torch.from_numpy(self.road.z(x, y))
+        rise, lean = (z[:2] - z[2:]).mean(), (z[::2] - z[1::2]).mean()
+        pitch, roll = -torch.atan2(rise, z.new_tensor(length)), torch.atan2(lean, z.new_tensor(width)) if width else z.new_zeros(())
+        return pose(T[:3, 3] + torch.stack([z.new_zeros(()), z.new_zeros(()), z.mean()]), R @ rotation(roll, pitch, z.new_zeros(())))
 
     def _interpolated(self, t_s: float) -> Tensor:
         t = min(max(t_s, self.times_s[0]), self.times_s[-1])

@@ -28,7 +28,10 @@ KEPT_TILES: Final = 64
 
 @dataclass(frozen=True, eq=False)
 class RoadTiles:
-    """A road meshed where the vehicle comes. course_y_m: least and greatest y of its course. albedo, texture: as those of a `Body`."""
+    """A road meshed where the vehicle comes.
+
+    course_y_m: least and greatest y of its course. albedo, texture: as those of a `Body`. others_y_m: y of what else shall stand on it.
+    """
 
     road: Road
     course_y_m: tuple[float, float]
@@ -36,6 +39,13 @@ class RoadTiles:
     texture: Texture | SpottedTexture | None
     name: str = "road"
     track: PoseTrack = field(default_factory=PoseTrack.static)
+    others_y_m: tuple[float, ...] = ()
+
+    @cached_property
+    def _edges_m(self) -> tuple[float, float]:
+        """Least and greatest y of the mesh."""
+        (low, high), wide = self.course_y_m, BESIDE_M[1]
+        return min((low - wide, *self.others_y_m)), max((high + wide, *self.others_y_m))
 
     @cached_property
     def _tile(self) -> Callable[[int, int, bool], Placed]:
@@ -45,11 +55,10 @@ class RoadTiles:
     def near(self, object_id: int, T_world_ground: Tensor) -> tuple[Placed, ...]:
         """The tiles in sight of a vehicle at `T_world_ground` `[4, 4]`, as parts of the body `object_id`."""
         (cos, sin), (x, y) = T_world_ground[:2, 0].tolist(), T_world_ground[:2, 3].tolist()
-        left, right = self.course_y_m[1] + BESIDE_M[1], self.course_y_m[0] - BESIDE_M[1]
         tiles = []
         for k in range(int((x - SIGHT_M) // LENGTH_M), int((x + SIGHT_M) // LENGTH_M) + 1):
             start, stop = k * LENGTH_M, (k + 1) * LENGTH_M
-            if max((end - x) * cos + (side - y) * sin for end in (start, stop) for side in (left, right)) > 0:
+            if max((end - x) * cos + (side - y) * sin for end in (start, stop) for side in self._edges_m) > 0:
                 far = max(start - x, x - stop) > NEAR_M
                 tiles.append(self._tile(object_id, k, far))
         return tuple(tiles)
@@ -60,8 +69,8 @@ class RoadTiles:
         rows = round(LENGTH_M / ALONG_M[far])
         x = np.linspace(start, start + LENGTH_M, rows + 1)
         x = np.unique(np.concatenate([x, [line for line in grid.x_lines_m if start < line < start + LENGTH_M]]))
-        (low, high), (fine, wide) = self.course_y_m, BESIDE_M
-        y = axis((low - wide, high + wide), (low - fine, high + fine), ACROSS_M, grid.y_lines_m)
+        (low, high), fine = self.course_y_m, BESIDE_M[0]
+        y = axis(self._edges_m, (low - fine, high + fine), ACROSS_M, grid.y_lines_m)
         margin = ALONG_M[0]
         around = np.concatenate([[x[0] - margin], x, [x[-1] + margin]])
         z = self.road.z(around[:, None], y)

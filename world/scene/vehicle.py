@@ -185,22 +185,13 @@ def ground_pose(ground: Tensor) -> Tensor:
 def drive(params: VehicleParams, road: Road, duration_s: float) -> Motion:
     """Integrate the vehicle's motion over a road from the world's origin on, for `duration_s`.
 
-    The rear axle of a kinematic bicycle follows its arc in each interval; the modes of the body answer to wheels and acceleration
-    as linear systems do whose inputs change linearly in each interval.
+    The modes of the body answer to wheels and acceleration as linear systems do whose inputs change linearly in each interval.
     """
     dt = 1 / params.simulation_hz
     afford(f"vehicle: a drive of {duration_s:.3g} s", BYTES_A_MOMENT * duration_s / dt, "take fewer steps, or raise rate_hz")
     t: Floats = np.arange(math.ceil(duration_s / dt) + 2, dtype=np.float64) * dt
-    knots = np.array([[each.time_s, each.speed_m_s, each.curvature_1_m] for each in params.course])
-    speed, curvature = (np.interp(t, knots[:, 0], column) for column in knots.T[1:])
-    yaw_rate, acceleration = speed * curvature, np.gradient(speed, dt)
-    rear_m = -params.rear_x_m
-    yaw = _integral(yaw_rate, dt)
-    turned = np.diff(yaw)
-    way = 0.5 * (speed[1:] + speed[:-1]) * dt * np.sinc(turned / (2 * np.pi))
-    middle = yaw[:-1] + turned / 2
-    x = np.concatenate([[0.0], np.cumsum(way * np.cos(middle))]) + rear_m * (np.cos(yaw) - 1)
-    y = np.concatenate([[0.0], np.cumsum(way * np.sin(middle))]) + rear_m * np.sin(yaw)
+    x, y, yaw, speed, yaw_rate = course(params, t)
+    acceleration = np.gradient(speed, dt)
 
     spring = params.suspension
     fl, fr, rl, rr = wheels = _wheel_heights(params, road, x, y, yaw)
@@ -215,7 +206,7 @@ def drive(params: VehicleParams, road: Road, duration_s: float) -> Motion:
         math.radians(spring.lean_deg_per_m_s2) * lateral, spring.roll_hz, spring.damping, dt
     )
     pitch = pitch + math.radians(params.oscillation.pitch_deg) * np.sin(2 * np.pi * params.oscillation.rate_hz * t)
-    level, slope = _ground(params, road, np.concatenate([[0.0], np.cumsum(way)]), x, y, yaw)
+    level, slope = _ground(params, road, _integral(speed, dt), x, y, yaw)
     climb, bend, *rates = (np.gradient(mode, dt) for mode in (level, slope, heave, roll, pitch))
     levers = [(end * params.wheelbase_m / 2, side * params.track_m / 2) for end in (1, -1) for side in (1, -1)]
     travel = (heave + left * roll - front * pitch - wheel for (front, left), wheel in zip(levers, wheels, strict=True))
@@ -246,6 +237,24 @@ def _window(length_m: float) -> Floats:
     count = round(length_m / 2 / PROFILE_M)
     window = 1 + np.cos(np.pi * np.arange(-count, count + 1) / count)
     return window / window.sum()
+
+
+def course(params: VehicleParams, t: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """Where the vehicle is on the plane at evenly spaced times `[N]` in s from 0 on, whatever the road.
+
+    The rear axle of a kinematic bicycle follows its arc in each interval. Returns x and y in m, yaw in rad, speed in m/s and yaw rate in
+    rad/s, each `[N]`.
+    """
+    knots = np.array([[each.time_s, each.speed_m_s, each.curvature_1_m] for each in params.course])
+    speed, curvature = (np.interp(t, knots[:, 0], column) for column in knots.T[1:])
+    dt, yaw_rate, rear_m = float(t[1] - t[0]), speed * curvature, -params.rear_x_m
+    yaw = _integral(yaw_rate, dt)
+    turned = np.diff(yaw)
+    way = 0.5 * (speed[1:] + speed[:-1]) * dt * np.sinc(turned / (2 * np.pi))
+    middle = yaw[:-1] + turned / 2
+    x = np.concatenate([[0.0], np.cumsum(way * np.cos(middle))]) + rear_m * (np.cos(yaw) - 1)
+    y = np.concatenate([[0.0], np.cumsum(way * np.sin(middle))]) + rear_m * np.sin(yaw)
+    return x, y, yaw, speed, yaw_rate
 
 
 def _wheel_heights(params: VehicleParams, road: Road, x: Floats, y: Floats, yaw: Floats) -> tuple[Floats, ...]:

@@ -1,6 +1,6 @@
 """Cars: a lower body of rounded sections, a cabin with windows on it, wheels, plates and lamps."""
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 import torch
@@ -27,6 +27,7 @@ WHEEL_M = 0.32
 class CarParams(MadeParams):
     """A car; the origin lies on the road below its middle."""
 
+    wheels_m: ClassVar = (2.6, 1.5)
     kind: Literal["car"] = "car"
     category: Category | None = Field("car", description="What a tracker reports it as to lighting functions")
     style: Style | None = Field(None, description="left out: by the seed")

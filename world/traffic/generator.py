@@ -1,23 +1,31 @@
 """Traffic at random: who and what is on a road and beside it, and roads, surfaces and light that vary, all from a seed."""
 
+import math
+from collections import Counter
 from collections.abc import Callable, Iterator
+from functools import lru_cache
+from itertools import count, takewhile
 from typing import Any, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
+from world.budget import afford
 from world.params import Params
+from world.scene.vehicle import VehicleParams
 from world.traffic.animal import AnimalParams
 from world.traffic.car import CarParams
 from world.traffic.objects import ObjectParams
 from world.traffic.road_users import CyclistParams, PedestrianParams
 from world.traffic.roadside import ClutterParams, TrafficSignParams
+from world.traffic.route import LANE_M, Met, Route
 from world.traffic.tracked import WayParams
 
-LANE_M = 3.5  # the own lane's middle is y = 0, the oncoming one lies to its left
 SIGHT = 0.26  # of what is placed, |y| / x at most: within 15 deg
 TRIES = 200
-AWAY_S = 30.0  # for which objects move
+AWAY_S = 30.0  # for which objects move around a vehicle that stands
+SHOULDER_M = 1.6  # beside both lanes of a drive, for cyclists; all else beside the road stands so much farther out
+BYTES_AN_OBJECT = 1_000_000  # thousands of faces, with normals and planes
 Place = tuple[float, float, float]  # x and y in m, yaw in deg
 
 
@@ -33,9 +41,9 @@ class TrafficParams(Params):
     signs: int = Field(1, ge=0, le=20, description="traffic signs")
     clutter: int = Field(4, ge=0, le=50, description="trees, bushes, posts, bins, delineators; they have no category")
     near_m: float = Field(8.0, ge=3, le=100, description="least distance ahead at the start")
-    far_m: float = Field(60.0, ge=10, le=200, description="greatest distance ahead at the start")
+    far_m: float = Field(60.0, ge=10, le=200, description="greatest distance ahead at the start; on a drive, length of each stretch of way")
     moving: bool = Field(True, description="whether road users move")
-    on_road: bool = Field(False, description="whether they stand on the road's surface, in place of z = 0")
+    on_road: bool = Field(False, description="whether they stand on the road's surface, in place of z = 0; on a drive they do")
 
     @model_validator(mode="after")
     def _near_is_nearer(self) -> Self:
@@ -48,31 +56,69 @@ class TrafficParams(Params):
         rng = np.random.default_rng(self.seed)
         taken: list[tuple[float, float, float]] = []
         found: list[ObjectParams] = []
-        for count, name, radius_m, make in (
-            (self.cars, "car", 3.2, _car),
-            (self.animals, "deer", 1.0, _deer),
-            (self.cyclists, "cyclist", 1.1, _cyclist),
-            (self.pedestrians, "pedestrian", 0.5, _pedestrian),
-            (self.parked, "parked_car", 2.6, _parked),
-            (self.signs, "sign", 0.5, _sign),
-            (self.clutter, "clutter", 0.9, _clutter),
-        ):
-            for k in range(count):
+        for kind, number, (radius_m, _, make) in self._counted():
+            for k in range(number):
                 seed = int(rng.integers(2**31))
                 keys, speed, place = next(self._free(rng, taken, radius_m, make), ({}, 0.0, None))
                 if place is not None:
                     taken.append((place[0], place[1], radius_m))
                     keys |= {"on_road": self.on_road}
-                    found.append(_made(name, f"{name}_{k + 1}", seed, place, speed if self.moving else 0.0, keys))
+                    found.append(_made(kind, f"{kind}_{k + 1}", seed, place, speed if self.moving else 0.0, keys))
         return tuple(found)
+
+    def along(self, vehicle: VehicleParams, duration_s: float) -> tuple[ObjectParams, ...]:
+        """All that a vehicle meets on a drive, on the road's surface; a longer drive meets the same at first.
+
+        The way is cut into stretches of `far_m`, each with as many of all as `objects` has. They are there from when the vehicle is two
+        stretches away, and seen from twice `far_m` on. Nothing is ever in the vehicle's way or inside of another. Raises LuxloopError
+        where memory does not hold it.
+        """
+        return self.objects() if not any(each.speed_m_s for each in vehicle.course) else _along(self, vehicle, duration_s)
+
+    def _counted(self) -> Iterator[tuple[str, int, "Role"]]:
+        numbers = (self.cars, self.animals, self.cyclists, self.pedestrians, self.parked, self.signs, self.clutter)
+        return ((kind, number, role) for (kind, role), number in zip(ROLES.items(), numbers, strict=True))
+
+    def _stretch(self, k: int, route: Route, taken: list[Met]) -> Iterator[tuple[str, int, dict[str, Any], Met]]:
+        """Kinds, seeds and keys of what stands or moves in a stretch of a drive, and how it is met; it is added to what is taken."""
+        rng = np.random.default_rng([self.seed, k])
+        for kind, number, role in self._counted():
+            for _ in range(number):
+                seed = int(rng.integers(2**31))
+                for keys, met in self._tries(rng, k, route, kind, role):
+                    if met is not None and not any(met.touches(each) for each in taken):
+                        taken.append(met)
+                        yield kind, seed, keys, met
+                        break
+
+    def _tries(
+        self, rng: np.random.Generator, k: int, route: Route, kind: str, role: "Role"
+    ) -> Iterator[tuple[dict[str, Any], Met | None]]:
+        (_, half_m, make), moment_s = role, self._moment_s(k, route)
+        for _ in range(TRIES):
+            x = self._distance(rng) if k == 0 else float(rng.uniform(k * self.far_m, (k + 1) * self.far_m))
+            keys, speed, y, yaw = make(rng)
+            ahead = kind == "car" and yaw == 0
+            if kind != "car":
+                y += float(np.copysign(SHOULDER_M, y))
+            if abs(y) <= SIGHT * x and not (ahead and k):  # cars ahead are as fast, so that none is met later
+                place_m, half = np.array([[x], [y]]), np.array(half_m)[:, None]
+                yield keys, route.met(moment_s, place_m, yaw, speed if self.moving else 0.0, half, led=ahead and self.moving)
+
+    def _moment_s(self, k: int, route: Route) -> float:
+        """From when on a stretch has traffic: when the vehicle is two stretches away; infinite where it does not come so far."""
+        return route.reached_s(max(k - 2, 0) * self.far_m)
+
+    def _distance(self, rng: np.random.Generator) -> float:
+        """Even in the logarithm: as many near as far."""
+        return float(np.exp(rng.uniform(np.log(self.near_m), np.log(self.far_m))))
 
     def _free(
         self, rng: np.random.Generator, taken: list[tuple[float, float, float]], radius_m: float, make: "Maker"
     ) -> Iterator[tuple[dict[str, Any], float, Place]]:
         """Places in sight that nothing stands on yet."""
         for _ in range(TRIES):
-            # even in the logarithm: as many near as far
-            x = float(np.exp(rng.uniform(np.log(self.near_m), np.log(self.far_m))))
+            x = self._distance(rng)
             keys, speed, y, yaw = make(rng)
             clear = all(np.hypot(x - other_x, y - other_y) > radius_m + other for other_x, other_y, other in taken)
             if clear and abs(y) <= SIGHT * x:
@@ -81,6 +127,7 @@ class TrafficParams(Params):
 
 Made = tuple[dict[str, Any], float, float, float]  # keys, speed in m/s, y in m, yaw in deg
 Maker = Callable[[np.random.Generator], Made]
+Role = tuple[float, tuple[float, float], Maker]  # radius in m of its place, half its length and width in m, who makes it
 KINDS: dict[str, Any] = {
     "car": CarParams,
     "deer": AnimalParams,
@@ -100,6 +147,24 @@ def _made(kind: str, name: str, seed: int, place: Place, speed_m_s: float, keys:
     end = (round(x + way * float(np.cos(ahead)), 3), round(y + way * float(np.sin(ahead)), 3), 0.0)
     path = WayParams(points_m=((x, y, 0.0), end), speed_m_s=round(speed_m_s, 3))
     return KINDS[kind](name=name, seed=seed, path=path, **keys)
+
+
+@lru_cache(maxsize=8)  # a run asks for its objects again and again
+def _along(params: TrafficParams, vehicle: VehicleParams, duration_s: float) -> tuple[ObjectParams, ...]:
+    route = Route.of(vehicle, duration_s, 2 * params.far_m)
+    moments_s = tuple(takewhile(math.isfinite, (params._moment_s(k, route) for k in count())))
+    number = len(moments_s) * sum(each for _, each, _ in params._counted())
+    afford(f"traffic: {number:,} objects", BYTES_AN_OBJECT * number, "take fewer steps or objects, or raise far_m")
+    found: list[ObjectParams] = []
+    taken: list[Met] = []
+    names = Counter[str]()
+    for k, moment_s in enumerate(moments_s):
+        taken = [each for each in taken if each.stop_s > moment_s]
+        for kind, seed, keys, met in params._stretch(k, route, taken):
+            names[kind] += 1
+            if met.start_s <= duration_s:
+                found.append(KINDS[kind](name=f"{kind}_{names[kind]}", seed=seed, on_road=True, **route.keys(met), **keys))
+    return tuple(found)
 
 
 def _side(rng: np.random.Generator) -> bool:
@@ -152,6 +217,18 @@ def _clutter(rng: np.random.Generator) -> Made:
     shape = ("tree", "bush", "post", "bin", "delineator")[int(rng.choice(5, p=[0.3, 0.25, 0.2, 0.1, 0.15]))]
     away = float(rng.uniform(1.2, 8))
     return {"shape": shape}, 0.0, LANE_M * 1.5 + away if _side(rng) else -LANE_M / 2 - away, float(rng.uniform(-180, 180))
+
+
+# in the order in which they take their places: those that move first
+ROLES: dict[str, Role] = {
+    "car": (3.2, (2.6, 1.0), _car),
+    "deer": (1.0, (0.9, 0.9), _deer),
+    "cyclist": (1.1, (1.0, 0.4), _cyclist),
+    "pedestrian": (0.5, (0.4, 0.4), _pedestrian),
+    "parked_car": (2.6, (2.6, 1.0), _parked),
+    "sign": (0.5, (0.4, 0.4), _sign),
+    "clutter": (0.9, (0.9, 0.9), _clutter),
+}
 
 
 def varied(seed: int) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Pedestrians and cyclists."""
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 import trimesh
@@ -63,6 +63,7 @@ class PedestrianParams(MadeParams):
 class CyclistParams(MadeParams):
     """Someone on a bicycle; the origin lies between the wheels' feet."""
 
+    wheels_m: ClassVar = (1.06, 0.0)
     kind: Literal["cyclist"] = "cyclist"
     category: Category | None = Field("cyclist", description="What a tracker reports it as to lighting functions")
     height_m: float | None = Field(None, ge=1.2, le=2.2, description="Height of the rider on foot; left out: by the seed, around 1.71 m")

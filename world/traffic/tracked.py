@@ -2,7 +2,7 @@
 
 import math
 from itertools import pairwise
-from typing import Literal, Self
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 import torch
@@ -62,6 +62,8 @@ class WayParams(Params):
 
 class TrackedParams(Params):
     """What all objects have: a name, a pose over time, and the time that they are there."""
+
+    wheels_m: ClassVar[tuple[float, float] | None] = None  # as those of `PoseTrack`
 
     name: PlainName = Field(description="Name, for recordings and reports")
     category: Category | None = Field(None, description="What a tracker reports it as to lighting functions; left out: it is not reported")

@@ -446,3 +446,12 @@ def test_files_beyond_all_reason_are_told_in_a_sentence(text: str, file: Path) -
 def test_names_that_no_file_can_have_are_told_in_a_sentence(text: str, said: str, file: Path) -> None:
     file.write_text(f'name = "mine"\n{text}')
     assert said in failure(file)
+
+
+def test_traffic_follows_the_drive() -> None:
+    traffic, course = {"seed": 3}, [{"speed_m_s": 14.0}]
+    standing = validate({"name": "night", "traffic": traffic}, "standing")
+    driving = validate({"name": "night", "steps": 300, "traffic": traffic, "vehicle": {"course": course}}, "driving")
+    assert standing.traffic is not None and standing.all_objects == standing.traffic.objects()
+    assert driving.vehicle is not None and driving.all_objects == standing.traffic.along(driving.vehicle, 10.0)
+    assert len(driving.all_objects) > len(standing.all_objects) and all(each.on_road for each in driving.all_objects)
