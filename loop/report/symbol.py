@@ -205,7 +205,7 @@ def _camera_images(simulation: Simulation, shown: Shown, gathered: Gathered) -> 
     camera, plant, last = simulation.scenario.camera, simulation.plant, shown.last
     if isinstance(plant, SimulatedPlant):
         frames = {
-            name: plant.exposed(*plant.world.luminance(last.time_s, lights), last.step, 0)
+            name: plant.exposed(*plant.world.luminance(last.time_s, lights, last.now.commands), last.step, 0)
             for name, lights in (("open loop", shown.opened[0]), ("at the end", shown.on))
         }
     else:
@@ -296,7 +296,8 @@ def _camera_views(figure: SubFigure, symbol: ControlledSymbol, views: dict[str, 
 def _birds_eye_views(figure: SubFigure, judge: Judge, shown: Shown) -> None:
     goal, axes_m, symbol, time_s = judge.goal, judge.plane.axes, judge.symbol, shown.last.time_s
     y, x = -axes_m.u.cpu().numpy(), -axes_m.v.cpu().numpy()
-    views = {"open loop": judge.world.added(time_s, *shown.opened), "at the end": judge.world.added(time_s, shown.on, shown.off)}
+    pairs = {"open loop": shown.opened, "at the end": (shown.on, shown.off)}
+    views = {name: judge.world.added(time_s, *lights, shown.last.now.commands) for name, lights in pairs.items()}
     mask = goal.mask.float().cpu().numpy()
     figure.suptitle("From above, noise-free", x=0.12, ha="left", weight="bold", fontsize=STYLE["axes.titlesize"])
     for axes, (title, light) in zip(figure.subplots(1, 2, sharey=True), views.items(), strict=True):

@@ -92,7 +92,7 @@ def test_what_an_observer_sees_is_measured_from_their_eye() -> None:
     aside = replace(primitives.observer, eye=primitives.observer.eye + torch.tensor([0.0, 2.0, 0.0]))
     plan = replace(result.plan, primitives=replace(primitives, observer=aside))
     full = tuple(torch.ones_like(u) for u in result.lights)
-    (seen,) = observed_symbols(plan, result.lights, full, simulation.world, 0.0)
+    (seen,) = observed_symbols(plan, result.lights, full, simulation.world, result.now)
     assert seen.iou < 0.5
 
 
