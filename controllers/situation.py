@@ -1,7 +1,7 @@
 """What lighting functions know: the car, its lamps, and the objects that a tracker reports, at one time."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Protocol, Self, runtime_checkable
 
 import torch
@@ -12,6 +12,7 @@ from controllers.geometry import Place
 from controllers.pixels.primitives import Primitives, rectangle
 from controllers.pixels.secondary import Light
 from world.frames import inverse, transform
+from world.headlight.lamp import Commands
 from world.params import Params
 from world.scene.body import Body
 from world.scene.figure import Figure
@@ -83,7 +84,9 @@ class Situation:
     lamps: `[L, 3]` m, photometric centres of all modules there, by the measured attitude of the body. objects: what the tracker reports,
     lost ones until they have faded. speed_m_s: of the car. curvature_1_m: of its course, to the left positive. wet: whether the road is.
     street_lit: whether street lamps light it. symbols: images of the functions that draw any, by the name that they use. seen: the last
-    frame, None where there is no camera, or before its first frame. lights: what the car's modules can give, with their names.
+    frame, None where there is no camera, or before its first frame. lights: what the car's modules can give, with their names, as they are
+    turned and dimmed. pitch_rad: measured pitch of the body over the road, nose down positive, 0 where nothing measures it. commands: how
+    modules are turned and dimmed, one a module, none where all are at rest.
     """
 
     time_s: float
@@ -97,6 +100,13 @@ class Situation:
     symbols: dict[str, SymbolSource] = field(default_factory=dict)
     seen: Seen | None = None
     lights: tuple[tuple[str, Light], ...] = ()
+    pitch_rad: float = 0.0
+    commands: Commands = ()
+
+    def commanded(self, commands: Commands) -> "Situation":
+        """The same with the modules as they are commanded."""
+        lights = ((name, light.under(command)) for (name, light), command in zip(self.lights, commands, strict=True))
+        return replace(self, commands=commands, lights=tuple(lights))
 
     def distance_m(self, each: TrackedObject) -> float:
         """Along the road from the car's origin to the nearest corner of the object; negative for what lies behind."""
@@ -176,7 +186,23 @@ class AdaptiveFunction(Protocol):
         ...
 
 
-class Drawn(Params):
+class Timed(Params):
+    """When a function acts."""
+
+    start_s: float | None = Field(None, ge=-1e6, le=1e6, description="acts from this time on; left out: from the beginning")
+    stop_s: float | None = Field(None, ge=-1e6, le=1e6, description="acts until this time; left out: to the end")
+
+    @model_validator(mode="after")
+    def _stops_after_its_start(self) -> Self:
+        if self.start_s is not None and self.stop_s is not None and self.stop_s <= self.start_s:
+            raise ValueError(f"stop_s: {self.stop_s:g} s is not after start_s = {self.start_s:g} s, so that it never acts; raise it")
+        return self
+
+    def active(self, time_s: float) -> bool:
+        return (self.start_s is None or time_s >= self.start_s) and (self.stop_s is None or time_s < self.stop_s)
+
+
+class Drawn(Timed):
     """What all functions that draw light have."""
 
     quantity: Literal["I_v", "E_v", "u_abs", "u_rel"] = Field("u_abs", description="I_v in cd, E_v in lx, u_abs or u_rel as a share")
@@ -186,22 +212,11 @@ class Drawn(Params):
     forced: bool = Field(False, description="drawn even behind other primitives, masks excepted")
     modules: tuple[str, ...] = Field((), description="lamps or modules that draw it; left out: all")
     share: bool = Field(True, description="what draws it gives its cd or lx together; false: each gives the whole")
-    start_s: float | None = Field(None, ge=-1e6, le=1e6, description="drawn from this time on; left out: from the beginning")
-    stop_s: float | None = Field(None, ge=-1e6, le=1e6, description="drawn until this time; left out: to the end")
-
-    @model_validator(mode="after")
-    def _stops_after_its_start(self) -> Self:
-        if self.start_s is not None and self.stop_s is not None and self.stop_s <= self.start_s:
-            raise ValueError(f"stop_s: {self.stop_s:g} s is not after start_s = {self.start_s:g} s, so nothing is drawn; raise it")
-        return self
 
     @model_validator(mode="after")
     def _share_of_a_pixel(self) -> Self:
         check_share(self.quantity, self.value)
         return self
-
-    def active(self, time_s: float) -> bool:
-        return (self.start_s is None or time_s >= self.start_s) and (self.stop_s is None or time_s < self.stop_s)
 
     def draw(self, place: Place, image: Tensor | None = None, layer: int = 0, opacity: Tensor | None = None) -> Primitives:
         """One primitive; image: `[h, w]` in 0..1, white where there is none; layer: of several of a function, the higher lies on top.

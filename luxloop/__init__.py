@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from perception.tracks import TrackedBoxes
     from world.errors import LuxloopError
     from world.frames import pose_from_degrees
-    from world.headlight.lamp import Lamp, Module
+    from world.headlight.lamp import Lamp, Module, ModuleCommand
     from world.lampfiles.description import load_lamp
     from world.photometry import read as read_photometry
     from world.presets import idealised
@@ -62,6 +62,7 @@ __all__ = [
     "Loss",
     "LuxloopError",
     "Module",
+    "ModuleCommand",
     "Observer",
     "Planner",
     "RoadModel",
@@ -122,7 +123,7 @@ _MODULES = {
     "perception.tracks": ("TrackedBoxes",),
     "world.errors": ("LuxloopError",),
     "world.frames": ("pose_from_degrees",),
-    "world.headlight.lamp": ("Lamp", "Module"),
+    "world.headlight.lamp": ("Lamp", "Module", "ModuleCommand"),
     "world.lampfiles.description": ("load_lamp",),
     "world.photometry": ("read as read_photometry",),
     "world.presets": ("idealised",),

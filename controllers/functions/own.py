@@ -1,14 +1,18 @@
 """A lighting function of the user's own, named in the scenario by `package.module:Name`."""
 
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping
+from dataclasses import astuple, dataclass
 from typing import Any
 
 from pydantic import Field
 
+from controllers.functions.commands import Given
 from controllers.pixels.primitives import QUANTITIES, Primitives
 from controllers.situation import AdaptiveFunction, LightingFunction, Situation
 from world import plugin
 from world.errors import LuxloopError
+from world.headlight.lamp import ModuleCommand
 from world.params import Params
 
 KEY = "kind"
@@ -74,6 +78,35 @@ class CheckedAdaptive:
                 f"{KEY}: {self.own.name}: base_share gives {share!r}; give 0..1 of the base beam, or None for what others want"
             )
         return share
+
+
+def own_commands(function: Any) -> Any:
+    """What commands modules of a function: of one of the user's own its `commands`, if it has any; of others the function itself."""
+    own = getattr(function, "own", None)
+    if not isinstance(own, plugin.Guarded):
+        return function
+    return OwnCommands(own) if hasattr(own.part, "commands") else None
+
+
+@dataclass(frozen=True)
+class OwnCommands:
+    """The `commands` of the user's own function, by names of lamps and modules, which are checked."""
+
+    own: plugin.Guarded
+
+    def commanded(self, before: Given | None, now: Situation) -> Given:
+        """Raises LuxloopError where it fails, or gives something else."""
+        given = self.own.commands(now)
+        if not isinstance(given, Mapping) or not all(isinstance(name, str) and _possible(each) for name, each in given.items()):
+            raise LuxloopError(
+                f"{KEY}: {self.own.name}: commands gives {given!r}; give luxloop.ModuleCommand by names of lamps or modules, of finite "
+                "angles in deg and an intensity of 0 to 1"
+            )
+        return Given(now.time_s, tuple(((name,), each) for name, each in given.items()))
+
+
+def _possible(command: Any) -> bool:
+    return isinstance(command, ModuleCommand) and all(map(math.isfinite, astuple(command))) and 0 <= command.intensity <= 1
 
 
 def checked(parts: Any, own: plugin.Guarded, method: str) -> tuple[Primitives, ...]:

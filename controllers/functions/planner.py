@@ -10,10 +10,11 @@ import torch
 from pydantic import AfterValidator, Field, Tag, TypeAdapter
 
 from controllers.functions.base_beams import BaseBeam, BaseBeamParams, RawParams
+from controllers.functions.commands import BendingParams, CommandingFunction, DimmingParams, Given, LevellingParams
 from controllers.functions.glare_free import GlareFreeParams
 from controllers.functions.lane import LaneParams, WidthParams
 from controllers.functions.marker import MarkerParams
-from controllers.functions.own import OwnFunction, own_function
+from controllers.functions.own import OwnFunction, own_commands, own_function
 from controllers.functions.path import PathParams
 from controllers.functions.sign import SignParams
 from controllers.functions.symbol import SymbolFunctionParams
@@ -38,6 +39,9 @@ FunctionParams = Annotated[
     | Annotated[ObjectBasedParams, Tag("object_based")]
     | Annotated[MaterialParams, Tag("material")]
     | Annotated[ZoneParams, Tag("zone")]
+    | Annotated[BendingParams, Tag("bending")]
+    | Annotated[LevellingParams, Tag("levelling")]
+    | Annotated[DimmingParams, Tag("dimming")]
     | Annotated[OwnFunction, Tag(OWN)],
     known_or_own("kind"),
 ]
@@ -50,6 +54,7 @@ ORDER: Final = (  # from top to bottom, where two functions of equal priority li
     ("sign",),
     ("object_based",),
     ("zone", "material"),
+    ("bending", "levelling", "dimming"),  # which draw nothing
 )
 
 
@@ -133,6 +138,12 @@ class Planner:
         """The functions that learn from what is seen, by name."""
         return {name: each for name, each in self.functions.items() if isinstance(each, AdaptiveFunction)}
 
+    @cached_property
+    def commanding(self) -> Mapping[str, CommandingFunction]:
+        """The functions that command modules, by name."""
+        found = ((name, own_commands(each)) for name, each in self.functions.items())
+        return {name: each for name, each in found if isinstance(each, CommandingFunction)}
+
     @property
     def learns(self) -> bool:
         """Whether any function depends on what was seen before."""
@@ -150,6 +161,14 @@ class Planner:
             with located(f"functions.{name}"):
                 stepped[name] = self.adaptive[name].step(states[name], now) if name in self.adaptive else None
         return stepped
+
+    def commanded(self, given: Mapping[str, Given], now: Situation) -> Mapping[str, Given]:
+        """What functions command now, by name; given: before."""
+        found = {}
+        for name, each in self.commanding.items():
+            with located(f"functions.{name}"):
+                found[name] = each.commanded(given.get(name), now)
+        return found
 
     def drawn(self, now: Situation, states: States) -> dict[str, tuple[Primitives, ...]]:
         """The primitives of each function."""

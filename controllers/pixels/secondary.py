@@ -4,7 +4,7 @@ All functions are pure and take points as the world has them, `[..., 3, N]` in m
 """
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
@@ -14,6 +14,7 @@ from torch.nn.functional import grid_sample
 from controllers.pixels.primitives import U_ABS, Primitives, meant
 from world.frames import inverse, transform
 from world.headlight import Headlight
+from world.headlight.lamp import ModuleCommand
 from world.rendering.raycast import sees
 from world.scene.scene import StreetLamp
 from world.scene.triangles import Triangles
@@ -21,6 +22,7 @@ from world.texels import TexelGrid
 
 Caster = Callable[[Tensor, Tensor], Tensor]  # (points [3, N], target [3]) -> [N] bool: something lies between them
 
+DARKEST = 1e-3  # share of its maximum below which a module counts as dark: pixels ask for no more than 1000 times of what is wanted
 BIAS_M = 0.02  # what stands closer to the point belongs to the surface that the point lies on
 
 
@@ -43,11 +45,19 @@ def scene_caster(triangles: Triangles, T_world_points: Tensor | None = None, ski
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """What a module can give. full: `[rows, cols]` cd, all pixels on. T_world_headlight: `[4, 4]`. Another car's module is one as well."""
+    """What a module can give; another car's is one as well.
+
+    full: `[rows, cols]` cd, all pixels on at its own maximum. T_world_headlight: `[4, 4]`. intensity: its maximum now, as a share of that.
+    """
 
     grid: TexelGrid
     full: Tensor
     T_world_headlight: Tensor
+    intensity: float = 1.0
+
+    def under(self, command: ModuleCommand) -> "Light":
+        """The same of the module as it is commanded."""
+        return replace(self, T_world_headlight=command.turned(self.T_world_headlight), intensity=command.intensity)
 
     @classmethod
     def of(cls, headlight: Headlight, T_world_headlight: Tensor) -> "Light":
@@ -62,7 +72,7 @@ class Light:
         inside = (at.abs().amax(-1) <= 1) & (x > 0)
         intensity = grid_sample(full[None, None], at.reshape(1, 1, -1, 2), padding_mode="border", align_corners=False).view_as(x)
         d2 = (points - self.T_world_headlight[:3, 3:].to(points)).square().sum(-2)
-        return intensity * inside / d2
+        return self.intensity * intensity * inside / d2
 
     @cached_property
     def _projection(self) -> Tensor:
@@ -146,13 +156,14 @@ class SecondaryRays:
         """Whether the p-th primitive's setpoint may change: utilisations say themselves what each module does."""
         in_light = int(primitives.quantity[p]) < U_ABS
         shared = bool(primitives.shared[p]) and len(self.lights) > 1
-        return self._watched(primitives, p) or (in_light and (shared or bool(self.street_lamps) or self.occluded is not None))
+        dimmed = self.lights[self.own][1].intensity < 1
+        return self._watched(primitives, p) or (in_light and (shared or dimmed or bool(self.street_lamps) or self.occluded is not None))
 
     def adjusted(self, value: Tensor, points: Tensor, hit: Tensor, primitives: Primitives, p: int) -> Tensor:
         """Setpoints `[..., rows, cols]` of the p-th primitive at its points `[..., 3, rows, cols]` m, as far as they are hit.
 
-        In cd and lx they are lessened by the street lamps' light and shared among the lights that may draw. What the primitive's observer
-        cannot see is off.
+        In cd and lx they are lessened by the street lamps' light and shared among the lights that may draw, and raised for a module that is
+        dimmed. What the primitive's observer cannot see is off.
         """
         size, value, points, hit = value.shape[-2:], value.flatten(-2), points.flatten(-2), hit.flatten(-2)
         if int(primitives.quantity[p]) < U_ABS:
@@ -163,6 +174,7 @@ class SecondaryRays:
             others = bool(primitives.shared[p])
             drawing = [k for k, (name, _) in enumerate(self.lights) if k == self.own or (others and meant(names, name))]
             value = value * shares([self.lights[k][1] for k in drawing], points, self.occluded, hit)[drawing.index(self.own)]
+            value = value / max(self.lights[self.own][1].intensity, DARKEST)
         if self.occluded is not None and primitives.observer is not None and self._watched(primitives, p):
             value = value * seen_by(points, primitives.observer.eye[..., p, :], self.occluded, hit)
         return value.unflatten(-1, size)

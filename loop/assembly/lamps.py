@@ -11,7 +11,7 @@ from loop.scenario.model import HeadlightParams
 from world.errors import LuxloopError, located
 from world.frames import pose_from_degrees
 from world.headlight import Headlight
-from world.headlight.lamp import Lamp, Module
+from world.headlight.lamp import Lamp, Module, Range
 from world.lampfiles.description import load_lamp
 
 TurnedPart = TypeVar("TurnedPart", Lamp, Module)
@@ -19,13 +19,19 @@ TurnedPart = TypeVar("TurnedPart", Lamp, Module)
 
 @dataclass(frozen=True, eq=False)
 class MountedModule:
-    """One module of a lamp on the car. number: its place in the lamp. headlight: its light with the scenario's intensity."""
+    """One module of a lamp on the car.
+
+    number: its place in the lamp. headlight: its light with the scenario's intensity. T_world_module: `[4, 4]`, at rest. swivel_deg,
+    level_deg: how far it can be turned from there, least and most.
+    """
 
     side: str
     lamp: Lamp
     number: int
     headlight: Headlight
     T_world_module: Tensor
+    swivel_deg: Range
+    level_deg: Range
 
     @property
     def name(self) -> str:
@@ -52,8 +58,9 @@ def mounted(params: HeadlightParams, device: torch.device, unnamed: Callable[[La
         scale = 1.0 if params.intensity_cd is None else params.intensity_cd / peak_cd
         for module in modules:
             number = [each.name for each in lamp.modules].index(module.name)
-            T_world_module = T_world_lamp(side, params) @ turned(module, side, params).T_lamp_module
-            yield MountedModule(side, lamp, number, module.headlight.scaled(scale).to(device), T_world_module.to(device))
+            rest, light = turned(module, side, params), module.headlight.scaled(scale).to(device)
+            T_world_module = T_world_lamp(side, params) @ rest.T_lamp_module
+            yield MountedModule(side, lamp, number, light, T_world_module.to(device), rest.swivel_deg, rest.level_deg)
 
 
 def T_world_lamp(side: str, params: HeadlightParams) -> Tensor:

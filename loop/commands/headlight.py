@@ -14,7 +14,7 @@ from loop.terminal.options import DIFFERS, AllowCode
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from world.headlight.lamp import Lamp
+    from world.headlight.lamp import Commands, Lamp
 
 headlight_app = App(name="headlight", help="Lamps and photometric files: facts, pictures, lamp files, and the regulations' test points.")
 PHOTOMETRIC = (".ies", ".ldt")
@@ -134,16 +134,18 @@ def show(
         target = out or Path("-".join([stem, *([beam] if beam else []), *([style] if style else []), view or "overview"]) + ".png")
         world, shown = None if scenario is None else load(scenario, allow_code=allow_code), beam or lamps[sides[0]].default_beam
         pattern: str | Mapping[str, Sequence[Tensor]] = shown
+        commands: Mapping[str, Commands] = {}
         if world is not None and beam is None:
             if traffic is not None:
                 raise LuxloopError("--traffic: default beams for one side of the road are no part of a scenario; name a --beam")
-            pattern, shown = lights_by_side(world, lamp, time_s or 0.0), f"{world.name} at {time_s or 0.0:g} s"
+            (pattern, commands), shown = lights_by_side(world, lamp, time_s or 0.0), f"{world.name} at {time_s or 0.0:g} s"
             lamps = {each: lamps[each] for each in lamps if each in pattern} or lamps
             world = None if view in ("pixels", "texture") else world
         written = show_lamps(
             lamps,
             target,
             beam=pattern,
+            commands=commands,
             view=view or "overview",
             style=style,
             scenario=world,

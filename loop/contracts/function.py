@@ -55,7 +55,8 @@ def check_function(function: type, options: Mapping[str, Any] | None = None, dev
     name = name_of(function)
     with located("check_function"):
         made = function_of(function, OwnFunction(kind=name, options=dict(options or {})))
-        check_calls(made.own, ADAPTIVE_CALLS if isinstance(made, CheckedAdaptive) else CALLS)
+        calls = ADAPTIVE_CALLS if isinstance(made, CheckedAdaptive) else CALLS
+        check_calls(made.own, calls | ({"commands": ("now",)} if hasattr(function, "commands") else {}))
         watched = WatchedFunction(made.own) if isinstance(made, CheckedFunction) else WatchedAdaptive(made)
         simulation, bare = _world(device)
         results = _steps(replace(simulation, planner=replace(simulation.planner, functions={NAME: watched})))
@@ -101,21 +102,26 @@ class WatchedAdaptive:
 
     function: CheckedAdaptive
 
+    @property
+    def own(self) -> Guarded:
+        """The function itself."""
+        return self.function.own
+
     def start(self) -> Any:
         """The function's state, which is data."""
-        state = pure(self.function.own, "start", {}, "state")
-        check_state(self.function.own, "start", state)
+        state = pure(self.own, "start", {}, "state")
+        check_state(self.own, "start", state)
         return state
 
     def step(self, state: Any, now: Situation) -> Any:
         """The function's state after a frame, which is data."""
-        after = _twice(lambda now: pure(self.function.own, "step", {"state": state, "now": now}, "state"), now)
-        check_state(self.function.own, "step", after)
+        after = _twice(lambda now: pure(self.own, "step", {"state": state, "now": now}, "state"), now)
+        check_state(self.own, "step", after)
         return after
 
     def adapted(self, state: Any, now: Situation) -> tuple[Primitives, ...]:
         """The function's primitives."""
-        own = self.function.own
+        own = self.own
         return _twice(lambda now: checked(pure(own, "adapted", {"state": state, "now": now}, "primitives"), own, "adapted"), now)
 
     def base_share(self, state: Any) -> float | None:

@@ -11,9 +11,11 @@ from controllers.functions.base_beams import BaseBeam
 from controllers.functions.planner import Plan
 from controllers.pixels.morphing import Morphing
 from controllers.pixels.power import limit_power, pixel_flux
-from controllers.pixels.primitives import meant
+from controllers.pixels.primitives import Primitives, meant
 from controllers.pixels.secondary import SecondaryRays
 from controllers.pixels.ssc import PixelController, Utilisation
+from controllers.pixels.windows import projected_windows
+from controllers.situation import Situation
 from loop.assembly.lamps import MountedModule, mounted
 from loop.assembly.pixel_control import pixel_controller
 from loop.assembly.truth import LampModule
@@ -21,6 +23,7 @@ from loop.scenario.model import Scenario
 from loop.scenario.shipped import named
 from world.errors import LuxloopError, located
 from world.headlight import Headlight
+from world.headlight.lamp import Commands, ModuleCommand
 from world.lampfiles.utilisations import RawUtilisation, read_sequence
 
 
@@ -28,13 +31,19 @@ from world.lampfiles.utilisations import RawUtilisation, read_sequence
 class ShiningModule(MountedModule):
     """A module with its pixel controller. flux: `[n_p]` lm at full utilisation, which stands for power as well.
 
-    beams: the base beams that the scenario may ask for, by name; empty where the module shows raw utilisations.
+    beams: the base beams that the scenario may ask for, by name; empty where the module shows raw utilisations. intensity: its maximum
+    now, as a share.
     """
 
     controller: PixelController
     flux: Tensor
     beams: Mapping[str, Morphing]
     raw: RawUtilisation | None = None
+    intensity: float = 1.0
+
+    def under(self, command: ModuleCommand) -> "ShiningModule":
+        """The module as it is commanded."""
+        return replace(self, T_world_module=command.turned(self.T_world_module), intensity=command.intensity)
 
     @cached_property
     def flux_lm(self) -> float:
@@ -102,7 +111,8 @@ def shining_modules(scenario: Scenario, device: torch.device) -> tuple[ShiningMo
         beams: dict[str, Morphing] = {name: Morphing(light, each.lamp.beam(name)[each.number].to(flux)) for name in base}
         lasting = beams.get(scenario.lighting.base.beam)  # None of one by the situation
         controller = pixel_controller(scenario, light, None if lasting is None else lasting.beam)
-        modules.append(ShiningModule(each.side, each.lamp, each.number, light, each.T_world_module, controller, flux, beams, raw))
+        where = each.T_world_module, each.swivel_deg, each.level_deg
+        modules.append(ShiningModule(each.side, each.lamp, each.number, light, *where, controller, flux, beams, raw))
     return tuple(modules)
 
 
@@ -117,6 +127,20 @@ def _raw(scenario: Scenario, name: str, headlight: Headlight) -> RawUtilisation 
             file = named(raw.file, "utilisations")
             return read_sequence(file, headlight.pixel_rows, headlight.pixel_cols, raw.rate_hz, raw.repeat)
     return None
+
+
+def under(modules: tuple[ShiningModule, ...], commands: Commands) -> tuple[ShiningModule, ...]:
+    """Modules as they are commanded."""
+    return tuple(each.under(command) for each, command in zip(modules, commands, strict=True)) if commands else modules
+
+
+def in_reach(modules: Sequence[ShiningModule], primitives: Primitives, now: Situation) -> bool:
+    """Whether a ray of any module that draws primitives can hit one of them."""
+    for module, (_, light) in zip(modules, now.lights, strict=True):
+        mine = primitives.for_module(module.name)
+        if any(not window.empty for window in projected_windows(mine, module.headlight, light.T_world_headlight.cpu())):
+            return True
+    return False
 
 
 def lamp_modules(modules: Sequence[ShiningModule]) -> list[LampModule]:
@@ -149,11 +173,11 @@ def driven(
         mine = [module for module in modules if module.side == side]
         shown, factor, most = [module.utilisation(plan, asks[module.name]) for module in mine], 1.0, sum(each.flux_lm for each in mine)
         if power_limit is not None:
-            flux = torch.cat([module.flux for module in mine])
+            flux = torch.cat([module.intensity * module.flux for module in mine])
             u, least = limit_power(torch.cat([each.u for each in shown]), flux, most * power_limit)
             parts, factor = u.split([len(module.flux) for module in mine]), float(least)
             shown = [Utilisation(part, each.band) for part, each in zip(parts, shown, strict=True)]
-        total = sum(float(each.u @ module.flux) for each, module in zip(shown, mine, strict=True))
+        total = sum(module.intensity * float(each.u @ module.flux) for each, module in zip(shown, mine, strict=True))
         powers[side] = LampPower(total, total / most, factor, power_w(total), total)
         lights += shown
     return tuple(lights), powers

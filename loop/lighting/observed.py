@@ -8,6 +8,7 @@ from torch import Tensor
 
 from controllers.functions.planner import Plan
 from controllers.pixels.primitives import Primitives
+from controllers.situation import Situation
 from loop.plant.world import World
 from perception.metrics import iou
 from world.view import View
@@ -46,7 +47,7 @@ def in_white(plan: Plan) -> Plan | None:
 
 
 def observed_symbols(
-    plan: Plan, lights: Sequence[Tensor], white: Sequence[Tensor], world: World, time_s: float
+    plan: Plan, lights: Sequence[Tensor], white: Sequence[Tensor], world: World, now: Situation
 ) -> tuple[ObservedSymbol, ...]:
     """All symbols of a plan that are meant for an observer, in its order; its lights and those of white pictures `[n_p]`, one a module."""
     primitives = plan.primitives
@@ -55,8 +56,8 @@ def observed_symbols(
     found = []
     for p in pictures(primitives):
         view = picture_view(*(each[p].double() for each in (who.eye, who.origin, who.d1, who.d2)))
-        seen = world.through(view, time_s)
-        (_, drawn), (_, full) = seen.light(lights), seen.light(white)
+        seen = world.through(view, now.time_s)
+        (_, drawn), (_, full) = seen.light(lights, now.commands), seen.light(white, now.commands)
         symbol = primitives.symbols[int(primitives.symbol_of[p])].to(drawn)
         wanted = torch.nn.functional.interpolate(symbol[None, None], drawn.shape, mode="bilinear")[0, 0]
         found.append(ObservedSymbol(drawn / full, wanted))

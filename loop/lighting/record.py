@@ -7,6 +7,7 @@ from typing import Any
 import pyarrow as pa
 import torch
 
+from loop.lighting.commanded import moved
 from loop.lighting.compared import compared
 from loop.lighting.controlled import Held
 from loop.lighting.on_materials import quantities
@@ -69,6 +70,11 @@ ZONE = {
     "luminance": (pa.float64(), "cd/m^2", "mean luminance of its pixels, without the camera's noise; empty out of its sight"),
     "target": (pa.float64(), "cd/m^2", "luminance wanted"),
 }
+MODULE = {
+    "swivel_deg": (pa.float64(), "deg", "how far it is swivelled from its rest, to the left"),
+    "level_deg": (pa.float64(), "deg", "how far it is levelled from its rest, down"),
+    "intensity": (pa.float64(), "1", "its maximum intensity, as a share of its own"),
+}
 MATERIAL = {"lx": ("lx", "illuminance"), "luminance": ("cd/m^2", "luminance")}
 NAN = torch.tensor(torch.nan)
 NOT_JUDGED = Verdict(NAN.expand(2), NAN, NAN, NAN, NAN)
@@ -80,7 +86,7 @@ LOOKED_AT = {
 
 
 def schema(simulation: Simulation) -> pa.Schema:
-    """Columns of a simulation's recording: `lamp.left.flux_lm`, `objects.NAME.lx_max` and so on."""
+    """Columns of a simulation's recording: `lamp.left.flux_lm`, `objects.NAME.lx_max`, `modules.left hires.level_deg`."""
     sides = dict.fromkeys(module.side for module in simulation.modules)
     tracked, looks = simulation.watched, simulation.sight is not None
     held = bool(simulation.controlled)  # so that a step has exposures of different light
@@ -98,6 +104,7 @@ def schema(simulation: Simulation) -> pa.Schema:
         for name in simulation.controlled
         for key, (unit, text) in SYMBOL.items()
     }
+    columns |= {f"modules.{module}.{key}": MODULE[key] for module, key in moved(simulation.planner, simulation.modules)}
     zones = [name for name, function in simulation.scenario.functions.items() if function.kind == "zone"]
     columns |= {f"functions.{name}.{key}": of for name in zones for key, of in ZONE.items()}
     for name, quantity in quantities(simulation.scenario.functions).items():
@@ -138,6 +145,8 @@ def row(result: StepResult) -> dict[str, Any]:
         values |= {f"objects.{name}.{key}": getattr(each, key) for key in OBJECT | OBJECT_PEAK}
     for name, held in result.held.items():
         values |= {f"functions.{name}.{key}": value for key, value in of_symbol(held).items()}
+    for (name, _), command in zip(result.now.lights, result.now.commands, strict=False):  # of none where all are at rest
+        values |= {f"modules.{name}.{key}": getattr(command, key) for key in MODULE}
     for name, zone in result.zones.items():
         values |= {f"functions.{name}.{key}": getattr(zone, key) for key in ZONE}
     for name, material in result.materials.items():
@@ -186,8 +195,8 @@ def summary_of(
     for name, symbol in simulation.controlled.items():
         iou = math.nan
         if symbol.judge is not None and name in last:
-            time_s = last[name].time_s
-            iou = float(symbol.judge.judged(simulation.world.added(time_s, *opened(simulation, last[name], name)), time_s).iou)
+            now, lights = last[name].now, opened(simulation, last[name], name)
+            iou = float(symbol.judge.judged(simulation.world.added(now.time_s, *lights, now.commands), now.time_s).iou)
         by = covering(simulation, covered[name], name) if covered and name in covered else ()
         held[name] = summarise_symbol(of_one(table, name), symbol.params.name, iou, by)
     summary = summarise(table, scenario.name, compared(simulation, table), held) | {"shadow_of": shadow_of(scenario.plant)}

@@ -7,6 +7,7 @@ from typing import Any
 
 from torch import Tensor
 
+from controllers.functions.commands import Given
 from controllers.functions.planner import Plan, States
 from controllers.situation import Situation
 from loop.lighting.controlled import Frames, Held, HeldState, Moment
@@ -32,6 +33,7 @@ class SimulationState:
     plant: its state. arrivals: what has come in by its beginning. samples: the newest of each of the vehicle's sensors.
     held: of each symbol that a controller holds. believed: views from the ground frame of the exposures whose frames have not come yet, by
     their number. under_way: what was shown whose frames have not come. frames: that have come without the other one of their pair.
+    commanded: what functions commanded last, by name.
     """
 
     step: int
@@ -44,6 +46,7 @@ class SimulationState:
     believed: Mapping[int, View] = field(default_factory=dict)
     under_way: UnderWay[Moment] = ()
     frames: tuple[Frame, ...] = ()
+    commanded: Mapping[str, Given] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,17 +10,18 @@ import torch
 from torch import Tensor
 
 from controllers.functions.base_beams import BaseBeamParams, BeamName
+from controllers.functions.commands import Given
 from controllers.functions.planner import Plan, Planner
 from controllers.pixels.primitives import Primitives
 from controllers.pixels.secondary import Light, SecondaryRays, scene_caster
 from controllers.pixels.ssc import Utilisation
-from controllers.pixels.windows import projected_windows
 from controllers.situation import Seen, Situation, TrackedObject
 from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.observer import Seen as SeenSymbol
+from loop.lighting.commanded import commanded, refuse_commands
 from loop.lighting.controlled import ControlledSymbol, Moment, controlled_symbols, turn
 from loop.lighting.ground import attitude, moved, seen_from
-from loop.lighting.lamps import LampPower, ShiningModule, driven, lamp_modules, mean_powers, shining_modules
+from loop.lighting.lamps import LampPower, ShiningModule, driven, in_reach, lamp_modules, mean_powers, shining_modules
 from loop.lighting.names import check_names, refuse_unknown
 from loop.lighting.observed import ObservedSymbol, in_white, observed_symbols
 from loop.lighting.on_materials import OnMaterial, on_materials
@@ -42,6 +43,7 @@ from perception.egomotion import Ego, Samples, ego_of, newest
 from perception.judge import Verdict
 from world.errors import LuxloopError, located
 from world.frames import inverse
+from world.headlight.lamp import Commands
 from world.scene.scene import StreetLamp
 from world.view import View
 
@@ -56,7 +58,7 @@ class Simulation:
 
     Functions live in the ground frame, which drives with the car. view: what the camera of a car on a level body would see, as the car
     believes. sight: None without a detector. controlled: symbols that are held, by name. Without any of these steps depend on their time
-    alone, unless a function learns.
+    alone, unless a function learns, or commands modules.
     """
 
     scenario: Scenario
@@ -85,6 +87,7 @@ class Simulation:
         if truth is None:
             refuse_unknown(scenario)
         controlled = controlled_symbols(scenario, modules, planner, truth)
+        refuse_commands(planner, modules, controlled)
         lights = tuple((module.name, Light.of(module.headlight, module.T_world_module)) for module in modules)
         view, given = camera_view(scenario.camera), scenario.detector
         sight = None if given is None else Sight.prepare(given, scenario.tracker, view, device)
@@ -168,7 +171,12 @@ class Simulation:
             conditions.wet,
             conditions.street_lit,
             lights=lights,
+            pitch_rad=-math.asin(float(T_ground_body[2, 0])),
         )
+
+    def _commanded(self, time_s: float, state: SimulationState, ego: Ego | None) -> tuple[Situation, Mapping[str, Given]]:
+        now = self.situation(time_s, state.tracks, ego)
+        return commanded(self.planner, self.modules, self.controlled, state.commanded, now)
 
     def start(self, step: int = 0) -> SimulationState:
         """The state before a step, with nothing seen yet."""
@@ -195,7 +203,7 @@ class Simulation:
         time_s, shares, world = state.arrivals.time_s, self.scenario.shares, self.truth
         per_step = len(shares)
         ego = self.ego(state.samples, time_s)
-        view, now = self._from(attitude(ego)), self.situation(time_s, state.tracks, ego)
+        view, (now, given) = self._from(attitude(ego)), self._commanded(time_s, state, ego)
         drawings, drawn = self._drawn(state, now, ego)
         measured = turn(self.controlled, state.held, drawings)
         plans = [self.planner.composed(now, state.functions, drawn)]
@@ -211,10 +219,10 @@ class Simulation:
         metered: list[Metered] = []
         for part, (share, shown, drawing) in enumerate(zip(shares, exposures, asked, strict=True)):
             number, duration_s = per_step * state.step + part, share / self.scenario.rate_hz
-            before, exposure = arrivals, Exposure(number, arrivals.time_s, duration_s, shown, drawing)
+            before, exposure = arrivals, Exposure(number, arrivals.time_s, duration_s, shown, drawing, now.commands)
             plant, arrivals = self.plant.show(plant, exposure)
             if world is not None and world.metered:  # what the simulated plant has just metered
-                metered.append(world.meter(before.time_s, shown))
+                metered.append(world.meter(before.time_s, shown, now.commands))
             showings.append(Showing(before, exposure, arrivals))
             frames, samples = frames + arrivals.frames, newest(samples, arrivals.samples)
         lit = metered[0] if metered else None
@@ -250,7 +258,7 @@ class Simulation:
         clock.lap("control")
         masked = frozenset(each.name for each in now.objects if must_be_dark(self.scenario.functions, each, now))
         told = told_as(self.watched, None if look is None else look.recognised)
-        luminance = None if world is None else world.luminance(time_s, exposures[0])[0]
+        luminance = None if world is None else world.luminance(time_s, exposures[0], now.commands)[0]
         zones = in_zones(self.planner.functions, state.functions, luminance, view if world is None else world.view_from_ground(time_s))
         objects: Mapping[str, OnObject] = {}
         materials: Mapping[str, OnMaterial] = {}
@@ -261,7 +269,7 @@ class Simulation:
             materials = on_materials(self.planner.functions, functions, now, told, lit.seen, lit.illuminance, lit.luminance)
             if (white := in_white(plan)) is not None:
                 whitened = [light.u for light in self._driven(white, now)[0]]
-                symbols = observed_symbols(plan, [light.u for light in exposures[0]], whitened, world, time_s)
+                symbols = observed_symbols(plan, [light.u for light in exposures[0]], whitened, world, now)
         every = self.scenario.judge_every
         if world is not None and measured and every and state.step % every == 0:
             verdicts = self._judged(state, now, drawn, measured, exposures)
@@ -291,7 +299,8 @@ class Simulation:
             tuple(showings),
             clock.taken_ms,
         )
-        return SimulationState(state.step + 1, tracks, functions, plant, arrivals, samples, held, believed, under_way, frames), result
+        known = tracks, functions, plant, arrivals, samples, held, believed, under_way, frames, given
+        return SimulationState(state.step + 1, *known), result
 
     def _judged(
         self, state: SimulationState, now: Situation, drawn: Parts, measured: Sequence[str], exposures: Sequence[Lights]
@@ -303,7 +312,7 @@ class Simulation:
                 off, _ = self._driven(self.planner.composed(now, state.functions, _without(drawn, [name])), now)
             judge = self.controlled[name].judge
             assert judge is not None
-            verdicts[name] = judge.judged(self.world.added(now.time_s, on, off), now.time_s)
+            verdicts[name] = judge.judged(self.world.added(now.time_s, on, off, now.commands), now.time_s)
         return verdicts
 
     def _raw(self, lights: Lights, drawings: Mapping[str, Drawing]) -> Lights:
@@ -331,20 +340,20 @@ class Simulation:
         """One step alone, before which nothing was seen; that of the run where nothing depends on what was seen."""
         return self.step(self.start(step))[1]
 
-    def lights_at(self, time_s: float) -> tuple[Tensor, ...]:
-        """Utilisations `[n_p]`, one a module, at any time; what depends on what was seen is run up to it."""
+    def lights_at(self, time_s: float) -> tuple[tuple[Tensor, ...], Commands]:
+        """Utilisations `[n_p]`, one a module, and commands at any time; what depends on steps before is run up to it."""
         state = self.start()
         while self.remembers and (state.step + 1) / self.scenario.rate_hz <= time_s:
             state, _ = self.step(state)
         ego = self.ego(newest({}, self.sensed(time_s).samples), time_s)
-        now = self.situation(time_s, state.tracks, ego)
+        now, _ = self._commanded(time_s, state, ego)
         lights, _ = self._driven(self.planner.composed(now, state.functions, self._drawn(state, now, ego)[1]), now)
-        return tuple(light.u for light in lights)
+        return tuple(light.u for light in lights), now.commands
 
     @property
     def remembers(self) -> bool:
-        """Whether a step depends on what was seen before it."""
-        return self.sight is not None or self.planner.learns or bool(self.controlled)
+        """Whether a step depends on those before it."""
+        return self.sight is not None or self.planner.learns or bool(self.controlled) or bool(self.planner.commanding)
 
     def base(self, beam: str) -> str:
         """What shines below all functions, in words, where the base beam is one of this name."""
@@ -363,8 +372,8 @@ class Simulation:
     def idle(self, result: StepResult) -> set[str]:
         """Names of the functions of which no ray of any lamp that draws them can hit anything at that moment."""
         drawn = self.planner.drawn(result.now, result.functions)
-        reach = {name for name, parts in drawn.items() if any(self._in_reach(part, result.now) for part in parts)}
-        return drawn.keys() - reach - result.held.keys()
+        reach = {name for name, parts in drawn.items() if any(in_reach(self.modules, part, result.now) for part in parts)}
+        return drawn.keys() - reach - result.held.keys() - self.planner.commanding.keys()
 
     def _all_objects(self, time_s: float) -> tuple[TrackedObject, ...]:
         if self.truth is None or not self.scenario.all_objects:
@@ -402,13 +411,6 @@ class Simulation:
         objects = now.objects if self.sight is None or tracks is None else self.sight.objects(tracks, now.time_s, view)
         return replace(now, objects=objects, seen=Seen(then_s, view, luminance, most, *materials))
 
-    def _in_reach(self, primitives: Primitives, now: Situation) -> bool:
-        for module, (_, light) in zip(self.modules, now.lights, strict=True):
-            mine = primitives.for_module(module.name)
-            if any(not window.empty for window in projected_windows(mine, module.headlight, light.T_world_headlight.cpu())):
-                return True
-        return False
-
     def _driven(self, plan: Plan, now: Situation) -> tuple[Lights, Mapping[str, LampPower]]:
         params = self.scenario.lighting
         street_lamps: tuple[StreetLamp, ...] = ()
@@ -419,7 +421,8 @@ class Simulation:
             occluded = scene_caster(self.world.lit(now.time_s).triangles, T_world_ground) if params.shadow_rays else None
         secondary = [SecondaryRays(now.lights, own, street_lamps, occluded) for own in range(len(self.modules))]
         modules = [
-            replace(module, T_world_module=light.T_world_headlight) for module, (_, light) in zip(self.modules, now.lights, strict=True)
+            replace(module, T_world_module=light.T_world_headlight, intensity=light.intensity)
+            for module, (_, light) in zip(self.modules, now.lights, strict=True)
         ]
         return driven(modules, plan, secondary, params.power_limit, self.scenario.headlight.power_w)
 

@@ -19,7 +19,7 @@ from loop.recording.style import STYLE
 from loop.scenario.model import HeadlightParams, Scenario
 from world.errors import LuxloopError
 from world.files import whole
-from world.headlight.lamp import Lamp
+from world.headlight.lamp import Commands, Lamp
 from world.light.volumetric import Medium
 
 DPI = 110
@@ -40,6 +40,7 @@ def show(
     out: Path,
     *,
     beam: str | Mapping[str, Sequence[Tensor]] | None = None,
+    commands: Mapping[str, Commands] | None = None,
     view: str = "overview",
     style: str | None = None,
     scenario: Scenario | None = None,
@@ -51,9 +52,10 @@ def show(
 
     lamps: by side, "left" and "right" or one of them. out: the file, whose suffix says its format.
     beam: a name that the lamps know, by default low, or full where they have none; or
-    utilisations `[n_p]` in 0..1, one a module, by side, which title names. view and style: see VIEWS. scenario: its road, objects and light
-    at time_s, where the lamps are mounted and how they are turned; by default a flat road. visibility_m: meteorological optical range of
-    the fog in the view "volume", by default 100.
+    utilisations `[n_p]` in 0..1, one a module, by side, which title names. commands: how modules are turned and dimmed beside that, one a
+    module, by side; by default not at all. view and style: see VIEWS. scenario: its road, objects and light at time_s, where the lamps are
+    mounted and how they are turned; by default a flat road. visibility_m: meteorological optical range of the fog in the view "volume", by
+    default 100.
     Raises LuxloopError for what there is not or has no meaning, and where the file cannot be written.
     """
     style = style_of(view, style)
@@ -67,7 +69,7 @@ def show(
         raise LuxloopError(f"visibility of {visibility_m:g} m: give a number greater than 0")
     name, patterns = _patterns(lamps, beam, title)
     mount = scenario.headlight if scenario else HeadlightParams()
-    car = LitCar({side: turned(lamp, side, mount) for side, lamp in lamps.items()}, patterns, mount)
+    car = LitCar({side: turned(lamp, side, mount) for side, lamp in lamps.items()}, patterns, mount).under(commands or {})
     with rc_context(STYLE):
         write(_draw(car, name, view, style, Road(scenario, time_s), visibility_m), out)
     return out

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from weakref import WeakKeyDictionary
 
@@ -15,7 +15,7 @@ from loop.assembly.build import build_scene
 from loop.assembly.lamps import T_world_lamp
 from loop.scenario.model import HeadlightParams, Scenario, validate
 from world.frames import R_ISO_OPENCV, pose, pose_from_degrees
-from world.headlight.lamp import Lamp, direction
+from world.headlight.lamp import Commands, Lamp, direction
 from world.headlight.matrix import LUMINANCE
 from world.light.ambient import ambient_luminance
 from world.light.emitters import Source, sources, surface_light
@@ -45,6 +45,15 @@ class LitCar:
     lamps: Mapping[str, Lamp]
     patterns: Mapping[str, Sequence[Tensor]]
     mount: HeadlightParams = field(default_factory=HeadlightParams)
+
+    def under(self, commands: Mapping[str, Commands]) -> "LitCar":
+        """The same with modules turned and dimmed; commands: one a module, by side, those left out at rest."""
+        lamps, patterns = dict(self.lamps), dict(self.patterns)
+        for side in lamps.keys() & commands.keys():
+            modules = zip(lamps[side].modules, commands[side], strict=True)
+            lamps[side] = replace(lamps[side], modules=tuple(replace(m, T_lamp_module=c.turned(m.T_lamp_module)) for m, c in modules))
+            patterns[side] = [command.intensity * u for u, command in zip(patterns[side], commands[side], strict=True)]
+        return replace(self, lamps=lamps, patterns=patterns)
 
     @property
     def T_world_middle(self) -> Tensor:

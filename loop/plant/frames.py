@@ -8,6 +8,7 @@ import json
 import math
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import astuple
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,6 +26,7 @@ from perception.egomotion import VALUES, Sample
 from world.arrays import Arrays, read_npz, write_npz
 from world.errors import LuxloopError
 from world.files import content, reading, regular, whole
+from world.headlight.lamp import Commands, ModuleCommand
 from world.images import decoded
 from world.params import PLAIN
 from world.parquet import read_parquet
@@ -104,6 +106,8 @@ def read_image(file: Path, camera: CameraParams, like: Tensor) -> Tensor:
 def light_arrays(exposure: Exposure) -> Arrays:
     """What an exposure shows, by name."""
     arrays: dict[str, Tensor | None] = {}
+    if exposure.commands:
+        arrays["commands"] = torch.tensor([astuple(each) for each in exposure.commands], dtype=torch.float64)
     for k, light in enumerate(exposure.lights):
         band = None if light.band is None else torch.tensor([light.band.start, light.band.stop], dtype=torch.float64)
         arrays |= {f"u_{k}": light.u, f"band_{k}": band}
@@ -122,8 +126,8 @@ def write_light(file: Path, arrays: Arrays) -> None:
         write_npz(part, arrays.items())
 
 
-def read_light(file: Path, pixels: Sequence[int], device: torch.device) -> tuple[tuple[Utilisation, ...], dict[str, Drawing]]:
-    """Lights, and drawings by the names of their symbols, on the device. pixels: of each module.
+def read_light(file: Path, pixels: Sequence[int], device: torch.device) -> tuple[tuple[Utilisation, ...], dict[str, Drawing], Commands]:
+    """Lights, drawings by the names of their symbols, on the device, and commands. pixels: of each module.
 
     Raises LuxloopError for utilisations of other modules.
     """
@@ -137,10 +141,14 @@ def read_light(file: Path, pixels: Sequence[int], device: torch.device) -> tuple
             if u.min() < 0 or u.max() > 1 or (band is not None and not 0 <= band[0] <= band[1] <= n):
                 raise ValueError(f"u_{k} is no utilisation")
             lights.append(Utilisation(u, None if band is None else slice(int(band[0]), int(band[1]))))
+        turns = _optional(arrays, "commands", torch.device("cpu"), (len(pixels), 3))
+        commands = () if turns is None else tuple(ModuleCommand(*each) for each in turns.tolist())
+        if not all(0 <= each.intensity <= 1 for each in commands):
+            raise ValueError("commands hold an intensity that is no share")
         names = [key.removesuffix(".pose") for key in arrays if key.endswith(".pose")]
         if strange := [name for name in names if not re.fullmatch(PLAIN, name)]:
             raise ValueError(f"{strange[0]!r} is no name of a symbol")
-        return tuple(lights), {name: _drawing(arrays, name, pixels, device) for name in names}
+        return tuple(lights), {name: _drawing(arrays, name, pixels, device) for name in names}, commands
 
 
 def sample_values(samples: Sequence[Sample]) -> str:

@@ -9,6 +9,7 @@ from torch import Tensor
 from controllers.pixels.ssc import Utilisation
 from controllers.symbol.sensing.drawing import Drawing
 from perception.egomotion import Sample
+from world.headlight.lamp import Commands
 
 
 @dataclass(frozen=True, eq=False)
@@ -16,7 +17,8 @@ class Exposure:
     """Light that is shown for `duration_s` s from `start_s` s on, with one frame of it.
 
     number: ascending, never used twice. lights: utilisations, one a module, base beams included. drawings: of the symbols in these lights
-    that controllers hold, by name; a plant has no use for them.
+    that controllers hold, by name; a plant has no use for them. commands: how modules are turned and dimmed, one a module; empty where
+    all are at rest.
     """
 
     number: int
@@ -24,6 +26,7 @@ class Exposure:
     duration_s: float
     lights: tuple[Utilisation, ...]
     drawings: Mapping[str, Drawing] = field(default_factory=dict)
+    commands: Commands = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -49,8 +49,8 @@ class RecordedPlant:
 
     def _frame(self, row: Mapping[str, Any]) -> Frame:
         number = row["number"]
-        lights, drawings = read_light(inside(light_file(self.folder, row["light"]), self.folder), self.pixels, self.like.device)
-        shown = Exposure(number, row["time_s"], row["duration_s"], lights, drawings)
+        light = read_light(inside(light_file(self.folder, row["light"]), self.folder), self.pixels, self.like.device)
+        shown = Exposure(number, row["time_s"], row["duration_s"], *light)
         if row["lost"]:
             return Frame(number, float("nan"), float("nan"), None, shown)
         image = read_image(inside(image_file(self.folder, number), self.folder), self.camera, self.like)

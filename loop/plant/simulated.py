@@ -60,7 +60,7 @@ class SimulatedPlant:
         begins_s, ends_s = (self._at(number) for number in (exposure.number, exposure.number + 1))
         image = None
         if not self._dropped(step):
-            image = self.exposed(*self.world.luminance(exposure.start_s, exposure.lights), step, part)
+            image = self.exposed(*self.world.luminance(exposure.start_s, exposure.lights, exposure.commands), step, part)
         due = max([exposure.number + per_step * self._latency(step), *(number for number, _ in state)])
         queue = (*state, (due, Frame(exposure.number, exposure.start_s, ends_s, image)))
         come = tuple(replace(frame, arrived_s=ends_s) for number, frame in queue if number <= exposure.number)

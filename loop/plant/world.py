@@ -4,7 +4,7 @@ import math
 from collections import OrderedDict, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from typing import Any, TypeVar, cast
 
 import torch
@@ -17,6 +17,7 @@ from perception.detection.params import TruthParams
 from perception.detection.protocol import Detections
 from perception.ground_truth import Box, Truth, ground_truth, part_mask
 from perception.materials import material_picture
+from world.headlight.lamp import REST, Commands, ModuleCommand
 from world.light.ambient import ambient_luminance
 from world.light.illumination import DirectTransport, LightTransport, Shadows, added_light, reach, transport
 from world.materials.library import MaterialName
@@ -45,7 +46,8 @@ class LitScene:
     """A scene in a view at one time, and what the lamps do to it.
 
     surfaces: at the centres of the view's pixels. base: luminance `[height, width]` in cd/m^2 without the lamps. modules: how many they
-    have. transported: makes a module's light transport, which is needed only where it shines. given: parameters of the objects 1, 2, ...
+    have. transported: makes a module's light transport as it is turned, which is needed only where it shines. given: parameters of the
+    objects 1, 2, ...
     """
 
     view: View
@@ -54,36 +56,40 @@ class LitScene:
     surfaces: GBuffer
     base: Tensor
     modules: int
-    transported: Callable[[int], LightTransport]
+    transported: Callable[[int, ModuleCommand], LightTransport]
     given: tuple[ObjectParams, ...]
 
     @cached_property
     def transports(self) -> tuple[LightTransport, ...]:
-        """Light transport, one a module."""
-        return tuple(map(self.transported, range(self.modules)))
+        """Light transport, one a module, of all at rest."""
+        return tuple(self.transported(number, REST) for number in range(self.modules))
 
-    def shown(self, lights: Sequence[Utilisation]) -> Tensor:
+    def shown(self, lights: Sequence[Utilisation], commands: Commands = ()) -> Tensor:
         """Luminance `[..., height, width]` in cd/m^2 of all light, the lamps' lights `[..., n_p]` included."""
         if all(light.band is not None and light.band.stop <= light.band.start for light in lights):
             return self.base
-        return added_light(self.transports, lights, self.base)
+        if not commands:
+            return added_light(self.transports, lights, self.base)
+        turned = tuple(self.transported(number, command) for number, command in enumerate(commands))
+        dimmed = tuple(Utilisation(command.intensity * each.u, each.band) for each, command in zip(lights, commands, strict=True))
+        return added_light(turned, dimmed, self.base)
 
     def luminance(self, lights: Sequence[Utilisation]) -> Tensor:
-        """Luminance `[..., height, width]` in cd/m^2 of these lights alone."""
+        """Luminance `[..., height, width]` in cd/m^2 of these lights alone, all modules at rest."""
         return added_light(self.transports, lights, torch.zeros_like(self.base))
 
-    def light(self, lights: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
+    def light(self, lights: Sequence[Tensor], commands: Commands = ()) -> tuple[Tensor, Tensor]:
         """Illuminance in lx at the pixels' centres and luminance in cd/m^2 of the pixels `[height, width]`, from the lamps alone.
 
         lights: utilisations `[n_p]`, one a module. Of a metered world only.
         """
         arriving = torch.zeros_like(self.base).flatten()
         leaving = torch.zeros_like(arriving)
-        for number, u in enumerate(lights):
+        for number, (u, command) in enumerate(zip(lights, commands or (REST,) * len(lights), strict=True)):
             if bool(u.any()):
-                each = self.transported(number)
+                each = self.transported(number, command)
                 assert isinstance(each, DirectTransport)
-                lx, samples = each.illuminance(u)
+                lx, samples = each.illuminance(u if command.intensity == 1 else command.intensity * u)
                 luminance, pixels = each.reflected(lx, samples)
                 leaving.index_add_(0, pixels, luminance)
                 arriving.index_add_(0, pixels, lx * each.central[samples])
@@ -173,7 +179,7 @@ class World:
         self.view = camera_view(camera)
         self.device = self.modules[0].T_world_headlight.device
         self._lit: OrderedDict[Any, LitScene] = OrderedDict()
-        self._made: deque[tuple[LitScene, tuple[Utilisation, ...], Any]] = deque(maxlen=2)  # of an on and an off exposure
+        self._made: deque[tuple[LitScene, tuple[Utilisation, ...], Commands, Any]] = deque(maxlen=2)  # of an on and an off exposure
         self._asked: tuple[float, Any] = (math.nan, None)
         self._triangles = NOTHING
 
@@ -185,28 +191,30 @@ class World:
         """The camera's view at a time, in the ground frame in place of the world."""
         return replace(self.view, T_world_view=self.motion.at(t_s).T_ground_body @ self.view.T_world_view)
 
-    def luminance(self, time_s: float, lights: tuple[Utilisation, ...]) -> tuple[Tensor, Tensor]:
+    def luminance(self, time_s: float, lights: tuple[Utilisation, ...], commands: Commands = ()) -> tuple[Tensor, Tensor]:
         """Luminances in cd/m^2 at a time: `[..., height, width]` of all light, and `[height, width]` without the lamps."""
         lit = self.lit(time_s)
-        return self.meter(time_s, lights).luminance if self.metered else self._once(lit, lights, lambda: lit.shown(lights)), lit.base
+        if self.metered:
+            return self.meter(time_s, lights, commands).luminance, lit.base
+        return self._once(lit, lights, commands, lambda: lit.shown(lights, commands)), lit.base
 
-    def meter(self, time_s: float, lights: tuple[Utilisation, ...]) -> Metered:
+    def meter(self, time_s: float, lights: tuple[Utilisation, ...], commands: Commands = ()) -> Metered:
         """The lamps' light at a time. Of a metered world only."""
         lit = self.lit(time_s)
-        return self._once(lit, lights, lambda: Metered(lit, *lit.light([light.u for light in lights])))
+        return self._once(lit, lights, commands, lambda: Metered(lit, *lit.light([light.u for light in lights], commands)))
 
-    def _once(self, lit: LitScene, lights: tuple[Utilisation, ...], make: Callable[[], Made]) -> Made:
+    def _once(self, lit: LitScene, lights: tuple[Utilisation, ...], commands: Commands, make: Callable[[], Made]) -> Made:
         """What a light does to a scene, made anew only where it is not one of the last two."""
-        for scene, shown, made in self._made:
-            if scene is lit and shown is lights:
+        for scene, shown, commanded, made in self._made:
+            if scene is lit and shown is lights and commanded == commands:
                 return cast(Made, made)
         made = make()
-        self._made.append((lit, lights, made))
+        self._made.append((lit, lights, commands, made))
         return made
 
-    def added(self, time_s: float, lights: tuple[Utilisation, ...], others: tuple[Utilisation, ...]) -> Tensor:
+    def added(self, time_s: float, lights: tuple[Utilisation, ...], others: tuple[Utilisation, ...], commands: Commands = ()) -> Tensor:
         """Luminance `[height, width]` in cd/m^2 at a time of what lights have beyond others."""
-        return self.luminance(time_s, lights)[0] - self.luminance(time_s, others)[0]
+        return self.luminance(time_s, lights, commands)[0] - self.luminance(time_s, others, commands)[0]
 
     def lit(self, t_s: float) -> LitScene:
         """The camera's view of the scene at a time; rendered only when geometry or the vehicle has moved."""
@@ -241,13 +249,16 @@ class World:
         def shadows(*lamp_m: float) -> Shadows:
             return Shadows(surfaces.position.flatten(1), torch.tensor(lamp_m, dtype=torch.float64), triangles)
 
-        @cache
-        def transported(number: int) -> LightTransport:
-            headlight, T_body_headlight = modules[number].headlight, modules[number].T_world_headlight
+        @lru_cache(maxsize=KEPT_VIEWS * len(modules))
+        def turned(number: int, command: ModuleCommand) -> LightTransport:
+            headlight, T_body_headlight = modules[number].headlight, command.turned(modules[number].T_world_headlight)
             T_world_headlight = T_world_body.to(T_body_headlight) @ T_body_headlight
             if direct:
                 cast = shadows(*T_world_headlight[:3, 3].tolist())
                 return DirectTransport.of(surfaces, headlight, T_world_headlight, cast, view.width, samples)
             return transport(reach(surfaces, headlight, T_world_headlight, triangles), headlight, view.width, samples)
+
+        def transported(number: int, command: ModuleCommand) -> LightTransport:
+            return turned(number, replace(command, intensity=1.0))  # which does not dim the way of light
 
         return LitScene(view, vehicle, triangles, surfaces.one_row_of(samples), base, len(modules), transported, self.given)

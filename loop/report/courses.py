@@ -27,6 +27,8 @@ def write_courses(figure: SubFigure, simulation: Simulation, table: pa.Table) ->
     charts: dict[Callable[[Axes], None], float] = {lambda axes: _flux(axes, simulation, table): 1.0}  # and how high they are
     if "power_w" in table.column_names:
         charts[lambda axes: _power(axes, simulation, table)] = 1.1
+    if turned := [name for name in table.column_names if name.startswith("modules.") and name.endswith("_deg")]:
+        charts[lambda axes: _turned(axes, table, turned)] = 1.2
     if held := held_in(table):
         charts[lambda axes: _held(axes, table, held)] = 1.4
     if zones := zones_of(table):
@@ -64,6 +66,19 @@ def _power(axes: Axes, simulation: Simulation, table: pa.Table) -> None:
         axes.plot(time_s, watts, color="0.5", linestyle=line, label=name)
     axes.set(ylabel="W", ylim=(0, 1.08 * axes.dataLim.ymax or 1))
     headed(axes, "Electrical power, beside that of undimmed beams")
+
+
+def _turned(axes: Axes, table: pa.Table, turned: Sequence[str]) -> None:
+    """One curve for all modules that turn alike."""
+    alike: dict[tuple[float, ...], list[str]] = {}
+    for name in turned:
+        alike.setdefault(tuple(column(table, name)), []).append(name.removeprefix("modules."))
+    for values, names in alike.items():
+        what = " and ".join(word for key, word in (("swivel_deg", "swivelled"), ("level_deg", "levelled")) if any(key in n for n in names))
+        who = ", ".join(dict.fromkeys(name.rpartition(".")[0] for name in names))
+        axes.plot(column(table, "time_s"), values, marker=_mark(table), label=f"{who} {what}")
+    axes.set(ylabel="deg")
+    headed(axes, "Modules, swivelled to the left and levelled down")
 
 
 def _held(axes: Axes, table: pa.Table, held: Sequence[str]) -> None:

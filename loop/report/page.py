@@ -17,6 +17,7 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
+from loop.lighting.lamps import under
 from loop.lighting.observed import ObservedSymbol
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
@@ -190,7 +191,7 @@ def _from_above(axes: Axes, simulation: Simulation, last: StepResult) -> None:
         axes.set(xlabel="ahead in m", ylabel="to the left in m", title="Objects from above, at the end; nobody knows where the light lies")
         axes.set(xlim=BIRDSEYE_X_M, ylim=BIRDSEYE_Y_M)
         return
-    light = simulation.truth.through(birdseye(), last.time_s).light(last.lights)[0].cpu().numpy()
+    light = simulation.truth.through(birdseye(), last.time_s).light(last.lights, last.now.commands)[0].cpu().numpy()
     extent = (*BIRDSEYE_X_M, *BIRDSEYE_Y_M)
     most = float(light.max().clip(1, BRIGHTEST_ROAD_LX))
     scale = LogNorm(FAINTEST_ROAD_LX, most)
@@ -234,7 +235,8 @@ def _walls(figure: SubFigure, simulation: Simulation, last: StepResult) -> None:
     side_deg, down_deg, up_deg = WALL_DEG
     for axes, side in zip(figure.subplots(len(sides), 1, squeeze=False, sharex=True)[:, 0], sides, strict=True):
         mine = [number for number, module in enumerate(simulation.modules) if module.side == side]
-        wall = wall_light([simulation.modules[n] for n in mine], [last.lights[n] for n in mine], WALL_COLUMNS)
+        modules = under(simulation.modules, last.now.commands)
+        wall = wall_light([modules[n] for n in mine], [last.lights[n] for n in mine], WALL_COLUMNS)
         extent = (-side_deg, side_deg, -down_deg, up_deg)
         most = float(wall.max())
         shown = axes.imshow(wall.cpu().numpy(), extent=extent, aspect="auto", **(SHARES | {"cmap": "inferno", "vmax": most or 1}))

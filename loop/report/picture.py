@@ -11,7 +11,7 @@ from torch import Tensor
 from controllers.symbol.sensing.observer import Seen
 from loop.lighting.controlled import Held
 from loop.lighting.judging import Judge
-from loop.lighting.lamps import ShiningModule
+from loop.lighting.lamps import ShiningModule, under
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
 from loop.recording.columns import loss_name
@@ -70,7 +70,7 @@ def frame_picture(result: StepResult, simulation: Simulation, white: Tensor) -> 
     for name in list(result.held)[:1]:
         if (judge := simulation.controlled[name].judge) is not None:
             _paste(picture, _from_above(result, simulation, judge, white, round(ABOVE * height)), margin, left=True)
-    wall = wall_light(simulation.modules, result.lights, round(WALL_SHARE * width))
+    wall = wall_light(under(simulation.modules, result.now.commands), result.lights, round(WALL_SHARE * width))
     _paste(picture, tone_map(wall, wall.max().clamp(min=1e-6)), margin, left=False)
     told = captions(result, simulation)
     for number, (text, colour) in enumerate(told):
@@ -93,7 +93,7 @@ def _from_above(result: StepResult, simulation: Simulation, judge: Judge, white:
     """The road about a symbol's target, far end on top, with the target outlined; height: px."""
     symbol, axes = judge.symbol, judge.plane.axes
     on, off = (showing.exposure.lights for showing in (result.showings[0], result.showings[-1]))
-    light = simulation.world.added(result.time_s, on, off)
+    light = simulation.world.added(result.time_s, on, off, result.now.commands)
     rows = (axes.v + symbol.x_m).abs() <= CLOSE * symbol.length_m
     cols = (axes.u + symbol.y_m).abs() <= CLOSE * symbol.width_m
     plane = rectify(judge.plane_at(result.time_s), light)[rows.to(light.device)][:, cols.to(light.device)]
@@ -148,7 +148,7 @@ def wall_light(modules: Sequence[ShiningModule], lights: Sequence[Tensor], colum
     side, down, up = WALL_DEG
     h, v = torch.linspace(-side, side, columns), torch.linspace(up, -down, round(columns * (up + down) / (2 * side)))
     lit = [
-        Source(module.headlight, module.headlight.light_texture(u), module.T_world_module.double().cpu())
+        Source(module.headlight, module.headlight.light_texture(module.intensity * u), module.T_world_module.double().cpu())
         for module, u in zip(modules, lights, strict=True)
         if bool(u.any())
     ]

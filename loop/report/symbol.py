@@ -97,7 +97,7 @@ def draw_symbol(figure: SubFigure, simulation: Simulation, gathered: Gathered, t
         top, middle, bottom = right.subfigures(3, 1, squeeze=False, height_ratios=(2.75, 2.35, 3.6))[:, 0]
         _camera_views(middle, symbol, views)
         plane, beam = bottom.subfigures(1, 2, squeeze=False, width_ratios=(3.5, 4.2))[0]
-        _birds_eye_views(plane, symbol.judge, lights, last.time_s)
+        _birds_eye_views(plane, symbol.judge, lights, last)
     _progression(top, symbol, gathered, views["at the end"])
     _beam_patterns(beam, symbol, lights["at the end"][0], "asked for" if shadow else "at the end")
 
@@ -187,7 +187,9 @@ def _camera_images(simulation: Simulation, lights: Pairs, gathered: Gathered, la
     """Luminances `[height, width]` in cd/m^2 that the camera measures: at the last step's time where the plant can expose it once more."""
     camera, plant, time_s = simulation.scenario.camera, simulation.plant, last.time_s
     if isinstance(plant, SimulatedPlant):
-        frames = {name: plant.exposed(*plant.world.luminance(time_s, on), last.step, 0) for name, (on, _) in lights.items()}
+        frames = {
+            name: plant.exposed(*plant.world.luminance(time_s, on, last.now.commands), last.step, 0) for name, (on, _) in lights.items()
+        }
     else:
         frames = {"at the end": torch.zeros(camera.height_px, camera.width_px) if gathered.frame is None else gathered.frame}
     return {name: luminance_of(frame, camera).cpu().numpy() for name, frame in frames.items()}
@@ -273,13 +275,13 @@ def _camera_views(figure: SubFigure, symbol: ControlledSymbol, views: dict[str, 
         _look_at(axes, symbol, [], image.shape, aspect=16 / 9)
 
 
-def _birds_eye_views(figure: SubFigure, judge: Judge, lights: Pairs, time_s: float) -> None:
+def _birds_eye_views(figure: SubFigure, judge: Judge, lights: Pairs, last: StepResult) -> None:
     goal, axes_m, symbol = judge.goal, judge.plane.axes, judge.symbol
     y, x = -axes_m.u.cpu().numpy(), -axes_m.v.cpu().numpy()
     mask = goal.mask.float().cpu().numpy()
     figure.suptitle("From above, noise-free", x=0.12, ha="left", weight="bold", fontsize=STYLE["axes.titlesize"])
     for axes, (title, (on, off)) in zip(figure.subplots(1, 2, sharey=True), lights.items(), strict=True):
-        plane = rectify(judge.plane_at(time_s), judge.world.added(time_s, on, off)).cpu().numpy()
+        plane = rectify(judge.plane_at(last.time_s), judge.world.added(last.time_s, on, off, last.now.commands)).cpu().numpy()
         axes.imshow(_night(plane, 1.5 * float(goal.median)), extent=(y[0], y[-1], x[-1], x[0]), **SHARES)
         axes.contour(y, x, mask, levels=[0.5], colors=TARGET, linewidths=0.8)
         axes.set_title(title, weight="normal", loc="center")

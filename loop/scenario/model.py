@@ -52,8 +52,8 @@ class HeadlightParams(Params):
     distance_m: float = Field(1.2, ge=0, le=3, description="distance between the lamps' origins")
     lamps: tuple[Literal["left", "right"], ...] = Field(("left", "right"), min_length=1, description="lamps that shine")
     modules: tuple[str, ...] | None = Field(None, min_length=1, description="their modules that shine; left out: all")
-    swivel_deg: float = Field(0.0, ge=-30, le=30, description="turns the modules that can be turned to the left (physical bending)")
-    level_deg: float = Field(0.0, ge=-10, le=10, description="turns the modules that can be levelled down (physical levelling)")
+    swivel_deg: float = Field(0.0, ge=-30, le=30, description="swivel at rest of modules that can be swivelled, to the left")
+    level_deg: float = Field(0.0, ge=-10, le=10, description="level at rest of modules that can be levelled, down")
     standby_w: float = Field(5.0, ge=0, le=1e6, description="electrical power of a lamp that is dark: its electronics and fan")
     efficacy_lm_w: float = Field(
         40.0, gt=0, le=1000, description="luminous flux that leaves a lamp for each watt that its light sources take"

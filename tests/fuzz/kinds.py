@@ -30,7 +30,7 @@ from perception.detection import network
 from perception.egomotion import Sample
 from tests.fuzz import mutations
 from world.headlight import Headlight
-from world.headlight.lamp import Lamp, Module
+from world.headlight.lamp import Lamp, Module, ModuleCommand
 from world.headlight.pixel_sources import TableSource
 from world.lampfiles import archive, description
 from world.lampfiles.utilisations import read_utilisation
@@ -326,7 +326,8 @@ def _frames(folder: Path) -> dict[str, bytes]:
     samples = frames.sample_values([Sample("wheels", 0.005, 0.01, torch.ones(2)), Sample("gyro", 0.008, 0.009, torch.zeros(3))])
     rows = [{"number": k, "time_s": 0.01 * k, "samples": samples, **times} for k in range(3)]
     drawing = Drawing(LIKE, warp=Warp(torch.rand(1, 2, 4, 3), torch.rand(1, 4, 3), (4.0, 2.0)))
-    light = frames.light_arrays(Exposure(0, 0.0, 0.1, (Utilisation(torch.rand(6), slice(1, 5)),), {"symbol": drawing}))
+    shown = Exposure(0, 0.0, 0.1, (Utilisation(torch.rand(6), slice(1, 5)),), {"symbol": drawing}, (ModuleCommand(3.0, 1.0, 0.5),))
+    light = frames.light_arrays(shown)
     return _written(
         folder,
         ("exposures.parquet", lambda path: pq.write_table(pa.Table.from_pylist(rows, frames.SCHEMA), path)),

@@ -16,6 +16,29 @@ _MIRROR = torch.diag(torch.tensor([1.0, -1.0, 1.0, 1.0], dtype=torch.float64))
 
 
 @dataclass(frozen=True)
+class ModuleCommand:
+    """How a module is turned from its rest, and how bright it may be; at rest unless something else is said.
+
+    swivel_deg: to the left positive (bending). level_deg: nose down positive (levelling). intensity: its maximum, as a share of its own,
+    0..1.
+    """
+
+    swivel_deg: float = 0.0
+    level_deg: float = 0.0
+    intensity: float = 1.0
+
+    def turned(self, T: Tensor) -> Tensor:
+        """The pose `[4, 4]` of a module at rest, turned about its photometric centre."""
+        if not (self.swivel_deg or self.level_deg):
+            return T
+        return T @ pose_from_degrees((0.0, 0.0, 0.0), 0.0, self.level_deg, self.swivel_deg).to(T)
+
+
+Commands = tuple[ModuleCommand, ...]  # one a module; none where all are at rest
+REST = ModuleCommand()
+
+
+@dataclass(frozen=True)
 class Module:
     """One module: its light, where it is mounted and how far it can be turned.
 
@@ -34,14 +57,18 @@ class Module:
         for movement, angle, (low, high) in (("swivel", swivel_deg, self.swivel_deg), ("level", level_deg, self.level_deg)):
             if not low <= angle <= high:
                 raise LuxloopError(f"module {self.name!r}: {movement} of {angle:g} deg is out of its range, {low:g} to {high:g} deg")
-        return self.T_lamp_module @ pose_from_degrees((0.0, 0.0, 0.0), 0.0, level_deg, swivel_deg).double()
+        return ModuleCommand(swivel_deg, level_deg).turned(self.T_lamp_module)
 
     def turned(self, swivel_deg: float, level_deg: float) -> "Module":
-        """The module where it stands when the lamp is turned, for good: a movement that it has not leaves it as it is. Raises as `pose`."""
+        """The module at rest where it stands when the lamp is turned so, with what is left of its range.
+
+        A movement that it has not leaves it as it is. Raises as `pose`.
+        """
         swivel, level = (
             angle if any(movement) else 0.0 for angle, movement in ((swivel_deg, self.swivel_deg), (level_deg, self.level_deg))
         )
-        return replace(self, T_lamp_module=self.pose(swivel, level), swivel_deg=(0.0, 0.0), level_deg=(0.0, 0.0))
+        swivels, levels = ((low - angle, high - angle) for angle, (low, high) in ((swivel, self.swivel_deg), (level, self.level_deg)))
+        return replace(self, T_lamp_module=self.pose(swivel, level), swivel_deg=swivels, level_deg=levels)
 
     def mirrored(self) -> "Module":
         """The module of the other side's lamp."""
@@ -67,7 +94,7 @@ class Lamp:
         raise LuxloopError(f"lamp {self.name!r} has no module {name!r}; it has {', '.join(module.name for module in self.modules)}")
 
     def turned(self, swivel_deg: float, level_deg: float) -> "Lamp":
-        """The lamp with those of its modules turned, for good, that can be. Raises LuxloopError beyond the range of one of them."""
+        """The lamp with those of its modules turned that can be. Raises LuxloopError beyond the range of one of them."""
         return replace(self, modules=tuple(module.turned(swivel_deg, level_deg) for module in self.modules))
 
     @property

@@ -105,7 +105,7 @@ def test_joint_optimisation_comes_nearer_to_what_functions_want_than_ssc() -> No
         assert primitives is not None
         goal = controller.goal(primitives, module.T_world_module)
         wanted = goal.target.view(module.headlight.rows, module.headlight.cols)
-        errors = [float(mae(module.headlight.light_texture(each.lights_at(0.0)[k]), wanted)) for each in (joint, single)]
+        errors = [float(mae(module.headlight.light_texture(each.lights_at(0.0)[0][k]), wanted)) for each in (joint, single)]
         assert errors[0] < 0.9 * errors[1], errors
 
 

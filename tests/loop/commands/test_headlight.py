@@ -141,7 +141,7 @@ def test_a_lighting_scenario_shows_what_it_makes_of_the_lamp(lux: Lux) -> None:
 
 def test_the_lights_of_a_scenario_are_those_of_its_run() -> None:
     scenario = load("gfhb", ["headlight.model=hd84", "headlight.intensity_cd=1000"])
-    shown = lights_by_side(scenario, "hd84", 0.3)
+    shown = lights_by_side(scenario, "hd84", 0.3)[0]
     for side, u in zip(("left", "right"), Simulation.prepare(scenario).at(3).lights, strict=True):
         # gfhb asks for shares, which no intensity changes, but each factor rounds float32 anew.
         torch.testing.assert_close(shown[side][0], u, rtol=1e-6, atol=1e-7)
@@ -151,7 +151,7 @@ def test_a_symbol_that_is_held_is_shown_where_its_control_is_by_then() -> None:
     scenario = load("flat", ["camera.width_px=320", "camera.height_px=180", "camera.oversampling=1", "renderer=raycast", "steps=3"])
     results = list(Simulation.prepare(scenario).run())
     for step in (0, 2):
-        (u,) = lights_by_side(scenario, "idealised-332x1024", step / scenario.rate_hz)["left"]
+        (u,) = lights_by_side(scenario, "idealised-332x1024", step / scenario.rate_hz)[0]["left"]
         torch.testing.assert_close(u, results[step].lights[0], rtol=1e-6, atol=1e-7)  # as above
     assert (results[0].lights[0] - results[2].lights[0]).abs().max() > 0.5
 
@@ -160,7 +160,7 @@ def test_modules_that_a_scenario_leaves_out_are_dark_and_so_is_its_other_lamp(tm
     save(tmp_path / "two.npz", Lamp("two", (Module("wide", idealised(4, 8)), Module("narrow", idealised(2, 4)))))
     given = ["lighting.base.beam=full", "functions={}", 'headlight.lamps=["right"]', 'headlight.modules=["narrow"]']
     scenario = load("gfhb", given)
-    shown = lights_by_side(scenario, str(tmp_path / "two.npz"), 0.0)
+    shown = lights_by_side(scenario, str(tmp_path / "two.npz"), 0.0)[0]
     assert list(shown) == ["right"] and [u.tolist() for u in shown["right"]] == [[0.0] * 32, [1.0] * 8]
 
 

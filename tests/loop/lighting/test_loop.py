@@ -164,7 +164,7 @@ def test_a_state_taken_up_again_goes_on_as_the_run_did() -> None:
 def test_the_lights_of_a_time_are_those_of_the_run() -> None:
     simulation = Simulation.prepare(scenario(steps=6))
     *_, last = simulation.run()
-    assert all(torch.equal(a, b) for a, b in zip(simulation.lights_at(5 / 30), last.lights, strict=True))
+    assert all(torch.equal(a, b) for a, b in zip(simulation.lights_at(5 / 30)[0], last.lights, strict=True))
 
 
 def test_a_base_beam_is_dimmed_as_functions_ask() -> None:

@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 import torch
 
+from controllers.functions.commands import CommandParams
 from loop.lighting.observed import WIDTH_PX, observed_symbols, picture_view
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
@@ -92,7 +93,7 @@ def test_what_an_observer_sees_is_measured_from_their_eye() -> None:
     aside = replace(primitives.observer, eye=primitives.observer.eye + torch.tensor([0.0, 2.0, 0.0]))
     plan = replace(result.plan, primitives=replace(primitives, observer=aside))
     full = tuple(torch.ones_like(u) for u in result.lights)
-    (seen,) = observed_symbols(plan, result.lights, full, simulation.world, 0.0)
+    (seen,) = observed_symbols(plan, result.lights, full, simulation.world, result.now)
     assert seen.iou < 0.5
 
 
@@ -116,9 +117,10 @@ def test_driver_cyclist_and_pedestrian_see_what_they_shall_see() -> None:
 
 
 def by_lamps_that_load_at_once(name: str) -> Scenario:
-    """A shipped scenario with them; raw utilisations fit their own alone."""
+    """A shipped scenario with them; raw utilisations fit their own alone, and these cannot be turned."""
     scenario = load(name, camera=SMALL)
-    model = scenario.headlight.model if scenario.lighting.raw else "hd84"
+    turns = any(isinstance(function, CommandParams) for function in scenario.functions.values())
+    model = scenario.headlight.model if scenario.lighting.raw or turns else "hd84"
     headlight = scenario.headlight.model_copy(update={"modules": None, "model": model})
     functions = {
         name: function.model_copy(update={"modules": ()}) if hasattr(function, "modules") else function

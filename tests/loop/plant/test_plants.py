@@ -8,6 +8,7 @@ from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
+import torch
 
 from loop.lighting.record import row as row_of
 from loop.lighting.record import schema
@@ -23,6 +24,7 @@ from loop.scenario.model import validate
 from perception.extraction import Loss
 from tests.loop.conftest import SMALL, Lux, assert_one_sentence
 from world.errors import LuxloopError
+from world.headlight.lamp import ModuleCommand
 
 OWN = """
 from dataclasses import replace
@@ -112,6 +114,20 @@ def test_frames_that_are_late_by_a_varying_time_find_the_light_that_they_show() 
     assert 0 < max(waiting) <= 3 and len(set(waiting)) > 1
     # in time it has 0.93 on these bumps; looks that come in pairs, or not at all, cost it nothing in the end
     assert result.symbol.verdict is not None and float(result.symbol.verdict.iou) > 0.85
+
+
+def test_a_world_tells_commands_of_the_same_light_apart(small_simulation: Simulation) -> None:
+    world, symbol = small_simulation.world, small_simulation.symbol
+    light = symbol.projector.light(symbol.projector.target)
+    rest, dimmed, turned, again = (
+        world.luminance(0.0, light, commands)[0]
+        for commands in ((), (ModuleCommand(intensity=0.5),), (ModuleCommand(5.0),), (ModuleCommand(),))
+    )
+    dark = world.lit(0.0).base
+    assert again.equal(rest) and bool((rest > dark).any())
+    torch.testing.assert_close(dimmed - dark, 0.5 * (rest - dark))
+    left, middle = ((each - dark).sum(0).argmax() for each in (turned, rest))
+    assert left < middle
 
 
 def test_a_pair_that_lacks_a_frame_waits_and_one_that_lost_a_frame_is_lost(small_simulation: Simulation) -> None:

@@ -75,7 +75,7 @@ def test_all_that_was_shown_and_came_is_kept_bit_for_bit(changes: dict[str, Any]
         )
         assert same(read_samples(row, like), showing.before.samples)
         pixels = [light.u.numel() for light in showing.exposure.lights]
-        lights, drawings = read_light(light_file(tmp_path, row["light"]), pixels, like.device)
+        lights, drawings, _ = read_light(light_file(tmp_path, row["light"]), pixels, like.device)
         asked = showing.exposure.drawings
         assert all(a.u.equal(b.u) and a.band == b.band for a, b in zip(lights, showing.exposure.lights, strict=True))
         assert drawings.keys() == asked.keys() and all(drawings[name].shows(asked[name]) for name in asked)
@@ -101,7 +101,7 @@ def test_a_warped_drawing_is_kept_bit_for_bit(tmp_path: Path, small_simulation: 
     lights = small_simulation.symbol.projector.resting
     drawing = Drawing(target, numbers[0], warp, tuple(light.u for light in lights), target + 1, numbers[1:3])
     write_light(tmp_path / "light.npz", light_arrays(Exposure(0, 0.0, 0.1, lights, {"mine": drawing})))
-    _, drawings = read_light(tmp_path / "light.npz", [light.u.numel() for light in lights], target.device)
+    _, drawings, _ = read_light(tmp_path / "light.npz", [light.u.numel() for light in lights], target.device)
     (again,) = (drawings[name] for name in drawings if name == "mine")
     assert again.shows(drawing) and again.aim is not None and again.aim.equal(numbers[1:3])
     assert again.warp is not None and again.warp.size_m == warp.size_m
@@ -116,7 +116,7 @@ def test_functions_without_a_symbol_that_is_held_keep_frames(tmp_path: Path) -> 
     camera = CameraParams.model_validate(Manifest.read(tmp_path).scenario["camera"])
     for row, result in zip(rows, seen, strict=False):
         assert read_image(image_file(tmp_path, row["number"]), camera, result.frame).equal(result.frame)
-        lights, drawings = read_light(light_file(tmp_path, row["light"]), [u.numel() for u in result.lights], result.frame.device)
+        lights, drawings, _ = read_light(light_file(tmp_path, row["light"]), [u.numel() for u in result.lights], result.frame.device)
         assert not drawings and all(light.u.equal(u) for light, u in zip(lights, result.lights, strict=True))
 
 

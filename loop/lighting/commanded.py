@@ -1,0 +1,70 @@
+"""Modules that functions turn and dim: what is commanded in a step, and what a scenario cannot ask for."""
+
+from collections.abc import Mapping, Sequence
+
+from controllers.functions.commands import MOVED, CommandParams, Given, Movement, composed
+from controllers.functions.planner import Planner
+from controllers.pixels.primitives import meant
+from controllers.situation import Situation
+from loop.lighting.controlled import ControlledSymbol
+from loop.lighting.lamps import ShiningModule
+from world.errors import LuxloopError
+from world.headlight.lamp import REST
+
+
+def commanded(
+    planner: Planner,
+    modules: Sequence[ShiningModule],
+    controlled: Mapping[str, ControlledSymbol],
+    given: Mapping[str, Given],
+    now: Situation,
+) -> tuple[Situation, Mapping[str, Given]]:
+    """The situation with modules as functions command them, and what each of these commanded. given: the same before.
+
+    Raises LuxloopError where a function of the user's own commands a module that is not there, or that a controller needs at rest.
+    """
+    given = planner.commanded(given, now)
+    if not given:
+        return now, given
+    for name, each in given.items():
+        for names, _ in each.commands:
+            if not any(meant(names, module.name) for module in modules):
+                known = ", ".join(module.name for module in modules)
+                raise LuxloopError(f"functions.{name}: commands the module {names[0]!r}, which is not there; there are {known}")
+    commands = composed(given.values(), modules)
+    for symbol, held in controlled.items():
+        for k in held.drawn_by:
+            if commands[k] != REST:
+                raise _held(symbol, modules[k], "turned or dimmed")
+    return now.commanded(commands), given
+
+
+def refuse_commands(planner: Planner, modules: Sequence[ShiningModule], controlled: Mapping[str, ControlledSymbol]) -> None:
+    """Raises LuxloopError where a function means no module that can be turned so, or one with which a controller holds a symbol."""
+    for name, function in planner.commanding.items():
+        if isinstance(function, CommandParams):
+            how = MOVED[function.movement]
+            if not any(function.moves(module) for module in modules):
+                raise LuxloopError(
+                    f"functions.{name}.modules: none of those meant can be {how}; name others, or take another lamp as headlight.model"
+                )
+            for symbol, each in controlled.items():
+                for module in (modules[k] for k in each.drawn_by if function.moves(modules[k])):
+                    raise _held(symbol, module, f"{how} by functions.{name}")
+
+
+def moved(planner: Planner, modules: Sequence[ShiningModule]) -> list[tuple[str, Movement]]:
+    """What functions command: names of modules, and how they move, which a function of the user's own says of none."""
+
+    def of(function: object, module: ShiningModule, movement: Movement) -> bool:
+        return not isinstance(function, CommandParams) or (function.movement == movement and function.moves(module))
+
+    functions = planner.commanding.values()
+    return [(module.name, movement) for module in modules for movement in MOVED if any(of(each, module, movement) for each in functions)]
+
+
+def _held(symbol: str, module: ShiningModule, how: str) -> LuxloopError:
+    return LuxloopError(
+        f"functions.{symbol}.modules: {module.name!r} is {how}, but a controller holds a symbol with modules at rest alone; "
+        "name another one, or other modules to be moved"
+    )

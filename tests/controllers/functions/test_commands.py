@@ -1,0 +1,107 @@
+"""Functions that turn and dim modules: what they command, how fast, and how several come together."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+import torch
+from pydantic import ValidationError
+
+from controllers.functions.commands import Given, composed
+from controllers.functions.planner import LightingParams, Planner
+from controllers.situation import Situation
+from world.headlight.lamp import ModuleCommand
+
+HERE = torch.eye(4, dtype=torch.float64)
+LAMPS = torch.tensor([[0.0, 0.6, 0.75]], dtype=torch.float64)
+CURVE = {"speed_m_s": 10.0, "curvature_1_m": 0.02}
+IN_CURVE_DEG = math.degrees(math.asin(0.02 * 2.0 * 10.0 / 2))  # a chord of 2 s
+
+
+@dataclass(frozen=True)
+class Part:
+    name: str
+    swivel_deg: tuple[float, float] = (0.0, 0.0)
+    level_deg: tuple[float, float] = (0.0, 0.0)
+
+
+FREE = Part("left free", (-7.0, 15.0), (-1.0, 2.0))
+FIXED = Part("right fixed")
+
+
+def planner(**functions: Any) -> Planner:
+    return Planner.prepare(functions, LightingParams())
+
+
+def now(time_s: float = 0.0, **known: Any) -> Situation:
+    return Situation(time_s, HERE, LAMPS, **known)
+
+
+def commands(given: Any, *modules: Part) -> tuple[ModuleCommand, ...]:
+    return composed(given.values(), modules or (FREE, FIXED))
+
+
+def test_bending_swivels_to_where_the_course_is_met_and_leaves_what_cannot() -> None:
+    for sign in (1, -1):
+        given = planner(bend={"kind": "bending"}).commanded({}, now(speed_m_s=10.0, curvature_1_m=0.02 * sign))
+        free, fixed = commands(given)
+        assert free.swivel_deg == pytest.approx(IN_CURVE_DEG if sign > 0 else -7.0) and fixed == ModuleCommand()
+    (far,) = commands(planner(bend={"kind": "bending", "largest_deg": 5.0}).commanded({}, now(**CURVE)), FREE)
+    assert far.swivel_deg == 5.0
+
+
+def test_motors_are_no_faster_than_they_can_by_the_clock_of_the_situation() -> None:
+    """What begins is there; then it turns by its rate, however long a step takes, and goes back to rest as fast."""
+    bend = planner(bend={"kind": "bending", "rate_deg_s": 10.0, "stop_s": 3.0})
+    turned, given = [], {}
+    for time_s in (0.0, 0.1, 0.4, 0.4, 2.0, 3.0, 3.5):
+        given = bend.commanded(given, now(time_s) if time_s == 0 else now(time_s, **CURVE))
+        turned.append(commands(given, FREE)[0].swivel_deg)
+    assert turned == pytest.approx([0.0, 1.0, 4.0, 4.0, IN_CURVE_DEG, IN_CURVE_DEG - 10.0, 0.0])
+    assert commands(bend.commanded({}, now(1.0, **CURVE)), FREE)[0].swivel_deg == pytest.approx(IN_CURVE_DEG)
+
+
+def test_levelling_turns_against_the_pitch_and_by_entries_over_time() -> None:
+    level = {"kind": "levelling", "entries": [{"time_s": 1.0, "level_deg": 0.5}, {"time_s": 3.0, "level_deg": 1.5}]}
+    for dynamic, pitch_deg, time_s, expected in (
+        (True, 0.0, 0.0, 0.5),
+        (True, 0.4, 2.0, 0.6),
+        (False, 0.4, 2.0, 1.0),
+        (True, 2.0, 9.0, -0.5),
+    ):
+        given = planner(level=level | {"dynamic": dynamic}).commanded({}, now(time_s, pitch_rad=math.radians(pitch_deg)))
+        free, fixed = commands(given)
+        assert free.level_deg == pytest.approx(expected) and fixed == ModuleCommand()
+
+
+def test_dimming_follows_its_entries_where_it_is_active() -> None:
+    dim = planner(dim={"kind": "dimming", "entries": [{"time_s": 1.0, "share": 1.0}, {"time_s": 2.0, "share": 0.5}], "stop_s": 5.0})
+    shares = [commands(dim.commanded({}, now(time_s)), FIXED)[0].intensity for time_s in (0.0, 1.5, 3.0, 5.0)]
+    assert shares == pytest.approx([1.0, 0.75, 0.5, 1.0])
+
+
+def test_turns_add_up_within_the_range_and_intensities_multiply() -> None:
+    given = {
+        "a": Given(0.0, (((), ModuleCommand(10.0, -0.75, 0.5)),)),
+        "b": Given(0.0, ((("left",), ModuleCommand(8.0, -0.5, 0.5)), (("right fixed",), ModuleCommand(1.0, 1.0, 0.8)))),
+    }
+    assert commands(given) == (ModuleCommand(15.0, -1.0, 0.25), ModuleCommand(0.0, 0.0, 0.4))
+    assert commands(dict(reversed(given.items()))) == commands(given), "in any order"
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"kind": "levelling", "dynamic": False}, "entries: nothing is levelled without them"),
+        ({"kind": "dimming", "entries": []}, "entries"),
+        ({"kind": "dimming", "entries": [{"share": 1.5}]}, "share"),
+        ({"kind": "dimming", "entries": [{"share": 1.0}, {"share": 0.5}]}, "entries: time_s must ascend"),
+        ({"kind": "bending", "rate_deg_s": 0.0}, "rate_deg_s"),
+        ({"kind": "bending", "start_s": 2.0, "stop_s": 1.0}, "stop_s: 1 s is not after start_s"),
+        ({"kind": "bending", "value": 1.0}, "value"),
+    ],
+)
+def test_bad_tables_are_refused(given: dict[str, Any], words: str) -> None:
+    with pytest.raises(ValidationError, match=words):
+        planner(own=given)
