@@ -30,6 +30,11 @@ class View:
         """The same view with so many rows for each of its own."""
         return replace(self, height=rows * self.height, fy=rows * self.fy, cy=rows * self.cy)
 
+    def within(self, rows: slice, columns: slice) -> "View":
+        """The part of the view in these rows and columns."""
+        size = {"height": rows.stop - rows.start, "width": columns.stop - columns.start}
+        return replace(self, **size, cx=self.cx - columns.start, cy=self.cy - rows.start)
+
     def rays(self) -> Tensor:
         """World directions through all pixel centres, `[3, height, width]` float64, scaled to depth 1 along the optical axis."""
         R = self.T_world_view[:3, :3]

@@ -1,6 +1,7 @@
 """Closed surfaces that figures are put together from: tubes, limbs, ellipsoids, plates; each a piece that belongs to a named part."""
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import trimesh
@@ -41,6 +42,7 @@ def tube(part: str, centres: ArrayLike, radii: ArrayLike, across: ArrayLike, sid
     return Piece(part, np.concatenate([rings.reshape(-1, 3), centres[[0, -1]]]), _tube_faces(n, sides))
 
 
+@cache
 def _tube_faces(n: int, sides: int) -> NDArray[np.int64]:
     j = np.arange(sides)
     k = (j + 1) % sides
