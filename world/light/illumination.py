@@ -57,15 +57,15 @@ def reach(
         start, stop, _ = span.indices(n)
         inside &= (place >= max(start - 1, 0)) & (place <= min(stop + 1, n))  # a texel's light ends at its neighbours' centres
     index = torch.nonzero(inside)[:, 0]
-    away = T_world_headlight[:3, 3:].to(position) - position[:, index]  # [3, M]
+    away = T_world_headlight[:3, 3:].to(position) - position.index_select(1, index)  # [3, M]
     d2 = (away * away).sum(0)
-    cos = (normal[:, index] * away).sum(0) / d2.sqrt()  # cos / d^2 of T eq. 2.1.5
+    cos = (normal.index_select(1, index) * away).sum(0) / d2.sqrt()  # cos / d^2 of T eq. 2.1.5
     lit = torch.nonzero(cos > 0)[:, 0]
     if triangles is not None:
         lit = lit[sees(triangles, T_world_headlight[:3, 3], position[:, index[lit]])]
     index = index[lit]
     texel, weight = bilinear(headlight, row[index], col[index])
-    return LitSurface(index, texel, weight, cos[lit] / d2[lit], _luminance_factor(gbuffer, index, away[:, lit]))
+    return LitSurface(index, texel, weight, cos[lit] / d2[lit], _luminance_factor(gbuffer, index, away.index_select(1, lit)))
 
 
 def _luminance_factor(gbuffer: GBuffer, index: Tensor, away: Tensor) -> Tensor:
@@ -156,7 +156,7 @@ class Shadows:
         """`[m]` bool, of points at index `[m]`."""
         asked = index[~self._asked[index]]
         if len(asked):
-            self._lit[asked] = sees(self.triangles, self.lamp_m, self.points[:, asked])
+            self._lit[asked] = sees(self.triangles, self.lamp_m, self.points.index_select(1, asked))
             self._asked[asked] = True
         return self._lit[index]
 

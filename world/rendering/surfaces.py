@@ -52,7 +52,7 @@ class QuickSurfaces:
             pixels = torch.nonzero(object_id == placed.object_id)[:, 0]
             if len(pixels):
                 on_part = None if part is None else part[pixels]
-                albedo[pixels], made_of = reflection(placed, position[:, pixels], numbers, on_part)
+                albedo[pixels], made_of = reflection(placed, position.index_select(1, pixels), numbers, on_part)
                 if len(numbers) > 1:  # else it is the first, and its number 0
                     material[pixels] = made_of
         finish = Finish(tuple(numbers), material.view(shape), view.origin) if len(numbers) > 1 else None

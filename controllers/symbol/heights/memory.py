@@ -185,5 +185,6 @@ class Memory:
         weight = torch.stack([(1 - a) * (1 - b), (1 - a) * b, a * (1 - b), a * b]) * stays
         information = self.heights.information
         for _ in range(2):  # both sides of a symmetric matrix
-            information = torch.zeros_like(information).index_add(0, to.flatten(), (weight[:, :, None] * information).flatten(0, 1)).T
-        return information.contiguous()
+            shares = (weight[:, :, None] * information).flatten(0, 1)
+            information = torch.zeros_like(information).index_add_(0, to.flatten(), shares).T.contiguous()
+        return information

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import torch
 from kornia.geometry.transform import remap
 from torch import Tensor
-from torch.nn.functional import avg_pool2d
+from torch.nn.functional import avg_pool2d, grid_sample
 
 from controllers.symbol.sensing.observer import Observer
 from controllers.symbol.sensing.planes import HERE
@@ -46,7 +46,7 @@ class LampSight:
         row, col = self.rows(heights)  # [B, H, w]
         u, v = 2 * col / light.cols - 1, 2 * row / light.rows - 1
         image = texture.expand(len(heights), 1, -1, -1)
-        seen = remap(image, u, v, padding_mode="zeros", align_corners=False, normalized_coordinates=True)[:, 0]
+        seen = grid_sample(image, torch.stack([u, v], -1), align_corners=False)[:, 0]
         horizon = row.flip(-2).cummin(-2).values.flip(-2)  # of all that is nearer
         # L = I(ray) factor (T eq. 2.1.5; factor: albedo cos / (pi d^2) on the plane), less what nearer heights shade.
         return seen * self.factor * ((horizon - row) / DARKNESS_TEXELS + 1.5).clamp(0, 1)
