@@ -28,7 +28,8 @@ def ambient_luminance(
         away = spot.position.to(gbuffer.position)[:, None, None] - gbuffer.position
         factor = _cos_per_d2(gbuffer, away)
         lit = torch.nonzero((factor * gbuffer.albedo).flatten())[:, 0]  # what faces the lamp and reflects
-        illuminance.view(-1)[lit] += _intensity(spot, -away.flatten(1)[:, lit]) * factor.flatten()[lit]
+        ray = away.flatten(1).index_select(1, lit).neg_()
+        illuminance.view(-1).index_add_(0, lit, _intensity(spot, ray) * factor.flatten()[lit])
     luminance = gbuffer.albedo * illuminance / math.pi
     if gbuffer.finish is None:
         return luminance

@@ -57,9 +57,9 @@ def _cast(triangles: Triangles, origin: Tensor, directions: Tensor, farthest: Te
         T_body_world, body = inverse(placed.T_world_body), placed.body
         local_origin = T_body_world[:3, :3] @ origin + T_body_world[:3, 3]
         rays = torch.nonzero(_towards(body.bounds, placed.T_world_body, origin, ways, squares, farthest))[:, 0]
-        local = T_body_world[:3, :3] @ directions[:, rays]
-        near = _near(body.bounds, local_origin, local, farthest[rays])
-        rays, local = rays[near], local[:, near]
+        local = T_body_world[:3, :3] @ directions.index_select(1, rays)
+        near = torch.nonzero(_near(body.bounds, local_origin, local, farthest[rays]))[:, 0]
+        rays, local = rays[near], local.index_select(1, near)
         if not len(rays):
             continue
         face = torch.from_numpy(body.intersector.intersects_first(local_origin.expand(len(rays), 3).numpy(), local.T.numpy())).long()
