@@ -41,7 +41,7 @@ def ground_truth(surfaces: GBuffer, triangles: Triangles, view: View, categories
     surfaces: of `triangles` in `view`. categories: those of the objects 1, 2, ...; the road is object 0.
     Boxes are in px of the view; where its rows are oversampled, so are they.
     """
-    found, rays = [], view.rays()
+    found = []
     parts = dict((placed.object_id, placed) for placed in triangles.placed if placed.object_id > 0)
     for object_id, placed in sorted(parts.items()):
         seen = surfaces.object_id == object_id
@@ -49,7 +49,7 @@ def ground_truth(surfaces: GBuffer, triangles: Triangles, view: View, categories
         if not pixels:
             continue
         whole = _whole(placed, view)
-        alone = _pixels_alone(placed, view, rays, whole)
+        alone = _pixels_alone(placed, view, whole)
         width, height = whole[2] - whole[0], whole[3] - whole[1]
         shown = _clipped(whole, view)
         inside = (shown[2] - shown[0]) * (shown[3] - shown[1]) / (width * height)
@@ -91,11 +91,11 @@ def _clipped(box: Box, view: View) -> Box:
     return u0, v0, u1, v1
 
 
-def _pixels_alone(placed: Placed, view: View, rays: Tensor, whole: Box) -> int:
+def _pixels_alone(placed: Placed, view: View, whole: Box) -> int:
     """Number of the image's pixels that would see the object if it were alone."""
     u0, v0, u1, v1 = _clipped(whole, view)
-    columns, rows = slice(int(u0), int(u1) + 1), slice(int(v0), int(v1) + 1)
-    return int((first_hits(Triangles((placed,)), view.origin, rays[:, rows, columns].flatten(1)) >= 0).sum())
+    columns, rows = slice(int(u0), min(int(u1) + 1, view.width)), slice(int(v0), min(int(v1) + 1, view.height))
+    return int((first_hits(Triangles((placed,)), view.origin, view.within(rows, columns).rays().flatten(1)) >= 0).sum())
 
 
 def _materials(surfaces: GBuffer, seen: Tensor, placed: Placed) -> dict[str, int]:

@@ -30,13 +30,17 @@ class View:
         """The same view with so many rows for each of its own."""
         return replace(self, height=rows * self.height, fy=rows * self.fy, cy=rows * self.cy)
 
+    def within(self, rows: slice, columns: slice) -> "View":
+        """The part of the view in these rows and columns."""
+        size = {"height": rows.stop - rows.start, "width": columns.stop - columns.start}
+        return replace(self, **size, cx=self.cx - columns.start, cy=self.cy - rows.start)
+
     def rays(self) -> Tensor:
         """World directions through all pixel centres, `[3, height, width]` float64, scaled to depth 1 along the optical axis."""
-        dtype, device = self.T_world_view.dtype, self.T_world_view.device
-        u = (torch.arange(self.width, dtype=dtype, device=device) + 0.5 - self.cx) / self.fx
-        v = (torch.arange(self.height, dtype=dtype, device=device) + 0.5 - self.cy) / self.fy
-        directions = torch.stack([u.expand(self.height, -1), v[:, None].expand(-1, self.width), torch.ones_like(u).expand(self.height, -1)])
-        return torch.einsum("ij,jhw->ihw", self.T_world_view[:3, :3], directions)
+        R = self.T_world_view[:3, :3]
+        u = (torch.arange(self.width).to(R) + 0.5 - self.cx) / self.fx
+        v = (torch.arange(self.height).to(R) + 0.5 - self.cy) / self.fy
+        return ((R[:, :1] * u)[:, None] + (R[:, 1:2] * v)[:, :, None]).add_(R[:, 2, None, None])
 
     def project(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Image coordinates `[..., 2, N]` px and depth `[..., N]` m of world points `[..., 3, N]`; only depth > 0 is in front."""

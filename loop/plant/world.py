@@ -89,10 +89,10 @@ class LitScene:
             if bool(u.any()):
                 each = self.transported(number, command)
                 assert isinstance(each, DirectTransport)
-                lx, samples = each.illuminance(u if command.intensity == 1 else command.intensity * u)
-                luminance, pixels = each.reflected(lx, samples)
-                leaving.index_add_(0, pixels, luminance)
-                arriving.index_add_(0, pixels, lx * each.central[samples])
+                lx, samples, factor = each.illuminance(u if command.intensity == 1 else command.intensity * u)
+                pixels = each.pixel(samples)
+                leaving.index_add_(0, pixels, each.reflected(lx, factor))
+                arriving.index_add_(0, pixels, lx * each.central(samples))
         return arriving.view_as(self.base), leaving.view_as(self.base)
 
     @cached_property
@@ -255,7 +255,7 @@ class World:
             T_world_headlight = T_world_body.to(T_body_headlight) @ T_body_headlight
             if direct:
                 cast = shadows(*T_world_headlight[:3, 3].tolist())
-                return DirectTransport.of(surfaces, headlight, T_world_headlight, cast, view.width, samples)
+                return DirectTransport(surfaces, headlight, T_world_headlight, cast, view.width, samples)
             return transport(reach(surfaces, headlight, T_world_headlight, triangles), headlight, view.width, samples)
 
         def transported(number: int, command: ModuleCommand) -> LightTransport:

@@ -1,12 +1,14 @@
 """The light of one matrix module: a sparse headlight matrix over a light texture (T 2.4, 5.2)."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from world.spmv import Csr, multiply
+from world.spmv import Csr, multiply, row_of_entries, segment_bounds
+from world.spmv.memory import zeros
 from world.texels import TexelGrid, bilinear
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # of the channels of linear sRGB
@@ -45,9 +47,31 @@ class Headlight(TexelGrid):
         of_entry = left.to(self.matrix.values).index_select(0, self.matrix.indices)
         return replace(self, matrix=self.matrix.with_values(self.matrix.values * of_entry))
 
-    def light_texture(self, utilisation: Tensor) -> Tensor:
-        """Luminous intensity `[..., rows, cols]` in cd of a utilisation `[..., n_p]` in 0..1: `i = A u` (T eq. 2.4.1, 3.5.1)."""
-        return multiply(self.matrix, utilisation).unflatten(-1, (self.rows, self.cols))
+    def light_texture(self, utilisation: Tensor, band: slice | None = None) -> Tensor:
+        """Luminous intensity `[..., rows, cols]` in cd of a utilisation `[..., n_p]` in 0..1: `i = A u` (T eq. 2.4.1, 3.5.1).
+
+        band: all pixels outside of it are dark, so that other rows of texels need not be asked.
+        """
+        rows = self.rows_of(band)
+        part = multiply(self.matrix.band(rows.start * self.cols, rows.stop * self.cols), utilisation).unflatten(-1, (-1, self.cols))
+        if part.shape[-2] == self.rows:
+            return part
+        texture = zeros((*utilisation.shape[:-1], self.rows, self.cols), part.dtype, part.device)
+        texture[..., rows, :] = part
+        return texture
+
+    def rows_of(self, band: slice | None) -> slice:
+        """Rows of texels that the pixels of a band can light, all where it is None."""
+        if band is None:
+            return slice(0, self.rows)
+        first, last = self._pixels_of_rows
+        lit = torch.nonzero((first < band.stop) & (last >= band.start))[:, 0].tolist()
+        return slice(lit[0], lit[-1] + 1) if lit else slice(0, 0)
+
+    @cached_property
+    def _pixels_of_rows(self) -> tuple[Tensor, Tensor]:
+        """The first and the last pixel that lights each row of texels, both `[rows]`."""
+        return segment_bounds(row_of_entries(self.matrix) // self.cols, self.matrix.indices, self.rows)
 
     def colour_texture(self, utilisation: Tensor) -> Tensor:
         """Linear sRGB `[..., 3, rows, cols]` in cd, whose luminance is the light texture; a channel is a product of its own (T 5.1)."""

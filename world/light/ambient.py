@@ -26,7 +26,10 @@ def ambient_luminance(
         illuminance = illuminance + lamp.intensity_cd * _cos_per_d2(gbuffer, away)
     for spot in spotlights:
         away = spot.position.to(gbuffer.position)[:, None, None] - gbuffer.position
-        illuminance = illuminance + _intensity(spot, -away) * _cos_per_d2(gbuffer, away)
+        factor = _cos_per_d2(gbuffer, away)
+        lit = torch.nonzero((factor * gbuffer.albedo).flatten())[:, 0]  # what faces the lamp and reflects
+        ray = away.flatten(1).index_select(1, lit).neg_()
+        illuminance.view(-1).index_add_(0, lit, _intensity(spot, ray) * factor.flatten()[lit])
     luminance = gbuffer.albedo * illuminance / math.pi
     if gbuffer.finish is None:
         return luminance
@@ -41,10 +44,10 @@ def _cos_per_d2(gbuffer: GBuffer, away: Tensor) -> Tensor:
 
 
 def _intensity(spot: Spotlight, ray: Tensor) -> Tensor:
-    """Intensity `[height, width]` in cd along rays `[3, height, width]` of any length."""
+    """Intensity `[N]` in cd along rays `[3, N]` of any length."""
     x = spot.axis.to(ray)
     y = unit(torch.linalg.cross(torch.tensor([0.0, 0.0, 1.0]).to(ray), x))
-    ahead, left, up = torch.einsum("ai,ihw->ahw", torch.stack([x, y, torch.linalg.cross(x, y)]), ray)
+    ahead, left, up = torch.stack([x, y, torch.linalg.cross(x, y)]) @ ray
     angles = torch.rad2deg(torch.stack([torch.atan2(left, ahead), torch.atan2(up, torch.hypot(ahead, left))]))
-    widths = torch.tensor(spot.width_deg).to(ray)[:, None, None]
+    widths = torch.tensor(spot.width_deg).to(ray)[:, None]
     return spot.intensity_cd * torch.exp(-0.5 * (angles / widths).square().sum(0))

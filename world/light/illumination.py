@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -35,27 +36,36 @@ class LitSurface:
     luminance_factor: Tensor
 
 
-def reach(gbuffer: GBuffer, headlight: Headlight, T_world_headlight: Tensor, triangles: Triangles | None = None) -> LitSurface:
+def reach(
+    gbuffer: GBuffer,
+    headlight: Headlight,
+    T_world_headlight: Tensor,
+    triangles: Triangles | None = None,
+    texels: tuple[slice, slice] | None = None,
+) -> LitSurface:
     """Find what of a G-buffer the lamp at `T_world_headlight` `[4, 4]` can light, and with which geometry.
 
-    triangles: what may throw shadows, by a ray from the lamp to each point; nothing does where it is None.
+    triangles: what may throw shadows, by a ray from the lamp to each point; nothing does where it is None. texels: rows and columns of the
+    light texture outside of which it is dark; None: it may be lit everywhere.
     The light texture is interpolated bilinearly, clamped within its outer half texel and zero beyond its border.
     """
     position, normal = gbuffer.position.flatten(1), gbuffer.normal.flatten(1)
-    local = transform(inverse(T_world_headlight).to(position), position)
-    x = local[0]
-    row, col = headlight.texel_of(local[1] / x, local[2] / x)
-    away = T_world_headlight[:3, 3:].to(position) - position  # [3, height * width]
+    x, y, z = transform(inverse(T_world_headlight).to(position), position)
+    row, col = headlight.texel_of(y / x, z / x)
+    inside = (x > 0) & (gbuffer.object_id.flatten() >= 0)
+    for place, n, span in zip((row, col), (headlight.rows, headlight.cols), texels or (slice(None), slice(None)), strict=True):
+        start, stop, _ = span.indices(n)
+        inside &= (place >= max(start - 1, 0)) & (place <= min(stop + 1, n))  # a texel's light ends at its neighbours' centres
+    index = torch.nonzero(inside)[:, 0]
+    away = T_world_headlight[:3, 3:].to(position) - position.index_select(1, index)  # [3, M]
     d2 = (away * away).sum(0)
-    cos = (normal * away).sum(0) / d2.sqrt()  # cos / d^2 of T eq. 2.1.5
-    inside = (x > 0) & (row >= 0) & (row <= headlight.rows) & (col >= 0) & (col <= headlight.cols)
-    index = torch.nonzero(inside & (cos > 0) & (gbuffer.object_id.flatten() >= 0))[:, 0]
-    factor = cos[index] / d2[index]
+    cos = (normal.index_select(1, index) * away).sum(0) / d2.sqrt()  # cos / d^2 of T eq. 2.1.5
+    lit = torch.nonzero(cos > 0)[:, 0]
     if triangles is not None:
-        lit = sees(triangles, T_world_headlight[:3, 3], position[:, index])
-        index, factor = index[lit], factor[lit]
+        lit = lit[sees(triangles, T_world_headlight[:3, 3], position[:, index[lit]])]
+    index = index[lit]
     texel, weight = bilinear(headlight, row[index], col[index])
-    return LitSurface(index, texel, weight, factor, _luminance_factor(gbuffer, index, away[:, index]))
+    return LitSurface(index, texel, weight, cos[lit] / d2[lit], _luminance_factor(gbuffer, index, away.index_select(1, lit)))
 
 
 def _luminance_factor(gbuffer: GBuffer, index: Tensor, away: Tensor) -> Tensor:
@@ -146,7 +156,7 @@ class Shadows:
         """`[m]` bool, of points at index `[m]`."""
         asked = index[~self._asked[index]]
         if len(asked):
-            self._lit[asked] = sees(self.triangles, self.lamp_m, self.points[:, asked])
+            self._lit[asked] = sees(self.triangles, self.lamp_m, self.points.index_select(1, asked))
             self._asked[asked] = True
         return self._lit[index]
 
@@ -156,50 +166,59 @@ class DirectTransport:
     """The same without a matrix: the light texture is made and sampled each time, which pays where a view is lit a few times only, or where
     illuminance is asked for.
 
-    surface: M samples, those in shadow included. index: `[M]` int64, flat image index of the camera pixel that takes the mean of
-    `oversampling` samples. central: `[M]` bool, which of them stands for the pixel's centre. shadows: on all samples of the view.
+    gbuffer: with `oversampling` rows for each of the image. shadows: from where the headlight is, on all of it. width: of the image in px.
     """
 
-    surface: LitSurface
-    index: Tensor
-    central: Tensor
-    oversampling: int
+    gbuffer: GBuffer
     headlight: Headlight
+    T_world_headlight: Tensor
     shadows: Shadows
+    width: int
+    oversampling: int = 1
 
-    @classmethod
-    def of(
-        cls, gbuffer: GBuffer, headlight: Headlight, T_world_headlight: Tensor, shadows: Shadows, width: int, oversampling: int = 1
-    ) -> "DirectTransport":
-        """Parameters as of `reach` and `transport`; shadows: in the light from where the headlight is, on the whole G-buffer."""
-        surface = reach(gbuffer, headlight, T_world_headlight)
-        central = surface.index // width % oversampling == oversampling // 2
-        return cls(surface, _camera_pixel(surface.index, width, oversampling), central, oversampling, headlight, shadows)
+    @cached_property
+    def surface(self) -> LitSurface:
+        """All samples that the lamp reaches, those in shadow included."""
+        return reach(self.gbuffer, self.headlight, self.T_world_headlight)
 
-    def illuminance(self, utilisation: Tensor) -> tuple[Tensor, Tensor]:
-        """Illuminance `[..., m]` in lx of samples `[m]`, the others are dark.
+    def illuminance(self, utilisation: Tensor, band: slice | None = None) -> tuple[Tensor, Tensor, Tensor]:
+        """Illuminance `[..., m]` in lx of samples, the others are dark; their flat index `[m]` in the G-buffer and luminance factor `[m]`.
 
-        utilisation: `[..., n_p]`. Shadows are looked for only where the light texture is not dark, and everywhere if it has a gradient.
+        utilisation: `[..., n_p]`. band: all pixels outside of it are dark.
+        Shadows are looked for only where the light texture is not dark, and everywhere if it has a gradient.
         """
-        lx = illuminance(self.surface, self.headlight.light_texture(utilisation))
-        lit = torch.arange(len(self.index), device=lx.device)
+        texture = self.headlight.light_texture(utilisation, band)
+        surface = self.surface if band is None else self._reached(texture, self.headlight.rows_of(band))
+        lx = illuminance(surface, texture)
+        lit = torch.arange(len(surface.index), device=lx.device)
         if not lx.requires_grad:
             lit = lit[torch.atleast_2d(lx).flatten(0, -2).any(0)]
-        lit = lit[self.shadows.spare(self.surface.index[lit])]
-        return lx[..., lit], lit
+        lit = lit[self.shadows.spare(surface.index[lit])]
+        return lx[..., lit], surface.index[lit], surface.luminance_factor[lit]
 
     def luminance(self, utilisation: Tensor, band: slice | None = None) -> tuple[Tensor, Tensor]:
-        """Luminance `[..., m]` in cd/m^2 that samples add to the camera pixel at flat image index `[m]`; see `illuminance`.
-
-        band: nothing is lit if it is empty; else it changes nothing.
-        """
+        """Luminance `[..., m]` in cd/m^2 that samples add to the camera pixel at flat image index `[m]`; see `illuminance`."""
         if band is not None and band.stop <= band.start:
-            return utilisation.new_zeros(*utilisation.shape[:-1], 0), self.index[:0]
-        return self.reflected(*self.illuminance(utilisation))
+            return utilisation.new_zeros(*utilisation.shape[:-1], 0), torch.empty(0, dtype=torch.int64, device=utilisation.device)
+        lx, samples, factor = self.illuminance(utilisation, band)
+        return self.reflected(lx, factor), self.pixel(samples)
 
-    def reflected(self, lx: Tensor, samples: Tensor) -> tuple[Tensor, Tensor]:
-        """The luminance that `illuminance` makes, and where; see `luminance`."""
-        return lx * self.surface.luminance_factor[samples] / (math.pi * self.oversampling), self.index[samples]
+    def reflected(self, lx: Tensor, luminance_factor: Tensor) -> Tensor:
+        """Luminance `[..., m]` in cd/m^2 that samples of an illuminance `[..., m]` add to their pixels."""
+        return lx * luminance_factor / (math.pi * self.oversampling)
+
+    def pixel(self, samples: Tensor) -> Tensor:
+        """Flat image index `[m]` of the camera pixels that take the mean of samples `[m]`."""
+        return _camera_pixel(samples, self.width, self.oversampling)
+
+    def central(self, samples: Tensor) -> Tensor:
+        """Which samples `[m]` stand for their pixel's centre, `[m]` bool."""
+        return samples // self.width % self.oversampling == self.oversampling // 2
+
+    def _reached(self, texture: Tensor, rows: slice) -> LitSurface:
+        """What a light texture `[..., rows, cols]` reaches that is dark but in some rows."""
+        cols = torch.nonzero(texture[..., rows, :].detach().flatten(0, -2).any(0))[:, 0].tolist() or [0]
+        return reach(self.gbuffer, self.headlight, self.T_world_headlight, texels=(rows, slice(cols[0], cols[-1] + 1)))
 
 
 def _camera_pixel(index: Tensor, width: int, oversampling: int) -> Tensor:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from importlib.resources import files
 from weakref import WeakKeyDictionary, finalize
 
@@ -16,7 +16,8 @@ from world.scene.body import Body
 from world.scene.triangles import Placed, Triangles
 from world.view import View
 
-MOST_PARTS = 64  # of a body: its number and that of a part share a float of 24 bits
+PART_BITS = 6  # of a body: its number and that of a part share a float of 24 bits
+MOST_PARTS = 2**PART_BITS
 KEPT = 8  # views of which an image of what stands still is kept
 
 
@@ -51,10 +52,10 @@ class DeferredRenderer:
     def fragments(self, triangles: Triangles, view: View) -> Fragments:
         """Draw the triangles as `view` sees them."""
         depth, number, x, y = self._image(triangles.placed, view).permute(2, 0, 1).contiguous()
-        hit = number.abs()
-        z = (hit.clamp(max=1) - x * x - y * y).clamp(min=0).sqrt() * -number.sign()
-        code = hit.int()
-        return Fragments(depth, torch.stack([x, y, z]), code // MOST_PARTS - 1, code % MOST_PARTS)
+        code = number.int().abs_()
+        object_id = (code >> PART_BITS).sub_(1)
+        z = (object_id >= 0).float().sub_(x * x).sub_(y * y).clamp_(min=0).sqrt_().copysign_(-number)
+        return Fragments(depth, torch.stack([x, y, z]), object_id, code.bitwise_and_(MOST_PARTS - 1))
 
     def _image(self, placed: tuple[Placed, ...], view: View) -> Tensor:
         """`[height, width, 4]`, depth first, zero where there is nothing."""
@@ -78,7 +79,7 @@ class DeferredRenderer:
 
         context()._platform.make_current()
         program = _program()
-        _bind_framebuffer(view.width, view.height)
+        GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, _sized_framebuffer(view.width, view.height))
         GL.glViewport(0, 0, view.width, view.height)
         for state in (GL.GL_BLEND, GL.GL_MULTISAMPLE, GL.GL_SCISSOR_TEST):
             GL.glDisable(state)
@@ -163,7 +164,6 @@ def _read(view: View) -> Tensor:
     from OpenGL import GL
 
     pixels = np.empty((view.height, view.width, 4), np.float32)
-    GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, _framebuffer()[0])
     GL.glReadPixels(0, 0, view.width, view.height, GL.GL_RGBA, GL.GL_FLOAT, pixels)
     GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, 0)
     return torch.from_numpy(pixels)
@@ -187,7 +187,9 @@ def _framebuffer() -> tuple[int, tuple[int, ...]]:
     return int(GL.glGenFramebuffers(1)), tuple(int(each) for each in GL.glGenRenderbuffers(2))
 
 
-def _bind_framebuffer(width: int, height: int) -> None:
+@lru_cache(1)
+def _sized_framebuffer(width: int, height: int) -> int:
+    """The framebuffer with storage for a view, which is left as it is until a view has another size."""
     from OpenGL import GL
 
     framebuffer, renderbuffers = _framebuffer()
@@ -197,3 +199,4 @@ def _bind_framebuffer(width: int, height: int) -> None:
         GL.glBindRenderbuffer(GL.GL_RENDERBUFFER, renderbuffer)
         GL.glRenderbufferStorage(GL.GL_RENDERBUFFER, kind, width, height)
         GL.glFramebufferRenderbuffer(GL.GL_FRAMEBUFFER, place, GL.GL_RENDERBUFFER, renderbuffer)
+    return framebuffer

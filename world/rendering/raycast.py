@@ -29,7 +29,7 @@ def first_hits(triangles: Triangles, origin: Tensor, directions: Tensor) -> Tens
 
     origin: `[3]` m, common to all rays. directions: `[3, N]`, any length. Embree computes in float32: good to some 1e-6 of a body's size.
     """
-    return _cast(triangles, origin, directions, torch.inf)[0]
+    return _cast(triangles, origin, directions, torch.tensor([torch.inf]))[0]
 
 
 def sees(triangles: Triangles, eye: Tensor, points: Tensor, tolerance_m: float = TOLERANCE_M) -> Tensor:
@@ -39,23 +39,27 @@ def sees(triangles: Triangles, eye: Tensor, points: Tensor, tolerance_m: float =
     """
     eye = eye.double().cpu()
     ways = points.double().cpu().movedim(-2, 0).flatten(1) - eye[:, None]
-    _, depth = _cast(triangles, eye, ways, 1.0)
-    return ((1 - depth) * ways.norm(dim=0) <= tolerance_m).to(points.device).view(points[..., 0, :].shape)
+    distance = ways.square().sum(0).sqrt_()
+    _, depth = _cast(triangles, eye, ways, (1 - tolerance_m / distance).float())
+    return ((1 - depth) * distance <= tolerance_m).to(points.device).view(points[..., 0, :].shape)
 
 
-def _cast(triangles: Triangles, origin: Tensor, directions: Tensor, farthest: float) -> tuple[Tensor, Tensor]:
-    """The first faces within `farthest` lengths of the directions, as `first_hits`, and their depths `[N]` float64 in such lengths."""
+def _cast(triangles: Triangles, origin: Tensor, directions: Tensor, farthest: Tensor) -> tuple[Tensor, Tensor]:
+    """The first faces, as `first_hits`, and their depths `[N]` float64 in lengths of the directions.
+
+    farthest: `[N]` or `[1]` such lengths; faces that lie deeper need not be found.
+    """
     nearest = torch.full((directions.shape[1],), -1)
     depth = torch.full((directions.shape[1],), torch.inf, dtype=torch.float64)
     ways = directions.float()
-    squares = ways.square().sum(0)
+    squares, farthest = ways.square().sum(0), farthest.expand(directions.shape[1])
     for first, placed in triangles.parts():
         T_body_world, body = inverse(placed.T_world_body), placed.body
         local_origin = T_body_world[:3, :3] @ origin + T_body_world[:3, 3]
         rays = torch.nonzero(_towards(body.bounds, placed.T_world_body, origin, ways, squares, farthest))[:, 0]
-        local = T_body_world[:3, :3] @ directions[:, rays]
-        near = _near(body.bounds, local_origin, local, farthest)
-        rays, local = rays[near], local[:, near]
+        local = T_body_world[:3, :3] @ directions.index_select(1, rays)
+        near = torch.nonzero(_near(body.bounds, local_origin, local, farthest[rays]))[:, 0]
+        rays, local = rays[near], local.index_select(1, near)
         if not len(rays):
             continue
         face = torch.from_numpy(body.intersector.intersects_first(local_origin.expand(len(rays), 3).numpy(), local.T.numpy())).long()
@@ -70,12 +74,12 @@ def _cast(triangles: Triangles, origin: Tensor, directions: Tensor, farthest: fl
     return nearest, depth
 
 
-def _towards(bounds: Tensor, T_world_body: Tensor, origin: Tensor, ways: Tensor, squares: Tensor, farthest: float) -> Tensor:
+def _towards(bounds: Tensor, T_world_body: Tensor, origin: Tensor, ways: Tensor, squares: Tensor, farthest: Tensor) -> Tensor:
     """Which rays `[3, N]` of squared length `[N]` may meet a body: cheap tests, which most do not pass.
 
     Of a ball around its box; for rays that start within, of how far they go towards the slabs of the box in the world.
     """
-    middle, half = bounds.mean(0), (bounds[1] - bounds[0]) / 2 + 2 * MARGIN_M
+    middle, half = bounds.mean(0), (bounds[1] - bounds[0]) / 2
     away = T_world_body[:3, :3] @ middle + T_world_body[:3, 3] - origin
     beyond = float(away @ away - half @ half)
     if beyond > 0:
@@ -84,14 +88,14 @@ def _towards(bounds: Tensor, T_world_body: Tensor, origin: Tensor, ways: Tensor,
     towards = torch.ones_like(squares, dtype=torch.bool)
     for way, gap, reach_m in zip(ways, away.tolist(), (T_world_body[:3, :3].abs() @ half).tolist(), strict=True):
         if abs(gap) > reach_m:  # the origin lies beside this slab
-            towards &= way * math.copysign(1.0, gap) >= (abs(gap) - reach_m) / farthest * (1 - ROUNDING)
+            towards &= way * farthest * math.copysign(1.0, gap) >= (abs(gap) - reach_m) * (1 - ROUNDING)
     return towards
 
 
-def _near(bounds: Tensor, origin: Tensor, directions: Tensor, farthest: float) -> Tensor:
+def _near(bounds: Tensor, origin: Tensor, directions: Tensor, farthest: Tensor) -> Tensor:
     """Which rays `[3, N]` pass through the box around a body: most miss a small one, and asking embree costs more."""
     low, high = (bounds - origin + bounds.new_tensor([[-MARGIN_M], [MARGIN_M]])).float()
     per_m = 1 / directions.float()
     crossings = low[:, None] * per_m, high[:, None] * per_m  # of the six planes; 0 / 0 where a ray lies in one
-    entering, leaving = torch.fmin(*crossings).amax(0).clamp(min=0), torch.fmax(*crossings).amin(0).clamp(max=farthest)
+    entering, leaving = torch.fmin(*crossings).amax(0).clamp(min=0), torch.fmax(*crossings).amin(0).minimum(farthest)
     return (entering <= leaving) & (entering < torch.inf)

@@ -42,8 +42,8 @@ class QuickSurfaces:
         seen = self.renderer.fragments(triangles, view)
         object_id, shape = seen.object_id.flatten(), seen.object_id.shape
         T_world_view = view.T_world_view.float()
-        position = view.rays().float().flatten(1) * seen.depth.flatten()
-        position += T_world_view[:3, 3:] * (object_id >= 0)
+        position = view.rays().float().flatten(1).mul_(seen.depth.flatten())
+        position.addcmul_(T_world_view[:3, 3:], (object_id >= 0).float())
         normal = T_world_view[:3, :3] @ seen.normal.flatten(1)
         albedo, material = torch.zeros(object_id.shape), torch.zeros(object_id.shape, dtype=torch.int64)
         part = seen.part.flatten() if any(placed.body.parts for placed in triangles.placed) else None
@@ -52,7 +52,7 @@ class QuickSurfaces:
             pixels = torch.nonzero(object_id == placed.object_id)[:, 0]
             if len(pixels):
                 on_part = None if part is None else part[pixels]
-                albedo[pixels], made_of = reflection(placed, position[:, pixels], numbers, on_part)
+                albedo[pixels], made_of = reflection(placed, position.index_select(1, pixels), numbers, on_part)
                 if len(numbers) > 1:  # else it is the first, and its number 0
                     material[pixels] = made_of
         finish = Finish(tuple(numbers), material.view(shape), view.origin) if len(numbers) > 1 else None

@@ -1,7 +1,8 @@
 """Bodies: rigid triangle meshes, each on a pose track over time."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import torch
@@ -76,8 +77,12 @@ class PoseTrack:
     def visible_at(self, t_s: float) -> bool:
         return self.appears_s <= t_s < self.vanishes_s
 
-    def pose_at(self, t_s: float) -> Tensor:
-        """`T_world_body` `[4, 4]` float64 at a time in s."""
+    @cached_property
+    def pose_at(self) -> Callable[[float], Tensor]:
+        """`T_world_body` `[4, 4]` float64 at a time in s; the last ones are kept, since a step asks for the same again and again."""
+        return lru_cache(maxsize=4)(self._pose)
+
+    def _pose(self, t_s: float) -> Tensor:
         T = self._interpolated(t_s)
         if self.road is None:
             return T

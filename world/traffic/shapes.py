@@ -1,6 +1,7 @@
 """Closed surfaces that figures are put together from: tubes, limbs, ellipsoids, plates; each a piece that belongs to a named part."""
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import trimesh
@@ -34,13 +35,24 @@ def tube(part: str, centres: ArrayLike, radii: ArrayLike, across: ArrayLike, sid
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     side = np.asarray(across, float) - along * (along @ np.asarray(across, float))[:, None]
     side /= np.linalg.norm(side, axis=1, keepdims=True)
-    angle = np.arange(sides) * 2 * np.pi / sides
-    cos, sin = (np.sign(v) * np.abs(v) ** (2 / power) for v in (np.cos(angle), np.sin(angle)))
+    cos, sin = _ring(sides, power)
     rings = centres[:, None] + (radii[:, :1] * cos)[..., None] * side[:, None]
-    rings = rings + (radii[:, 1:] * sin)[..., None] * np.cross(along, side)[:, None]
+    rings = (
+        rings
+        + (radii[:, 1:] * sin)[..., None] * (along[:, [1, 2, 0]] * side[:, [2, 0, 1]] - along[:, [2, 0, 1]] * side[:, [1, 2, 0]])[:, None]
+    )
     return Piece(part, np.concatenate([rings.reshape(-1, 3), centres[[0, -1]]]), _tube_faces(n, sides))
 
 
+@cache
+def _ring(sides: int, power: float) -> tuple[Floats, Floats]:
+    """Points on a superellipse of radius 1."""
+    angle = np.arange(sides) * 2 * np.pi / sides
+    cos, sin = (np.sign(v) * np.abs(v) ** (2 / power) for v in (np.cos(angle), np.sin(angle)))
+    return cos, sin
+
+
+@cache
 def _tube_faces(n: int, sides: int) -> NDArray[np.int64]:
     j = np.arange(sides)
     k = (j + 1) % sides

@@ -274,7 +274,7 @@ class Luxloop:
         if not memory.heights.information.any():
             return laid(self.projector.target, T_body_plane)
         ends = transform(T_plane_body, self.ends).T.to(memory.eye)
-        relief = memory.moved(following.until, ends[0]).relief()
+        relief = memory.relief_from(following.until, ends[0])
         drawing = drawn_on(relief, ends[1:], symbol, T_body_plane, symbol.target == "place" or not plane.equal(HERE))
         return replace(drawing, aim=elsewhere(plane, symbol))
 

@@ -98,16 +98,19 @@ class Memory:
         What comes into the region is as high as what was at its border, and nothing is known of it.
         """
         T = T_before_now.to(eye)
-        if eye.equal(self.eye) and T.equal(torch.eye(4).to(T)):
+        if self._is_seen_so(T, eye):
             return self
-        relief, nodes = self.relief(), self.nodes()
-        heights = -transform(T, nodes)[2]  # of the old plane
-        for _ in range(3):  # where on the road a line of sight ends is known once its height is
-            *places, z = self._seen_anew(nodes, heights, eye, T, self.eye)
-            heights = heights + (relief.at(relief.heights, *places) - z).flatten()
-        brightness, base = (relief.at(values.view(self.grid), *places).flatten() for values in (self.brightness, self.heights.base))
-        information = self._carried(self._seen_anew(nodes, self.heights.mean, self.eye, inverse(T), eye))
-        return replace(self, heights=Heights(heights, information, base), brightness=brightness, eye=eye, drawn=(), kept=None)
+        mean, brightness, base = self._seen_by(T, eye, self.brightness, self.heights.base)
+        information = self._carried(self._seen_anew(self.nodes(), self.heights.mean, self.eye, inverse(T), eye))
+        return replace(self, heights=Heights(mean, information, base), brightness=brightness, eye=eye, drawn=(), kept=None)
+
+    def relief_from(self, T_before_now: Tensor, eye: Tensor) -> Relief:
+        """`moved(...).relief()`, without what is known of it."""
+        T = T_before_now.to(eye)
+        if self._is_seen_so(T, eye):
+            return self.relief()
+        heights, brightness = self._seen_by(T, eye, self.brightness)
+        return Relief(self.region, eye, heights.view(self.grid), brightness.view(self.grid))
 
     def tracks(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
         """Height in m of the road at places `[2, k]` of the ground, and its information in 1/m^2: 0 outside of the region."""
@@ -146,6 +149,18 @@ class Memory:
             1
         )
 
+    def _is_seen_so(self, T: Tensor, eye: Tensor) -> bool:
+        return eye.equal(self.eye) and T.equal(torch.eye(4).to(T))
+
+    def _seen_by(self, T: Tensor, eye: Tensor, *others: Tensor) -> list[Tensor]:
+        """Heights and other values `[n]` at the nodes of an eye in the ground frame that has the pose T `[4, 4]` in this one."""
+        relief, nodes = self.relief(), self.nodes()
+        heights = -transform(T, nodes)[2]  # of the old plane
+        for _ in range(3):  # where on the road a line of sight ends is known once its height is
+            *places, z = self._seen_anew(nodes, heights, eye, T, self.eye)
+            heights = heights + (relief.at(relief.heights, *places) - z).flatten()
+        return [heights, *(relief.at(each.view(self.grid), *places).flatten() for each in others)]
+
     def _seen_anew(self, nodes: Tensor, heights: Tensor, eye: Tensor, T: Tensor, other: Tensor) -> Tensor:
         """Where on its plane another eye sees the road that is as high as `[n]` m on the lines of sight of an eye through nodes `[3, n]`.
 
@@ -171,5 +186,6 @@ class Memory:
         weight = torch.stack([(1 - a) * (1 - b), (1 - a) * b, a * (1 - b), a * b]) * stays
         information = self.heights.information
         for _ in range(2):  # both sides of a symmetric matrix
-            information = torch.zeros_like(information).index_add(0, to.flatten(), (weight[:, :, None] * information).flatten(0, 1)).T
-        return information.contiguous()
+            shares = (weight[:, :, None] * information).flatten(0, 1)
+            information = torch.zeros_like(information).index_add_(0, to.flatten(), shares).T.contiguous()
+        return information

@@ -2,10 +2,12 @@
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import torch
-from kornia.filters import gaussian_blur2d
+from kornia.filters import get_gaussian_kernel1d
 from torch import Tensor
+from torch.nn.functional import conv2d
 
 from controllers.symbol.heights.sight import Sight
 
@@ -106,9 +108,8 @@ class Registration:
         return self._blurred(self.sight.symbol(luminance, limit), blur)
 
     def _blurred(self, image: Tensor, blur: tuple[float, float, float]) -> Tensor:
-        sigma = (blur[0], blur[1] / self.sight.step)
-        size = tuple(2 * math.ceil(2.5 * s) + 1 for s in sigma)
-        return gaussian_blur2d(image[:, None], (size[0], size[1]), sigma, border_type="constant")[:, 0]
+        down, across = (_gaussian(sigma, image.device) for sigma in (blur[0], blur[1] / self.sight.step))
+        return conv2d(conv2d(image[:, None], across[:, None], padding="same"), down[..., None], padding="same")[:, 0]
 
     def _squared(self, weight: Tensor) -> Tensor:
         """`J^T W J` `[n, n]` of a weight `[h, w]` for each pixel."""
@@ -129,3 +130,9 @@ class Registration:
         highest = (lowest * on_plane[0] - on_plane[2]) / (per_m[2] - lowest * per_m[0])
         above = (rise > lowest) & (seen < 0.2) & (self.sight.inside > 0) & lowest.isfinite() & (len(self.sight.lamps) == 1)
         return torch.where(above, highest, 0.0), above / FREE_M**2 * self.sight.step
+
+
+@lru_cache(maxsize=8)
+def _gaussian(sigma: float, device: torch.device) -> Tensor:
+    """Its kernel `[1, 1, n]`, to two and a half deviations."""
+    return get_gaussian_kernel1d(2 * math.ceil(2.5 * sigma) + 1, sigma, device=device)[None]

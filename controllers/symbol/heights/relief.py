@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import torch
-from kornia.geometry.transform import remap
 from torch import Tensor
+from torch.nn.functional import grid_sample
 
 from perception.birdseye import Region
 
@@ -31,7 +31,7 @@ class Relief:
         r = self.region
         u = 2 * (r.y_left_m - y) / (r.y_left_m - r.y_right_m) - 1
         v = 2 * (r.x_far_m - x) / (r.x_far_m - r.x_near_m) - 1
-        return remap(values[None, None], u[None], v[None], padding_mode="border", align_corners=False, normalized_coordinates=True)[0, 0]
+        return grid_sample(values[None, None], torch.stack([u, v], -1)[None], padding_mode="border", align_corners=False)[0, 0]
 
     def points(self, x: Tensor, y: Tensor) -> Tensor:
         """The road's points `[3, ...]` m behind points of the plane."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import torch
 from kornia.geometry.transform import remap
 from torch import Tensor
-from torch.nn.functional import avg_pool2d
+from torch.nn.functional import avg_pool2d, grid_sample
 
 from controllers.symbol.sensing.observer import Observer
 from controllers.symbol.sensing.planes import HERE
@@ -46,7 +46,7 @@ class LampSight:
         row, col = self.rows(heights)  # [B, H, w]
         u, v = 2 * col / light.cols - 1, 2 * row / light.rows - 1
         image = texture.expand(len(heights), 1, -1, -1)
-        seen = remap(image, u, v, padding_mode="zeros", align_corners=False, normalized_coordinates=True)[:, 0]
+        seen = grid_sample(image, torch.stack([u, v], -1), align_corners=False)[:, 0]
         horizon = row.flip(-2).cummin(-2).values.flip(-2)  # of all that is nearer
         # L = I(ray) factor (T eq. 2.1.5; factor: albedo cos / (pi d^2) on the plane), less what nearer heights shade.
         return seen * self.factor * ((horizon - row) / DARKNESS_TEXELS + 1.5).clamp(0, 1)
@@ -91,17 +91,15 @@ class Sight:
         projector, camera = observer.projector, observer.camera
         device = projector.symbol.device
         whole = _from(T_on, camera_view(camera))
-        view = whole.with_rows(samples)
         x, y = torch.tensor([[region.x_near_m, region.x_far_m], [region.y_left_m, region.y_right_m]], dtype=torch.float64)
         corners = torch.stack([x.repeat_interleave(2), y.repeat(2), torch.zeros(4, dtype=torch.float64)])
         uv, _ = whole.project(corners)
         (u0, v0), (u1, v1) = (end.tolist() for end in uv.aminmax(dim=1))
         u0, v0 = max(math.floor(u0), 0), max(math.floor(v0), 0)
-        width = (min(math.ceil(u1), view.width) - u0) // step * step
+        width = (min(math.ceil(u1), whole.width) - u0) // step * step
         crop = Crop(v0, min(math.ceil(v1), camera.height_px), u0, u0 + max(width, 0))
-        rays = view.rays()[:, crop.v_start * samples : crop.v_stop * samples, crop.u_start : crop.u_stop]
-        rays = rays.unflatten(-1, (-1, step)).mean(-1)
-        eye = view.origin
+        rays = whole.within(*crop.slices).with_rows(samples).rays().unflatten(-1, (-1, step)).mean(-1)
+        eye = whole.origin
         ground = eye[:, None, None] - rays * (eye[2] / rays[2])
         lamps = []
         for module in projector.modules:
@@ -193,7 +191,7 @@ def _from(T_ground_body: Tensor, view: View) -> View:
 
 def _place_in_image(view: View, other: View, crop: Crop) -> Tensor:
     """Where another view sees the plane that a view sees in the pixels of a crop: `[2, h, w]`, -1 to 1 over its image."""
-    rays = view.rays()[(slice(None), *crop.slices)].flatten(1)
+    rays = view.within(*crop.slices).rays().flatten(1)
     uv, _ = other.project(view.origin[:, None] - rays * (view.origin[2] / rays[2]))
     size = uv.new_tensor([[other.width], [other.height]])
     return (2 * uv / size - 1).float().unflatten(1, (crop.v_stop - crop.v_start, -1))

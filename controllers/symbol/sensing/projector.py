@@ -158,8 +158,8 @@ class Projector:
     def textures(self, lights: Sequence[Utilisation]) -> tuple[Tensor, ...]:
         """Light textures `[rows, cols]` in cd, one a module, of what lights `[n_p]` add to the base beams."""
         return tuple(
-            module.pixel_controller.headlight.light_texture(light.u - module.pixel_controller.default)
-            for module, light in zip(self.modules, lights, strict=True)
+            module.pixel_controller.headlight.light_texture(light.u - beam, None if beam.any() else light.band)
+            for module, light, beam in zip(self.modules, lights, (each.pixel_controller.default for each in self.modules), strict=True)
         )
 
     def footprint(self, drawing: Drawing, view: View, margin_m: float, shape: Tensor | None = None) -> Crop:

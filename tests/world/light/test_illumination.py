@@ -302,10 +302,10 @@ def test_the_direct_way_gives_what_the_matrix_gives(device, oversampling):
     base = torch.zeros(90, 160, device=device)
     lit = reach(road, headlight, T_world_lamp, triangles)
     shadows = Shadows(road.position.flatten(1), T_world_lamp[:3, 3], triangles)
-    direct = DirectTransport.of(road, headlight, T_world_lamp, shadows, view.width, oversampling)
+    direct = DirectTransport(road, headlight, T_world_lamp, shadows, view.width, oversampling)
     expected = added_light([transport(lit, headlight, view.width, oversampling)], [Light(u)], base)
     image = added_light([direct], [Light(u)], base)
-    assert len(lit.index) < len(direct.index), "nothing is in shadow"
+    assert len(lit.index) < len(direct.surface.index), "nothing is in shadow"
     assert expected.max() > 0
     assert torch.allclose(image, expected, rtol=1e-5, atol=1e-6 * float(expected.max()))  # sums of float32 in another order
     dark = direct.luminance(torch.zeros_like(u), slice(0, 0))
@@ -315,20 +315,22 @@ def test_the_direct_way_gives_what_the_matrix_gives(device, oversampling):
 def test_the_direct_way_gives_the_lit_samples_of_the_plain_path_to_the_bit():
     view, triangles = camera(), Scene(()).at(0.0)
     road = flat_road(view, 0.2)
-    direct = DirectTransport.of(road, LAMP, T_LEFT, Shadows(road.position.flatten(1), T_LEFT[:3, 3], triangles), view.width)
+    direct = DirectTransport(road, LAMP, T_LEFT, Shadows(road.position.flatten(1), T_LEFT[:3, 3], triangles), view.width)
     u = torch.zeros(LAMP.n_pixels)
     u[330] = 1
     light, index = direct.luminance(u)
     plain = luminance(direct.surface, LAMP.light_texture(u))
-    assert torch.equal(direct.index[plain > 0], index)
+    assert torch.equal(direct.surface.index[plain > 0], index)
     assert torch.equal(light, plain[plain > 0])
-    assert 0 < len(index) < len(direct.index) / 10, "what is dark costs no ray"
+    assert 0 < len(index) < len(plain) / 10, "what is dark costs no ray"
+    for band in (slice(330, 331), slice(0, 331), slice(300, 420)):
+        assert all(map(torch.equal, direct.luminance(u, band), (light, index))), "a band changes nothing"
 
 
 @pytest.mark.parametrize("batch", [(), (2,)])
 def test_the_direct_way_lights_nothing_where_the_lamp_reaches_nothing(batch):
     behind = surface_at(torch.tensor([[-5.0], [0.6], [0.75]]), (1.0, 0.0, 0.0))
     shadows = Shadows(behind.position.flatten(1), T_LEFT[:3, 3], Scene(()).at(0.0))
-    direct = DirectTransport.of(behind, LAMP, T_LEFT, shadows, 1)
+    direct = DirectTransport(behind, LAMP, T_LEFT, shadows, 1)
     light, index = direct.luminance(torch.ones(*batch, LAMP.n_pixels))
     assert light.shape == (*batch, 0) and len(index) == 0
