@@ -1,4 +1,4 @@
-"""What materials get that are to have a light of their own, beside what was wanted."""
+"""What zones and materials get that are to have a light of their own, beside what was wanted."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -9,8 +9,33 @@ from torch import Tensor
 
 from controllers.situation import Situation
 from controllers.zones.material import MaterialLightParams, MaterialParams, MaterialState, Quantity
+from controllers.zones.zone import ZoneParams, region_of
 from loop.plant.world import LitScene
 from world.frames import inverse, transform
+from world.view import View
+
+
+@dataclass(frozen=True)
+class InZone:
+    """One zone in one step. lx: asked for. luminance, target: cd/m^2, the mean without the camera's noise, None out of its sight and
+    where nobody knows it, and the one wanted.
+    """
+
+    lx: float
+    luminance: float | None
+    target: float
+
+
+def in_zones(functions: Mapping[str, Any], states: Mapping[str, Any], luminance: Tensor | None, view: View) -> Mapping[str, InZone]:
+    """The zones among a scenario's functions, by name; luminance: `[height, width]` cd/m^2, None where nobody knows it."""
+    found = {}
+    for name, function in functions.items():
+        if isinstance(function, ZoneParams):
+            mean = None
+            if luminance is not None and len(seen := luminance[region_of(function, view).to(luminance.device)]):
+                mean = float(seen.mean())
+            found[name] = InZone(states[name].lx, mean, function.luminance_cd_m2)
+    return found
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,9 @@ from controllers.situation import Situation
 from loop.lighting.controlled import Frames, Held, HeldState, Moment
 from loop.lighting.lamps import LampPower
 from loop.lighting.observed import ObservedSymbol
-from loop.lighting.on_materials import OnMaterial
+from loop.lighting.on_materials import InZone, OnMaterial
 from loop.lighting.on_objects import OnObject
 from loop.lighting.sight import Recognised
-from loop.lighting.zoned import InZone
 from loop.plant.pairing import UnderWay
 from loop.plant.protocol import Arrivals, Frame, Showing
 from loop.scenario.model import only

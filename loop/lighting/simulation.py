@@ -24,11 +24,10 @@ from loop.lighting.ground import attitude, moved, seen_from
 from loop.lighting.lamps import LampPower, ShiningModule, driven, in_reach, lamp_modules, mean_powers, shining_modules
 from loop.lighting.names import check_names, refuse_unknown
 from loop.lighting.observed import ObservedSymbol, in_white, observed_symbols
-from loop.lighting.on_materials import OnMaterial, on_materials
+from loop.lighting.on_materials import OnMaterial, in_zones, on_materials
 from loop.lighting.on_objects import OnObject, must_be_dark, on_objects, told_as
 from loop.lighting.result import Clock, Look, SimulationState, StepResult
 from loop.lighting.sight import Sight, false_positives, recognised
-from loop.lighting.zoned import in_zones
 from loop.plant.build import build_plant
 from loop.plant.pairing import paired
 from loop.plant.protocol import Arrivals, Exposure, Plant, Showing
