@@ -81,7 +81,7 @@ class Ego:
 
     @property
     def T_level_ground(self) -> Tensor:
-        """Pose `[4, 4]` of the ground frame at attitude_s in a level frame, which drives along below it on a plane that does not move."""
+        """Pose `[4, 4]` of the ground frame at attitude_s in the level one, which drives along with it on a plane that does not tilt."""
         return ground_pose(self.ground[:2])
 
     @property
