@@ -64,6 +64,36 @@ def test_a_symbol_stays_in_its_place_ahead_of_the_car() -> None:
     assert float(spread[0]) < 0.2 and float(spread[1]) < 0.05
 
 
+HILL = {"kind": "profile", "grades": [{"x_m": 5, "percent": 5, "curve_m": 50}, {"x_m": 60, "percent": -5, "curve_m": 100}]}
+
+
+def test_masks_stay_on_an_oncoming_car_that_comes_over_a_crest() -> None:
+    coming = ONCOMING | {"on_road": True, "track": [{"time_s": t, "position_m": [x, 3, 0], "yaw_deg": 180} for t, x in ((0, 140), (5, 65))]}
+    drive = {"course": [{"speed_m_s": 12.0}], "oscillation": {"pitch_deg": 1.0, "rate_hz": 0.7}}
+    moving = {"objects": [coming], "vehicle": drive, "road": HILL, "steps": 20}
+    results = guarded(**moving)
+    assert max(each.objects["van"].lx_max for each in guarded(**moving, functions={}) if each.objects["van"].pixels) > 5
+    assert {each.objects["van"].lx_max for each in results if each.objects["van"].pixels} == {0.0}
+    assert sum(each.objects["van"].pixels > 0 for each in results) >= 15
+    slopes = [simulation(**moving).world.motion.at(each.time_s).slope_rad for each in results[:: len(results) - 1]]
+    assert slopes[0] > -0.02 and slopes[1] < -0.03, "from level on to the climb"
+
+
+def test_a_symbol_stays_in_its_place_on_a_steady_climb() -> None:
+    symbol = {"kind": "symbol", "image": "chevrons", "x_m": 20.0, "width_m": 3.0, "length_m": 6.0}
+    lit = {"headlight": {"model": "ssl-hd", "modules": ["hires"]}, "functions": {"way": symbol}}
+    climb = {"kind": "profile", "grades": [{"x_m": 5, "percent": 5, "curve_m": 20}]}
+    places = []
+    for road in ({"kind": "flat"}, climb):
+        moving = simulation(**lit, road=road, vehicle={"course": [{"speed_m_s": 20.0}]}, steps=20)
+        _, result = moving.step(moving.start(16))  # 64 m: more than half of the window of 50 m beyond the curve
+        vehicle, surfaces = moving.world.motion.at(result.time_s), moving.world.lit(result.time_s).surfaces
+        lit_m = surfaces.position[:, result.illuminance > 0.5 * result.illuminance.max()]
+        places.append(transform(inverse(vehicle.T_world_ground).float(), lit_m).mean(1))
+    # the springs have come to rest but for 2 mm, which moves light by 2 mm times 20 m / 0.75 m
+    torch.testing.assert_close(*places, rtol=0, atol=0.06)
+
+
 def test_what_is_found_in_the_image_is_placed_as_the_body_was_measured() -> None:
     functions = {"guard": {"kind": "glare_free"}}
     cases = {
