@@ -108,8 +108,8 @@ class Ego:
         return pose(torch.stack([x, y, zero]), rotation(zero, zero, turn))
 
     def at(self, time_s: float) -> "Ego":
-        """Attitude and ground predicted to another time, linearly."""
-        (climb, bend), after_s = self.ground[2:], time_s - self.attitude_s
+        """Attitude and ground predicted to another time, linearly, as far as they are known."""
+        (climb, bend), after_s = self.ground[2:], 0.0 if math.isnan(self.attitude_s) else time_s - self.attitude_s
         over = self.rates - torch.stack([climb - bend * self.pivot_x_m, torch.zeros_like(bend), bend])
         ground = torch.cat([self.ground[:2] + after_s * self.ground[2:], self.ground[2:]])
         return replace(self, attitude=self.attitude + after_s * over.nan_to_num(), ground=ground, attitude_s=time_s)

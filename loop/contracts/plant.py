@@ -12,6 +12,7 @@ from loop.contracts.values import Parts, check_calls, check_state, check_tensor,
 from loop.lighting.lamps import lamp_modules
 from loop.lighting.simulation import Simulation
 from loop.plant.build import KEY, METHODS
+from loop.plant.checked import ROUNDING_S, check_frames, check_image, check_time, pair
 from loop.plant.protocol import Arrivals, Exposure, Frame
 from loop.plant.world import World
 from loop.run import prepare
@@ -23,7 +24,6 @@ from world.plugin import Guarded, check_methods, made
 CALLS = {"start": (), "show": ("state", "exposure")}
 GIVES = "(state, arrivals)"
 EXPOSURES = 24  # more than those of the 10 steps by which the frames of a scenario's camera may be late
-ROUNDING_S = 1e-6  # of sums of periods and of clocks that count from 1970
 SCENARIO: dict[str, Any] = {
     "name": "check_plant",
     "camera": {"width_px": 320, "height_px": 180, "oversampling": 1},
@@ -103,17 +103,12 @@ def _said(own: Guarded, method: str, inputs: Mapping[str, Any], shown: Sequence[
     """State and arrivals of a call after what was shown. Raises LuxloopError where these cannot be."""
     gave = pure(own, method, inputs, GIVES)
     where = f"{own.key}: {own.name}: {method}"
-    if not isinstance(gave, tuple) or len(gave) != 2 or not isinstance(gave[1], Arrivals):
-        what = f"({', '.join(type(each).__name__ for each in gave)})" if isinstance(gave, tuple) else type(gave).__name__
-        raise LuxloopError(f"{where} gives {what}; return the state and luxloop.Arrivals, as (state, arrivals)")
-    state, arrivals = gave
+    with located(where):
+        state, arrivals = pair(gave)
     check_state(own, method, state)
     with located(where):
-        _check_time(arrivals, inputs.get("exposure"))
-        if not isinstance(arrivals.frames, tuple) or not all(isinstance(frame, Frame) for frame in arrivals.frames):
-            raise LuxloopError(
-                "gives frames that are no tuple of luxloop.Frame; give frames=(luxloop.Frame(...),), or () where none has come"
-            )
+        check_time(arrivals, inputs.get("exposure"))
+        check_frames(arrivals)
         starts_s = [each.exposure.start_s for each in shown] + [each.start_s for each in inputs.values() if isinstance(each, Exposure)]
         came = [frame for each in shown for frame in each.arrivals.frames]
         for frame in arrivals.frames:
@@ -128,16 +123,6 @@ def _said(own: Guarded, method: str, inputs: Mapping[str, Any], shown: Sequence[
         for sample in arrivals.samples:
             _check_sample(sample, arrivals.time_s, simulation)
     return state, arrivals
-
-
-def _check_time(arrivals: Arrivals, exposure: Exposure | None) -> None:
-    if not isinstance(arrivals.time_s, int | float) or not math.isfinite(arrivals.time_s):
-        raise LuxloopError(f"gives the time_s {arrivals.time_s!r}; give the plant's time in s, as a number")
-    if exposure is not None and arrivals.time_s <= exposure.start_s:
-        raise LuxloopError(
-            f"gives the time_s {arrivals.time_s:g} after an exposure that began at {exposure.start_s:g} s; give the time at its end, "
-            "such as exposure.start_s + exposure.duration_s"
-        )
 
 
 def _check_number(frame: Frame, exposures: int, came: Sequence[Frame]) -> None:
@@ -186,15 +171,9 @@ def _check_image(image: Tensor | None, simulation: Simulation) -> None:
     if image is None:
         return
     camera = simulation.scenario.camera
-    if isinstance(image, Tensor) and not image.isfinite().all():
-        raise LuxloopError("has an image that is not finite; a frame that is lost has the image None")
+    check_image(image, camera)
     check_tensor(image, simulation.symbol.projector.target, (camera.height_px, camera.width_px), "image")
-    low, high, most = float(image.min()), float(image.max()), 2**camera.bits - 1
-    if low < 0 or high > most:
-        raise LuxloopError(
-            f"has an image from {low:.4g} to {high:.4g}; digital numbers of camera.bits = {camera.bits} are 0 to {most}: scale it, and "
-            "clamp it"
-        )
     if not image.equal(image.round()):
-        what = "it seems to hold shares: multiply it by" if high <= 1 else "it may hold a luminance: give digital numbers of 0 to"
+        most, shares = 2**camera.bits - 1, float(image.max()) <= 1
+        what = "it seems to hold shares: multiply it by" if shares else "it may hold a luminance: give digital numbers of 0 to"
         raise LuxloopError(f"has an image whose values are no whole numbers; {what} {most}, and round it")

@@ -24,4 +24,5 @@ def build_plant(scenario: Scenario, modules: Sequence[LampModule]) -> Plant:
     if isinstance(params, RecordedPlantParams):
         return recorded_plant(scenario, params, modules)
     given = {"scenario": scenario, "modules": modules}
-    return FromZero(cast(Plant, plugin.make(params.kind, KEY, given, params.options, METHODS)))
+    plant = cast(Plant, plugin.make(params.kind, KEY, given, params.options, METHODS))
+    return FromZero(plant, f"{KEY}: {params.kind}", scenario.camera)

@@ -3,8 +3,11 @@
 from dataclasses import dataclass, replace
 from typing import Any
 
+from loop.plant.checked import check_frame, check_frames, check_time, pair
 from loop.plant.protocol import Arrivals, Exposure, Frame, Plant
 from loop.plant.world import World
+from perception.camera import CameraParams
+from world.errors import located
 
 
 @dataclass(frozen=True, eq=False)
@@ -15,6 +18,8 @@ class FromZero:
     """
 
     plant: Plant
+    name: str
+    camera: CameraParams
 
     @property
     def truth(self) -> World | None:
@@ -22,14 +27,22 @@ class FromZero:
         return getattr(self.plant, "truth", None)
 
     def start(self) -> tuple[Any, Arrivals]:
-        """State and arrivals before the first exposure, at 0 s."""
-        state, arrivals = self.plant.start()
+        """State and arrivals before the first exposure, at 0 s. Raises LuxloopError where the plant gives no such thing."""
+        with located(f"{self.name}: start"):
+            state, arrivals = pair(self.plant.start())
+            check_time(arrivals, None)
         return (arrivals.time_s, state), _since(arrivals.time_s, arrivals)
 
     def show(self, state: Any, exposure: Exposure) -> tuple[Any, Arrivals]:
-        """Show an exposure; what has come in by its end."""
+        """Show an exposure; what has come in by its end. Raises LuxloopError where the plant gives no such thing."""
         start_s, own = state
-        own, arrivals = self.plant.show(own, replace(exposure, start_s=start_s + exposure.start_s))
+        exposure = replace(exposure, start_s=start_s + exposure.start_s)
+        with located(f"{self.name}: show"):
+            own, arrivals = pair(self.plant.show(own, exposure))
+            check_time(arrivals, exposure)
+            check_frames(arrivals)
+            for frame in arrivals.frames:
+                check_frame(frame, start_s, arrivals.time_s, self.camera)
         return (start_s, own), _since(start_s, arrivals)
 
 

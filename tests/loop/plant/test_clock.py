@@ -1,5 +1,6 @@
 """A plant whose clock does not begin at 0: nothing of a scenario or a recording knows of it."""
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -10,6 +11,7 @@ from loop.lighting.result import StepResult
 from loop.run import prepare, run
 from loop.scenario.model import validate
 from tests.loop.conftest import SMALL
+from world.errors import LuxloopError
 
 OWN = """
 from dataclasses import replace
@@ -54,6 +56,25 @@ def test_a_car_that_stands_sees_the_same_bits_by_any_clock() -> None:
         assert b.time_s == pytest.approx(a.time_s, abs=ROUNDED_S) and b.taken_s == pytest.approx(a.taken_s, abs=ROUNDED_S, nan_ok=True)
         assert all(u.equal(v) for u, v in zip(a.lights, b.lights, strict=True))
         assert all(held.pose.equal(b.held[name].pose) for name, held in a.held.items())
+
+
+BROKEN = {  # what is replaced in OWN by what, and words of the sentence that tells it
+    "a state alone": ("return self.told(*self.inner.start())", "return self.told(*self.inner.start())[0]", "start: gives ()"),
+    "frames by another clock": ("taken_s=each.taken_s + by", "taken_s=each.taken_s", "frame 0: was taken at 0 s"),
+    "a clock that stands": ("Arrivals(came.time_s + by", "Arrivals(by", "give the time at its end"),
+    "half an image": ("replace(each, taken_s", "replace(each, image=each.image[::2], taken_s", "give a tensor of floats"),
+    "an image of bytes": ("replace(each, taken_s", "replace(each, image=each.image.byte(), taken_s", "torch.uint8"),
+}
+
+
+@pytest.mark.usefixtures("own")
+@pytest.mark.parametrize("broken", BROKEN)
+def test_what_a_plant_cannot_mean_is_told_in_a_sentence(broken: str, tmp_path: Path) -> None:
+    old, new, words = BROKEN[broken]
+    (tmp_path / "own.py").write_text(OWN.replace(old, new))
+    with pytest.raises(LuxloopError) as caught:
+        results(EPOCH_S)
+    assert "plant.kind: own:Clock: " in str(caught.value) and words in str(caught.value)
 
 
 @pytest.mark.usefixtures("own")
