@@ -64,7 +64,8 @@ class Recorder:
         checks = {} if self._checked is None else self._checked(self.table())
         fitting = sum(number in self._asked for number in self._came)
         frames = {"asked": len(self._asked), "came": fitting, "unknown": len(self._came) - fitting}
-        looks = {"frames": frames} if self.simulation.remembers else {}
+        sees = self.simulation.sight is not None or self.simulation.planner.adaptive or self.simulation.controlled
+        looks = {"frames": frames} if sees else {}
         return summary_of(self.simulation, self.table(), self._last, self._covered) | looks | {"idle_functions": idle, "checks": checks}
 
     def __enter__(self) -> Self:

@@ -18,6 +18,7 @@ from controllers.pixels.ssc import Utilisation
 from controllers.situation import Seen, Situation, TrackedObject
 from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.observer import Seen as SeenSymbol
+from controllers.symbol.sensing.protocol import SymbolController
 from loop.lighting.commanded import commanded, refuse_commands
 from loop.lighting.controlled import ControlledSymbol, Moment, controlled_symbols, turn
 from loop.lighting.ground import attitude, moved, seen_from
@@ -120,6 +121,10 @@ class Simulation:
         drawn = dict(zip(symbol.drawn_by, zip(light, symbol.projector.resting, strict=True), strict=True))
         added = {k: Utilisation(each.u - beam.u, each.band) for k, (each, beam) in drawn.items()}
         return tuple(added.get(k, Utilisation(0 * module.flux, slice(0, 0))) for k, module in enumerate(self.modules))
+
+    def with_controller(self, controller: SymbolController) -> "Simulation":
+        """The same with another controller of the only symbol that is held. Raises as `symbol`."""
+        return replace(self, controlled={only(self.controlled): replace(self.symbol, controller=controller)})
 
     @property
     def renderer(self) -> str:

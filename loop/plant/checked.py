@@ -7,7 +7,8 @@ from torch import Tensor
 
 from loop.plant.protocol import Arrivals, Exposure, Frame
 from perception.camera import CameraParams
-from world.errors import LuxloopError, located
+from perception.egomotion import VALUES, Sample
+from world.errors import LuxloopError, did_you_mean, located
 
 ROUNDING_S = 1e-6  # of sums of periods and of clocks that count from 1970
 
@@ -35,6 +36,18 @@ def check_frames(arrivals: Arrivals) -> None:
     """Raises LuxloopError where its frames are none."""
     if not isinstance(arrivals.frames, tuple) or not all(isinstance(frame, Frame) for frame in arrivals.frames):
         raise LuxloopError("gives frames that are no tuple of luxloop.Frame; give frames=(luxloop.Frame(...),), or () where none has come")
+
+
+def check_samples(arrivals: Arrivals) -> None:
+    """Raises LuxloopError where its samples are none, or are not what their sensors tell."""
+    if not isinstance(arrivals.samples, tuple) or not all(isinstance(sample, Sample) for sample in arrivals.samples):
+        raise LuxloopError("gives samples that are no tuple of luxloop.Sample; give samples=(luxloop.Sample(...),), or leave them out")
+    for sample in arrivals.samples:
+        if sample.sensor not in VALUES:
+            raise LuxloopError(f"gives a sample of {sample.sensor!r}; {did_you_mean(str(sample.sensor), VALUES)}")
+        count, values = VALUES[sample.sensor], sample.values
+        if not isinstance(values, Tensor) or values.ndim != 1 or (count and len(values) != count) or not values.isfinite().all():
+            raise LuxloopError(f"gives a sample of {sample.sensor} whose values are no {count or 'n'} finite numbers in a tensor")
 
 
 def check_frame(frame: Frame, start_s: float, now_s: float, camera: CameraParams) -> None:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from typing import Any
 
-from loop.plant.checked import check_frame, check_frames, check_time, pair
+from loop.plant.checked import check_frame, check_frames, check_samples, check_time, pair
 from loop.plant.protocol import Arrivals, Exposure, Frame, Plant
 from loop.plant.world import World
 from perception.camera import CameraParams
@@ -31,6 +31,7 @@ class FromZero:
         with located(f"{self.name}: start"):
             state, arrivals = pair(self.plant.start())
             check_time(arrivals, None)
+            check_samples(arrivals)
         return (arrivals.time_s, state), _since(arrivals.time_s, arrivals)
 
     def show(self, state: Any, exposure: Exposure) -> tuple[Any, Arrivals]:
@@ -41,6 +42,7 @@ class FromZero:
             own, arrivals = pair(self.plant.show(own, exposure))
             check_time(arrivals, exposure)
             check_frames(arrivals)
+            check_samples(arrivals)
             for frame in arrivals.frames:
                 check_frame(frame, start_s, arrivals.time_s, self.camera)
         return (start_s, own), _since(start_s, arrivals)

@@ -188,7 +188,7 @@ class DirectTransport:
         Shadows are looked for only where the light texture is not dark, and everywhere if it has a gradient.
         """
         texture = self.headlight.light_texture(utilisation, band)
-        surface = self.surface if band is None else self._reached(texture, self.headlight.rows_of(band))
+        surface = self.surface if band is None or texture.requires_grad else self._reached(texture, self.headlight.rows_of(band))
         lx = illuminance(surface, texture)
         lit = torch.arange(len(surface.index), device=lx.device)
         if not lx.requires_grad:

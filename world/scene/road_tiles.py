@@ -23,6 +23,7 @@ NEAR_M: Final = 30.0  # where light falls that shall be judged
 ALONG_M: Final = (0.1, 0.6)  # spacing of rows, near and far: in a camera at 1.35 m a pixel is 0.2 m long at 17 m, 1 m at 40 m
 ACROSS_M: Final = 0.12
 BESIDE_M: Final = (3.5, 25.0)  # to both sides of the course: finely meshed, and meshed at all
+AROUND_M: Final = 5.0  # objects, beyond their middle
 KEPT_TILES: Final = 64
 
 
@@ -45,7 +46,8 @@ class RoadTiles:
     def _edges_m(self) -> tuple[float, float]:
         """Least and greatest y of the mesh."""
         (low, high), wide = self.course_y_m, BESIDE_M[1]
-        return min((low - wide, *self.others_y_m)), max((high + wide, *self.others_y_m))
+        others_y_m = [y + side for y in self.others_y_m for side in (-AROUND_M, AROUND_M)]
+        return min((low - wide, *others_y_m)), max((high + wide, *others_y_m))
 
     @cached_property
     def _tile(self) -> Callable[[int, int, bool], Placed]:

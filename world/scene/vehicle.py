@@ -20,7 +20,7 @@ from torch import Tensor
 from world.budget import afford
 from world.frames import pose, rotation
 from world.params import Params
-from world.roads.base import Floats, Road
+from world.roads.base import Floats, Road, smoothstep
 
 COLUMNS: Final = (
     *("x_m", "y_m", "yaw_rad", "speed_m_s", "yaw_rate_rad_s", "acceleration_m_s2", "lateral_m_s2", "ground_m", "slope_rad"),
@@ -31,6 +31,7 @@ COLUMNS: Final = (
 
 BYTES_A_MOMENT: Final = 800  # of the integrated motion: all columns, and as many while they are made
 LOW_PASS_M: Final = (10.0, 50.0)  # of the road's height and slope: a raised cosine leaves half of a wave of that length
+LEARNT_M: Final = 10.0  # of way, after which the ground follows the road: a car that stands at its start is on the world's plane z = 0
 PROFILE_M: Final = 0.05  # spacing of the road's heights along the way
 
 
@@ -228,8 +229,9 @@ def _ground(params: VehicleParams, road: Road, way_m: Floats, x: Floats, y: Floa
     aside = params.track_m / 2 * np.array([[1], [-1]])
     heights = road.z(at_x - aside * np.sin(heading), at_y + aside * np.cos(heading)).mean(0)
     height, level = (np.convolve(heights, _window(each), mode="same") for each in LOW_PASS_M)
-    slope = -np.arctan(np.interp(way_m, along, np.gradient(level, PROFILE_M)))
-    return np.interp(way_m, along, height) + params.rear_x_m * np.sin(slope), slope
+    learnt = smoothstep(way_m, 0.0, LEARNT_M)
+    slope = -np.arctan(learnt * np.interp(way_m, along, np.gradient(level, PROFILE_M)))
+    return learnt * np.interp(way_m, along, height) + params.rear_x_m * np.sin(slope), slope
 
 
 def _window(length_m: float) -> Floats:

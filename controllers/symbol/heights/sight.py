@@ -97,7 +97,7 @@ class Sight:
         (u0, v0), (u1, v1) = (end.tolist() for end in uv.aminmax(dim=1))
         u0, v0 = max(math.floor(u0), 0), max(math.floor(v0), 0)
         width = (min(math.ceil(u1), whole.width) - u0) // step * step
-        crop = Crop(v0, min(math.ceil(v1), camera.height_px), u0, u0 + max(width, 0))
+        crop = Crop(v0, max(min(math.ceil(v1), camera.height_px), v0), u0, u0 + max(width, 0))
         rays = whole.within(*crop.slices).with_rows(samples).rays().unflatten(-1, (-1, step)).mean(-1)
         eye = whole.origin
         ground = eye[:, None, None] - rays * (eye[2] / rays[2])

@@ -94,5 +94,5 @@ def ground_at(ego: Ego, time_s: float) -> Tensor:
 
 def _rests(body: BodyFilter, ground: Tensor, time_s: float) -> bool:
     """Whether the body stands even at a time and does not only swing through; heave, of which no sensor tells the rate, may do so."""
-    away, later = ((inverse(ground) @ body.T_level_body(t_s) - HERE).abs() for t_s in (time_s, time_s + LATER_S))
-    return bool((away < EVEN).all() and (later[:3, :3] < EVEN).all())
+    away, later = ((inverse(ground) @ body.T_level_body(t_s) - HERE)[2].abs() for t_s in (time_s, time_s + LATER_S))
+    return bool((away < EVEN).all() and (later[:3] < EVEN).all())

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
@@ -33,6 +33,7 @@ def test_track_interpolates_and_holds_its_ends():
 
 
 @given(st.floats(-180, 180), st.floats(-90, 90), st.floats(-180, 180), st.floats(0, 1))
+@settings(deadline=None)  # the first call may import SciPy
 def test_poses_between_keyframes_are_rigid(roll_deg, pitch_deg, yaw_deg, t_s):
     stop = pose_from_degrees((1.0, 2.0, 3.0), roll_deg, pitch_deg, yaw_deg)
     T = PoseTrack((0.0, 1.0), torch.stack([torch.eye(4, dtype=torch.float64), stop])).pose_at(t_s)
