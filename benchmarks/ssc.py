@@ -106,7 +106,10 @@ def measure_sizes(sizes: dict[str, tuple[int, int, int, int]], rounds: int) -> d
     controllers = {name: Ssc.prepare(light) for name, light in lights.items()}
     steps: dict[str, Step] = {name: lambda ssc=ssc: ssc.utilisation(boards, T_WORLD_LAMP) for name, ssc in controllers.items()}
     ms = interleaved(steps, rounds)
-    return {name: {"pixels": light.n_pixels, "rays": light.n_texels, "ms": ms[name]} for name, light in lights.items()}
+    return {
+        name: {"pixels": light.n_pixels, "rays": light.n_texels, "ms": ms[name], "gpu": measure_gpu(light, {"many": boards})}
+        for name, light in lights.items()
+    }
 
 
 def found(large: dict[str, Any], sizes: dict[str, Any]) -> list[dict[str, Any]]:
@@ -132,7 +135,8 @@ def tables_of(sizes: dict[str, Any]) -> Table:
         ms = each["ms"]
         thesis = (f"{THESIS_US[table_name][name] / 1000:.3f}" if name in THESIS_US[table_name] else "" for table_name in THESIS_US)
         ours = (f"{ms['median']:.2f}", f"{ms['q05']:.2f}", f"{ms['q95']:.2f}", f"{1e6 * ms['median'] / each['rays']:.1f}")
-        rows.append((f"{each['pixels']:,}", f"{each['rays']:,}", *ours, *thesis, "not measured"))
+        gpu = f"{each['gpu']['ms']['many']['median']:.3f}" if each["gpu"] else "not measured"
+        rows.append((f"{each['pixels']:,}", f"{each['rays']:,}", *ours, *thesis, gpu))
     return tables.plain(titles, rows, "r", title="36 primitives on 77 % of the field")
 
 
