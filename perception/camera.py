@@ -1,12 +1,12 @@
-"""The camera: where it looks, and its law from luminance to digital numbers and back.
+"""The camera: its view, and its response from luminance to digital numbers and back.
 
 A pixel that sees luminance L (cd/m^2) collects `N = L * exposure * sensitivity` electrons. Shot and read noise act as one Gaussian of
 variance `N + read_noise^2`; the sum is clamped to [0, saturation] and coded as
 
     DN = round((2^bits - 1) * (N / saturation)^(1 / gamma)).
 
-The default is what a measuring camera gives: 12 bits, linear. Use gamma 2.2 with 8 bits, where a linear code would be coarser than
-the noise in the dark.
+The default is a measuring camera with 12 bits and linear response. Use gamma 2.2 with 8 bits, where linear levels would be coarser than the
+noise in the dark.
 """
 
 import math
@@ -22,13 +22,13 @@ from world.frames import R_ISO_OPENCV, pose, pose_from_degrees
 from world.params import Params
 from world.view import View
 
-BYTES_A_SAMPLE: Final = 350  # of a frame, with the G-buffer and all that shading makes of it: measured
+BYTES_A_SAMPLE: Final = 350  # of a frame with G-buffer and shading, measured
 
 
 class CameraParams(Params):
-    """Pose in the vehicle frame (x forward, y left, z up), optics, sensor, and what delays or loses frames on the way."""
+    """Pose in the vehicle frame (x forward, y left, z up), optics, sensor, and delay and loss of frames."""
 
-    x_m: float = Field(-1.6, ge=-10_000, le=10_000, description="position ahead of the lamps")
+    x_m: float = Field(-1.6, ge=-10_000, le=10_000, description="position ahead of the lamps, negative behind")
     y_m: float = Field(0.0, ge=-10_000, le=10_000, description="position to the left of the middle line")
     z_m: float = Field(1.35, ge=0, le=10_000, description="height above the assumed road plane")
     roll_deg: float = Field(0.0, ge=-180, le=180, description="rotation about the forward axis, right side down")
@@ -45,21 +45,23 @@ class CameraParams(Params):
         4,
         ge=1,
         le=16,
-        description="samples over a pixel's height: on the road a pixel is many times as long as wide, and it integrates light",
+        description="samples over a pixel's height, since on the road a pixel integrates light over many times its width",
     )
 
     exposure_s: float = Field(
         0.015, ge=1e-6, le=1, description="exposure time of a frame; on and off frames must fit into one control step"
     )
-    sensitivity_e_per_cd_s_m2: float = Field(50_000.0, gt=0, le=1e6, description="electrons for each cd/m^2 and second of exposure")
+    sensitivity_e_per_cd_s_m2: float = Field(50_000.0, gt=0, le=1e6, description="electrons per cd/m^2 and second of exposure")
     saturation_e: float = Field(1_000.0, gt=0, le=1e6, description="electrons at the largest digital number")
     read_noise_e: float = Field(2.0, gt=0, le=1e6, description="standard deviation of the read noise in electrons")
     bits: Literal[8, 10, 12] = Field(12, description="bits of a digital number")
-    gamma: float = Field(1.0, ge=1, le=3, description="the code is the 1/gamma-th power of the light; 1 is linear")
+    gamma: float = Field(1.0, ge=1, le=3, description="digital numbers are the 1/gamma-th power of the light; 1 is linear")
     noise: bool = Field(True, description="whether frames have shot and read noise")
 
-    latency_steps: int = Field(0, ge=0, le=10, description="control steps by which the controller sees frames late")
-    latency_spread_steps: int = Field(0, ge=0, le=10, description="steps at most by which they are later still, drawn for each step")
+    latency_steps: int = Field(0, ge=0, le=10, description="latency of frames, in control steps")
+    latency_spread_steps: int = Field(
+        0, ge=0, le=10, description="largest additional latency, in control steps, drawn at random for each step"
+    )
     drop_probability: float = Field(0.0, ge=0, lt=1, description="probability that a step's frames are lost")
 
     @model_validator(mode="after")
@@ -87,13 +89,13 @@ def camera_view(params: CameraParams) -> View:
 
 
 def frame_generator(seed: int, step: int, frame: int, device: torch.device | str = "cpu") -> torch.Generator:
-    """Generator for the noise of one frame (on: 0, off: 1) of one step: no state is carried, so a run can be taken up at any step."""
+    """Generator for the noise of one frame (on: 0, off: 1) of one step; it carries no state, so a run can be resumed at any step."""
     key = np.random.SeedSequence(seed, spawn_key=(step, frame)).generate_state(1, np.uint64)
     return torch.Generator(device).manual_seed(int(key[0]))
 
 
 def average_rows(image: Tensor, oversampling: int) -> Tensor:
-    """Light that pixels `[..., H, W]` collect, from an image `[..., H * oversampling, W]` with as many rows for each pixel row."""
+    """Mean over the rows of each pixel: from `[..., H * oversampling, W]` to `[..., H, W]`."""
     return image.unflatten(-2, (-1, oversampling)).mean(-2)
 
 
@@ -120,7 +122,7 @@ def expose(luminance: Tensor, params: CameraParams, noise: Tensor | torch.Genera
 
 
 def luminance_of(dn: Tensor, params: CameraParams) -> Tensor:
-    """Luminance `[..., H, W]` in cd/m^2 that is coded as the digital numbers `[..., H, W]`, in the middle of their levels."""
+    """Luminance `[..., H, W]` in cd/m^2 of digital numbers `[..., H, W]`, at the centre of their levels."""
     code = dn / _levels(params)
     linear = code if params.gamma == 1 else code.pow(params.gamma)
     return linear * (params.saturation_e / _electrons_per_luminance(params))

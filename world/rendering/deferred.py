@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from world.frames import inverse
+from world.partial import Part
 from world.rendering.rasterise import FAR_M, NEAR_M, context
 from world.scene.body import Body
 from world.scene.triangles import Placed, Triangles
@@ -18,6 +19,7 @@ from world.view import View
 
 PART_BITS = 6  # of a body: its number and that of a part share a float of 24 bits
 MOST_PARTS = 2**PART_BITS
+MARGIN_PX = 1  # beyond a part, of what is drawn for it
 KEPT = 8  # views of which an image of what stands still is kept
 
 
@@ -47,43 +49,47 @@ class DeferredRenderer:
         """Raises NoOpenGL."""
         context()
         self._arrays: WeakKeyDictionary[Body, tuple[int, int]] = WeakKeyDictionary()
-        self._still: dict[tuple[float, ...], tuple[tuple[Placed, ...], Tensor | None]] = {}  # by the numbers of a view
+        self._still: dict[tuple[float, ...], tuple[tuple[Placed, ...], Tensor | None]] = {}  # by the numbers of a view and its part
 
-    def fragments(self, triangles: Triangles, view: View) -> Fragments:
-        """Draw the triangles as `view` sees them."""
-        depth, number, x, y = self._image(triangles.placed, view).permute(2, 0, 1).contiguous()
+    def fragments(self, triangles: Triangles, view: View, part: Part | None = None) -> Fragments:
+        """Draw the triangles as `view` sees them, or a part of that to the same bits."""
+        part = part or (slice(0, view.height), slice(0, view.width))
+        depth, number, x, y = self._image(triangles.placed, view, part).permute(2, 0, 1).contiguous()
         code = number.int().abs_()
         object_id = (code >> PART_BITS).sub_(1)
         z = (object_id >= 0).float().sub_(x * x).sub_(y * y).clamp_(min=0).sqrt_().copysign_(-number)
         return Fragments(depth, torch.stack([x, y, z]), object_id, code.bitwise_and_(MOST_PARTS - 1))
 
-    def _image(self, placed: tuple[Placed, ...], view: View) -> Tensor:
-        """`[height, width, 4]`, depth first, zero where there is nothing."""
-        numbers = (view.width, view.height, view.fx, view.fy, view.cx, view.cy, *view.T_world_view.flatten().tolist())
+    def _image(self, placed: tuple[Placed, ...], view: View, part: Part) -> Tensor:
+        """`[height, width, 4]` of the part, depth first, zero where there is nothing."""
+        placed, edges = _in_sight(placed, view, part), (end for each in part for end in (each.start, each.stop))
+        numbers = (view.width, view.height, view.fx, view.fy, view.cx, view.cy, *edges, *view.T_world_view.flatten().tolist())
         last, image = self._still.pop(numbers, ((), None))
         still = tuple(each for each in last if each in placed)
         if still and (image is None or len(still) < len(last)):
-            image = self._draw(still, view)
+            image = self._draw(still, view, part)
         moved = tuple(each for each in placed if each not in still)
         if len(self._still) == KEPT:
             del self._still[next(iter(self._still))]  # which was looked at longest ago
         self._still[numbers] = (still, image) if still else (placed, None)
         if image is None or not still:
-            return self._draw(placed, view)
-        over = self._draw(moved, view)
+            return self._draw(placed, view, part)
+        over = self._draw(moved, view, part)
         depth, behind = over[..., :1], image[..., :1]
         return torch.where((depth > 0) & ((behind == 0) | (depth < behind)), over, image)
 
-    def _draw(self, bodies: Sequence[Placed], view: View) -> Tensor:
+    def _draw(self, bodies: Sequence[Placed], view: View, part: Part) -> Tensor:
         from OpenGL import GL
 
         context()._platform.make_current()
         program = _program()
         GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, _sized_framebuffer(view.width, view.height))
         GL.glViewport(0, 0, view.width, view.height)
-        for state in (GL.GL_BLEND, GL.GL_MULTISAMPLE, GL.GL_SCISSOR_TEST):
+        for state in (GL.GL_BLEND, GL.GL_MULTISAMPLE):
             GL.glDisable(state)
-        GL.glEnable(GL.GL_DEPTH_TEST)
+        for state in (GL.GL_DEPTH_TEST, GL.GL_SCISSOR_TEST):  # a smaller viewport would round corners differently
+            GL.glEnable(state)
+        GL.glScissor(*_rectangle(part))
         GL.glDepthMask(GL.GL_TRUE)
         GL.glDepthFunc(GL.GL_LESS)
         GL.glFrontFace(GL.GL_CW)  # the image is upside down to OpenGL
@@ -105,7 +111,8 @@ class DeferredRenderer:
         GL.glBindVertexArray(0)
         GL.glUseProgram(0)
         GL.glFrontFace(GL.GL_CCW)  # which pyrender takes for granted
-        return _read(view)
+        GL.glDisable(GL.GL_SCISSOR_TEST)
+        return _read(part)
 
     def _array_of(self, body: Body) -> tuple[int, int]:
         """A body's vertex array and its number of corners, uploaded at the first time and deleted with the body."""
@@ -159,12 +166,32 @@ def _projection(view: View) -> np.ndarray:
     return P
 
 
-def _read(view: View) -> Tensor:
+def _in_sight(placed: tuple[Placed, ...], view: View, part: Part) -> tuple[Placed, ...]:
+    """Without the bodies of which the corners of the bounding box lie wholly beyond one edge of a part of a view, or behind it."""
+    if not placed:
+        return placed
+    corners = torch.stack([each.box for each in placed])  # [n, 8, 3]
+    T = inverse(view.T_world_view)
+    x, y, z = (corners @ T[:3, :3].T + T[:3, 3]).unbind(-1)
+    (top, bottom), (left, right) = ((each.start - MARGIN_PX, each.stop + MARGIN_PX) for each in part)
+    u, v = view.fx * x + view.cx * z, view.fy * y + view.cy * z  # px times depth
+    beyond = torch.stack([u < left * z, u > right * z, v < top * z, v > bottom * z, z < 0]).all(-1).any(0)
+    return tuple(each for each, hidden in zip(placed, beyond.tolist(), strict=True) if not hidden)
+
+
+def _rectangle(part: Part) -> tuple[int, int, int, int]:
+    """First column and row, width and height."""
+    rows, columns = part
+    return columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start
+
+
+def _read(part: Part) -> Tensor:
     """`[height, width, 4]` float32."""
     from OpenGL import GL
 
-    pixels = np.empty((view.height, view.width, 4), np.float32)
-    GL.glReadPixels(0, 0, view.width, view.height, GL.GL_RGBA, GL.GL_FLOAT, pixels)
+    rectangle = _rectangle(part)
+    pixels = np.empty((rectangle[3], rectangle[2], 4), np.float32)
+    GL.glReadPixels(*rectangle, GL.GL_RGBA, GL.GL_FLOAT, pixels)
     GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, 0)
     return torch.from_numpy(pixels)
 

@@ -6,6 +6,7 @@ from typing import Protocol
 import torch
 
 from world.materials.brdf import LAMBERTIAN, Material
+from world.partial import Part
 from world.rendering.deferred import DeferredRenderer
 from world.rendering.face_source import FaceSource
 from world.rendering.gbuffer import Finish, GBuffer, gbuffer, reflection
@@ -17,8 +18,8 @@ from world.view import View
 class SurfaceSource(Protocol):
     """Tells what a view sees."""
 
-    def gbuffer(self, triangles: Triangles, view: View) -> GBuffer:
-        """Surfaces at the centres of the view's pixels."""
+    def gbuffer(self, triangles: Triangles, view: View, part: Part | None = None) -> GBuffer:
+        """Surfaces at the centres of the view's pixels, or of a part of them."""
         ...
 
 
@@ -28,7 +29,8 @@ class ExactSurfaces:
 
     source: FaceSource
 
-    def gbuffer(self, triangles: Triangles, view: View) -> GBuffer:
+    def gbuffer(self, triangles: Triangles, view: View, part: Part | None = None) -> GBuffer:
+        view = view if part is None else view.within(*part)
         return gbuffer(triangles, view, self.source.face_ids(triangles, view))
 
 
@@ -38,26 +40,27 @@ class QuickSurfaces:
 
     renderer: DeferredRenderer
 
-    def gbuffer(self, triangles: Triangles, view: View) -> GBuffer:
-        seen = self.renderer.fragments(triangles, view)
+    def gbuffer(self, triangles: Triangles, view: View, part: Part | None = None) -> GBuffer:
+        seen = self.renderer.fragments(triangles, view, part)
+        view = view if part is None else view.within(*part)
         object_id, shape = seen.object_id.flatten(), seen.object_id.shape
         T_world_view = view.T_world_view.float()
         position = view.rays().float().flatten(1).mul_(seen.depth.flatten())
         position.addcmul_(T_world_view[:3, 3:], (object_id >= 0).float())
         normal = T_world_view[:3, :3] @ seen.normal.flatten(1)
         albedo, material = torch.zeros(object_id.shape), torch.zeros(object_id.shape, dtype=torch.int64)
-        part = seen.part.flatten() if any(placed.body.parts for placed in triangles.placed) else None
+        parts = seen.part.flatten() if any(placed.body.parts for placed in triangles.placed) else None
         numbers: dict[Material, int] = {LAMBERTIAN: 0}
         for placed in _one_an_object(triangles):
             pixels = torch.nonzero(object_id == placed.object_id)[:, 0]
             if len(pixels):
-                on_part = None if part is None else part[pixels]
+                on_part = None if parts is None else parts[pixels]
                 albedo[pixels], made_of = reflection(placed, position.index_select(1, pixels), numbers, on_part)
                 if len(numbers) > 1:  # else it is the first, and its number 0
                     material[pixels] = made_of
         finish = Finish(tuple(numbers), material.view(shape), view.origin) if len(numbers) > 1 else None
-        parts = None if part is None else part.view(shape)
-        return GBuffer(position.view(3, *shape), normal.view(3, *shape), albedo.view(shape), object_id.view(shape), finish, parts)
+        seen_part = None if parts is None else parts.view(shape)
+        return GBuffer(position.view(3, *shape), normal.view(3, *shape), albedo.view(shape), object_id.view(shape), finish, seen_part)
 
 
 def _one_an_object(triangles: Triangles) -> tuple[Placed, ...]:

@@ -1,0 +1,52 @@
+import copy
+import pickle
+
+import pytest
+import torch
+from torch import Tensor
+
+from world.partial import AROUND_PX, Part, PartialImage
+
+WHOLE = torch.arange(200.0 * 300).view(200, 300)
+
+
+@pytest.fixture
+def computed() -> list[Part]:
+    """Parts that were computed, in order."""
+    return []
+
+
+@pytest.fixture
+def image(computed: list[Part]) -> PartialImage:
+    def part_of(part: Part) -> Tensor:
+        computed.append(part)
+        return WHOLE[part].clone()
+
+    return PartialImage.of(200, 300, WHOLE, part_of)
+
+
+def test_only_what_is_read_is_computed(image: PartialImage, computed: list[Part]) -> None:
+    assert (image.shape, image.dtype, image.device, image.dim(), image.size(-1)) == ((200, 300), torch.float32, WHOLE.device, 2, 300)
+    assert isinstance(image, Tensor) and not computed
+    rows, columns = slice(50, 60), slice(100, 140)
+    assert image[..., rows, columns].equal(WHOLE[rows, columns]) and image[rows, columns].equal(WHOLE[rows, columns])
+    near = slice(50 - AROUND_PX[0], 60 + AROUND_PX[0]), slice(100 - AROUND_PX[1], 140 + AROUND_PX[1])
+    assert image[near].equal(WHOLE[near]) and computed == [near]
+    farther = slice(195, None), slice(0, 2)
+    assert image[farther].equal(WHOLE[farther]) and image[rows, columns].equal(WHOLE[rows, columns]) and len(computed) == 2
+
+
+@pytest.mark.parametrize("rows", [slice(0, 0), slice(200, 200), slice(5, 2)])
+def test_an_empty_part_is_empty(image: PartialImage, rows: slice) -> None:
+    for _ in range(2):
+        assert image[rows, 40:50].shape == WHOLE[rows, 40:50].shape
+        assert image[50:60, 40:50].equal(WHOLE[50:60, 40:50]) and not image[51:47, 40:50].numel()
+
+
+def test_all_else_sees_the_whole(image: PartialImage, computed: list[Part]) -> None:
+    assert image[10:12, 20:30].sum() == WHOLE[10:12, 20:30].sum()
+    assert float(image.max()) == float(WHOLE.max()) and computed[1:] == [(slice(0, 200), slice(0, 300))]
+    for same in (image + 0, 0 + image, image[::1], image[0:200:1, :], image.clone(), torch.stack([image, image])[1], copy.deepcopy(image)):
+        assert type(same) is Tensor and same.equal(WHOLE)
+    assert image[7].equal(WHOLE[7]) and image.T.equal(WHOLE.T) and image[WHOLE > 9].equal(WHOLE[WHOLE > 9])
+    assert pickle.loads(pickle.dumps(image)).equal(WHOLE) and (image.numpy() == WHOLE.numpy()).all() and len(computed) == 2

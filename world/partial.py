@@ -1,0 +1,48 @@
+"""Images that are computed where they are read."""
+
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+from torch import Tensor
+from torch.utils._pytree import tree_map_only
+
+Part = tuple[slice, slice]  # rows and columns of an image, with start and stop
+AROUND_PX: Final = (8, 32)  # rows and columns: computed beside what is read, where the next reader often looks
+ABOUT: Final = {Tensor.dim, Tensor.size, *(getattr(Tensor, name).__get__ for name in ("shape", "dtype", "device", "ndim", "requires_grad"))}
+
+
+class PartialImage(Tensor):
+    """An image `[height, width]`: `image[..., rows, columns]` computes that part alone, all else that is done with it the whole."""
+
+    part_of: Callable[[Part], Tensor]
+    known: Part | None
+    pixels: Tensor
+
+    @staticmethod
+    def of(height: int, width: int, like: Tensor, part_of: Callable[[Part], Tensor]) -> "PartialImage":
+        """part_of: computes a part, to the same bits as in the whole, in the dtype and on the device of like."""
+        image: PartialImage = Tensor._make_subclass(PartialImage, like.new_zeros(()).expand(height, width))
+        image.part_of, image.known = part_of, None
+        return image
+
+    @classmethod
+    def __torch_function__(cls, func: Any, types: Any, args: tuple[Any, ...] = (), kwargs: Mapping[str, Any] | None = None) -> Any:
+        if func in ABOUT:
+            return super().__torch_function__(func, types, args, kwargs)
+        if func is Tensor.__getitem__ and isinstance(args[1], tuple):
+            wanted = tuple(each for each in args[1] if each is not Ellipsis)
+            if len(wanted) == 2 and all(isinstance(each, slice) and each.step is None for each in wanted):
+                return args[0]._within(*wanted)
+        args, given = tree_map_only(PartialImage, lambda image: image._within(slice(None), slice(None)), (args, dict(kwargs or {})))
+        return func(*args, **given)
+
+    def _within(self, rows: slice, columns: slice) -> Tensor:
+        ends = (each.indices(n) for each, n in zip((rows, columns), self.shape, strict=True))
+        asked, known = tuple(slice(start, max(start, stop)) for start, stop, _ in ends), self.known
+        if known is None or any(each.start < have.start or each.stop > have.stop for each, have in zip(asked, known, strict=True)):
+            spans = zip(asked, known or asked, AROUND_PX, self.shape, strict=True)
+            v, u = (slice(max(min(each.start, have.start) - px, 0), min(max(each.stop, have.stop) + px, n)) for each, have, px, n in spans)
+            self.known, self.pixels = (v, u), self.part_of((v, u))
+            known = self.known
+        (v, u), (top, left) = asked, (each.start for each in known)
+        return self.pixels[..., v.start - top : v.stop - top, u.start - left : u.stop - left]
