@@ -30,6 +30,7 @@ from perception.extraction import Loss
 from world.frames import inverse, transform
 from world.frames import pose as pose_of
 from world.params import Params
+from world.scene.vehicle import LEARNT_M
 
 LEAST_LIT_PX = 20.0  # fewer lit pixels are no symbol
 HEIGHTS = 57  # that a sweep tries
@@ -142,6 +143,8 @@ class Luxloop:
             memory = memory if memory.T_ground_plane.equal(HERE) else self._nothing(self.registration)
             registration = self._fine(stances)
         memory = memory.moved(stances.since, registration.sight.eye)
+        if not stances.still and then is not None and body is not None:
+            memory = memory.over(self._heights(self._bent(then, body), memory))
         if body is None or now is None or stances.still:
             memory = self._looked(registration, memory, look, stances, anew)
             if stances.still and not bool(memory.heights.information.any()) and (guess := self._guessed(state, look)) is not None:
@@ -175,13 +178,19 @@ class Luxloop:
         if look.frames is None:
             return memory
         frames, textures, searched = look.frames, self.projector.textures(look.shown.lights), memory.searched
-        nothing = self._nothing(self.registration if stances.still else registration)
+        nothing = self._nothing(self.registration) if stances.still else self._nothing(registration).over(memory.heights.base)
         fine, known = registration.sight, memory.heights
-        informed, flat = bool(known.information.any()), torch.zeros_like(known.mean)
+        informed = bool(known.information.any())
         contrast, limit = fine.observe_symbol(frames, textures)
         seen = fine.symbol(contrast, limit)
         lit = float(seen.sum()) * fine.step >= LEAST_LIT_PX
-        if lit and not informed and float(registration.residual(flat[None], seen, textures, limit)[0]) <= self.params.evidence:
+        limit = limit / fine.on_pixels(memory.brightness)  # of the light that the assumed road would show
+        drawn = memory.shown(look.shown.drawing)
+        late = [] if drawn is None or drawn.heights is known else [drawn.heights.mean]
+        roads = torch.stack([nothing.heights.mean, *[known.mean] * informed, *late])
+        leaves = registration.residual(roads, seen, textures, limit).tolist()
+        flat_leaves, before = leaves[0], leaves[informed]
+        if lit and not informed and flat_leaves <= self.params.evidence:
             return nothing  # for no heights can explain so much more
         unsure = not informed or (anew and not memory.settled and searched < SEARCHES)
         if stances.still and unsure and (acquired := self._acquired(memory, look)) is not None:
@@ -189,12 +198,8 @@ class Luxloop:
         if not lit:
             there = fine.symbol(fine.luminance(textures, fine.on_pixels(known.mean)[None])[0], limit) * fine.inside
             return memory if float(there.sum()) * fine.step < LEAST_LIT_PX else nothing
-        limit = limit / fine.on_pixels(memory.brightness)  # of the light that the assumed road would show
-        drawn = memory.shown(look.shown.drawing)
-        late = [] if drawn is None or drawn.heights is known else [drawn.heights.mean]
-        before, flat_leaves, *its = registration.residual(torch.stack([known.mean, flat, *late]), seen, textures, limit).tolist()
         if drawn is not None:
-            residual = its[0] if late else before
+            residual = leaves[-1] if late else before
             memory = memory.judged(drawn, residual if residual < flat_leaves else math.inf)
             if memory.kept is not None and memory.kept.done:
                 return replace(memory, heights=memory.kept.best.heights, brightness=memory.kept.best.brightness)
@@ -253,6 +258,15 @@ class Luxloop:
         believed = _believed(nothing, self._heights(shape, nothing))
         return replace(believed, shape=shape, searched=before.searched + 1, settled=abs(rise) < SAME_M)
 
+    def _bent(self, ego: Ego, body: BodyFilter) -> Tensor:
+        """Shape `[4]` of a road that bends on as the ground does, which turns by its slope's rate over the speed each m; flat until the
+        vehicle has driven so far that the ground follows the road.
+        """
+        if body.way_m < LEARNT_M:
+            return torch.zeros_like(self.projector.target)
+        ahead_m, curvature = self.projector.params.x_m - ego.rear_x_m, -ego.ground[3] / ego.speed_m_s.clamp(min=1.0)
+        return torch.stack([curvature * ahead_m**2 / 2, curvature * ahead_m, 0 * curvature, curvature]).to(self.projector.target)
+
     def _heights(self, shape: Tensor, memory: Memory) -> Tensor:
         """Heights `[n]` of a road of shape `[4]` at the nodes of a memory."""
         T, eye = memory.T_ground_plane.to(shape), memory.eye
@@ -271,7 +285,7 @@ class Luxloop:
         symbol, plane = self.projector.params, memory.T_ground_plane
         T_plane_body = following.body if plane.equal(HERE) else inverse(plane) @ following.body
         T_body_plane = inverse(T_plane_body)
-        if not memory.heights.information.any():
+        if not (memory.heights.information.any() or memory.heights.base.any()):
             return laid(self.projector.target, T_body_plane)
         ends = transform(T_plane_body, self.ends).T.to(memory.eye)
         relief = memory.relief_from(following.until, ends[0])

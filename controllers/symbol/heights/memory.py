@@ -95,14 +95,20 @@ class Memory:
     def moved(self, T_before_now: Tensor, eye: Tensor) -> "Memory":
         """The same road in the ground frame that has the pose `[4, 4]` in this one, as an eye at `[3]` m sees it there.
 
-        What comes into the region is as high as what was at its border, and nothing is known of it.
+        What comes into the region is as high as what was at its border, and nothing is known of it. The base stays: who knows the new
+        ground frame gives another one, `over`.
         """
         T = T_before_now.to(eye)
         if self._is_seen_so(T, eye):
             return self
-        mean, brightness, base = self._seen_by(T, eye, self.brightness, self.heights.base)
+        mean, brightness = self._seen_by(T, eye, self.brightness)
         information = self._carried(self._seen_anew(self.nodes(), self.heights.mean, self.eye, inverse(T), eye))
-        return replace(self, heights=Heights(mean, information, base), brightness=brightness, eye=eye, drawn=(), kept=None)
+        return replace(self, heights=Heights(mean, information, self.heights.base), brightness=brightness, eye=eye, drawn=(), kept=None)
+
+    def over(self, base: Tensor) -> "Memory":
+        """With another road `[n]` m as the base of its heights, which they are where nothing is known."""
+        mean = self.heights.mean if self.heights.information.any() else base
+        return replace(self, heights=replace(self.heights, mean=mean, base=base))
 
     def relief_from(self, T_before_now: Tensor, eye: Tensor) -> Relief:
         """`moved(...).relief()`, without what is known of it."""

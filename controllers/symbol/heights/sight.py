@@ -19,6 +19,7 @@ from world.headlight import Headlight
 from world.view import View
 
 SIGMAS = 1.4826  # of a normal distribution, in its median deviations
+BESIDE_PX = 2  # of a place in an image, pixels that its value may come from
 DARKNESS_TEXELS = 3.0  # over which a shadow's edge fades
 
 
@@ -162,7 +163,14 @@ class Sight:
         if self.off_place is None:
             return off[self.crop.slices]
         u, v = self.off_place[:, None]
-        return remap(off[None, None], u, v, padding_mode="border", align_corners=False, normalized_coordinates=True)[0, 0]
+        seen = torch.zeros(off.shape, dtype=off.dtype, device=off.device)
+        read = tuple(
+            slice(max(math.floor(low), 0), max(math.ceil(high), 0))
+            for place, size in zip((v, u), off.shape, strict=True)
+            for low, high in [((place.aminmax().min + 1) * size / 2 - BESIDE_PX, (place.max() + 1) * size / 2 + BESIDE_PX)]
+        )
+        seen[read] = off[read]
+        return remap(seen[None, None], u, v, padding_mode="border", align_corners=False, normalized_coordinates=True)[0, 0]
 
     def on_pixels(self, nodes: Tensor) -> Tensor:
         """Values of nodes `[..., n]` at the pixels, `[..., h, w]`."""

@@ -24,9 +24,9 @@ from world.params import Degrees, Metres, Params
 class PidTuning(Params):
     """Gains of one kind of loop (T 9.4.3)."""
 
-    kp: float = Field(ge=-1e6, le=1e6, description="proportional gain")
-    ki: float = Field(ge=-1e6, le=1e6, description="integral gain a step")
-    kd: float = Field(ge=-1e6, le=1e6, description="derivative gain in steps")
+    kp: float = Field(ge=-1e6, le=1e6, examples=[0.3], description="proportional gain")
+    ki: float = Field(ge=-1e6, le=1e6, examples=[0.1], description="integral gain a step")
+    kd: float = Field(ge=-1e6, le=1e6, examples=[0.0], description="derivative gain in steps")
     tracking_steps: float | None = Field(
         None, gt=0, le=1e6, description="time constant of the anti-windup's back-calculation, none if left out"
     )
