@@ -2,12 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 
-from controllers.functions.commands import MOVED, CommandParams, Given, Movement, composed
+from controllers.functions.commands import MOVED, BendingParams, CommandParams, Given, LevellingParams, Movement, composed
 from controllers.functions.planner import Planner
-from controllers.pixels.primitives import meant
 from controllers.situation import Situation
 from loop.lighting.controlled import ControlledSymbol
 from loop.lighting.lamps import ShiningModule
+from loop.scenario.model import Scenario
+from loop.scenario.plant import SimulatedPlantParams
 from world.errors import LuxloopError
 from world.headlight.lamp import REST
 
@@ -21,16 +22,11 @@ def commanded(
 ) -> tuple[Situation, Mapping[str, Given]]:
     """The situation with modules as functions command them, and what each of these commanded. given: the same before.
 
-    Raises LuxloopError where a function of the user's own commands a module that is not there, or that a controller needs at rest.
+    Raises LuxloopError where a function of the user's own commands a module that a controller needs at rest.
     """
-    given = planner.commanded(given, now)
+    given = planner.commanded(given, now, modules)
     if not given:
         return now, given
-    for name, each in given.items():
-        for names, _ in each.commands:
-            if not any(meant(names, module.name) for module in modules):
-                known = ", ".join(module.name for module in modules)
-                raise LuxloopError(f"functions.{name}: commands the module {names[0]!r}, which is not there; there are {known}")
     commands = composed(given.values(), modules)
     for symbol, held in controlled.items():
         for k in held.drawn_by:
@@ -53,6 +49,21 @@ def refuse_commands(planner: Planner, modules: Sequence[ShiningModule], controll
                     raise _held(symbol, module, f"{how} by functions.{name}")
 
 
+def unmoved(scenario: Scenario) -> list[str]:
+    """A sentence for each function that only follows the car's motion, where the simulated car stands; empty where there is none."""
+    stands = scenario.vehicle is None and isinstance(scenario.plant, SimulatedPlantParams)
+    follows = {
+        name: function
+        for name, function in scenario.functions.items()
+        if isinstance(function, BendingParams) or (isinstance(function, LevellingParams) and not function.entries)
+    }
+    return [
+        f"functions.{name} ({function.kind}) does nothing, for a car that stands neither turns nor pitches; give a [vehicle] that drives"
+        for name, function in follows.items()
+        if stands
+    ]
+
+
 def moved(planner: Planner, modules: Sequence[ShiningModule]) -> list[tuple[str, Movement]]:
     """What functions command: names of modules, and how they move, which a function of the user's own says of none."""
 
@@ -65,6 +76,6 @@ def moved(planner: Planner, modules: Sequence[ShiningModule]) -> list[tuple[str,
 
 def _held(symbol: str, module: ShiningModule, how: str) -> LuxloopError:
     return LuxloopError(
-        f"functions.{symbol}.modules: {module.name!r} is {how}, but a controller holds a symbol with modules at rest alone; "
-        "name another one, or other modules to be moved"
+        f"functions.{symbol}.modules: {module.name!r} is {how}, but a controller can hold a symbol only with modules at rest; "
+        "name another module here, or other modules in the function that moves them"
     )

@@ -200,27 +200,25 @@ class ControlledSymbol:
         """Look at the frames of a moment that shows it, None where they are lost, and control. name: its own."""
         shown = Shown(moment.drawings[name], self.light(moment.on, moment.off), moment.ego)
         frames = images if name in moment.measured else None
-        seen = self.observer.look(frames, shown.drawing, shown.lights, state.shape if ego is None or ego.stands else None)
-        if not moment.alone:
-            seen = self._less_masks(seen, shown)
+        taken = None if moment.alone or frames is None else self._taken(shown)
+        if taken is not None and not bool(taken.isfinite().all()):
+            frames, seen = None, replace(self.observer.lost(shown.drawing.pose, Loss.COVERED), shape=state.shape)
+        else:
+            seen = self.observer.look(frames, shown.drawing, shown.lights, state.shape if ego is None or ego.stands else None)
+            if taken is not None and seen.code == Loss.SEEN:
+                errors = seen.errors - taken
+                seen = replace(seen, errors=errors, pose_error=self.observer.pose_error(errors))
         return HeldState(self.controller.step(state.controller, Look(seen, frames, shown, ego)), state.turn, seen.shape), seen
 
-    def _less_masks(self, seen: Seen, shown: Shown) -> Seen:
-        """Errors without what other functions took from the symbol or laid over it, which moves its centroids as well; lost as covered
-        where they leave too little of it.
+    def _taken(self, shown: Shown) -> Tensor | None:
+        """By how much other functions move the features `[4]` of the symbol where they take of its light or lay theirs over it, NaN where
+        they leave too little of it to be measured; None where they do not, or where the flat road would not show it anyway.
         """
-        if seen.code == Loss.NO_FRAME:
-            return seen
         alone = self.projector.draw(shown.drawing)
         if all(torch.allclose(a.u, b.u, rtol=0, atol=SAME) for a, b in zip(shown.lights, alone, strict=True)):
-            return seen
+            return None
         left, whole = (self.observer.rendered(shown.drawing, lights) for lights in (shown.lights, alone))
-        if bool(whole.isfinite().all()) and not bool(left.isfinite().all()):
-            return replace(seen, code=torch.full_like(seen.code, Loss.COVERED))
-        if seen.code != Loss.SEEN:
-            return seen
-        errors = seen.errors - (left - whole)
-        return replace(seen, errors=errors, pose_error=self.observer.pose_error(errors))
+        return left - whole if bool(whole.isfinite().all()) else None
 
     def held(self, drawing: Drawing, seen: Seen | None, verdict: Verdict | None) -> Held:
         """What is recorded of a step; seen: None where no frame shows it yet."""

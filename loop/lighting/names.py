@@ -42,6 +42,10 @@ def refuse_unknown(scenario: Scenario) -> None:
         ),
         "lighting.street_lamps": (params.street_lamps, "leave it out"),
         "lighting.shadow_rays": (params.shadow_rays, "leave it out"),
+        **{
+            f"checks.{name}.metric": (check.metric.startswith("objects."), "take such checks out, all with --set checks={}")
+            for name, check in scenario.checks.items()
+        },
         **{f"functions.{name}": (function.kind == "material", "take it out") for name, function in scenario.functions.items()},
     }
     for key, (wanted, remedy) in wants.items():

@@ -11,7 +11,14 @@ from controllers.functions.glare_free import GlareFreeParams
 from controllers.pixels.rthc import masks
 from controllers.situation import Situation, TrackedObject
 from loop.lighting.sight import Recognised, name_of
-from loop.plant.world import Metered
+from loop.plant.world import LitScene, Metered
+from world.traffic.tracked import ROAD_USERS
+
+DRIVEN = ROAD_USERS - {"pedestrian"}
+LEAST_PX, DUE_S = (
+    24.0,
+    0.3 - 1e-6,
+)  # with what clocks round, height from which on a detector ought to find somebody, and the time that it has for that
 
 
 @dataclass(frozen=True)
@@ -51,6 +58,32 @@ def on_objects(
             peak = max(float(lx.max()) for lx in lights)
         found[name] = OnObject(len(lights[0]), low, mean, high, peak, number in dark)
     return found
+
+
+def near_enough(seen: LitScene, since_s: Mapping[str, float], now_s: float) -> Mapping[str, float]:
+    """Since when the drivers and riders who come towards the camera have been LEAST_PX tall and half visible, by name; since_s: as known
+    before.
+    """
+    heading = {placed.body.name: placed.T_world_body[:3, 0].double() for placed in seen.triangles.placed if placed.object_id > 0}
+    ahead = seen.view.T_world_view[:3, 2].double()
+    near = (
+        each.name
+        for each in seen.objects
+        if seen.given[each.object_id - 1].category in DRIVEN
+        and each.whole[3] - each.whole[1] >= LEAST_PX
+        and each.visible >= 0.5
+        and float(heading[each.name] @ ahead) < 0
+    )
+    return {name: since_s.get(name, now_s) for name in near}
+
+
+def most_on(where: Sequence[Tensor], metered: Sequence[Metered], shares: Sequence[float]) -> tuple[float | None, float | None]:
+    """Most light in lx at pixels `[height, width]` of each exposure, mean over time and highest; None where none is meant in any."""
+    lights = [each.illuminance[mask] for mask, each in zip(where, metered, strict=True)]
+    if not any(map(len, lights)):
+        return None, None
+    most = [float(lx.max()) if len(lx) else 0.0 for lx in lights]
+    return sum(share * lx for share, lx in zip(shares, most, strict=True)), max(most)
 
 
 def must_be_dark(functions: Mapping[str, Any], each: TrackedObject, now: Situation) -> bool:

@@ -14,8 +14,9 @@ from loop.lighting.on_materials import quantities
 from loop.lighting.redrawn import covering, opened
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
-from loop.lighting.summary import summarise
+from loop.lighting.summary import of_modules, summarise
 from loop.recording.columns import AIM, CENTROIDS, CUT, ERRORS, POSE, SYMBOL, loss_name, of_one
+from loop.recording.summary import Circumstances
 from loop.recording.summary import summarise as summarise_symbol
 from loop.scenario.plant import shadow_of
 from perception.judge import Verdict
@@ -34,7 +35,8 @@ STEP = {
     "dark_lx_max": (pa.float64(), "lx", "most light of the lamps on any object that must be dark; empty while there is none in sight"),
     "plan_ms": (pa.float64(), "ms", "from the objects to primitives"),
     "light_ms": (pa.float64(), "ms", "from primitives to utilisations"),
-    "look_ms": (pa.float64(), "ms", "rendering, which is no part of the car"),
+    "look_ms": (pa.float64(), "ms", "rendering and judging, which are no part of the car"),
+    "processing_ms": (pa.float64(), "ms", "all that the car computes, without look_ms, as time of one thread on the processor"),
 }
 CONTROL = {"control_ms": (pa.float64(), "ms", "measurement and controllers of all symbols that are held")}
 OBSERVED = {"symbol_iou_min": (pa.float64(), "1", "least IoU of a symbol with what its observer shall see; empty while there is none")}
@@ -48,16 +50,33 @@ OBJECT_PEAK = {"lx_peak": (pa.float64(), "lx", "lx_max while it is highest; the 
 EYES_PEAK = {"eyes_lx_peak": (pa.float64(), "lx", "eyes_lx_max while it is highest, which is a mean over the step")}
 LEARNING = {
     "base_share": (pa.float64(), "1", "what is left of the base beam"),
+    "flux_lm": (pa.float64(), "lm", "luminous flux of all lamps"),
     "power_w": (pa.float64(), "W", "electrical power of all lamps, by the lamp model of headlight.standby_w and efficacy_lm_w"),
-    "find_ms": (pa.float64(), "ms", "detector, tracker, what functions learn, and the truth that they are held against"),
+    "find_ms": (pa.float64(), "ms", "detector, tracker and what functions learn"),
 }
 LOOKING = {
     "detections": (pa.int64(), "1", "boxes that the detector found"),
     "false_positives": (pa.int64(), "1", "of them, those of at least tracker.start_score that overlap no object by an IoU of 0.3"),
     "tracks": (pa.int64(), "1", "objects that the tracker has confirmed and not lost"),
     "eyes_lx_max": (pa.float64(), "lx", "most light of the lamps on heads and windscreens of road users; empty while none is seen"),
+    "oncoming_lx_max": (
+        pa.float64(),
+        "lx",
+        "the same of oncoming drivers and riders alone, each from 0.3 s after it is at least 24 px tall and half visible",
+    ),
+    "road_lx_ratio_max": (
+        pa.float64(),
+        "1",
+        "most light on a point of the road, as a multiple of the largest setpoint of functions and base beam there",
+    ),
 }
-OF_TRUTH = ("false_positives", "eyes_lx_max", "eyes_lx_peak")  # which only a plant can tell that knows it
+OF_TRUTH = (
+    "false_positives",
+    "eyes_lx_max",
+    "eyes_lx_peak",
+    "oncoming_lx_max",
+    "road_lx_ratio_max",
+)  # which only a plant can tell that knows it
 OBJECT = {
     "pixels": (pa.int64(), "px", "of the camera that see it"),
     "lx_min": (pa.float64(), "lx", "least light of the lamps on what the camera sees of it; empty where that is nothing"),
@@ -118,7 +137,7 @@ def schema(simulation: Simulation) -> pa.Schema:
 
 def valued(simulation: Simulation) -> set[str]:
     """Names of what has values in the run of another light (`Simulation.lit_by`), under which nothing must be dark."""
-    return {*schema(simulation).names, *LEARNING} - {"dark_lx_max"}
+    return {*schema(simulation).names, *LEARNING} - {"dark_lx_max", "road_lx_ratio_max"}
 
 
 def row(result: StepResult) -> dict[str, Any]:
@@ -136,8 +155,10 @@ def row(result: StepResult) -> dict[str, Any]:
         "symbol_iou_min": result.symbol_iou_min,
         **{f"{part}_ms": ms for part, ms in result.timings.items()},
         "look_ms": result.timings["plant"] + result.timings["look"],
+        "processing_ms": result.processing_ms,
     }
-    values |= {"base_share": base.share, "power_w": sum(power.watts for power in result.powers.values())}
+    values |= {"base_share": base.share, "flux_lm": sum(power.flux_lm for power in result.powers.values())}
+    values |= {"power_w": sum(power.watts for power in result.powers.values())}
     for side, power in result.powers.items():
         given = power.flux_lm, power.share, power.factor, power.flux_lm_peak
         values |= {f"lamp.{side}.{key}": value for key, value in zip(LAMP | LAMP_PEAK, given, strict=True)}
@@ -153,6 +174,7 @@ def row(result: StepResult) -> dict[str, Any]:
         values |= {f"functions.{name}.{material.quantity}": material.median, f"functions.{name}.wanted": material.wanted}
     if (look := result.look) is not None:
         values |= {"tracks": len(look.tracks), "eyes_lx_max": look.eyes_lx_max, "eyes_lx_peak": look.eyes_lx_peak}
+        values |= {"oncoming_lx_max": look.oncoming_lx_max, "road_lx_ratio_max": result.road_lx_ratio_max}
         if result.frame is not None:
             values |= {"detections": len(look.found), "false_positives": look.false_positives}
         for name in result.objects:
@@ -193,11 +215,16 @@ def summary_of(
     """
     scenario, held = simulation.scenario, dict[str, dict[str, Any]]()
     for name, symbol in simulation.controlled.items():
-        iou = math.nan
+        iou = road_m = math.nan
+        mine = of_one(table, name)
         if symbol.judge is not None and name in last:
             now, lights = last[name].now, opened(simulation, last[name], name)
             iou = float(symbol.judge.judged(simulation.world.added(now.time_s, *lights, now.commands), now.time_s).iou)
+            road_m = symbol.judge.road_m(mine["time_s"].to_pylist())
         by = covering(simulation, covered[name], name) if covered and name in covered else ()
-        held[name] = summarise_symbol(of_one(table, name), symbol.params.name, iou, by)
+        judge_every = None if symbol.judge is None else scenario.judge_every
+        run = Circumstances(judge_every, scenario.vehicle is not None, road_m, getattr(symbol.params, "highest_m", None))
+        held[name] = summarise_symbol(mine, symbol.params.name, iou, by, run)
     summary = summarise(table, scenario.name, compared(simulation, table), held) | {"shadow_of": shadow_of(scenario.plant)}
+    summary |= {"modules": modules} if (modules := of_modules(table, simulation.modules)) else {}
     return summary | ({"flicker": {"rate_hz": scenario.rate_hz, "on_share": 1 - scenario.off_share}} if held else {})

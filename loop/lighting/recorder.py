@@ -27,8 +27,8 @@ class Recorder:
     """Records a run into a directory; use it in a `with` statement and `add` every step.
 
     The first step begins the recording: until then the directory stays as it is, also where it holds an older one. Leaving the block
-    finishes it, as interrupted after Ctrl-C and as failed after an error, and writes summary and report. Where that fails after an error,
-    the first error is raised.
+    finishes it, as interrupted after Ctrl-C and as failed after an error, and writes summary and report; `summary` is
+    empty until then. Where that fails after an error, the first error is raised.
     """
 
     def __init__(
@@ -54,11 +54,12 @@ class Recorder:
         self._fresh: list[dict[str, Any]] = []
         self._next_write_s = 0.0
         self._begun = False
+        self.summary = dict[str, Any]()
         with self._writing():
             _refuse(directory)
 
-    def summary(self) -> dict[str, Any]:
-        """The steps so far in a few numbers, and what has come of checks."""
+    def _summarised(self) -> dict[str, Any]:
+        """The steps in a few numbers, and what has come of checks."""
         functions = sorted(self.simulation.scenario.functions.items())
         idle = [f"functions.{name} ({each.kind})" for name, each in functions if name in self._idle]
         checks = {} if self._checked is None else self._checked(self.table())
@@ -101,11 +102,11 @@ class Recorder:
         ended = "complete" if error is None else "failed" if isinstance(error, Exception) else "interrupted"
         try:
             self._write_trajectory()
-            summary = self.summary()
-            write_json(self.directory / SUMMARY, summary)
+            self.summary = self._summarised()
+            write_json(self.directory / SUMMARY, self.summary)
             self.manifest = self.manifest.ended(ended, self.directory)
             if self._report is not None:
-                self._report(self.table(), summary)
+                self._report(self.table(), self.summary)
         except Exception:
             with suppress(OSError):
                 self.manifest.fail(self.directory)

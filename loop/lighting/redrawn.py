@@ -27,7 +27,8 @@ def covering(simulation: Simulation, result: StepResult, name: str) -> tuple[str
         on, off = _pair(simulation, result, name, {each: drawn[each] for each in (name, *others)})
         return sum(float((on[k].u - off[k].u).abs().sum()) for k in simulation.controlled[name].drawn_by)
 
-    return tuple(other for other in drawn if other != name and own(other) < (1 - TAKEN) * own())
+    least = (1 - TAKEN) * own()
+    return tuple(other for other in drawn if other != name and own(other) < least)
 
 
 def _drawn(simulation: Simulation, result: StepResult, others: dict[str, Drawing]) -> dict[str, Sequence[Primitives]]:

@@ -24,6 +24,8 @@ from perception.egomotion import Samples
 from perception.tracks import TrackedBoxes
 from world.view import View
 
+OUTSIDE = ("plant", "look")  # parts of a step that no car computes
+
 
 @dataclass(frozen=True, eq=False)
 class SimulationState:
@@ -32,7 +34,7 @@ class SimulationState:
     plant: its state. arrivals: what has come in by its beginning. samples: the newest of each of the vehicle's sensors.
     held: of each symbol that a controller holds. believed: views from the ground frame of the exposures whose frames have not come yet, by
     their number. under_way: what was shown whose frames have not come. frames: that have come without the other one of their pair.
-    commanded: what functions commanded last, by name.
+    commanded: what functions commanded last, by name. oncoming_s: since when those who come towards the car have been near enough.
     """
 
     step: int
@@ -46,6 +48,7 @@ class SimulationState:
     under_way: UnderWay[Moment] = ()
     frames: tuple[Frame, ...] = ()
     commanded: Mapping[str, Given] = field(default_factory=dict)
+    oncoming_s: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +57,7 @@ class Look:
 
     recognised: what is made of each object in sight, by its name. false_positives: detections of none that may be new objects, None where
     nobody knows. eyes_lx_max, eyes_lx_peak: most light of the lamps on heads and windscreens of road users, mean over time and
-    highest, None where none are seen.
+    highest, None where none are seen. oncoming_lx_max: mean over time, of those that come towards the car and are near enough (`oncoming`).
     """
 
     found: Detections
@@ -63,6 +66,7 @@ class Look:
     false_positives: int | None
     eyes_lx_max: float | None
     eyes_lx_peak: float | None
+    oncoming_lx_max: float | None
 
 
 @dataclass(frozen=True)
@@ -76,7 +80,8 @@ class StepResult:
     frame: digital numbers of the newest frame that came in this step, None where none came. frames: the newest on and off frame that
     controllers got, taken at taken_s, NaN where none came. objects: by name, those that are there and have
     a category. look: None without a detector. symbols: those that are meant for an observer, from their eyes. held: those that controllers
-    hold; zones, materials: all by name. showings: the exposures. timings: ms by part.
+    hold; zones, materials: all by name. road_lx_ratio_max: see `loop.lighting.judging`, None where nobody judged. showings: the
+    exposures. timings: ms by part. processing_ms: see `Clock`.
     """
 
     step: int
@@ -99,8 +104,10 @@ class StepResult:
     held: Mapping[str, Held]
     zones: Mapping[str, InZone]
     materials: Mapping[str, OnMaterial]
+    road_lx_ratio_max: float | None
     showings: tuple[Showing, ...]
     timings: Mapping[str, float]
+    processing_ms: float
 
     @property
     def symbol(self) -> Held:
@@ -120,14 +127,18 @@ class StepResult:
 
 
 class Clock:
-    """Wall time by part. taken_ms: ms so far, by name."""
+    """Time by part. taken_ms: ms so far by the clock on the wall, by name. processing_ms: of the parts that the car computes, on the
+    processor.
+    """
 
     def __init__(self) -> None:
         self.taken_ms: dict[str, float] = {}
-        self._last = time.perf_counter()
+        self.processing_ms = 0.0
+        self._last, self._worked = time.perf_counter(), time.thread_time()
 
     def lap(self, part: str) -> None:
         """Count the time since the last lap as that of a part."""
-        now = time.perf_counter()
+        now, worked = time.perf_counter(), time.thread_time()
         self.taken_ms[part] = self.taken_ms.get(part, 0.0) + 1e3 * (now - self._last)
-        self._last = now
+        self.processing_ms += 0.0 if part in OUTSIDE else 1e3 * (worked - self._worked)
+        self._last, self._worked = now, worked

@@ -22,11 +22,12 @@ from controllers.symbol.sensing.protocol import SymbolController
 from loop.lighting.commanded import commanded, refuse_commands
 from loop.lighting.controlled import ControlledSymbol, Moment, controlled_symbols, turn
 from loop.lighting.ground import attitude, moved, seen_from
+from loop.lighting.judging import over_setpoint
 from loop.lighting.lamps import LampPower, ShiningModule, driven, in_reach, lamp_modules, mean_powers, shining_modules
 from loop.lighting.names import check_names, refuse_unknown
 from loop.lighting.observed import ObservedSymbol, in_white, observed_symbols
 from loop.lighting.on_materials import OnMaterial, in_zones, on_materials
-from loop.lighting.on_objects import OnObject, must_be_dark, on_objects, told_as
+from loop.lighting.on_objects import DUE_S, OnObject, most_on, must_be_dark, near_enough, on_objects, told_as
 from loop.lighting.result import Clock, Look, SimulationState, StepResult
 from loop.lighting.sight import Sight, false_positives, recognised
 from loop.plant.build import build_plant
@@ -43,7 +44,7 @@ from perception.egomotion import Ego, Samples, ego_of, newest
 from perception.judge import Verdict
 from world.errors import LuxloopError, located
 from world.frames import inverse
-from world.headlight.lamp import Commands
+from world.headlight.lamp import REST, Commands
 from world.scene.scene import StreetLamp
 from world.view import View
 
@@ -235,20 +236,23 @@ class Simulation:
         believed = {**state.believed, **{per_step * state.step + part: view for part in watched}}
         tracks, functions, image, found, then_s = state.tracks, state.functions, None, None, time_s
         for frame in frames[len(state.frames) :]:
-            then_view = believed.pop(frame.number, None)
-            if then_view is not None and frame.image is not None:
+            if (then_view := believed.get(frame.number)) is None:
+                continue
+            believed = {number: each for number, each in believed.items() if number > frame.number}  # those before it never come
+            if frame.image is not None:
                 image, then_s = frame.image, frame.taken_s
-                then = None if world is None else world.lit(then_s)
+                then = None if world is None or not (self.sight or self.planner.learns) else world.lit(then_s)
                 if self.sight is not None:
                     share = image / (2**self.scenario.camera.bits - 1)
                     found = self.sight.find(share, then)
                     tracks = self.sight.tracker.follow(tracks, found, share, then_s)
                 if self.planner.learns:
                     functions = self.planner.step(functions, self._learnt(now, then, then_s, image, then_view, tracks))
-        if len(frames) > len(state.frames):  # those before it never come
-            believed = {number: each for number, each in believed.items() if number > frames[-1].number}
-        look = None if self.sight is None else self._look(self.sight, tracks, found, then_s, metered)
         clock.lap("find")
+        oncoming_s = near_enough(metered[0].seen, state.oncoming_s, time_s) if metered and self.sight is not None else {}
+        due = [name for name, since_s in oncoming_s.items() if time_s - since_s >= DUE_S]
+        look = None if self.sight is None else self._look(self.sight, tracks, found, then_s, metered, due)
+        clock.lap("look")
         alone = len(drawings) == 1 and len(self.planner.functions) == 1 and self.scenario.lighting.power_limit is None
         moment = Moment(drawings, measured, exposures[0], exposures[-1], ego, alone)
         looks, under_way, frames = paired((*state.under_way, (per_step * state.step, moment)), frames) if self.controlled else ([], (), ())
@@ -262,12 +266,13 @@ class Simulation:
         clock.lap("control")
         masked = frozenset(each.name for each in now.objects if must_be_dark(self.scenario.functions, each, now))
         told = told_as(self.watched, None if look is None else look.recognised)
-        luminance = None if world is None else world.luminance(time_s, exposures[0], now.commands)[0]
+        luminance = None if world is None else world.image(time_s, exposures[0], now.commands)
         zones = in_zones(self.planner.functions, state.functions, luminance, view if world is None else world.view_from_ground(time_s))
         objects: Mapping[str, OnObject] = {}
         materials: Mapping[str, OnMaterial] = {}
         symbols: tuple[ObservedSymbol, ...] = ()
         verdicts: Mapping[str, Verdict] = {}
+        road_ratio = None
         if world is not None and lit is not None:
             objects = on_objects(self.watched, frozenset(told[name] for name in masked & told.keys()), metered, shares)
             materials = on_materials(self.planner.functions, functions, now, told, lit.seen, lit.illuminance, lit.luminance)
@@ -275,7 +280,10 @@ class Simulation:
                 whitened = [light.u for light in self._driven(white, now)[0]]
                 symbols = observed_symbols(plan, [light.u for light in exposures[0]], whitened, world, now)
         every = self.scenario.judge_every
-        if world is not None and measured and every and state.step % every == 0:
+        judges = world is not None and bool(every) and state.step % every == 0
+        if judges and lit is not None and self.sight is not None and self.planner.functions:
+            road_ratio = over_setpoint(self._turned(now), plan, exposures[0], lit.seen)
+        if judges and measured:
             verdicts = self._judged(state, now, drawn, measured, exposures)
         results = {name: self.controlled[name].held(each, looked.get(name), verdicts.get(name)) for name, each in drawings.items()}
         clock.lap("look")
@@ -300,10 +308,12 @@ class Simulation:
             results,
             zones,
             materials,
+            road_ratio,
             tuple(showings),
             clock.taken_ms,
+            clock.processing_ms,
         )
-        known = tracks, functions, plant, arrivals, samples, held, believed, under_way, frames, given
+        known = tracks, functions, plant, arrivals, samples, held, believed, under_way, frames, given, oncoming_s
         return SimulationState(state.step + 1, *known), result
 
     def _judged(
@@ -374,10 +384,12 @@ class Simulation:
             yield result
 
     def idle(self, result: StepResult) -> set[str]:
-        """Names of the functions of which no ray of any lamp that draws them can hit anything at that moment."""
+        """Names of the functions that move no module at that moment, and of which no ray of any lamp that draws them hits anything."""
         drawn = self.planner.drawn(result.now, result.functions)
         reach = {name for name, parts in drawn.items() if any(in_reach(self.modules, part, result.now) for part in parts)}
-        return drawn.keys() - reach - result.held.keys() - self.planner.commanding.keys()
+        given = self.planner.commanded({}, result.now, self.modules)
+        moving = {name for name, each in given.items() if any(command != REST for _, command in each.commands)}
+        return drawn.keys() - reach - result.held.keys() - moving
 
     def _all_objects(self, time_s: float) -> tuple[TrackedObject, ...]:
         if self.truth is None or not self.scenario.all_objects:
@@ -394,17 +406,17 @@ class Simulation:
         """The camera's view from the ground frame, as the car believes."""
         return replace(self.view, T_world_view=T_ground_body @ self.view.T_world_view)
 
-    def _look(self, sight: Sight, tracks: Any, found: Detections | None, then_s: float, metered: Sequence[Metered]) -> Look:
-        """What is made of the scene at a time. found: in its frame, None without one. metered: the scene in each exposure of now."""
+    def _look(self, sight: Sight, tracks: Any, found: Detections | None, then_s: float, metered: Sequence[Metered], due: list[str]) -> Look:
+        """Of a time. found: in its frame, None without one. metered: in each exposure of now. due: who must not be dazzled any more."""
         found = found or Detections(torch.zeros(0, 4), torch.zeros(0, len(sight.classes)))
         present = sight.present(tracks, then_s)
         if not metered:
-            return Look(found, present, {}, None, None, None)
-        then, eyes = self.world.lit(then_s), [each.illuminance[each.seen.eyes] for each in metered]
+            return Look(found, present, {}, None, None, None, None)
+        then, shares = self.world.lit(then_s), self.scenario.shares
         false = false_positives(then, found, self.scenario.tracker.start_score)
-        most = [float(each.max()) if len(each) else 0.0 for each in eyes] if any(map(len, eyes)) else []
-        mean = sum(share * lx for share, lx in zip(self.scenario.shares, most, strict=True)) if most else None
-        return Look(found, present, recognised(then, present, found), false, mean, max(most, default=None))
+        eyes = most_on([each.seen.eyes for each in metered], metered, shares)
+        oncoming, _ = most_on([each.seen.eyes_of(due) for each in metered], metered, shares)
+        return Look(found, present, recognised(then, present, found), false, *eyes, oncoming)
 
     def _learnt(self, now: Situation, then: LitScene | None, then_s: float, image: Tensor, view: View, tracks: Any) -> Situation:
         """The situation once a frame is there, which was taken at then_s of the scene then, in a view that the car believes."""
@@ -415,6 +427,13 @@ class Simulation:
         objects = now.objects if self.sight is None or tracks is None else self.sight.objects(tracks, now.time_s, view)
         return replace(now, objects=objects, seen=Seen(then_s, view, luminance, most, *materials))
 
+    def _turned(self, now: Situation) -> list[ShiningModule]:
+        """The modules as they are aimed by what is known of the body, and commanded."""
+        return [
+            replace(module, T_world_module=light.T_world_headlight, intensity=light.intensity)
+            for module, (_, light) in zip(self.modules, now.lights, strict=True)
+        ]
+
     def _driven(self, plan: Plan, now: Situation) -> tuple[Lights, Mapping[str, LampPower]]:
         params = self.scenario.lighting
         street_lamps: tuple[StreetLamp, ...] = ()
@@ -424,11 +443,7 @@ class Simulation:
             street_lamps = tuple(seen_from(T_world_ground, lamp) for lamp in self.world.scene.street_lamps) if params.street_lamps else ()
             occluded = scene_caster(self.world.lit(now.time_s).triangles, T_world_ground) if params.shadow_rays else None
         secondary = [SecondaryRays(now.lights, own, street_lamps, occluded) for own in range(len(self.modules))]
-        modules = [
-            replace(module, T_world_module=light.T_world_headlight, intensity=light.intensity)
-            for module, (_, light) in zip(self.modules, now.lights, strict=True)
-        ]
-        return driven(modules, plan, secondary, params.power_limit, self.scenario.headlight.power_w)
+        return driven(self._turned(now), plan, secondary, params.power_limit, self.scenario.headlight.power_w)
 
 
 def _without(drawn: Parts, names: Collection[str]) -> dict[str, Sequence[Primitives]]:

@@ -8,19 +8,21 @@ import pyarrow as pa
 from numpy.typing import NDArray
 from rich.table import Table
 
+from controllers.functions.commands import MOVED, Movable
 from controllers.zones.material import Quantity
 from loop.recording.checks import lines
-from loop.recording.remedies import of_frames, remedies
+from loop.recording.remedies import of_frames, remedies, unjudged
 from loop.recording.summary import column
 from loop.terminal.tables import facts, number
+from world.headlight.lamp import REST
 
 START_UP_S = 1.0  # in which functions that learn begin with more light than they come to need
 SETTLED = 0.05  # greatest deviation of a zone from its target, as a share of it
 LAST_STEPS = 10  # that a confidence at the end is the mean of
 UNITS: Mapping[Quantity, str] = {"luminance": "cd/m^2", "lx": "lx"}
 WELL_LIT_LX = 5.0  # from which on detectors are trained to find objects
-CONTROL = ("plan_ms", "light_ms", "control_ms")  # which are the car's own
 LOOKING = ("detections", "false_positives")  # whose means are told
+NAMED = 8  # objects that charts and the closing table tell one by one
 
 
 def summarise(
@@ -39,6 +41,7 @@ def summarise(
         values = values[np.isfinite(values)]
         return float(getattr(values, what)()) if len(values) else None
 
+    times_s, ms = column(table, "time_s"), float(np.median(column(table, "processing_ms"))) if table.num_rows else None
     return {
         "scenario": scenario,
         "steps": table.num_rows,
@@ -56,6 +59,7 @@ def summarise(
             name: {
                 "lx_mean": over(f"objects.{name}.lx_mean", "mean"),
                 "lx_max": over(f"objects.{name}.lx_max", "max"),
+                "masked_steps": table[f"objects.{name}.masked"].to_pylist().count(True),
                 **(_recognised(table, name) if f"objects.{name}.track" in known else {}),
             }
             for name in objects
@@ -75,8 +79,34 @@ def summarise(
         ),
         **{key: over(key, "mean") for key in LOOKING if key in known},
         **(_eyes(table) | {"tracks_of_nothing": steps_of_nothing(table, objects)} if "eyes_lx_max" in known else {}),
-        "control_ms_median": float(np.median(sum(column(table, part) for part in CONTROL if part in known))) if table.num_rows else None,
+        "processing_ms_median": ms,
+        "times_real_time": None if ms is None or table.num_rows < 2 else ms / 1e3 * (table.num_rows - 1) / (times_s[-1] - times_s[0]),
     }
+
+
+def of_modules(table: pa.Table, modules: Sequence[Movable]) -> dict[str, dict[str, dict[str, Any]]]:
+    """What functions commanded, by names of modules and movements: least and most, and of angles in how many steps they were at an end of
+    the module's range, rest excepted.
+    """
+    found = dict[str, dict[str, dict[str, Any]]]()
+    for module in modules:
+        for movement in MOVED:
+            if (name := f"modules.{module.name}.{movement}") in table.column_names:
+                rest = getattr(REST, movement)
+                values = np.nan_to_num(column(table, name), nan=rest)
+                told: dict[str, Any] = {"least": float(values.min()), "most": float(values.max())}
+                if movement != "intensity":
+                    told["steps_at_end"] = int((np.isin(values, getattr(module, movement)) & (values != rest)).sum())
+                found.setdefault(module.name, {})[movement] = told
+    return found
+
+
+def named(objects: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Names of the objects of a summary that are told one by one: all in sight, of more than `NAMED` the brightest that were lit."""
+    most = {name: each["lx_max"] for name, each in objects.items() if each["lx_max"] is not None}
+    if len(most) <= NAMED:
+        return [*most]
+    return [name for name in sorted(most, key=most.__getitem__, reverse=True)[:NAMED] if most[name]]
 
 
 def spoken(name: str) -> str:
@@ -180,11 +210,12 @@ def shown(values: dict[str, Any], files: str) -> Table:
         rows[f"{side} lamp"] = (
             f"{number(lamp['flux_lm_mean'], '.0f')} lm (mean), {number(lamp['power_share_max'], '.1%')} of its power at most{dimmed}"
         )
-    for name, light in values["objects"].items():
-        mean, most = light["lx_mean"], light["lx_max"]
-        rows[f"light on {spoken(name)}"] = "never in the camera's sight" if most is None else f"{mean:.3g} lx (mean), {most:.3g} lx at most"
+    if values.get("modules"):
+        rows["modules"] = _of_modules(values["modules"], values["steps"])
+    rows |= _of_light(values["objects"], values["steps"])
     if values["dark_lx_max"] is not None:
-        rows["on what must be dark"] = f"{values['dark_lx_max']:.3g} lx at most"
+        late = ", as masks follow what the detector found in frames before" if values["dark_lx_max"] and "detections" in values else ""
+        rows["on what must be dark"] = f"{values['dark_lx_max']:.3g} lx at most{late}"
     for name, symbol in values["functions"].items():
         rows |= {f"{spoken(name)}: {key}": text for key, text in _of_symbol(symbol).items()}
     if (flicker := values.get("flicker")) is not None:
@@ -202,7 +233,8 @@ def shown(values: dict[str, Any], files: str) -> Table:
     objects = values["objects"].values()
     untracked = "detections" in values and bool(objects) and not any(each["tracks"] for each in objects)
     if values["idle_functions"]:
-        why = f"nothing to draw, or nothing that a lamp reaches, in all steps{'; no object was tracked yet' if untracked else ''}"
+        nobody = "; no object was tracked yet" if untracked else ""
+        why = f"nothing to draw or to command, or nothing that a lamp reaches, in all steps{nobody}"
         rows["without effect"] = f"{', '.join(values['idle_functions'])}: {why}"
     if values.get("energy_j") is not None:
         rows["energy"] = _of_energy(values["energy_j"], values["energy_compared_j"])
@@ -222,34 +254,86 @@ def shown(values: dict[str, Any], files: str) -> Table:
         if values.get("eyes_lx_max") is not None:
             rows["on heads and windscreens"] = _on_eyes(values["eyes_lx_max"], values["eyes_lx_max_after_start_up"])
     if least := {name: each["confidence_min"] for name, each in values["objects"].items() if each.get("confidence_min") is not None}:
-        told = ", ".join(f"{spoken(name)} {sure:.2f}" for name, sure in least.items())
-        rows["least confidence"] = f"{told}, each from its first track on"
+        lowest = sorted(least, key=least.__getitem__)
+        told = ", ".join(f"{spoken(name)} {least[name]:.2f}" for name in lowest[:NAMED])
+        more = f", {len(lowest) - NAMED} others {least[lowest[NAMED]]:.2f} or more" if len(lowest) > NAMED else ""
+        rows["least confidence"] = f"{told}{more}, each from its first track on"
     if values.get("tracks_of_nothing"):
         rows["tracks of nothing"] = f"in {values['tracks_of_nothing']} of {values['steps']} steps a track shows no object of its own"
-    for name, each in values["objects"].items():
-        if each.get("steps_in_sight") and (each["steps_lost"] or not each["tracks"]):
-            word, gone = ("lost", each["steps_lost"]) if each["tracks"] else ("missed", each["steps_in_sight"])
-            large = "" if each["tracks"] else f", of {each['pixels_max']:.0f} px at most"
-            steps = f"{gone} of the {each['steps_in_sight']} steps"
-            rows[f"{word} {spoken(name)}"] = f"no track shows it in {steps} in which it is in sight{large}"
-    rows["time a step"] = f"{number(values['control_ms_median'], '.1f')} ms (median) for planning, all lamps and controllers"
+    rows |= _of_lost(values["objects"])
+    rows["time a step"] = f"{processing(values)} of one core (median) for all that the car computes"
     rows |= lines(values)
     notes = of_frames(values["frames"]) if "frames" in values else []
-    notes += [note for name, each in values["functions"].items() for note in remedies(name, each)]
+    several = len(values["functions"]) > 1
+    notes += [f"{spoken(name)}: {note}" if several else note for name, each in values["functions"].items() for note in remedies(name, each)]
     if notes and not values["shadow_of"]:
         rows["note"] = "\n".join(notes)
     rows["files"] = files
     return facts(rows)
 
 
+def _of_modules(modules: Mapping[str, Mapping[str, Mapping[str, Any]]], steps: int) -> str:
+    """All that moved alike together."""
+    alike: dict[tuple[Any, ...], list[str]] = {}
+    for name, movements in modules.items():
+        for movement, told in movements.items():
+            alike.setdefault((movement, *told.values()), []).append(name)
+    found = []
+    for (movement, least, most, *ends), names in alike.items():
+        far = f"{least:.0%} to {most:.0%} of their maximum" if movement == "intensity" else f"{least:.1f}° to {most:.1f}°"
+        at_end = f", at the end of the range in {ends[0]} of {steps} steps" if any(ends) else ""
+        found.append(f"{'all' if len(names) == len(modules) else ', '.join(names)} {MOVED[movement]} {far}{at_end}")
+    return "; ".join(found)
+
+
+def _of_light(objects: Mapping[str, Mapping[str, Any]], steps: int) -> dict[str, str]:
+    """One by one, and in a line each of those that are not named, and of those that were never in sight."""
+    rows, one_by_one = {}, named(objects)
+    for name in one_by_one:
+        each = objects[name]
+        masked = f", masked in {each['masked_steps']} of {steps} steps" if each["masked_steps"] else ""
+        rows[f"light on {spoken(name)}"] = f"{each['lx_mean']:.3g} lx (mean), {each['lx_max']:.3g} lx at most{masked}"
+    others = [each["lx_max"] for name, each in objects.items() if name not in one_by_one and each["lx_max"] is not None]
+    if others:
+        rows[f"light on {len(others)} {'others' if one_by_one else 'objects'}"] = f"{max(others):.3g} lx at most"
+    if unseen := [spoken(name) for name, each in objects.items() if each["lx_max"] is None]:
+        rows["never in sight"] = ", ".join(unseen) if len(unseen) <= NAMED else f"{len(unseen)} objects"
+    return rows
+
+
+def _of_lost(objects: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
+    """Whom no track shows at times, the largest in the image one by one."""
+    gone = {name: each for name, each in objects.items() if each.get("steps_in_sight") and (each["steps_lost"] or not each["tracks"])}
+    rows, largest = {}, sorted(gone, key=lambda name: -gone[name]["pixels_max"])
+    for name in largest[:NAMED]:
+        each = gone[name]
+        word, steps = ("lost", each["steps_lost"]) if each["tracks"] else ("missed", each["steps_in_sight"])
+        large = "" if each["tracks"] else f", of {each['pixels_max']:.0f} px at most"
+        rows[f"{word} {spoken(name)}"] = (
+            f"no track shows it in {steps} of the {each['steps_in_sight']} steps in which it is in sight{large}"
+        )
+    if smaller := largest[NAMED:]:
+        missed = sum(not gone[name]["tracks"] for name in smaller)
+        rows["smaller objects"] = f"{missed} missed, {len(smaller) - missed} lost, of {gone[smaller[0]]['pixels_max']:.0f} px at most"
+    return rows
+
+
+def processing(values: Mapping[str, Any]) -> str:
+    """Time that the car computes for a step by the summary of a run, and how far from real time that is."""
+    times = values["times_real_time"]
+    return f"{number(values['processing_ms_median'], '.0f')} ms" + ("" if times is None else f", {times:.2g} x real time,")
+
+
 def _of_symbol(values: dict[str, Any]) -> dict[str, str]:
+    if (why := unjudged(values)) is not None:
+        return {"how it lies": why, "lost steps": f"{values['lost_steps']}{_covered(values)}"}
     x, y = values["centroid_error_percent"]
     settled = values["settle_step"]
     late = f"; {number(values['iou_mean'], '.3f')} on average and {number(values['iou_min'], '.3f')} at least in the second half"
     return {
         "settle step": f"{settled} of {values['shown_steps']}" if settled is not None else "not settled",
         "centroid error": f"{number(x, '.2f')} % along, {number(y, '.2f')} % across",
-        "IoU, open loop → final": f"{number(values['iou_open'], '.3f')} → {number(values['iou_final'], '.3f')}{late}",
+        "IoU": f"{number(values['iou_final'], '.3f')} at the end, {number(values['iou_open'], '.3f')} without control (open loop){late}",
         "overshoot": number(values["overshoot_percent"], ".1f", " %"),
         "lost steps": f"{values['lost_steps']}{_covered(values)}",
     }

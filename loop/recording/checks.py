@@ -2,13 +2,13 @@
 
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pyarrow as pa
 
 from loop.recording.summary import column
-from loop.scenario.checks import CheckParams, Light
+from loop.scenario.checks import By, CheckParams, Light
 from world.errors import LuxloopError, did_you_mean
 
 ROUNDING_S = 1e-6  # of sums of periods and of clocks that count from 1970, at a window's ends
@@ -37,17 +37,22 @@ class Checks:
 
 def outcome(check: CheckParams, table: pa.Table, beside: Mapping[Light, Sequence[Mapping[str, Any]]]) -> dict[str, Any]:
     """What has come of a check. beside: a row a step of the light that it compares with, by that light."""
-    value, other = _taken(check, column(table, "time_s"), column(table, check.metric)), None
+    times_s, values, other = column(table, "time_s"), column(table, check.metric), None
+    value = held = _taken(check, times_s, values)
     if check.compare is not None:
-        rows = beside[check.compare]
-        other = _taken(check, *(np.array([row[name] for row in rows], dtype=np.float64) for name in ("time_s", check.metric)))
-    held = value if check.compare is None else ratio(value, other)
+        others = np.array([row[check.metric] for row in beside[check.compare]], dtype=np.float64)
+        other = _taken(check, times_s, others)
+        if check.by == "ratio":
+            held = ratio(value, other)
+        else:
+            held = _taken(check, times_s, values - others if check.by == "difference" else np.where(others > 0, values > 0, math.nan))
+    by = dict.fromkeys(get_args(By))
     return {
-        **check.model_dump(include={"metric", "take", "compare", "at_least", "at_most"}),
+        **check.model_dump(include={"metric", "take", "over_s", "compare", "at_least", "at_most"}),
         "unit": table.schema.field(check.metric).metadata[b"unit"].decode(),
         "value": value,
         "compared_value": other,
-        "ratio": None if check.compare is None or held is None or math.isinf(held) else held,
+        **(by | {check.by: None if check.compare is None or held is None or math.isinf(held) else held}),
         "passed": held is not None and _within(check, held),
     }
 
@@ -73,12 +78,22 @@ def refuse_unknown(checks: Mapping[str, CheckParams], schema: pa.Schema, compare
     for name, check in checks.items():
         where = f"checks.{name}.metric: {check.metric!r}"
         if check.metric not in known:
-            raise LuxloopError(f"{where} is no column of numbers of the recording; {did_you_mean(check.metric, known)}")
+            raise LuxloopError(
+                f"{where} is no column of numbers of the recording; {did_you_mean(check.metric, known, _known(check.metric, known))}"
+            )
         if check.compare is not None and check.metric not in compared:
             raise LuxloopError(
                 f"{where} is there with lighting functions alone, so {check.compare} has nothing to compare it with; take a column "
                 "of lamps or objects, or leave compare out"
             )
+
+
+def _known(metric: str, known: Sequence[str]) -> str:
+    """Columns of the same table, or of the same key; where there are none, all of them, tables of columns each in a word."""
+    table, dot, _ = metric.partition(".")
+    alike = [name for name in known if (name.startswith(f"{table}.") if dot else name.endswith(f".{metric}"))]
+    tables = dict.fromkeys(f"{name.rpartition('.')[0]}.*" if "." in name else name for name in known)
+    return f"known are {', '.join(alike or tables)}"
 
 
 def passed(summary: Mapping[str, Any]) -> bool:
@@ -93,14 +108,15 @@ def lines(summary: Mapping[str, Any]) -> dict[str, str]:
 
 def _line(outcome: Mapping[str, Any]) -> str:
     unit = "" if outcome["unit"] in ("", "1") else f" {outcome['unit']}"
-    parts = [f"{outcome['take']} {outcome['metric']}"]
+    over = "" if outcome["over_s"] is None else f" over {outcome['over_s']:g} s"
+    parts = [f"{outcome['take']} {outcome['metric']}{over}"]
     if outcome["value"] is None:
         parts.append(NOTHING)
     else:
         parts[0] += f" {outcome['value']:.4g}{unit}"
         if outcome["compare"] is not None:
             parts.append(_compared(outcome, unit))
-    of_bound = unit if outcome["compare"] is None else ""
+    of_bound = unit if outcome["compare"] is None or outcome["difference"] is not None else ""
     parts += [f"{bound.replace('_', ' ')} {outcome[bound]:g}{of_bound}" for bound in ("at_least", "at_most") if outcome[bound] is not None]
     return f"{', '.join(parts)}: {'passed' if outcome['passed'] else 'failed'}"
 
@@ -109,6 +125,10 @@ def _compared(outcome: Mapping[str, Any], unit: str) -> str:
     light, other = outcome["compare"].replace("_", " "), outcome["compared_value"]
     if other is None:
         return f"{NOTHING} with {light}"
+    if outcome["recall"] is not None:
+        return f"above 0 in {outcome['recall']:.4g} of the steps in which it is with {light}"
+    if outcome["difference"] is not None:
+        return f"{outcome['take']} {outcome['difference']:+.4g}{unit} to what it is with {light}"
     share = "an infinite multiple" if outcome["ratio"] is None else f"{outcome['ratio']:.4g}"
     return f"{share} of {other:.4g}{unit} with {light}"
 
@@ -116,10 +136,20 @@ def _compared(outcome: Mapping[str, Any], unit: str) -> str:
 def _taken(check: CheckParams, times_s: np.ndarray, values: np.ndarray) -> float | None:
     """The value of a column `[steps]` that a check asks for; None where no step in its window has one."""
     until_s = math.inf if check.until_s is None else check.until_s
-    there = values[np.isfinite(values) & (times_s >= check.from_s - ROUNDING_S) & (times_s <= until_s + ROUNDING_S)]
+    inside = np.isfinite(values) & (times_s >= check.from_s - ROUNDING_S) & (times_s <= until_s + ROUNDING_S)
+    there = values[inside] if check.over_s is None else _moving_means(times_s[inside], values[inside], check.over_s)
     if not len(there):
         return None
+    if check.take.startswith("p"):
+        return float(np.percentile(there, int(check.take[1:]), method="inverted_cdf"))
     return float(there[-1] if check.take == "last" else getattr(there, check.take)())
+
+
+def _moving_means(times_s: np.ndarray, values: np.ndarray, over_s: float) -> np.ndarray:
+    """Means of the values from over_s before a step to that step, both included, of the steps before which there is as much time."""
+    firsts = np.searchsorted(times_s, times_s - over_s - ROUNDING_S)
+    whole = (k for k in range(len(times_s)) if times_s[k] - times_s[0] >= over_s - ROUNDING_S)
+    return np.array([values[firsts[k] : k + 1].mean() for k in whole])
 
 
 def _within(check: CheckParams, value: float) -> bool:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,24 @@ OFF_PERCENT = 5.0  # a symbol that ends further from the target has not settled 
 LEAST_START_PERCENT = 5.0  # an axis that starts nearer to the target says nothing about overshoot
 
 
-def summarise(table: pa.Table, controller: str, iou_open: float, covered_by: Sequence[str] = ()) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Circumstances:
+    """What a run says of a symbol beside its columns.
+
+    judge_every: the scenario's, None where the plant does not know the truth. drives: whether the car moves. road_m: height of the road
+    over the plane of the ground where it is farthest from it at the target, NaN where nobody knows. highest_m: largest height that the
+    controller looks for, None where it looks for none.
+    """
+
+    judge_every: int | None = 1
+    drives: bool = False
+    road_m: float = math.nan
+    highest_m: float | None = None
+
+
+def summarise(
+    table: pa.Table, controller: str, iou_open: float, covered_by: Sequence[str] = (), run: Circumstances = Circumstances()
+) -> dict[str, Any]:
     """Summary of one symbol's columns (`loop.recording.columns.of_one`), ready for JSON: None where a value does not exist.
 
     iou_open: what the judge says of the open loop at the last step, NaN where there is none. centroid_error_percent: [x, y], signed, mean
@@ -55,6 +73,8 @@ def summarise(table: pa.Table, controller: str, iou_open: float, covered_by: Seq
         "iou_min": float(late.min()) if len(late) else None,
         "z_m_final": _number(column(table, "z_m")[-1]) if shown else None,
         "ssim_final": _number(column(lain, "ssim")[-1]) if lain.num_rows else None,
+        **asdict(run),
+        "road_m": _number(run.road_m),
     }
 
 
@@ -71,12 +91,12 @@ def settle_step(table: pa.Table) -> int | None:
 def unsettled(table: pa.Table) -> str | None:
     """Why the symbol has not settled on the target; None where it has.
 
-    not_judged: nobody said where it lies. too_short: fewer than ten steps. lost: not seen in most of the last ten; no_frame: as most of
-    their frames were missing; covered: as other functions took most of it. moving: lit, but not steady. off_target: nothing lit at the
-    target, or more than 5 % of the symbol's length or width off (mean of the last five steps).
+    not_shown: in no step. not_judged: nobody said where it lies. too_short: fewer than ten steps. lost: not seen in most of the last ten;
+    no_frame: as most of their frames were missing; covered: as other functions took most of it. moving: lit, but not steady. off_target:
+    nothing lit at the target, or more than 5 % of the symbol's length or width off (mean of the last five steps).
     """
-    if table.num_rows and not judged(table).num_rows:
-        return "not_judged"
+    if not judged(table).num_rows:
+        return "not_judged" if table.num_rows else "not_shown"
     if judged(table).num_rows < FINAL:
         return "too_short"
     losses = judged(table)["loss"][-FINAL:].to_pylist()

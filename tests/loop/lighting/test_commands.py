@@ -1,16 +1,23 @@
-"""Modules that functions turn and dim: the light follows, functions aim with them, and plants are told."""
+"""Functions turn and dim modules: the light follows, other functions aim by the turned modules, and plants get the commands."""
 
 import math
+import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pyarrow as pa
 import pytest
 import torch
+from matplotlib.figure import Figure
+from rich.console import Console
 
 from loop.lighting.record import row, schema
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
-from loop.run import run
+from loop.lighting.summary import shown
+from loop.report.courses import _commanded
+from loop.run import check, run
 from loop.scenario.model import Scenario, validate
 from world.errors import LuxloopError
 from world.headlight.lamp import REST, ModuleCommand
@@ -82,6 +89,22 @@ def test_bending_turns_light_and_what_functions_know_into_a_curve(lamp: str) -> 
     # the rear axle's speed is measured as the mean of a period, and the curvature with it
     assert math.radians(result.now.commands[0].swivel_deg) == pytest.approx(expected, rel=1e-3)
     assert math.atan2(*light.T_world_headlight[[1, 0], 0].tolist()) == pytest.approx(expected, rel=2e-3)
+
+
+def test_what_only_follows_the_cars_motion_is_told_to_do_nothing_where_it_stands(lamp: str, tmp_path: Path) -> None:
+    functions = {
+        "bend": {"kind": "bending"},
+        "level": {"kind": "levelling"},
+        "fixed": {"kind": "levelling", "entries": [{"level_deg": 1.0}]},
+    }
+    stands = scenario(lamp, functions, steps=1)
+    notes = check(stands)["notes"]
+    assert [note.partition(" does nothing")[0] for note in notes] == ["functions.bend (bending)", "functions.level (levelling)"]
+    assert all("give a [vehicle] that drives" in note for note in notes)
+    told = run(stands, tmp_path / "stands", video=False, report=False).summary
+    assert told["idle_functions"] == ["functions.bend (bending)", "functions.level (levelling)"]
+    drives = scenario(lamp, functions, steps=1, vehicle=DRIVES | {"oscillation": {"pitch_deg": 0.5}})
+    assert check(drives)["notes"] == []
 
 
 def test_levelling_holds_the_beam_over_the_ground_while_the_body_pitches(lamp: str) -> None:
@@ -170,6 +193,32 @@ def test_what_was_commanded_is_recorded_and_played_again(lamp: str, tmp_path: Pa
     played = list(Simulation.prepare(again).run())
     frames = [frame for each in played for frame in each.showings[0].after.frames]
     assert [frame.shown.commands for frame in frames if frame.shown] == [each.now.commands for each in shown]
+
+
+def test_summary_and_closing_table_say_how_far_modules_were_commanded(lamp: str, tmp_path: Path) -> None:
+    level = {"kind": "levelling", "dynamic": False, "rate_deg_s": 1000.0}
+    functions = {
+        "level": level | {"entries": [{"level_deg": 0.0}, {"time_s": 0.1, "level_deg": 4.0}, {"time_s": 0.2, "level_deg": 1.0}]},
+        "dim": {"kind": "dimming", "modules": ["right"], "entries": [{"share": 1.0}, {"time_s": 0.2, "share": 0.25}]},
+    }
+    summary = run(scenario(lamp, functions, headlight={"lamps": ["left", "right"]}), tmp_path, video=False).summary
+    level_deg = {"least": 0.0, "most": 2.5, "steps_at_end": 1}  # which is as far as it can; rest is no end, though level_deg begins there
+    dimmed = {"least": 0.25, "most": 1.0}
+    assert summary["modules"] == {"left fine": {"level_deg": level_deg}, "right fine": {"level_deg": level_deg, "intensity": dimmed}}
+    console = Console(record=True, width=200)
+    console.print(shown(summary, "here"))
+    ends = "all levelled 0.0° to 2.5°, at the end of the range in 1 of 3 steps"
+    assert re.search(rf"modules +{ends}; right fine dimmed 25% to 100% of their maximum", console.export_text())
+    assert (tmp_path / "report.png").exists()
+
+
+def test_modules_that_move_alike_share_a_curve() -> None:
+    turned = {"left fine.level_deg": [0.0, 1.0], "right fine.level_deg": [0.0, 1.0], "right fine.intensity": [1.0, 0.5]}
+    axes = Figure().subplots()
+    table = pa.table({"time_s": [0.0, 0.1], **{f"modules.{name}": values for name, values in turned.items()}})
+    _commanded(axes, table, table.column_names[1:], "deg", "")
+    told = {str(line.get_label()): np.asarray(line.get_ydata()).tolist() for line in axes.get_lines()}
+    assert told == {"left fine, right fine levelled": [0.0, 1.0], "right fine dimmed": [1.0, 0.5]}
 
 
 def test_no_such_function_no_command(lamp: str) -> None:

@@ -77,6 +77,22 @@ def test_a_symbol_under_other_functions_is_lost_as_covered_and_they_are_named(tm
     assert "11, of which guard covered it in 11" in text and "functions.guard took too much light from the symbol to measure it" in text
 
 
+@pytest.mark.parametrize("speed_m_s", [0.0, 5.0])
+def test_a_symbol_that_is_wholly_covered_waits_in_its_place(speed_m_s: float) -> None:
+    """A wall comes along for 40 steps: no other road is looked for, to which the symbol would be moved; then it is held at once."""
+    there_s, x_m = 40 / 30, 17 + speed_m_s * 40 / 30
+    places = [(0.0, 17.0, 0.0), (there_s, x_m, 0.0), (there_s + 0.02, x_m, 40.0)]
+    track = [{"time_s": time_s, "position_m": [x, y, 0]} for time_s, x, y in places]
+    wall = {"kind": "box", "name": "wall", "category": "car", "size_m": [6.0, 5.0, 0.1], "track": track}
+    more = {"vehicle": {"course": [{"speed_m_s": speed_m_s}]}} if speed_m_s else {}
+    results = run({"flake": FLAKE, "guard": {"kind": "glare_free"}}, objects=[wall], steps=46, judge_every=45, **more)
+    assert [int(each.held["flake"].seen.code) for each in results[:40]] == [Loss.COVERED] * 40
+    for each in results[:40]:
+        # a body that nods by 0.01 rad moves what is drawn for it by as much times its height over the road
+        assert (each.held["flake"].pose[:2] - torch.tensor([17.0, 0.0])).norm() < 0.01
+    assert ious(results, "flake")[-1] > 0.8
+
+
 def test_symbols_apart_are_measured_in_each_step_and_each_is_judged_by_itself() -> None:
     results = run({"left": LEFT, "right": RIGHT})
     for name in ("left", "right"):

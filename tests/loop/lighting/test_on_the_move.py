@@ -64,6 +64,22 @@ def test_a_symbol_stays_in_its_place_ahead_of_the_car() -> None:
     assert float(spread[0]) < 0.2 and float(spread[1]) < 0.05
 
 
+@pytest.mark.parametrize("drives", [False, True])
+def test_the_road_of_a_crest_leaves_the_plane_of_the_ground_with_the_square_of_the_distance(drives: bool) -> None:
+    crest = {"kind": "profile", "grades": [{"x_m": 0, "percent": -5, "curve_m": 75}]}  # a radius of 1500 m
+    held = {"kind": "symbol", "image": "chevrons", "controller": "luxloop"}
+    lamp = {"model": "idealised-332x1024", "lamps": ["left"]}
+    vehicle = {"course": [{"speed_m_s": 20.0}]} if drives else None
+    symbol = simulation(road=crest, headlight=lamp, vehicle=vehicle, functions={"symbol": held}).symbol
+    assert symbol.judge is not None
+    far_m = symbol.function.x_m + symbol.function.length_m / 2
+    if drives:  # the plane touches the road under the rear axle, and its slope, low-passed over 50 m, takes in a part of the curve
+        behind = 3.6
+        assert -((far_m + behind) ** 2) / 3000 < symbol.judge.road_m([0.0, 1.5]) < -0.6 * (far_m + behind) ** 2 / 3000
+    else:
+        assert symbol.judge.road_m([0.0, 1.5]) == pytest.approx(-(far_m**2) / 3000, abs=1e-3)  # the profile's own grid
+
+
 HILL = {"kind": "profile", "grades": [{"x_m": 5, "percent": 5, "curve_m": 50}, {"x_m": 60, "percent": -5, "curve_m": 100}]}
 
 

@@ -20,8 +20,10 @@ from tests.loop.conftest import Lux, assert_one_sentence
 from world.errors import LuxloopError
 
 OWN = """
+from dataclasses import replace
+
 import torch
-from luxloop import Detections, simulated_plant
+from luxloop import Detections, Frame, simulated_plant
 
 class Blind:
     def __init__(self, scenario, modules):
@@ -32,6 +34,12 @@ class Blind:
     def show(self, state, exposure):
         assert len(exposure.lights) == len(self.names)
         return self.inner.show(state, exposure)
+
+class Straying(Blind):
+    def show(self, state, exposure):
+        state, arrivals = self.inner.show(state, exposure)
+        stray = Frame(exposure.number + 1000, arrivals.time_s, arrivals.time_s, None)
+        return state, replace(arrivals, frames=(stray, *arrivals.frames, stray))
 
 class Brightest:
     classes = ("car",)
@@ -76,6 +84,15 @@ def test_without_truth_the_light_is_the_same_and_nobody_says_where_it_lies() -> 
         assert each.illuminance is None and each.luminance is None and not each.objects
         assert row(each)["functions.near.luminance"] is None and row(each)["dark_lx_max"] is None
     assert any(len(each.look.tracks) for each in blind if each.look is not None), "the detector works on the frames"
+
+
+@pytest.mark.usefixtures("own")
+def test_frames_of_exposures_that_were_never_shown_change_nothing() -> None:
+    """They come before the frames of the camera, which are late, and after them."""
+    functions = {"functions": SEES["functions"]}
+    true, strayed = (list(simulation(**functions, steps=5, plant={"kind": f"own:{name}"}).run()) for name in ("Blind", "Straying"))
+    assert all(a.equal(b) for a, b in zip(lights(true), lights(strayed), strict=True))
+    assert [each.frame is None for each in strayed] == [True] + [False] * 4
 
 
 @pytest.mark.usefixtures("own")
@@ -130,6 +147,7 @@ NEEDS = {
     "objects": {"objects": [CAR]},
     "detector.kind": {"detector": {"kind": "truth"}},
     "lighting.shadow_rays": {"lighting": {"shadow_rays": True}},
+    "checks.lit.metric": {"checks": {"lit": {"metric": "objects.parked.lx_max", "at_least": 0.0}}},
     "functions.stone": {"functions": {"stone": {"kind": "material", "lights": [{"materials": ["asphalt"], "lx": 2.0}]}}},
 }
 

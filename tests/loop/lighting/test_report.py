@@ -16,9 +16,9 @@ from rich.console import Console
 from loop.lighting import record
 from loop.lighting.compared import compared
 from loop.lighting.simulation import Simulation
-from loop.lighting.summary import eyes_lx, lost_steps, shown, steps_of_nothing
+from loop.lighting.summary import NAMED, _of_light, _of_lost, eyes_lx, lost_steps, named, shown, steps_of_nothing
 from loop.recording.style import STYLE
-from loop.report.courses import _materials, write_courses
+from loop.report.courses import COLOURS, _materials, _on_objects, write_courses
 from loop.report.marks import Mark, readable
 from loop.run import check, in_words, run
 from loop.scenario.model import Scenario, validate
@@ -46,12 +46,12 @@ def scenario(functions: dict[str, dict[str, Any]], beam: str = "high", **changes
 
 def test_every_chart_is_there_and_no_legend_lies_over_one(tmp_path: Path) -> None:
     given = scenario({"half": HALF, "wall": ZONE})
-    run(given, tmp_path / "told", video=False)
+    summary = run(given, tmp_path / "told", video=False).summary
     table = pq.read_table(tmp_path / "told" / "trajectory.parquet")
     with rc_context(STYLE):
         figure = Figure((5.4, 7.4), 80, layout="constrained")
         FigureCanvasAgg(figure)
-        write_courses(figure.add_subfigure(figure.add_gridspec()[0]), Simulation.prepare(given), table)
+        write_courses(figure.add_subfigure(figure.add_gridspec()[0]), Simulation.prepare(given), table, summary)
         figure.canvas.draw()
     charts = {_title(axes): axes for axes in figure.axes}
     assert [title.split()[0] for title in charts] == ["Luminous", "Electrical", "Luminance", "Confidence", "The"]
@@ -72,6 +72,48 @@ def test_every_material_has_a_line_that_no_other_has() -> None:
     _materials(axes, pa.table({"time_s": [0.0, 0.1], **columns}))
     styles = {(line.get_color(), line.get_linestyle()) for line in axes.get_lines()[:-1]}  # the last is the one at 1
     assert len(styles) == 20
+
+
+def in_sight(lx_max: float | None, **more: Any) -> dict[str, Any]:
+    return {"lx_mean": lx_max, "lx_max": lx_max, "masked_steps": 0} | more
+
+
+def test_of_many_objects_the_brightest_are_named_and_the_rest_counted() -> None:
+    lit = {f"car_{k}": in_sight(float(k)) for k in range(20)}
+    unseen = {f"sign_{k}": in_sight(None) for k in range(9)}
+    rows = _of_light(lit | unseen, 9)
+    assert [*rows] == [*(f"light on car {k}" for k in range(19, 11, -1)), "light on 12 others", "never in sight"]
+    assert (rows["light on 12 others"], rows["never in sight"]) == ("11 lx at most", "9 objects")
+    assert _of_light({f"car_{k}": in_sight(0.0) for k in range(NAMED + 1)}, 9) == {f"light on {NAMED + 1} objects": "0 lx at most"}
+    few = {f"car_{k}": in_sight(0.0) for k in range(NAMED)}
+    assert [*_of_light(few, 9)] == [f"light on car {k}" for k in range(NAMED)] and named(few) == [*few]
+
+
+def test_of_an_object_that_was_masked_at_times_it_is_said_how_often() -> None:
+    assert _of_light({"car": in_sight(0.25, masked_steps=7)}, 9) == {
+        "light on car": "0.25 lx (mean), 0.25 lx at most, masked in 7 of 9 steps"
+    }
+
+
+def test_of_many_objects_the_largest_that_are_lost_are_named() -> None:
+    lost = {"steps_lost": 2, "tracks": 1, "steps_in_sight": 9}
+    missed = {"steps_lost": 0, "tracks": 0, "steps_in_sight": 9}
+    objects = {f"car_{k}": in_sight(1.0, pixels_max=float(k), **(lost if k % 2 else missed)) for k in range(12)}
+    rows = _of_lost(objects | {"held": in_sight(1.0, pixels_max=99.0, steps_lost=0, tracks=1, steps_in_sight=9)})
+    assert [*rows] == [f"{'lost' if k % 2 else 'missed'} car {k}" for k in range(11, 3, -1)] + ["smaller objects"]
+    assert rows["smaller objects"] == "2 missed, 2 lost, of 3 px at most"
+
+
+def test_light_on_many_objects_is_drawn_of_the_brightest_and_of_the_others_together() -> None:
+    lit = {f"car_{k}": [0.5 * k, float(k)] for k in range(35)}
+    table = {f"objects.{name}.{key}": lx for name, lx in lit.items() for key in ("lx_mean", "lx_max")}
+    objects = {name: in_sight(max(lx)) for name, lx in lit.items()}
+    axes = Figure().subplots()
+    _on_objects(axes, pa.table({"time_s": [0.0, 0.1], **table}), named(objects), objects, with_names=True)
+    told = {str(line.get_label()): line for line in axes.get_lines() if not str(line.get_label()).startswith("_")}
+    assert [*told] == [*(f"car {k}" for k in range(34, 26, -1)), "most on 27 others", "most on each"]
+    assert np.asarray(told["most on 27 others"].get_ydata()).tolist() == [13.0, 26.0]
+    assert len({told[f"car {k}"].get_color() for k in range(27, 35)}) == NAMED == len(COLOURS)
 
 
 def _title(axes: Axes) -> str:

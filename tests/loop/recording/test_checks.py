@@ -55,6 +55,9 @@ def of(values: list[float | None], **check: Any) -> dict[str, Any]:
         ({"take": "min"}, 0.2),
         ({"take": "max"}, 0.9),
         ({"take": "last"}, 0.4),
+        ({"take": "p50"}, 0.4),  # the least of which half of the steps have no more
+        ({"take": "p99"}, 0.9),
+        ({"over_s": 0.2, "take": "max"}, 0.65),  # of the last two with a value: 0.9 and 0.4
         ({"from_s": 0.3}, 0.4),
         ({"until_s": 0.2}, 0.55),
         ({"from_s": 0.2, "until_s": 0.2}, 0.9),  # a window of one step; its ends belong to it
@@ -82,6 +85,28 @@ def test_bounds_hold_the_value_themselves_included(bounds: dict[str, float], hol
     assert said.startswith(f"mean {IOU} 0.5, ") and said.endswith("passed" if holds else "failed")
 
 
+def beside(values: list[float | None], others: list[float | None], **check: Any) -> dict[str, Any]:
+    """The outcome of a check beside the open loop, of runs at 10 Hz with these values."""
+    columns = {"time_s": [k / 10 for k in range(len(values))], IOU: values}
+    table = pa.table(columns, pa.schema([pa.field(name, pa.float64(), metadata={"unit": "1"}) for name in columns]))
+    return outcome(CheckParams(metric=IOU, compare="open_loop", **check), table, {"open_loop": [{IOU: other} for other in others]})
+
+
+def test_a_difference_is_taken_step_by_step() -> None:
+    worst = beside([0.5, 0.9, 0.6, 0.7], [0.6, 0.5, 0.7, 0.6], by="difference", take="min", at_least=-0.2)
+    assert worst["difference"] == pytest.approx(-0.1) and worst["passed"] and worst["ratio"] is worst["recall"] is None
+    over = beside([0.5, 0.9, 0.6, 0.7], [0.6, 0.5, 0.7, 0.6], by="difference", take="min", over_s=0.2, at_least=0.1)
+    assert over["difference"] == pytest.approx(0.2 / 3) and not over["passed"], "of the first three: -0.1, 0.4 and -0.1"
+    assert beside([0.5, 0.6], [0.5, 0.6], by="difference", over_s=5.0, at_least=0.0)["difference"] is None, "no window is as long"
+    assert "min -0.1 to what it is with open loop" in lines({"checks": {"it": worst}})["check it"]
+
+
+def test_recall_is_the_share_of_what_the_other_light_finds() -> None:
+    got = beside([0.0, 0.3, None, 0.9, 0.8], [0.9, 0.2, 0.5, None, 0.0], by="recall", at_least=0.5)
+    assert got["recall"] == pytest.approx(1 / 3) and not got["passed"], "one of three that the other finds; out of sight is not found"
+    assert beside([0.5], [0.0], by="recall", at_least=0.5)["passed"] is False, "nothing was there to find"
+
+
 def test_a_ratio_has_an_answer_where_there_is_nothing_to_divide_by() -> None:
     assert ratio(1.0, 4.0) == 0.25
     assert ratio(0.0, 0.0) == 1.0  # alike
@@ -94,6 +119,12 @@ REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], list[str]]] = {
     "no bound": (SMALL, {"metric": IOU}, ["checks.it", "at_least, at_most"]),
     "bounds exchanged": (SMALL, {"metric": IOU, "at_least": 2.0, "at_most": 1.0}, ["checks.it", "exchange"]),
     "window exchanged": (SMALL, {"metric": IOU, "at_least": 0.0, "from_s": 2.0, "until_s": 1.0}, ["checks.it", "exchange"]),
+    "compared with nothing": (SMALL, {"metric": IOU, "at_least": 0.0, "by": "recall"}, ["checks.it", "give compare"]),
+    "recall of a mean": (
+        SMALL,
+        {"metric": IOU, "at_least": 0.0, "by": "recall", "compare": "open_loop", "over_s": 1.0},
+        ["checks.it", "leave take and over_s out"],
+    ),
     "unknown key": (SMALL, {"metric": IOU, "atleast": 0.0}, ["checks.it.atleast", "'at_least'"]),
     "unknown column": (SMALL, {"metric": "functions.symbol.iuo", "at_least": 0.0}, ["checks.it.metric", f"'{IOU}'"]),
     "texts": (SMALL, {"metric": "functions.symbol.loss", "at_least": 0.0}, ["checks.it.metric", ".loss'", "numbers"]),
@@ -203,10 +234,26 @@ def test_the_command_says_what_passed_and_fails_where_a_check_does(lux: Lux) -> 
 
 
 def test_columns_of_texts_are_not_named_as_known(small_simulation: Simulation) -> None:
-    scenario = validate(with_checks(SMALL, it={"metric": "lo", "at_least": 0.0}), "test")
-    with pytest.raises(LuxloopError, match="known are step") as error:
+    scenario = validate(with_checks(SMALL, it={"metric": "functions.symbol.what_nobody_has_ever_recorded_of_it", "at_least": 0.0}), "test")
+    with pytest.raises(LuxloopError, match=r"known are functions\.symbol\.x_m") as error:
         refuse_unknown(scenario.checks, schema(small_simulation), ())
     assert "loss" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("metric", "said"),
+    [
+        ("modules.left main.levl_deg", "did you mean 'modules.left main.level_deg'"),
+        ("modules.NAME.swivel_deg", "known are modules.left main.level_deg"),
+        ("iou", "known are functions.flake.iou"),
+        ("zzz", "known are step, modules.left main.\\*, functions.flake.\\*"),
+    ],
+)
+def test_columns_like_one_that_is_not_there_are_named(metric: str, said: str) -> None:
+    names = ("step", "modules.left main.level_deg", "functions.flake.x_m", "functions.flake.iou")
+    columns = pa.schema([(name, pa.float64()) for name in names])
+    with pytest.raises(LuxloopError, match=f"{metric}' is no column of numbers of the recording; {said}[?]?$"):
+        refuse_unknown({"it": CheckParams(metric=metric, at_least=0.0)}, columns, ())
 
 
 @pytest.mark.slow

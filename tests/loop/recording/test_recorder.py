@@ -19,7 +19,7 @@ import torch
 
 from controllers.symbol.sensing.drawing import Drawing
 from loop.lighting import recorder
-from loop.lighting.record import ZONE, row, schema
+from loop.lighting.record import ZONE, row, schema, summary_of
 from loop.lighting.recorder import Recorder
 from loop.lighting.replay import load
 from loop.lighting.result import StepResult
@@ -27,6 +27,7 @@ from loop.lighting.simulation import Simulation
 from loop.recording.columns import POSE, SYMBOL, loss_name
 from loop.recording.files import table_of
 from loop.recording.manifest import Manifest
+from loop.run import run
 from loop.scenario.model import Scenario, validate
 from perception.extraction import Loss
 from world.errors import LuxloopError
@@ -190,6 +191,19 @@ def test_another_seed_gives_another_trajectory(small_scenario: Scenario, small_r
     other = Simulation.prepare(small_scenario.model_copy(update={"seed": 1}))
     _, result = other.step(other.start())
     assert not torch.equal(result.symbol.seen.errors, small_results[0].symbol.seen.errors)
+
+
+def test_a_run_is_summarised_once(tmp_path: Path, small_scenario: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
+    found: list[dict[str, Any]] = []
+
+    def counted(*given: Any) -> dict[str, Any]:
+        found.append(summary_of(*given))
+        return found[-1]
+
+    monkeypatch.setattr(recorder, "summary_of", counted)
+    result = run(small_scenario.model_copy(update={"steps": 1}), tmp_path, video=False, report=False)
+    assert len(found) == 1, "it judges the open loop, which takes a rendering"
+    assert result.summary == strict_json(tmp_path / "summary.json")
 
 
 def test_old_recording_is_replaced_as_a_whole(tmp_path: Path, small_simulation: Simulation, small_results: list[StepResult]) -> None:

@@ -6,19 +6,23 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pyarrow as pa
 import pytest
 import torch
+from matplotlib.figure import Figure
 
 from loop.lighting.record import row, schema, summary_of
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
+from loop.recording.columns import of_one
 from loop.recording.files import REPORT, table_of
-from loop.report.page import DPI, LIGHT_IN, WIDE_IN, Watched, write_report
-from loop.report.symbol import HIGH_IN, PAST_SYMBOLS, Gathered
+from loop.report.page import DPI, LIGHT_IN, WIDE_IN, Watched, _from_near, write_report
+from loop.report.symbol import HIGH_IN, PAST_SYMBOLS, Gathered, _courses, _title
 from loop.run import run
 from loop.scenario.model import Scenario, validate
 from perception.extraction import Loss
 from tests.loop.conftest import SMALL
+from world.view import View
 
 SYMBOL = SMALL["functions"]["symbol"]
 
@@ -85,6 +89,47 @@ def test_page_has_all_light_and_then_each_symbol(tmp_path: Path) -> None:
     assert drawn(tmp_path / "both.png", simulation, results).shape == size(LIGHT_IN + 2 * HIGH_IN)
     without = [replace(result, held={name: each for name, each in result.held.items() if name == "right"}) for result in results]
     assert drawn(tmp_path / "one.png", simulation, without).shape == size(LIGHT_IN + HIGH_IN), "a symbol that was never shown has no part"
+
+
+@pytest.mark.parametrize(("z_m", "least_m"), [(0.0, 0.01), (4e-4, 0.01), (0.05, 0.05)])
+def test_the_pose_shows_height_on_an_axis_of_a_centimetre_at_least(
+    z_m: float, least_m: float, small_simulation: Simulation, small_results: list[StepResult]
+) -> None:
+    table = of_one(table_of([row(result) for result in small_results], schema(small_simulation)), "symbol")
+    function = small_simulation.symbol.function
+    held = {"x_m": function.x_m, "y_m": function.y_m + 1e-4, "roll_deg": 0.0, "pitch_deg": 0.0, "z_m": z_m}
+    for name, value in held.items():
+        table = table.set_column(table.column_names.index(name), name, pa.array([value] * table.num_rows))
+    figure = Figure()
+    summary = {"settle_step": None, "iou_open": None}
+    _courses(figure.add_subfigure(figure.add_gridspec()[0]), function, Gathered("symbol", 12), table, summary)
+    pose = figure.axes[1]
+    lines = {str(line.get_label()): line for line in pose.get_lines()}
+    assert ("z" in lines) == bool(z_m) and (not z_m or np.asarray(lines["z"].get_ydata()).tolist() == [z_m] * 12)
+    low, high = pose.get_ylim()
+    assert low <= -0.01 and least_m <= high < 1.2 * least_m  # matplotlib leaves 5 % of the range free
+
+
+def test_the_page_says_why_nobody_judged(small_simulation: Simulation) -> None:
+    summary = {"controller": "open", "unsettled": "not_judged", "judge_every": 0, "lost_steps": 0}
+    assert _title(small_simulation, "symbol", summary, None).endswith("  ·  nobody judged, as judge_every = 0")
+
+
+def test_light_from_above_is_looked_at_closely_where_it_is() -> None:
+    def look(view: View) -> torch.Tensor:
+        """1 lx on 3 m by 0.5 m, about a place 22 m ahead and 1 m to the left."""
+        rays = view.rays()
+        x, y, _ = view.origin[:, None, None] - rays * view.origin[2] / rays[2]
+        return ((x - 22).abs().le(1.5) & (y - 1).abs().le(0.25)).float()
+
+    light, (left, right, low, high) = _from_near(look)
+    cell_m = (right - left) / light.shape[1], (high - low) / light.shape[0]
+    assert max(cell_m) < 0.02, "a fifth of what all that can be lit is looked at with"
+    assert light.sum() * cell_m[0] * cell_m[1] == pytest.approx(3 * 0.5, rel=0.02)  # of borders of 7 m, half a cell wide
+    x, y = left + cell_m[0] * (np.arange(light.shape[1]) + 0.5), high - cell_m[1] * (np.arange(light.shape[0]) + 0.5)
+    assert (light @ x).sum() / light.sum() == pytest.approx(22, abs=0.03)  # the view begins at whole cells
+    assert (y @ light).sum() / light.sum() == pytest.approx(1, abs=0.03)
+    assert left < 20 and right > 24 and low < 0 and high > 2
 
 
 def test_long_run_keeps_few_images(small_results: list[StepResult]) -> None:

@@ -14,7 +14,7 @@ from loop.lighting import summary as of_run
 from loop.recording.columns import SYMBOL
 from loop.recording.files import table_of
 from loop.recording.remedies import remedies
-from loop.recording.summary import overshoot_percent, settle_step, steady_step, summarise, unsettled
+from loop.recording.summary import Circumstances, overshoot_percent, settle_step, steady_step, summarise, unsettled
 from loop.scenario.model import load
 
 SCHEMA = pa.schema([("step", pa.int64()), *((name, pa.string() if name == "loss" else pa.float64()) for name in SYMBOL)])
@@ -96,6 +96,14 @@ def test_what_is_not_lit_is_not_settled() -> None:
     assert steady_step(table(centroid_error_x_percent=dark_at_the_end)) is None
 
 
+def closing(symbols: dict[str, dict[str, Any]]) -> dict[str, str]:
+    """Rows of the closing table of a run of these symbols."""
+    run = of_run.summarise(pa.table({"dark_lx_max": [math.nan]}), "name", {}, symbols)
+    shown = of_run.shown(run | {"shadow_of": None, "idle_functions": [], "checks": {}}, "runs/name")
+    names, cells = ([str(cell) for cell in column.cells] for column in shown.columns)
+    return {name.removeprefix("[bold]").removesuffix("[/]"): cell for name, cell in zip(names, cells, strict=True)}
+
+
 HALF_LOST = [""] * 30 + ["too_small", ""] * 5
 LATE_FRAMES = ["no_frame"] * 3 + [""] * 7
 OFF = "centroid_error_y_percent"
@@ -142,11 +150,7 @@ def test_a_lost_symbol_is_steady_but_has_not_settled() -> None:
     ],
 )
 def test_the_closing_table_says_what_went_wrong_and_names_keys_that_exist(recorded: pa.Table, controller: str) -> None:
-    values = summarise(recorded, controller, 0.0)
-    run = of_run.summarise(pa.table({"dark_lx_max": [math.nan]}), "name", {}, {"symbol": values})
-    shown = of_run.shown(run | {"shadow_of": None, "idle_functions": [], "checks": {}}, "runs/name")
-    names, cells = (list(column.cells) for column in shown.columns)
-    note = str(cells[names.index("[bold]note[/]")])
+    note = closing({"symbol": summarise(recorded, controller, 0.0)})["note"]
     keys = re.findall(r"\b(?:functions\.symbol|camera|disturbances)(?:\.[a-z_]+)+|\bjudge_every\b|(?<=raise )steps\b", note)
     scenario = load("snowflake", ["functions.symbol.controller={name='feedforward'}"] if controller == "feedforward" else [])
     assert keys
@@ -216,6 +220,46 @@ def test_a_symbol_that_swings_on_needs_more_steps_only_in_a_short_run() -> None:
     assert 'functions.symbol.controller.name = "luxloop"' in remedies("symbol", summarise(long, "thesis_pid", 0.0))[0]
 
 
+def test_a_car_that_drives_is_not_asked_for_more_steps() -> None:
+    swings = table(30, **{OFF: 10 * np.sin(np.arange(30))})
+    for controller, key in (("luxloop", "functions.symbol.x_m"), ("thesis_pid", "functions.symbol.controller.name")):
+        (said,) = remedies("symbol", summarise(swings, controller, 0.0, run=Circumstances(drives=True)))
+        assert "while the car drives" in said and "steps to" not in said and key in said
+
+
+@pytest.mark.parametrize(("road_m", "is_named"), [(-0.17, True), (0.17, True), (-0.13, False), (math.nan, False)])
+def test_a_road_beyond_what_is_looked_for_is_named(road_m: float, is_named: bool) -> None:
+    run = Circumstances(drives=True, road_m=road_m, highest_m=0.14)
+    (said,) = remedies("symbol", summarise(table(**{OFF: np.full(40, 20.0)}), "luxloop", 0.0, run=run))
+    assert ("functions.symbol.controller.highest_m = 0.14" in said and "x²/(2R)" in said) == is_named
+    assert (f"0.17 m {'above' if road_m > 0 else 'below'} the plane" in said) == is_named
+    (swings,) = remedies("symbol", summarise(table(**{OFF: 10 * np.sin(np.arange(40))}), "luxloop", 0.0, run=run))
+    assert "highest_m" not in swings, "it is at the target on the mean, so the road is found"
+
+
+@pytest.mark.parametrize(
+    ("recorded", "judge_every", "why"),
+    [
+        (table(iou=math.nan), 0, "nobody judged, as judge_every = 0"),
+        (table(iou=math.nan), None, "nobody judged, as the plant does not know the truth"),
+        (table(0), 1, "never shown"),
+    ],
+)
+def test_the_closing_table_says_why_nobody_judged_in_place_of_dashes(recorded: pa.Table, judge_every: int | None, why: str) -> None:
+    rows = closing({"symbol": summarise(recorded, "open", math.nan, run=Circumstances(judge_every))})
+    assert rows["symbol: how it lies"] == why
+    assert not [row for name, row in rows.items() if name.startswith("symbol: ") and "–" in row]
+    assert ("judge_every" in rows["note"]) == (judge_every == 0)
+
+
+def test_notes_name_the_symbol_where_there_are_several() -> None:
+    lost = summarise(table(loss=["nothing"] * 40), "luxloop", 0.0)
+    lies = summarise(table(iou=1.0), "luxloop", 0.0)
+    note = closing({"symbol": lost})["note"]
+    assert note.startswith("the camera never saw the symbol")
+    assert closing({"left_flake": lost, "right": lies})["note"] == f"left flake: {note.replace('.symbol.', '.left_flake.')}"
+
+
 def test_summary_has_every_field() -> None:
     k = np.arange(40)
     recorded = table(
@@ -245,6 +289,10 @@ def test_summary_has_every_field() -> None:
         "iou_min": 20 / 40,
         "z_m_final": 0.0,
         "ssim_final": 39 / 80,
+        "judge_every": 1,
+        "drives": False,
+        "road_m": None,
+        "highest_m": None,
     }
 
 

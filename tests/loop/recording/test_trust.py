@@ -125,6 +125,15 @@ def test_a_name_in_a_file_stays_untrusted_beside_what_is_typed(mine: Path) -> No
     assert load(str(file), ["functions.symbol.extraction.kind=differential"]).symbol.extraction.kind == "differential"
 
 
+def test_all_modules_that_a_file_names_are_told_at_once(mine: Path) -> None:
+    (file := mine / "scenario.toml").write_text(NAMING["road.kind"] + '\ntracker.kind = "other:Nearest"\ndetector.kind = "mine:Sees"\n')
+    with pytest.raises(LuxloopError) as caught:
+        load(str(file))
+    (sentence,) = caught.value.args
+    for part in ("road.kind: ", "tracker.kind: other:Nearest", "detector.kind: ", "would run the modules mine, other;", "and the modules"):
+        assert part in sentence
+
+
 def recorded(mine: Path, text: str, key: str, value: Any) -> Path:
     """A recording in whose manifest a key of the scenario was edited."""
     (mine / "plain.toml").write_text(text)

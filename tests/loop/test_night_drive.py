@@ -1,0 +1,27 @@
+"""The drive that shows everything at once: it runs, and in full length its checks come out as its page says."""
+
+from pathlib import Path
+
+import pytest
+
+from loop.lighting.record import row
+from loop.lighting.simulation import Simulation
+from loop.run import run
+from loop.scenario.model import load
+
+MISSED = {"chevrons", "chevrons_in_the_worst_second", "road", "processing"}  # docs/night_drive.md says why
+
+
+def test_it_runs_with_all_that_it_shows() -> None:
+    scenario = load("night_drive", ["camera.width_px=160", "camera.height_px=90"], steps=2)
+    assert scenario.steps / scenario.rate_hz < 1 <= load("night_drive").steps / load("night_drive").rate_hz / 12
+    kinds = {function.kind for function in scenario.functions.values()}
+    assert kinds == {"glare_free", "object_based", "symbol", "path", "lane"} and scenario.controlled == ("way",)
+    first, second = (row(result) for result in Simulation.prepare(scenario).run())
+    assert first["base_share"] == 1 and first["functions.way.iou"] > 0.5 and second["flux_lm"] > 100
+
+
+@pytest.mark.slow
+def test_its_checks_come_out_as_its_page_says(tmp_path: Path) -> None:
+    checks = run("night_drive", tmp_path, device="cpu", video=False, report=False, checks=True).summary["checks"]
+    assert {name for name, each in checks.items() if not each["passed"]} == MISSED
