@@ -25,4 +25,4 @@ def build_plant(scenario: Scenario, modules: Sequence[LampModule]) -> Plant:
         return recorded_plant(scenario, params, modules)
     given = {"scenario": scenario, "modules": modules}
     plant = cast(Plant, plugin.make(params.kind, KEY, given, params.options, METHODS))
-    return FromZero(plant, f"{KEY}: {params.kind}", scenario.camera)
+    return FromZero(plant, f"{KEY}: {params.kind}", scenario.camera, modules[0].headlight.matrix.values)

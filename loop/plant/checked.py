@@ -11,6 +11,7 @@ from perception.egomotion import VALUES, Sample
 from world.errors import LuxloopError, did_you_mean, located
 
 ROUNDING_S = 1e-6  # of sums of periods and of clocks that count from 1970
+TIME = "give the plant's time in s, as a number"
 
 
 def pair(gave: Any) -> tuple[Any, Arrivals]:
@@ -23,8 +24,8 @@ def pair(gave: Any) -> tuple[Any, Arrivals]:
 
 def check_time(arrivals: Arrivals, exposure: Exposure | None) -> None:
     """Raises LuxloopError where the plant's time is none, or has not gone on since an exposure began."""
-    if not isinstance(arrivals.time_s, int | float) or not math.isfinite(arrivals.time_s):
-        raise LuxloopError(f"gives the time_s {arrivals.time_s!r}; give the plant's time in s, as a number")
+    if not _is_time(arrivals.time_s) or not math.isfinite(arrivals.time_s):
+        raise LuxloopError(f"gives the time_s {arrivals.time_s!r}; {TIME}")
     if exposure is not None and arrivals.time_s <= exposure.start_s:
         raise LuxloopError(
             f"gives the time_s {arrivals.time_s:g} after an exposure that began at {exposure.start_s:g} s; give the time at its end, "
@@ -36,24 +37,42 @@ def check_frames(arrivals: Arrivals) -> None:
     """Raises LuxloopError where its frames are none."""
     if not isinstance(arrivals.frames, tuple) or not all(isinstance(frame, Frame) for frame in arrivals.frames):
         raise LuxloopError("gives frames that are no tuple of luxloop.Frame; give frames=(luxloop.Frame(...),), or () where none has come")
+    for frame in arrivals.frames:
+        if not isinstance(frame.number, int):
+            raise LuxloopError(f"gives a frame of exposure {frame.number!r}; number it as its exposure, exposure.number")
+        with located(f"frame {frame.number}"):
+            if strange := [each for each in (frame.taken_s, frame.arrived_s) if not _is_time(each)]:
+                raise LuxloopError(f"has the time {strange[0]!r}; {TIME}")
+            if not isinstance(frame.shown, Exposure | None):
+                raise LuxloopError(f"has shown = {type(frame.shown).__name__}; give a luxloop.Exposure, or leave it out")
 
 
-def check_samples(arrivals: Arrivals) -> None:
-    """Raises LuxloopError where its samples are none, or are not what their sensors tell."""
+def check_samples(arrivals: Arrivals, like: Tensor) -> None:
+    """Raises LuxloopError where its samples are none, or are not what their sensors tell, as tensors like another one."""
     if not isinstance(arrivals.samples, tuple) or not all(isinstance(sample, Sample) for sample in arrivals.samples):
         raise LuxloopError("gives samples that are no tuple of luxloop.Sample; give samples=(luxloop.Sample(...),), or leave them out")
     for sample in arrivals.samples:
         if sample.sensor not in VALUES:
             raise LuxloopError(f"gives a sample of {sample.sensor!r}; {did_you_mean(str(sample.sensor), VALUES)}")
-        count, values = VALUES[sample.sensor], sample.values
-        if not isinstance(values, Tensor) or values.ndim != 1 or (count and len(values) != count) or not values.isfinite().all():
-            raise LuxloopError(f"gives a sample of {sample.sensor} whose values are no {count or 'n'} finite numbers in a tensor")
+        with located(f"sample of {sample.sensor}"):
+            if strange := [each for each in (sample.measured_s, sample.arrived_s) if not _is_time(each)]:
+                raise LuxloopError(f"has the time {strange[0]!r}; {TIME}")
+            if not sample.measured_s <= sample.arrived_s + ROUNDING_S <= arrivals.time_s + 2 * ROUNDING_S:
+                raise LuxloopError(
+                    f"was measured at {sample.measured_s:.10g} s and arrived at {sample.arrived_s:.10g} s, by time_s = "
+                    f"{arrivals.time_s:.10g}; give the plant's time in s, and a sample when it has arrived"
+                )
+            count = VALUES[sample.sensor]
+            if not _is_like(sample.values, like) or sample.values.ndim != 1 or (count and len(sample.values) != count):
+                raise LuxloopError(
+                    f"has values that are {_described(sample.values)}; give a tensor [{count or 'n'}], {like.dtype} on {like.device}"
+                )
+            if not sample.values.isfinite().all():
+                raise LuxloopError(f"has the values {sample.values.tolist()}, which are not finite; give none where it tells nothing")
 
 
-def check_frame(frame: Frame, start_s: float, now_s: float, camera: CameraParams) -> None:
+def check_frame(frame: Frame, start_s: float, now_s: float, camera: CameraParams, like: Tensor) -> None:
     """Raises LuxloopError for a frame that cannot be of an exposure from the plant's start to now, or of the camera."""
-    if not isinstance(frame.number, int):
-        raise LuxloopError(f"gives a frame of exposure {frame.number!r}; number it as its exposure, exposure.number")
     if frame.image is None:
         return
     with located(f"frame {frame.number}"):
@@ -62,15 +81,17 @@ def check_frame(frame: Frame, start_s: float, now_s: float, camera: CameraParams
                 f"was taken at {frame.taken_s:.10g} s and arrived at {frame.arrived_s:.10g} s, but the plant's time is {start_s:.10g} "
                 f"to {now_s:.10g} s; give the plant's time in s, and a frame when it has come"
             )
-        check_image(frame.image, camera)
+        check_image(frame.image, camera, like)
 
 
-def check_image(image: Any, camera: CameraParams) -> None:
-    """Raises LuxloopError where it holds no digital numbers of the camera."""
+def check_image(image: Any, camera: CameraParams, like: Tensor) -> None:
+    """Raises LuxloopError where it holds no digital numbers of the camera, or is no tensor like another one."""
     size, most = (camera.height_px, camera.width_px), 2**camera.bits - 1
-    if not isinstance(image, Tensor) or not image.is_floating_point() or image.shape != size:
-        what = f"{image.dtype} {list(image.shape)}" if isinstance(image, Tensor) else type(image).__name__
-        raise LuxloopError(f"has an image that is a {what}; give a tensor of floats {list(size)}, as camera.height_px and width_px say")
+    if not _is_like(image, like) or image.shape != size:
+        raise LuxloopError(
+            f"has an image that is {_described(image)}; give a tensor {list(size)}, as camera.height_px and width_px say, "
+            f"{like.dtype} on {like.device}"
+        )
     if not image.isfinite().all():
         raise LuxloopError("has an image that is not finite; a frame that is lost has the image None")
     low, high = float(image.min()), float(image.max())
@@ -79,3 +100,15 @@ def check_image(image: Any, camera: CameraParams) -> None:
             f"has an image from {low:.4g} to {high:.4g}; digital numbers of camera.bits = {camera.bits} are 0 to {most}: scale it, and "
             "clamp it"
         )
+
+
+def _is_time(value: Any) -> bool:
+    return isinstance(value, int | float)
+
+
+def _is_like(value: Any, like: Tensor) -> bool:
+    return isinstance(value, Tensor) and (value.dtype, value.device) == (like.dtype, like.device)
+
+
+def _described(value: Any) -> str:
+    return f"a {value.dtype} {list(value.shape)} on {value.device}" if isinstance(value, Tensor) else f"a {type(value).__name__}"

@@ -3,6 +3,8 @@
 from dataclasses import dataclass, replace
 from typing import Any
 
+from torch import Tensor
+
 from loop.plant.checked import check_frame, check_frames, check_samples, check_time, pair
 from loop.plant.protocol import Arrivals, Exposure, Frame, Plant
 from loop.plant.world import World
@@ -12,7 +14,8 @@ from world.errors import located
 
 @dataclass(frozen=True, eq=False)
 class FromZero:
-    """A plant in s since its start; its state is when that was, by the plant's clock, and the plant's own state.
+    """A plant in s since its start; its state is when that was, by the plant's clock, and the plant's own state. like: a tensor of the
+    lamps', whose dtype and device frames and samples have.
 
     The plant gets back its own times to the bit, for the difference of two times is exact in float64 unless their magnitudes are far apart.
     """
@@ -20,6 +23,7 @@ class FromZero:
     plant: Plant
     name: str
     camera: CameraParams
+    like: Tensor
 
     @property
     def truth(self) -> World | None:
@@ -31,7 +35,7 @@ class FromZero:
         with located(f"{self.name}: start"):
             state, arrivals = pair(self.plant.start())
             check_time(arrivals, None)
-            check_samples(arrivals)
+            check_samples(arrivals, self.like)
         return (arrivals.time_s, state), _since(arrivals.time_s, arrivals)
 
     def show(self, state: Any, exposure: Exposure) -> tuple[Any, Arrivals]:
@@ -42,9 +46,9 @@ class FromZero:
             own, arrivals = pair(self.plant.show(own, exposure))
             check_time(arrivals, exposure)
             check_frames(arrivals)
-            check_samples(arrivals)
+            check_samples(arrivals, self.like)
             for frame in arrivals.frames:
-                check_frame(frame, start_s, arrivals.time_s, self.camera)
+                check_frame(frame, start_s, arrivals.time_s, self.camera, self.like)
         return (start_s, own), _since(start_s, arrivals)
 
 

@@ -18,6 +18,7 @@ from perception.egomotion import Sample
 from perception.glare import glare
 from perception.sensors import EXACT, SensorParams, Sensors
 from world.errors import LuxloopError
+from world.partial import Part, PartialImage
 from world.rendering.face_source import face_source
 from world.scene.vehicle import STANDING
 
@@ -60,7 +61,7 @@ class SimulatedPlant:
         begins_s, ends_s = (self._at(number) for number in (exposure.number, exposure.number + 1))
         image = None
         if not self._dropped(step):
-            image = self.exposed(*self.world.luminance(exposure.start_s, exposure.lights, exposure.commands), step, part)
+            image = self._frame(exposure, step, part)
         due = max([exposure.number + per_step * self._latency(step), *(number for number, _ in state)])
         queue = (*state, (due, Frame(exposure.number, exposure.start_s, ends_s, image)))
         come = tuple(replace(frame, arrived_s=ends_s) for number, frame in queue if number <= exposure.number)
@@ -73,22 +74,33 @@ class SimulatedPlant:
         sensors, like = Sensors(self.world.motion, self.sensors, self.period_s, self.seed), torch.empty(0, device=self.world.device)
         return sensors.newest(by_s, like) if after_s is None else sensors.arriving(after_s, by_s, like)
 
-    def exposed(self, luminance: Tensor, base: Tensor, step: int, frame: int) -> Tensor:
+    def _frame(self, exposure: Exposure, step: int, frame: int) -> Tensor:
+        """Digital numbers `[height, width]`, computed where they are read."""
+        view, shown = self.world.view, (exposure.start_s, exposure.lights, exposure.commands)
+
+        def part_of(part: Part) -> Tensor:
+            return self.exposed(*self.world.luminance(*shown, part), step, frame, part)
+
+        return PartialImage.of(view.height, view.width, exposure.lights[0].u.new_empty(0), part_of)
+
+    def exposed(self, luminance: Tensor, base: Tensor, step: int, frame: int, part: Part | None = None) -> Tensor:
         """Digital numbers of a step's on frame (0) or off frame (1) of luminance `[..., height, width]` in cd/m^2, with what disturbs it.
 
-        base: `[height, width]` cd/m^2, the part of the luminance that is there without the lamps.
+        base: `[height, width]` cd/m^2, the share of the luminance that is there without the lamps. part: of the image, if it is not whole.
         """
+        view, camera, device = self.world.view, self.world.camera, self.world.device
+        part = part or (slice(0, view.height), slice(0, view.width))
         ambient, noisy = self.disturbances.ambient_factor(step, frame), self.disturbances.noise_factor(step)
         if ambient != 1:
             luminance = luminance + (ambient - 1) * base
         t_s = self._at(len(self.shares) * step + frame)
         for lamp in self.disturbances.oncoming_in(step, frame):
-            luminance = luminance + glare(self.world.view_at(t_s), lamp.position_at(t_s), lamp, self.world.device)
-        generator = frame_generator(self.seed, step, frame, self.world.device)
-        if noisy == 1:
-            return expose(luminance, self.world.camera, generator)
-        noise = torch.empty(luminance.shape, dtype=luminance.dtype, device=self.world.device).normal_(std=noisy, generator=generator)
-        return expose(luminance, self.world.camera, noise)
+            luminance = luminance + glare(self.world.view_at(t_s).within(*part), lamp.position_at(t_s), lamp, device)
+        if not camera.noise:
+            return expose(luminance, camera)
+        noise = torch.empty(*luminance.shape[:-2], view.height, view.width, dtype=luminance.dtype, device=device)
+        noise.normal_(std=noisy, generator=frame_generator(self.seed, step, frame, device))
+        return expose(luminance, camera, noise[..., *part])
 
     def _at(self, number: int) -> float:
         """When an exposure begins, in s."""

@@ -2,7 +2,7 @@
 
 import math
 from collections import OrderedDict, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, lru_cache
 from typing import Any, TypeVar, cast
@@ -21,6 +21,7 @@ from world.headlight.lamp import REST, Commands, ModuleCommand
 from world.light.ambient import ambient_luminance
 from world.light.illumination import DirectTransport, LightTransport, Shadows, added_light, reach, transport
 from world.materials.library import MaterialName
+from world.partial import Part, PartialImage
 from world.rendering.face_source import FaceSource
 from world.rendering.gbuffer import GBuffer
 from world.rendering.surfaces import surface_source
@@ -117,7 +118,11 @@ class LitScene:
     @cached_property
     def eyes(self) -> Tensor:
         """Where the view sees heads and windscreens of road users, `[height, width]` bool."""
-        users = torch.tensor([number for number, each in enumerate(self.given, 1) if each.category in ROAD_USERS], dtype=torch.int32)
+        return self.eyes_of([each.name for each in self.given if each.category in ROAD_USERS])
+
+    def eyes_of(self, names: Collection[str]) -> Tensor:
+        """The same of those alone."""
+        users = torch.tensor([number for number, each in enumerate(self.given, 1) if each.name in names], dtype=torch.int32)
         ids = self.surfaces.object_id
         return part_mask(self.surfaces, self.triangles, EYES) & torch.isin(ids, users.to(ids))
 
@@ -191,12 +196,24 @@ class World:
         """The camera's view at a time, in the ground frame in place of the world."""
         return replace(self.view, T_world_view=self.motion.at(t_s).T_ground_body @ self.view.T_world_view)
 
-    def luminance(self, time_s: float, lights: tuple[Utilisation, ...], commands: Commands = ()) -> tuple[Tensor, Tensor]:
-        """Luminances in cd/m^2 at a time: `[..., height, width]` of all light, and `[height, width]` without the lamps."""
-        lit = self.lit(time_s)
+    def luminance(
+        self, time_s: float, lights: tuple[Utilisation, ...], commands: Commands = (), part: Part | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Luminances in cd/m^2 at a time, of a part of the image if there is one: `[..., height, width]` of all light, and
+        `[height, width]` without the lamps.
+        """
+        if part is not None and (self.metered or not self.moving or (self._key(time_s), None) in self._lit):
+            everything, base = self.luminance(time_s, lights, commands)
+            return everything[..., *part], base[part]
+        lit = self.lit(time_s, part)
         if self.metered:
             return self.meter(time_s, lights, commands).luminance, lit.base
         return self._once(lit, lights, commands, lambda: lit.shown(lights, commands)), lit.base
+
+    def image(self, time_s: float, lights: tuple[Utilisation, ...], commands: Commands = ()) -> Tensor:
+        """`luminance` of all light, `[height, width]`, computed where it is read."""
+        like = lights[0].u.new_empty(0)
+        return PartialImage.of(self.view.height, self.view.width, like, lambda part: self.luminance(time_s, lights, commands, part)[0])
 
     def meter(self, time_s: float, lights: tuple[Utilisation, ...], commands: Commands = ()) -> Metered:
         """The lamps' light at a time. Of a metered world only."""
@@ -216,13 +233,11 @@ class World:
         """Luminance `[height, width]` in cd/m^2 at a time of what lights have beyond others."""
         return self.luminance(time_s, lights, commands)[0] - self.luminance(time_s, others, commands)[0]
 
-    def lit(self, t_s: float) -> LitScene:
-        """The camera's view of the scene at a time; rendered only when geometry or the vehicle has moved."""
-        if self._asked[0] != t_s:  # a step asks for the same time again and again
-            self._asked = t_s, self._key(t_s)
-        key = self._asked[1]
+    def lit(self, t_s: float, part: Part | None = None) -> LitScene:
+        """The camera's view of the scene at a time, or a part of it; rendered only when geometry or the vehicle has moved."""
+        key = self._key(t_s), part and tuple((each.start, each.stop) for each in part)
         if key not in self._lit:
-            self._lit[key] = self._render(t_s, self.view_at(t_s), self.camera.oversampling, self.moving or self.metered)
+            self._lit[key] = self._render(t_s, self.view_at(t_s), self.camera.oversampling, self.moving or self.metered, part)
             if len(self._lit) > KEPT_VIEWS:
                 self._lit.popitem(last=False)
         self._lit.move_to_end(key)
@@ -230,17 +245,21 @@ class World:
 
     def _key(self, t_s: float) -> Any:
         """Of what is seen at a time: the same where nothing has moved."""
-        where = () if self.motion is STANDING else tuple(self.motion.at(t_s).T_world_body.flatten().tolist())
-        return self.scene.key_at(t_s), where
+        if self._asked[0] != t_s:  # a step asks for the same time again and again
+            where = () if self.motion is STANDING else tuple(self.motion.at(t_s).T_world_body.flatten().tolist())
+            self._asked = t_s, (self.scene.key_at(t_s), where)
+        return self._asked[1]
 
     def through(self, view: View, t_s: float) -> LitScene:
         """The scene at a time through another view, which is given in the ground frame of that time."""
         return self._render(t_s, replace(view, T_world_view=self.motion.at(t_s).T_world_ground @ view.T_world_view), 1, direct=True)
 
-    def _render(self, t_s: float, view: View, samples: int, direct: bool) -> LitScene:
+    def _render(self, t_s: float, view: View, samples: int, direct: bool, part: Part | None = None) -> LitScene:
         vehicle, scene = self.motion.at(t_s), self.scene
         self._triangles = triangles = scene.at(t_s, vehicle.T_world_ground, self._triangles)
-        surfaces = self.surfaces.gbuffer(triangles, view.with_rows(samples)).to(self.device)
+        sampled = part and (slice(samples * part[0].start, samples * part[0].stop), part[1])
+        surfaces = self.surfaces.gbuffer(triangles, view.with_rows(samples), sampled).to(self.device)
+        view = view.within(*part) if part else view
         base = average_rows(ambient_luminance(surfaces, scene.ambient_lx, scene.street_lamps, scene.spotlights_at(t_s)), samples)
 
         modules, T_world_body = self.modules, vehicle.T_world_body

@@ -8,19 +8,34 @@ from pydantic import Field, model_validator
 from world.params import Params
 
 Light = Literal["open_loop", "full_light", "low_beam"]
+By = Literal["ratio", "difference", "recall"]
 
 
 class CheckParams(Params):
     """A column of the recording over a window of time, and the bounds that hold it."""
 
-    metric: str = Field(min_length=1, description="column of the recording, such as `functions.symbol.iou` or `lamp.left.flux_lm`")
+    metric: str = Field(
+        min_length=1,
+        examples=["lamp.left.flux_lm"],
+        description="column of the recording, such as `functions.symbol.iou` or `lamp.left.flux_lm`",
+    )
     from_s: float = Field(0.0, ge=0, le=1e6, description="start of the window")
     until_s: float | None = Field(None, ge=0, le=1e6, description="end of the window, which belongs to it; left out: the end of the run")
-    take: Literal["mean", "min", "max", "last"] = Field("mean", description="what is taken of the values in the window")
+    take: Literal["mean", "min", "max", "last", "p50", "p90", "p99"] = Field(
+        "mean", description="what is taken of the values in the window; `p99`: the least value that 99 % of them do not exceed"
+    )
+    over_s: float | None = Field(
+        None, gt=0, le=1e6, description="take it of the moving means over so many consecutive seconds; left out: of the values themselves"
+    )
     at_least: float | None = Field(None, ge=-1e12, le=1e12, description="lower bound")
     at_most: float | None = Field(None, ge=-1e12, le=1e12, description="upper bound; one of the two bounds is required")
     compare: Light | None = Field(
-        None, description="light that runs beside it in the same world with the same noise; the bounds then hold the ratio to its value"
+        None, description="light that runs beside it in the same world with the same noise; the bounds then hold what `by` says"
+    )
+    by: By = Field(
+        "ratio",
+        description="how it compares: `ratio` of the two values, `difference` to the other's step by step, of which it takes, or `recall`, "
+        "the share of the steps in which the other's is above 0 in which its own is, too",
     )
 
     @model_validator(mode="after")
@@ -31,6 +46,10 @@ class CheckParams(Params):
             raise ValueError(f"at_least = {self.at_least:g} is more than at_most = {self.at_most:g}; exchange them")
         if self.until_s is not None and self.until_s < self.from_s:
             raise ValueError(f"until_s = {self.until_s:g} is before from_s = {self.from_s:g}; exchange them")
+        if self.by != "ratio" and self.compare is None:
+            raise ValueError(f"by: {self.by} compares with another light; give compare, or leave by out")
+        if self.by == "recall" and (self.take != "mean" or self.over_s is not None):
+            raise ValueError("by: recall counts steps, so that nothing else is taken of them; leave take and over_s out")
         if self.compare is not None and self.metric.endswith("_ms"):
             raise ValueError(f"compare: the runs share what is rendered, so {self.metric} says nothing of the other; leave compare out")
         return self

@@ -41,7 +41,9 @@ class FrameSpell(Spell):
 class AmbientParams(FrameSpell):
     """Another light beside the headlamps'."""
 
-    factor: float = Field(ge=0, le=1000, description="all light but the own headlamps': sky, street lamps, other cars' lamps")
+    factor: float = Field(
+        ge=0, le=1000, examples=[2.0], description="all light but the own headlamps': sky, street lamps, other cars' lamps"
+    )
 
 
 class OncomingSpellParams(OncomingParams, FrameSpell):
@@ -51,7 +53,9 @@ class OncomingSpellParams(OncomingParams, FrameSpell):
 class NoiseParams(Spell):
     """A camera that is noisier than [camera] says."""
 
-    factor: float = Field(ge=0, le=100, description="standard deviation of shot and read noise, as a multiple of [camera]'s")
+    factor: float = Field(
+        ge=0, le=100, examples=[2.0], description="standard deviation of shot and read noise, as a multiple of [camera]'s"
+    )
 
 
 class DropsParams(Spell):

@@ -90,7 +90,7 @@ class Scenario(Params):
     """Everything that decides a run."""
 
     schema_version: Literal[1] = Field(SCHEMA_VERSION, description="version of this file format")
-    name: str = Field(min_length=1, max_length=80, description="name, for tables and reports")
+    name: str = Field(min_length=1, max_length=80, examples=["mine"], description="name, for tables and reports")
     description: str = Field("", description="what is to be seen, in a sentence")
     steps: int = Field(40, ge=1, le=100_000, description="control steps")
     rate_hz: float = Field(30.0, ge=0.1, le=1000, description="control rate")
@@ -259,10 +259,7 @@ def only(held: Iterable[str]) -> str:
     return names[0]
 
 
-EXAMPLES: Final = (
-    "`luxloop list` shows examples of all functions, `luxloop new FILE` writes one with a symbol that is held, "
-    "`--like path_projection` copies another, say, and `--like obl` one with a detector"
-)
+EXAMPLES: Final = "`luxloop new FILE` writes a complete file, `luxloop new FILE --like NAME` copies one of `luxloop list`"
 
 
 def load(name: str, overrides: Sequence[Override] = (), *, allow_code: bool = False, **values: Any) -> Scenario:

@@ -18,7 +18,7 @@ class RecordedPlantParams(Params):
     """The frames of a recording, which show the light of that run; perception and controller step on them in shadow."""
 
     kind: Literal["recording"]
-    folder: str = Field(min_length=1, description="recording that `luxloop run --frames` wrote")
+    folder: str = Field(min_length=1, examples=["runs/mine"], description="recording that `luxloop run --frames` wrote")
 
 
 class OwnPlantParams(Params):

@@ -1,6 +1,5 @@
 """The text of `luxloop new`: a scenario file that runs, with every common key and what it means, made from the model itself."""
 
-import json
 from typing import Any, Literal, cast, get_args, get_origin
 
 from pydantic import BaseModel
@@ -17,6 +16,7 @@ from perception.extraction import ExtractionParams
 from perception.tracking import TrackerParams
 from world.roads.shapes import Mixed, RoadParams
 from world.traffic.generator import varied
+from world.validation import toml
 
 LEFT_OUT = ("schema_version", "objects")  # said in HEAD and TAIL
 CHOSEN: dict[str, dict[str, Any]] = {
@@ -91,9 +91,9 @@ def night(name: str, seed: int) -> str:
         "lighting": {"base": {"beam": "low"}},
         "functions.guard_traffic": {"kind": "glare_free"},
     }
-    lines = [f"name = {_toml(name)}", "steps = 40", "rate_hz = 20"]
+    lines = [f"name = {toml(name)}", "steps = 40", "rate_hz = 20"]
     for key, table in tables.items():
-        lines += ["", f"[{key}]", *(f"{inner} = {_toml(value)}" for inner, value in table.items())]
+        lines += ["", f"[{key}]", *(f"{inner} = {toml(value)}" for inner, value in table.items())]
     return NIGHT_HEAD + "\n".join(lines) + "\n"
 
 
@@ -123,18 +123,8 @@ def _table(key: str, field: FieldInfo, within: str = "", chosen: dict[str, Any] 
 def _line(key: str, field: FieldInfo, chosen: Any) -> str:
     value = field.default if chosen is None else chosen
     hidden = "# " if chosen is None else ""
-    written = "..." if value is None else _toml(value)
+    written = "..." if value is None else toml(value)
     choices = get_args(field.annotation) if get_origin(field.annotation) is Literal else ()
     meaning = [field.description] if field.description else []
-    meaning += [f"one of {_toml(choices)}"] if len(choices) > 1 else []
+    meaning += [f"one of {toml(choices)}"] if len(choices) > 1 else []
     return f"{hidden}{key} = {written}" + (f"  # {'; '.join(meaning)}" if meaning else "")
-
-
-def _toml(value: Any) -> str:
-    """A value as TOML writes it, on one line; keys of nothing are left out, which TOML has no word for."""
-    if isinstance(value, BaseModel | dict):
-        items = value.items() if isinstance(value, dict) else value
-        return "{" + ", ".join(f"{key} = {_toml(inner)}" for key, inner in items if inner is not None) + "}"
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_toml, value))}]"
-    return json.dumps(value, ensure_ascii=False)

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 import torch
 
-from luxloop import LuxloopError, Situation, check_function, rectangle
+from luxloop import LuxloopError, ModuleCommand, Situation, check_function, rectangle
 
 
 class Line:
@@ -118,6 +118,32 @@ class InPlace(Learning):
         return state.add_(1)
 
 
+class Levels(Line):
+    def commands(self, now: Situation) -> Any:
+        return {"left": ModuleCommand(level_deg=0.5 * len(now.objects))}
+
+
+class LevelsOnAndOn(Levels):
+    def __init__(self) -> None:
+        super().__init__()
+        self.level_deg = 0.0
+
+    def commands(self, now: Situation) -> Any:
+        self.level_deg += 0.1
+        return {"left": ModuleCommand(level_deg=self.level_deg)}
+
+
+class LevelsTheWorld(Levels):
+    def commands(self, now: Situation) -> Any:
+        now.lamps[:, 2] += 0.1
+        return {}
+
+
+class LevelsForSomebody(Levels):
+    def commands(self, now: Situation) -> Any:
+        return {"left": ModuleCommand(level_deg=now.objects[0].score)}
+
+
 class HalfLearnt:
     def start(self) -> None: ...
 
@@ -130,7 +156,7 @@ BROKEN: dict[Any, list[str]] = {
     TakesLess: ["primitives takes () -> Any, but is called as primitives(now)"],
     InCentimetres: ["changes no lamp's light", "[1400.0, 150.0, 0.0] m", "places are in m in the world"],
     FacesAway: ["changes no lamp's light", "normals", "point to the lamps"],
-    One: ["gives a NoneType", "an empty one where nothing is drawn"],
+    One: ["gives a NoneType", "an empty one draws nothing"],
     Corners: ["gives a list of Tensor", "luxloop.rectangle"],
     NotANumber: ["not finite", "leave out"],
     Batched: ["corners [1, 1, 3]", "[P, 3]"],
@@ -139,7 +165,10 @@ BROKEN: dict[Any, list[str]] = {
     Moving: ["changes now.T_world_vehicle, which it was given"],
     ForSomebody: ["where now.objects is empty", "primitives fails at", "IndexError"],
     KeepsItself: ["start gives a state that cannot be saved", "state[1] is of the type KeepsItself"],
-    InPercent: ["base_share gives 50", "0..1 of the base beam"],
+    InPercent: ["base_share gives 50", "share of the base beam, 0..1"],
+    LevelsOnAndOn: ["commands gives another commands.left.level_deg", "same now", "keep nothing in self"],
+    LevelsTheWorld: ["commands changes now.lamps, which it was given"],
+    LevelsForSomebody: ["commands fails at", "IndexError"],
     InPlace: ["step changes state, which it was given"],
 }
 
@@ -153,7 +182,7 @@ def test_each_way_to_break_the_contract_is_told_in_a_sentence(broken: Any, devic
     assert all(words in sentence for words in BROKEN[broken]), sentence
 
 
-@pytest.mark.parametrize("kept", [Line, Nothing, Learning])
+@pytest.mark.parametrize("kept", [Line, Nothing, Learning, Levels])
 def test_what_keeps_the_contract_passes(kept: Any, device: torch.device) -> None:
     check_function(kept, device=device.type)
 

@@ -62,8 +62,24 @@ BROKEN = {  # what is replaced in OWN by what, and words of the sentence that te
     "a state alone": ("return self.told(*self.inner.start())", "return self.told(*self.inner.start())[0]", "start: gives ()"),
     "frames by another clock": ("taken_s=each.taken_s + by", "taken_s=each.taken_s", "frame 0: was taken at 0 s"),
     "a clock that stands": ("Arrivals(came.time_s + by", "Arrivals(by", "give the time at its end"),
-    "half an image": ("replace(each, taken_s", "replace(each, image=each.image[::2], taken_s", "give a tensor of floats"),
+    "half an image": ("replace(each, taken_s", "replace(each, image=each.image[::2], taken_s", "give a tensor [180, 320], as camera"),
     "an image of bytes": ("replace(each, taken_s", "replace(each, image=each.image.byte(), taken_s", "torch.uint8"),
+    "an image of another dtype": ("replace(each, taken_s", "replace(each, image=each.image.double(), taken_s", "torch.float64"),
+    "an image of NumPy": ("replace(each, taken_s", "replace(each, image=each.image.numpy(), taken_s", "an image that is a ndarray"),
+    "an image that is not finite": (
+        "replace(each, taken_s",
+        "replace(each, image=each.image / 0, taken_s",
+        "frame 0: has an image that is not finite",
+    ),
+    "no time": ("taken_s=each.taken_s + by", "taken_s=None", "frame 0: has the time None; give the plant's time in s"),
+    "an image as what is shown": ("replace(each, taken_s", "replace(each, shown=each.image, taken_s", "frame 0: has shown = Tensor"),
+    "a sample of no time": ("measured_s=each.measured_s + by", "measured_s=float('nan')", "sample of wheels: was measured at nan s"),
+    "a sample of NumPy": ("replace(each, measured_s", "replace(each, values=each.values.numpy(), measured_s", "values that are a ndarray"),
+    "a sample of whole numbers": (
+        "replace(each, measured_s",
+        "replace(each, values=each.values.long(), measured_s",
+        "torch.int64 [1] on cpu",
+    ),
 }
 
 
@@ -73,7 +89,7 @@ def test_what_a_plant_cannot_mean_is_told_in_a_sentence(broken: str, tmp_path: P
     old, new, words = BROKEN[broken]
     (tmp_path / "own.py").write_text(OWN.replace(old, new))
     with pytest.raises(LuxloopError) as caught:
-        results(EPOCH_S)
+        results(EPOCH_S, vehicle=DRIVES)
     assert "plant.kind: own:Clock: " in str(caught.value) and words in str(caught.value)
 
 

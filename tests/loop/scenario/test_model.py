@@ -1,186 +1,19 @@
-"""Scenario files: what is in them is what runs, and whatever is wrong is said in one sentence with file, key and remedy."""
+"""Scenario files: what is in them is what runs."""
 
 import json
-import random
-import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 import pytest
+from pydantic import BaseModel, TypeAdapter
 
-from controllers.functions.lane import LaneParams
-from controllers.functions.planner import LightingParams
 from controllers.symbol import LuxloopParams
-from controllers.symbol.laws.feedback import GaussNewtonParams
-from controllers.symbol.laws.thesis_pid import ThesisPidParams
-from controllers.symbol.laws.warping import WarpParams
 from loop.scenario.model import Scenario, load, validate
 from loop.scenario.shipped import shipped
-from perception.camera import CameraParams
+from tests.loop.scenario.files import BOX, GOOD, LIT
 from world.errors import LuxloopError
-from world.roads.shapes import Bumps, Flat
-
-SYMBOL = """
-name = "good"
-steps = 3
-[functions.symbol]
-kind = "symbol"
-image = "snowflake"
-"""
-GOOD = SYMBOL + 'controller = "luxloop"\n'
-PID = SYMBOL + '[functions.symbol.controller]\nname = "thesis_pid"\n'
-BOX = '[[objects]]\nkind = "box"\nname = "crate"\nsize_m = [1, 1, 1]\ntrack = [{position_m = [17, 0, 0]}]\n'
-
-# what is wrong, what the file has then, what the sentence must name: the key and the remedy
-BROKEN = {
-    "unknown key": ('stepps = 3\nname = "x"', ["stepps", "'steps'"]),
-    "unknown key far from any": ('zzz = 3\nname = "x"', ["zzz", "known are", "camera"]),
-    "typo in a table": (GOOD + "[camera]\nwidht_px = 640", ["camera.widht_px", "'width_px'"]),
-    "typo in a variant": (GOOD + '[road]\nkind = "bumps"\nsead = 3', ["road.sead", "'seed'"]),
-    "typo in a list of variants": (GOOD + BOX + "albedoo = 0.3", ["objects[0].albedoo", "'albedo'"]),
-    "typo deep in a controller": (
-        PID + "position = {kpp = 1}",
-        ["functions.symbol.controller.position.kpp", "'kp'"],
-    ),
-    "text for a whole number": ('steps = "40"\n' + GOOD.replace("steps = 3", ""), ["steps", "'40'", "whole number"]),
-    "fraction for a whole number": (GOOD.replace("3", "3.5"), ["steps", "3.5", "whole number"]),
-    "number for a text": (GOOD.replace('"good"', "7"), ["name", "7", "quotes"]),
-    "truth for a number": (GOOD + "[camera]\nhfov_deg = true", ["camera.hfov_deg", "true is not a number"]),
-    "value for a table": ("camera = 3" + GOOD, ["camera", "table"]),
-    "value for a list": (GOOD + "[headlight]\nlamps = 'left'", ["headlight.lamps", "list"]),
-    "below the range": (GOOD.replace("steps = 3", "steps = 0"), ["steps", "greater than or equal to 1"]),
-    "above the range": (GOOD + "[camera]\nhfov_deg = 200", ["camera.hfov_deg", "less than or equal to 150"]),
-    "negative seed": ("seed = -1" + GOOD, ["seed", "-1", "greater than or equal to 0"]),
-    "infinity": (GOOD + "[camera]\nexposure_s = inf", ["camera.exposure_s", "inf", "finite"]),
-    "not a number": (GOOD + "[functions.symbol.start]\nx_m = nan", ["functions.symbol.start.x_m", "nan", "finite"]),
-    "a date": ("seed = 2024-01-01" + GOOD, ["seed", "date", "number"]),
-    "a date in a list": (GOOD + BOX.replace("17,", "2024-01-01,"), ["objects[0].track[0].position_m[0]", "date"]),
-    "no image": ('name = "x"\n[functions.symbol]\nkind = "symbol"', ["functions.symbol.image: is missing", "luxloop new"]),
-    "no name": (GOOD.replace('name = "good"', ""), ["name", "missing"]),
-    "a symbol beside the functions": (
-        'symbol = {image = "snowflake"}' + GOOD,
-        ["symbol: unknown key", "[functions.NAME]", 'kind = "symbol"'],
-    ),
-    "a start beside the functions": ("start = {x_m = 12.0}" + GOOD, ["start: unknown key", "functions"]),
-    "a start without control": (
-        SYMBOL + "start = {x_m = 12.0}",
-        ["functions.symbol: start: ", 'give controller = "luxloop"', "leave it out"],
-    ),
-    "animation under control": (GOOD + 'animation = {kind = "blinking"}', ["functions.symbol: animation: ", "controller", "leave it out"]),
-    "empty file": ("", ["name", "missing", "luxloop new"]),
-    "unknown road": (GOOD + '[road]\nkind = "bumpz"', ["road.kind", "'bumpz'", "'bumps'"]),
-    "road without kind": (GOOD + "[road]\nseed = 1", ["road.kind", "missing"]),
-    "unknown controller": (PID.replace("pid", "pdi"), ["functions.symbol.controller.name", "'thesis_pid'"]),
-    "unknown object": (GOOD + BOX.replace('"box"', '"bocks"'), ["objects[0].kind", "'bocks'", "known are box"]),
-    "unknown lamp": (GOOD + '[headlight]\nlamps = ["lefft"]', ["headlight.lamps[0]", "'left'"]),
-    "one lamp twice": (GOOD + '[headlight]\nlamps = ["left", "left"]', ["headlight.lamps", "once"]),
-    "one module twice": (GOOD + '[headlight]\nmodules = ["hires", "hires"]', ["headlight.modules", "once"]),
-    "no lamp": (GOOD + "[headlight]\nlamps = []", ["headlight.lamps", "at least 1"]),
-    "odd bit depth": (GOOD + "[camera]\nbits = 9", ["camera.bits", "8, 10, 12"]),
-    "too short a vector": (GOOD + BOX.replace("[17, 0, 0]", "[17, 0]"), ["objects[0].track[0].position_m", "missing"]),
-    "too long a vector": (GOOD + BOX.replace("[1, 1, 1]", "[1, 1, 1, 1]"), ["objects[0].size_m", "at most 3"]),
-    "keyframes out of order": (
-        GOOD + BOX.replace("[{", "[{time_s = 1, position_m = [0, 0, 0]}, {"),
-        ["objects[0]", "time_s must ascend"],
-    ),
-    "future version": ("schema_version = 2" + GOOD, ["schema_version", "version 1, not 2"]),
-    "long exposure": (GOOD + "[camera]\nexposure_s = 0.02", ["camera.exposure_s", "half a control period", "0.01667", "rate_hz"]),
-    "limits the wrong way": (
-        PID + "x_range_m = [40, 8]",
-        ["functions.symbol: controller.x_range_m", "40 must be less than 8"],
-    ),
-    "start outside of the limits": (
-        PID + "[functions.symbol.start]\nx_m = 50",
-        ["functions.symbol: start.x_m", "controller.x_range_m", "[8, 40]"],
-    ),
-    "not TOML": ("name = snowflake", ["not valid TOML", "line 1", "quotes"]),
-    "one key twice": (GOOD + "[functions.symbol]\n", ["not valid TOML", "symbol"]),
-}
-
-
-def is_one_sentence(text: str) -> bool:
-    return "\n" not in text and "Traceback" not in text and not re.search(r"\.\s+[A-Z]", text)
-
-
-@pytest.fixture
-def file(tmp_path: Path) -> Path:
-    path = tmp_path / "my.toml"
-    path.write_text(GOOD)
-    return path
-
-
-def failure(name: Path | str, *overrides: str, **values: object) -> str:
-    with pytest.raises(LuxloopError) as caught:
-        load(str(name), overrides, **values)
-    assert all(map(is_one_sentence, caught.value.args))
-    return str(caught.value)
-
-
-@pytest.mark.parametrize(("text", "named"), BROKEN.values(), ids=BROKEN.keys())
-def test_broken_file_gives_one_sentence_with_file_key_and_remedy(file: Path, text: str, named: list[str]) -> None:
-    file.write_text(text)
-    message = failure(file)
-    assert message.startswith(str(file))
-    for part in named:
-        assert part in message
-
-
-def test_file_that_is_no_text(file: Path) -> None:
-    file.write_bytes(b'name = "M\xfcller"')
-    assert "save it as UTF-8" in failure(file)
-    file.write_bytes(bytes(range(256)))
-    assert str(file) in failure(file)
-
-
-def test_byte_order_mark_is_no_fault(file: Path) -> None:
-    file.write_bytes(b"\xef\xbb\xbf" + GOOD.encode())
-    assert load(str(file)).name == "good"
-
-
-def test_missing_file_folder_and_unknown_name(tmp_path: Path) -> None:
-    assert "luxloop new" in failure(tmp_path / "none.toml")
-    assert "folder" in failure(tmp_path)
-    assert "luxloop list" in failure("zzzz")
-
-
-@pytest.mark.skipif("snowflake" not in shipped(), reason="no scenario called snowflake is shipped")
-def test_misspelt_name_of_a_shipped_scenario() -> None:
-    assert "did you mean 'snowflake'?" in failure("snowflak")
-
-
-@pytest.mark.parametrize("override", ["steps", "=3", "", "a b=3", "steps.=3"])
-def test_override_that_is_no_assignment(file: Path, override: str) -> None:
-    assert "--set camera.bits=8" in failure(file, override)
-
-
-def test_wrong_override_is_shown_beside_the_file(file: Path) -> None:
-    assert "camera.bitz=8: camera.bitz: unknown key; did you mean 'bits'?" in failure(file, "camera.bitz=8")
-    assert "with steps=-3: steps: -3" in failure(file, steps=-3)
-
-
-def test_overrides_win_over_the_file_and_keep_the_rest(file: Path) -> None:
-    scenario = load(str(file), ["camera.bits=8", "camera.gamma=2.2", "name=other", "functions.symbol.width_m=1.5"], steps=7)
-    assert (scenario.camera.bits, scenario.camera.gamma, scenario.name, scenario.steps) == (8, 2.2, "other", 7)
-    assert (scenario.symbol.image, scenario.symbol.width_m) == ("snowflake", 1.5)
-
-
-def test_another_variant_starts_anew_whatever_the_order(file: Path) -> None:
-    file.write_text(GOOD + '[road]\nkind = "speed_bump"\nheight_m = 0.05\n')
-    for overrides in (["road.kind=bumps", "road.seed=5"], ["road.seed=5", "road.kind=bumps"]):
-        road = load(str(file), overrides).road
-        assert (road.kind, road.seed) == ("bumps", 5)
-    assert load(str(file), ["road.kind=speed_bump"]).road.height_m == 0.05
-
-
-def test_paths_are_relative_to_the_file_and_overrides_to_the_working_folder(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    file.write_text(GOOD.replace('"snowflake"', '"mine.png"') + '[road]\nkind = "opencrg"\nfile = "../scan.crg"\n')
-    scenario = load(str(file))
-    assert scenario.symbol.image == str(file.parent / "mine.png")
-    assert Path(scenario.road.file) == file.parent.parent / "scan.crg"
-    (file.parent / "here").mkdir()
-    monkeypatch.chdir(file.parent / "here")
-    assert load(str(file), ["functions.symbol.image=other.png"]).symbol.image == str(file.parent / "here" / "other.png")
+from world.plugin import Name
 
 
 def test_manifest_gives_the_same_scenario_back(file: Path) -> None:
@@ -210,42 +43,22 @@ def test_every_key_is_described() -> None:
         described(inner)
 
 
-LIT = 'name = "lit"\n[lighting]\nbase = { beam = "low" }\n'
-
-BROKEN_LIGHTING = {
-    "a controller beside the functions": (LIT + '[controller]\nname = "open"', ["controller: unknown key", "'pixel_controller'"]),
-    "no path": (LIT + '[functions.marker]\nkind = "path"', ["functions.marker.control_m: is missing", "path_projection"]),
-    "more than all": (LIT + '[functions.own]\nkind = "width"\nvalue = 2', ["functions.own: value: u_abs", "at most 1", "u_rel"]),
-    "unknown function": (LIT + '[functions.own]\nkind = "glarefree"', ["functions.own.kind", "'glare_free'"]),
-    "typo in a function": (LIT + '[functions.marker]\nkind = "marker"\nwidth = 1', ["functions.marker.width: ", "'width_m'"]),
-    "a function's name": (
-        LIT + '[functions."Own width"]\nkind = "width"',
-        ["functions.Own width: 'Own width' is no name", "write own_width"],
-    ),
-    "no kind": (LIT + "[functions.own]\nvalue = 1", ["functions.own.kind: is missing"]),
-    "a list of functions": (LIT + '[[functions]]\nkind = "width"', ["functions: [{'kind': 'width'}] is no table"]),
-    "an object's name": (LIT + BOX.replace("crate", "big crate"), ["objects[0].name: 'big crate' is no name", "write big_crate"]),
-    "unknown category": (LIT + BOX + 'category = "pedestrain"', ["objects[0].category", "'pedestrian'"]),
-    "one name twice": (LIT + BOX + BOX, ["objects", "'crate'", "rename"]),
-    "typo in the table of its kind": ('name = "x"\n[lightning]\nbase = { beam = "low" }', ["lightning: unknown key", "'lighting'"]),
-    "a list for a table": (LIT + '[[detector]]\nkind = "network"', ["detector: [{'kind': 'network'}] is no table of keys"]),
-    "typo in a class": (
-        LIT + '[functions.own]\nkind = "object_based"\nsetpoints_lx = { pedestrain = 3 }',
-        ["functions.own.setpoints_lx.pedestrain: 'pedestrain' is not possible", "'pedestrian'"],
-    ),
-    "conditions out of order": (LIT + "[[conditions]]\ntime_s = 1\n[[conditions]]\ntime_s = 1", ["conditions", "ascend"]),
-}
+def tables_of(annotation: Any) -> Iterator[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+        for field in annotation.model_fields.values():
+            yield from tables_of(field.annotation)
+    for inner in get_args(annotation):
+        yield from tables_of(inner)
 
 
-@pytest.mark.parametrize(("text", "named"), BROKEN_LIGHTING.values(), ids=BROKEN_LIGHTING.keys())
-def test_broken_lighting_scenario_gives_one_sentence(file: Path, text: str, named: list[str]) -> None:
-    file.write_text(text)
-    with pytest.raises(LuxloopError) as caught:
-        load(str(file))
-    message = str(caught.value)
-    assert all(map(is_one_sentence, caught.value.args)) and message.startswith(str(file))
-    for part in named:
-        assert part in message
+def test_every_key_that_may_be_missing_has_an_example_that_is_possible() -> None:
+    """Keys that tell variants apart excepted: a table without one is none of them."""
+    for table in set(tables_of(Scenario)):
+        for key, field in table.model_fields.items():
+            if field.is_required() and get_origin(field.annotation) is not Literal and field.annotation is not Name:
+                assert field.examples, f"{table.__name__}.{key}"
+                TypeAdapter(Annotated[field.annotation, field]).validate_python(field.examples[0])
 
 
 def test_a_name_alone_is_a_scenario_of_darkness(file: Path) -> None:
@@ -270,182 +83,9 @@ def test_functions_are_given_with_or_without_a_controller(file: Path) -> None:
         _ = both.symbol
 
 
-def test_a_controller_given_beside_the_file_is_that_of_the_only_symbol_held(file: Path) -> None:
-    assert load(str(file), controller={"name": "thesis_pid"}).symbol.controller == ThesisPidParams()
-    file.write_text(SYMBOL)
-    assert "controller: none of its functions has one" in failure(file, controller={"name": "open"})
-    file.write_text(GOOD + GOOD[GOOD.index("[") :].replace("functions.symbol", "functions.other"))
-    message = failure(file, controller={"name": "open"})
-    assert "controller: several symbols have one: symbol, other; set functions.NAME.controller" in message
-
-
-def test_items_of_a_list_that_an_earlier_override_made_can_be_changed() -> None:
-    objects = "objects=[{kind='pedestrian', name='a', track=[{position_m=[20, 2, 0]}]}]"
-    assert load("snowflake", [objects, "objects[0].name=anna"]).objects[0].name == "anna"
-
-
-def test_one_key_of_one_item_of_a_list_can_be_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    before = load("marker_light")
-    sets = [
-        "functions.pedestrian_light.value=0.25",
-        "functions.guide_line.animation.rate_hz=3",
-        "objects[0].track[1].position_m=[30, 0, 0]",
-    ]
-    now = load("marker_light", sets)
-    line, body = now.functions["guide_line"], now.functions["pedestrian_light"]
-    assert body == before.functions["pedestrian_light"].model_copy(update={"value": 0.25})
-    assert line.animation.rate_hz == 3 and line.width_m == 0.35  # type: ignore[union-attr]
-    assert [key.position_m[1] for key in now.objects[0].track] == [-4.5, 0]
-    assert load("obl", ["functions.object_light.method=constant"]).functions["object_light"].method == "constant"  # type: ignore[union-attr]
-    shown = load("animated_symbol", ["functions.guidance.image=./own.png"])
-    assert shown.functions["guidance"].image == str((tmp_path / "own.png").resolve())  # type: ignore[union-attr]
-    with pytest.raises(LuxloopError, match=r"^objects\[1\]: there are 1 objects, numbered from 0"):
-        load("marker_light", ["objects[1].albedo=1"])
-    with pytest.raises(LuxloopError, match=r"functions.guide_line.valeu: unknown key; did you mean 'value'"):
-        load("marker_light", ["functions.guide_line.valeu=1"])
-    with pytest.raises(LuxloopError, match=r"functions\..*: '' is no name"):
-        load("marker_light", ["functions.''.kind=lane"])
-    with pytest.raises(LuxloopError, match=r"^objects: is a list and has no '0'; write --set 'objects\[0\].KEY"):
-        load("marker_light", ["objects.0.albedo=1"])
-    with pytest.raises(LuxloopError, match=r"^objects\[0\].track\[7\]: there are \d+ track, numbered from 0"):
-        load("marker_light", ["objects[0].track[7].time_s=1"])
-
-
-SEVERAL = {
-    "camera.bits": "9",
-    "camera.widht_px": "1",
-    "headlight.lamps[1]": '"lefft"',
-    "light.ambient_lx": "2024-01-01",
-    "rate_hz": '"x"',
-    "road.kind": '"bumpz"',
-}
-MARKERS = '[functions.name]\nkind = "marker"\nanimation = { kind = "blinking" }\n[functions.kind]\nkind = "marker"\n'
-OF_A_KIND = {
-    PID: {
-        "functions.symbol.controller.position.kp": '"x"',
-        "functions.symbol.start.x_m": "[]",
-        "functions.symbol.imag": "3",
-    },
-    LIT + MARKERS: {
-        "functions.name.animation.rate_hz": '"x"',
-        "functions.kind.kind": '"markr"',
-        "tracker.zzz": "{}",
-        "vehicel": "{}",
-    },
-}
-
-
-@pytest.mark.parametrize(("text", "of_the_kind"), OF_A_KIND.items(), ids=("held", "functions"))
-def test_all_errors_of_a_file_are_listed(text: str, of_the_kind: dict[str, str], file: Path) -> None:
-    file.write_text('headlight.lamps = ["left", "right"]\n' + text + BOX)
-    wrong = SEVERAL | of_the_kind
-    with pytest.raises(LuxloopError) as caught:
-        load(str(file), [f"{key}={value}" for key, value in wrong.items()])
-    first, *lines = caught.value.args
-    assert first.startswith(str(file)) and first.endswith(f": {len(wrong)} errors")
-    assert sorted(line.partition(": ")[0] for line in lines) == sorted(wrong)
-    assert all(map(is_one_sentence, lines))
-
-
-def leaves(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
-    if isinstance(value, dict | list) and value:
-        items = value.items() if isinstance(value, dict) else enumerate(value)
-        for inner, each in items:
-            yield from leaves(each, f"{key}.{inner}".strip(".") if isinstance(value, dict) else f"{key}[{inner}]")
-    else:
-        yield key, value
-
-
-@pytest.mark.parametrize("name", shipped())
-def test_each_key_that_is_broken_is_named(name: str) -> None:
-    rng = random.Random(name)
-    alone = (".kind", ".controller.name", "schema_version")  # others of the table, or of the file, mean nothing once they are wrong
-    keys = [(key, value) for key, value in leaves(load(name).model_dump(mode="json")) if value is not None and not key.endswith(alone)]
-    broken = {key: "3" if isinstance(value, str) else '"zzz"' for key, value in rng.sample(keys, 8)}
-    with pytest.raises(LuxloopError) as caught:
-        load(name, [f"{key}={value}" for key, value in broken.items()])
-    assert sorted(line.partition(": ")[0] for line in caught.value.args[1:]) == sorted(broken)
-
-
-@pytest.mark.parametrize(
-    ("name", "overrides", "key", "left"),
-    [
-        ("snowflake", ["road={}"], "road", Flat()),
-        ("snowflake", ["road={}", "road.kind=bumps"], "road", Bumps()),
-        ("snowflake", ["road.seed=5", "camera={}", "road.kind=bumps"], "road", Bumps(seed=5)),
-        ("flat", ["functions.symbol.controller={}", "functions.symbol.start={}"], "controlled", ()),
-        ("snowflake", ["camera={}", "camera.bits=8"], "camera", CameraParams(bits=8)),
-        ("snowflake", ["camera.bits=8", "camera={}"], "camera", CameraParams()),
-        ("gfhb", ["lighting={}"], "lighting", LightingParams()),
-        ("gfhb", ["functions={}"], "functions", {}),
-        ("gfhb", ["functions.guard_traffic={}"], "functions", {}),
-        ("gfhb", ["functions.guard_traffic={}", "functions.carpet.kind=lane"], "functions", {"carpet": LaneParams()}),
-        ("gfhb", ["functions.guard_traffic.kind=lane"], "functions", {"guard_traffic": LaneParams()}),
-        ("driving", ["vehicle={}"], "vehicle", None),
-        ("driving", ["vehicle={}", "vehicle={}"], "vehicle", None),
-        ("snowflake", ["traffic={}"], "traffic", None),
-        ("snowflake", [{"traffic": {"seed": 3}}, {"traffic": {}}], "traffic", None),
-        ("marker_light", ["objects[0]={}"], "objects", ()),
-    ],
-)
-def test_an_empty_table_clears_what_is_there(name: str, overrides: list[Any], key: str, left: Any) -> None:
-    assert getattr(load(name, overrides), key) == left
-
-
-def test_an_empty_table_in_one_that_starts_anew_has_its_defaults() -> None:
-    controller = 'functions.symbol.controller={name="gauss_newton", warp={}}'
-    assert load("speed_bump", [controller]).symbol.controller == GaussNewtonParams(warp=WarpParams())
-    assert load("speed_bump", [controller, "functions.symbol.controller.warp={}"]).symbol.controller == GaussNewtonParams()
-
-
-def test_an_item_of_a_list_can_get_another_name() -> None:
-    before = load("marker_light").objects[0]
-    assert load("marker_light", ["objects[0].name=bert"]).objects[0] == before.model_copy(update={"name": "bert"})
-
-
-@pytest.mark.parametrize(
-    ("name", "override", "said"),
-    [
-        ("snowflake", "detector_frames=off", "detector_frames: there is no detector here"),
-        ("obl", "detector_frames=off", "detector_frames: there is no symbol that a controller holds here"),
-        ("obl", "off_share=0.3", "off_share: no controller holds a symbol here that could be off; leave it out"),
-        ("obl", "disturbances.ambient=[{factor=2.0, frames='off'}]", "disturbances.ambient[0].frames: without a symbol that a controller"),
-        ("snowflake", "tracker.confirm_frames=5", "tracker: follows what a detector finds, but there is none"),
-        ("night_traffic", "detector.kind=hog", "names objects, but a detector knows them by class alone"),
-    ],
-)
-def test_what_means_nothing_without_something_else_is_told(name: str, override: str, said: str) -> None:
-    assert said in failure(name, override)
-
-
 def test_a_detector_goes_with_a_symbol_that_is_held() -> None:
     scenario = load("snowflake", ["detector.kind=hog", "detector_frames=both"])
     assert scenario.controlled and scenario.detector is not None and scenario.detector.kind == "hog"
-
-
-DEEP, LONG = "[" * 3000 + "]" * 3000, "9" * 5000
-
-
-@pytest.mark.parametrize("text", [f"steps = {DEEP}", f"steps = {LONG}", f"steps = 0x{LONG}", f"{'a.' * 3000}a = 1", f"['{'x' * 9999}']"])
-def test_files_beyond_all_reason_are_told_in_a_sentence(text: str, file: Path) -> None:
-    file.write_text(text)
-    assert len(failure(file)) < 1000
-    with pytest.raises(LuxloopError):
-        load("flat", [text])
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        (f'road.kind = "{"a" * 300}:Road"', "--allow-code"),
-        ('road.kind = "\\u0000/a:Road"', "a text has a NUL character"),
-        ('functions.symbol = {kind = "symbol", image = "\\u0000.png"}', "a text has a NUL character"),
-    ],
-)
-def test_names_that_no_file_can_have_are_told_in_a_sentence(text: str, said: str, file: Path) -> None:
-    file.write_text(f'name = "mine"\n{text}')
-    assert said in failure(file)
 
 
 def test_traffic_follows_the_drive() -> None:

@@ -1,0 +1,253 @@
+"""Broken scenario files: whatever is wrong is said in one sentence with file, key and remedy."""
+
+import random
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from loop.scenario.model import load
+from loop.scenario.shipped import shipped
+from tests.loop.scenario.files import BOX, GOOD, LIT, PID, SYMBOL, failure, is_one_sentence
+from world.errors import LuxloopError
+
+# what is wrong, what the file has then, what the sentence must name: the key and the remedy
+BROKEN = {
+    "unknown key": ('stepps = 3\nname = "x"', ["stepps", "'steps'"]),
+    "unknown key far from any": ('zzz = 3\nname = "x"', ["zzz", "known are", "camera"]),
+    "typo in a table": (GOOD + "[camera]\nwidht_px = 640", ["camera.widht_px", "'width_px'"]),
+    "typo in a variant": (GOOD + '[road]\nkind = "bumps"\nsead = 3', ["road.sead", "'seed'"]),
+    "typo in a list of variants": (GOOD + BOX + "albedoo = 0.3", ["objects[0].albedoo", "'albedo'"]),
+    "typo deep in a controller": (
+        PID + "position = {kpp = 1}",
+        ["functions.symbol.controller.position.kpp", "'kp'"],
+    ),
+    "text for a whole number": ('steps = "40"\n' + GOOD.replace("steps = 3", ""), ["steps", "'40'", "whole number"]),
+    "fraction for a whole number": (GOOD.replace("3", "3.5"), ["steps", "3.5", "whole number"]),
+    "number for a text": (GOOD.replace('"good"', "7"), ["name", "7", "quotes"]),
+    "truth for a number": (GOOD + "[camera]\nhfov_deg = true", ["camera.hfov_deg", "true is not a number"]),
+    "value for a table": ("camera = 3" + GOOD, ["camera", "table"]),
+    "value for a list": (GOOD + "[headlight]\nlamps = 'left'", ["headlight.lamps", "list"]),
+    "below the range": (GOOD.replace("steps = 3", "steps = 0"), ["steps", "greater than or equal to 1"]),
+    "above the range": (GOOD + "[camera]\nhfov_deg = 200", ["camera.hfov_deg", "less than or equal to 150"]),
+    "negative seed": ("seed = -1" + GOOD, ["seed", "-1", "greater than or equal to 0"]),
+    "infinity": (GOOD + "[camera]\nexposure_s = inf", ["camera.exposure_s", "inf", "finite"]),
+    "not a number": (GOOD + "[functions.symbol.start]\nx_m = nan", ["functions.symbol.start.x_m", "nan", "finite"]),
+    "a date": ("seed = 2024-01-01" + GOOD, ["seed", "date", "number"]),
+    "a date in a list": (GOOD + BOX.replace("17,", "2024-01-01,"), ["objects[0].track[0].position_m[0]", "date"]),
+    "no image": (
+        'name = "x"\n[functions.symbol]\nkind = "symbol"',
+        ['functions.symbol.image: is missing; write image = "snowflake"', "luxloop new"],
+    ),
+    "no name": (GOOD.replace('name = "good"', ""), ['name: is missing; write name = "mine", say: name, for tables and reports (']),
+    "a symbol beside the functions": (
+        'symbol = {image = "snowflake"}' + GOOD,
+        ["symbol: unknown key", "[functions.NAME]", 'kind = "symbol"'],
+    ),
+    "a start beside the functions": ("start = {x_m = 12.0}" + GOOD, ["start: unknown key", "functions"]),
+    "a start without control": (
+        SYMBOL + "start = {x_m = 12.0}",
+        ["functions.symbol: start: ", 'give controller = "luxloop"', "leave it out"],
+    ),
+    "animation under control": (GOOD + 'animation = {kind = "blinking"}', ["functions.symbol: animation: ", "controller", "leave it out"]),
+    "empty file": ("", ["name", "missing", "luxloop new"]),
+    "unknown road": (GOOD + '[road]\nkind = "bumpz"', ["road.kind", "'bumpz'", "'bumps'"]),
+    "road without kind": (GOOD + "[road]\nseed = 1", ['road.kind: is missing; write kind = "flat", or one of grade, bumps']),
+    "unknown controller": (PID.replace("pid", "pdi"), ["functions.symbol.controller.name", "'thesis_pid'"]),
+    "unknown object": (GOOD + BOX.replace('"box"', '"bocks"'), ["objects[0].kind", "'bocks'", "known are box"]),
+    "unknown lamp": (GOOD + '[headlight]\nlamps = ["lefft"]', ["headlight.lamps[0]", "'left'"]),
+    "one lamp twice": (GOOD + '[headlight]\nlamps = ["left", "left"]', ["headlight.lamps", "once"]),
+    "one module twice": (GOOD + '[headlight]\nmodules = ["hires", "hires"]', ["headlight.modules", "once"]),
+    "no lamp": (GOOD + "[headlight]\nlamps = []", ["headlight.lamps", "at least 1"]),
+    "odd bit depth": (GOOD + "[camera]\nbits = 9", ["camera.bits", "8, 10, 12"]),
+    "too short a vector": (
+        GOOD + BOX.replace("[17, 0, 0]", "[17, 0]"),
+        ["objects[0].track[0].position_m[2]: is missing; write position_m = [20.0, 2.0, 0.0], say"],
+    ),
+    "too long a vector": (GOOD + BOX.replace("[1, 1, 1]", "[1, 1, 1, 1]"), ["objects[0].size_m", "at most 3"]),
+    "keyframes out of order": (
+        GOOD + BOX.replace("[{", "[{time_s = 1, position_m = [0, 0, 0]}, {"),
+        ["objects[0]", "time_s must ascend"],
+    ),
+    "future version": ("schema_version = 2" + GOOD, ["schema_version", "version 1, not 2"]),
+    "long exposure": (GOOD + "[camera]\nexposure_s = 0.02", ["camera.exposure_s", "half a control period", "0.01667", "rate_hz"]),
+    "limits the wrong way": (
+        PID + "x_range_m = [40, 8]",
+        ["functions.symbol: controller.x_range_m", "40 must be less than 8"],
+    ),
+    "start outside of the limits": (
+        PID + "[functions.symbol.start]\nx_m = 50",
+        ["functions.symbol: start.x_m", "controller.x_range_m", "[8, 40]"],
+    ),
+    "not TOML": ("name = snowflake", ["not valid TOML", "line 1", "quotes"]),
+    "one key twice": (GOOD + "[functions.symbol]\n", ["not valid TOML", "symbol"]),
+}
+
+
+@pytest.mark.parametrize(("text", "named"), BROKEN.values(), ids=BROKEN.keys())
+def test_broken_file_gives_one_sentence_with_file_key_and_remedy(file: Path, text: str, named: list[str]) -> None:
+    file.write_text(text)
+    message = failure(file)
+    assert message.startswith(str(file))
+    for part in named:
+        assert part in message
+
+
+def test_file_that_is_no_text(file: Path) -> None:
+    file.write_bytes(b'name = "M\xfcller"')
+    assert "save it as UTF-8" in failure(file)
+    file.write_bytes(bytes(range(256)))
+    assert str(file) in failure(file)
+
+
+def test_byte_order_mark_is_no_fault(file: Path) -> None:
+    file.write_bytes(b"\xef\xbb\xbf" + GOOD.encode())
+    assert load(str(file)).name == "good"
+
+
+def test_missing_file_folder_and_unknown_name(tmp_path: Path) -> None:
+    assert "luxloop new" in failure(tmp_path / "none.toml")
+    assert "folder" in failure(tmp_path)
+    assert "luxloop list" in failure("zzzz")
+
+
+@pytest.mark.skipif("snowflake" not in shipped(), reason="no scenario called snowflake is shipped")
+def test_misspelt_name_of_a_shipped_scenario() -> None:
+    assert "did you mean 'snowflake'?" in failure("snowflak")
+
+
+BROKEN_LIGHTING = {
+    "a controller beside the functions": (LIT + '[controller]\nname = "open"', ["controller: unknown key", "'pixel_controller'"]),
+    "no path": (
+        LIT + '[functions.marker]\nkind = "path"',
+        ["functions.marker.control_m: is missing; write control_m = [[6.0, 0.0], [40.0, 3.0]], say"],
+    ),
+    "more than all": (LIT + '[functions.own]\nkind = "width"\nvalue = 2', ["functions.own: value: u_abs", "at most 1", "u_rel"]),
+    "unknown function": (LIT + '[functions.own]\nkind = "glarefree"', ["functions.own.kind", "'glare_free'"]),
+    "typo in a function": (LIT + '[functions.marker]\nkind = "marker"\nwidth = 1', ["functions.marker.width: ", "'width_m'"]),
+    "a function's name": (
+        LIT + '[functions."Own width"]\nkind = "width"',
+        ["functions.Own width: 'Own width' is no name", "write own_width"],
+    ),
+    "no kind": (LIT + "[functions.own]\nvalue = 1", ['functions.own.kind: is missing; write kind = "glare_free", or one of marker, sign']),
+    "a list of functions": (LIT + '[[functions]]\nkind = "width"', ["functions: [{'kind': 'width'}] is no table"]),
+    "an object's name": (LIT + BOX.replace("crate", "big crate"), ["objects[0].name: 'big crate' is no name", "write big_crate"]),
+    "unknown category": (LIT + BOX + 'category = "pedestrain"', ["objects[0].category", "'pedestrian'"]),
+    "one name twice": (LIT + BOX + BOX, ["objects", "'crate'", "rename"]),
+    "typo in the table of its kind": ('name = "x"\n[lightning]\nbase = { beam = "low" }', ["lightning: unknown key", "'lighting'"]),
+    "a list for a table": (LIT + '[[detector]]\nkind = "network"', ["detector: [{'kind': 'network'}] is no table of keys"]),
+    "typo in a class": (
+        LIT + '[functions.own]\nkind = "object_based"\nsetpoints_lx = { pedestrain = 3 }',
+        ["functions.own.setpoints_lx.pedestrain: 'pedestrain' is not possible", "'pedestrian'"],
+    ),
+    "conditions out of order": (LIT + "[[conditions]]\ntime_s = 1\n[[conditions]]\ntime_s = 1", ["conditions", "ascend"]),
+}
+
+
+@pytest.mark.parametrize(("text", "named"), BROKEN_LIGHTING.values(), ids=BROKEN_LIGHTING.keys())
+def test_broken_lighting_scenario_gives_one_sentence(file: Path, text: str, named: list[str]) -> None:
+    file.write_text(text)
+    with pytest.raises(LuxloopError) as caught:
+        load(str(file))
+    message = str(caught.value)
+    assert all(map(is_one_sentence, caught.value.args)) and message.startswith(str(file))
+    for part in named:
+        assert part in message
+
+
+SEVERAL = {
+    "camera.bits": "9",
+    "camera.widht_px": "1",
+    "headlight.lamps[1]": '"lefft"',
+    "light.ambient_lx": "2024-01-01",
+    "rate_hz": '"x"',
+    "road.kind": '"bumpz"',
+}
+
+MARKERS = '[functions.name]\nkind = "marker"\nanimation = { kind = "blinking" }\n[functions.kind]\nkind = "marker"\n'
+
+OF_A_KIND = {
+    PID: {
+        "functions.symbol.controller.position.kp": '"x"',
+        "functions.symbol.start.x_m": "[]",
+        "functions.symbol.imag": "3",
+    },
+    LIT + MARKERS: {
+        "functions.name.animation.rate_hz": '"x"',
+        "functions.kind.kind": '"markr"',
+        "tracker.zzz": "{}",
+        "vehicel": "{}",
+    },
+}
+
+
+@pytest.mark.parametrize(("text", "of_the_kind"), OF_A_KIND.items(), ids=("held", "functions"))
+def test_all_errors_of_a_file_are_listed(text: str, of_the_kind: dict[str, str], file: Path) -> None:
+    file.write_text('headlight.lamps = ["left", "right"]\n' + text + BOX)
+    wrong = SEVERAL | of_the_kind
+    with pytest.raises(LuxloopError) as caught:
+        load(str(file), [f"{key}={value}" for key, value in wrong.items()])
+    first, *lines = caught.value.args
+    assert first.startswith(str(file)) and first.endswith(f": {len(wrong)} errors")
+    assert sorted(line.partition(": ")[0] for line in lines) == sorted(wrong)
+    assert all(map(is_one_sentence, lines))
+
+
+def leaves(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
+    if isinstance(value, dict | list) and value:
+        items = value.items() if isinstance(value, dict) else enumerate(value)
+        for inner, each in items:
+            yield from leaves(each, f"{key}.{inner}".strip(".") if isinstance(value, dict) else f"{key}[{inner}]")
+    else:
+        yield key, value
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_each_key_that_is_broken_is_named(name: str) -> None:
+    rng = random.Random(name)
+    alone = (".kind", ".controller.name", "schema_version")  # others of the table, or of the file, mean nothing once they are wrong
+    keys = [(key, value) for key, value in leaves(load(name).model_dump(mode="json")) if value is not None and not key.endswith(alone)]
+    broken = {key: "3" if isinstance(value, str) else '"zzz"' for key, value in rng.sample(keys, 8)}
+    with pytest.raises(LuxloopError) as caught:
+        load(name, [f"{key}={value}" for key, value in broken.items()])
+    assert sorted(line.partition(": ")[0] for line in caught.value.args[1:]) == sorted(broken)
+
+
+@pytest.mark.parametrize(
+    ("name", "override", "said"),
+    [
+        ("snowflake", "detector_frames=off", "detector_frames: there is no detector here"),
+        ("obl", "detector_frames=off", "detector_frames: there is no symbol that a controller holds here"),
+        ("obl", "off_share=0.3", "off_share: no controller holds a symbol here that could be off; leave it out"),
+        ("obl", "disturbances.ambient=[{factor=2.0, frames='off'}]", "disturbances.ambient[0].frames: without a symbol that a controller"),
+        ("snowflake", "tracker.confirm_frames=5", "tracker: follows what a detector finds, but there is none"),
+        ("night_traffic", "detector.kind=hog", "names objects, but a detector knows them by class alone"),
+    ],
+)
+def test_what_means_nothing_without_something_else_is_told(name: str, override: str, said: str) -> None:
+    assert said in failure(name, override)
+
+
+DEEP, LONG = "[" * 3000 + "]" * 3000, "9" * 5000
+
+
+@pytest.mark.parametrize("text", [f"steps = {DEEP}", f"steps = {LONG}", f"steps = 0x{LONG}", f"{'a.' * 3000}a = 1", f"['{'x' * 9999}']"])
+def test_files_beyond_all_reason_are_told_in_a_sentence(text: str, file: Path) -> None:
+    file.write_text(text)
+    assert len(failure(file)) < 1000
+    with pytest.raises(LuxloopError):
+        load("flat", [text])
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (f'road.kind = "{"a" * 300}:Road"', "--allow-code"),
+        ('road.kind = "\\u0000/a:Road"', "a text has a NUL character"),
+        ('functions.symbol = {kind = "symbol", image = "\\u0000.png"}', "a text has a NUL character"),
+    ],
+)
+def test_names_that_no_file_can_have_are_told_in_a_sentence(text: str, said: str, file: Path) -> None:
+    file.write_text(f'name = "mine"\n{text}')
+    assert said in failure(file)
