@@ -10,7 +10,7 @@ from torch import Tensor
 class Place:
     """Rectangles `[..., 3]` m in the world: a corner, two sides along symbol u and v, and the unit normal of the side that takes light.
 
-    Who reads a symbol sees u to the right and v down, so the normal that looks at the reader is -d1 x d2.
+    A reader sees u to the right and v down, so the normal towards the reader is -d1 x d2.
     """
 
     origin: Tensor
@@ -31,7 +31,7 @@ def cuboid(T_world_box: Tensor, low: Tensor, high: Tensor) -> tuple[Tensor, Tens
     at_low = torch.stack([low] * 3, -2)
     far = torch.stack([low + x, low + y, low + z], -2)
     u, v = torch.stack([y, z, x], -2), torch.stack([z, x, y], -2)
-    # On the lower side u and v change places, which turns the normal round.
+    # Each lower side swaps u and v, which reverses the normal.
     origin, d1, d2 = (torch.stack([a, b], -2).flatten(-3, -2) for a, b in ((far, at_low), (u, v), (v, u)))
     R = T_world_box[..., :3, :3].transpose(-1, -2)
     return origin @ R + T_world_box[..., None, :3, 3], d1 @ R, d2 @ R
@@ -56,7 +56,7 @@ def on_road(T_world_road: Tensor, origin: Tensor, d1: Tensor, d2: Tensor) -> Pla
 
 
 def facing(T_world_box: Tensor, low: Tensor, high: Tensor, viewer: Tensor) -> Place:
-    """An upright rectangle `[3]` in the middle of a box, turned to the viewer `[3]` m, as wide and high as the box looks from there."""
+    """An upright rectangle `[3]` through the centre of a box, facing the viewer `[3]` m, of the box's apparent width and height."""
     low, high, viewer = low.to(T_world_box), high.to(T_world_box), viewer.to(T_world_box)
     up = T_world_box[:3, 2]
     middle = T_world_box[:3, :3] @ ((low + high) / 2) + T_world_box[:3, 3]

@@ -21,7 +21,7 @@ Form = Literal["position", "incremental"]
 
 
 class PidParams(Params):
-    """One loop as a scenario file writes it; what is left out is unlimited or off."""
+    """One loop as in a scenario file; a parameter that is left out is unlimited or off."""
 
     kp: float = Field(0.0, ge=-1e6, le=1e6, description="proportional gain")
     ki: float = Field(0.0, ge=-1e6, le=1e6, description="integral gain, per unit of time")
@@ -60,7 +60,7 @@ class PidGains:
 
 @dataclass(frozen=True)
 class PidState:
-    """What a bank remembers, each `[..., n]`.
+    """State of a bank, each `[..., n]`.
 
     integral: the integral's part of the PID sum, so that gains can change without a jump. derivative: filtered derivative of the error.
     previous_error, output: of the last step. initialised: bool, false between a reset and the first step.
@@ -102,10 +102,10 @@ def pid_gains(loops: Sequence[PidParams], dtype: torch.dtype = torch.float32, de
 
 
 def pid_reset(gains: PidGains, output: Tensor) -> PidState:
-    """State `[..., n]` from which the next step goes on without a jump from `output` `[..., n]`.
+    """State `[..., n]` from which the next step continues without a jump from `output` `[..., n]`.
 
-    The first step has no derivative. In position form it returns `output` itself, whatever the error: the integral takes up the
-    difference (for good, where ki is 0). In incremental form it moves on from `output` by the proportional and integral parts.
+    The first step has no derivative. In position form it returns `output` itself, whatever the error: the integral absorbs the difference
+    (permanently if ki is 0). In incremental form it moves from `output` by the proportional and integral parts.
     """
     output = output.expand(np.broadcast_shapes(output.shape, gains.kp.shape))
     zero = torch.zeros_like(output)
@@ -116,7 +116,7 @@ def pid_step(state: PidState, error: Tensor, dt: float | Tensor, gains: PidGains
     """Advance the bank (T 9.4.1, 9.4.3) by `dt` with errors `[..., n]`; returns the new state and the limited output `[..., n]`.
 
     Backward Euler: `C(z) = kp + ki dt z / (z - 1) + kd (z - 1) / ((T + dt) z - T)` with T the derivative time; in incremental form times
-    `dt z / (z - 1)`. Limits are never exceeded, not even from a reset outside of them; the rate limit gives way to them there.
+    `dt z / (z - 1)`. Limits are never exceeded, not even after a reset outside them, where they override the rate limit.
     """
     previous_error = torch.where(state.initialised, state.previous_error, error)
     derivative = (gains.derivative_time * state.derivative + error - previous_error) / (gains.derivative_time + dt)

@@ -1,4 +1,4 @@
-"""What lighting functions know: the car, its lamps, and the objects that a tracker reports, at one time."""
+"""The input of lighting functions: the car, its lamps and the tracked objects at one time."""
 
 import math
 from dataclasses import dataclass, field, replace
@@ -20,7 +20,7 @@ from world.symbols import SymbolSource
 from world.traffic.tracked import Category
 from world.view import View
 
-LAYERS = 16  # a function's primitives may lie above each other in so many layers
+LAYERS = 16  # most layers of primitives that a function may stack
 MASK = 1000  # priority of masks: above every function's own, which are at most 100
 
 
@@ -28,10 +28,10 @@ MASK = 1000  # priority of masks: above every function's own, which are at most 
 class TrackedObject:
     """A box around an object.
 
-    name: of the object or its track, no two have the same. category: its class. T_world_object: `[4, 4]`, of the box in the world, origin
-    in the middle of its foot, x along its length, z up. size_m: length, width, height. since_s: when the tracker first saw it. until_s:
-    when it lost it, infinite while it is there; a lost object stays in the list while its functions fade out. confidence: 0..1, of its
-    class, filtered over frames. score: the same in the last frame alone, NaN where it was not found there.
+    name: unique name of the object or its track. category: its class. T_world_object: `[4, 4]`, pose of the box in the world, origin at the
+    centre of its foot, x along its length, z up. size_m: length, width, height. since_s: time at which the tracker first saw it. until_s:
+    time at which the tracker lost it, infinite while it is tracked; a lost object stays in the list while its functions fade out.
+    confidence: 0..1, of its class, filtered over frames. score: the same in the last frame alone, NaN if it was not detected there.
     """
 
     name: str
@@ -45,7 +45,7 @@ class TrackedObject:
 
     @classmethod
     def of(cls, body: Body | Figure, category: Category, time_s: float) -> "TrackedObject":
-        """What a perfect tracker says of a body: the smallest box along its axes."""
+        """A body as a perfect tracker reports it: the smallest box along its axes."""
         low, high = body.bounds
         length, width, height = (high - low).tolist()
         foot = torch.eye(4, dtype=torch.float64)
@@ -58,11 +58,11 @@ class TrackedObject:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What the camera saw last.
+    """The last camera frame, measured.
 
-    time_s: when the frame was taken. view: of the camera. luminance: `[height, width]` cd/m^2 as measured. saturation: the most that can
-    be, cd/m^2. albedo: `[height, width]` in 0..1 of what is seen, None without a source of it. material: `[height, width]` int64, index in
-    materials, -1 for none; None without a source of it. materials: names of the materials.
+    time_s: when the frame was taken. view: of the camera. luminance: `[height, width]` cd/m^2. saturation: largest measurable luminance,
+    cd/m^2. albedo: `[height, width]` in 0..1, None without a source of albedo. material: `[height, width]` int64, index in materials, -1
+    for none; None without a source of materials. materials: names of the materials.
     """
 
     time_s: float
@@ -76,17 +76,16 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class Situation:
-    """One moment.
+    """The situation at one time.
 
-    All places are in the ground frame, which drives with the car; it is the world of lighting functions.
+    All positions are in the ground frame, which moves with the car; it is the world frame of lighting functions.
 
-    time_s: since the beginning. T_world_vehicle: `[4, 4]`, of the vehicle frame in that world; the road is its plane z = 0.
-    lamps: `[L, 3]` m, photometric centres of all modules there, by the measured attitude of the body. objects: what the tracker reports,
-    lost ones until they have faded. speed_m_s: of the car. curvature_1_m: of its course, to the left positive. wet: whether the road is.
-    street_lit: whether street lamps light it. symbols: images of the functions that draw any, by the name that they use. seen: the last
-    frame, None where there is no camera, or before its first frame. lights: what the car's modules can give, with their names, as they are
-    turned and dimmed. pitch_rad: measured pitch of the body over the road, nose down positive, 0 where nothing measures it. commands: how
-    modules are turned and dimmed, one a module, none where all are at rest.
+    time_s: since the start. T_world_vehicle: `[4, 4]`, pose of the vehicle frame; the road is its plane z = 0. lamps: `[L, 3]` m,
+    photometric centres of all modules, by the measured attitude of the body. objects: the tracked objects, lost ones until they have faded.
+    speed_m_s: of the car. curvature_1_m: of its course, left positive. wet: whether the road is wet. street_lit: whether street lamps light
+    the road. symbols: images of the functions, by the names that they use. seen: the last frame, None without a camera or before the first
+    frame. lights: the light that each module of the car can give as it is turned and dimmed, by name. pitch_rad: measured pitch of the body
+    relative to the road, nose down positive, 0 without a sensor. commands: turn and dimming of each module, empty where all are at rest.
     """
 
     time_s: float
@@ -104,12 +103,12 @@ class Situation:
     commands: Commands = ()
 
     def commanded(self, commands: Commands) -> "Situation":
-        """The same with the modules as they are commanded."""
+        """The same situation with the modules turned and dimmed as commanded."""
         lights = ((name, light.under(command)) for (name, light), command in zip(self.lights, commands, strict=True))
         return replace(self, commands=commands, lights=tuple(lights))
 
     def distance_m(self, each: TrackedObject) -> float:
-        """Along the road from the car's origin to the nearest corner of the object; negative for what lies behind."""
+        """Distance in m along the road from the car's origin to the object's nearest corner; negative behind the car."""
         length, width, _ = each.size_m
         x, y, zero = (
             torch.tensor(v, dtype=torch.float64) / 2 for v in ([length, length, -length, -length], [width, -width] * 2, [0.0] * 4)
@@ -120,7 +119,7 @@ class Situation:
 
 
 def check_share(quantity: str, value: float) -> None:
-    """Raises ValueError for more than all that a pixel can give."""
+    """Raises ValueError for a u_abs above 1."""
     if quantity == "u_abs" and value > 1:
         raise ValueError(
             f'value: u_abs is a share of what a pixel can give, at most 1, not {value:g}; lower it, or give quantity = "u_rel", say'
@@ -128,14 +127,14 @@ def check_share(quantity: str, value: float) -> None:
 
 
 class SelectionParams(Params):
-    """Which objects are meant."""
+    """Selection of tracked objects by class, name and distance."""
 
     categories: tuple[Category, ...] = Field(
-        ("car", "truck", "motorcycle", "cyclist"), min_length=1, description="classes of objects meant"
+        ("car", "truck", "motorcycle", "cyclist"), min_length=1, description="classes of objects selected"
     )
-    names: tuple[str, ...] | None = Field(None, description="only objects of these names; left out: all of the classes")
-    nearer_than_m: float = Field(200.0, gt=0, le=10_000, description="only objects nearer than this")
-    farther_than_m: float = Field(0.0, ge=0, le=10_000, description="only objects at least this far away")
+    names: tuple[str, ...] | None = Field(None, description="select only objects of these names; left out: all names")
+    nearer_than_m: float = Field(200.0, gt=0, le=10_000, description="select only objects nearer than this")
+    farther_than_m: float = Field(0.0, ge=0, le=10_000, description="select only objects at least this far away")
 
     @model_validator(mode="after")
     def _some_distance_is_meant(self) -> Self:
@@ -147,7 +146,7 @@ class SelectionParams(Params):
         return self
 
     def selected(self, now: Situation) -> tuple[TrackedObject, ...]:
-        """The objects meant that lie ahead; those that the tracker has lost are among them."""
+        """The selected objects that lie ahead, including those that the tracker has lost."""
         return tuple(
             each
             for each in now.objects
@@ -158,44 +157,44 @@ class SelectionParams(Params):
 
 
 class LightingFunction(Protocol):
-    """What the planner composes."""
+    """A lighting function: the planner composes the primitives of all of them."""
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
-        """The function's primitives at this moment, none where it has nothing to do."""
+        """The function's primitives now; empty if it draws nothing."""
         ...
 
 
 @runtime_checkable
 class AdaptiveFunction(Protocol):
-    """A lighting function that closes a loop: it learns from what is seen. Its state is a value, so that a run can be taken up anywhere."""
+    """A lighting function that closes a loop over camera frames. Its state is a value, so that a run can be resumed at any step."""
 
     def start(self) -> Any:
-        """The state before anything is seen."""
+        """The state before the first frame."""
         ...
 
     def step(self, state: Any, now: Situation) -> Any:
-        """What has been learnt once `now.seen`, and what was found in it, has come."""
+        """The state after `now.seen` and the objects detected in it."""
         ...
 
     def adapted(self, state: Any, now: Situation) -> tuple[Primitives, ...]:
-        """The primitives at this moment."""
+        """The primitives now."""
         ...
 
     def base_share(self, state: Any) -> float | None:
-        """How much of the base beam shall be left, 0..1, None if it may be dimmed or not; of several that ask, the least dimmed wins."""
+        """The wanted share of the base beam, 0..1, or None for no demand; of several demands the largest applies."""
         ...
 
 
 class Timed(Params):
-    """When a function acts."""
+    """The time during which a function is active."""
 
-    start_s: float | None = Field(None, ge=-1e6, le=1e6, description="acts from this time on; left out: from the beginning")
-    stop_s: float | None = Field(None, ge=-1e6, le=1e6, description="acts until this time; left out: to the end")
+    start_s: float | None = Field(None, ge=-1e6, le=1e6, description="time from which it is active; left out: from the start")
+    stop_s: float | None = Field(None, ge=-1e6, le=1e6, description="time until which it is active; left out: to the end")
 
     @model_validator(mode="after")
     def _stops_after_its_start(self) -> Self:
         if self.start_s is not None and self.stop_s is not None and self.stop_s <= self.start_s:
-            raise ValueError(f"stop_s: {self.stop_s:g} s is not after start_s = {self.start_s:g} s, so that it never acts; raise it")
+            raise ValueError(f"stop_s: {self.stop_s:g} s is not after start_s = {self.start_s:g} s, so it is never active; raise it")
         return self
 
     def active(self, time_s: float) -> bool:
@@ -203,15 +202,17 @@ class Timed(Params):
 
 
 class Drawn(Timed):
-    """What all functions that draw light have."""
+    """Common parameters of the functions that draw light."""
 
-    quantity: Literal["I_v", "E_v", "u_abs", "u_rel"] = Field("u_abs", description="I_v in cd, E_v in lx, u_abs or u_rel as a share")
-    value: float = Field(1.0, ge=0, le=1e9, description="setpoint of white; black is 0, or for u_rel 1, which leaves the base beam")
-    weight: float = Field(1.0, ge=0, le=1e6, description="how much it counts where a pixel lights more than it")
-    priority: int = Field(0, ge=0, le=100, description="of two functions in one place on the road, the higher is drawn")
+    quantity: Literal["I_v", "E_v", "u_abs", "u_rel"] = Field(
+        "u_abs", description="unit of the setpoint: I_v in cd, E_v in lx, u_abs as utilisation, u_rel as share of the base beam"
+    )
+    value: float = Field(1.0, ge=0, le=1e9, description="setpoint of a white image; black is 0, or 1 for u_rel, which keeps the base beam")
+    weight: float = Field(1.0, ge=0, le=1e6, description="weight against other light where a pixel lights more than this")
+    priority: int = Field(0, ge=0, le=100, description="where functions overlap, the higher priority is drawn")
     forced: bool = Field(False, description="drawn even behind other primitives, masks excepted")
     modules: tuple[str, ...] = Field((), description="lamps or modules that draw it; left out: all")
-    share: bool = Field(True, description="what draws it gives its cd or lx together; false: each gives the whole")
+    share: bool = Field(True, description="the modules that draw it give its cd or lx together; false: each gives the whole value")
 
     @model_validator(mode="after")
     def _share_of_a_pixel(self) -> Self:
@@ -219,9 +220,9 @@ class Drawn(Timed):
         return self
 
     def draw(self, place: Place, image: Tensor | None = None, layer: int = 0, opacity: Tensor | None = None) -> Primitives:
-        """One primitive; image: `[h, w]` in 0..1, white where there is none; layer: of several of a function, the higher lies on top.
+        """One primitive. image: `[h, w]` in 0..1, by default white. layer: among primitives of one function, the higher layer lies on top.
 
-        Black is dark, but for u_rel it leaves the base beam as it is. opacity: `[h, w]` in 0..1, opaque where there is none.
+        Black is dark, except for u_rel, where it keeps the base beam. opacity: `[h, w]` in 0..1, by default opaque.
         """
         value = self.value
         if self.quantity == "u_rel" and image is not None:
@@ -246,12 +247,12 @@ class Drawn(Timed):
 
 
 def fade(time_s: float, since_s: float, until_s: float, in_s: float, out_s: float) -> float:
-    """How far a function is there at a time, 0..1: it rises from `since_s` for `in_s` and falls from `until_s` for `out_s` (T 3.5.1)."""
+    """Strength of a function at a time, 0..1: it rises from `since_s` for `in_s` and falls from `until_s` for `out_s` (T 3.5.1)."""
     return min(_sigmoid(time_s - since_s, in_s), 1 - _sigmoid(time_s - until_s, out_s))
 
 
 def _sigmoid(t: float, duration: float) -> float:
-    """A logistic curve cut at +-6 and stretched, so that it is 0 at t = 0 and 1 after the duration; a step where that is zero."""
+    """A logistic curve cut at +-6 and scaled from 0 at t = 0 to 1 after the duration; a step if the duration is zero."""
     if duration == 0 or math.isinf(t):
         return float(t >= 0)
     x = min(max(t / duration, 0.0), 1.0)

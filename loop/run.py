@@ -5,6 +5,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -12,6 +13,10 @@ from typing import Any
 import pyarrow as pa
 import torch
 
+from controllers.symbol.sensing.drawing import Drawing
+from controllers.symbol.sensing.field import SIDES, cut
+from loop.lighting.commanded import unmoved
+from loop.lighting.controlled import ControlledSymbol
 from loop.lighting.record import row, schema, valued
 from loop.lighting.recorder import Recorder
 from loop.lighting.result import StepResult
@@ -19,6 +24,7 @@ from loop.lighting.simulation import Simulation
 from loop.plant.simulated import SimulatedPlant
 from loop.recording.checks import Checks, lights, refuse_unknown
 from loop.recording.files import REPORT, TRAJECTORY, VIDEO
+from loop.recording.remedies import of_target
 from loop.recording.video import VideoWriter
 from loop.report.page import Watched, write_report
 from loop.report.picture import frame_picture, white_of
@@ -107,9 +113,8 @@ def run(
                 look = white_of(result, simulation) if look is None else look
                 film.add(frame_picture(result, simulation, look))
             on_step(result)
-        summary = recorder.summary()
     gc.collect()  # matplotlib leaves exceptions of its parser in cycles, and their frames hold the simulation: half a gigabyte
-    return RunResult(summary, read_parquet(folder / TRAJECTORY), folder, temporary)
+    return RunResult(recorder.summary, read_parquet(folder / TRAJECTORY), folder, temporary)
 
 
 def prepare(scenario: Scenario, device: str = "auto") -> Simulation:
@@ -130,9 +135,9 @@ def check(scenario: Scenario, device: str = "auto") -> dict[str, Any]:
     """Build everything that a scenario names, and return what it is; `in_words` says it. Raises LuxloopError where it cannot run.
 
     `steps`, `road`, `base` (what shines below all functions), `functions` (their kinds by name), `controllers` (of symbols that are held,
-    by name), `objects` (their number) and `detector` (None where there is none). With a detector also the number of `boxes` that it finds
-    in the first frame, None where none came, `lx_max`, the most light on objects there (None where none is in sight), and `known`, whether
-    the plant knows the truth.
+    by name), `objects` (their number), `detector` (None where there is none) and `notes` (sentences on what does nothing, or lies out of
+    the lamps' field). With a detector also the number of `boxes` that it finds in the first frame, None where none came, `lx_max`, the
+    most light on objects there (None where none is in sight), and `known`, whether the plant knows the truth.
     """
     simulation = prepare(scenario, device)
     return {
@@ -144,7 +149,14 @@ def check(scenario: Scenario, device: str = "auto") -> dict[str, Any]:
         "controllers": {name: each.params.name for name, each in simulation.controlled.items()},
         "objects": len(scenario.all_objects),
         "detector": None if scenario.detector is None else scenario.detector.kind,
+        "notes": [*unmoved(scenario), *chain.from_iterable(_cut(name, each) for name, each in simulation.controlled.items())],
     }
+
+
+def _cut(name: str, symbol: ControlledSymbol) -> list[str]:
+    """How much of a symbol's target lies beyond the lamps' field, and the remedy; empty where that is next to nothing."""
+    shares = cut(symbol.projector, Drawing(symbol.projector.target)).tolist()
+    return of_target(name, dict(zip(SIDES, shares, strict=True)))
 
 
 def _first_look(simulation: Simulation) -> dict[str, Any]:

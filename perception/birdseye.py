@@ -25,7 +25,7 @@ class Region:
 
 
 def region_around(x_m: float, y_m: float, length_m: float, width_m: float, cell_m: float = 0.04) -> Region:
-    """Where a symbol of this size, meant for (x, y), may come to lie: farther beyond than before, since grazing light runs far."""
+    """Region in which a symbol of this size, aimed at (x, y), may appear; larger beyond than before it, since light grazes the road."""
     return Region(max(x_m - 2 * length_m, 1.0), x_m + 3.5 * length_m, y_m + 2.5 * width_m, y_m - 2.5 * width_m, cell_m)
 
 
@@ -33,8 +33,8 @@ def region_around(x_m: float, y_m: float, length_m: float, width_m: float, cell_
 class BirdsEye:
     """A rectified view; row 0 is far, column 0 is left.
 
-    map_u, map_v: `[rows, cols]` px, where the centre of each cell lies in the camera image. columns: odd, how many image columns a cell is
-    wide in the middle of the region. axes: metres, u to the right (-y) and v towards the car (-x), so that the errors keep their signs.
+    map_u, map_v: `[rows, cols]` px, image coordinates of each cell's centre. columns: width of a cell in the middle of the region in image
+    columns, odd. axes: metres, u to the right (-y) and v towards the car (-x), so that the errors keep their signs.
     """
 
     map_u: Tensor
@@ -43,7 +43,7 @@ class BirdsEye:
     axes: Axes
 
     def to(self, device: torch.device) -> "BirdsEye":
-        """The same on another device."""
+        """The view on another device."""
         axes = Axes(self.axes.u.to(device), self.axes.v.to(device))
         return BirdsEye(self.map_u.to(device), self.map_v.to(device), self.columns, axes)
 
@@ -58,10 +58,10 @@ def cells(region: Region) -> Tensor:
 
 
 def birds_eye(region: Region, view: View, road: Tensor | None = None, dtype: torch.dtype = torch.float32) -> BirdsEye:
-    """Where the cells of a region lie in a view's image.
+    """The rectified view of a region in a camera's view.
 
-    road: `[3, rows, cols]` m, the places of the road under the cells, default the cells themselves. A place that nearer cells of its column
-    hide is nowhere in the image.
+    road: `[3, rows, cols]` m, points of the road under the cells, by default the cells themselves. A point that nearer cells of its column
+    hide has no image coordinates.
     """
     ground = cells(region)
     uv, depth = view.project((ground if road is None else road).flatten(1))
@@ -77,8 +77,8 @@ def birds_eye(region: Region, view: View, road: Tensor | None = None, dtype: tor
 def rectify(view: BirdsEye, image: Tensor, u_start: int = 0, v_start: int = 0) -> Tensor:
     """Sample camera images `[..., height, width]` onto the plane: `[..., rows, cols]`, zero outside of them.
 
-    image: whole, or cut from the camera's image at (u_start, v_start) px. A cell takes the mean of the image columns that it covers, since
-    samples further apart than pixels would see an edge jump from cell to cell.
+    image: the whole image, or a crop of it that starts at (u_start, v_start) px. A cell takes the mean of the image columns that it covers,
+    since with samples further apart than pixels an edge would jump from cell to cell.
     """
     half = view.columns // 2
     flat = avg_pool2d(pad(image.reshape(-1, 1, *image.shape[-2:]), (2 * half, 2 * half)), (1, view.columns), 1)

@@ -1,4 +1,4 @@
-"""What the samples of a vehicle's own sensors say of its motion."""
+"""The vehicle's motion from the samples of its own sensors."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -11,7 +11,7 @@ from torch import Tensor
 from world.frames import pose, rotation
 from world.scene.vehicle import VehicleParams, body_pose, ground_pose
 
-STANDS_M_S = 0.1  # slower than anybody drives, and more than the noise of a speed sensor at rest
+STANDS_M_S = 0.1  # below any driving speed, and above the noise of a speed sensor at rest
 
 Sensor = Literal["wheels", "gyro", "attitude", "accelerometer", "suspension"]
 VALUES: Final[Mapping[Sensor, int | None]] = {"wheels": None, "gyro": 3, "attitude": 8, "accelerometer": 3, "suspension": 4}  # None: any
@@ -19,13 +19,13 @@ VALUES: Final[Mapping[Sensor, int | None]] = {"wheels": None, "gyro": 3, "attitu
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """What a sensor of the vehicle tells; x forward, y left, z up, pitch nose down (ISO 8855).
+    """A sample of a vehicle sensor; x forward, y left, z up, pitch nose down (ISO 8855).
 
-    sensor: its kind. measured_s: the time in s that it is of. arrived_s: when it arrived, in s. values: by kind; wheels: `[n]`, speeds
-    in m/s of wheels that are not steered; gyro: `[3]`, rates of roll, pitch and yaw in rad/s; attitude: `[8]`, heave in m, roll and
-    pitch in rad of the body over the ground, how fast it rises in m/s, and of the ground height in m, slope in rad, and their rates in
-    m/s and rad/s (`Ego.ground`); accelerometer: `[3]`, forward, left and up in m/s^2, without gravity; suspension: `[4]`, how many m
-    the body is farther above a wheel than at rest, front left, front right, rear left, rear right.
+    sensor: its kind. measured_s: time of measurement in s. arrived_s: time of arrival in s. values: by kind; wheels: `[n]`, speeds in m/s
+    of wheels that are not steered; gyro: `[3]`, rates of roll, pitch and yaw in rad/s; attitude: `[8]`, heave in m, roll and pitch in rad
+    of the body over the ground, rate of heave in m/s, and of the ground height in m, slope in rad, and their rates in m/s and rad/s
+    (`Ego.ground`); accelerometer: `[3]`, forward, left and up in m/s^2, without gravity; suspension: `[4]`, travel in m of the body above
+    each wheel relative to rest, front left, front right, rear left, rear right.
     """
 
     sensor: Sensor
@@ -38,22 +38,22 @@ Samples = Mapping[Sensor, Sample]
 
 
 def newest(known: Samples, come: Iterable[Sample]) -> Samples:
-    """The sample of each sensor that was measured last, of those that were known and those that have come."""
+    """The newest sample of each sensor, by time of measurement, among known ones and new ones."""
     return {each.sensor: each for each in sorted((*known.values(), *come), key=lambda each: each.measured_s)}
 
 
 @dataclass(frozen=True)
 class Ego:
-    """The vehicle's motion as its sensors have told it.
+    """The vehicle's measured motion.
 
-    time_s: when the next exposure begins; nothing newer is in it. on_s: how long that exposure lasts. attitude: `[3]`, heave in m, roll and
-    pitch (nose down) in rad of the body over the ground, NaN where no sensor tells it. attitude_s: when it was measured. rates: `[3]`,
-    of the body's rise and of its roll and pitch in the world, a second, NaN where no sensor tells them. rates_s: when those of roll and
-    pitch were measured. ground: `[4]` at attitude_s, height in m over a level plane of the ground frame's origin, slope of the ground
-    (nose down) in rad, and their rates in m/s and rad/s; 0 where no sensor tells them. speed_m_s: `[]`, of the rear axle, mean since
-    the sample before, which an accelerometer carries on to time_s. speed_s: when it was measured. yaw_rate_rad_s: `[]`, to the left
-    positive, mean since the sample before, 0 without a gyro. pivot_x_m: x in the ground frame about which the body rolls and pitches.
-    rear_x_m: x of the rear axle there.
+    time_s: start of the next exposure; no newer sample is used. on_s: duration of that exposure. attitude: `[3]`, heave in m, roll and
+    pitch (nose down) in rad of the body over the ground, NaN if not measured. attitude_s: its time of measurement. rates: `[3]`, of heave
+    in m/s, and of roll and pitch in the world in rad/s, NaN if not measured. rates_s: time of measurement of the roll and pitch rates.
+    ground: `[4]` at attitude_s, height in m of the ground frame's origin over a level plane, slope of the ground (nose down) in rad, and
+    their rates in m/s and rad/s; 0 if not measured. speed_m_s: `[]`, of the rear axle, mean since the previous sample, extrapolated to
+    time_s by an accelerometer if there is one. speed_s: its time of measurement. yaw_rate_rad_s: `[]`, left positive, mean since the
+    previous sample, 0 without a gyro. pivot_x_m: x in the ground frame about which the body rolls and pitches. rear_x_m: x of the rear axle
+    there.
     """
 
     time_s: float
@@ -71,7 +71,7 @@ class Ego:
 
     @property
     def stands(self) -> bool:
-        """Whether the vehicle stands, as far as its sensors can say."""
+        """Whether the vehicle stands, by its measured speed."""
         return bool(self.speed_m_s.abs() < STANDS_M_S)
 
     @property
@@ -81,7 +81,7 @@ class Ego:
 
     @property
     def T_level_ground(self) -> Tensor:
-        """Pose `[4, 4]` of the ground frame at attitude_s in the level one, which drives along with it on a plane that does not tilt."""
+        """Pose `[4, 4]` of the ground frame at attitude_s in the level frame, which moves along on a plane that does not tilt."""
         return ground_pose(self.ground[:2])
 
     @property
@@ -92,13 +92,13 @@ class Ego:
 
     @property
     def told_s(self) -> tuple[float, ...]:
-        """Ascending times at which anything was measured."""
+        """Times of all measurements, ascending."""
         return tuple(sorted({time_s for time_s in (self.attitude_s, self.rates_s, self.speed_s) if not math.isnan(time_s)}))
 
     def way(self, duration_s: float) -> Tensor:
-        """Pose `[4, 4]` of the level frame after `duration_s` s at this speed and yaw rate, in that at their beginning.
+        """Pose `[4, 4]` of the level frame after `duration_s` s at this speed and yaw rate, in the level frame at the start.
 
-        The same holds for the ground frame as long as its slope does not change.
+        It holds for the ground frame as well while its slope does not change.
         """
         turn, length = self.yaw_rate_rad_s * duration_s, self.speed_m_s * duration_s
         chord = length * torch.sinc(turn / (2 * torch.pi))
@@ -108,7 +108,7 @@ class Ego:
         return pose(torch.stack([x, y, zero]), rotation(zero, zero, turn))
 
     def at(self, time_s: float) -> "Ego":
-        """Attitude and ground predicted to another time, linearly, as far as they are known."""
+        """Attitude and ground extrapolated linearly to another time, where measured."""
         (climb, bend), after_s = self.ground[2:], 0.0 if math.isnan(self.attitude_s) else time_s - self.attitude_s
         over = self.rates - torch.stack([climb - bend * self.pivot_x_m, torch.zeros_like(bend), bend])
         ground = torch.cat([self.ground[:2] + after_s * self.ground[2:], self.ground[2:]])
@@ -116,7 +116,7 @@ class Ego:
 
 
 def ego_of(samples: Samples, vehicle: VehicleParams | None, time_s: float, period_s: float) -> Ego | None:
-    """What samples say at a time; None without wheel speeds, which say whether the vehicle moves at all."""
+    """The motion by the samples at a time; None without wheel speeds, which are needed to know whether the vehicle moves."""
     if "wheels" not in samples:
         return None
     wheels = samples["wheels"]
@@ -141,7 +141,7 @@ def ego_of(samples: Samples, vehicle: VehicleParams | None, time_s: float, perio
 
 
 def _sprung(travel: Sample, vehicle: VehicleParams) -> Sample:
-    """The attitude over the plane of the wheels; nobody tells its rise, nor what the ground does."""
+    """The attitude over the plane of the wheels; its rate of heave and the ground's motion are not measured."""
     fl, fr, rl, rr = travel.values
     roll, pitch = (fl + rl - fr - rr) / (2 * vehicle.track_m), (rl + rr - fl - fr) / (2 * vehicle.wheelbase_m)
     return replace(travel, values=torch.cat([torch.stack([travel.values.mean(), roll, pitch]), travel.values.new_full((5,), math.nan)]))

@@ -16,11 +16,11 @@ from world.errors import LuxloopError
 from world.params import Params
 
 NEIGHBOURHOOD = (3, 7)  # rows, columns in px: wider than an edge, narrower than the change of light over a symbol
-WHOLLY_LIT = 0.6  # of the brightest contrast nearby: above, a pixel counts wholly and the noise of the symbol's inside does not matter
+WHOLLY_LIT = 0.6  # share of the brightest contrast nearby above which a pixel counts fully, so that noise inside the symbol has no effect
 
 
 class Loss(IntEnum):
-    """Why a symbol was lost; SEEN is none. COVERED: other light of the lamps takes too much of its own to measure it."""
+    """Reason why a symbol was lost; SEEN: not lost. COVERED: other light of the lamps covers too much of it for a measurement."""
 
     SEEN = 0
     NO_FRAME = 1
@@ -31,41 +31,47 @@ class Loss(IntEnum):
 
 
 class SearchParams(Params):
-    """What is told from noise and glare, and where it is looked for."""
+    """Detection thresholds and search window."""
 
     threshold_sigma: float = Field(
-        5.0, gt=0, le=1e6, description="least difference on - off, in standard deviations of the noise without a symbol"
+        5.0,
+        gt=0,
+        le=1e6,
+        description="detection threshold of the difference on - off, in standard deviations of the noise without a symbol",
     )
     footprint_margin_m: float = Field(
-        0.15, ge=0, le=10_000, description="unevenness of the road that the predicted footprint allows for, up and down"
+        0.15,
+        ge=0,
+        le=10_000,
+        description="unevenness of the road, up and down, that widens the search window around the predicted footprint",
     )
-    nothing_below: float = Field(0.08, ge=0, lt=1, description="share of the expected area below which there is no symbol at all")
-    area_low: float = Field(0.45, ge=0, lt=1, description="least share of the expected area that is taken for the symbol")
-    area_high: float = Field(1.9, gt=1, le=1e6, description="largest multiple of the expected area that is taken for the symbol")
+    nothing_below: float = Field(0.08, ge=0, lt=1, description="share of the expected area below which no symbol is present")
+    area_low: float = Field(0.45, ge=0, lt=1, description="least share of the expected area that is accepted as the symbol")
+    area_high: float = Field(1.9, gt=1, le=1e6, description="largest multiple of the expected area that is accepted as the symbol")
 
 
 class ExtractionParams(SearchParams):
-    """How a symbol is told from noise and glare."""
+    """Extraction of the symbol image from two frames."""
 
     kind: Literal["differential"] = "differential"
     edges: Literal["grey", "binary", "soft"] = Field(
-        "grey", description="grey: by lit share; binary: every lit pixel wholly; soft: by a sigmoid as wide as the noise"
+        "grey", description="weight of pixels: grey: lit share; binary: 1 for every lit pixel; soft: sigmoid as wide as the noise"
     )
 
 
 class OwnExtractionParams(SearchParams):
-    """`Name(**options)` of a module of the user's own makes the extractor, whose `symbol_image(contrast, limit)` is that of this module."""
+    """`Name(**options)` of a user's module makes the extractor; its `symbol_image(contrast, limit)` replaces that of this module."""
 
     kind: plugin.OwnName
     options: dict[str, Any] = Field({}, description="keyword arguments of Name")
 
     @cached_property
     def extractor(self) -> Any:
-        """Raises LuxloopError where there is none, it does not take its options, or lacks the method."""
+        """The user-defined extractor. Raises LuxloopError if it does not exist, refuses its options or lacks the method."""
         return plugin.make(self.kind, "extraction.kind", {}, self.options, ("symbol_image",))
 
     def symbol_image(self, contrast: Tensor, limit: Tensor) -> Tensor:
-        """The extractor's. Raises LuxloopError where that is no image of the same size."""
+        """The extractor's symbol image. Raises LuxloopError if it is no image of the same size."""
         symbol = self.extractor.symbol_image(contrast, limit)
         if not isinstance(symbol, Tensor) or _like(symbol) != _like(contrast):
             what = f"symbol_image gives {_like(symbol) if isinstance(symbol, Tensor) else type(symbol).__name__} for {_like(contrast)}"
@@ -107,10 +113,10 @@ def difference(on: Tensor, off: Tensor, camera: CameraParams) -> Tensor:
 
 
 def threshold(off: Tensor, camera: CameraParams, params: SearchParams) -> Tensor:
-    """Absolute threshold in cd/m^2 a pixel `[..., h, w]`, from the noise that two frames without a symbol would differ by.
+    """Absolute threshold `[..., h, w]` in cd/m^2 of each pixel, from the noise of the difference of two frames without a symbol.
 
-    The light without a symbol is the mean of the off frame over 3 x 3 pixels: a pixel of its own that happens to be dark would claim too
-    little noise, and then let a thousand times as much of it pass as five sigma promise.
+    The light without a symbol is the mean of the off frame over 3 x 3 pixels: a single pixel that is dark by chance would underestimate the
+    noise, and a thousand times as much of it would pass as at five sigma.
     """
     light = luminance_of(off, camera)
     mean = avg_pool2d(light.reshape(-1, 1, *light.shape[-2:]), 3, stride=1, padding=1, count_include_pad=False)
@@ -125,9 +131,9 @@ def noise_limit(light: Tensor, camera: CameraParams, params: SearchParams) -> Te
 def symbol_image(contrast: Tensor, limit: Tensor, params: Extraction) -> Tensor:
     """Symbol image `[..., h, w]` in 0..1 from luminance contrast and threshold, both `[..., h, w]` in cd/m^2.
 
-    Binary edges: what exceeds the threshold counts wholly. Grey edges: it counts by its lit share, from nothing at the threshold to wholly
-    near the brightest contrast around it, so that edges are known to a fraction of a pixel, and yet bright faces do not outweigh dark ones.
-    Soft edges: a sigmoid as wide as the noise in place of the threshold.
+    Binary edges: pixels above the threshold count 1. Grey edges: pixels count by their lit share, from 0 at the threshold to 1 near the
+    brightest contrast around them. Edges are then known to a fraction of a pixel, and bright parts do not outweigh dark ones. Soft edges: a
+    sigmoid as wide as the noise replaces the threshold.
     """
     if isinstance(params, OwnExtractionParams):
         return params.symbol_image(contrast, limit)
@@ -140,7 +146,7 @@ def symbol_image(contrast: Tensor, limit: Tensor, params: Extraction) -> Tensor:
 
 
 def _largest_around(image: Tensor) -> Tensor:
-    """Maximum of an image `[..., h, w]` over the neighbourhood of each pixel. Windows that double are far faster than max_pool2d."""
+    """Maximum of an image `[..., h, w]` over each pixel's neighbourhood. Doubling windows are far faster than max_pool2d."""
     rows, columns = NEIGHBOURHOOD
     image = pad(image, (columns // 2, columns // 2, rows // 2, rows // 2), value=-torch.inf)
     for dim, size in ((-2, rows), (-1, columns)):
@@ -154,7 +160,7 @@ def _largest_around(image: Tensor) -> Tensor:
 
 
 def gate(area: Tensor, expected: Tensor, params: SearchParams) -> Tensor:
-    """Loss codes `[...]` int64 by comparing the symbol's area with the expected one, both `[...]` in the same unit."""
+    """Loss codes `[...]` int64 from the ratio of the symbol's area to the expected one, both `[...]` in the same unit."""
     ratio = torch.nan_to_num(area / expected)
     code = torch.full(ratio.shape, Loss.SEEN, dtype=torch.int64, device=ratio.device)
     code = torch.where(ratio > params.area_high, Loss.TOO_LARGE, code)

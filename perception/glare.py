@@ -1,4 +1,4 @@
-"""Light sources that shine into the camera: their image, and the veil that scattered light lays over all of it."""
+"""Light sources that face the camera: their image, and the veiling luminance of light scattered in the lens."""
 
 import math
 from typing import Annotated
@@ -12,23 +12,25 @@ from world.view import View
 
 # Disability glare (Stiles & Holladay, CIE 31-1976): 10 cd/m^2 of veil at 1 deg from a source of 1 lx at the eye
 EYE_DEG2 = 10.0
-BLOOM_DEG = 0.1  # within it the veil is even: the formula would grow without bound
+BLOOM_DEG = 0.1  # inside this angle the veil is constant, since the formula diverges
 
 Speed = Annotated[float, Field(ge=-200, le=200)]
 
 
 class OncomingParams(Params):
-    """One oncoming headlamp: a source that faces the camera. It is seen, but lights nothing, and nothing hides it."""
+    """One oncoming headlamp as a source that faces the camera; it lights nothing, and nothing occludes it."""
 
-    position_m: tuple[Metres, Metres, Metres] = Field(description="where it is at the scenario's start, in the world")
-    velocity_m_s: tuple[Speed, Speed, Speed] = Field((0.0, 0.0, 0.0), description="how it moves from there")
+    position_m: tuple[Metres, Metres, Metres] = Field(
+        examples=[[40.0, 3.0, 0.7]], description="position in the world at the scenario's start"
+    )
+    velocity_m_s: tuple[Speed, Speed, Speed] = Field((0.0, 0.0, 0.0), description="velocity")
     intensity_cd: float = Field(500.0, gt=0, le=500_000, description="luminous intensity towards the camera")
-    diameter_m: float = Field(0.15, gt=0, le=1, description="diameter of what shines")
+    diameter_m: float = Field(0.15, gt=0, le=1, description="diameter of the luminous surface")
     veil: float = Field(
         0.1,
         ge=0,
         le=10,
-        description="light scattered in the lens, as a multiple of the eye's (disability glare); 0.1 is about 1 % of it",
+        description="stray light of the lens, as a multiple of the eye's (disability glare); 0.1 is about 1 % of the light",
     )
 
     def position_at(self, t_s: float) -> Tensor:
@@ -40,8 +42,8 @@ class OncomingParams(Params):
 def glare(view: View, position: Tensor, lamp: OncomingParams, device: torch.device | str = "cpu") -> Tensor:
     """Luminance `[height, width]` in cd/m^2, float32, that a lamp at a position `[3]` m in the world adds to a view's image.
 
-    Its image is a Gaussian as wide as the lamp and a pixel together and holds the illuminance E = I / r^2; the veil is
-    `veil * 10 E / theta^2`, theta at least a tenth of a degree. Nothing where the lamp is behind the camera.
+    Its image is a Gaussian as wide as lamp and pixel together and integrates to the illuminance E = I / r^2; the veil is `veil * 10 E /
+    theta^2` with theta in deg, at least 0.1. Zero if the lamp is behind the camera.
     """
     at = view.T_world_view[:3, :3].T @ (position - view.origin)
     distance = float(at.norm())

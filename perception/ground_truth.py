@@ -1,4 +1,4 @@
-"""What is to be seen of a scene's objects in a view: boxes, classes, what hides them, parts and materials, from its G-buffer."""
+"""Ground truth of a scene's objects in a view, from its G-buffer: boxes, classes, occlusion, parts and materials."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,11 +17,11 @@ Box = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class Truth:
-    """One object in one view.
+    """Ground truth of one object in one view.
 
-    box: left, top, right, bottom in px of what is seen of it. whole: the same of all of it, whether hidden or outside the image.
-    pixels: that it is seen at. visible: share of the pixels that it would be seen at were nothing before it. inside: share of `whole` that
-    lies in the image. materials: number of pixels by name of a material, of bodies with parts.
+    box: left, top, right, bottom in px of its visible part. whole: the same of the whole object, hidden or outside the image. pixels:
+    number of pixels that see it. visible: share of the pixels that would see it without occlusion. inside: share of `whole` that lies in
+    the image. materials: number of pixels by name of material, for bodies with parts.
     """
 
     name: str
@@ -36,10 +36,10 @@ class Truth:
 
 
 def ground_truth(surfaces: GBuffer, triangles: Triangles, view: View, categories: Sequence[Category | None]) -> tuple[Truth, ...]:
-    """Every object that is seen at a pixel at least, in the order of their ids.
+    """All objects that at least one pixel sees, in the order of their ids.
 
-    surfaces: of `triangles` in `view`. categories: those of the objects 1, 2, ...; the road is object 0.
-    Boxes are in px of the view; where its rows are oversampled, so are they.
+    surfaces: of `triangles` in `view`. categories: those of the objects 1, 2, ...; the road is object 0. Boxes are in px of the view,
+    including its oversampling of rows.
     """
     found = []
     parts = dict((placed.object_id, placed) for placed in triangles.placed if placed.object_id > 0)
@@ -61,7 +61,7 @@ def ground_truth(surfaces: GBuffer, triangles: Triangles, view: View, categories
 
 
 def part_mask(surfaces: GBuffer, triangles: Triangles, names: Collection[str]) -> Tensor:
-    """Where parts of these names are seen, such as heads and windscreens, `[height, width]` bool."""
+    """Pixels that see parts of these names, such as heads and windscreens, `[height, width]` bool."""
     bodies = {placed.object_id: placed.body.parts for placed in triangles.placed if placed.body.parts}
     if surfaces.part is None or not bodies:
         return torch.zeros_like(surfaces.object_id, dtype=torch.bool)
@@ -78,7 +78,7 @@ def _seen(mask: Tensor) -> Box:
 
 
 def _whole(placed: Placed, view: View) -> Box:
-    """Of the corners before the view's plane; what crosses it reaches out of the image without end, and is cut there."""
+    """Box of the corners ahead of the view's plane; an object that crosses the plane reaches out of the image and is clipped there."""
     image, depth = view.project(placed.corners.flatten(0, 1).T)
     u, v = image[:, depth > 0.1]
     return float(u.min()), float(v.min()), float(u.max()), float(v.max())

@@ -1,4 +1,4 @@
-"""The judge: how well a symbol lies on the road, from noise-free light and independent of any controller's extraction."""
+"""The judge: quality of a symbol on the road, from noise-free light and independent of any controller's extraction."""
 
 import math
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ class Target:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the judge says, all `[...]`.
+    """The judge's metrics, all `[...]`.
 
     centroid_percent: `[..., 2]`, signed error along x in % of the symbol's length and along y in % of its width. iou, ssim: 0..1.
     length: ratio to the target's second-moment length. shear: mu11 / mu20 in the plane.
@@ -71,7 +71,7 @@ def judge(luminance: Tensor, view: BirdsEye, goal: Target) -> Verdict:
 
 
 def _similarity(plane: Tensor, goal: Target) -> Tensor:
-    """SSIM of luminance `[..., rows, cols]` and target, `[...]`: computed where its window reaches any light, elsewhere it is 1."""
+    """SSIM `[...]` of luminance `[..., rows, cols]` and target; computed where its window reaches any light, elsewhere it is 1."""
     lit = (plane > 0).reshape(-1, *plane.shape[-2:]).any(0) | (goal.luminance > 0)
     rows, cols = (_reached(lit.any(axis)) for axis in (1, 0))
     grey, goal_grey = (_in_pairs((image[..., rows, cols] / goal.median / 2).clamp(0, 1)) for image in (plane, goal.luminance))
@@ -80,7 +80,7 @@ def _similarity(plane: Tensor, goal: Target) -> Tensor:
 
 
 def _reached(lit: Tensor) -> slice:
-    """The whole pairs of cells from which SSIM's window reaches a lit one of `[n]`; all where none is."""
+    """Slice of whole pairs of cells from which SSIM's window reaches a lit cell of `[n]`; all if none is lit."""
     found, window = lit.nonzero(), math.ceil(3 * SSIM_RADIUS)
     if not len(found):
         return slice(0, 2 * (len(lit) // 2))

@@ -1,4 +1,4 @@
-"""Vehicles by their own lamps, which are all that is seen of one that is kept dark."""
+"""Detection of vehicles by their own lamps, for vehicles that are masked and otherwise dark."""
 
 import torch
 from torch import Tensor
@@ -6,18 +6,18 @@ from torch import Tensor
 from world.traffic.tracked import Category
 
 SHINE: frozenset[Category] = frozenset({"car", "truck"})
-BRIGHT = 0.95  # of the largest digital number: what shines into the camera
+BRIGHT = 0.95  # of the largest digital number: threshold of light sources
 ABOVE_M = 0.6  # height of a lamp's middle
-APART = 0.5  # of a box's width: two lamps are no nearer to each other
+APART = 0.5  # of a box's width: least distance of two lamps
 BETWEEN = 0.1  # of a box's width, to both sides of their middle, where nothing shines: else it is one light
 AROUND = 0.25  # of a box's width, within which its lamps are looked for at its sides
 
 
 def by_lamps(frame: Tensor, boxes: Tensor, pixels_a_metre: Tensor, others: Tensor) -> Tensor:
-    """Boxes `[n, 4]` px moved to where the bright spots inside them are two headlamps or rear lamps; NaN where there are no such spots.
+    """Boxes `[n, 4]` px moved so that the bright spots inside them are two headlamps or rear lamps; NaN without such spots.
 
-    The middle of a box goes to the middle of the outermost spots, and its foot below their mean row. frame: `[height, width]`, shares of
-    the largest digital number. pixels_a_metre: `[n]`, at the boxes. others: `[m, 4]` px, in which bright spots are no lamps.
+    The centre of a box goes to the centre of the outermost spots, and its foot below their mean row. frame: `[height, width]`, shares of
+    the largest digital number. pixels_a_metre: `[n]`, px per m at the boxes. others: boxes `[m, 4]` px in which bright spots are no lamps.
     """
     v, u = (each.double().cpu() + 0.5 for each in (frame >= BRIGHT).nonzero().unbind(-1))
     u, v = (each[~_inside(u, v, others).any(0)] for each in (u, v))

@@ -1,4 +1,4 @@
-"""What each pixel of a view shows is made of, from its G-buffer: a picture of materials, such as a segmentation would give."""
+"""The material that each pixel of a view sees, from its G-buffer, as a perfect segmentation would give it."""
 
 import torch
 from torch import Tensor
@@ -10,7 +10,7 @@ from world.scene.triangles import Placed, Triangles
 
 
 def material_picture(surfaces: GBuffer, triangles: Triangles) -> tuple[Tensor, tuple[MaterialName, ...]]:
-    """Which material is seen, `[height, width]` int64, an index of the names returned, -1 for none.
+    """Material image `[height, width]` int64 of indices in the returned names, -1 for none.
 
     surfaces: of `triangles`.
     """

@@ -1,4 +1,4 @@
-"""How far light is from what was wanted: MAE, RMSE, MARE, structural similarity (T 8.3), and intersection over union."""
+"""Errors of light against wanted light: MAE, RMSE, MARE, structural similarity (T 8.3), and intersection over union."""
 
 import math
 
@@ -29,7 +29,7 @@ def rmse(actual: Tensor, wanted: Tensor) -> Tensor:
 def mare(actual: Tensor, wanted: Tensor) -> Tensor:
     """Mean absolute relative error of light textures `[..., H, W]` in cd (T eq. 8.3.3), `[...]`; raises what `mae` raises.
 
-    What shines where it should be dark is divided by an offset of 1e-12 cd only, and so outweighs all else: 1e12 is nothing unusual.
+    Light on texels with setpoint zero is divided by an offset of 1e-12 cd only and dominates the result: values of 1e12 are common.
     """
     return ((actual - wanted).abs() / (wanted + MARE_OFFSET)).sum((-2, -1)) / _lit(wanted)
 
@@ -38,7 +38,7 @@ def _lit(wanted: Tensor) -> Tensor:
     """Number of texels with a positive setpoint, `[...]`."""
     number = (wanted > 0).sum((-2, -1))
     if bool((number == 0).any()):
-        raise LuxloopError("an error relative to the setpoint needs a texel with a positive one; this setpoint is dark everywhere")
+        raise LuxloopError("an error relative to the setpoint needs a texel with a positive setpoint; this one is dark everywhere")
     return number
 
 

@@ -9,25 +9,27 @@ from torch import Tensor
 from world.traffic.tracked import Category
 from world.view import View
 
-FARTHEST_M = 150.0  # what stands on the horizon is taken for so far away
-LOWEST_M = 0.05  # of a camera, below which no foot can be told from the horizon
+FARTHEST_M = 150.0  # distance assumed for objects on the horizon
+LOWEST_M = 0.05  # of a camera, below which feet and horizon cannot be distinguished
 LENGTH_M: Mapping[Category, float] = {"pedestrian": 0.5, "cyclist": 1.0, "animal": 1.0, "motorcycle": 1.5, "car": 4.0, "truck": 8.0}
 OTHER_LENGTH_M = 0.2
 
 
 @dataclass(frozen=True, eq=False)
 class OnRoad:
-    """T_world_box: `[n, 4, 4]`, origin in the middle of the foot, x away from the camera. size_m: `[n, 3]`, length, width, height."""
+    """Boxes on the road. T_world_box: `[n, 4, 4]`, origin at the centre of the foot, x away from the camera. size_m: `[n, 3]`, length,
+    width, height.
+    """
 
     T_world_box: Tensor
     size_m: Tensor
 
 
 def placed(boxes: Tensor, categories: tuple[Category, ...], view: View) -> OnRoad:
-    """Upright boxes that fill the image boxes `[n, 4]` px with the side turned to the camera; behind it they are as long as their class is.
+    """Upright boxes whose side facing the camera fills the image boxes `[n, 4]` px; their length is that of their class.
 
-    An error of the foot of one pixel moves a box by `d^2 / (f h)` along the line of sight, 1.6 m at 50 m for f = 1194 px and a camera at
-    h = 1.3 m, but it stays where it is seen.
+    An error of one pixel at the foot moves a box by `d^2 / (f h)` along the line of sight (1.6 m at 50 m for f = 1194 px and a camera
+    height h = 1.3 m), but not in the image.
     """
     T = view.T_world_view
     left, top, right, bottom = boxes.to(T).unbind(-1)
@@ -47,14 +49,14 @@ def placed(boxes: Tensor, categories: tuple[Category, ...], view: View) -> OnRoa
 
 
 def nearness(view: View, u: Tensor, v: Tensor) -> Tensor:
-    """Inverse of the depth in 1/m at which the road z = 0 is seen at image points `[...]` px, at least that of `FARTHEST_M`."""
+    """Inverse depth in 1/m of the road z = 0 at image points `[...]` px, at least that of `FARTHEST_M`."""
     return (-_direction(view, u, v)[..., 2] / _height(view)).clamp(min=1 / FARTHEST_M)
 
 
 def road_rows(view: View, u: Tensor) -> tuple[Tensor, float]:
-    """The horizon's row in columns `[...]` px, and the inverse of the camera's height in 1/m as far as it looks ahead.
+    """Row of the horizon in columns `[...]` px, and the inverse of the camera's height in 1/m along its view.
 
-    That is by how much a metre on the road looks larger, in px, from row to row.
+    The latter is the growth of a metre on the road, in px, from row to row.
     """
     _, down, ahead = view.T_world_view[2, :3].unbind()
     across = view.T_world_view[2, 0] * (u - view.cx) / view.fx

@@ -1,4 +1,4 @@
-"""Where a place in the world appears in an image."""
+"""Image regions of places in the world."""
 
 import torch
 from torch import Tensor
@@ -8,10 +8,10 @@ from world.view import View
 
 
 def box_region(view: View, T_world_box: Tensor, low: Tensor, high: Tensor) -> Tensor:
-    """The pixels whose centres look at a box, `[height, width]` bool, whether something stands before it or not.
+    """Pixels whose centres see a box, `[height, width]` bool, ignoring occlusion.
 
-    T_world_box: `[4, 4]`. low, high: `[3]` m, opposite corners in the box's frame; equal along one axis of a rectangle.
-    A ray is in the box where it is between all three pairs of planes at once.
+    T_world_box: `[4, 4]`. low, high: `[3]` m, opposite corners in the box's frame; equal along one axis of a rectangle. A ray hits the box
+    where it is between all three pairs of planes at once (slab method).
     """
     T = inverse(T_world_box.to(view.T_world_view))
     eye = T[:3, :3] @ view.origin + T[:3, 3]

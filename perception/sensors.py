@@ -1,4 +1,4 @@
-"""Simulated sensors of a vehicle that moves: what each of them samples, with noise and bias, and when it arrives."""
+"""Simulated sensors of a moving vehicle: their samples with noise and bias, and times of arrival."""
 
 import math
 from abc import abstractmethod
@@ -28,47 +28,49 @@ Measured = tuple[list[float], list[float]]  # values without noise, and its stan
 
 
 class SamplingParams(Params):
-    """When a sensor samples, and when its samples arrive."""
+    """Sampling rate and delay of a sensor."""
 
-    rate_hz: float | None = Field(None, gt=0, le=1000, description="samples a second; left out: one a control step, at its beginning")
-    delay_s: float = Field(0.0, ge=0, le=1, description="from the time that a sample is of to its arrival")
+    rate_hz: float | None = Field(None, gt=0, le=1000, description="samples per second; left out: one at the start of each control step")
+    delay_s: float = Field(0.0, ge=0, le=1, description="delay from measurement to arrival")
 
     @abstractmethod
     def measured(self, now: VehicleState, before: VehicleState, period_s: float) -> Measured:
-        """A sample, in the units of `Sample`. before: at the sample before, period_s ago."""
+        """A sample without noise in the units of `Sample`, and its standard deviations. before: state at the previous sample, period_s
+        ago.
+        """
 
 
 class WheelsParams(SamplingParams):
-    """Speed of the rear wheels, the mean since the sample before."""
+    """Speed of the rear wheels, mean since the previous sample."""
 
-    scale: float = Field(1.0, gt=0, le=2, description="measured speed for each m/s driven: a worn tyre shows more")
+    scale: float = Field(1.0, gt=0, le=2, description="measured over true speed; worn tyres measure too much")
     noise_m_s: float = Field(0.0, ge=0, le=10, description="standard deviation of the measured speed")
 
     def measured(self, now: VehicleState, before: VehicleState, period_s: float) -> Measured:
-        """Of the rear axle."""
+        """Speed of the rear axle."""
         return [0.5 * (now.speed_m_s + before.speed_m_s) * self.scale], [self.noise_m_s]
 
 
 class GyroParams(SamplingParams):
-    """Rates of roll and pitch, and of yaw the mean since the sample before."""
+    """Rates of roll and pitch, and the mean yaw rate since the previous sample."""
 
-    yaw_bias_deg_s: float = Field(0.0, ge=-10, le=10, description="added to the measured yaw rate")
+    yaw_bias_deg_s: float = Field(0.0, ge=-10, le=10, description="bias of the measured yaw rate")
     yaw_noise_deg_s: float = Field(0.0, ge=0, le=10, description="standard deviation of the measured yaw rate")
     noise_deg_s: float = Field(0.0, ge=0, le=10, description="standard deviation of measured roll and pitch rates")
 
     def measured(self, now: VehicleState, before: VehicleState, period_s: float) -> Measured:
-        """Roll, pitch and yaw."""
+        """Rates of roll, pitch and yaw."""
         yaw_rate = 0.5 * (now.yaw_rate_rad_s + before.yaw_rate_rad_s) + math.radians(self.yaw_bias_deg_s)
         tilting, turning = math.radians(self.noise_deg_s), math.radians(self.yaw_noise_deg_s)
         return [now.roll_rate_rad_s, now.pitch_rate_rad_s, yaw_rate], [tilting, tilting, turning]
 
 
 class AttitudeParams(SamplingParams):
-    """A unit that fuses inertial sensors and odometry to the attitude of the body over the ground, and to height and slope of that."""
+    """A unit that fuses inertial sensors and odometry into the body's attitude over the ground, and the ground's height and slope."""
 
     heave_noise_m: float = Field(0.0, ge=0, le=1, description="standard deviation of the body's measured height")
-    roll_bias_deg: float = Field(0.0, ge=-5, le=5, description="added to the measured roll")
-    pitch_bias_deg: float = Field(0.0, ge=-5, le=5, description="added to the measured pitch")
+    roll_bias_deg: float = Field(0.0, ge=-5, le=5, description="bias of the measured roll")
+    pitch_bias_deg: float = Field(0.0, ge=-5, le=5, description="bias of the measured pitch")
     noise_deg: float = Field(0.0, ge=0, le=5, description="standard deviation of measured roll and pitch")
 
     def measured(self, now: VehicleState, before: VehicleState, period_s: float) -> Measured:
@@ -80,35 +82,37 @@ class AttitudeParams(SamplingParams):
 
 
 class AccelerometerParams(SamplingParams):
-    """Accelerations forward and to the left, and upwards the mean since the sample before, without gravity."""
+    """Accelerations forward, left and, as mean since the previous sample, up; without gravity."""
 
     noise_m_s2: float = Field(0.0, ge=0, le=10, description="standard deviation of each measured acceleration")
 
     def measured(self, now: VehicleState, before: VehicleState, period_s: float) -> Measured:
-        """Forward, left, up."""
+        """Accelerations forward, left, up."""
         upwards = (now.rise_m_s - before.rise_m_s) / period_s
         return [now.acceleration_m_s2, now.lateral_m_s2, upwards], [self.noise_m_s2] * 3
 
 
 class TravelParams(SamplingParams):
-    """How much farther the body is above each wheel than at rest."""
+    """Travel of the body above each wheel, relative to rest."""
 
-    noise_m: float = Field(0.0, ge=0, le=0.1, description="standard deviation of each measured travel")
+    noise_m: float = Field(0.0, ge=0, le=0.1, description="standard deviation of each measured suspension travel")
 
     def measured(self, now: VehicleState, before: VehicleState, period_s: float) -> Measured:
-        """Front left, front right, rear left, rear right."""
+        """Travel front left, front right, rear left, rear right."""
         return [now.travel_fl_m, now.travel_fr_m, now.travel_rl_m, now.travel_rr_m], [self.noise_m] * 4
 
 
 class SensorParams(Params):
-    """Sensors of the vehicle's motion; without noise, bias and delay they tell the truth at once."""
+    """Sensors of the vehicle's motion; without noise, bias and delay they are perfect."""
 
-    fitted: tuple[Sensor, ...] = Field(("wheels", "gyro", "attitude"), description="sensors that the vehicle has")
-    wheels: WheelsParams = Field(WheelsParams(), description="wheel speeds; without them the vehicle is taken to stand")
-    gyro: GyroParams = Field(GyroParams(), description="rates of roll, pitch and yaw")
-    attitude: AttitudeParams = Field(AttitudeParams(), description="fused heave, roll and pitch")
-    accelerometer: AccelerometerParams = Field(AccelerometerParams(), description="accelerations")
-    suspension: TravelParams = Field(TravelParams(), description="suspension travel, the source of heave, roll and pitch without the unit")
+    fitted: tuple[Sensor, ...] = Field(("wheels", "gyro", "attitude"), description="sensors fitted to the vehicle")
+    wheels: WheelsParams = Field(WheelsParams(), description="wheel speed sensors; without them the vehicle is assumed to stand")
+    gyro: GyroParams = Field(GyroParams(), description="gyroscope: rates of roll, pitch and yaw")
+    attitude: AttitudeParams = Field(AttitudeParams(), description="inertial unit: fused heave, roll and pitch")
+    accelerometer: AccelerometerParams = Field(AccelerometerParams(), description="accelerometer")
+    suspension: TravelParams = Field(
+        TravelParams(), description="suspension travel sensors; they give heave, roll and pitch if no inertial unit is fitted"
+    )
 
 
 EXACT: Final = SensorParams()
@@ -116,7 +120,7 @@ EXACT: Final = SensorParams()
 
 @dataclass(frozen=True, eq=False)
 class Sensors:
-    """The sensors of a vehicle in motion. period_s: of control."""
+    """The sensors of a moving vehicle. period_s: control period."""
 
     motion: Motion
     params: SensorParams
@@ -124,11 +128,13 @@ class Sensors:
     seed: int
 
     def newest(self, by_s: float, like: Tensor) -> tuple[Sample, ...]:
-        """The newest of each sensor by a time, on the device and in the dtype of `like`. Those of time 0 are there at once."""
+        """The newest sample of each sensor that has arrived by a time, on the device and in the dtype of `like`. Samples of time 0 have no
+        delay.
+        """
         return tuple(self._sample(sensor, max(self._last(sensor, by_s), 0), like) for sensor in self.params.fitted)
 
     def arriving(self, after_s: float, by_s: float, like: Tensor) -> tuple[Sample, ...]:
-        """Later samples that arrive after one time and by another; no state is carried from one to the next."""
+        """All samples that arrive after one time and by another; the computation carries no state."""
         found = list[Sample]()
         for sensor in self.params.fitted:
             past, last = (self._last(sensor, time_s) for time_s in (after_s, by_s))
@@ -136,7 +142,7 @@ class Sensors:
         return tuple(sorted(found, key=lambda each: each.arrived_s))
 
     def _last(self, sensor: Sensor, by_s: float) -> int:
-        """Number of the last sample that has arrived, below 0 if none has."""
+        """Number of the last sample that has arrived, negative if none has."""
         params, period_s = self._of(sensor)
         return math.floor((by_s - params.delay_s) / period_s + ROUNDING)
 
@@ -149,6 +155,6 @@ class Sensors:
         return Sample(sensor, at_s, at_s + params.delay_s if number else 0.0, like.new_tensor(np.array(values) + np.array(spread) * noise))
 
     def _of(self, sensor: Sensor) -> tuple[SamplingParams, float]:
-        """What a sensor is, and its period in s."""
+        """Parameters of a sensor, and its period in s."""
         params: SamplingParams = getattr(self.params, sensor)
         return params, self.period_s if params.rate_hz is None else 1 / params.rate_hz

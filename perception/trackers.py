@@ -1,4 +1,4 @@
-"""The tracker that a scenario names."""
+"""The trackers that a scenario can name."""
 
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -21,11 +21,15 @@ METHODS = ("start", "follow", "report")
 
 
 class OwnTracker(Params):
-    """`Name(classes, view, **options)` of a module of the user's own makes the tracker."""
+    """`Name(classes, view, **options)` of a user's module makes the tracker."""
 
     kind: plugin.OwnName
-    options: dict[str, Any] = Field({}, description="keyword arguments of Name, beside the detector's classes and the camera's view")
-    start_score: float = Field(0.5, gt=0, le=1, description="score from which on a detection that is no object counts as false in reports")
+    options: dict[str, Any] = Field(
+        {}, description="keyword arguments of Name, in addition to the detector's classes and the camera's view"
+    )
+    start_score: float = Field(
+        0.5, gt=0, le=1, description="score from which a detection without an object counts as false positive in reports"
+    )
 
 
 AnyTracker = Annotated[
@@ -35,7 +39,7 @@ AnyTracker = Annotated[
 
 
 def tracker(params: TrackerParams | OwnTracker, classes: tuple[Category, ...], view: View) -> ObjectTracker:
-    """Raises LuxloopError where one of the user's own cannot be made."""
+    """The tracker of a scenario. Raises LuxloopError if a user-defined one cannot be made."""
     if isinstance(params, TrackerParams):
         return Tracker(classes, view, params)
     return CheckedTracker(plugin.make(params.kind, KEY, {"classes": classes, "view": view}, params.options, METHODS), classes)
@@ -43,7 +47,7 @@ def tracker(params: TrackerParams | OwnTracker, classes: tuple[Category, ...], v
 
 @dataclass(frozen=True)
 class CheckedTracker:
-    """The user's own tracker, whose reports are checked. classes: the detector's."""
+    """A user-defined tracker whose reports are checked. classes: the detector's."""
 
     own: plugin.Guarded
     classes: tuple[Category, ...]
@@ -57,7 +61,7 @@ class CheckedTracker:
         return self.own.follow(state, found, frame, time_s)
 
     def report(self, state: Any, time_s: float) -> TrackedBoxes:
-        """On the CPU, in double precision. Raises LuxloopError where it is no report."""
+        """The report on the CPU in double precision. Raises LuxloopError if it is invalid."""
         told = self.own.report(state, time_s)
         where, all_classes = f"{KEY}: {self.own.name}: report", len(self.classes)
         if not isinstance(told, TrackedBoxes):

@@ -1,9 +1,9 @@
-"""Multi-object tracking: boxes found frame by frame become tracks that keep their identity, with scores filtered over frames.
+"""Multi-object tracking: from detections in single frames to tracks with identity and filtered scores.
 
-A track is a Kalman filter of constant velocity for the middle of the box's foot in the image, and a size on the road, as its class has.
-Light and other objects hide parts: a box that is smaller than expected is taken for a part and completed. Detections are given to tracks by
-the assignment of least cost (Hungarian method), which counts overlap, distance and class. In the image lengths are measured in sizes of the
-box, the root of its area: for a pedestrian that is about a metre, wherever they are.
+A track is a Kalman filter with constant velocity for the centre of the box's foot in the image, and a size on the road within the limits of
+its class. Darkness and other objects hide parts, so a box that is smaller than expected counts as a part and is completed. Detections are
+assigned to tracks at least cost (Hungarian method) by overlap, distance and class. Lengths in the image are in units of the box's size, the
+root of its area, which for a pedestrian is about a metre at any distance.
 """
 
 import math
@@ -34,37 +34,35 @@ OTHER_CLASS = 0.5  # cost of a detection that is nothing like the track's class
 LARGEST_COST = 1.8  # a track rather stays without a detection; the overlap costs 1 at most
 FOLLOWS_S = 1.0  # time constant of sizes
 WEAK = 0.5  # of the score that starts a track: what scores less does not keep one
-KEPT = 2.0  # times as long as it has been found a track is kept unseen at most
+KEPT = 2.0  # longest time without detection, as a multiple of the time with detections
 BOTH = 0.5  # IoU with a track that has no box, from which on another's box may be both's
-LINGER_S = 2.0  # for which a lost track is still told, so that what is drawn about it can fade
+LINGER_S = 2.0  # time for which a lost track is still reported, so that its light can fade
 SURER = 2.0  # times as sure of another class as of its own: a track changes class
 
 
 class TrackerParams(Params):
-    """How detections become objects that keep their identity."""
+    """Parameters of luxloop's tracker."""
 
     kind: Literal["kalman"] = "kalman"
-    start_score: float = Field(
-        0.5, gt=0, le=1, description="score from which on a detection may be a new object; half of it keeps a known one"
-    )
-    confirm_frames: int = Field(3, ge=1, le=30, description="frames in a row that must show a new object, as surely, before it is reported")
+    start_score: float = Field(0.5, gt=0, le=1, description="least score of a detection that starts a track; half of it continues one")
+    confirm_frames: int = Field(3, ge=1, le=30, description="consecutive frames with at least that score before a new object is reported")
     keep_s: float = Field(
         1.0,
         ge=0,
         le=10,
-        description="for how long one that is not found is kept where it ought to be, but at most twice as long as it was found",
+        description="time for which an undetected object is kept at its predicted place, at most twice the time of its detection",
     )
-    confidence_s: float = Field(0.15, ge=0, le=10, description="time constant of the filter from scores to confidence; 0: none")
+    confidence_s: float = Field(0.15, ge=0, le=10, description="time constant of the low-pass filter from scores to confidence; 0: none")
 
     @property
     def keeps_score(self) -> float:
-        """From which on a detection keeps a track."""
+        """Least score of a detection that continues a track."""
         return WEAK * self.start_score
 
 
 @dataclass(frozen=True, eq=False)
 class Tracker:
-    """Follows what a detector of these classes finds in a view that stands still."""
+    """Tracks the detections of these classes in a fixed view."""
 
     classes: tuple[Category, ...]
     view: View
@@ -75,8 +73,8 @@ class Tracker:
         return self._started(1, Detections(torch.zeros(0, 4).double(), torch.zeros(0, len(self.classes)).double()), 0.0)
 
     def follow(self, tracks: Tracks, found: Detections, frame: Tensor, time_s: float) -> Tracks:
-        """The tracks after a frame `[height, width]`, shares of the largest digital number. Vehicles that are not found in it are kept,
-        though not for sure, where their lamps shine.
+        """The tracks after a frame `[height, width]`, shares of the largest digital number. Vehicles without a detection are continued with
+        reduced confidence where their lamps are seen.
         """
         present = self.at(tracks, time_s).present
         boxes, scores = self.whole(present), found.scores.detach().double().cpu()
@@ -91,22 +89,22 @@ class Tracker:
         return self.step(tracks, all_found, time_s)
 
     def report(self, tracks: Tracks, time_s: float) -> TrackedBoxes:
-        """Those that are confirmed, the lost ones among them, where they will be."""
+        """The confirmed tracks, lost ones included, predicted to a time."""
         ahead = self.at(tracks.known, time_s)
         return TrackedBoxes(ahead.number, self.whole(ahead), ahead.category, ahead.confidence, ahead.score, ahead.since_s, ahead.until_s)
 
     def boxes(self, tracks: Tracks) -> Tensor:
-        """`[n, 4]` px: left, top, right, bottom, as far as in the image."""
+        """Boxes `[n, 4]` px (left, top, right, bottom), clipped to the image."""
         return torch.minimum(self.whole(tracks).clamp(min=0), torch.tensor([self.view.width, self.view.height] * 2).double())
 
     def whole(self, tracks: Tracks) -> Tensor:
-        """The same, with what is outside of the image."""
+        """Boxes `[n, 4]` px, including parts outside the image."""
         u, v = tracks.mean[..., 0].unbind(-1)
         width, height = (tracks.size_m * self._pixels_a_metre(u, v)[:, None]).unbind(-1)
         return torch.stack([u - width / 2, v - height, u + width / 2, v], -1)
 
     def at(self, tracks: Tracks, time_s: float) -> Tracks:
-        """Where they will be, by their rates; a lost one stays where it was lost."""
+        """The tracks predicted to a time by their rates; lost ones stay where they were lost."""
         dt = (time_s - tracks.time_s) * tracks.until_s.isinf().double()[:, None]
         changes = (torch.tensor(CHANGES).double() * self._px(tracks)[:, None]) ** 2
         a, b, c = tracks.covariance[..., 0, 0], tracks.covariance[..., 0, 1], tracks.covariance[..., 1, 1]
@@ -116,7 +114,7 @@ class Tracker:
         return replace(tracks, time_s=time_s, mean=mean, covariance=covariance)
 
     def step(self, tracks: Tracks, found: Detections, time_s: float) -> Tracks:
-        """The tracks after a frame at a later time, in which these detections were found."""
+        """The tracks after a frame at a later time with these detections."""
         found = self._standing(found)
         alive = self.at(tracks, time_s).take(tracks.until_s.isinf())
         lost = tracks.take(tracks.until_s.isfinite() & (time_s - tracks.until_s < LINGER_S))
@@ -142,7 +140,7 @@ class Tracker:
         return replace(started, **values)
 
     def assigned(self, tracks: Tracks, found: Detections) -> tuple[Tensor, Tensor]:
-        """Indices `[k]` of tracks, and `[k]` of the detections that are theirs."""
+        """Indices `[k]` of tracks and `[k]` of the detections assigned to them."""
         if not len(tracks) or not len(found):
             return torch.zeros(0, dtype=torch.int64), torch.zeros(0, dtype=torch.int64)
         expected, px = self.whole(tracks), self._px(tracks)[:, None]
@@ -160,14 +158,14 @@ class Tracker:
         return rows[possible], columns[possible]
 
     def _standing(self, found: Detections) -> Detections:
-        """What is found for sure enough to be told of a track, with all that must belong to it."""
+        """Detections of sufficient score, completed to whole boxes."""
         boxes, scores = found.boxes.detach().double().cpu(), found.scores.detach().double().cpu()
         sure = scores.amax(-1) >= self.params.keeps_score
         names = tuple(self.classes[number] for number in scores[sure].argmax(-1).tolist())
         return Detections(standing(boxes[sure], names, self.view), scores[sure])
 
     def _corrected(self, tracks: Tracks, which: Tensor, boxes: Tensor, dt: float) -> Tracks:
-        """Kalman's step for some of the tracks, and their sizes."""
+        """The Kalman update of some tracks, and their sizes."""
         some = tracks.take(which)
         expected = self.whole(some)
         off = _foot(completed(boxes, expected)) - some.mean[..., 0]
@@ -188,7 +186,7 @@ class Tracker:
         )
 
     def _told(self, tracks: Tracks, shown: Tensor, score: Tensor, time_s: float, dt: float) -> Tracks:
-        """Which of them are confirmed and which are lost, and of which class they are, by their scores."""
+        """The tracks with confirmation, loss and class updated from their scores."""
         confidence = tracks.confidence + _share(dt, self.params.confidence_s) * (score.nan_to_num() - tracks.confidence)
         own, frames = confidence.gather(1, tracks.category[:, None])[:, 0], tracks.frames + shown
         category = torch.where(
@@ -249,5 +247,5 @@ def _foot(boxes: Tensor) -> Tensor:
 
 
 def _share(dt: float, time_constant_s: float) -> float:
-    """Of a first-order filter's way to its input in a time."""
+    """Share of the step to its input that a first-order filter takes in a time dt."""
     return 1.0 if time_constant_s == 0 else -math.expm1(-dt / time_constant_s)

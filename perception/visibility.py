@@ -1,14 +1,14 @@
-"""How well objects stand out in an image, as figures that can be differentiated (T 9.2)."""
+"""Differentiable metrics of how well objects stand out in an image (T 9.2)."""
 
 import torch
 from torch import Tensor
 from torch.nn.functional import max_pool2d
 
-RING_PX = 6  # how far around an object its background is looked at
+RING_PX = 6  # width of the ring around an object that counts as its background
 
 
 def around(mask: Tensor, px: int = RING_PX) -> Tensor:
-    """The ring of pixels so near to an object, `[height, width]` bool; mask: of the object."""
+    """Ring of pixels `[height, width]` bool within a distance of px around an object. mask: of the object, `[height, width]` bool."""
     wider = max_pool2d(mask[None].float(), 2 * px + 1, 1, px)[0] > 0
     return wider & ~mask
 

@@ -1,4 +1,4 @@
-"""Lamps, roads, objects, and how light from the lamps shows in a view. Imports none of the other packages.
+"""Lamps, roads, objects, and the light of lamps in a view. Imports none of the other packages.
 
 What it offers to them: `params.Params`, `errors.LuxloopError` and `plugin`; poses and angles in `frames`, a camera's `view.View` and a
 lamp's `texels.TexelGrid`; `headlight.Headlight` and `headlight.lamp.Lamp`, from `presets`, `lampfiles` and `photometry`, with `beams` and

@@ -1,4 +1,4 @@
-"""NumPy files of others: what a header declares is checked before it is allocated, and objects are refused, since a pickle runs code."""
+"""NumPy files from users: declared sizes are checked before allocation, and pickled objects are refused, since they run code."""
 
 import io
 import math
@@ -21,7 +21,7 @@ Arrays = dict[str, np.ndarray[Any, Any]]
 
 
 def read_npy(path: Path) -> np.ndarray[Any, Any]:
-    """The array of a .npy. Raises LuxloopError where it needs more memory than the budget, and what damaged files provoke in NumPy."""
+    """The array of a .npy. Raises LuxloopError beyond the memory budget, and NumPy's errors for damaged files."""
     with path.open("rb") as stream:
         afford(f"{path}: its array", BYTES_A_NUMBER * _declared(stream, path.stat().st_size), REMEDY)
         return _array(stream)
@@ -54,7 +54,7 @@ def write_npz(path: Path, arrays: Iterable[tuple[str, np.ndarray[Any, Any]]]) ->
 
 
 def _declared(stream: IO[bytes], n_bytes: int) -> int:
-    """How many numbers the header of an array says there are. Raises ValueError where they do not fit into the bytes of the stream."""
+    """Number of values that the header of an array declares. Raises ValueError if the stream has too few bytes for them."""
     version = npy.read_magic(stream)
     if version not in _HEADERS:
         raise ValueError(f"an array of format version {version}")

@@ -1,4 +1,4 @@
-"""The one error that users cause, which the command line turns into a sentence and exit code 2, and what helps to word it."""
+"""The error for users' mistakes, which the command line shows as a sentence with exit code 2, and helpers for its wording."""
 
 import difflib
 import re
@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Final
 
-LONGEST_WORD: Final = 200  # characters: what is longer is input
+LONGEST_WORD: Final = 200  # characters; longer words are input
 LONGEST_SENTENCE: Final = 1000
 MOST_ERRORS: Final = 10  # of a file that are listed
 
@@ -39,14 +39,14 @@ def _line(sentence: str) -> str:
 
 
 def _short(text: str, longest: int) -> str:
-    """Both ends of a text, since a path or a sentence begins with the place and ends with what it is about."""
+    """Both ends of a long text, since a path or sentence begins with the place and ends with its subject."""
     half = (longest - 3) // 2
     return text if len(text) <= longest else f"{text[:half]}...{text[-half:]}"
 
 
 @contextmanager
 def located(place: str) -> Iterator[None]:
-    """Say before every LuxloopError of a block where it lies: a file, a key."""
+    """Put a place, such as a file or key, before every LuxloopError of a block."""
     try:
         yield
     except LuxloopError as error:

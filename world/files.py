@@ -1,4 +1,4 @@
-"""Files of others, read with one sentence where they cannot be, and files that appear whole or not at all."""
+"""Files from users, read with a one-sentence error if that fails, and files that are written whole or not at all."""
 
 import errno
 import os
@@ -10,7 +10,7 @@ from typing import Final
 from world.budget import afford
 from world.errors import LuxloopError
 
-PARTS: Final = ".*.[0-9]*.part"  # pattern of the names of what is half-written
+PARTS: Final = ".*.[0-9]*.part"  # pattern of the names of half-written files
 BYTES_A_BYTE: Final = 8  # of a file while it is read: its bytes, its text, its numbers
 
 
@@ -30,7 +30,7 @@ def regular(path: Path) -> Path:
 
 @contextmanager
 def reading(path: Path, otherwise: str, remedy: str) -> Iterator[None]:
-    """Turn whatever a reader raises on a file that is damaged or something else into `path: otherwise (reason); remedy`."""
+    """Turn any exception of a reader of a damaged or foreign file into `path: otherwise (reason); remedy`."""
     try:
         yield
     except LuxloopError:
@@ -48,7 +48,7 @@ def files_at(path: Path) -> list[Path]:
 
 @contextmanager
 def whole(path: Path) -> Iterator[Path]:
-    """A file to write in place of `path`, which it becomes at the end; where anything fails, nothing is left behind.
+    """A temporary file that replaces `path` at the end; on failure nothing is left behind.
 
     Raises: LuxloopError where it cannot be written.
     """

@@ -1,6 +1,6 @@
-"""Folders that commands write into: held by one process alone, or shared by several.
+"""Output folders of commands, locked by one process or shared by several.
 
-The locks are the kernel's, so that they end with a process however it ends and leave no file behind.
+The kernel's locks end with the process, however it ends, and leave no file behind.
 """
 
 import fcntl
@@ -15,7 +15,7 @@ from world.files import PARTS
 
 @contextmanager
 def output_folder(folder: Path) -> Iterator[None]:
-    """A folder that this process alone writes into, made where it is missing and removed again where it is new and stays empty.
+    """A folder that only this process writes into; created if missing, and removed again if it was created and stays empty.
 
     Half-written files of writers that were killed are removed. Raises LuxloopError where another process writes into it, or it
     cannot be made.
@@ -30,15 +30,15 @@ def output_folder(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def shared_folder(folder: Path, journal: Path, mend: Callable[[], None]) -> Iterator[None]:
-    """A folder that several processes write into, who take turns with the journal in it.
+    """A folder that several processes write into, which take turns with the journal in it.
 
-    mend: called where no other process is at work in the folder: trials that the journal has as running were then cut off by a kill.
-    Raises LuxloopError where another process has locked the folder, or it cannot be made.
+    mend: called if no other process works in the folder: trials that the journal lists as running were then killed. Raises LuxloopError
+    where another process has locked the folder, or it cannot be made.
     """
     with _opened(folder) as descriptor:
-        if not _locked(descriptor, fcntl.LOCK_SH) and not journal.exists():  # before one is made in the folder of something else
+        if not _locked(descriptor, fcntl.LOCK_SH) and not journal.exists():  # before a journal is created in a foreign folder
             raise _in_use(folder)
-        fcntl.flock(descriptor, fcntl.LOCK_UN)  # those who wait for their turn are not at work
+        fcntl.flock(descriptor, fcntl.LOCK_UN)  # waiting processes do not count as working
         with turn(journal):
             if _locked(descriptor, fcntl.LOCK_EX):
                 mend()
@@ -49,7 +49,7 @@ def shared_folder(folder: Path, journal: Path, mend: Callable[[], None]) -> Iter
 
 @contextmanager
 def turn(file: Path) -> Iterator[None]:
-    """A block that one process after the other enters; the file is made where it is missing. Raises OSError where it cannot be."""
+    """A block that one process at a time enters; the lock file is created if missing. Raises OSError if that fails."""
     descriptor = os.open(file, os.O_RDWR | os.O_CREAT, 0o666)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX)

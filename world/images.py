@@ -1,4 +1,4 @@
-"""Pictures decoded once their header is known to declare no more pixels than the memory's budget allows."""
+"""Decoding of pictures whose declared size is within the memory budget."""
 
 import io
 import math

@@ -1,4 +1,4 @@
-"""Parts of the user's own, which a scenario names by `package.module:Name`: found, trusted, made, and their errors put in a sentence."""
+"""User-defined parts, named in scenarios by `package.module:Name`: import, trust, construction, and their errors as one sentence."""
 
 import os
 import re
@@ -80,7 +80,7 @@ def beside(text: str, folder: Path) -> str:
 
 
 def named(params: Any, key: str = "") -> Iterator[tuple[str, Name]]:
-    """All modules of the user's own in a model, and the keys that name them."""
+    """All user-defined modules that a model names, with their keys."""
     if isinstance(params, Name):
         yield key, params
     elif isinstance(params, BaseModel):
@@ -99,16 +99,17 @@ def refuse_code(params: BaseModel, source: str, typed: Collection[str] = ()) -> 
 
     source: the file, for the message. typed: names that the user gave beside the file, which are trusted.
     """
-    for key, name in named(params):
-        if name not in typed:
-            raise LuxloopError(
-                f"{source}: {key}: {name} would run the module {name.module}; "
-                "give --allow-code (in Python allow_code=True) if you trust the file and the module"
-            )
+    if found := [(key, name) for key, name in named(params) if name not in typed]:
+        modules = list(dict.fromkeys(name.module for _, name in found))
+        several = "s" if len(modules) > 1 else ""
+        raise LuxloopError(
+            f"{source}: {', '.join(f'{key}: {name}' for key, name in found)} would run the module{several} {', '.join(modules)}; "
+            f"give --allow-code (in Python allow_code=True) if you trust the file and the module{several}"
+        )
 
 
 def load(name: Name, key: str, methods: Sequence[str]) -> Any:
-    """The class that `package.module:Name` means; key: that of the scenario which names it, for messages.
+    """The class `package.module:Name`. key: the scenario's key that names it, for messages.
 
     The name's folder stays on the path that Python searches, since a module may import from beside itself whenever it runs; at the end,
     so that nothing in it takes the place of another module.
@@ -162,7 +163,7 @@ def made(made_by: type, name: Name, key: str, given: Mapping[str, Any], options:
 
 @dataclass(frozen=True)
 class Guarded:
-    """A part of the user's own that raises LuxloopError with file and line where one of its methods fails."""
+    """A user-defined part whose failing methods raise LuxloopError with file and line."""
 
     part: Any
     name: Name

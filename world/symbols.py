@@ -77,7 +77,7 @@ class OverTime:
 
 
 def load(path: Path, rate_hz: float | None = None, repeat: bool = True) -> SymbolSource:
-    """A symbol by its suffix: a picture, an SVG, a video, or a folder of pictures in the order of their names.
+    """Load a symbol by its suffix: a picture, an SVG, a video, or a folder of pictures in the order of their names.
 
     rate_hz: images a second; left out: a video's own, 25 for a folder. Raises LuxloopError for what cannot be read or is all black.
     """

@@ -1,4 +1,4 @@
-"""Reads TOML files, and turns pydantic's errors into sentences that name the key and the remedy."""
+"""Read TOML files, and turn pydantic's errors into sentences that name the key and the remedy."""
 
 import json
 import tomllib
@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
 
 from world.errors import LuxloopError, all_of, did_you_mean, near
 from world.files import content, reading
@@ -102,6 +103,16 @@ def _dates(data: Any, within: str = "") -> Iterator[str]:
             yield from _dates(value, f"{within}[{k}]")
 
 
+def toml(value: Any) -> str:
+    """A value as TOML writes it, on one line; keys of nothing are left out, which TOML has no word for."""
+    if isinstance(value, BaseModel | dict):
+        items = value.items() if isinstance(value, dict) else value
+        return "{" + ", ".join(f"{key} = {toml(inner)}" for key, inner in items if inner is not None) + "}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(toml, value))}]"
+    return json.dumps(value, ensure_ascii=False)
+
+
 def sentences(error: ValidationError, model: type[BaseModel], example: str) -> list[str]:
     """All that is wrong, a sentence each, unknown keys first. example: as in `validated`, for the first key that is missing.
 
@@ -121,20 +132,34 @@ def sentences(error: ValidationError, model: type[BaseModel], example: str) -> l
 
 
 def _sentence(detail: Any, model: type[BaseModel], example: str) -> str:
-    key, fields = _place(model, detail["loc"])
+    key, fields, variants = _place(model, detail["loc"])
     if detail["type"].startswith("union_tag") and isinstance(detail["input"], dict):
         key = f"{key}.{_discriminator(detail)}"
-    return f"{key}: {_what(detail, fields, example)}" if key else _what(detail, fields, example)
+    what = f"is missing; {_remedy(detail, fields, variants)}{example}" if _is_missing(detail) else _what(detail, fields)
+    return f"{key}: {what}" if key else what
 
 
-def _what(detail: Any, fields: dict[str, Any], example: str) -> str:
+def _is_missing(detail: Any) -> bool:
+    return detail["type"] in MISSING and (detail["type"] == "missing" or isinstance(detail["input"], dict))
+
+
+def _remedy(detail: Any, fields: Mapping[str, FieldInfo], variants: Iterable[type[BaseModel]]) -> str:
+    """What to write where a key is missing, or the one that tells the variants of a table apart."""
+    if detail["type"] != "missing":
+        first, *others = (tag for variant in variants for tag in _tags(variant))
+        return f"write {_discriminator(detail)} = {toml(first)}, or one of {', '.join(others)}"
+    key = [part for part in detail["loc"] if isinstance(part, str)][-1]
+    field = fields.get(key)
+    written = f"write {key} = {toml(field.examples[0])}, say" if field and field.examples else "add it"
+    return f"{written}: {field.description}" if field and field.description else written
+
+
+def _what(detail: Any, fields: dict[str, FieldInfo]) -> str:
     kind, given, context = detail["type"], detail.get("input"), detail.get("ctx", {})
     if kind == "extra_forbidden":
         return f"unknown key; {did_you_mean(str(detail['loc'][-1]), fields)}"
-    if kind in TABLE_ERRORS or (kind == "union_tag_not_found" and not isinstance(given, dict)):
+    if kind in (*TABLE_ERRORS, "union_tag_not_found"):
         return f"{_shown(given)} is no table of keys; write key = value below a [header]"
-    if kind in MISSING:
-        return f"is missing; add it{example}"
     if kind == "union_tag_invalid":
         return f"there is no {context['tag']!r}; {did_you_mean(context['tag'], _quoted(context['expected_tags']))}"
     if kind == "literal_error":
@@ -168,11 +193,12 @@ def _quoted(names: str) -> list[str]:
     return [name.strip(" '") for name in names.split(",")]
 
 
-def _place(model: type[BaseModel], location: tuple[int | str, ...]) -> tuple[str, dict[str, Any]]:
-    """Follow an error's location through the model: the key as a file writes it, and the fields of the table that it lies in."""
+def _place(model: type[BaseModel], location: tuple[int | str, ...]) -> tuple[str, dict[str, FieldInfo], list[type[BaseModel]]]:
+    """Follow an error's location through the model: the key as a file writes it, the fields of the table that it lies in, and the models
+    that may stand there."""
     key = ""
     candidates, named = [model], False
-    fields: dict[str, Any] = {}
+    fields: dict[str, FieldInfo] = {}
     for part in (part for part in location if part != KEY_ITSELF):
         chosen = [candidate for candidate in candidates if len(candidates) > 1 and part in _tags(candidate)]
         if isinstance(part, int):
@@ -186,7 +212,7 @@ def _place(model: type[BaseModel], location: tuple[int | str, ...]) -> tuple[str
             fields = {name: field for candidate in candidates for name, field in candidate.model_fields.items()}
             candidates = list(_models(fields[part].annotation)) if part in fields else []
             named = part in fields and get_origin(fields[part].annotation) is Mapping
-    return key, fields
+    return key, fields, candidates
 
 
 def _models(annotation: Any) -> Iterable[type[BaseModel]]:

@@ -1,4 +1,4 @@
-"""Symbols that change with time by rule: blinking, a running light, a wipe (T 7.2.2, fig. 7.10)."""
+"""Animations of symbols: blinking, running light, wipe (T 7.2.2, fig. 7.10)."""
 
 import math
 from dataclasses import dataclass
@@ -15,14 +15,14 @@ Direction = Literal["away", "towards", "left", "right"]
 
 
 class BlinkingParams(Params):
-    """On and off."""
+    """The symbol blinks."""
 
     kind: Literal["blinking"] = "blinking"
-    rate_hz: float = Field(1.5, gt=0, le=20, description="how often a second (UN R6 asks indicators for 1 to 2)")
-    duty: float = Field(0.5, gt=0, lt=1, description="share of the time that it is on")
+    rate_hz: float = Field(1.5, gt=0, le=20, description="blinks per second (UN R6 requires 1 to 2 for indicators)")
+    duty: float = Field(0.5, gt=0, lt=1, description="share of each period during which it is on")
 
     def shows(self, time_s: float) -> bool:
-        # A time that is meant to be a switching time may round to just before it.
+        # A switching time may be rounded to just before it.
         return (time_s * self.rate_hz + 1e-6) % 1 < self.duty
 
     def share(self, time_s: float, along: Tensor) -> Tensor:
@@ -30,29 +30,33 @@ class BlinkingParams(Params):
 
 
 class RunningLightParams(Params):
-    """A bright band runs over the symbol, again and again."""
+    """A bright band runs over the symbol repeatedly."""
 
     kind: Literal["running_light"] = "running_light"
     period_s: float = Field(1.0, gt=0, le=1e6, description="time from one end to the other")
-    length: float = Field(0.3, gt=0, le=1, description="the band's length, as a share of the symbol's")
-    rest: float = Field(0.0, ge=0, le=1, description="what is left of the symbol beside the band")
-    direction: Direction = Field("away", description="where it runs: `away` from the driver, `towards` the driver, `left` or `right`")
+    length: float = Field(0.3, gt=0, le=1, description="length of the band, as a share of the symbol's length")
+    rest: float = Field(0.0, ge=0, le=1, description="brightness of the symbol outside the band, as a share")
+    direction: Direction = Field(
+        "away", description="direction of the band: `away` from the driver, `towards` the driver, `left` or `right`"
+    )
 
     def share(self, time_s: float, along: Tensor) -> Tensor:
-        # The band comes in from one border and goes out over the other, with cosine flanks that have no steps.
+        # The band enters at one border and leaves at the other; its cosine flanks have no steps.
         centre = (time_s / self.period_s) % 1 * (1 + self.length) - self.length / 2
         reach = ((along - centre) / self.length).clamp(-0.5, 0.5)
         return self.rest + (1 - self.rest) * (2 * math.pi * reach).cos().add(1) / 2
 
 
 class WipeParams(Params):
-    """The symbol is drawn from one end to the other, then held; it starts over."""
+    """The symbol is drawn from one end to the other and held, repeatedly."""
 
     kind: Literal["wipe"] = "wipe"
     draw_s: float = Field(0.8, gt=0, le=1e6, description="time to draw it")
     hold_s: float = Field(0.7, ge=0, le=1e6, description="time to hold it")
-    softness: float = Field(0.05, gt=0, le=1, description="length of the soft front, as a share of the symbol's")
-    direction: Direction = Field("away", description="where its front moves: `away` from the driver, `towards`, `left` or `right`")
+    softness: float = Field(0.05, gt=0, le=1, description="length of the soft front, as a share of the symbol's length")
+    direction: Direction = Field(
+        "away", description="direction of the front: `away` from the driver, `towards` the driver, `left` or `right`"
+    )
 
     def share(self, time_s: float, along: Tensor) -> Tensor:
         drawn = min((time_s % (self.draw_s + self.hold_s)) / self.draw_s, 1.0)
@@ -64,17 +68,17 @@ AnimationParams = Annotated[BlinkingParams | RunningLightParams | WipeParams, Fi
 
 @dataclass(frozen=True, eq=False)
 class Animated:
-    """A symbol whose brightness is changed over time and place."""
+    """A symbol whose brightness changes over time and position."""
 
     source: SymbolSource
     animation: BlinkingParams | RunningLightParams | WipeParams
 
     def shows(self, time_s: float) -> bool:
-        """Whether there is anything: while it blinks and is off, what lies below is seen."""
+        """Whether anything is drawn; while a blinking symbol is off, what lies below it is seen."""
         return not isinstance(self.animation, BlinkingParams) or self.animation.shows(time_s)
 
     def at(self, time_s: float) -> Tensor:
-        """`[h, w]` in 0..1; a homogeneous symbol is cut into enough rows and columns for what runs along it."""
+        """The image `[h, w]` in 0..1 at a time; a homogeneous symbol gets enough rows and columns for the animation."""
         image = self.source.at(time_s)
         if isinstance(self.animation, BlinkingParams):
             return image * self.animation.share(time_s, image)
@@ -84,7 +88,7 @@ class Animated:
 
 
 def _along(image: Tensor, direction: Direction) -> Tensor:
-    """Where each texel lies in the direction of travel, 0 at the start and 1 at the end: `[h, 1]` or `[1, w]`."""
+    """Position of each texel in the direction of travel, 0 at the start and 1 at the end: `[h, 1]` or `[1, w]`."""
     rows, cols = image.shape
     if direction in ("left", "right"):
         along = ((torch.arange(cols).to(image) + 0.5) / cols)[None]

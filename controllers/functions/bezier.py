@@ -7,12 +7,14 @@ import torch
 from torch import Tensor
 
 HALLEY_STEPS = 6  # from the best sample, Halley's cubic convergence needs three or four
-SAMPLES_PER_DEGREE = 64  # so dense since a curve turns fast near a cusp, between samples that are farther off than others
-INTERVALS, NODES = 32, 8  # of the arc length's quadrature: some 1e-9 of the length for curves without a cusp
+SAMPLES_PER_DEGREE = (
+    64  # so dense because a curve turns fast near a cusp, where the closest point may lie between two samples that are not the closest
+)
+INTERVALS, NODES = 32, 8  # of the arc length's quadrature: error about 1e-9 of the length for curves without a cusp
 
 
 def point(control: Tensor, t: Tensor) -> Tensor:
-    """Curve points `[..., N, D]` at parameters `[..., N]` in 0..1 (T eq. B.2.1); control: `[..., n + 1, D]`, in any unit."""
+    """Curve points `[..., N, D]` at parameters `[..., N]` in 0..1 (T eq. B.2.1). control: control points `[..., n + 1, D]`, in any unit."""
     n = control.shape[-2] - 1
     power = torch.arange(n + 1, device=control.device)
     binomial = torch.tensor([comb(n, i) for i in range(n + 1)]).to(control)
@@ -20,7 +22,7 @@ def point(control: Tensor, t: Tensor) -> Tensor:
 
 
 def derivative(control: Tensor) -> Tensor:
-    """Control points `[..., max(n, 1), D]` of the curve's derivative, which is a Bezier curve too."""
+    """Control points `[..., max(n, 1), D]` of the curve's derivative, itself a Bezier curve."""
     n = control.shape[-2] - 1
     return n * control.diff(dim=-2) if n else torch.zeros_like(control)
 
@@ -37,8 +39,8 @@ def length_at(control: Tensor, t: Tensor) -> Tensor:
 def closest(control: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
     """Parameter and distance, both `[..., N]`, of the curve's point that is closest to each of `points` `[..., N, D]` (T eq. B.2.3, B.2.4).
 
-    Halley's steps start at the best of several samples and stay between its neighbours, since free ones may run to a maximum; the
-    result is compared with that sample, and both ends are among the samples.
+    Halley's steps start at the best of several samples, both ends included, and stay between its neighbours, since free steps may run to a
+    maximum. The better of result and sample is returned.
     """
     n = control.shape[-2] - 1
     samples = torch.linspace(0, 1, SAMPLES_PER_DEGREE * max(n, 1) + 1).to(control)

@@ -1,4 +1,4 @@
-"""Functions that command modules in place of drawing: mechanical bending and levelling, and dimming (T 3.4, 4.1)."""
+"""Functions that command modules instead of drawing: mechanical bending and levelling, and dimming (T 3.4, 4.1)."""
 
 import math
 from abc import abstractmethod
@@ -21,7 +21,7 @@ MOVED: Final[Mapping[Movement, str]] = {"swivel_deg": "swivelled", "level_deg": 
 
 
 class Movable(Protocol):
-    """A module by its name ("left hires"), with what it can be turned by from its rest, least and most."""
+    """A module that can be turned: its name, such as "left hires", and its ranges of swivel and level from rest, in deg."""
 
     @property
     def name(self) -> str: ...
@@ -35,71 +35,73 @@ class Movable(Protocol):
 
 @dataclass(frozen=True)
 class Given:
-    """What a function commanded at a time: each command with the lamps or modules that it is for, all where none are named."""
+    """Commands of a function at a time, one for each module that it names."""
 
     time_s: float
-    commands: tuple[tuple[tuple[str, ...], ModuleCommand], ...]
+    commands: tuple[tuple[str, ModuleCommand], ...]
 
 
 @runtime_checkable
 class CommandingFunction(Protocol):
     """A function that commands modules."""
 
-    def commanded(self, before: Given | None, now: Situation) -> Given:
-        """What it commands now. before: what it did last, None of one that begins."""
+    def commanded(self, before: Given | None, now: Situation, modules: Sequence[Movable]) -> Given:
+        """The commands now for the car's modules. before: its previous commands, None at the start."""
         ...
 
 
 class CommandParams(Timed):
-    """What all functions have that command modules."""
+    """Common parameters of the functions that command modules."""
 
     movement: ClassVar[Movement]
-    modules: tuple[str, ...] = Field((), description="lamps or modules that it commands; left out: all that can do so")
+    modules: tuple[str, ...] = Field((), description="lamps or modules that it commands; left out: all that support the command")
 
     @abstractmethod
     def wanted(self, now: Situation) -> float:
-        """What it wants of its movement."""
+        """The wanted value of its movement: an angle in deg or a share of the maximum intensity."""
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
-        """None: it draws nothing."""
+        """No primitives: the function draws nothing."""
         return ()
 
-    def commanded(self, before: Given | None, now: Situation) -> Given:
-        """What it wants, at rest while it is not active."""
+    def commanded(self, before: Given | None, now: Situation, modules: Sequence[Movable]) -> Given:
+        """The wanted command for each module; at rest while the function is not active."""
         wanted = self.wanted(now) if self.active(now.time_s) else getattr(REST, self.movement)
-        return self._given(now.time_s, wanted)
-
-    def _given(self, time_s: float, value: float) -> Given:
-        return Given(time_s, ((self.modules, ModuleCommand(**{self.movement: value})),))
+        command = ModuleCommand(**{self.movement: wanted})
+        return Given(now.time_s, tuple((module.name, command) for module in modules if self.moves(module)))
 
     def moves(self, module: Movable) -> bool:
-        """Whether it means a module that can do so."""
+        """Whether it commands this module and the module supports the command."""
         return meant(self.modules, module.name) and (self.movement == "intensity" or any(getattr(module, self.movement)))
 
 
 class TurningParams(CommandParams):
-    """What functions have that turn modules."""
+    """Common parameters of the functions that turn modules."""
 
     rate_deg_s: float
 
-    def commanded(self, before: Given | None, now: Situation) -> Given:
-        """What it wants, as far as its motors get from where they were; one that begins is there."""
-        given = super().commanded(before, now)
-        if before is None:
-            return given
-        was, wanted = (getattr(each.commands[0][1], self.movement) for each in (before, given))
-        far = self.rate_deg_s * max(now.time_s - before.time_s, 0.0)
-        return self._given(now.time_s, min(max(wanted, was - far), was + far))
+    def commanded(self, before: Given | None, now: Situation, modules: Sequence[Movable]) -> Given:
+        """The wanted angle within each module's range, limited by the motors' rate from the previous one on."""
+        ranges = {module.name: getattr(module, self.movement) for module in modules}
+        was = {} if before is None else dict(before.commands)
+        far = 0.0 if before is None else self.rate_deg_s * max(now.time_s - before.time_s, 0.0)
+        given = []
+        for name, command in super().commanded(before, now, modules).commands:
+            low, high = ranges[name]
+            wanted = min(max(getattr(command, self.movement), low), high)  # before the rate, or a motor at its end would wind up
+            begins = getattr(was[name], self.movement) if was else wanted
+            given.append((name, ModuleCommand(**{self.movement: min(max(wanted, begins - far), begins + far)})))
+        return Given(now.time_s, tuple(given))
 
 
 class BendingParams(TurningParams):
-    """Swivels modules into curves, by speed and curvature of the car's course."""
+    """Swivels modules into curves by the speed and the curvature of the car's course."""
 
     movement: ClassVar[Movement] = "swivel_deg"
     kind: Literal["bending"] = "bending"
-    look_ahead_s: float = Field(2.0, gt=0, le=5, description="how far ahead modules point, as time at the car's speed")
-    largest_deg: float = Field(15.0, gt=0, le=30, description="swivels no further than this, nor than a module can")
-    rate_deg_s: float = Field(25.0, gt=0, le=1000, description="how fast motors swivel")
+    look_ahead_s: float = Field(2.0, gt=0, le=5, description="how far ahead modules point, as travel time at the car's speed")
+    largest_deg: float = Field(15.0, gt=0, le=30, description="limit of the swivel; each module's own range limits it as well")
+    rate_deg_s: float = Field(25.0, gt=0, le=1000, description="rate of the swivel motors")
 
     def wanted(self, now: Situation) -> float:
         bend = math.degrees(bend_of_course(now.curvature_1_m, self.look_ahead_s * now.speed_m_s))
@@ -107,25 +109,25 @@ class BendingParams(TurningParams):
 
 
 class LevelAtParams(Params):
-    """An angle of levelling at a time."""
+    """A levelling angle at a time."""
 
     time_s: float = Field(0.0, ge=0, le=1e6, description="time of this entry")
     level_deg: float = Field(0.0, ge=-10, le=10, description="turned down")
 
 
 class LevellingParams(TurningParams):
-    """Levels modules against the pitch of the body, so that the cut-off stays where it is on the road."""
+    """Levels modules against the pitch of the body, so that the cut-off stays in place on the road."""
 
     movement: ClassVar[Movement] = "level_deg"
     kind: Literal["levelling"] = "levelling"
-    dynamic: bool = Field(True, description="turns against the measured pitch of the body")
-    entries: tuple[LevelAtParams, ...] = Field((), description="angles over ascending time, in addition; even in between, constant outside")
-    rate_deg_s: float = Field(20.0, gt=0, le=1000, description="how fast motors level")
+    dynamic: bool = Field(True, description="compensate the measured pitch of the body")
+    entries: tuple[LevelAtParams, ...] = Field((), description="additional angles over ascending time; linear in between, constant outside")
+    rate_deg_s: float = Field(20.0, gt=0, le=1000, description="rate of the levelling motors")
 
     @model_validator(mode="after")
     def _levels(self) -> Self:
         if not (self.dynamic or self.entries):
-            raise ValueError("entries: nothing is levelled without them where dynamic is false; give some, or leave dynamic out")
+            raise ValueError("entries: with dynamic = false and no entries nothing is levelled; give entries, or leave dynamic out")
         return _ascending(self)
 
     def wanted(self, now: Situation) -> float:
@@ -137,7 +139,7 @@ class IntensityAtParams(Params):
     """A maximum intensity at a time."""
 
     time_s: float = Field(0.0, ge=0, le=1e6, description="time of this entry")
-    share: float = Field(ge=0, le=1, description="share of a module's maximum intensity")
+    share: float = Field(ge=0, le=1, examples=[0.5], description="share of a module's maximum intensity")
 
 
 class DimmingParams(CommandParams):
@@ -146,7 +148,7 @@ class DimmingParams(CommandParams):
     movement: ClassVar[Movement] = "intensity"
     kind: Literal["dimming"] = "dimming"
     entries: tuple[IntensityAtParams, ...] = Field(
-        min_length=1, description="maximum intensity over ascending time; even in between, constant outside"
+        min_length=1, examples=[[{"share": 0.5}]], description="maximum intensity over ascending time; linear in between, constant outside"
     )
 
     @model_validator(mode="after")
@@ -158,10 +160,10 @@ class DimmingParams(CommandParams):
 
 
 def composed(given: Iterable[Given], modules: Iterable[Movable]) -> Commands:
-    """One command a module of what all functions give: turns add up, as far as a module can be turned, and intensities multiply."""
+    """One command for each module from those of all functions: turns add up within the module's range, intensities multiply."""
     of_all, commands = [command for each in given for command in each.commands], []
     for module in modules:
-        mine = [command for names, command in of_all if meant(names, module.name)]
+        mine = [command for name, command in of_all if name == module.name]
         swivel, level = (
             min(max(sum(getattr(each, key) for each in mine), low), high)
             for key, (low, high) in (("swivel_deg", module.swivel_deg), ("level_deg", module.level_deg))
@@ -171,7 +173,7 @@ def composed(given: Iterable[Given], modules: Iterable[Movable]) -> Commands:
 
 
 def over_time(entries: Sequence[Any], time_s: float, key: str) -> float:
-    """A value between entries in ascending `time_s`."""
+    """Linear interpolation of a key between entries in ascending `time_s`, constant outside."""
     return float(np.interp(time_s, [each.time_s for each in entries], [getattr(each, key) for each in entries]))
 
 

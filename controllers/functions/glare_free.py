@@ -15,38 +15,38 @@ from perception.tracking import LINGER_S
 from world.frames import inverse, transform
 from world.params import Params
 
-FADING = 1e6  # weight of a mask that fades: beats all but masks that do not, which an infinite one would be averaged with
-CLEARANCE = 0.8  # share of the gap between a box and a lamp beside it that a margin may take
+FADING = 1e6  # weight of a fading mask: above all others but the infinite weight of full masks, with which it must not be averaged
+CLEARANCE = 0.8  # share of the gap between a box and a nearby lamp that a margin may take
 
 
 class SoftZoneParams(Params):
-    """A larger box that is dimmed only."""
+    """A larger box around the mask in which the base beam is dimmed."""
 
-    margin_m: float = Field(gt=0, le=10_000, description="how much larger it is to each side than the mask")
-    u_rel: float = Field(ge=0, le=1, description="what is left of the base beam in it")
+    margin_m: float = Field(gt=0, le=10_000, examples=[0.5], description="margin beyond the mask on each side")
+    u_rel: float = Field(ge=0, le=1, examples=[0.3], description="share of the base beam that remains in it")
 
 
 class GlareFreeParams(SelectionParams):
-    """No light on other road users."""
+    """Keeps light off other road users."""
 
     kind: Literal["glare_free"] = "glare_free"
     margin_m: float = Field(0.2, ge=0, le=10_000, description="safety margin around the box, except below its foot")
-    margin_deg: float = Field(0.2, ge=0, le=5, description="the same as an angle seen from the lamps, in addition")
-    fade_in_s: float = Field(0.0, ge=0, le=1e6, description="time to go dark for a new object; 0 goes dark at once, which is safe")
-    fade_out_s: float = Field(0.6, ge=0, le=LINGER_S, description="time to become bright again behind an object that is gone")
+    margin_deg: float = Field(0.2, ge=0, le=5, description="additional margin as an angle seen from the lamps")
+    fade_in_s: float = Field(0.0, ge=0, le=1e6, description="time until a new object is dark; 0 is immediate and safe")
+    fade_out_s: float = Field(0.6, ge=0, le=LINGER_S, description="time until full light returns where an object has vanished")
     soft_zones: tuple[SoftZoneParams, ...] = Field((), max_length=LAYERS - 1, description="dimmed boxes around the mask, inner ones first")
 
     @model_validator(mode="after")
     def _inner_zones_first(self) -> Self:
         margins = [zone.margin_m for zone in self.soft_zones]
         if any(outer <= inner for inner, outer in pairwise(margins)):
-            raise ValueError(f"soft_zones: margin_m must ascend, or inner zones hide outer ones, here {margins}; put the smallest first")
+            raise ValueError(f"soft_zones: margin_m must ascend, here {margins}; put the smallest first")
         return self
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
-        """A cuboid of six outward primitives for each object, forced and of infinite weight, and one for each soft zone.
+        """A cuboid of six outward primitives for each object, forced and of infinite weight, and one cuboid for each soft zone.
 
-        What fades gives light again, so it yields to all that is still dark: it is of finite weight and less priority.
+        A fading mask lets light through again and must yield to full masks, so its weight is finite and its priority lower.
         """
         return tuple(part for each in self.selected(now) for part in self._around(each, now))
 
@@ -69,10 +69,10 @@ class GlareFreeParams(SelectionParams):
 
 
 def enlarged(each: TrackedObject, margin_m: float, lamps: Tensor) -> tuple[Tensor, Tensor]:
-    """Corners `[3]` m in the object's frame of its box with a margin to all sides but the foot, which stays: below is the road to be lit.
+    """Two opposite corners `[3]` m, in the object's frame, of its box with a margin on all sides but the foot: the road below stays lit.
 
-    lamps: `[L, 3]` m. A box around a lamp would have only back faces, which mask nothing, so on the side on which a lamp is farthest
-    from the box the margin ends before it.
+    lamps: positions `[L, 3]` m. A box around a lamp would show it only back faces, which mask nothing, so the margin ends before the lamp,
+    on the side where the lamp is farthest from the box.
     """
     length, width, height = each.size_m
     low, high = torch.tensor([[-length / 2, -width / 2, 0.0], [length / 2, width / 2, height]], dtype=torch.float64)

@@ -1,4 +1,4 @@
-"""Optical lane and width assistant: where the lane goes, and whether the car fits through (T 3.5.2)."""
+"""Optical lane assistant and width assistant: course of the lane, and width of the car (T 3.5.2)."""
 
 import math
 from typing import Literal, Self
@@ -11,12 +11,12 @@ from controllers.geometry import strip
 from controllers.pixels.primitives import Primitives
 from controllers.situation import Drawn, Situation
 
-QUARTER_TURN = math.pi / 2  # rad, as far as a cubic curve follows a circle
-STRAIGHT_1_M = 1e-5  # a curve that turns less leaves its tangent by 2 cm in 60 m
+QUARTER_TURN = math.pi / 2  # rad, the largest arc that one cubic curve approximates
+STRAIGHT_1_M = 1e-5  # a curve of less curvature leaves its tangent by 2 cm in 60 m
 
 
 class Stretch(Drawn):
-    """What is drawn on the road from one distance to another."""
+    """A drawing on the road between two distances."""
 
     near_m: float = Field(ge=-10_000, le=10_000)
     far_m: float = Field(ge=-10_000, le=10_000)
@@ -24,24 +24,24 @@ class Stretch(Drawn):
     @model_validator(mode="after")
     def _far_is_beyond_near(self) -> Self:
         if self.far_m <= self.near_m:
-            raise ValueError(f"far_m: {self.far_m:g} m is not beyond near_m = {self.near_m:g} m, so nothing is drawn; raise it")
+            raise ValueError(f"far_m: {self.far_m:g} m is not beyond near_m = {self.near_m:g} m, so nothing would be drawn; raise it")
         return self
 
 
 class LaneParams(Stretch):
-    """A carpet of light on the lane, or a line along each of its borders, bent as the car's course."""
+    """A carpet of light on the lane, or a line along each of its borders, bent like the car's course."""
 
     kind: Literal["lane"] = "lane"
     style: Literal["carpet", "lines"] = Field("carpet", description="`carpet` fills the lane, `lines` marks its borders")
-    lane_width_m: float = Field(2.6, gt=0, le=10_000, description="width of the carpet, or between the middles of the lines")
+    lane_width_m: float = Field(2.6, gt=0, le=10_000, description="width of the carpet, or distance between the centres of the lines")
     line_width_m: float = Field(0.2, gt=0, le=10_000, description="width of a line")
-    near_m: float = Field(6.0, gt=0, le=10_000, description="where it begins, ahead of the car")
-    far_m: float = Field(40.0, gt=0, le=10_000, description="where it ends; in a tight bend after a quarter turn")
-    y_m: float = Field(0.0, ge=-10_000, le=10_000, description="middle of the lane at the car, to the left")
+    near_m: float = Field(6.0, gt=0, le=10_000, description="where it starts, ahead of the car")
+    far_m: float = Field(40.0, gt=0, le=10_000, description="where it ends; in a tight bend it ends after a quarter turn")
+    y_m: float = Field(0.0, ge=-10_000, le=10_000, description="lateral position of the lane's centre at the car, left positive")
     texel_m: float = Field(0.1, gt=0, le=1, description="resolution of the drawing in a bend")
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
-        """Rectangles on a straight course; in a bend a drawing along a cubic curve."""
+        """Rectangles on a straight course; a drawing along a cubic curve in a bend."""
         if not self.active(now.time_s):
             return ()
         carpet = self.style == "carpet"
@@ -55,11 +55,11 @@ class LaneParams(Stretch):
 
 
 class WidthParams(Stretch):
-    """Two lines as far apart as the car is wide, for narrow passages."""
+    """Two lines that show the car's width, for narrow passages."""
 
     kind: Literal["width"] = "width"
     vehicle_width_m: float = Field(
-        2.1, gt=0, le=10_000, description="between the outer edges of the lines: the car's width with its mirrors"
+        2.1, gt=0, le=10_000, description="distance between the outer edges of the lines: the car's width with mirrors"
     )
     line_width_m: float = Field(0.15, gt=0, le=10_000, description="width of a line")
     near_m: float = Field(5.0, gt=0, le=10_000, description="where the lines begin, ahead of the car")
@@ -79,9 +79,9 @@ def straight(params: Drawn, now: Situation, near_m: float, far_m: float, y_m: fl
 
 
 def arc(curvature_1_m: float, near_m: float, far_m: float, y_m: float = 0.0) -> torch.Tensor:
-    """Control points `[4, 2]` m of the cubic curve closest to the circle through the car, between two lengths along it.
+    """Control points `[4, 2]` m of a cubic Bezier curve that approximates the car's circular course between two arc lengths.
 
-    Its distance from the circle is below 3e-4 of the radius up to a quarter turn.
+    Up to a quarter turn it deviates from the circle by less than 3e-4 of the radius.
     """
     angle = curvature_1_m * (far_m - near_m)
     reach = 4 / 3 * math.tan(angle / 4) / curvature_1_m

@@ -1,4 +1,4 @@
-"""Marker light: a line on the road that leads to an object, or light on the object itself (T 3.5.1, 7.2.2)."""
+"""Marker light: a line on the road towards an object, or light on the object itself (T 3.5.1, 7.2.2)."""
 
 from typing import Literal
 
@@ -12,23 +12,23 @@ from controllers.situation import Category, Drawn, SelectionParams, Situation, T
 from world.frames import inverse, transform
 from world.symbols import Still
 
-SHORTEST_M = 0.5  # a shorter line leads nowhere
+SHORTEST_M = 0.5  # shorter lines are not drawn
 WHITE = Still(torch.ones(1, 1))
 
 
 class MarkerParams(Drawn, SelectionParams):
-    """Guides the driver's eye to an object."""
+    """Directs the driver's attention to an object."""
 
     kind: Literal["marker"] = "marker"
-    categories: tuple[Category, ...] = Field(("pedestrian", "animal"), min_length=1, description="classes of objects meant")
-    target: Literal["road", "body"] = Field("road", description="`road`: a line that leads to it; `body`: light on it")
+    categories: tuple[Category, ...] = Field(("pedestrian", "animal"), min_length=1, description="classes of objects that it marks")
+    target: Literal["road", "body"] = Field("road", description="`road`: a line towards the object; `body`: light on the object")
     width_m: float = Field(0.25, gt=0, le=10_000, description="width of the line")
-    near_m: float = Field(8.0, gt=0, le=10_000, description="where the line begins, ahead of the lamps")
-    gap_m: float = Field(0.5, ge=0, le=10_000, description="how far before the object it ends")
-    up_to: float = Field(0.6, gt=0, le=1, description="share of the body's height that is lit, from the foot, so that it does not dazzle")
-    surround_m: float = Field(0.0, ge=0, le=10_000, description="how far beside the line the base beam is dimmed, for contrast")
-    surround_u_rel: float = Field(0.3, ge=0, le=1, description="what is left of the base beam there")
-    animation: AnimationParams | None = Field(None, description="how it changes with time; left out: it stands still")
+    near_m: float = Field(8.0, gt=0, le=10_000, description="where the line starts, ahead of the lamps")
+    gap_m: float = Field(0.5, ge=0, le=10_000, description="distance from the end of the line to the object")
+    up_to: float = Field(0.6, gt=0, le=1, description="share of the body's height that is lit, from the feet up, to avoid dazzling")
+    surround_m: float = Field(0.0, ge=0, le=10_000, description="width of the dimmed surround on each side of the line, for contrast")
+    surround_u_rel: float = Field(0.3, ge=0, le=1, description="share of the base beam that remains in the surround")
+    animation: AnimationParams | None = Field(None, description="animation; left out: none")
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
         if not self.active(now.time_s) or (self.animation and not Animated(WHITE, self.animation).shows(now.time_s)):

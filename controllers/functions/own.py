@@ -1,14 +1,14 @@
-"""A lighting function of the user's own, named in the scenario by `package.module:Name`."""
+"""A user-defined lighting function, named in the scenario by `package.module:Name`."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass
 from typing import Any
 
 from pydantic import Field
 
-from controllers.functions.commands import Given
-from controllers.pixels.primitives import QUANTITIES, Primitives
+from controllers.functions.commands import Given, Movable
+from controllers.pixels.primitives import QUANTITIES, Primitives, meant
 from controllers.situation import AdaptiveFunction, LightingFunction, Situation
 from world import plugin
 from world.errors import LuxloopError
@@ -22,19 +22,19 @@ SHARE = QUANTITIES.index("u_abs")
 
 
 class OwnFunction(Params):
-    """`Name(**options)` of a module of the user's own makes the function."""
+    """`Name(**options)` of a user's module makes the function."""
 
     kind: plugin.OwnName
     options: dict[str, Any] = Field({}, description="keyword arguments of Name")
 
 
 def own_function(params: OwnFunction) -> LightingFunction | AdaptiveFunction:
-    """Import and make it. Raises LuxloopError where there is none, it does not take its options, or lacks a method."""
+    """Import and construct the function. Raises LuxloopError if it does not exist, refuses its options or lacks a method."""
     return function_of(plugin.load(params.kind, KEY, ()), params)
 
 
 def function_of(made_by: type, params: OwnFunction) -> "CheckedFunction | CheckedAdaptive":
-    """The same of a class that is at hand."""
+    """As `own_function`, for a class that is already imported."""
     learns = any(hasattr(made_by, method) for method in ADAPTIVE)
     plugin.check_methods(made_by, f"{KEY}: {params.kind}", ADAPTIVE if learns else METHODS)
     own = plugin.made(made_by, params.kind, KEY, {}, params.options)
@@ -43,7 +43,7 @@ def function_of(made_by: type, params: OwnFunction) -> "CheckedFunction | Checke
 
 @dataclass(frozen=True)
 class CheckedFunction:
-    """The user's own function, whose primitives are checked."""
+    """A user-defined function whose primitives are checked."""
 
     own: plugin.Guarded
 
@@ -54,16 +54,16 @@ class CheckedFunction:
 
 @dataclass(frozen=True)
 class CheckedAdaptive:
-    """One that learns from what is seen, whose primitives are checked."""
+    """A user-defined adaptive function whose primitives are checked."""
 
     own: plugin.Guarded
 
     def start(self) -> Any:
-        """Its state before anything is seen."""
+        """The state before the first frame."""
         return self.own.start()
 
     def step(self, state: Any, now: Situation) -> Any:
-        """Its state after a frame."""
+        """The state after a frame."""
         return self.own.step(state, now)
 
     def adapted(self, state: Any, now: Situation) -> tuple[Primitives, ...]:
@@ -71,17 +71,17 @@ class CheckedAdaptive:
         return checked(self.own.adapted(state, now), self.own, "adapted")
 
     def base_share(self, state: Any) -> float | None:
-        """Raises LuxloopError where that is no share."""
+        """Raises LuxloopError if the value is no share."""
         share = self.own.base_share(state)
         if share is not None and not (isinstance(share, int | float) and 0 <= share <= 1):
             raise LuxloopError(
-                f"{KEY}: {self.own.name}: base_share gives {share!r}; give 0..1 of the base beam, or None for what others want"
+                f"{KEY}: {self.own.name}: base_share gives {share!r}; give a share of the base beam, 0..1, or None for no demand"
             )
         return share
 
 
 def own_commands(function: Any) -> Any:
-    """What commands modules of a function: of one of the user's own its `commands`, if it has any; of others the function itself."""
+    """The object that commands modules for a function: `commands` of a user-defined one, if it has that; else the function itself."""
     own = getattr(function, "own", None)
     if not isinstance(own, plugin.Guarded):
         return function
@@ -90,19 +90,23 @@ def own_commands(function: Any) -> Any:
 
 @dataclass(frozen=True)
 class OwnCommands:
-    """The `commands` of the user's own function, by names of lamps and modules, which are checked."""
+    """The `commands` of a user-defined function, by names of lamps and modules, checked."""
 
     own: plugin.Guarded
 
-    def commanded(self, before: Given | None, now: Situation) -> Given:
-        """Raises LuxloopError where it fails, or gives something else."""
+    def commanded(self, before: Given | None, now: Situation, modules: Sequence[Movable]) -> Given:
+        """Raises LuxloopError where it fails, gives something else, or commands what is not there."""
         given = self.own.commands(now)
         if not isinstance(given, Mapping) or not all(isinstance(name, str) and _possible(each) for name, each in given.items()):
             raise LuxloopError(
                 f"{KEY}: {self.own.name}: commands gives {given!r}; give luxloop.ModuleCommand by names of lamps or modules, of finite "
                 "angles in deg and an intensity of 0 to 1"
             )
-        return Given(now.time_s, tuple(((name,), each) for name, each in given.items()))
+        for name in given:
+            if not any(meant((name,), module.name) for module in modules):
+                known = ", ".join(module.name for module in modules)
+                raise LuxloopError(f"{KEY}: {self.own.name}: commands the module {name!r}, which is not there; there are {known}")
+        return Given(now.time_s, tuple((module.name, given[name]) for module in modules for name in given if meant((name,), module.name)))
 
 
 def _possible(command: Any) -> bool:
@@ -110,20 +114,18 @@ def _possible(command: Any) -> bool:
 
 
 def checked(parts: Any, own: plugin.Guarded, method: str) -> tuple[Primitives, ...]:
-    """Raises LuxloopError where parts are no primitives that lamps can draw."""
+    """The parts as a tuple of primitives. Raises LuxloopError if lamps cannot draw them."""
     where = f"{KEY}: {own.name}: {method}"
     if not isinstance(parts, tuple | list) or not all(isinstance(each, Primitives) for each in parts):
         what = (
             type(parts).__name__ if not isinstance(parts, tuple | list) else f"list of {', '.join(type(each).__name__ for each in parts)}"
         )
-        raise LuxloopError(f"{where} gives a {what}; give a list of what luxloop.rectangle makes, an empty one where nothing is drawn")
+        raise LuxloopError(f"{where} gives a {what}; give a list of values made by luxloop.rectangle; an empty one draws nothing")
     for each in parts:
         if each.origin.ndim != 2:
-            raise LuxloopError(
-                f"{where} gives corners {list(each.origin.shape)}; give rectangles [P, 3], for one situation there is no batch"
-            )
+            raise LuxloopError(f"{where} gives corners {list(each.origin.shape)}; give rectangles [P, 3] without batch dimensions")
         if not all(bool(value.isfinite().all()) for value in (each.origin, each.d1, each.d2, each.normal, each.value)):
-            raise LuxloopError(f"{where} gives places or setpoints that are not finite; leave out what is not to be drawn")
+            raise LuxloopError(f"{where} gives positions or setpoints that are not finite; leave out what should not be drawn")
         shares = each.value[each.quantity == SHARE]
         if bool((each.value < 0).any()) or bool((shares > 1).any()):
             raise LuxloopError(

@@ -1,4 +1,4 @@
-"""Light along curves on the road: paths, chevrons bent along them, lane borders (T B.2)."""
+"""Light along curves on the road: paths, symbols bent along them, lane borders (T B.2)."""
 
 import math
 from functools import lru_cache
@@ -17,28 +17,31 @@ from controllers.situation import Drawn, Situation
 from world.params import Metres
 
 Point = tuple[float, float]
-MOST_TEXELS = 1e7  # of a drawing: 250 m x 100 m at 5 cm
+MOST_TEXELS = 1e7  # limit of a drawing: 250 m x 100 m at 5 cm
 
 
 class PathParams(Drawn):
-    """A Bezier curve on the road, drawn as a band or with a symbol that is repeated and bent along it."""
+    """A Bezier curve on the road, drawn as a band or as a symbol repeated and bent along it."""
 
     kind: Literal["path"] = "path"
     control_m: tuple[tuple[Metres, Metres], ...] = Field(
-        min_length=2, max_length=12, description="control points, x ahead and y left, from the car outward"
+        min_length=2,
+        max_length=12,
+        examples=[[[6.0, 0.0], [40.0, 3.0]]],
+        description="control points, x ahead and y left, from the car outward",
     )
     width_m: float = Field(1.0, gt=0, le=10_000, description="width of the band")
-    image: str | None = Field(None, description="symbol that is bent along the curve, its far end ahead; left out: an even band")
-    image_length_m: float = Field(3.0, gt=0, le=10_000, description="length of one such symbol along the curve")
-    image_pitch_m: float = Field(4.0, gt=0, le=10_000, description="from one symbol to the next")
-    speed_m_s: float = Field(0.0, ge=-200, le=200, description="how fast the symbols run along the curve")
+    image: str | None = Field(None, description="symbol bent along the curve, its far end ahead; left out: an even band")
+    image_length_m: float = Field(3.0, gt=0, le=10_000, description="length of one symbol along the curve")
+    image_pitch_m: float = Field(4.0, gt=0, le=10_000, description="spacing from one symbol to the next")
+    speed_m_s: float = Field(0.0, ge=-200, le=200, description="speed of the symbols along the curve")
     texel_m: float = Field(0.05, gt=0, le=1, description="resolution of the drawing")
 
     @model_validator(mode="after")
     def _has_a_length_and_a_small_drawing(self) -> Self:
         ahead, left = zip(*self.control_m, strict=True)
         if max(ahead) == min(ahead) and max(left) == min(left):
-            raise ValueError("control_m: all points are one, so the path has no length; move its last one on")
+            raise ValueError("control_m: all points coincide, so the path has no length; move the last one")
         texels = math.prod((max(at) - min(at) + self.width_m) / self.texel_m for at in (ahead, left))
         if texels > MOST_TEXELS:
             raise ValueError(f"control_m: the curve's drawing would have {texels:.1e} texels, not {MOST_TEXELS:.0e}; raise texel_m")
@@ -58,16 +61,16 @@ class PathParams(Drawn):
 
 @lru_cache(maxsize=16)
 def drawn(control_m: tuple[Point, ...], reach_m: float, texel_m: float) -> "Drawing":
-    """The same curve is asked for step after step."""
+    """Cached, since every step asks for the same curve."""
     return Drawing(torch.tensor(control_m, dtype=torch.float64), reach_m, texel_m)
 
 
 class Drawing:
-    """Texels of a rectangle on the road around a curve, each with its place on the curve.
+    """Texels of a rectangle on the road around a curve, each with its closest point on the curve.
 
-    low: `[2]` m, the corner with the least x and y. shape: rows, columns. distance: `[h, w]` m, to the left of the curve positive.
-    along: `[h, w]` m, arc length of the closest point. beyond: `[h, w]` m, how far before the start or after the end.
-    nearest: `[h, w]` m, distance to the curve, around its ends too, which T eq. B.2.2 asks for; infinite for texels out of reach.
+    low: `[2]` m, the corner with the least x and y. shape: rows, columns. distance: `[h, w]` m, signed, positive to the left of the curve.
+    along: `[h, w]` m, arc length of the closest point. beyond: `[h, w]` m, distance before the start or after the end. nearest: `[h, w]` m,
+    distance to the curve including its ends (T eq. B.2.2); infinite for texels out of reach.
     """
 
     def __init__(self, control: Tensor, reach_m: float, texel_m: float) -> None:
@@ -80,7 +83,7 @@ class Drawing:
         x = low[0] + (rows - 0.5 - torch.arange(rows).to(control)) * texel_m  # row 0 is farthest ahead
         y = low[1] + (cols - 0.5 - torch.arange(cols).to(control)) * texel_m  # column 0 is farthest to the left
         texels = torch.stack([x[:, None].expand(shape), y.expand(shape)], -1)
-        # A thick stroke finds the few texels that are near: looking for the closest point of all would take most of the time.
+        # A thick stroke finds the few texels that are near: a search for the closest point of every texel would take most of the time.
         stroke = ((curve - low) / texel_m).flip(-1).round().int().numpy()
         painted = cv2.polylines(np.zeros(shape, np.uint8), [stroke], False, 1, thickness=2 * math.ceil(margin / texel_m) + 1)
         near = torch.from_numpy(np.asarray(painted, bool)).flip(0, 1)
@@ -100,22 +103,23 @@ class Drawing:
         self.beyond = image((away * tangent).sum(-1).abs(), math.inf)
 
     def place(self, T_world_vehicle: Tensor) -> Place:
-        """The rectangle on the road that is drawn on."""
+        """The rectangle on the road that holds the drawing."""
         length, width = (n * self.texel_m for n in self.shape)
         corner = self.low + self.low.new_tensor([length, width])
         return on_road(T_world_vehicle, corner, corner.new_tensor([0.0, -width]), corner.new_tensor([-length, 0.0]))
 
     def band(self, half_width_m: float, offset_m: float | None = None) -> Tensor:
-        """A band `[h, w]` in 0..1 on the curve that ends round, or with its middle offset_m to the left that ends straight.
+        """A band `[h, w]` in 0..1 along the curve, with round ends; with offset_m, its centre line lies so far to the left and its ends are
+        straight.
 
-        Its edges are soft over a texel.
+        The edges are soft over one texel.
         """
         if offset_m is None:
             return self._soft(half_width_m - self.nearest)
         return self._soft(torch.minimum(half_width_m - (self.distance - offset_m).abs(), self.texel_m / 2 - self.beyond))
 
     def bent(self, image: Tensor, width_m: float, length_m: float, pitch_m: float, shift_m: float = 0.0) -> Tensor:
-        """An image `[h, w]` bent along the curve, its last row first, again every pitch_m, and moved on by shift_m."""
+        """An image `[h, w]` bent along the curve, last row first, repeated every pitch_m and shifted along by shift_m."""
         place = (self.along - shift_m) % pitch_m
         u, v = 0.5 - self.distance / width_m, 1 - place / length_m
         grid = torch.stack([2 * u - 1, 2 * v - 1], -1)[None]

@@ -10,7 +10,7 @@ import torch
 from pydantic import AfterValidator, Field, Tag, TypeAdapter
 
 from controllers.functions.base_beams import BaseBeam, BaseBeamParams, RawParams
-from controllers.functions.commands import BendingParams, CommandingFunction, DimmingParams, Given, LevellingParams
+from controllers.functions.commands import BendingParams, CommandingFunction, DimmingParams, Given, LevellingParams, Movable
 from controllers.functions.glare_free import GlareFreeParams
 from controllers.functions.lane import LaneParams, WidthParams
 from controllers.functions.marker import MarkerParams
@@ -45,7 +45,7 @@ FunctionParams = Annotated[
     | Annotated[OwnFunction, Tag(OWN)],
     known_or_own("kind"),
 ]
-ORDER: Final = (  # from top to bottom, where two functions of equal priority lie in one place
+ORDER: Final = (  # from top to bottom, for functions of equal priority that overlap
     ("glare_free",),
     ("symbol",),
     (OWN,),
@@ -54,12 +54,12 @@ ORDER: Final = (  # from top to bottom, where two functions of equal priority li
     ("sign",),
     ("object_based",),
     ("zone", "material"),
-    ("bending", "levelling", "dimming"),  # which draw nothing
+    ("bending", "levelling", "dimming"),  # these draw nothing
 )
 
 
 def in_order(functions: Mapping[str, FunctionParams]) -> dict[str, FunctionParams]:
-    """Functions from top to bottom: by ORDER, of symbols those first that a controller holds, and those alike by name."""
+    """Functions from top to bottom: by ORDER, symbols with a controller before other symbols, equal ones by name."""
     rank = {kind: k for k, kinds in enumerate(ORDER) for kind in kinds}
 
     def place(item: tuple[str, FunctionParams]) -> tuple[int, bool, str]:
@@ -70,39 +70,39 @@ def in_order(functions: Mapping[str, FunctionParams]) -> dict[str, FunctionParam
 
 
 Functions = Annotated[Mapping[PlainName, FunctionParams], AfterValidator(in_order)]
-States = Mapping[str, Any]  # of all functions, by name; None of those that learn nothing
+States = Mapping[str, Any]  # by function name; None for functions without state
 
 
 class LightingParams(Params):
-    """What is common to all light of the car: the base beam below its functions, and what holds for all of them."""
+    """The base beam, and settings that hold for all lighting functions of the car."""
 
-    base: BaseBeamParams = Field(BaseBeamParams(), description="the light below all functions")
-    raw: tuple[RawParams, ...] = Field((), description="utilisations of pixels that take the place of the base beam")
-    power_limit: float | None = Field(None, gt=0, le=1, description="largest power of a lamp, as a share of all pixels on; none: unlimited")
-    share: bool = Field(True, description="modules that reach a point share its illuminance, so that light is not doubled")
-    street_lamps: bool = Field(False, description="take off what street lamps give already")
+    base: BaseBeamParams = Field(BaseBeamParams(), description="the light on which all functions are drawn")
+    raw: tuple[RawParams, ...] = Field((), description="given pixel utilisations that replace the base beam")
+    power_limit: float | None = Field(None, gt=0, le=1, description="power limit of a lamp, as a share of all pixels on; left out: none")
+    share: bool = Field(True, description="modules that reach the same point share its illuminance, so that light is not doubled")
+    street_lamps: bool = Field(False, description="subtract the light of street lamps from setpoints")
     shadow_rays: bool = Field(
-        False, description="lamps that an object blocks are made up for by others; what an observer cannot see is off"
+        False, description="other lamps compensate for one that an object blocks; what the observer cannot see is not lit"
     )
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What the lamps shall do at one moment. primitives: None where no function has anything to do, then the base beam is all."""
+    """What the lamps show at one time. primitives: None if no function draws, so that the base beam alone is shown."""
 
     time_s: float
     base: BaseBeam
     primitives: Primitives | None
 
     def for_module(self, name: str) -> Primitives | None:
-        """What a module may draw, by its name, its lamp's, or both ("left hires"); None where that is nothing."""
+        """The primitives of a module, named by itself, its lamp or both ("left hires"); None if there are none."""
         mine = None if self.primitives is None else self.primitives.for_module(name)
         return mine if mine is not None and len(mine) else None
 
 
 @dataclass(frozen=True, eq=False)
 class Planner:
-    """The functions of a scenario by name, from top to bottom, with the symbols that they draw."""
+    """The functions of a scenario by name, from top to bottom, with their symbol images."""
 
     functions: Mapping[str, LightingFunction | AdaptiveFunction]
     lighting: LightingParams
@@ -117,11 +117,11 @@ class Planner:
         find: Callable[[str], Path] = Path,
         dtype: torch.dtype = torch.float32,
     ) -> "Planner":
-        """Load every symbol once. functions: by name, parameters or tables as scenario files have them. find: turns the name of a shipped
-        symbol or a path into a path.
+        """Load every symbol once. functions: parameters, or tables as in scenario files, by name. find: returns the path of a shipped
+        symbol's name or of a path.
 
-        Raises pydantic's ValidationError for a bad table, and LuxloopError that names the key of a bad symbol, or of a function of the
-        user's own that cannot be made.
+        Raises pydantic's ValidationError for a bad table, and LuxloopError that names the key of a bad symbol or of a user-defined function
+        that cannot be made.
         """
         ordered, symbols = TypeAdapter(Functions).validate_python(functions), dict[str, SymbolSource]()
         made: dict[str, LightingFunction | AdaptiveFunction] = {}
@@ -135,7 +135,7 @@ class Planner:
 
     @cached_property
     def adaptive(self) -> Mapping[str, AdaptiveFunction]:
-        """The functions that learn from what is seen, by name."""
+        """The functions with a state that depends on what is seen, by name."""
         return {name: each for name, each in self.functions.items() if isinstance(each, AdaptiveFunction)}
 
     @cached_property
@@ -146,15 +146,15 @@ class Planner:
 
     @property
     def learns(self) -> bool:
-        """Whether any function depends on what was seen before."""
+        """Whether any function depends on earlier frames."""
         return bool(self.adaptive)
 
     def start(self) -> States:
-        """Before anything is seen."""
+        """The states before the first frame."""
         return {name: self.adaptive[name].start() if name in self.adaptive else None for name in self.functions}
 
     def step(self, states: States, now: Situation) -> States:
-        """What the functions have learnt once `now.seen` has come."""
+        """The states after `now.seen`."""
         now = replace(now, symbols=dict(self.symbols))
         stepped = {}
         for name in self.functions:
@@ -162,12 +162,12 @@ class Planner:
                 stepped[name] = self.adaptive[name].step(states[name], now) if name in self.adaptive else None
         return stepped
 
-    def commanded(self, given: Mapping[str, Given], now: Situation) -> Mapping[str, Given]:
-        """What functions command now, by name; given: before."""
+    def commanded(self, given: Mapping[str, Given], now: Situation, modules: Sequence[Movable]) -> Mapping[str, Given]:
+        """The commands of all functions now for the car's modules, by name. given: their previous commands."""
         found = {}
         for name, each in self.commanding.items():
             with located(f"functions.{name}"):
-                found[name] = each.commanded(given.get(name), now)
+                found[name] = each.commanded(given.get(name), now, modules)
         return found
 
     def drawn(self, now: Situation, states: States) -> dict[str, tuple[Primitives, ...]]:
@@ -181,13 +181,13 @@ class Planner:
         return found
 
     def plan(self, now: Situation, states: States | None = None) -> Plan:
-        """Compose what all functions draw. states: what they have learnt; left out: nothing."""
+        """Compose what all functions draw into a plan. states: of the adaptive functions, by default those of `start`."""
         states = self.start() if states is None else states
         return self.composed(now, states, self.drawn(now, states))
 
     def composed(self, now: Situation, states: States, drawn: Mapping[str, Sequence[Primitives]]) -> Plan:
-        """Compose primitives of functions by name. Masks of road users beat everything else; else the higher priority wins where two lie in
-        one place, and of equal ones that which `in_order` puts on top.
+        """Compose the functions' primitives, given by name. Masks of road users override all else. Otherwise the higher priority wins where
+        two overlap, and at equal priority the one that `in_order` puts on top.
         """
         parts = [primitives for name in reversed(tuple(self.functions)) for primitives in drawn.get(name, ())]
         base = replace(self.lighting.base.at(now), share=self._base_share(states))

@@ -1,4 +1,4 @@
-"""Sign dimming: less light on traffic signs, whose reflection dazzles the driver (T 3.5.1, 7.2.2)."""
+"""Sign dimming: less light on traffic signs, whose retroreflection dazzles the driver (T 3.5.1, 7.2.2)."""
 
 from typing import Literal, Self
 
@@ -11,15 +11,17 @@ from controllers.situation import LAYERS, Category, SelectionParams, Situation, 
 
 
 class SignParams(SelectionParams):
-    """Dims signs, or lights them as bright as is good to read."""
+    """Sets the light on traffic signs, to dim them or keep them readable."""
 
     kind: Literal["sign"] = "sign"
-    categories: tuple[Category, ...] = Field(("sign",), min_length=1, description="classes of objects meant")
-    quantity: Literal["E_v", "u_abs", "u_rel"] = Field("u_rel", description="u_rel: a share of the base beam; E_v: lx on the sign")
+    categories: tuple[Category, ...] = Field(("sign",), min_length=1, description="classes of objects that it dims")
+    quantity: Literal["E_v", "u_abs", "u_rel"] = Field(
+        "u_rel", description="unit of the setpoint: u_rel, share of the base beam; u_abs, utilisation; E_v, lx on the sign"
+    )
     value: float = Field(0.2, ge=0, le=1e9, description="setpoint")
-    weight: float = Field(1.0, ge=0, le=1e6, description="how much it counts where a pixel lights more than the sign")
-    priority: int = Field(50, ge=0, le=100, description="of two functions in one place, the higher is drawn")
-    margin_m: float = Field(0.1, ge=0, le=10_000, description="how much larger than the sign the primitive is, to each side")
+    weight: float = Field(1.0, ge=0, le=1e6, description="weight against other light where a pixel lights more than the sign")
+    priority: int = Field(50, ge=0, le=100, description="where functions overlap, the higher priority is drawn")
+    margin_m: float = Field(0.1, ge=0, le=10_000, description="margin of the primitive beyond the sign on each side")
 
     @model_validator(mode="after")
     def _share_of_a_pixel(self) -> Self:
@@ -27,7 +29,7 @@ class SignParams(SelectionParams):
         return self
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
-        """One primitive in each sign's face, forced, turned to the car."""
+        """One forced primitive in the face of each sign, facing the car."""
         present = (each for each in self.selected(now) if each.since_s <= now.time_s < each.until_s)
         return tuple(self._face(each, now) for each in present)
 

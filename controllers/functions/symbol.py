@@ -1,4 +1,4 @@
-"""Symbols on the road: still, animated, only under a condition, undistorted for an observer, or held by a controller (T 3.5.2, 7.2.2)."""
+"""Symbols on the road: still, animated, conditional, undistorted for an observer, or held by a controller (T 3.5.2, 7.2.2)."""
 
 from dataclasses import replace
 from typing import Final, Literal, Self
@@ -23,14 +23,16 @@ from world.validation import sentences
 
 CONTROLLED: Final = ("start", "target", "features", "extraction")  # keys of symbols that a controller holds
 UNCONTROLLED: Final = ("yaw_deg", "animation", "observer", "share")  # keys of the others
-DRIVER_M = (-1.6, 0.35, 1.3)  # the driver's eye, seen from the car
+DRIVER_M = (-1.6, 0.35, 1.3)  # the driver's eye, in the vehicle frame
 
 
 class ConditionParams(SelectionParams):
-    """Whether any of the objects meant is there, at the distances given (T fig. 7.10)."""
+    """True while any of the selected objects is within the given distances (T fig. 7.10)."""
 
     categories: tuple[Category, ...] = Field(
-        ("car", "truck", "motorcycle", "cyclist", "pedestrian", "animal", "other"), min_length=1, description="classes of objects meant"
+        ("car", "truck", "motorcycle", "cyclist", "pedestrian", "animal", "other"),
+        min_length=1,
+        description="classes of objects that fulfil it",
     )
 
     def holds(self, now: Situation) -> bool:
@@ -38,25 +40,25 @@ class ConditionParams(SelectionParams):
 
 
 class ObserverParams(Params):
-    """For whom the symbol shall look like a picture that hangs upright in the air, turned to them."""
+    """An observer for whom the symbol looks like an upright picture in the air that faces them."""
 
-    eye_m: tuple[Metres, Metres, Metres] = Field(DRIVER_M, description="the eye, seen from the car (x ahead, y left, z up): the driver's")
-    name: str | None = Field(None, description="instead: the tracked object that looks")
-    eye_height_m: float = Field(1.5, gt=0, le=10_000, description="height of the tracked object's eye above its foot")
-    centre_m: tuple[Metres, Metres, Metres] = Field((12.0, 0.0, 0.5), description="middle of the picture, seen from the car")
+    eye_m: tuple[Metres, Metres, Metres] = Field(
+        DRIVER_M, description="eye position in the vehicle frame (x forward, y left, z up); by default the driver's"
+    )
+    name: str | None = Field(None, description="name of a tracked object as observer, instead of eye_m")
+    eye_height_m: float = Field(1.5, gt=0, le=10_000, description="height of the tracked observer's eye above its foot")
+    centre_m: tuple[Metres, Metres, Metres] = Field((12.0, 0.0, 0.5), description="centre of the picture in the vehicle frame")
     width_m: float = Field(2.0, gt=0, le=10_000, description="width of the picture")
     height_m: float = Field(0.6, gt=0, le=10_000, description="height of the picture")
 
     @model_validator(mode="after")
     def _one_observer(self) -> Self:
         if self.name is not None and self.eye_m != DRIVER_M:
-            raise ValueError(
-                f"eye_m: the observer is the object {self.name!r}, whose eye is eye_height_m above its foot; give one of the two"
-            )
+            raise ValueError(f"eye_m: the observer is the object {self.name!r} with its eye_height_m; give eye_m or name, not both")
         return self
 
     def eye(self, now: Situation) -> Tensor | None:
-        """`[3]` m in the world, None where the object that looks is not there."""
+        """Position of the eye `[3]` m in the world; None if the observing object is not tracked."""
         if self.name is None:
             return _world(now, self.eye_m)
         for each in now.objects:
@@ -65,7 +67,7 @@ class ObserverParams(Params):
         return None
 
     def picture(self, now: Situation, eye: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """The flying symbol, origin, d1 and d2 `[3]` m: upright on the road's plane, turned to the eye."""
+        """The flying symbol as origin, d1 and d2, `[3]` m each: perpendicular to the road's plane, facing the eye."""
         centre, up = _world(now, self.centre_m), now.T_world_vehicle[:3, 2].to(eye)
         towards = eye - centre
         normal = torch.nn.functional.normalize(towards - (towards @ up) * up, dim=0)
@@ -77,23 +79,27 @@ class SymbolFunctionParams(Drawn):
     """Draws a symbol on the road."""
 
     kind: Literal["symbol"] = "symbol"
-    image: str = Field(description="name of a shipped symbol, or path of a picture, SVG, video or folder of pictures")
-    x_m: float = Field(17.0, gt=0, le=10_000, description="centre ahead of the car")
-    y_m: float = Field(0.0, ge=-10_000, le=10_000, description="centre to the left")
-    yaw_deg: float = Field(0.0, ge=-180, le=180, description="turn to the left")
+    image: str = Field(
+        examples=["snowflake"], description="name of a shipped symbol, or path of a picture, SVG, video or folder of pictures"
+    )
+    x_m: float = Field(17.0, gt=0, le=10_000, description="position of the centre ahead of the car")
+    y_m: float = Field(0.0, ge=-10_000, le=10_000, description="lateral position of the centre, left positive")
+    yaw_deg: float = Field(0.0, ge=-180, le=180, description="rotation to the left")
     width_m: float = Field(2.0, gt=0, le=10_000, description="extent across")
     length_m: float = Field(4.0, gt=0, le=10_000, description="extent along")
-    animation: AnimationParams | None = Field(None, description="how it changes with time; left out: as the image does")
-    when: ConditionParams | None = Field(None, description="drawn only while such an object is there")
-    unless: ConditionParams | None = Field(None, description="not drawn while such an object is there")
-    observer: ObserverParams | None = Field(None, description="for whom it shall look undistorted; it takes the place of x_m to length_m")
-    controller: ControllerParams | None = Field(None, description="holds the symbol straight by what the camera sees; left out: none does")
-    start: StartParams | None = Field(None, description="where its control starts; left out: at x_m, y_m")
+    animation: AnimationParams | None = Field(None, description="animation; left out: none but that of a video itself")
+    when: ConditionParams | None = Field(None, description="draw only while such an object is present")
+    unless: ConditionParams | None = Field(None, description="do not draw while such an object is present")
+    observer: ObserverParams | None = Field(None, description="observer for whom it looks undistorted; replaces x_m to length_m")
+    controller: ControllerParams | None = Field(
+        None, description="controller that holds the symbol straight by what the camera sees; left out: none"
+    )
+    start: StartParams | None = Field(None, description="pose at which control starts; left out: at x_m, y_m")
     target: Literal["appearance", "place"] = Field(
         "appearance",
-        description="what its controller holds at x_m, y_m: the look of a symbol on a flat road, or the symbol on the road itself",
+        description="what the controller holds at x_m, y_m: the appearance of a symbol on a flat road, or the symbol on the real road",
     )
-    features: FeatureParams = Field(FeatureParams(), description="what of the symbol its controller looks at")
+    features: FeatureParams = Field(FeatureParams(), description="image features of the symbol that its controller uses")
     extraction: Extraction = Field(ExtractionParams(), description="how the symbol is found in the image")
 
     @model_validator(mode="after")
@@ -102,11 +108,13 @@ class SymbolFunctionParams(Drawn):
         if self.controller is None:
             for key in CONTROLLED:
                 if getattr(self, key) != fields[key].default:
-                    raise ValueError(f'{key}: is for symbols that a controller holds; give controller = "luxloop", say, or leave it out')
+                    raise ValueError(
+                        f'{key}: applies to symbols with a controller only; give controller = "luxloop", for example, or leave it out'
+                    )
             return self
         for key in UNCONTROLLED:
             if getattr(self, key) != fields[key].default:
-                raise ValueError(f"{key}: a symbol that a controller holds has none; leave it out, or leave out the controller")
+                raise ValueError(f"{key}: does not apply to a symbol with a controller; leave it out, or leave out the controller")
         refuse_place(self.controller, self.target)
         refuse_start(self.controller, self.start_pose)
         try:
@@ -117,20 +125,20 @@ class SymbolFunctionParams(Drawn):
 
     @property
     def start_pose(self) -> StartParams:
-        """Where control starts."""
+        """The pose at which control starts."""
         return StartParams(x_m=self.x_m, y_m=self.y_m) if self.start is None else self.start
 
     @property
     def held(self) -> SymbolParams:
-        """The symbol as its controller knows it."""
+        """The symbol's parameters for its controller."""
         return SymbolParams.model_validate({key: getattr(self, key) for key in SymbolParams.model_fields})
 
     def shows(self, now: Situation) -> bool:
-        """Whether it is drawn at all."""
+        """Whether the symbol is drawn now."""
         return self.active(now.time_s) and not (self.when and not self.when.holds(now)) and not (self.unless and self.unless.holds(now))
 
     def primitives(self, now: Situation) -> tuple[Primitives, ...]:
-        """One, none where it is not shown or a controller commands it."""
+        """One primitive; none if the symbol is not shown or a controller commands it."""
         if self.controller is not None or not self.shows(now):
             return ()
         source = now.symbols[self.image]
@@ -156,7 +164,7 @@ class SymbolFunctionParams(Drawn):
         place = drawing_rectangle(*picture, eye, T[:3, 3], T[:3, 2])
         if not all(bool(v.isfinite().all()) for v in place):
             raise LuxloopError(
-                "observer.centre_m and height_m put the picture above the observer's eye, behind which lies no road; lower the picture"
+                "observer.centre_m and height_m put the picture above the observer's eye, with no road behind it; lower the picture"
             )
         origin, d1, d2 = picture
         observer = Observer(eye[None], origin[None], d1[None], d2[None], active=torch.tensor([True]))

@@ -1,7 +1,7 @@
-"""Joint pixel optimisation (T 3.5.2, 8.4): all pixels together, as close to the wanted light as they can come.
+"""Joint pixel optimisation (JPO, T 3.5.2, 8.4): the utilisations of all pixels together that come closest to the wanted light.
 
-`Jpo` looks for the least absolute deviations (`controllers.jpo.mae`) or least squares (`controllers.jpo.squares`) within a budget of
-iterations a step, each from what SSC gives, behind the protocol of all pixel controllers.
+`Jpo` minimises absolute deviations (`controllers.jpo.mae`) or squares (`controllers.jpo.squares`) with a budget of iterations per step,
+starts from SSC, and has the protocol of all pixel controllers.
 """
 
 from dataclasses import dataclass, replace
@@ -26,15 +26,17 @@ from world.params import Params
 class JpoParams(Params):
     """Real-time joint pixel optimisation."""
 
-    objective: Literal["mae", "least_squares"] = Field("mae", description="what is least: the sum of absolute or of squared deviations")
-    iterations: int = Field(40, ge=1, le=100_000, description="budget of a step; what they bring is in docs/jpo.md")
+    objective: Literal["mae", "least_squares"] = Field(
+        "mae", description="what to minimise: the sum of absolute (mae) or of squared deviations"
+    )
+    iterations: int = Field(40, ge=1, le=100_000, description="iterations per step; docs/jpo.md shows their effect")
 
 
 @dataclass(frozen=True)
 class Jpo:
     """A pixel controller (see `controllers.pixels.ssc.PixelController`) that starts from SSC and then optimises all pixels jointly.
 
-    full: `[rows, cols]` cd, with all pixels on. Texels that no primitive covers are to keep the light of the default. As with SSC, pixels
+    full: `[rows, cols]` cd, with all pixels on. Texels that no primitive covers have the default's light as setpoint. As with SSC, pixels
     that reach no hit keep their default.
     """
 
@@ -46,7 +48,7 @@ class Jpo:
     def prepare(
         cls, headlight: Headlight, params: JpoParams | None = None, default: Tensor | None = None, mrpc: MrpcParams | None = None
     ) -> "Jpo":
-        """Make the tables of SSC with its parameters once; the default base pattern is dark."""
+        """Compute the tables of SSC once. mrpc: parameters of SSC. default: base pattern `[n_p]`, by default dark."""
         ssc = Ssc.prepare(headlight, mrpc, default)
         return cls(ssc, params or JpoParams(), headlight.light_texture(torch.ones_like(ssc.default)))
 
@@ -63,9 +65,9 @@ class Jpo:
         return replace(self, ssc=self.ssc.over(default))
 
     def utilisation(self, primitives: Primitives, T_world_headlight: Tensor, secondary: SecondaryRays | None = None) -> Utilisation:
-        """Utilisation `[..., n_p]` for one moment.
+        """Utilisation `[..., n_p]` in 0..1.
 
-        Raises LuxloopError for values of primitives that are not finite, where they are on the host.
+        Raises LuxloopError for values on the host that are not finite.
         """
         goal = self.goal(primitives, T_world_headlight, secondary)
         if self.params.objective == "mae":
@@ -73,9 +75,9 @@ class Jpo:
         return Utilisation(least_squares(self.headlight.matrix, goal, self.params.iterations))
 
     def goal(self, primitives: Primitives, T_world_headlight: Tensor, secondary: SecondaryRays | None = None) -> Wanted:
-        """What the primitives ask of the light texture, the pixels they touch, and where SSC would have these start.
+        """Setpoints of the light texture, the pixels that primitives touch, and their start from SSC.
 
-        u_abs and u_rel become the light that all pixels would give so.
+        u_abs and u_rel become the light of all pixels at that utilisation.
         """
         grid, of_default = self.headlight, torch.zeros_like(self.full)
         if not self.ssc.dark:
@@ -83,7 +85,9 @@ class Jpo:
         setpoints = self.ssc.casting(primitives, T_world_headlight, secondary).setpoints()
         cut = (..., *setpoints.window.slices)
         hit, in_cd, relative = setpoints.hit, _share(setpoints, setpoints.in_cd, I_V, E_V), _share(setpoints, setpoints.relative, U_REL)
-        unit = in_cd + relative * of_default[cut] + (1 - in_cd - relative) * self.full[cut]
+        unit = (
+            in_cd + relative * of_default[cut] + (1 - in_cd - relative) * self.full[cut]
+        )  # cd per unit of value (T 7.2.1), [..., rows, cols]
         asked = setpoints.value * unit
         weight = torch.ones_like(asked) if setpoints.weight is None else setpoints.weight
         if setpoints.forced is not None:
@@ -99,5 +103,5 @@ class Jpo:
 
 
 def _share(setpoints: Setpoints, image: Tensor | None, *codes: int) -> Tensor | float:
-    """1 where a setpoint is of these quantities, else 0."""
+    """1 where a setpoint has one of these quantities, else 0."""
     return float(setpoints.quantities[0] in codes) if image is None else image

@@ -1,8 +1,8 @@
-"""The least mean absolute error that all pixels together can reach (T 8.3, 8.4), with a proof of how much is missing to it.
+"""The least mean absolute error that all pixels together can reach (T 8.3, 8.4), with a proven bound of the remaining gap.
 
 `min sum_i w_i |(A u)_i - s_i|, 0 <= u <= 1` by primal-dual steps (Chambolle and Pock 2011) on subsets of the texels in turn (Chambolle,
-Ehrhardt, Richtárik and Schönlieb 2018), whose widths are the sums of columns and rows (Pock and Chambolle 2011). All pixels move after
-each subset, so that a product with the whole matrix and its transpose is worth as many steps. The dual value is a lower bound of the error.
+Ehrhardt, Richtárik and Schönlieb 2018), with step widths from the sums of columns and rows (Pock and Chambolle 2011). All pixels move after
+each subset, so one product with the whole matrix and its transpose yields SUBSETS steps. The dual value is a lower bound of the error.
 """
 
 from dataclasses import dataclass
@@ -14,16 +14,16 @@ from torch import Tensor
 from controllers.jpo.part import Wanted, anywhere, every_nth_column, reached_rows, submatrix, without_fixed
 from world.spmv import Csr, multiply
 
-SUBSETS = 8  # of the texels, each of which is spread over all: more hardly serve, and small lamps pay for the calls of each
-PRIMAL_WEIGHT = 0.2  # of the mean utilisation, as measured in docs/jpo.md: how far pixels move a step, against the dual
-NEAR = 0.1  # of the mean setpoint: texels this close to theirs are undecided between too dark and too bright
-CHECKED_EVERY = 20  # steps between looks at the gap, each of which waits for the device
+SUBSETS = 8  # of the texels, each spread over the whole texture: more help little, and each costs calls, which small lamps notice
+PRIMAL_WEIGHT = 0.2  # size of primal against dual steps, in mean utilisations; measured in docs/jpo.md
+NEAR = 0.1  # share of the mean setpoint: texels within it are neither clearly too dark nor too bright
+CHECKED_EVERY = 20  # iterations between checks of the gap, each of which waits for the device
 
 
 @dataclass(frozen=True)
 class LeastError:
-    """u: `[..., n_p]`. error: `[...]` cd, the weighted sum of absolute deviations at u. bound: `[...]` cd, no utilisation has less.
-    iterations: that were made. entries: of the headlight matrix that each of them read, twice.
+    """Result. u: `[..., n_p]`. error: `[...]` cd, the weighted sum of absolute deviations at u. bound: `[...]` cd, its lower bound for any
+    utilisation. iterations: number made. entries: number of entries of the headlight matrix that each iteration reads twice.
     """
 
     u: Tensor
@@ -36,8 +36,8 @@ class LeastError:
 def least_error(matrix: Csr, goal: Wanted, iterations: int = 20_000, gap: float | None = 0.005) -> LeastError:
     """The utilisation with the least weighted sum of absolute deviations (T eq. 8.3.1); never worse than its start.
 
-    matrix: `[n_t, n_p]` cd, not negative. gap: stop where the error is proved to be at most this
-    share above the least; None makes all iterations and looks at the end only.
+    matrix: `[n_t, n_p]` cd, not negative. iterations: most iterations. gap: stop when the error is proven to be within this share of the
+    least one; None makes all iterations and checks only at the end.
     """
     left = _undecided(matrix, goal)
     u = goal.start[..., left.cols] * left.upper
@@ -50,14 +50,14 @@ def least_error(matrix: Csr, goal: Wanted, iterations: int = 20_000, gap: float 
     answers, widths, s, w = (list(each.split(left.sizes, -1)) for each in (left.pull(light), sigma, left.s, left.w))
     done = 0
     while done < iterations:
-        slope = ahead = left.slope(torch.cat(answers, -1))  # anew, since it gathers roundings
+        slope = ahead = left.slope(torch.cat(answers, -1))  # c + A'y, [..., n]; computed again here, since updates accumulate rounding
         steps = iterations if gap is None else min(CHECKED_EVERY, iterations - done)
         for k in [*range(len(answers))] * steps:
-            u = (u - tau * ahead).clamp(min=0).minimum(left.upper)
+            u = (u - tau * ahead).clamp(min=0).minimum(left.upper)  # primal step: u <- proj(u - tau (c + A'y_ahead)), [..., n]
             answer = (answers[k] + widths[k] * (multiply(left.rows[k], u) - s[k])).clamp(-w[k], w[k])
-            change = multiply(left.columns[k], answer - answers[k])
+            change = multiply(left.columns[k], answer - answers[k])  # A_k' (y_k,new - y_k), [..., n]
             answers[k], slope = answer, slope + change
-            ahead = slope + len(answers) * change
+            ahead = slope + len(answers) * change  # extrapolated dual of the next step (Chambolle et al. 2018)
         done += steps
         error = left.error(multiply(left.A, u), u)
         best = torch.where((error < least)[..., None], u, best)
@@ -72,8 +72,8 @@ def least_error(matrix: Csr, goal: Wanted, iterations: int = 20_000, gap: float 
 class _Undecided:
     """`min c'u + sum_i w_i |(A u)_i - s_i| + constant, 0 <= u <= upper`, on some rows, and the columns `cols`, of a headlight matrix.
 
-    rows: A in pieces of `sizes` rows, each of which is spread over all of the texture; columns: their transposes. s, w: `[..., m]`. c,
-    gain, upper: `[..., n]`; gain is `A'w`. A batch entry that has no use for a row or a column has w or upper zero there.
+    rows: A in subsets of `sizes` rows, each spread over the whole texture. columns: their transposes. s, w: `[..., m]`. c, gain, upper:
+    `[..., n]`; gain is `A'w`. Where a batch entry does not need a row or column, its w or upper is zero.
     """
 
     cols: Tensor
@@ -92,25 +92,27 @@ class _Undecided:
         return (self.c * u).sum(-1) + (self.w * (light - self.s).abs()).sum(-1) + self.constant
 
     def bound(self, y: Tensor) -> Tensor:
-        """The dual value: for any y in -w..w, no u has a smaller error."""
+        """The dual value `constant - s'y + sum_j min(c + A'y, 0)_j upper_j`, `[...]` cd: for any y in -w..w, no u has a smaller error."""
         return self.constant - (self.s * y).sum(-1) + (self.slope(y).clamp(max=0) * self.upper).sum(-1)
 
     def slope(self, y: Tensor) -> Tensor:
-        """By how much the error grows with u, as far as the dual knows: `c + A'y`."""
+        """Slope of the error over u at dual y: `c + A'y`, `[..., n]`."""
         return self.c + torch.stack(self.pulls(y)).sum(0)
 
     def pulls(self, y: Tensor) -> list[Tensor]:
-        """`A'y` of each piece."""
+        """`A_k'y_k` of each subset, `[..., n]`."""
         return [multiply(columns, each) for columns, each in zip(self.columns, y.split(self.sizes, -1), strict=True)]
 
     def pull(self, light: Tensor) -> Tensor:
-        """A first dual: texels that are clearly too bright or too dark pull with all their weight."""
+        """Initial dual `[..., m]`: -w or w at texels that are clearly too dark or too bright, in between where undecided."""
         counts = self.w > 0
         near = NEAR * torch.where(counts, self.s, 0.0).sum(-1, keepdim=True) / counts.sum(-1, keepdim=True).clamp(min=1)
         return (self.w * (light - self.s) / near.clamp(min=torch.finfo(self.s.dtype).tiny)).clamp(-self.w, self.w)
 
     def steps(self) -> tuple[Tensor, Tensor]:
-        """Widths of primal and dual steps, which converge for any PRIMAL_WEIGHT and have the units of u and w."""
+        """Step widths tau `[..., n]` and sigma `[..., m]` in units of u and w; they converge for any PRIMAL_WEIGHT (Pock and Chambolle
+        2011).
+        """
         reach = multiply(self.A, torch.ones_like(self.c[(0,) * (self.c.ndim - 1)]))
         ssc = torch.where(self.upper > 0, 1 / self.gain, 0.0) * torch.stack(self.pulls(self.w * (self.s / reach).clamp(max=1))).sum(0)
         pace = PRIMAL_WEIGHT * ssc.sum(-1, keepdim=True) / self.upper.sum(-1, keepdim=True).clamp(min=1)
@@ -120,10 +122,10 @@ class _Undecided:
 
 
 def _undecided(matrix: Csr, goal: Wanted) -> _Undecided:
-    """Take out of a problem what is decided beforehand.
+    """Reduce the problem to the pixels and texels that are not decided beforehand.
 
-    The error of a texel without a positive setpoint is linear in u. A pixel whose light costs more there than it can ever make good at the
-    others is off in an optimum: the error grows with it, whatever the others do. No row is needed that only such pixels light.
+    The error of a texel without a positive setpoint is linear in u. A pixel whose light costs more there than it can ever gain at the other
+    texels is off in every optimum. Rows that only such pixels light are not needed.
     """
     transposed = matrix.transposed
     target = without_fixed(matrix, goal)

@@ -1,8 +1,8 @@
-"""The part of a joint optimisation that is not decided beforehand: some pixels, and the texels that they light.
+"""The part of a joint optimisation that is not decided beforehand: some pixels and the texels that they light.
 
-Luminous intensities are not negative. So what a texel that shall be dark gets is its error, proportional to every utilisation, and what
-other pixels give is only taken off the setpoint. A pixel that no texel with a positive setpoint is lit by can only do harm and is off in
-every optimum. For a symbol a few hundred of 16 k pixels are left.
+Luminous intensities are not negative. So the error of a texel with setpoint zero is its light, linear in every utilisation, and the light
+of fixed pixels is subtracted from setpoints. A pixel that lights no texel with a positive setpoint can only increase the error and is off
+in every optimum. For a symbol a few hundred of 16 k pixels remain.
 """
 
 from dataclasses import dataclass
@@ -14,12 +14,12 @@ from world.errors import LuxloopError
 from world.headlight import Headlight
 from world.spmv import Csr, multiply, row_of_entries
 
-HARD = 1_000.0  # what greater weights on light count, infinite ones too, since light cannot be forced on a lamp; darkness can
+HARD = 1_000.0  # limit of weights of positive setpoints, infinite ones too: a lamp can be forced to be dark but not to give light
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """Setpoints of all texels, and which pixels may be changed to reach them.
+    """Setpoints of all texels, and the pixels that may change to reach them.
 
     target: `[..., n_t]` cd. weight: `[..., n_t]`, finite and not negative. start: `[..., n_p]` in 0..1. free: `[..., n_p]` bool; all other
     pixels keep their start.
@@ -34,12 +34,11 @@ class Wanted:
 def wanted(
     headlight: Headlight, texture: Tensor, weight: Tensor | None = None, start: Tensor | None = None, free: Tensor | None = None
 ) -> Wanted:
-    """What a light texture `[..., rows, cols]` in cd asks of a lamp.
+    """The optimisation problem of a wanted light texture `[..., rows, cols]` in cd.
 
-    weight: `[..., rows, cols]`, 0 to infinity, 1 by default; from HARD on it counts as that. start: `[..., n_p]`, by default what SSC
-    with a_m = a_r = 1 gives. free: `[..., n_p]` bool, by default all. A pixel that reaches a texel of infinite weight that
-    shall be dark is off, and not free.
-    Raises LuxloopError where a texture is not of the headlight's size or a start not of its number of pixels.
+    weight: `[..., rows, cols]`, 0 to infinity, by default 1, limited to HARD. start: `[..., n_p]`, by default that of SSC with a_m = a_r =
+    1. free: `[..., n_p]` bool, by default all. Pixels that reach a dark texel of infinite weight are off and not free. Raises LuxloopError
+    for a texture or weight that has not the headlight's size, or a start that has not its number of pixels.
     """
     size = (headlight.rows, headlight.cols)
     for name, given in (("wanted light texture", texture), ("weight of a wanted light texture", weight)):
@@ -63,12 +62,12 @@ def wanted(
 
 
 def reaching(transposed: Csr, texels: Tensor) -> Tensor:
-    """Pixels that light any of these texels, `[..., n_p]` bool of `[..., n_t]` bool; the matrix is given pixel-major."""
+    """Pixels `[..., n_p]` bool that light any of the texels `[..., n_t]` bool. transposed: the pixel-major matrix."""
     return multiply(transposed, texels.to(transposed.values)) > 0
 
 
 def submatrix(matrix: Csr, rows: Tensor, cols: Tensor) -> Csr:
-    """`A[rows][:, cols]` for ascending columns, at the cost of the entries in these rows."""
+    """`A[rows][:, cols]` for ascending cols; its cost is proportional to the entries in these rows."""
     number = torch.full((matrix.n_cols,), -1, dtype=torch.int32, device=cols.device)
     number[cols] = torch.arange(len(cols), dtype=torch.int32, device=cols.device)
     row, entry = _entries(matrix, rows)
@@ -79,7 +78,7 @@ def submatrix(matrix: Csr, rows: Tensor, cols: Tensor) -> Csr:
 
 
 def every_nth_column(matrix: Csr, n: int) -> list[Csr]:
-    """`A[:, k::n]` for each k that there is."""
+    """`A[:, k::n]` for all k from 0 to n - 1 that have columns."""
     rows, count = matrix.n_rows, min(n, matrix.n_cols)
     first = matrix.indices % n
     order = first.argsort(stable=True)
@@ -90,19 +89,19 @@ def every_nth_column(matrix: Csr, n: int) -> list[Csr]:
 
 
 def anywhere(mask: Tensor) -> Tensor:
-    """Whether any batch entry has it: `[n]` of `[..., n]`."""
+    """Whether the mask `[..., n]` is true in any batch entry, `[n]`."""
     return mask.reshape(-1, mask.shape[-1]).any(0)
 
 
 def reached_rows(transposed: Csr, cols: Tensor) -> Tensor:
-    """Texels that these pixels light, bool `[n_t]`; the matrix is given pixel-major."""
+    """Texels `[n_t]` bool that these pixels light. transposed: the pixel-major matrix."""
     lit = torch.zeros(transposed.n_cols, dtype=torch.bool, device=cols.device)
     lit[transposed.indices[_entries(transposed, cols)[1]].long()] = True
     return lit
 
 
 def _entries(matrix: Csr, rows: Tensor) -> tuple[Tensor, Tensor]:
-    """Of all entries in these rows: which of the rows, and where it is stored."""
+    """For all entries in these rows: index into rows, and index into the stored values."""
     start, stop = matrix.indptr[:-1].long()[rows], matrix.indptr[1:].long()[rows]
     row = torch.repeat_interleave(torch.arange(len(rows), device=rows.device), stop - start)
     before = (stop - start).cumsum(0) - (stop - start)
@@ -110,6 +109,6 @@ def _entries(matrix: Csr, rows: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def without_fixed(matrix: Csr, goal: Wanted) -> Tensor:
-    """What the free pixels have to give: the setpoint less the light of all others, `[..., n_t]`."""
+    """Setpoints of the free pixels `[..., n_t]` in cd: the target less the light of all other pixels."""
     fixed = torch.where(goal.free, 0.0, goal.start)
     return goal.target - multiply(matrix, fixed) if bool(fixed.any()) else goal.target

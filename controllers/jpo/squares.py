@@ -1,4 +1,4 @@
-"""The least squares that all pixels together can reach (T 3.5.2): within bounds, or by the pseudo-inverse for lamps of few pixels."""
+"""Least squares over all pixels together (T 3.5.2): within bounds, or by the pseudo-inverse for lamps with few pixels."""
 
 from dataclasses import dataclass
 
@@ -10,15 +10,15 @@ from world.errors import LuxloopError
 from world.headlight import Headlight, fit
 from world.spmv import Csr, multiply
 
-FEW_PIXELS = 2_000  # whose pseudo-inverse is still made in seconds
+FEW_PIXELS = 2_000  # most pixels whose pseudo-inverse takes seconds
 
 
 def least_squares(matrix: Csr, goal: Wanted, iterations: int = 300, tolerance: float = 1e-4) -> Tensor:
     """u `[..., n_p]` with the least `sum weight * (A u - target)^2`, from its start (T 3.5.2, eq. B.1.1).
 
-    matrix: `[n_t, n_p]` cd, not negative. Weights count as in the reduction (T eq. 7.4.5), not squared. A pixel that reaches no texel
-    that lacks light is off: it could only add to what is too bright. Stops when ten steps in a row move no pixel by more than the
-    tolerance.
+    matrix: `[n_t, n_p]` cd, not negative. Weights count as in the reduction (T eq. 7.4.5), not squared. A pixel that reaches no texel with
+    a positive remaining setpoint is off, since it could only increase the error. Stops when ten steps in a row move no pixel by more than
+    the tolerance.
     """
     transposed = matrix.transposed
     target = without_fixed(matrix, goal)
@@ -39,10 +39,10 @@ def least_squares(matrix: Csr, goal: Wanted, iterations: int = 300, tolerance: f
 
 @dataclass(frozen=True)
 class MoorePenrose:
-    """Least squares by the pseudo-inverse (T eq. 3.5.2, B.1.4), `A^+ = (A' A)^+ A'`, clamped to what there is.
+    """Least squares by the pseudo-inverse (T eq. 3.5.2, B.1.4), `A^+ = (A' A)^+ A'`, clamped to 0..1.
 
-    Clamping makes it worse than `least_squares` wherever a pixel would have to give more than it can, or less than none.
-    transposed: A'. inverse: `(A' A)^+`, `[n_p, n_p]` float64.
+    Clamping makes it worse than `least_squares` wherever the unbounded solution leaves 0..1. transposed: A'. inverse: `(A' A)^+`, `[n_p,
+    n_p]` float64.
     """
 
     transposed: Csr
@@ -50,7 +50,7 @@ class MoorePenrose:
 
     @classmethod
     def prepare(cls, headlight: Headlight) -> "MoorePenrose":
-        """Make the inverse once. Raises LuxloopError for lamps of more than 2,000 pixels."""
+        """Compute the inverse once. Raises LuxloopError for lamps with more than 2,000 pixels."""
         if headlight.n_pixels > FEW_PIXELS:
             raise LuxloopError(
                 f"the pseudo-inverse of {headlight.name!r} would be a full matrix for {headlight.n_pixels} pixels; it is for lamps of at "
@@ -62,4 +62,4 @@ class MoorePenrose:
 
     def utilisation(self, texture: Tensor) -> Tensor:
         """Utilisation `[..., n_p]` in 0..1 for a wanted light texture `[..., rows, cols]` in cd."""
-        return (multiply(self.transposed, texture.flatten(-2).double()) @ self.inverse).clamp(0, 1).to(texture)
+        return (multiply(self.transposed, texture.flatten(-2).double()) @ self.inverse).clamp(0, 1).to(texture)  # u = (A' A)^+ A' i

@@ -1,4 +1,4 @@
-"""Object-based lighting: the road stays nearly dark, and each object gets as much light as a detector gains from (T 9.3)."""
+"""Object-based lighting: the road stays nearly dark, and each object gets as much light as a detector benefits from (T 9.3)."""
 
 import math
 from collections.abc import Mapping
@@ -19,7 +19,7 @@ from world.traffic.tracked import Category
 
 @dataclass(frozen=True)
 class ObjectBasedState:
-    """What has been learnt: of the base beam, and of each object by its name."""
+    """State: the ambient loop, and the loop of each object by its name."""
 
     ambient: Ambient
     loops: Mapping[str, ObjectLoop] = field(default_factory=dict)
@@ -34,24 +34,25 @@ class ObjectBasedParams(SelectionParams):
 
     kind: Literal["object_based"] = "object_based"
     method: Literal["confidence", "class", "constant"] = Field(
-        "confidence", description="`confidence`: loops on what a detector says; `class`: a setpoint for each class; `constant`: one for all"
+        "confidence",
+        description="`confidence`: loops on a detector's confidence; `class`: a setpoint for each class; `constant`: one setpoint for all",
     )
     categories: tuple[Category, ...] = Field(
-        ("pedestrian", "cyclist", "car", "animal", "truck", "motorcycle"), min_length=1, description="classes of objects meant"
+        ("pedestrian", "cyclist", "car", "animal", "truck", "motorcycle"), min_length=1, description="classes of objects that it lights"
     )
-    ambient: AmbientLoopParams = Field(AmbientLoopParams(), description="the loop of the base beam, of `confidence`")
-    loop: ObjectLoopParams = Field(ObjectLoopParams(), description="the loop of each object, of `confidence`")
-    share: float = Field(0.2, ge=0, le=1, description="of the base beam, of `class` and `constant`")
+    ambient: AmbientLoopParams = Field(AmbientLoopParams(), description="loop of the base beam, for `confidence`")
+    loop: ObjectLoopParams = Field(ObjectLoopParams(), description="loop of each object, for `confidence`")
+    share: float = Field(0.2, ge=0, le=1, description="share of the base beam, for `class` and `constant`")
     setpoint_lx: float = Field(
-        10.0, ge=0, le=1e6, description="on each object, of `constant`; of `class` where none is given for its class"
+        10.0, ge=0, le=1e6, description="setpoint on each object, for `constant`, and for classes without one of their own"
     )
     setpoints_lx: dict[Category, Annotated[float, Field(ge=0, le=1e6)]] = Field(
         {"pedestrian": 10.0, "cyclist": 10.0, "animal": 15.0, "car": 3.0, "truck": 3.0, "motorcycle": 5.0},
-        description="on objects by their class, of `class`",
+        description="setpoints on objects by their class, for `class`",
     )
     light: ObjectLightParams = Field(ObjectLightParams(), description="where and how objects are lit")
-    fade_out_s: float = Field(0.6, ge=0, le=LINGER_S, description="time to go dark for an object that is gone")
-    priority: int = Field(20, ge=0, le=100, description="of two functions in one place, the higher is drawn")
+    fade_out_s: float = Field(0.6, ge=0, le=LINGER_S, description="time until the light on a vanished object is off")
+    priority: int = Field(20, ge=0, le=100, description="where functions overlap, the higher priority is drawn")
     modules: tuple[str, ...] = Field((), description="lamps or modules that draw it; left out: all")
 
     @field_validator("setpoints_lx")
@@ -66,9 +67,9 @@ class ObjectBasedParams(SelectionParams):
         return ObjectBasedState(Ambient(self.ambient.first if self.method == "confidence" else self.share))
 
     def step(self, state: ObjectBasedState, now: Situation) -> ObjectBasedState:
-        """After one more frame; objects that the tracker does not report any more are forgotten.
+        """The state after one more frame; objects that the tracker no longer reports are dropped.
 
-        A new object where one is missed is taken for that, and goes on with its loop.
+        A new object at the place of a lost one is taken for it and continues its loop.
         """
         if self.method != "confidence":
             return state
@@ -95,7 +96,7 @@ class ObjectBasedParams(SelectionParams):
         return ObjectBasedState(self.ambient.step(state.ambient, [loop.recent for loop in known], doubtful), loops)
 
     def adapted(self, state: ObjectBasedState, now: Situation) -> tuple[Primitives, ...]:
-        """For each object its light, and what of it stays dark."""
+        """The primitives of each object: its light and its dark part."""
         parts: list[Primitives] = []
         for nearer, each in enumerate(sorted(self.selected(now), key=now.distance_m)):
             share = fade(now.time_s, each.since_s, each.until_s, 0.0, self.fade_out_s)
@@ -107,7 +108,7 @@ class ObjectBasedParams(SelectionParams):
         return state.share
 
     def lx(self, state: ObjectBasedState, each: TrackedObject) -> float:
-        """Setpoint of an object."""
+        """Setpoint of an object in lx."""
         if self.method == "constant":
             return self.setpoint_lx
         if self.method == "class":
@@ -117,7 +118,7 @@ class ObjectBasedParams(SelectionParams):
 
 
 def _in_sight(each: TrackedObject, now: Situation) -> bool:
-    """Whether the camera looks at the middle of it, as far as there is a camera."""
+    """Whether the camera sees its centre; true without a camera."""
     if now.seen is None:
         return True
     middle = each.T_world_object[:3, 3:] + each.T_world_object[:3, 2:3] * each.size_m[2] / 2

@@ -1,4 +1,4 @@
-"""Laws of an object's loop: from the illuminances tried so far to the one to try next, or to the one to stay at (T 9.3)."""
+"""Search laws of an object's loop: from the illuminances tried so far to the next one, or to the final one (T 9.3)."""
 
 import math
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from world.params import Params
 
 @dataclass(frozen=True)
 class Trial:
-    """What came of an illuminance in lx: the mean confidence over some frames."""
+    """A tried illuminance in lx and the mean confidence over some frames in it."""
 
     lx: float
     confidence: float
@@ -21,23 +21,26 @@ class Trial:
 
 @dataclass(frozen=True)
 class Next:
-    """An illuminance in lx, to be tried, or to stay at."""
+    """The next illuminance in lx, to try or, at the end of the search, to keep."""
 
     lx: float
     settled: bool
 
 
 class LowerParams(Params):
-    """Bright at once, then down by bisection as long as the confidence stays."""
+    """Starts bright, then bisects downwards as long as the confidence stays."""
 
     kind: Literal["lower"] = "lower"
-    bright_lx: float = Field(20.0, gt=0, le=1e6, description="what a new object gets at once; it shows what full light would bring")
-    least_lx: float = Field(2.0, gt=0, le=1e6, description="it gets hardly less than this")
+    bright_lx: float = Field(20.0, gt=0, le=1e6, description="first illuminance on a new object; it gives the confidence in full light")
+    least_lx: float = Field(2.0, gt=0, le=1e6, description="approximate lower limit of the illuminance")
     ratio: float = Field(
-        1.5, gt=1, le=1e6, description="when the least that is enough is so close to the greatest that is not, the search ends"
+        1.5,
+        gt=1,
+        le=1e6,
+        description="the search ends when the ratio of least sufficient to greatest insufficient illuminance is below this",
     )
-    tolerance: float = Field(0.02, ge=0, le=1, description="confidence that may be lost against the best")
-    confirm: int = Field(2, ge=1, le=10, description="so often has an illuminance to prove enough before it is kept")
+    tolerance: float = Field(0.02, ge=0, le=1, description="loss of confidence against the best that is accepted")
+    confirm: int = Field(2, ge=1, le=10, description="trials that must find an illuminance sufficient before it is kept")
 
     @model_validator(mode="after")
     def _downwards(self) -> Self:
@@ -47,11 +50,11 @@ class LowerParams(Params):
 
     @property
     def bounds_lx(self) -> tuple[float, float]:
-        """Of the search for a new object's light."""
+        """Bounds in lx of the search for a new object."""
         return self.least_lx, self.bright_lx
 
     def next(self, trials: Sequence[Trial], bounds_lx: tuple[float, float]) -> Next:
-        """Halves the gap, in the logarithm, between the least that keeps the confidence and the greatest below it that does not."""
+        """The logarithmic middle between the least illuminance that keeps the confidence and the greatest below it that does not."""
         least, most = bounds_lx
         if all(trial.lx < most for trial in trials):
             return Next(most, False)
@@ -66,14 +69,14 @@ class LowerParams(Params):
 
 
 class RaiseParams(Params):
-    """Step by step up until the confidence stays, or falls (T 9.3)."""
+    """Raises the light step by step until the confidence stays or falls (T 9.3)."""
 
     kind: Literal["raise"] = "raise"
-    first_lx: float = Field(1.0, gt=0, le=1e6, description="what a new object gets")
-    factor: float = Field(2.0, gt=1, le=1e6, description="from step to step")
-    most_lx: float = Field(40.0, gt=0, le=1e6, description="it gets no more than this")
-    gain: float = Field(0.04, ge=0, le=1, description="a step that brings less confidence is a sign of the plateau")
-    patience: int = Field(2, ge=1, le=10, description="so many such steps end the search")
+    first_lx: float = Field(1.0, gt=0, le=1e6, description="first illuminance on a new object")
+    factor: float = Field(2.0, gt=1, le=1e6, description="factor of a step")
+    most_lx: float = Field(40.0, gt=0, le=1e6, description="upper limit of the illuminance")
+    gain: float = Field(0.04, ge=0, le=1, description="a step that gains less confidence than this counts as plateau")
+    patience: int = Field(2, ge=1, le=10, description="number of such steps that ends the search")
 
     @model_validator(mode="after")
     def _upwards(self) -> Self:
@@ -83,11 +86,11 @@ class RaiseParams(Params):
 
     @property
     def bounds_lx(self) -> tuple[float, float]:
-        """Of the search for a new object's light."""
+        """Bounds in lx of the search for a new object."""
         return self.first_lx, self.most_lx
 
     def next(self, trials: Sequence[Trial], bounds_lx: tuple[float, float]) -> Next:
-        """One factor more, or back to the best step."""
+        """The illuminance one factor higher, or that of the best step."""
         least, most = bounds_lx
         if not trials:
             return Next(least, False)

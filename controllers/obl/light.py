@@ -1,4 +1,4 @@
-"""Light on tracked objects that leaves their heads and windscreens nearly dark: rectangles that face the lamps (T 9.3)."""
+"""Light on tracked objects by rectangles that face the lamps; heads and windscreens stay nearly dark (T 9.3)."""
 
 import math
 from typing import Annotated, Literal
@@ -14,28 +14,36 @@ from world.frames import transform
 from world.params import Params
 from world.traffic.tracked import ROAD_USERS, Category
 
-NEAREST_M = 1.0  # what reaches nearer to a lamp is not lit, and no lamp's light falls on heads there
-TEXEL_RAD = 1e-3  # of a light texture: light is interpolated between texels
+NEAREST_M = 1.0  # objects nearer to a lamp are not lit; no lamp's light falls on heads there
+TEXEL_RAD = 1e-3  # of a light texture, which interpolates light between texels
 SURE = 0.7  # confidence below which any object may be a person
-CELLS = 16  # texels of a stripe
-CORE_M = 0.3  # width of what hides, in the middle of an object that is found, all that is behind it
+CELLS = 16  # texels per stripe
+CORE_M = 0.3  # width of an object's core, in its middle, that hides all light behind it
 Pattern = Literal["homogeneous", "stripes", "checks"]
 
 
 class ObjectLightParams(Params):
-    """Where an object is lit, and how."""
+    """Area and pattern of the light on an object."""
 
-    pattern: Pattern = Field("homogeneous", description="structured light, `stripes` (upright) or `checks`, shows edges with less flux")
-    period_m: float = Field(0.5, ge=0.05, le=5, description="of the structure, on the object")
+    pattern: Pattern = Field(
+        "homogeneous", description="`homogeneous` or structured light: `stripes` (vertical) or `checks` show edges with less flux"
+    )
+    period_m: float = Field(0.5, ge=0.05, le=5, description="period of the structure on the object")
     margin_m: float = Field(
-        0.1, ge=0, le=10_000, description="light beyond the box, to all sides; below the foot it shows where it meets the road"
+        0.1,
+        ge=0,
+        le=10_000,
+        description="margin of the light beyond the box on all sides; below the foot it shows the contact with the road",
     )
     dark: dict[Category, Annotated[float, Field(ge=0, le=1)]] = Field(
         {"pedestrian": 0.25, "cyclist": 0.25, "motorcycle": 0.3, "car": 0.45, "truck": 0.6},
-        description="share of the box's height that stays dark from the top: heads, windscreens and what is behind them",
+        description="share of the box's height, from the top, that stays dark with all behind it: heads and windscreens",
     )
     dark_lx: float = Field(
-        0.6, ge=0, le=1e6, description="light there, however bright the rest, by `ssc.a_d` = 1; detectors are less sure of what has no head"
+        0.6,
+        ge=0,
+        le=1e6,
+        description="illuminance of the dark part, whatever the rest gets, with `ssc.a_d` = 1; detectors need heads",
     )
 
     @field_validator("dark")
@@ -49,11 +57,11 @@ class ObjectLightParams(Params):
     def on(
         self, each: TrackedObject, lamps: Tensor, lx: float, priority: int, nearer: int, modules: tuple[str, ...]
     ) -> tuple[Primitives, ...]:
-        """Primitives that light the object by lx and leave a part of it dark; none beside and behind the lamps.
+        """Primitives that light the object with lx and leave part of it dark; none for objects beside or behind the lamps.
 
-        nearer: how many objects are. What is dark beats all light but that on the core of nearer objects, which hides it; only road users
-        have one, since much of an animal's box is air. It reaches as far above the box as into it, since detectors' boxes may end below a
-        dark head.
+        lamps: positions `[L, 3]` m. nearer: number of nearer objects. The dark part overrides all light except on the cores of nearer
+        objects, which hide it. Only road users have a core, since much of an animal's box is air. The dark part reaches as far above the
+        box as into it, since a detector's box may end below a dark head.
         """
         length, width, height = each.size_m
         low, high = torch.tensor([[-length / 2, -width / 2, 0.0], [length / 2, width / 2, height]], dtype=torch.float64)
@@ -87,7 +95,7 @@ class ObjectLightParams(Params):
         return tuple(parts)
 
     def _image(self, place: Place) -> Tensor | None:
-        """`[h, w]` of the structure, whole cells from the top left; None for homogeneous light."""
+        """Image `[h, w]` of the structure, whole cells from the top left; None for homogeneous light."""
         if self.pattern == "homogeneous":
             return None
         across, down = (torch.arange(max(1, round(2 * float(d.norm()) / self.period_m))) % 2 == 0 for d in (place.d1, place.d2))
@@ -96,10 +104,10 @@ class ObjectLightParams(Params):
 
 
 def frontal(T_world_box: Tensor, low: Tensor, high: Tensor, lamps: Tensor, margin_m: float, foot_m: float) -> Place | None:
-    """The upright rectangle, turned to the lamps, that covers a box as each of them sees it, in the plane of its nearest corner.
+    """The upright rectangle facing the lamps, in the plane of the box's nearest corner, that covers the box as seen from each lamp.
 
-    low, high: `[3]` m, opposite corners in the box's frame. lamps: `[L, 3]` m. margin_m: to all sides but the
-    foot; foot_m: there. None where a corner is nearer than NEAREST_M.
+    low, high: `[3]` m, opposite corners in the box's frame. lamps: `[L, 3]` m. margin_m: margin on all sides but the foot. foot_m: margin
+    at the foot. None if a corner is nearer than NEAREST_M.
     """
     T, lamps = T_world_box.double(), lamps.double()
     up, viewer = T[:3, 2], lamps.mean(0)

@@ -1,4 +1,4 @@
-"""The loop of one object: its light is searched, kept, watched, and searched again where what is seen has changed (T 9.3)."""
+"""The loop of one object: search its illuminance, keep and monitor it, and search again when the view has changed (T 9.3)."""
 
 import math
 from dataclasses import dataclass, replace
@@ -11,16 +11,16 @@ from controllers.situation import TrackedObject
 from world.params import Params
 from world.traffic.tracked import Category
 
-RECENT = 0.3  # weight of the last frame in the recent mean
-FOLLOWING = 0.2  # share of a new mean in what is expected of a settled object, which follows slow changes that are not the light's
+RECENT = 0.3  # weight of the newest frame in the recent mean
+FOLLOWING = 0.2  # weight of a new mean in the expected confidence of a settled object, to follow slow changes with other causes than light
 
 
 @dataclass(frozen=True)
 class ObjectLoop:
-    """State. lx: the setpoint. bounds_lx: of the search. category, height_rad: of the object as the lamps see it, when the search began.
+    """State of the loop. lx: setpoint. bounds_lx: of the search. category, height_rad: class and apparent height when the search began.
 
-    scores: of frames in this light that have not been averaged yet, 0 where the object was not found. trials: of the search.
-    expected: confidence, once settled. recent: weighted mean of the latest scores. peak: the highest mean that any light has brought.
+    scores: confidences of frames in this light that are not averaged yet, 0 where the object was not detected. trials: of the search.
+    expected: expected confidence, once settled. recent: weighted mean of the latest scores. peak: highest mean in any light.
     """
 
     lx: float
@@ -36,27 +36,29 @@ class ObjectLoop:
 
 
 class ObjectLoopParams(Params):
-    """How the light of each object is found."""
+    """Search and monitoring of the light on each object."""
 
     search: Annotated[LowerParams | RaiseParams, Field(discriminator="kind")] = Field(
-        LowerParams(), description='`kind = "lower"` begins bright, `"raise"` dark'
+        LowerParams(), description='`kind = "lower"` starts bright, `"raise"` dark'
     )
-    frames: int = Field(6, ge=1, le=100, description="frames that are averaged at each step")
-    watch_frames: int = Field(15, ge=1, le=300, description="the same once settled")
+    frames: int = Field(6, ge=1, le=100, description="frames averaged per trial of the search")
+    watch_frames: int = Field(15, ge=1, le=300, description="frames averaged once settled")
     drop: float = Field(
-        0.1, gt=0, le=1, description="so much less or more confidence than expected begins a search up to the brightest light"
+        0.1, gt=0, le=1, description="deviation from the expected confidence that starts a search up to the brightest light"
     )
     change: float = Field(
         1.5,
         gt=1,
         le=1e6,
-        description="an apparent height that has changed by this factor begins a search around the setpoint, as another class does",
+        description="a change of apparent height by this factor, or of class, starts a search around the setpoint",
     )
-    around: float = Field(2.0, gt=1, le=1e6, description="up to so many times the setpoint, and down to such a part of it")
+    around: float = Field(
+        2.0, gt=1, le=1e6, description="range of that search: from the setpoint divided by this to the setpoint times this"
+    )
 
     @property
     def first_lx(self) -> float:
-        """What a new object gets."""
+        """First illuminance in lx on a new object."""
         return self.search.next((), self.search.bounds_lx).lx
 
     def start(self, each: TrackedObject, height_rad: float) -> ObjectLoop:
@@ -64,12 +66,14 @@ class ObjectLoopParams(Params):
         return ObjectLoop(self.first_lx, self.search.bounds_lx, each.category, height_rad, recent=_found(each))
 
     def exhausted(self, loop: ObjectLoop) -> bool:
-        """Whether only the base beam can do more: settled at the brightest light, or after a search up to that, which brought no more."""
+        """Whether only the base beam can help: settled at the brightest light, or after a search up to it that did not raise the
+        confidence.
+        """
         most = self.search.bounds_lx[1]
         return loop.settled and (loop.lx >= most or (loop.bounds_lx[1] >= most and loop.recent > loop.expected - self.drop))
 
     def step(self, loop: ObjectLoop, each: TrackedObject, height_rad: float) -> ObjectLoop:
-        """After one more frame of the object in the light that the loop asked for."""
+        """The state after one more frame of the object in the light that the loop demanded."""
         score = _found(each)
         loop = replace(loop, recent=loop.recent + RECENT * (score - loop.recent), scores=(*loop.scores, score))
         if len(loop.scores) < (self.watch_frames if loop.settled else self.frames):

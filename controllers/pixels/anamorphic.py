@@ -1,7 +1,7 @@
-"""Symbols that look undistorted for an observer (T 7.2.2, fig. 7.8, 7.9, 7.16): a picture hangs in space, and the road shows it.
+"""Anamorphic symbols, which look undistorted for an observer (T 7.2.2, fig. 7.8, 7.9, 7.16).
 
-The wanted picture is a rectangle in space. Where a ray from the observer's eye passes it and goes on to the road, the road shows what the
-picture has there; the primitive on the road need only be large enough.
+The flying symbol is a rectangle in space between observer and road. Each point of the road shows the point of the flying symbol on the line
+from the observer's eye; the primitive on the road must only be large enough.
 """
 
 import torch
@@ -9,11 +9,11 @@ from torch import Tensor
 
 
 def drawing_rectangle(origin: Tensor, d1: Tensor, d2: Tensor, eye: Tensor, at: Tensor, normal: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """The smallest rectangle on a plane that holds all that an observer sees through the flying symbol: origin, d1, d2 `[..., 3]` m.
+    """The smallest rectangle on a plane that contains the flying symbol's image from the eye: origin, d1, d2 `[..., 3]` m.
 
     origin, d1, d2, eye: `[..., 3]` m, the symbol and the observer (T fig. 7.9). at, normal: `[..., 3]`, a point of the plane and its unit
-    normal. Everything of the symbol must lie below the observer's horizon: above it, the corners' images are not numbers.
-    A smallest rectangle around four points has a side along one of their connections.
+    normal. All corners of the symbol must lie below the observer's horizon, else their images are NaN. The smallest rectangle around four
+    points has a side along one of their connections.
     """
     corners = torch.stack([origin, origin + d1, origin + d1 + d2, origin + d2], -2)
     ray = corners - eye[..., None, :]
@@ -39,7 +39,7 @@ def drawing_rectangle(origin: Tensor, d1: Tensor, d2: Tensor, eye: Tensor, at: T
 
 
 def sight(eye: Tensor, origin: Tensor, d1: Tensor, d2: Tensor, n: Tensor, qn: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """From a lamp's rays, over the road, to the flying symbol is one homography, as from rays to the road is (T 7.2.2, fig. 7.9).
+    """The homography from a lamp's rays, by their hits on the road, to the flying symbol (T 7.2.2, fig. 7.9).
 
     All `[..., 3]` in the lamp's frame: eye and flying symbol, and the road primitive's n = d1 x d2 and qn `[...]` = q.n, turned so that
     qn > 0. Returns n', u' and v' `[..., 3]`: a ray d that hits the primitive shows the symbol at u'.d / n'.d and v'.d / n'.d, which run

@@ -1,4 +1,4 @@
-"""Mapping entry by entry of the headlight matrix, with every bound (T 7.4.1, eq. 7.4.1 to 7.4.3)."""
+"""Mapping for each entry of the headlight matrix, with all bounds (T 7.4.1, eq. 7.4.1 to 7.4.3)."""
 
 import torch
 from torch import Tensor
@@ -12,7 +12,7 @@ from world.spmv import row_of_entries
 
 
 def by_entries(setpoints: Setpoints, pixels: PixelMajor, params: MrpcParams, default: Tensor, place: Band) -> Sums:
-    """Sums over the entries of a band of pixels (T eq. 7.4.1 to 7.4.3, 7.4.5); default: `[n_p]`."""
+    """The sums of T eq. 7.4.5 over the entries of a band of pixels, mapped by T eq. 7.4.1 to 7.4.3. default: `[n_p]`."""
     band = place.pixels
     entries = pixels.entries.band(band.start, band.stop)
     pixel, texel, I_m = row_of_entries(entries), entries.indices.long(), entries.values
@@ -32,15 +32,15 @@ def by_entries(setpoints: Setpoints, pixels: PixelMajor, params: MrpcParams, def
     forced = None if setpoints.forced is None else of_entries(setpoints.forced)
     shared = value * pixels.share[texel]  # utilisations [..., nnz] of T eq. 7.4.1
     shared = shared if pixels.potential is None else shared * pixels.potential[own]
-    mapped = _blended(_blended(value, value * default[band][pixel], relative), shared, in_cd)
+    mapped = _blended(_blended(value, value * default[band][pixel], relative), shared, in_cd)  # u_abs, u_rel or cd (T 7.2.1), [..., nnz]
     if pixels.darkening is not None:
         mapped = mapped * pixels.darkening[texel]  # T eq. 7.4.2
     if params.lower_cd:
         masked = torch.zeros_like(cover, dtype=torch.bool) if forced is None else (forced > 0) & (value == 0)
-        mapped = torch.where(masked, 0.0, mapped.maximum(params.lower_cd / I_m))
+        mapped = torch.where(masked, 0.0, mapped.maximum(params.lower_cd / I_m))  # the user's lower bound (T 7.4.1)
     if params.upper_cd is not None:
-        mapped = mapped.minimum(params.upper_cd / I_m)
-    mapped = torch.where(cover > 0, mapped.clamp(0, 1), default[band][pixel])
+        mapped = mapped.minimum(params.upper_cd / I_m)  # the user's upper bound (T 7.4.1)
+    mapped = torch.where(cover > 0, mapped.clamp(0, 1), default[band][pixel])  # 0 <= I_s,ij <= I_m,ij; u_def,j without a hit
     kept = pixels.kept[own]
     if params.a_x and params.exclusion == "printed":
         kept = torch.where(mapped * I_m <= params.a_x * pixels.peak[band][pixel], 0.0, kept)  # T eq. 7.4.3 as printed
@@ -54,12 +54,12 @@ def by_entries(setpoints: Setpoints, pixels: PixelMajor, params: MrpcParams, def
     forced_light = forced_weight = None
     if forced is not None:
         alone = forced * pixels.full.values[own]
-        forced_light, forced_weight = summed(alone * mapped), summed(alone)
+        forced_light, forced_weight = summed(alone * mapped), summed(alone)  # T eq. 7.4.5 over infinite weights, [..., band]
     return Sums(summed(finite * mapped), summed(finite), forced_light, forced_weight, lit)
 
 
 def _blended(a: Tensor, b: Tensor, portion: Tensor | float) -> Tensor:
-    """a where the portion is zero, b where it is one."""
+    """a where portion is 0, b where it is 1."""
     if isinstance(portion, float):
         return b if portion else a
     return torch.lerp(a, b, portion)

@@ -1,4 +1,4 @@
-"""Mapping where all pixels of a texel are asked for the same utilisation: sums are products of matrices with images (T 7.4.1)."""
+"""Mapping for setpoints that are the same utilisation for all pixels of a texel: sums are matrix-image products (T 7.4.1)."""
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
@@ -14,18 +14,18 @@ from controllers.pixels.rthc import Casting, Setpoints, expanded
 from controllers.pixels.windows import Window
 from world.spmv import Csr, multiply
 
-RULING = 1e36  # stands for an infinite weight where the setpoint is zero: no sum of finite ones comes near it
-RULED = 2 * HEAVIEST  # a sum from which on one is infinite; no sum of finite ones is rounded up to it
+RULING = 1e36  # stands for an infinite weight of a zero setpoint; no sum of finite weights comes near it
+RULED = 2 * HEAVIEST  # sums from here on contain an infinite weight; no sum of finite weights is rounded up to it
 
 
-Image = Tensor | float  # one value for all rays where it is a number
+Image = Tensor | float  # a number holds for all rays
 
 
 @dataclass(frozen=True)
 class _Piece:
-    """Rays of a window that ask for something: all, or where hit is 1; the others are images, or None where they are not needed.
+    """Rays of a window with a setpoint: all, or those where hit is 1. The other fields are images, or None where not needed.
 
-    missed: 1 where nothing is hit after all. relative, in_cd: 1 where the value is such a one.
+    missed: 1 where no primitive is hit. relative, in_cd: 1 where the value is a share of the default or an intensity.
     """
 
     window: Window
@@ -47,7 +47,7 @@ def _pieces(asked: Setpoints | Casting) -> Iterator[_Piece]:
     for stroke in asked.strokes():
         finite: Image = stroke.finite
         forced: Image = stroke.forced
-        if weights and not stroke.finite.requires_grad:  # numbers save passes over the window
+        if weights and not stroke.finite.requires_grad:  # a number saves a pass over the window
             weight = weights[stroke.primitive]
             finite, forced = (0.0, 1.0) if weight == torch.inf else (min(weight, HEAVIEST), 0.0)
         value = 0.0 if asked.is_mask[stroke.primitive] else stroke.value
@@ -58,11 +58,11 @@ def _pieces(asked: Setpoints | Casting) -> Iterator[_Piece]:
 def by_products(
     asked: Setpoints | Casting, pixels: PixelMajor, params: MrpcParams, default: Tensor, dark: bool, place: Band, batch: tuple[int, ...]
 ) -> Sums:
-    """Sums over a band of pixels (T eq. 7.4.5); default: `[n_p]`, dark where it is zero. batch: the batch dimensions of what is asked.
+    """Sums over a band of pixels (T eq. 7.4.5); default: `[n_p]`. dark: whether it is zero. batch: batch dimensions of the setpoints.
 
-    Images of the texture, by name: light is weight times utilisation (of_default: as a share of the default) and weight that of finite
-    ones, 1 where nothing is hit; missed is 1 there; forced, forced_light, forced_of_default are the same over infinite weights; lit and
-    lit_of_default are 1 where a setpoint is not zero.
+    Images of the texture, by name. weight: finite weights, 1 without a hit. light: weight times utilisation; of_default: the same for
+    shares of the default. missed: 1 without a hit. forced, forced_light, forced_of_default: as the first three, over infinite weights. lit,
+    lit_of_default: 1 where a setpoint is not zero.
     """
     unit, finite = (asked.finite is None, asked.forced is None) if isinstance(asked, Setpoints) else (asked.unit, asked.finite)
     ruling = asked.masking and not finite and pixels.weight is pixels.full
@@ -71,7 +71,7 @@ def by_products(
     wanted = {
         "light": True,
         "of_default": of_default,
-        "weight": ruling or not unit,  # where infinite ones do not rule, finite ones add up to one
+        "weight": ruling or not unit,  # unit weights without infinite ones add up to 1, so no sum is needed
         "missed": not dark,
         "forced": apart,
         "forced_light": apart and not asked.masking,
@@ -86,7 +86,7 @@ def by_products(
         cut = (..., *piece.window.slices)
         for name, image in _mapped(piece, pixels, ruling, images).items():
             if isinstance(image, float) and image == beside[name] and not any(map(piece.window.meets, painted[name])):
-                continue  # it is so already
+                continue  # already filled so
             painted[name].append(piece.window)
             if piece.hit is None:
                 images[name][cut] = image
@@ -96,7 +96,7 @@ def by_products(
 
 
 def _mapped(piece: _Piece, pixels: PixelMajor, ruling: bool, wanted: Collection[str]) -> dict[str, Image]:
-    """What a piece adds to the images that are wanted."""
+    """The piece's contribution to each of the wanted images."""
     absolute = utilisation = _utilisation(piece, pixels)
     of_default: Image = 0.0
     if isinstance(piece.relative, Tensor) or piece.relative:
@@ -121,7 +121,7 @@ def _mapped(piece: _Piece, pixels: PixelMajor, ruling: bool, wanted: Collection[
 
 
 def _utilisation(piece: _Piece, pixels: PixelMajor) -> Image:
-    """What all pixels of a texel are asked for, `[..., rows, cols]` or broadcastable (T eq. 7.4.1, 7.4.2)."""
+    """Mapped utilisation, the same for all pixels of a texel, `[..., rows, cols]` or broadcastable (T eq. 7.4.1, 7.4.2)."""
     cut, size = piece.window.slices, (pixels.grid.rows, pixels.grid.cols)
     if not isinstance(piece.value, Tensor):
         return piece.value
@@ -136,7 +136,7 @@ def _utilisation(piece: _Piece, pixels: PixelMajor) -> Image:
 
 
 def _times(a: Image, b: Image) -> Image:
-    """The product, without a pass over an image where it is not needed."""
+    """The product; a factor of 1 costs no pass over the image."""
     if isinstance(b, float) and b in (0.0, 1.0):
         return a if b else 0.0
     return a * b
@@ -152,7 +152,7 @@ def _summed(images: dict[str, Tensor], ruling: bool, pixels: PixelMajor, default
 
     def summed(matrix: Csr, *names: str) -> dict[str, Tensor]:
         there = [name for name in names if name in images]
-        at_once = torch.stack([images[name].flatten(-2) for name in there])  # which reads the matrix once
+        at_once = torch.stack([images[name].flatten(-2) for name in there])  # one pass over the matrix for all of them
         return dict(zip(there, multiply(matrix.band(band.start, band.stop), at_once), strict=True))
 
     finite, infinite = ("light", "of_default", "missed", "weight"), ("forced", "forced_light", "forced_of_default")

@@ -1,4 +1,4 @@
-"""What both ways of mapping share: the band of pixels that may change, and the sums that reduction takes (T eq. 7.4.5)."""
+"""Common parts of both mappings: the band of pixels that may change, and the sums for the reduction (T eq. 7.4.5)."""
 
 from dataclasses import dataclass
 
@@ -8,14 +8,15 @@ from controllers.pixels.pixel_major import PixelMajor
 from controllers.pixels.windows import Window
 from world.texels import TexelGrid
 
-MOST = 0.7  # of all pixels: from here on a part of a matrix costs more than it spares
+MOST = 0.7  # share of all pixels from which on a part of the matrix costs more than it saves
 
 
 @dataclass(frozen=True)
 class Sums:
-    """Of each pixel of a band, all `[..., band]`: numerator and denominator of T eq. 7.4.5 over its rays of finite weight, the denominator
-    None where it is one; the same over its rays of infinite weight, None where there are none; and how many of its setpoints are lit.
-    ruled_from: a weight from which on it is infinite and its light zero, None where that is told apart.
+    """Sums of each pixel in a band, `[..., band]` each. light, weight: numerator and denominator of T eq. 7.4.5 over rays of finite weight;
+    weight is None if it is 1. forced_light, forced_weight: the same over rays of infinite weight, None if there are none. lit: number of
+    lit setpoints. ruled_from: a weight from here on stands for an infinite one of a zero setpoint; None if infinite weights are summed
+    separately.
     """
 
     light: Tensor
@@ -28,14 +29,14 @@ class Sums:
 
 @dataclass(frozen=True)
 class Band:
-    """The contiguous pixels with texels in some texture rows, and all texture rows that those pixels have."""
+    """A contiguous range of pixels that reach some texture rows, and all texture rows that these pixels reach."""
 
     pixels: slice
     rows: slice
 
     @classmethod
     def touched(cls, pixels: PixelMajor, w: Window) -> "Band":
-        """For the rows of a window."""
+        """The band of the pixels that reach the rows of a window."""
         grid = pixels.grid
         if w.empty:
             return cls(slice(0, 0), slice(0, 0))
@@ -51,13 +52,13 @@ class Band:
         return cls(band, slice(low, max(int(pixels.row_last[band].max()) + 1, w.row_stop)))
 
     def blank(self, like: Tensor, batch: tuple[int, ...], grid: TexelGrid, filled: float) -> Tensor:
-        """An image `[..., rows, cols]` of the texture, filled in these rows; beyond them it is undefined and never read."""
+        """An image `[..., rows, cols]` of the texture, filled in the band's rows; the other rows are undefined and never read."""
         texture = like.new_empty(*batch, grid.rows, grid.cols)
-        texture[..., self.rows, :].fill_(filled)  # an assignment takes three times as long
+        texture[..., self.rows, :].fill_(filled)  # three times as fast as an assignment
         return texture
 
     def texture(self, image: Tensor, w: Window, grid: TexelGrid, beside: float = 0.0) -> Tensor:
-        """Texels `[..., rows * cols]` of an image on a window, a constant beside it."""
+        """Texels `[..., rows * cols]` of an image on a window, with a constant outside it."""
         texture = self.blank(image, tuple(image.shape[:-2]), grid, beside)
         texture[..., *w.slices] = image
         return texture.flatten(-2)

@@ -1,4 +1,4 @@
-"""Moving a beam digitally: its light texture on a screen before the lamp, which SSC draws anew with the pixels there are (T 7.3.2)."""
+"""Digital movement of a beam: its light texture on a screen before the lamp, drawn again by SSC (T 7.3.2)."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,15 +12,15 @@ from controllers.pixels.ssc import Ssc
 from world.frames import pose, rotation
 from world.headlight import Headlight
 
-SCREEN_M = 25.0  # as far as measuring screens stand; a screen that only turns about the lamp looks the same at any distance
-STRAIGHT = MrpcParams(a_d=1.0)  # digitally moved hot spots would light the border of the field without edge darkening (T fig. 7.18)
+SCREEN_M = 25.0  # the usual distance of measuring screens; for rotations about the lamp it has no influence
+STRAIGHT = MrpcParams(a_d=1.0)  # edge darkening, since a moved hot spot would light the border of the field (T fig. 7.18)
 
 
 @dataclass(frozen=True)
 class Morph:
     """Eight degrees of freedom: T_headlight_screen `[..., 4, 4]` moves the screen, width and height stretch it about its middle.
 
-    Identity leaves the beam where it is. Rotations are about the photometric centre, as a module turns in its mount.
+    Identity does not move the beam. Rotations are about the photometric centre, as a module turns in its mount.
     """
 
     T_headlight_screen: Tensor
@@ -28,27 +28,27 @@ class Morph:
     height: float = 1.0
 
     def then(self, other: "Morph") -> "Morph":
-        """This one first, the other one after."""
+        """The composition: first this morph, then the other."""
         return Morph(other.T_headlight_screen @ self.T_headlight_screen, self.width * other.width, self.height * other.height)
 
 
 def turn(roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0) -> Morph:
-    """A beam turned about the lamp, in rad: right side down, nose down, to the left."""
+    """Rotation about the lamp in rad: roll right side down, pitch nose down, yaw to the left."""
     return Morph(pose(torch.zeros(3, dtype=torch.float64), rotation(*torch.tensor([roll, pitch, yaw], dtype=torch.float64))))
 
 
 def bend(yaw: float) -> Morph:
-    """Bend lighting: turned to the left, rad."""
+    """Bend lighting: rotation to the left, rad."""
     return turn(yaw=yaw)
 
 
 def level(pitch: float) -> Morph:
-    """Headlamp levelling: turned down, rad."""
+    """Headlamp levelling: rotation down, rad."""
     return turn(pitch=pitch)
 
 
 def roll(angle: float) -> Morph:
-    """Against the body's roll: right side down, rad."""
+    """Compensation of the body's roll: rotation right side down, rad."""
     return turn(roll=angle)
 
 
@@ -65,7 +65,9 @@ def screen(texture: Tensor, headlight: Headlight, morph: Morph) -> Primitives:
 
 @dataclass(frozen=True)
 class Morphing:
-    """A beam, utilisation `[n_p]`, that can be moved; params: how it is mapped, apart from those of the primitives over it."""
+    """A beam, utilisation `[n_p]`, that can be moved. params: MRPC parameters of the moved beam, independent of those of other
+    primitives.
+    """
 
     headlight: Headlight
     beam: Tensor
@@ -77,10 +79,10 @@ class Morphing:
 
     @cached_property
     def texture(self) -> Tensor:
-        """`[rows, cols]` cd, of the beam where it is."""
+        """Light texture `[rows, cols]` in cd of the beam before it is moved."""
         return self.headlight.light_texture(self.beam.to(self.headlight.matrix.values))
 
     def utilisation(self, morph: Morph) -> Tensor:
-        """Utilisation `[..., n_p]` of the moved beam; nothing shines where its texture does not reach."""
+        """Utilisation `[..., n_p]` of the moved beam; zero where its texture does not reach."""
         T = torch.eye(4, dtype=self.texture.dtype, device=self.texture.device)
         return self.ssc.utilisation(screen(self.texture, self.headlight, morph), T).u

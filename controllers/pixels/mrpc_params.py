@@ -1,4 +1,4 @@
-"""How setpoints become utilisations: the parameters of MRPC (T 7.4, 7.5.2)."""
+"""Parameters of MapReduce pixel control (T 7.4, 7.5.2)."""
 
 from typing import Literal, Self
 
@@ -9,35 +9,35 @@ from world.params import Params
 
 
 class MrpcParams(Params):
-    """Mapping, exclusion and reduction (T 7.4, 7.5.2, 8.5)."""
+    """MapReduce pixel control: mapping, exclusion and reduction (T 7.4, 7.5.2, 8.5)."""
 
-    a_m: float = Field(1.0, ge=0, le=8, description="mapping: 0 shares a setpoint equally among its pixels, 1 by what they can give")
+    a_m: float = Field(
+        1.0, ge=0, le=8, description="mapping: 0 shares a setpoint equally among its pixels, 1 in proportion to their intensities"
+    )
     a_r: float = Field(
         1.0, ge=0, le=8, description="reduction: 0 averages utilisations, 1 conserves light, 2 is the least-squares solution"
     )
-    a_x: float = Field(0.0, ge=0, le=1, description="exclusion: texels below this share of a pixel's maximum do not count, 0 for none")
+    a_x: float = Field(0.0, ge=0, le=1, description="exclusion: texels below this share of a pixel's maximum are ignored; 0: none")
     exclusion: Literal["capability", "printed"] = Field(
-        "capability", description="what a_x looks at: what a pixel can give at a texel, or the setpoint as T eq. 7.4.3 prints it"
+        "capability", description="a_x applies to a pixel's intensity at a texel (capability), or to the setpoint as printed in T eq. 7.4.3"
     )
-    a_ac: float = Field(0.0, ge=0, le=1, description="activation: a pixel with a smaller share of lit setpoints is off")
+    a_ac: float = Field(0.0, ge=0, le=1, description="activation threshold: a pixel with a smaller share of lit setpoints is off")
     a_d: float | None = Field(
-        None, gt=0, le=1e6, description="edge darkening: dims setpoints where the lamp gives less than a_d times its mean"
+        None, gt=0, le=1e6, description="edge darkening: dims setpoints where the lamp gives less than a_d times its mean intensity"
     )
-    lower_cd: float = Field(0.0, ge=0, le=1e9, description="least intensity that a pixel is asked for at a texel that a primitive covers")
-    upper_cd: float | None = Field(
-        None, gt=0, le=1e9, description="greatest intensity that a pixel is asked for at a texel that a primitive covers"
-    )
+    lower_cd: float = Field(0.0, ge=0, le=1e9, description="lower bound of a pixel's setpoint at texels that a primitive covers")
+    upper_cd: float | None = Field(None, gt=0, le=1e9, description="upper bound of a pixel's setpoint at texels that a primitive covers")
     mapping: Literal["potentiated", "direct", "maximal"] = Field(
         "potentiated",
-        description="potentiated shares by a_m and granularity; without them, direct asks each pixel for everything, maximal the strongest",
+        description="potentiated: by a_m and granularity; direct: the whole setpoint to each pixel; maximal: relative to the strongest",
     )
     shape: Literal["arbitrary", "rectangle"] = Field(
-        "arbitrary", description="pixels as they are, or simplified to the rectangles around their texels above a_x (0.5 if a_x is 0)"
+        "arbitrary", description="pixel shapes as they are, or simplified to the rectangles around their texels above a_x (0.5 if a_x is 0)"
     )
-    sampling: Sampling = Field("all", description="which of its texels a pixel asks: all, one of them, or a pattern of supersampling")
-    granularity: float = Field(0.0, ge=0, le=4, description="mapping: the power by which smaller pixels are asked for more")
-    sharpening: float = Field(0.0, ge=0, le=4, description="by how much setpoints beside dark ones are raised to make up for blur")
-    corrections: int = Field(0, ge=0, le=10, description="how often setpoints are raised by what the light of all pixels lacks of them")
+    sampling: Sampling = Field("all", description="texels that a pixel samples: all, one, or a supersampling pattern")
+    granularity: float = Field(0.0, ge=0, le=4, description="mapping: exponent by which smaller pixels get larger shares")
+    sharpening: float = Field(0.0, ge=0, le=4, description="strength by which setpoints beside dark ones are raised to compensate blur")
+    corrections: int = Field(0, ge=0, le=10, description="number of corrections of the setpoints by the error of the resulting light")
 
     @model_validator(mode="after")
     def _bounds_are_in_order(self) -> Self:

@@ -1,7 +1,7 @@
-"""Tuning of MapReduce control for one wanted light texture: which a_m, a_x and a_r come closest to it (T 8.4, 8.5).
+"""Tuning of MapReduce control for one wanted light texture: the best a_m, a_x and a_r (T 8.4, 8.5).
 
-Only pixels that reach a lit setpoint matter, and a trial costs little more than a look at each of their entries: a tenth of the time of
-`controllers.pixels.mrpc`, which drives lamps and turns the matrix around for each set of parameters. The tests hold the two together.
+Only pixels that reach a lit setpoint matter, and a trial costs little more than one pass over their entries: a tenth of the time of
+`controllers.pixels.mrpc`, which transposes the matrix for each set of parameters. Tests hold the two together.
 """
 
 import math
@@ -23,8 +23,8 @@ from world.headlight import Headlight
 from world.spmv import Csr
 
 Floats = NDArray[np.float32]
-THESIS = ("a_m", "a_x", "a_r")  # what is tuned in T 8.4
-OPTIONS = ("a_x", "a_ac", "sharpening")  # what brings the most on top of it, by our evaluation
+THESIS = ("a_m", "a_x", "a_r")  # the parameters tuned in T 8.4
+OPTIONS = ("a_x", "a_ac", "sharpening")  # further parameters that help most, by our evaluation
 RANGES: Mapping[str, tuple[float, float]] = {
     **dict(zip(THESIS, ((0.0, 2.0), (0.0, 1.0), (0.0, 3.0)), strict=True)),
     "a_ac": (0.0, 1.0),
@@ -36,11 +36,11 @@ POPULATION, GENERATIONS, REFINEMENTS = 10, 40, 80  # individuals a parameter; ev
 
 @dataclass(frozen=True)
 class Part:
-    """What of a headlight can give a wanted light texture: no other pixel is ever lit by MRPC, nor by a joint optimisation of the MAE.
+    """The part of a headlight that can give a wanted light texture; neither MRPC nor a joint optimisation of the MAE lights other pixels.
 
-    headlight: those pixels, one row of them, on the rows and columns of the texture that they reach. wanted: `[rows, cols]` cd of these.
-    pixels: `[n]` int64, their numbers in the whole headlight. window: slices of rows and columns of its texture. spread: of the light of
-    all of its pixels in rows and columns, which sharpening takes.
+    headlight: those pixels in one row, on the rows and columns of the texture that they reach. wanted: `[rows, cols]` cd there. pixels:
+    `[n]` int64, their indices in the whole headlight. window: slices of rows and columns of its texture. spread: standard deviation in
+    texels of a typical pixel's light in rows and columns, for sharpening.
     """
 
     headlight: Headlight
@@ -51,11 +51,11 @@ class Part:
 
 
 def part(headlight: Headlight, wanted: Tensor) -> Part:
-    """The part of a headlight that a wanted light texture `[rows, cols]` in cd asks for. Raises LuxloopError where no pixel reaches it."""
+    """The part of a headlight for a wanted light texture `[rows, cols]` in cd. Raises LuxloopError if no pixel reaches it."""
     lit = (wanted.flatten() > 0).cpu().numpy()
     pixels = np.unique(headlight.matrix.to_scipy()[lit].indices)
     if not len(pixels):
-        raise LuxloopError(f"no pixel of {headlight.name!r} reaches the wanted light: place it inside of the lamp's field")
+        raise LuxloopError(f"no pixel of {headlight.name!r} reaches the wanted light: place it inside the lamp's field")
     columns = headlight.matrix.transposed.to_scipy()[pixels]
     touched = lit.copy()
     touched[columns.indices] = True
@@ -84,9 +84,9 @@ def part(headlight: Headlight, wanted: Tensor) -> Part:
 class Trial:
     """Parameters of one MapReduce control.
 
-    a_m: None gives every pixel the whole setpoint (no mapping). a_x: exclusion by what a pixel can give. shape: rectangle takes all texels
-    in the bounding rectangle of those that are not excluded, as controls do that simplify pixels to rectangles (T 3.5.1, 8.5); where a
-    pixel has no light there is nothing to take. The others are those of `controllers.pixels.mrpc_params`.
+    a_m: None gives every pixel the whole setpoint (no mapping). a_x: exclusion by a pixel's intensity. shape: rectangle uses all texels
+    with light in the bounding rectangle of those that are not excluded, like controls with simplified pixels (T 3.5.1, 8.5). The others are
+    those of `controllers.pixels.mrpc_params`.
     """
 
     a_m: float | None = 1.0
@@ -102,7 +102,7 @@ class Trial:
 class TextureControl:
     """MapReduce control of a part of a headlight for many trials (T 7.5.2, eq. 7.4.1, 7.4.3, 7.4.5).
 
-    Exclusion looks at the capability; all weights are one.
+    Exclusion is by capability; all weights are 1.
     """
 
     def __init__(self, part: Part) -> None:
@@ -128,19 +128,19 @@ class TextureControl:
 
     def utilisation(self, trial: Trial) -> Tensor:
         """Utilisation `[n]` of the part's pixels, float32."""
-        counts = np.exp(np.float32(trial.a_r) * self._log) * self._counted(trial)
-        counts /= np.repeat(np.add.reduceat(counts, self._first), self._each)
+        counts = np.exp(np.float32(trial.a_r) * self._log) * self._counted(trial)  # w_ij I_m,ij^a_r, [nnz] (T eq. 7.4.3, 7.4.5)
+        counts /= np.repeat(np.add.reduceat(counts, self._first), self._each)  # denominator of T eq. 7.4.5
         lit, off = self._lit, self._share_lit < trial.a_ac
         share = 1 / self._I[lit]
         if trial.a_m is not None:
             raised = np.exp(np.float32(trial.a_m) * self._log[lit] - np.float32(trial.granularity) * self._log_size[lit])
             total = np.bincount(self._texel[lit], raised, self.part.headlight.n_texels)
-            share *= (raised / total[self._texel[lit]]).astype(np.float32)
+            share *= (raised / total[self._texel[lit]]).astype(np.float32)  # T eq. 7.4.1 over I_m,ij, [lit]
 
         def reduced(setpoints: Floats) -> Floats:
             terms = np.zeros_like(self._I)
             terms[lit] = counts[lit] * np.minimum(share * setpoints[self._texel[lit]], 1)
-            return np.where(off, np.float32(0), np.add.reduceat(terms, self._first).clip(0, 1))
+            return np.where(off, np.float32(0), np.add.reduceat(terms, self._first).clip(0, 1))  # T eq. 7.4.5, [n]; a_ac of T 7.5.2
 
         setpoints = self._wanted * (1 + np.float32(trial.sharpening) * self._darkness)
         u = reduced(setpoints)
@@ -162,9 +162,10 @@ class TextureControl:
 
 
 def tune(cost: Callable[[Trial], float], start: Trial | None = None, tuned: tuple[str, ...] = THESIS, seed: int = 0) -> Trial:
-    """The trial of least cost within RANGES, the others of its parameters as in `start`; never worse than the start.
+    """The trial of least cost with the tuned parameters within RANGES and the others as in `start`; never worse than `start`.
 
-    The cost jumps where a texel is excluded, so a population searches first, and a simplex refines its best. The same seed gives the same.
+    The cost jumps where a texel gets excluded, so differential evolution searches first and a simplex refines its best. Equal seeds give
+    equal results.
     """
     start = start or Trial()
     bounds = [RANGES[name] for name in tuned]

@@ -1,4 +1,4 @@
-"""A headlight matrix turned around for MRPC: everything that does not depend on a step's setpoints, made once (T 7.4)."""
+"""Pixel-major tables of a headlight for MRPC: all that does not depend on the setpoints, computed once (T 7.4)."""
 
 import math
 from collections.abc import Callable
@@ -13,13 +13,13 @@ from controllers.pixels.sampling import pixel_spread, rectangular, sample_weight
 from world.headlight import Headlight
 from world.spmv import Csr, row_of_entries, segment_bounds
 
-LEAST = 1e-16  # of a pixel's greatest I_m^a_r: less is lost in every sum, but a mask rules wherever there is any light
+LEAST = 1e-16  # of a pixel's greatest I_m^a_r: smaller weights vanish in sums, but a mask must act wherever there is any light
 Reduce = Callable[[Tensor, str], Tensor]  # values `[nnz]` of entries, and sum, amin or amax
 
 
 @dataclass(frozen=True)
 class PixelMajor:
-    """What MRPC needs of a headlight, pixel-major.
+    """Tables of a headlight for MRPC, pixel-major.
 
     entries: `[n_p, n_t]`, I_m,ij. full: the same with `I_m^a_r / sum_i I_m^a_r`, rows add up to one. kept: `[nnz]`, weights `I_m^a_r` of
     entries that are neither excluded nor left out by the sampling, a pixel's adding up to one. weight: `[n_p, n_t]`, those that are not
@@ -52,7 +52,7 @@ class PixelMajor:
 
 
 def pixel_major(headlight: Headlight, params: MrpcParams) -> PixelMajor:
-    """Turn a headlight matrix around for these parameters: the weights of T eq. 7.4.5 with the exclusion of T eq. 7.4.3."""
+    """The tables of a headlight for these parameters: the weights of T eq. 7.4.5 with the exclusion of T eq. 7.4.3."""
     entries = headlight.matrix.transposed
     if params.shape == "rectangle":
         entries = rectangular(entries, headlight, params.a_x or 0.5)
@@ -66,7 +66,7 @@ def pixel_major(headlight: Headlight, params: MrpcParams) -> PixelMajor:
 
     peak, total = of_pixels(I_m, "amax"), of_texels(I_m, "sum")  # I_m,j [n_p] and I_m,sum,i [n_t]
     raised = ((I_m / peak[pixel]) ** params.a_r).clamp(min=LEAST)  # (I_m,ij / I_m,j)^a_r [nnz]
-    full = entries.with_values(raised / of_pixels(raised, "sum")[pixel])  # T eq. 7.4.5 with weights of one
+    full = entries.with_values(raised / of_pixels(raised, "sum")[pixel])  # T eq. 7.4.5 with unit weights, [nnz]
     chosen = raised * sample_weights(entries, headlight, params.sampling)
     if params.exclusion == "capability" and params.a_x and params.shape == "arbitrary":
         chosen = torch.where(I_m < params.a_x * peak[pixel], 0.0, chosen)  # T eq. 7.4.3 on the capability
@@ -103,9 +103,9 @@ def pixel_major(headlight: Headlight, params: MrpcParams) -> PixelMajor:
 
 
 def _mapping(params: MrpcParams, entries: Csr, pixel: Tensor, of_pixels: Reduce, of_texels: Reduce) -> tuple[Tensor, Tensor | None]:
-    """share and potential of T eq. 7.4.1 or of the mapping named.
+    """share `[n_t]` and potential `[nnz]` of T eq. 7.4.1, or of the direct or maximal mapping.
 
-    A pixel is asked for the utilisation `I_s,ij / I_m,ij = I_m,ij^(a_m - 1) / sum_j I_m,ij^a_m * I_s,i`, which is potential share I_s,i.
+    The mapped utilisation is `I_s,ij / I_m,ij = I_m,ij^(a_m - 1) / sum_j I_m,ij^a_m * I_s,i`, the product of potential, share and I_s,i.
     """
     I_m = entries.values
     if params.mapping == "direct":
@@ -121,7 +121,7 @@ def _mapping(params: MrpcParams, entries: Csr, pixel: Tensor, of_pixels: Reduce,
 
 
 def _only(entries: Csr, values: Tensor) -> Csr:
-    """The entries whose new values are not zero."""
+    """The matrix with new values `[nnz]`, without its zeros."""
     keep = values != 0
     counts = torch.zeros(entries.n_rows, dtype=torch.int64, device=values.device).index_add(
         0, row_of_entries(entries)[keep], keep[keep].long()

@@ -14,14 +14,16 @@ from world.frames import rotation
 Quantity = Literal["I_v", "E_v", "u_abs", "u_rel"]
 QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)  # a quantity's code is its place in here
 I_V, E_V, U_ABS, U_REL = range(4)
-HEAVIEST = 1e12  # what greater weights count unless they are infinite, so that sums of them stay finite
+HEAVIEST = 1e12  # limit of finite weights, so that their sums stay finite
 
 _VECTORS = ("origin", "d1", "d2", "normal")
 
 
 @dataclass(frozen=True)
 class Observer:
-    """For whom symbols shall look undistorted (T 7.2.2): eyes and flying symbol rectangles in m, all `[..., P, 3]`; active: `[P]` bool."""
+    """Observers for whom symbols look undistorted (T 7.2.2): eyes and flying symbols' rectangles in m, `[..., P, 3]` each; active: `[P]`
+    bool.
+    """
 
     eye: Tensor
     origin: Tensor
@@ -32,17 +34,18 @@ class Observer:
 
 @dataclass(frozen=True)
 class Primitives:
-    """P rectangles per scene, batch dimensions first. What has no batch dimensions lies on the host, since it chooses the path of a step.
+    """P rectangles per scene, batch dimensions first. Fields without batch dimensions stay on the host, since they choose the path of a
+    step.
 
     origin: `[..., P, 3]` m in the world, the corner where symbol coordinates are (0, 0). d1: `[..., P, 3]` m, the edge along symbol u. d2:
-    `[..., P, 3]` m, the edge along symbol v. normal: `[..., P, 3]`, unit, towards the side that takes light. value: `[..., P]`, setpoint at
-    symbol value 1 in cd, lx or as a share. weight: `[..., P]`, 0 to infinity: 0 hides what lies behind but does not count, infinity beats
-    every finite one, of which those above HEAVIEST count as that. quantity: `[P]` int64, places in QUANTITIES. forced: `[P]` bool, hit
-    whatever lies before it. priority: `[P]` int64, decides between forced hits and between coplanar ones. symbols: images `[h, w]` in 0..1,
-    row 0 at v = 0, or `[2, h, w]` with their opacity, where rays pass if it is below 1/2, except through masks; symbol_of: `[P]` int64,
-    whose image. nearest: `[P]` bool, images are read at the nearest texel, else bilinearly. modules: names of modules or lamps that may
-    draw each, all where there are none. shared: `[P]` bool, all that draw give one setpoint in cd or lx together, instead of each the
-    whole. observer: eye from which symbols look undistorted, None without one.
+    `[..., P, 3]` m, the edge along symbol v. normal: `[..., P, 3]`, unit, of the side that takes light. value: `[..., P]`, setpoint at
+    symbol value 1 in cd, lx or as a share. weight: `[..., P]`, 0 to infinity: 0 occludes but does not count, infinity overrides all finite
+    ones, and finite ones are limited to HEAVIEST. quantity: `[P]` int64, indices in QUANTITIES. forced: `[P]` bool, hit even behind other
+    primitives. priority: `[P]` int64, decides between forced hits and between coplanar ones. symbols: images `[h, w]` in 0..1, row 0 at v =
+    0, or `[2, h, w]` with opacity; rays pass where it is below 1/2, except in masks. symbol_of: `[P]` int64, indices of images. nearest:
+    `[P]` bool, sample images at the nearest texel instead of bilinearly. modules: names of the modules or lamps that may draw each; none
+    means all. shared: `[P]` bool, all modules that draw give a setpoint in cd or lx together, instead of each the whole. observer: the
+    observers for whom symbols look undistorted, None without any.
     """
 
     origin: Tensor
@@ -65,11 +68,11 @@ class Primitives:
         return self.origin.shape[-2]
 
     def image_of(self, p: int) -> Tensor:
-        """The p-th one's image, `[h, w]` or `[2, h, w]`."""
+        """The image of the p-th primitive, `[h, w]` or `[2, h, w]`."""
         return self.symbols[int(self.symbol_of[p])]
 
     def observed(self, p: int) -> bool:
-        """Whether the p-th one is for an observer."""
+        """Whether the p-th primitive has an observer."""
         return self.observer is not None and bool(self.observer.active[p])
 
     def corners(self) -> Tensor:
@@ -77,7 +80,7 @@ class Primitives:
         return torch.stack([self.origin, self.origin + self.d1, self.origin + self.d2, self.origin + self.d1 + self.d2], -2)
 
     def select(self, mask: Tensor) -> "Primitives":
-        """Those where `[P]` bool is true, with all images."""
+        """The primitives where mask `[P]` bool is true, with all images."""
         mask = mask.cpu()
         at = mask.nonzero()[:, 0]
         picked = {name: getattr(self, name)[..., at.to(self.origin.device), :] for name in _VECTORS}
@@ -90,18 +93,18 @@ class Primitives:
         return replace(self, **picked, modules=tuple(self.modules[k] for k in at.tolist()), observer=observer)
 
     def for_module(self, name: str) -> "Primitives":
-        """Those that a module may draw; "left lores" is meant by its name, by "left" and by "lores"."""
+        """The primitives that a module may draw; "left lores" matches its name, "left" and "lores"."""
         may = [meant(names, name) for names in self.modules]
         return self if all(may) else self.select(torch.tensor(may))
 
     def moved(self, T: Tensor) -> "Primitives":
-        """The same in another frame, whose pose of this one is T `[4, 4]`; none of them is for an observer."""
+        """The primitives transformed by T `[4, 4]`, which takes points of their frame to the new one; they must have no observers."""
         R, origin = T[:3, :3].to(self.origin), T[:3, 3].to(self.origin)
         turned = {name: getattr(self, name) @ R.T for name in _VECTORS}
         return replace(self, **(turned | {"origin": turned["origin"] + origin}))
 
     def to(self, target: torch.device | torch.dtype) -> "Primitives":
-        """Move coordinates, setpoints and images to a device or a floating dtype."""
+        """The primitives with coordinates, setpoints and images on a device or in a floating dtype."""
         moved = {name: getattr(self, name).to(target) for name in (*_VECTORS, "value", "weight")}
         observer = self.observer
         if observer is not None:
@@ -126,17 +129,16 @@ def rectangle(
     modules: Sequence[str] = (),
     shared: bool = True,
 ) -> Primitives:
-    """One rectangle that asks for light (T 4.2.2, 7.2.1), or several that share everything but place, setpoint and weight.
+    """One rectangle with a setpoint (T 4.2.2, 7.2.1), or several that share all but position, setpoint and weight.
 
-    origin, d1, d2: `[3]` or `[..., P, 3]` m, a corner and the edges along the symbol's columns and rows. value: number or `[..., P]`, what
-    it asks for where the symbol is 1, of the quantity "u_abs" (utilisation 0..1), "u_rel" (multiple of the base pattern), "I_v" (cd) or
-    "E_v" (lx). normal: default d1 x d2; of any length. symbol: `[h, w]` in 0..1 or `[2, h, w]` with its opacity, homogeneous where there
-    is none. weight: number or `[..., P]`. forced, priority, nearest, modules, shared: see `Primitives`.
-    Raises LuxloopError for a quantity that there is not, for a symbol that is no image, and for a weight below zero or NaN where the host
-    knows it.
+    origin, d1, d2: `[3]` or `[..., P, 3]` m, a corner and the edges along the symbol's columns and rows. value: number or `[..., P]`,
+    setpoint where the symbol is 1, of the quantity "u_abs" (utilisation 0..1), "u_rel" (multiple of the base pattern), "I_v" (cd) or "E_v"
+    (lx). normal: of any length, by default d1 x d2. symbol: `[h, w]` in 0..1 or `[2, h, w]` with opacity, by default homogeneous. weight:
+    number or `[..., P]`. forced, priority, nearest, modules, shared: see `Primitives`. Raises LuxloopError for an unknown quantity, a
+    symbol that is no image, and, for weights on the host, a weight below zero or NaN.
     """
     if quantity not in QUANTITIES:
-        raise LuxloopError(f"there is no quantity {quantity!r} of a primitive; the quantities are {', '.join(QUANTITIES)}")
+        raise LuxloopError(f"a primitive has no quantity {quantity!r}; the quantities are {', '.join(QUANTITIES)}")
     symbol = torch.ones(1, 1) if symbol is None else symbol
     if symbol.shape[:-2] not in ((), (2,)) or symbol.ndim < 2 or not symbol.numel():
         raise LuxloopError(f"a primitive's symbol is an image [rows, columns], or two with its opacity, not of shape {list(symbol.shape)}")
@@ -168,12 +170,12 @@ def rectangle(
 
 
 def concatenate(*parts: Primitives) -> Primitives:
-    """All primitives of these parts in one list, batch dimensions broadcast; an image that several use is kept once.
+    """The primitives of all parts in order, batch dimensions broadcast; an image in several parts is kept once.
 
-    Raises LuxloopError where there is nothing to put together.
+    Raises LuxloopError for no parts.
     """
     if not parts:
-        raise LuxloopError("there are no primitives to put together: give at least one")
+        raise LuxloopError("there are no primitives to concatenate: give at least one")
     batch = np.broadcast_shapes(*(part.origin.shape[:-2] for part in parts))
 
     def joined(name: str, width: int) -> Tensor:
@@ -213,10 +215,10 @@ def _observers(parts: Sequence[Primitives], batch: tuple[int, ...]) -> Observer 
 
 
 def road_symbol(pose: Tensor, z_m: float, width_m: float, length_m: float, symbol: Tensor, value: float, quantity: Quantity) -> Primitives:
-    """The thesis' four degrees of freedom (T 9.4.2): one symbol near the road, read by the driver, far end = image row 0.
+    """A symbol near the road in the thesis' four degrees of freedom (T 9.4.2), for the driver to read: image row 0 at its far end.
 
-    pose: `[..., 4]` = x, y in m of the centre, roll, pitch in rad, `R = Ry(pitch) Rx(roll)`; z and size stay fixed, yaw is zero.
-    symbol: `[h, w]` in 0..1. value: of the quantity, as for `rectangle`. Returns Primitives with P = 1; raises LuxloopError as that does.
+    pose: `[..., 4]` = x, y in m of the centre, roll, pitch in rad, `R = Ry(pitch) Rx(roll)`; z and size stay fixed, yaw is zero. symbol:
+    `[h, w]` in 0..1. value, quantity: as for `rectangle`. Returns Primitives with P = 1; raises LuxloopError as `rectangle` does.
     """
     pose = pose[..., None, :]
     R = rotation(pose[..., 2], pose[..., 3], torch.zeros_like(pose[..., 3]))
@@ -227,5 +229,5 @@ def road_symbol(pose: Tensor, z_m: float, width_m: float, length_m: float, symbo
 
 
 def meant(names: Sequence[str], module: str) -> bool:
-    """Whether a module is among those named; "left lores" is by its name, by "left" and by "lores", and where none are named."""
+    """Whether a module is among names; "left lores" matches its name, "left", "lores" and an empty list of names."""
     return not names or any(f" {each} " in f" {module} " for each in names)

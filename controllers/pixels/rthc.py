@@ -1,7 +1,7 @@
-"""Ray tracing headlight control (T 7.3): from primitives to a setpoint for every ray of a light texture.
+"""Ray tracing headlight control (RTHC, T 7.3): from primitives to a setpoint for every ray of a light texture.
 
-Primitives are painted one after the other, each over the rays that it wins from those before it. On the CPU comparisons and selections
-cost ten times as much as sums, so masks are images of zeros and ones, and painting is blending.
+Primitives are painted in order, each over the rays that it wins from those before it. On the CPU, comparisons and selections cost ten times
+as much as sums, so hits are images of zeros and ones, and painting is blending.
 """
 
 import math
@@ -21,19 +21,19 @@ from controllers.pixels.windows import NOWHERE, SLACK, Window, union, whole
 from world.errors import LuxloopError
 from world.texels import TexelGrid
 
-PARALLEL = 1e-6  # of the cosine: a given normal that is that of the edges
-GRAZING = 1e-12  # least d.n by which a symbol is read, m^2: no ray that hits has less, and what others read stays finite
-OPAQUE = 0.5  # least opacity of an image that stops a ray
+PARALLEL = 1e-6  # tolerance of the cosine between a given normal and that of the edges
+GRAZING = 1e-12  # least d.n for sampling a symbol, m^2: every hit has more, and samples of other rays stay finite
+OPAQUE = 0.5  # least opacity that stops a ray
 
 
 @dataclass(frozen=True)
 class Setpoints:
-    """Ray setpoints on a window of the light texture; all images are `[..., rows, cols]`, those that are 0 or 1 in the dtype of value.
+    """Ray setpoints on a window of the light texture; all images are `[..., rows, cols]`, binary ones in the dtype of value.
 
     value: in cd (I_v, E_v) or as a share (u_abs, u_rel), 0 without a hit. cover: 1 where a primitive is hit; elsewhere the default counts
-    with weight 1. quantities: codes that may occur. finite: weights where they are finite, else 0; None where all are 1. forced: 1 where
-    the weight is infinite, None if it is so nowhere; masking: whether the setpoint is zero there, as far as the host knows. in_cd,
-    relative: 1 where the value is an intensity or a share of the default, None if all rays are alike.
+    with weight 1. quantities: codes that may occur. finite: finite weights, 0 where infinite; None if all are 1. forced: 1 where the weight
+    is infinite, None if nowhere. masking: whether all setpoints of infinite weight are known to be zero. in_cd, relative: 1 where the value
+    is an intensity or a share of the default; None if all rays have the same quantity.
     """
 
     value: Tensor
@@ -47,17 +47,17 @@ class Setpoints:
     relative: Tensor | None = None
 
     def portion(self, image: Tensor | None, *codes: int) -> Tensor | float:
-        """One where a ray has one of these quantities: `in_cd` or `relative`, or a number where all rays are alike."""
+        """1 where a ray has one of these quantities, from image `in_cd` or `relative`; a number if all rays have the same quantity."""
         return float(self.quantities[0] in codes) if image is None else image
 
     @property
     def shares(self) -> Tensor:
-        """Setpoints of u_rel, zero where a ray has another quantity."""
+        """Setpoints of u_rel, zero for rays of other quantities."""
         return self.value * self.portion(self.relative, U_REL)
 
     @property
     def hit(self) -> Tensor:
-        """Which rays hit a primitive, `[..., rows, cols]` bool."""
+        """Rays that hit a primitive, `[..., rows, cols]` bool."""
         return self.cover > 0
 
     @property
@@ -67,7 +67,7 @@ class Setpoints:
 
     @property
     def quantity(self) -> Tensor | None:
-        """Codes `[..., rows, cols]`, I_v for all that is in cd; None if all rays are alike."""
+        """Codes `[..., rows, cols]`, I_v for all setpoints in cd; None if all rays have the same quantity."""
         if self.in_cd is None and self.relative is None:
             return None
         absolute = torch.full_like(self.value, U_ABS)
@@ -76,9 +76,9 @@ class Setpoints:
 
 
 def paint_classes(primitives: Primitives) -> list[list[int]]:
-    """Primitives as they are painted, in classes of which each beats all before it, at any distance.
+    """Indices of primitives in painting order, in classes; each class overrides the earlier ones at any distance.
 
-    Forced hits come after the others, by priority; within a class the nearer one wins, coplanar ones by priority and then as listed.
+    Forced hits come last, by priority. Within a class the nearest wins; coplanar ones are ordered by priority, then by index.
     """
     keys = [(forced, priority) for forced, priority in zip(primitives.forced.tolist(), primitives.priority.tolist(), strict=True)]
     order = sorted(range(len(keys)), key=keys.__getitem__)
@@ -86,7 +86,7 @@ def paint_classes(primitives: Primitives) -> list[list[int]]:
 
 
 def masks(primitives: Primitives) -> list[bool]:
-    """Which of a single scene's primitives are masks: a zero setpoint of infinite weight."""
+    """Which primitives of a single scene are masks: zero setpoint of infinite weight."""
     return [value == 0 and weight == torch.inf for value, weight in zip(primitives.value.tolist(), primitives.weight.tolist(), strict=True)]
 
 
@@ -99,21 +99,19 @@ def trace(
 ) -> Setpoints:
     """Cast a ray through every texel's centre and take the setpoint of the primitive that it hits (T 7.3.3, eq. 3.1.1).
 
-    primitives: batch `[..., P]`. T_world_headlight: `[4, 4]`. windows: the texels that each primitive of a single scene on the host can
-    touch (all); the setpoints lie on their union. Back faces are not hit; E_v becomes `E d^2 / cos` (T eq. 7.2.1). A mask, which has a zero
-    setpoint of infinite weight, is hit by all rays within one texel of its outline, since light is interpolated between them. A symbol for
-    an observer is read where he sees the hit (T 7.2.2); secondary: what else the hits are asked (nothing).
-    Differentiable in the primitives (not across their edges).
-    Raises LuxloopError for values that are not finite, where they are on the host.
+    primitives: batch `[..., P]`. T_world_headlight: `[4, 4]`. windows: for a single scene on the host, the texels that each primitive can
+    touch, by default all; the setpoints lie on their union. Back faces are not hit. E_v becomes `E d^2 / cos` (T eq. 7.2.1). A mask, which
+    has a zero setpoint of infinite weight, is hit by all rays within one texel of its outline, since light is interpolated between texels.
+    A symbol with an observer is sampled where the observer sees the hit (T 7.2.2). secondary: secondary rays, by default none.
+    Differentiable in the primitives (not across their edges). Raises LuxloopError for values on the host that are not finite.
     """
     return Casting.prepare(primitives, grid, T_world_headlight, windows, secondary).setpoints()
 
 
 @dataclass(frozen=True)
 class Stroke:
-    """One primitive over the rays of its window that it wins: hit `[..., rows, cols]` is 1 there, else 0; value, where it is 1, is its
-    setpoint, elsewhere finite, and broadcastable. finite, forced: its weight `[..., 1, 1]`, the one 0 where it is infinite, the other
-    1 there.
+    """One primitive over its window. hit: `[..., rows, cols]`, 1 for rays that it wins, else 0. value: setpoint of these rays, finite
+    elsewhere, broadcastable. finite: its weight `[..., 1, 1]`, 0 if infinite. forced: `[..., 1, 1]`, 1 if the weight is infinite, else 0.
     """
 
     window: Window
@@ -127,10 +125,10 @@ class Stroke:
 
 @dataclass(frozen=True)
 class Casting:
-    """Rays about to be cast. windows: of each primitive, empty where it is not seen; window: around all.
+    """Rays to cast. windows: of each primitive, empty if it is not visible. window: their union.
 
-    is_mask, front: of each primitive whether it is a mask and whether its front is seen, None where the host does not know. unit, finite:
-    whether all finite weights are 1, whether none is infinite, as far as the host knows.
+    is_mask, front: for each primitive, whether it is a mask and whether the lamp sees its front, None if unknown on the host. unit, finite:
+    whether all finite weights are 1, and whether no weight is infinite; false if unknown on the host.
     """
 
     primitives: Primitives
@@ -154,10 +152,10 @@ class Casting:
         windows: Sequence[Window] | None = None,
         secondary: SecondaryRays | None = None,
     ) -> "Casting":
-        """As for `trace`."""
+        """Prepare the rays; arguments and errors as for `trace`."""
         known = primitives.value.device.type == "cpu"
         if known and not math.isfinite(primitives.value.sum().item()):
-            raise LuxloopError("a primitive's value is infinite or not a number; give a finite one, in cd, in lx or as a share")
+            raise LuxloopError("a primitive's value is infinite or not a number; give a finite one in cd or lx, or as a share")
         seen = homographies(primitives, grid, T_world_headlight)
         nobody: list[bool | None] = [None] * len(primitives)
         front, is_mask = (nobody, nobody) if windows is None else (_from_the_front(seen), [*masks(primitives)])
@@ -170,7 +168,7 @@ class Casting:
 
     @property
     def quantities(self) -> tuple[int, ...]:
-        """Codes that may occur, at least one."""
+        """Codes of quantities that may occur, at least one."""
         return tuple(sorted(set(self.primitives.quantity.tolist()))) or (U_ABS,)
 
     @property
@@ -185,17 +183,17 @@ class Casting:
         return all(mask for mask, weighty in zip(self.is_mask, infinite, strict=False) if weighty) and None not in self.is_mask
 
     def blank(self, filled: float = 0.0) -> Tensor:
-        """An image on the window."""
+        """A constant image on the window, `[..., rows, cols]`."""
         w, origin = self.window, self.primitives.origin
         return origin.new_full((*origin.shape[:-2], max(w.row_stop - w.row_start, 0), max(w.col_stop - w.col_start, 0)), filled)
 
     def strokes(self) -> Iterator[Stroke]:
-        """The primitives in the order in which they are painted."""
+        """The primitives in painting order."""
         weight, windows = self.primitives.weight[..., None, None], self.windows
         infinite = weight.isinf()
         finite, forced = torch.where(infinite, 0.0, weight.clamp(max=HEAVIEST)), infinite.to(weight)
         rays = _Rays(self.seen, *self.grid.tangents(weight.dtype, weight.device), any(mask is not False for mask in self.is_mask))
-        nearest: Tensor | None = None  # 1/x of the nearest hits of a class, rounded down
+        nearest: Tensor | None = None  # 1/x of a class's nearest hits, rounded down, [..., rows, cols]
         for painted in paint_classes(self.primitives):
             rivals = {p: any(windows[p].meets(windows[k]) for k in painted if k != p) for p in painted}
             if any(rivals.values()):
@@ -219,7 +217,7 @@ class Casting:
                 yield Stroke(windows[p], hit, value, finite[..., p, :, :], forced[..., p, :, :], int(self.primitives.quantity[p]), p)
 
     def setpoints(self) -> Setpoints:
-        """All strokes on one canvas."""
+        """The setpoints after all strokes."""
         codes = self.quantities
 
         def image(needed: bool, filled: float = 0.0) -> Tensor | None:
@@ -239,31 +237,31 @@ class Casting:
                 (relative, float(stroke.quantity == U_REL)),
             ):
                 if canvas is not None:
-                    canvas[cut].lerp_(expanded(new, stroke.hit), stroke.hit)
+                    canvas[cut].lerp_(expanded(new, stroke.hit), stroke.hit)  # the new value where the stroke wins, [..., rows, cols]
         return Setpoints(value, cover, self.window, codes, finite, forced, self.masking, in_cd, relative)
 
 
 def expanded(new: Tensor | float, hit: Tensor) -> Tensor:
-    """An image or a number in the shape of a hit, to be blended in."""
+    """An image or a number, expanded to the shape of a hit."""
     return (new if isinstance(new, Tensor) else hit.new_full((), new)).expand_as(hit)
 
 
 @dataclass(frozen=True)
 class _Product:
-    """Products of rays [1, y, z] with vectors of primitives, each the sum of a term of the ray's row and one of its column."""
+    """Dot products of rays [1, y, z] with vectors of primitives, as a term of the row plus a term of the column."""
 
     rows: tuple[Tensor, ...]
     cols: tuple[Tensor, ...]
 
     def on(self, p: int, w: Window) -> Tensor:
-        """Those with the p-th primitive's on a window: `[..., rows, cols]`, of pairs `[..., 2, rows, cols]`."""
+        """Products with the p-th primitive's vectors on a window: `[..., rows, cols]`, for pairs of vectors `[..., 2, rows, cols]`."""
         rows = self.rows[p].narrow(-1, w.row_start, w.row_stop - w.row_start)
         return rows.unsqueeze(-1) + self.cols[p].narrow(-1, w.col_start, w.col_stop - w.col_start).unsqueeze(-2)
 
 
 @dataclass(frozen=True)
 class _Rays:
-    """All rays of a grid by their tangents y `[cols]` and z `[rows]`. masking: whether a primitive may be a mask."""
+    """All rays [1, y, z] of a grid, by tangents y `[cols]` and z `[rows]`. masking: whether a primitive may be a mask."""
 
     seen: Homographies
     y: Tensor
@@ -276,12 +274,12 @@ class _Rays:
 
     @cached_property
     def uv(self) -> _Product:
-        """Of masks, which no image is read for, moved aside."""
+        """uv, shifted by `aside` for masks, whose images are not sampled."""
         return self._times(self.seen.uv, self.seen.margin[0] if self.masking else None)
 
     @cached_property
     def sight(self) -> tuple[_Product, _Product] | None:
-        """As n and uv, for observers."""
+        """As n and uv, for the flying symbols of observers."""
         return None if self.seen.sight is None else (self._times(self.seen.sight[0]), self._times(self.seen.sight[1]))
 
     @cached_property
@@ -290,7 +288,7 @@ class _Rays:
 
     @cached_property
     def closeness(self) -> _Product:
-        """1/x of the hit."""
+        """1/x of the hit: d.n / q.n (T eq. 7.3.3)."""
         return self._times(self.seen.n / self.seen.qn[..., None])
 
     def _times(self, a: Tensor, aside: Tensor | None = None) -> _Product:
@@ -301,9 +299,9 @@ class _Rays:
 
 
 def _from_the_front(seen: Homographies) -> list[bool | None]:
-    """Whether the lamp sees the front of a single scene's primitives, None where each ray has to be asked.
+    """Whether the lamp sees the front of each primitive of a single scene; None where it differs by ray.
 
-    It has where a given normal is not that of the edges, except of masks, which are seen as their middles are.
+    It may differ if a given normal is not that of the edges. For masks the centre decides.
     """
     cosine = (seen.normal * seen.n).sum(-1).abs() / seen.n.norm(dim=-1)
     decided = seen.mask | (cosine > 1 - PARALLEL)
@@ -311,21 +309,21 @@ def _from_the_front(seen: Homographies) -> list[bool | None]:
 
 
 def _step(a: Tensor) -> Tensor:
-    """One where a >= 0, else zero, in the memory of a."""
+    """1 where a >= 0, else 0; in place."""
     return a.ge_(0)
 
 
 def _inside(n: Tensor, uv: Tensor, wider: Tensor | None = None) -> Tensor:
-    """One where a ray passes a rectangle, by n `[..., rows, cols]` and uv `[..., 2, rows, cols]`, which are used up; wider: `[..., 2]`."""
+    """1 where a ray passes a rectangle, by n `[..., rows, cols]` and uv `[..., 2, rows, cols]`, which it overwrites; wider: `[..., 2]`."""
     uv = uv.detach().abs_()
     uv = uv if wider is None else uv.sub_(wider[..., None, None])
-    return _step(n.detach().sub_(torch.maximum(*uv.unbind(-3))))
+    return _step(n.detach().sub_(torch.maximum(*uv.unbind(-3))))  # |2 u d.n| <= d.n and |2 v d.n| <= d.n (T eq. 7.3.3)
 
 
 def _hit(rays: _Rays, seen: Homographies, p: int, mask: bool | None, front: bool | None, window: Window) -> Tensor:
-    """One where a ray hits the p-th primitive, `[..., rows, cols]` (T eq. 7.3.3).
+    """1 where a ray hits the p-th primitive, `[..., rows, cols]` (T eq. 7.3.3).
 
-    mask, front: whether it is a mask and whether its front is seen, None where the host does not know.
+    mask, front: whether it is a mask and whether the lamp sees its front, None if unknown on the host.
     """
     n, uv = rays.n.on(p, window), rays.uv.on(p, window)
     if mask is False:
@@ -333,7 +331,7 @@ def _hit(rays: _Rays, seen: Homographies, p: int, mask: bool | None, front: bool
         return hit if front else hit * _step(rays.facing.on(p, window).detach())
     hit = _inside(n, uv, seen.margin[1][..., p, :])
     if mask:
-        return hit  # the window ends where it may reach
+        return hit  # the window limits how far it reaches beyond its outline
     wide = seen.mask[..., p, None, None]
     hit *= _step(torch.where(wide, seen.toward[..., p, None, None], rays.facing.on(p, window).detach()))
     low, high = seen.outline
@@ -341,12 +339,12 @@ def _hit(rays: _Rays, seen: Homographies, p: int, mask: bool | None, front: bool
 
 
 def _won(hit: Tensor, rays: _Rays, seen: Homographies, p: int, mask: bool | None, window: Window, nearest: Tensor) -> Tensor:
-    """The part of a hit that no nearer one of its class is before; nearest, a lower bound of their 1/x, is raised by it."""
+    """The part of a hit without a nearer one of its class. nearest: lower bound of the class's 1/x, updated in place."""
     closeness = rays.closeness.on(p, window).detach()
-    if mask is not False:  # beyond its outline it is no nearer or farther than its corners
+    if mask is not False:  # a mask's hit beyond its outline is limited to the distances of its corners
         closeness = _between_corners(closeness, seen, p)
     rounding = seen.rounding[..., p, None, None]
-    hit = hit * _step(closeness * (1 + rounding) - nearest)
+    hit = hit * _step(closeness * (1 + rounding) - nearest)  # 1/x >= the nearest so far, within rounding
     torch.maximum(nearest, closeness.mul_(hit * (1 - rounding)), out=nearest)
     return hit
 
@@ -357,16 +355,18 @@ def _between_corners(closeness: Tensor, seen: Homographies, p: int) -> Tensor:
 
 
 def _points(rays: _Rays, seen: Homographies, p: int, window: Window, T_world_headlight: Tensor) -> Tensor:
-    """Where rays hit the p-th primitive, `[..., 3, rows, cols]` m in the world (T eq. 3.1.1); others end as near as its corners lie."""
+    """Points `[..., 3, rows, cols]` m in the world where rays hit the p-th primitive (T eq. 3.1.1); misses end at its corners'
+    distances.
+    """
     x = 1 / _between_corners(rays.closeness.on(p, window), seen, p)
     rows, cols = window.slices
     forward, left, up, position = T_world_headlight[:3, :, None, None].to(x).unbind(1)
     ray = (forward + up * rays.z[rows, None]) + left * rays.y[cols]
-    return position + x[..., None, :, :] * ray
+    return position + x[..., None, :, :] * ray  # p = o + x d (T eq. 3.1.1), [..., 3, rows, cols]
 
 
 def _near_outline(window: Window, low: Tensor, high: Tensor) -> Tensor:
-    """Texels at most one beyond the rectangle around an outline: where its corners are acute, widening alone would reach too far."""
+    """1 for texels at most one beyond the rectangle around an outline; at acute corners, widening alone would reach farther."""
     within = []
     for axis, (start, stop) in enumerate(((window.row_start, window.row_stop), (window.col_start, window.col_stop))):
         centre = torch.arange(start, stop, dtype=low.dtype, device=low.device) + 0.5
@@ -375,9 +375,9 @@ def _near_outline(window: Window, low: Tensor, high: Tensor) -> Tensor:
 
 
 def _setpoint(p: int, hit: Tensor, rays: _Rays, primitives: Primitives, seen: Homographies, window: Window) -> Tensor:
-    """Setpoint of the p-th primitive for the rays that hit it, elsewhere undefined but finite; broadcastable to `[..., rows, cols]`.
+    """Setpoint of the p-th primitive for rays that hit it, elsewhere arbitrary but finite; broadcastable to `[..., rows, cols]`.
 
-    An illuminance becomes the intensity `E d^2 / cos` (T eq. 7.2.1), the hit lying x = qn / d.n ahead at the distance d = x |ray|.
+    An illuminance becomes the intensity `E d^2 / cos` (T eq. 7.2.1); the hit lies x = qn / d.n ahead, at the distance x |ray|.
     """
     image, value = primitives.image_of(p), primitives.value[..., p, None, None]
     symbol = image if image.ndim == 2 else image[0]
@@ -396,26 +396,26 @@ def _setpoint(p: int, hit: Tensor, rays: _Rays, primitives: Primitives, seen: Ho
     across, facing = (hit.new_ones(()).lerp(product.on(p, window), hit) for product in (rays.n, rays.facing))
     rows, cols = window.slices
     d2 = (1 + rays.z[rows, None] ** 2) + rays.y[cols] ** 2
-    return value * seen.qn[..., p, None, None] ** 2 * (d2 * d2.sqrt()) / (across * across * facing)
+    return value * seen.qn[..., p, None, None] ** 2 * (d2 * d2.sqrt()) / (across * across * facing)  # E (qn / d.n)^2 |ray|^3 / facing
 
 
 def _opaque(p: int, rays: _Rays, primitives: Primitives, seen: Homographies, window: Window) -> Tensor:
-    """One where the p-th primitive's image is opaque, or the primitive a mask, which is so as a whole; `[..., rows, cols]`."""
+    """1 where the p-th primitive's image is opaque, or everywhere if it is a mask; `[..., rows, cols]`."""
     opacity = _read(primitives.image_of(p)[1], p, rays, primitives, window).detach()
     return torch.maximum(_step(opacity - OPAQUE), seen.mask[..., p, None, None].to(opacity))
 
 
 def _read(image: Tensor, p: int, rays: _Rays, primitives: Primitives, window: Window) -> Tensor:
-    """What rays `[..., rows, cols]` find of an image `[h, w]` on the p-th primitive, or in its observer's sight."""
+    """Samples `[..., rows, cols]` of an image `[h, w]` on the p-th primitive, or on its observer's flying symbol."""
     n, uv = rays.sight if primitives.observed(p) and rays.sight is not None else (rays.n, rays.uv)
-    at = uv.on(p, window) / n.on(p, window).clamp(min=GRAZING).unsqueeze(-3)
+    at = uv.on(p, window) / n.on(p, window).clamp(min=GRAZING).unsqueeze(-3)  # 2 u, 2 v of T eq. 7.3.3, [..., 2, rows, cols]
     return _symbol_value(image, at, bool(primitives.nearest[p]))
 
 
 def _symbol_value(symbol: Tensor, uv: Tensor, nearest: bool) -> Tensor:
-    """Symbol image `[h, w]` at coordinates -1..1 `[..., 2, rows, cols]`, bilinear or nearest, texel centres at (2 k + 1) / n - 1."""
+    """A symbol image `[h, w]` at coordinates -1..1 `[..., 2, rows, cols]`, bilinear or nearest, texel centres at (2 k + 1) / n - 1."""
     if not uv.numel():
-        return uv[..., 0, :, :]  # out of sight
+        return uv[..., 0, :, :]  # an empty window
     at = uv.reshape(-1, *uv.shape[-3:]).movedim(1, -1)
     images = symbol.expand(len(at), 1, *symbol.shape)
     sampled = grid_sample(images, at, "nearest" if nearest else "bilinear", padding_mode="border", align_corners=False)

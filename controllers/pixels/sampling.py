@@ -1,4 +1,4 @@
-"""Which of a pixel's texels are sampled, and by what weight: patterns of supersampling and simplified pixels (T 3.2, 3.5.1, 8.5)."""
+"""Which of a pixel's texels are sampled, with which weights: supersampling patterns and simplified pixels (T 3.2, 3.5.1, 8.5)."""
 
 from typing import Literal, get_args
 
@@ -13,8 +13,8 @@ from world.texels import TexelGrid
 Sampling = Literal["all", "brightest", "centroid", "uniform", "rotated", "n_rooks", "quincunx"]
 SAMPLINGS: tuple[Sampling, ...] = get_args(Sampling)
 
-EXTENT = 0.5  # a pixel's rectangle holds its texels of at least this share of its maximum
-FAINT = 1e-3  # of the pixel's maximum: what a rectangular pixel gives where the real one gives nothing
+EXTENT = 0.5  # a pixel's rectangle bounds its texels of at least this share of its maximum
+FAINT = 1e-3  # of the pixel's maximum: light of a rectangular pixel where the real one has none
 
 # Sample positions within a pixel's rectangle, along columns and rows in 0..1, and weights.
 _TILT = np.arctan(0.5)
@@ -27,11 +27,11 @@ _PATTERNS: dict[str, list[tuple[float, float, float]]] = {
 
 
 def sample_weights(entries: Csr, grid: TexelGrid, sampling: Sampling) -> Tensor:
-    """Weight of every entry `[nnz]` of a pixel-major headlight matrix `[n_p, n_t]`: how often its texel is a sample of its pixel.
+    """Sampling weight `[nnz]` of each entry of a pixel-major headlight matrix `[n_p, n_t]`: how much its texel counts for its pixel.
 
-    brightest, centroid: one sample a pixel; of several brightest texels the one nearest to their middle. uniform, rotated, n_rooks: four
-    samples in the pixel's rectangle. quincunx: its middle by 1/2 and its corners, which neighbours share, by 1/8. A sample falls on
-    the nearest texel that the pixel reaches.
+    brightest, centroid: one sample per pixel; of several brightest texels, the one nearest to their centre. uniform, rotated, n_rooks: four
+    samples in the pixel's rectangle. quincunx: its centre with 1/2 and its corners, which neighbours share, with 1/8. A sample falls on the
+    nearest texel that the pixel reaches.
     """
     values = entries.values.double()
     if sampling == "all":
@@ -42,7 +42,9 @@ def sample_weights(entries: Csr, grid: TexelGrid, sampling: Sampling) -> Tensor:
     if sampling in ("brightest", "centroid"):
         mass = values if sampling == "centroid" else (values == peak).double()
         total = _of_pixels(mass, pixel, entries.n_rows, "sum")[pixel]
-        middle = [_of_pixels(mass * at, pixel, entries.n_rows, "sum")[pixel] / total for at in (row, col)]
+        middle = [
+            _of_pixels(mass * at, pixel, entries.n_rows, "sum")[pixel] / total for at in (row, col)
+        ]  # sum_i m_i x_i / sum_i m_i, [nnz]
         away = (row - middle[0]) ** 2 + (col - middle[1]) ** 2
         return _nearest_entry(torch.where(mass > 0, away, torch.inf), pixel, entries.n_rows).to(entries.values)
     within = values >= EXTENT * peak
@@ -53,14 +55,14 @@ def sample_weights(entries: Csr, grid: TexelGrid, sampling: Sampling) -> Tensor:
     weight = torch.zeros_like(values)
     for across, down, share in _PATTERNS[sampling]:
         r, c = low[0] + down * (high[0] - low[0]), low[1] + across * (high[1] - low[1])
-        weight += share * _nearest_entry((row - r) ** 2 + (col - c) ** 2, pixel, entries.n_rows)
+        weight += share * _nearest_entry((row - r) ** 2 + (col - c) ** 2, pixel, entries.n_rows)  # w_ij += share of the sample, [nnz]
     return weight.to(entries.values)
 
 
 def rectangular(entries: Csr, grid: TexelGrid, threshold: float) -> Csr:
-    """Pixels simplified to bounding rectangles of their texels of at least `threshold` times their maximum (T 3.5.1, 8.5).
+    """Pixels `[n_p, n_t]` simplified to bounding rectangles of their texels of at least `threshold` times their maximum (T 3.5.1, 8.5).
 
-    Within, texels that the pixel does not reach get a little light and the others give it up; beyond, there is none. `[n_p, n_t]`.
+    Inside, texels that the pixel does not reach get a little light, taken from the others; outside, the pixel has none.
     """
     matrix = entries.to_scipy().tocsr()
     rows, cols, data = [], [], []
@@ -110,7 +112,7 @@ def _of_pixels(values: Tensor, pixel: Tensor, n_pixels: int, reduction: str) -> 
 
 
 def _nearest_entry(away: Tensor, pixel: Tensor, n_pixels: int) -> Tensor:
-    """One for each pixel's first entry that is least away, else zero: `[nnz]` float64."""
+    """1 for the first of each pixel's entries at the least distance, else 0: `[nnz]` float64."""
     least = away <= _of_pixels(away, pixel, n_pixels, "amin")[pixel]
     place = torch.arange(len(away), device=away.device)
     first = place.new_full((n_pixels,), len(away)).scatter_reduce(0, pixel, torch.where(least, place, len(away)), "amin")

@@ -1,6 +1,6 @@
-"""Secondary rays (T 7.5.1): what else is known of the point that a ray hits, from its sight of observers, lamps and street lamps.
+"""Secondary rays (T 7.5.1), from the point that a ray hits to observers, lamps and street lamps.
 
-All functions are pure and take points as the world has them, `[..., 3, N]` in m.
+All functions are pure and take points `[..., 3, N]` in m in the world frame.
 """
 
 from collections.abc import Callable, Collection, Sequence
@@ -22,15 +22,15 @@ from world.texels import TexelGrid
 
 Caster = Callable[[Tensor, Tensor], Tensor]  # (points [3, N], target [3]) -> [N] bool: something lies between them
 
-DARKEST = 1e-3  # share of its maximum below which a module counts as dark: pixels ask for no more than 1000 times of what is wanted
-BIAS_M = 0.02  # what stands closer to the point belongs to the surface that the point lies on
+DARKEST = 1e-3  # least share of its maximum that a dimmed module is compensated for: setpoints rise at most 1000-fold
+BIAS_M = 0.02  # surfaces closer to the point count as the one that it lies on
 
 
 def scene_caster(triangles: Triangles, T_world_points: Tensor | None = None, skip: Collection[int] = (0,)) -> Caster:
-    """A caster of shadow rays through a scene's triangles. T_world_points: `[4, 4]`, where the frame of its points lies in the world, by
-    default there. skip: ids of the objects that hide nothing, by default the road.
+    """A caster of shadow rays through a scene's triangles. T_world_points: `[4, 4]`, pose of the frame of the points, by default the world.
+    skip: ids of objects that cast no shadow, by default the road.
 
-    The road is skipped since primitives lie near it, not on it: a primitive 1 cm below the road would be hidden everywhere.
+    The road is skipped because primitives lie near it, not on it: one that lies 1 cm below the road would be occluded everywhere.
     """
     casting = Triangles(tuple(placed for placed in triangles.placed if placed.object_id not in skip))
 
@@ -45,9 +45,9 @@ def scene_caster(triangles: Triangles, T_world_points: Tensor | None = None, ski
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """What a module can give; another car's is one as well.
+    """The light that a module can give; it may belong to another car.
 
-    full: `[rows, cols]` cd, all pixels on at its own maximum. T_world_headlight: `[4, 4]`. intensity: its maximum now, as a share of that.
+    full: `[rows, cols]` cd, all pixels on, undimmed. T_world_headlight: `[4, 4]`. intensity: share of full that dimming leaves.
     """
 
     grid: TexelGrid
@@ -56,7 +56,7 @@ class Light:
     intensity: float = 1.0
 
     def under(self, command: ModuleCommand) -> "Light":
-        """The same of the module as it is commanded."""
+        """The light of the module turned and dimmed as commanded."""
         return replace(self, T_world_headlight=command.turned(self.T_world_headlight), intensity=command.intensity)
 
     @classmethod
@@ -65,7 +65,9 @@ class Light:
         return cls(headlight, headlight.light_texture(torch.ones(headlight.n_pixels).to(values)), T_world_headlight)
 
     def possible(self, points: Tensor) -> Tensor:
-        """`I_sum / d^2` `[..., N]` in lx (T eq. 2.1.4), on a surface that faces the lamp; zero outside of its light texture."""
+        """`I_sum / d^2`, `[..., N]` in lx (T eq. 2.1.4): largest illuminance of a surface facing the lamp; zero outside its light
+        texture.
+        """
         projection, full = self._projection.to(points), self.full.to(points)
         x, *_ = seen = (projection[:, :3] @ points + projection[:, 3:]).movedim(-2, 0)
         at = (seen[1:] / torch.where(x > 0, x, 1.0)).movedim(0, -1)
@@ -76,7 +78,7 @@ class Light:
 
     @cached_property
     def _projection(self) -> Tensor:
-        """`[3, 4]`, to the distance ahead and, times that, column and row of the texture, which reaches from -1 to 1."""
+        """Projection `[3, 4]` of world points to (x, x column, x row); x is the distance ahead, column and row run over -1..1."""
         wide, high = self.grid.left - self.grid.right, self.grid.top - self.grid.bottom
         column = [(self.grid.left + self.grid.right) / wide, -2 / wide, 0.0]
         row = [(self.grid.top + self.grid.bottom) / high, 0.0, -2 / high]
@@ -84,11 +86,11 @@ class Light:
 
 
 def shares(lights: Sequence[Light], points: Tensor, occluded: Caster | None = None, asked: Tensor | None = None) -> Tensor:
-    """Which share of a setpoint each light takes, `[L, ..., N]`: in proportion to what it can give there (T 7.5.1).
+    """Share of a setpoint that each light takes, `[L, ..., N]`, in proportion to the light that it can give there (T 7.5.1).
 
-    They add up to one where any light gets to, so light is not doubled; a light that something blocks takes none, and the others
-    compensate. Two cars that draw one symbol together are lights of one list. asked: `[..., N]` bool, for which
-    points shadow rays are cast (all).
+    The shares add up to 1 wherever any light reaches, so light is not doubled; a blocked light takes none, and the others compensate. The
+    lights of two cars that draw one symbol together go into one list. asked: `[..., N]` bool, points for which shadow rays are cast, by
+    default all.
     """
     possible = torch.stack([light.possible(points) for light in lights])
     if occluded is not None:
@@ -98,9 +100,9 @@ def shares(lights: Sequence[Light], points: Tensor, occluded: Caster | None = No
 
 
 def seen_by(points: Tensor, eye: Tensor, occluded: Caster, asked: Tensor | None = None) -> Tensor:
-    """Which points an observer at `[..., 3]` m sees, `[..., N]` bool: where nobody looks, a symbol need not be drawn (T 7.5.1).
+    """Points that an observer at `[..., 3]` m sees, `[..., N]` bool; elsewhere a symbol need not be drawn (T 7.5.1).
 
-    asked: `[..., N]` bool, for which points rays are cast (all); the others count as seen.
+    asked: `[..., N]` bool, points for which rays are cast, by default all; the others count as seen.
     """
     asked = torch.ones_like(points[..., 0, :], dtype=torch.bool) if asked is None else asked
     seen = torch.ones_like(asked)
@@ -128,7 +130,7 @@ def street_light(
 
 
 def less_street_light(setpoint_cd: Tensor, street_lx: Tensor, points: Tensor, normals: Tensor, position: Tensor) -> Tensor:
-    """Luminous intensities `[..., N]` that add to street lamps what is missing: a negative offset (T 7.5.1), never below zero.
+    """Setpoints `[..., N]` in cd less the light of street lamps: a negative offset (T 7.5.1), never below zero.
 
     position: `[3]` m, the lamp whose intensities they are; normals: unit, broadcastable to `[..., 3, N]`.
     """
@@ -141,10 +143,10 @@ def less_street_light(setpoint_cd: Tensor, street_lx: Tensor, points: Tensor, no
 
 @dataclass(frozen=True, eq=False)
 class SecondaryRays:
-    """What a module's rays ask where they hit a primitive.
+    """Secondary rays of one module from the hits on primitives.
 
-    lights: all modules that may draw, of all lamps and cars that draw together, with their names. own: which of them the rays are of.
-    street_lamps: whose light is taken off. occluded: what blocks secondary rays, nothing where it is None.
+    lights: names and lights of all modules of all lamps and cars that draw together. own: index of the module that casts the rays.
+    street_lamps: lamps whose light is subtracted. occluded: caster that tells what blocks secondary rays; None: nothing does.
     """
 
     lights: tuple[tuple[str, Light], ...]
@@ -153,17 +155,17 @@ class SecondaryRays:
     occluded: Caster | None = None
 
     def ask(self, primitives: Primitives, p: int) -> bool:
-        """Whether the p-th primitive's setpoint may change: utilisations say themselves what each module does."""
+        """Whether secondary rays may change the p-th primitive's setpoint; they leave utilisations as they are, except for observers."""
         in_light = int(primitives.quantity[p]) < U_ABS
         shared = bool(primitives.shared[p]) and len(self.lights) > 1
         dimmed = self.lights[self.own][1].intensity < 1
         return self._watched(primitives, p) or (in_light and (shared or dimmed or bool(self.street_lamps) or self.occluded is not None))
 
     def adjusted(self, value: Tensor, points: Tensor, hit: Tensor, primitives: Primitives, p: int) -> Tensor:
-        """Setpoints `[..., rows, cols]` of the p-th primitive at its points `[..., 3, rows, cols]` m, as far as they are hit.
+        """Adjusted setpoints `[..., rows, cols]` of the p-th primitive at its points `[..., 3, rows, cols]` m, valid where hit.
 
-        In cd and lx they are lessened by the street lamps' light and shared among the lights that may draw, and raised for a module that is
-        dimmed. What the primitive's observer cannot see is off.
+        Setpoints in cd and lx lose the light of street lamps, are shared among the lights that may draw, and are raised for a dimmed
+        module. Points that the primitive's observer cannot see are off.
         """
         size, value, points, hit = value.shape[-2:], value.flatten(-2), points.flatten(-2), hit.flatten(-2)
         if int(primitives.quantity[p]) < U_ABS:

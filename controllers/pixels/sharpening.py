@@ -1,4 +1,4 @@
-"""Setpoints that are raised before pixels are asked for them, against what neighbours do: sharpening (T 7.5.2) and corrections."""
+"""Changes of setpoints before the mapping that compensate blur: sharpening (T 7.5.2) and corrections."""
 
 from dataclasses import replace
 
@@ -11,14 +11,14 @@ from controllers.pixels.primitives import E_V, I_V, U_REL
 from controllers.pixels.rthc import Setpoints
 from world.spmv import multiply
 
-FAINT = 1e-6  # of what is wanted: what a correction leaves at least, so that a lit setpoint stays one
+FAINT = 1e-6  # share of a wanted setpoint that a correction leaves at least, so that a lit setpoint stays lit
 
 
 def corrected(asked: Setpoints, wanted: Setpoints, u: Tensor, pixels: PixelMajor, default: Tensor) -> Setpoints:
-    """The setpoints that led to u `[..., n_p]`, with what its light lacks of the wanted ones added to them; not from the thesis.
+    """The setpoints that led to u `[..., n_p]`, plus the error of its light against the wanted ones; not from the thesis.
 
-    Van Cittert's deconvolution, with MRPC in the place of the blur's inverse: all pixels see what they did together, and each decides by
-    itself again. Setpoints stay dark, or lit, or without a hit, as they are wanted. default: `[n_p]`. Costs one product with the matrix.
+    Van Cittert's deconvolution with MRPC in place of the blur's inverse: the error is of all pixels together, and MRPC again decides pixel
+    by pixel. Dark, lit and missed setpoints stay so. default: `[n_p]`. Costs one product with the matrix.
     """
     grid, w = pixels.grid, wanted.window
     band = grid.matrix.band(w.row_start * grid.cols, w.row_stop * grid.cols)
@@ -33,13 +33,14 @@ def corrected(asked: Setpoints, wanted: Setpoints, u: Tensor, pixels: PixelMajor
     if pixels.darkening is not None:
         unit = unit * pixels.darkening.view(grid.rows, grid.cols)[w.slices]
     given = on_window(multiply(band, u)) / unit.masked_fill(unit == 0, torch.inf)
-    return replace(asked, value=(asked.value + wanted.value - given).maximum(FAINT * wanted.value))
+    return replace(asked, value=(asked.value + wanted.value - given).maximum(FAINT * wanted.value))  # s + w - A u / unit, [..., rows, cols]
 
 
 def sharpened(setpoints: Setpoints, pixels: PixelMajor, strength: float, dark: bool) -> Setpoints:
-    """Setpoints raised for the darkness beside them, blurred as a pixel's light is (T 7.5.2); dark: the base pattern is zero.
+    """Setpoints raised by the darkness around them, blurred like a pixel's light (T 7.5.2). dark: whether the base pattern is zero.
 
-    Darkness is what a setpoint misses to the greatest in view, in cd. Where no primitive is hit it is dark if the base pattern is.
+    Darkness is the relative difference of a setpoint in cd to the greatest one in the window. Rays without a hit are dark if the base
+    pattern is.
     """
     grid, w = pixels.grid, setpoints.window
     total = pixels.total.view(grid.rows, grid.cols)[w.slices]
@@ -54,5 +55,5 @@ def sharpened(setpoints: Setpoints, pixels: PixelMajor, strength: float, dark: b
     flat = lit.reshape(-1, 1, *lit.shape[-2:])
     blurred = gaussian_blur2d(flat, kernel, sigma, border_type="constant").reshape(lit.shape)
     rows, cols = bright.shape[-2:]
-    raised = 1 + strength * (1 - blurred[..., margins[2] : margins[2] + rows, margins[0] : margins[0] + cols])
+    raised = 1 + strength * (1 - blurred[..., margins[2] : margins[2] + rows, margins[0] : margins[0] + cols])  # T 7.5.2, [..., rows, cols]
     return replace(setpoints, value=setpoints.value * raised)

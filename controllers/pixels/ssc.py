@@ -1,4 +1,4 @@
-"""SuperSampling Control (T 7): primitives in, pixel utilisations out, behind the protocol of all pixel controllers."""
+"""SuperSampling Control (SSC, T 7) from primitives to pixel utilisations, and the protocol of all pixel controllers."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -19,7 +19,7 @@ from world.headlight import Headlight
 class Utilisation:
     """The light of one module.
 
-    u: utilisation `[..., n_p]` of its pixels in 0..1. band: all pixels outside of it are dark, None where that is not known.
+    u: utilisation `[..., n_p]` of its pixels in 0..1. band: range of pixels outside which all are dark, None if unknown.
     """
 
     u: Tensor
@@ -38,7 +38,7 @@ class PixelController(Protocol):
         ...
 
     def utilisation(self, primitives: Primitives, T_world_headlight: Tensor, secondary: SecondaryRays | None = None) -> Utilisation:
-        """Utilisation `[..., n_p]` for primitives with the same batch dimensions; secondary: what else their hits are asked (nothing)."""
+        """Utilisation `[..., n_p]` for primitives with the same batch dimensions. secondary: secondary rays, by default none."""
         ...
 
     def over(self, default: Tensor) -> Self:
@@ -57,27 +57,27 @@ class Ssc:
 
     @cached_property
     def dark(self) -> bool:
-        """Whether the base pattern is dark: then nothing but a primitive's own rays and pixels counts."""
+        """Whether the base pattern is zero; then only rays that hit a primitive and their pixels matter."""
         return not bool(self.default.any())
 
     @classmethod
     def prepare(cls, headlight: Headlight, params: MrpcParams | None = None, default: Tensor | None = None) -> "Ssc":
-        """Make the pixel-major tables once; the default base pattern is dark."""
+        """Compute the pixel-major tables once. default: base pattern `[n_p]`, by default dark."""
         params = params or MrpcParams()
         values = headlight.matrix.values
         default = torch.zeros(headlight.n_pixels, dtype=values.dtype, device=values.device) if default is None else default
         return cls(headlight, pixel_major(headlight, params), params, default)
 
     def utilisation(self, primitives: Primitives, T_world_headlight: Tensor, secondary: SecondaryRays | None = None) -> Utilisation:
-        """A single scene on the CPU touches only the projected rectangle and its band of pixels; batches and accelerators take all rays.
+        """Utilisation `[..., n_p]`. A single scene on the CPU uses only the projected windows and their band of pixels, others all rays.
 
-        Raises LuxloopError for values of primitives that are not finite, where they are on the host.
+        Raises LuxloopError for values on the host that are not finite.
         """
         u, band = self.reduced(self.casting(primitives, T_world_headlight, secondary))
         return Utilisation(u, band if _on_host(primitives) and self.dark else None)
 
     def casting(self, primitives: Primitives, T_world_headlight: Tensor, secondary: SecondaryRays | None = None) -> Casting:
-        """Rays about to be cast at primitives, which are converted to the dtype of the headlight."""
+        """Rays to cast at primitives, which are converted to the dtype of the headlight."""
         if primitives.origin.dtype != self.default.dtype:
             primitives = primitives.to(self.default.dtype)
         windows = None
@@ -96,5 +96,5 @@ class Ssc:
 
 
 def _on_host(primitives: Primitives) -> bool:
-    """Whether it is a single scene on the host, whose windows can be read without waiting."""
+    """Whether it is a single scene on the host, whose windows can be computed without waiting for a device."""
     return primitives.origin.ndim == 2 and primitives.origin.device.type == "cpu"

@@ -1,6 +1,6 @@
-"""Which part of a light texture primitives can touch: the rectangles around their projected outlines.
+"""The windows of a light texture that primitives can touch: bounding rectangles of their projected outlines.
 
-They are tighter than the ellipsoids around groups of T 7.3.3, and all rays of a primitive are culled at once.
+They are tighter than the ellipsoids around groups in T 7.3.3, and cull all rays of a primitive at once.
 """
 
 import math
@@ -13,14 +13,14 @@ from torch import Tensor
 from controllers.pixels.primitives import Primitives
 from world.texels import TexelGrid
 
-NEAREST_M = 1e-3  # a primitive that reaches behind the lamp is cut off here, before its photometric centre
-SLACK = 0.01  # texels, against rounding
+NEAREST_M = 1e-3  # distance ahead of the photometric centre at which primitives that reach behind the lamp are clipped
+SLACK = 0.01  # texels, margin for rounding
 Point = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
 class Window:
-    """A rectangle of the light texture, texels; stop is exclusive."""
+    """A rectangle of texels in the light texture; stops are exclusive."""
 
     row_start: int
     row_stop: int
@@ -37,12 +37,12 @@ class Window:
         return self.row_stop <= self.row_start or self.col_stop <= self.col_start
 
     def meets(self, other: "Window") -> bool:
-        """Whether they have a texel in common."""
+        """Whether both windows share a texel."""
         rows = self.row_start < other.row_stop and other.row_start < self.row_stop
         return rows and self.col_start < other.col_stop and other.col_start < self.col_stop
 
     def within(self, outer: "Window") -> tuple[slice, slice]:
-        """Row and column slices of an image on a window around this one."""
+        """Row and column slices of this window in an image on an outer window."""
         rows = slice(self.row_start - outer.row_start, self.row_stop - outer.row_start)
         return rows, slice(self.col_start - outer.col_start, self.col_stop - outer.col_start)
 
@@ -56,7 +56,7 @@ def whole(grid: TexelGrid) -> Window:
 
 
 def union(windows: list[Window]) -> Window:
-    """The smallest window around all that are not empty."""
+    """The smallest window around all non-empty windows."""
     lit = [w for w in windows if not w.empty]
     if not lit:
         return NOWHERE
@@ -69,9 +69,10 @@ def union(windows: list[Window]) -> Window:
 
 
 def projected_windows(primitives: Primitives, grid: TexelGrid, T_world_headlight: Tensor, fringe: Sequence[bool] = ()) -> list[Window]:
-    """The texels that each of a single scene's primitives can touch, by its projected outline before the lamp.
+    """The texels that each primitive of a single scene can touch, by its projected outline ahead of the lamp.
 
-    fringe: which reach one texel beyond their outline (none). The host learns the rectangles, so an accelerator would be waited for.
+    fringe: primitives that reach one texel beyond their outline, by default none. The windows go to the host, so an accelerator would have
+    to be waited for.
     """
     corners = primitives.corners().detach() - T_world_headlight[:3, 3].to(primitives.origin)
     corners = corners @ T_world_headlight[:3, :3].to(primitives.origin)

@@ -1,1 +1,1 @@
-"""Light that follows what the camera measures of places and materials."""
+"""Lighting functions that follow what the camera measures of places and materials."""

@@ -1,7 +1,7 @@
-"""Material-based lighting: what is seen to be of a material gets that material's own light (T 9.2, fig. 9.4).
+"""Material-based lighting: each material that the camera identifies gets its own light (T 9.2, fig. 9.4).
 
-The camera's picture of materials becomes a picture of wanted illuminance. Rectangles at the tracked objects and on the road carry it, and
-every ray of a lamp that hits one of them asks for what the camera sees there.
+The material image becomes an image of wanted illuminance. Rectangles at tracked objects and on the road carry it, and each lamp ray that
+hits one of them reads the setpoint at the camera pixel that sees the hit.
 """
 
 import math
@@ -20,43 +20,41 @@ from world.materials.library import MaterialName
 from world.params import Metres, Params
 from world.view import View
 
-GROUND = frozenset({"asphalt", "wet_asphalt", "lane_paint"})  # what lies on the road's plane; all else stands on it
+GROUND = frozenset({"asphalt", "wet_asphalt", "lane_paint"})  # materials in the road's plane; all others stand on it
 Quantity = Literal["lx", "luminance"]
 Share = Annotated[float, Field(ge=0, le=1)]
 
 
 class MaterialLightParams(Params):
-    """The light of some surfaces, chosen by the names of their materials or by their albedo."""
+    """Light for surfaces chosen by material or albedo."""
 
-    materials: tuple[MaterialName, ...] = Field((), description="names of materials; left out: whatever has such an albedo")
-    albedo: tuple[Share, Share] = Field((0.0, 1.0), description="from and to which albedo")
-    lx: float | None = Field(None, ge=0, le=1e6, description="illuminance wanted; give this or luminance_cd_m2")
-    luminance_cd_m2: float | None = Field(
-        None, ge=0, le=1e9, description="luminance wanted, of a diffuse surface of the albedo that is seen"
-    )
+    materials: tuple[MaterialName, ...] = Field((), description="names of materials; left out: any material")
+    albedo: tuple[Share, Share] = Field((0.0, 1.0), description="range of albedo, least and greatest")
+    lx: float | None = Field(None, ge=0, le=1e6, description="wanted illuminance; give this or luminance_cd_m2")
+    luminance_cd_m2: float | None = Field(None, ge=0, le=1e9, description="wanted luminance, of a diffuse surface with the albedo seen")
 
     @model_validator(mode="after")
     def _one_quantity(self) -> Self:
         if (self.lx is None) == (self.luminance_cd_m2 is None):
-            raise ValueError("give either lx or luminance_cd_m2, one of the two")
+            raise ValueError("give either lx or luminance_cd_m2")
         if self.albedo[0] >= self.albedo[1]:
-            raise ValueError(f"albedo: nothing is between {self.albedo[0]:g} and {self.albedo[1]:g}; give the smaller one first")
+            raise ValueError(f"albedo: the range {self.albedo[0]:g} to {self.albedo[1]:g} is empty; give the smaller one first")
         return self
 
     @property
     def quantity(self) -> Quantity:
-        """What is wanted."""
+        """Quantity of the setpoint."""
         return "luminance" if self.lx is None else "lx"
 
     @property
     def value(self) -> float:
-        """How much of it, in cd/m^2 or lx."""
+        """Value of the setpoint in cd/m^2 or lx."""
         value = self.luminance_cd_m2 if self.lx is None else self.lx
         assert value is not None
         return value
 
     def wanted(self, albedo: Tensor) -> Tensor:
-        """Illuminance in lx, in the shape of the albedo."""
+        """Wanted illuminance in lx, in the shape of the albedo."""
         if self.quantity == "lx":
             return torch.full_like(albedo, self.value)
         return math.pi * self.value / albedo.clamp(min=0.01)
@@ -64,8 +62,8 @@ class MaterialLightParams(Params):
 
 @dataclass(frozen=True, eq=False)
 class MaterialState:
-    """What was seen last, `[height, width]`. lx: wanted illuminance, NaN where none is. light: which of the lights says so, -1 for none.
-    ground: bool, what lies on the road.
+    """The last material image, `[height, width]` each. lx: wanted illuminance, NaN where there is none. light: index of the light that
+    applies, -1 for none. ground: bool, materials in the road's plane.
     """
 
     view: View
@@ -75,37 +73,37 @@ class MaterialState:
 
 
 class MaterialParams(SelectionParams):
-    """Every material gets its own light; what is of none that is named keeps the base beam."""
+    """Gives each material its own light; other surfaces keep the base beam."""
 
     kind: Literal["material"] = "material"
-    categories: tuple[Category, ...] = Field(get_args(Category), min_length=1, description="classes of objects meant")
+    categories: tuple[Category, ...] = Field(get_args(Category), min_length=1, description="classes of objects that it lights")
     lights: tuple[MaterialLightParams, ...] = Field(
-        min_length=1, description="lights of materials; where several are meant the first counts"
+        min_length=1, examples=[[{"materials": ["asphalt"], "lx": 10.0}]], description="lights of materials; the first that matches applies"
     )
-    road_m: tuple[Metres, Metres] | None = Field((5.0, 60.0), description="where the road is lit so, from and to; none: nowhere")
-    road_width_m: float = Field(16.0, gt=0, le=10_000, description="how wide, about the middle of the car")
-    margin_m: float = Field(
-        0.2, ge=0, le=10_000, description="how much larger than an object's box its rectangle is, to each side but its foot"
+    road_m: tuple[Metres, Metres] | None = Field(
+        (5.0, 60.0), description="range ahead in which the road is lit by material; none: the road is not"
     )
-    priority: int = Field(0, ge=0, le=100, description="of two functions in one place, the higher is drawn")
+    road_width_m: float = Field(16.0, gt=0, le=10_000, description="width of that part of the road, about the car's centre line")
+    margin_m: float = Field(0.2, ge=0, le=10_000, description="margin of an object's rectangle beyond its box on all sides but the foot")
+    priority: int = Field(0, ge=0, le=100, description="where functions overlap, the higher priority is drawn")
     modules: tuple[str, ...] = Field((), description="lamps or modules that draw it; left out: all")
 
     @model_validator(mode="after")
     def _some_road(self) -> Self:
         if self.road_m is not None and not 0 < self.road_m[0] < self.road_m[1]:
-            raise ValueError(f"road_m: give two distances ahead of the car, the nearer one first, not {list(self.road_m)}")
+            raise ValueError(f"road_m: {list(self.road_m)} is no range; give two distances ahead of the car, the nearer one first")
         return self
 
     def start(self) -> None:
-        """Nothing seen yet."""
+        """No state before the first frame."""
 
     def step(self, state: MaterialState | None, now: Situation) -> MaterialState | None:
-        """The picture of wanted light. Raises LuxloopError where nothing tells materials."""
+        """The image of wanted light. Raises LuxloopError if there is no source of materials."""
         seen = now.seen
         if seen is None:
             return state
         if seen.albedo is None or seen.material is None:
-            raise LuxloopError("kind: light by material needs a source of materials beside the camera, which is not there")
+            raise LuxloopError("kind: material-based light needs a source of materials beside the camera, and there is none")
         albedo = seen.albedo.float()
         lx, which = torch.full_like(albedo, torch.nan), torch.full_like(seen.material, -1)
         for number, light in reversed(list(enumerate(self.lights))):
@@ -117,7 +115,7 @@ class MaterialParams(SelectionParams):
         return MaterialState(seen.view, lx, which, torch.isin(seen.material, _numbers(seen.materials, GROUND).to(seen.material)))
 
     def adapted(self, state: MaterialState | None, now: Situation) -> tuple[Primitives, ...]:
-        """A rectangle for each object, upright in its middle and turned to the lamps, and one for the road."""
+        """One upright rectangle for each object, through its centre and facing the lamps, and one for the road."""
         if state is None:
             return ()
         standing = [
@@ -128,7 +126,7 @@ class MaterialParams(SelectionParams):
         return tuple(self._draw(place, lx, state.view) for places, lx in drawn if not bool(lx.isnan().all()) for place in places)
 
     def base_share(self, state: MaterialState | None) -> None:
-        """It asks nothing of the base beam."""
+        """No demand on the base beam."""
 
     def _at(self, T_world_object: Tensor, size_m: tuple[float, float, float], now: Situation) -> Place:
         length, width, height = size_m
@@ -143,7 +141,7 @@ class MaterialParams(SelectionParams):
         return on_road(now.T_world_vehicle.double(), corner, across, back)
 
     def _draw(self, place: Place, lx: Tensor, view: View) -> Primitives:
-        """The camera's picture as one that its rays show on the place; transparent where nothing is wanted, and beyond its border."""
+        """A primitive at a place that shows the camera's image along its rays; transparent outside it and where no light is wanted."""
         wanted = ~lx.isnan()
         wanted[[0, -1]], wanted[:, [0, -1]] = False, False
         most = float(lx[wanted].max()) if bool(wanted.any()) else 0.0
@@ -165,7 +163,7 @@ class MaterialParams(SelectionParams):
 
 
 def image_plane(view: View) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """A camera's eye, and the rectangle 1 m before it that its image fills: origin, d1 to the right, d2 down, all `[3]` m."""
+    """Eye of a camera, and origin, d1 (right) and d2 (down) of the rectangle 1 m ahead of it that its image fills; `[3]` m each."""
     right, down, ahead = view.T_world_view[:3, :3].double().T
     corner = view.origin + ahead - view.cx / view.fx * right - view.cy / view.fy * down
     return view.origin, corner, view.width / view.fx * right, view.height / view.fy * down

@@ -1,8 +1,8 @@
-"""Zones: places that shall look as bright as wanted, whatever they are made of (T 9.3, fig. 9.6).
+"""Zones: places that are controlled to a wanted luminance, whatever they are made of (T 9.3, fig. 9.6).
 
-The camera measures a zone's luminance and a PID sets the illuminance. What the zone reflects is not known, but it is a factor between the
-two: between their logarithms it is a constant, so the loop has the same gain on black cloth as on paint. The loop's output is its own
-integrator, held at what the lamps can give, so nothing winds up.
+The camera measures a zone's luminance and a PID sets its illuminance. The zone's reflectance is unknown, but it is a factor between the two
+and hence an offset between their logarithms. So the loop has the same gain on black cloth as on paint. The loop's output is its own
+integrator, limited to what the lamps can give, so it does not wind up.
 """
 
 import math
@@ -23,56 +23,60 @@ from world.frames import pose_from_degrees
 from world.params import Metres, Params
 from world.view import View
 
-DARKEST = 0.01  # of the target: what is measured darker counts as this, so that black is not infinitely far from it
-CLIPPED = 0.5  # share of a zone's pixels at the camera's largest number from which on its mean says only that it is no darker
-LIMIT_POINTS = 5  # along each side of a zone, where it is asked what the lamps can give
+DARKEST = 0.01  # of the target: least measured luminance, so that the logarithm stays finite
+CLIPPED = 0.5  # share of saturated pixels from which on the mean is only a lower bound of the zone's luminance
+LIMIT_POINTS = 5  # along each side of a zone, at which the lamps' largest illuminance is computed
 
 
 @dataclass(frozen=True)
 class ZoneState:
-    """pid: one loop `[1]` whose output is the natural logarithm of the illuminance in lx. luminance: measured last, cd/m^2, NaN before."""
+    """pid: one loop `[1]`; its output is the natural logarithm of the illuminance in lx. luminance: last measured, cd/m^2, NaN before."""
 
     pid: PidState
     luminance: float = math.nan
 
     @property
     def lx(self) -> float:
-        """Illuminance asked for."""
+        """Commanded illuminance."""
         return math.exp(float(self.pid.output))
 
 
 class ZoneParams(Params):
-    """A place in the world that is lit until the camera measures the wanted luminance there."""
+    """A place in the world that is lit so that the camera measures the wanted luminance there."""
 
     kind: Literal["zone"] = "zone"
-    centre_m: tuple[Metres, Metres, Metres] = Field(description="its middle in the world (x forward, y left, z up)")
-    size_m: tuple[Metres, Metres, Metres] = Field(description="length, width and height of a box; a rectangle where one of them is 0")
-    roll_deg: float = Field(0.0, ge=-180, le=180, description="rotation about its length, right side down")
-    pitch_deg: float = Field(0.0, ge=-90, le=90, description="rotation about its width, nose down")
-    yaw_deg: float = Field(0.0, ge=-180, le=180, description="rotation about the upward axis, to the left")
-    luminance_cd_m2: float = Field(gt=0, le=1e9, description="target: mean luminance of the zone in the camera's image")
-    start_lx: float = Field(1.0, gt=0, le=1e6, description="illuminance before the camera has seen it")
+    centre_m: tuple[Metres, Metres, Metres] = Field(
+        examples=[[20.0, 0.0, 0.0]], description="centre in the world (x forward, y left, z up)"
+    )
+    size_m: tuple[Metres, Metres, Metres] = Field(
+        examples=[[4.0, 2.0, 0.0]], description="length, width and height of a box; a rectangle where one of them is 0"
+    )
+    roll_deg: float = Field(0.0, ge=-180, le=180, description="rotation about its length axis, right side down positive")
+    pitch_deg: float = Field(0.0, ge=-90, le=90, description="rotation about its width axis, nose down positive")
+    yaw_deg: float = Field(0.0, ge=-180, le=180, description="rotation about the upward axis, to the left positive")
+    luminance_cd_m2: float = Field(gt=0, le=1e9, examples=[1.0], description="setpoint: mean luminance of the zone in the camera image")
+    start_lx: float = Field(1.0, gt=0, le=1e6, description="illuminance before the first measurement")
     pid: PidParams = Field(
         PidParams(kp=0.7, form="incremental", lower=-5.0, rate_limit=2.0),
-        description="the loop, on natural logarithms: of luminance in, of illuminance in lx out; its time is in steps",
+        description="PID from the logarithm of luminance to the logarithm of illuminance; its time is in steps",
     )
     weight: float = Field(
-        20.0, ge=0, le=1e6, description="how much it counts where a pixel lights more than the zone; the base beam counts 1"
+        20.0, ge=0, le=1e6, description="weight against other light where a pixel lights more than the zone; the base beam has 1"
     )
-    priority: int = Field(0, ge=0, le=100, description="of two functions in one place, the higher is drawn")
+    priority: int = Field(0, ge=0, le=100, description="where functions overlap, the higher priority is drawn")
     modules: tuple[str, ...] = Field((), description="lamps or modules that light it; left out: all")
 
     @model_validator(mode="after")
     def _box_or_rectangle(self) -> Self:
         if min(self.size_m) < 0 or sorted(self.size_m)[1] == 0:
-            raise ValueError(f"size_m: a box has three sides above zero and a rectangle two, here {list(self.size_m)}; correct them")
+            raise ValueError(f"size_m: {list(self.size_m)} is neither a box nor a rectangle; give three or two sides above zero")
         return self
 
     def start(self) -> ZoneState:
         return ZoneState(pid_reset(self._gains, torch.tensor([math.log(self.start_lx)], dtype=torch.float64)))
 
     def step(self, state: ZoneState, now: Situation) -> ZoneState:
-        """One step of the loop from what was seen; nothing changes while the zone is out of the image."""
+        """One step of the loop on the last frame; the state stays while the zone is out of the image."""
         if now.seen is None or not bool((region := region_of(self, now.seen.view)).any()):
             return state
         values = now.seen.luminance[region.to(now.seen.luminance.device)].double()
@@ -85,7 +89,7 @@ class ZoneParams(Params):
         return ZoneState(pid_step(state.pid, state.pid.output.new_tensor([error]), 1.0, gains)[0], luminance)
 
     def adapted(self, state: ZoneState, now: Situation) -> tuple[Primitives, ...]:
-        """One rectangle: the zone's own, or of a box the upright one in its middle that is turned to the lamps."""
+        """One rectangle: the zone itself, or for a box the upright one through its centre that faces the lamps."""
         place = self.place(now.lamps)
         return (
             rectangle(
@@ -102,16 +106,16 @@ class ZoneParams(Params):
         )
 
     def base_share(self, state: ZoneState) -> None:
-        """A zone asks nothing of the base beam."""
+        """No demand on the base beam."""
 
     @property
     def box(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Its pose `[4, 4]` in the world, and two opposite corners `[3]` m in its frame."""
+        """Pose `[4, 4]` of the zone in the world, and two opposite corners `[3]` m in its frame."""
         high = torch.tensor(self.size_m, dtype=torch.float64) / 2
         return self._T_world_zone, -high, high
 
     def place(self, lamps: Tensor) -> Place:
-        """Where light is asked for; lamps: `[L, 3]` m, to which its face is turned."""
+        """The rectangle to light. lamps: positions `[L, 3]` m that the rectangle of a box faces."""
         T, low, high = self.box
         size, lamp = high - low, lamps.double().mean(0)
         if min(self.size_m) > 0:
@@ -130,7 +134,7 @@ class ZoneParams(Params):
         return pid_gains([self.pid], torch.float64)
 
     def _most_lx(self, now: Situation) -> Tensor:
-        """The most illuminance that the lamps can give anywhere in the zone; infinite where they are not known."""
+        """The largest illuminance in lx that the lamps can give anywhere in the zone; infinite if the lamps are unknown."""
         lights = [light for name, light in now.lights if meant(self.modules, name)]
         if not lights:
             return torch.tensor(math.inf, dtype=torch.float64)
@@ -147,5 +151,5 @@ class ZoneParams(Params):
 
 @lru_cache(maxsize=32)
 def region_of(zone: ZoneParams, view: View) -> Tensor:
-    """The pixels `[height, width]` bool that look at a zone; kept, since cameras and zones stand still."""
+    """Mask `[height, width]` bool of the pixels that see a zone; cached, since camera and zone are fixed."""
     return box_region(view, *zone.box)

@@ -17,7 +17,7 @@ from world.roads.mesh import road_mesh
 from world.roads.scan import OpenCrgRoad
 from world.scene.body import Body
 from world.scene.figure import Figure
-from world.scene.road_tiles import RoadTiles
+from world.scene.road_tiles import AROUND_M, SIGHT_M, RoadTiles
 from world.scene.scene import Scene
 from world.scene.vehicle import STANDING, Motion, drive
 from world.traffic.objects import ObjectParams
@@ -45,7 +45,8 @@ def build_scene(scenario: Scenario, motion: Motion = STANDING) -> Scene:
         ground = Body("road", road_mesh(road), surface.albedo, texture, smooth=True)
     else:
         others_y_m = tuple(y for each in objects for y in each.track.T_world_body[:, 1, 3].tolist())
-        ground = RoadTiles(road, motion.range_y_m, surface.albedo, texture, others_y_m=others_y_m)
+        sight_m = SIGHT_M if scenario.traffic is None else max(SIGHT_M, scenario.traffic.sight_m + AROUND_M)
+        ground = RoadTiles(road, motion.range_y_m, surface.albedo, texture, others_y_m=others_y_m, sight_m=sight_m)
     return Scene((ground, *objects), scenario.light.ambient_lx, scenario.light.street_lamps)
 
 

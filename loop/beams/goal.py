@@ -1,4 +1,4 @@
-"""What a beam pattern is optimised for (T fig. 9.3): a detector's confidence or an image metric, less what light costs."""
+"""The objective of a beam optimisation (T fig. 9.3): a detector's confidence or an image metric, less the cost of light."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -21,23 +21,23 @@ from world.params import Params
 
 Metric = Literal["detector", "weber_contrast", "edges"]
 FAINTEST = 1e-6  # of a score, so that its logarithm stays finite
-DAZZLING_LX = 1.0  # on eyes, from which on it counts as glare
-SEEN = 0.3  # least share of an object that nothing hides, of those that count
+DAZZLING_LX = 1.0  # illuminance on eyes above which it counts as glare
+SEEN = 0.3  # least visible share of an object that counts
 LEAST_PX = 60
 
 
 class BeamGoal(Params):
-    """Weights of a loss: less the mean logarithm of the objects' scores, plus what light costs."""
+    """Weights of the loss: the negative mean logarithm of the objects' scores plus the cost of light."""
 
-    metric: Metric = Field("detector", description="what of the objects shall be high")
-    energy: float = Field(2.0, ge=0, description="of the lamps' flux, as a share of all pixels on")
-    unevenness: float = Field(0.0, ge=0, description="of light on the objects, standard deviation over mean")
-    glare: float = Field(0.1, ge=0, description="of light on heads and windscreens, for each lx over 1 lx")
+    metric: Metric = Field("detector", description="metric of the objects to maximise")
+    energy: float = Field(2.0, ge=0, description="weight of the lamps' flux, as a share of all pixels on")
+    unevenness: float = Field(0.0, ge=0, description="weight of the unevenness of light on objects: standard deviation over mean")
+    glare: float = Field(0.1, ge=0, description="weight of each lx above 1 lx on heads and windscreens")
 
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """What light does. scores: `[n]` of the objects, of which the logarithm counts; loss: all together; share: of all pixels' flux."""
+    """Effect of a light. scores: `[n]` of the objects; loss: total, with the scores' logarithm; share: flux as share of all pixels on."""
 
     scores: Tensor
     loss: Tensor
@@ -47,7 +47,7 @@ class Judgement:
 
 @dataclass(frozen=True, eq=False)
 class BeamJudge:
-    """A still scene in which beams are judged. detector: None where an image metric is."""
+    """A still scene in which beams are evaluated. detector: None for image metrics."""
 
     simulation: Simulation
     goal: BeamGoal
@@ -56,7 +56,7 @@ class BeamJudge:
 
     @classmethod
     def prepare(cls, simulation: Simulation, goal: BeamGoal, detector: Detector | None) -> "BeamJudge":
-        """Raises LuxloopError where there is nothing to be seen."""
+        """The scene at a simulation's start. Raises LuxloopError if no object that counts is in view."""
         judge = cls(simulation, goal, detector, simulation.world.lit(0.0))
         if not judge.masks:
             raise LuxloopError("objects: none with a category that counts is in the camera's sight at the start; put one there")
@@ -104,7 +104,7 @@ class BeamJudge:
         return self.confidences(self.frame(luminance.detach(), step, quantise=True))
 
     def confidences(self, frame: Tensor) -> Tensor:
-        """What the detector says of the objects, `[n]`: the best score for their class of a box that shows them, 0 without one."""
+        """The detector's confidence in the objects, `[n]`: the best score of their class among boxes on them, 0 without one."""
         assert self.detector is not None
         found = self.detector.detect(frame[None])[0]
         boxes, scores = found.boxes.double().cpu(), found.scores.double().cpu()
@@ -113,7 +113,7 @@ class BeamJudge:
         return torch.where(shows, of_class, 0.0).amax(1) if len(boxes) else torch.zeros(len(self.masks), dtype=torch.float64)
 
     def _likeliest(self, network: Network, frame: Tensor) -> Tensor:
-        """The same before boxes are chosen: the best score of the cells whose boxes show an object, which light can be followed to."""
+        """The confidence before suppression, differentiable: the best score of cells whose boxes lie on an object."""
         logits, sides = network(prepared(frame[None]))
         scores = logits[0].flatten(1).sigmoid()
         boxes = boxes_of(sides)[0].flatten(1).T.detach().double().cpu()
@@ -121,7 +121,7 @@ class BeamJudge:
         rows, columns = logits.shape[-2:]
         x, y = middles(rows, columns, boxes.device).flatten(1)
         left, top, right, bottom = self.boxes.T[..., None]
-        within = (x >= left) & (x <= right) & (y >= top) & (y <= bottom)  # while no box shows it, they may come to
+        within = (x >= left) & (x <= right) & (y >= top) & (y <= bottom)  # cells inside an object that no box shows yet
         shows = torch.where(shows.any(1, keepdim=True), shows, within).to(scores.device)
         return torch.where(shows, scores[self._labels.to(scores.device)], 0.0).amax(1)
 

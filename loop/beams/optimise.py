@@ -1,4 +1,4 @@
-"""What `luxloop optimise-beam` does: search a beam for a scenario's first moment, and leave utilisations that it can play, and figures."""
+"""`luxloop optimise-beam`: optimise a beam for a scenario's start, and write utilisations to play, and figures."""
 
 import shlex
 from collections.abc import Mapping
@@ -18,6 +18,7 @@ from loop.lighting.simulation import Simulation
 from loop.recording.manifest import write_json
 from loop.run import torch_device
 from loop.scenario.model import Scenario
+from loop.scenario.overrides import toml_key
 from loop.terminal import tables
 from loop.terminal.progress import progress
 from perception.detection.build import detector
@@ -31,14 +32,15 @@ from world.validation import sentences
 
 Method = Literal["auto", "gradient", "sampling"]
 STEPS: Mapping[str, int] = {"gradient": 80, "sampling": 150}
-FRAMES = 8  # whose noise differs, that a detector's scores are the mean of
+FRAMES = 8  # with different noise, over which a detector's scores are averaged
 RAW, PICTURE, SUMMARY = "raw.toml", "beam.png", "beam.json"
 
 
 def optimise_beam(
     scenario: Scenario, weights: Mapping[str, Any], method: Method, steps: int | None, out: Path, device: str, played_by: str
 ) -> dict[str, Any]:
-    """Search for a beam, write it, print it; its figures. weights: of a `BeamGoal`. played_by: arguments of `luxloop run`, `--set` last.
+    """Optimise a beam, write and print it; returns its figures. weights: of a `BeamGoal`. played_by: arguments of `luxloop run`, `--set`
+    last.
 
     Raises LuxloopError for weights below zero, scenarios without objects in sight, and, before the search, a folder that
     cannot be made.
@@ -117,13 +119,22 @@ def _write(out: Path, judge: BeamJudge, found: Found, beams: Mapping[str, Lights
         with whole(file) as part, part.open("wb") as stream:
             np.savez_compressed(stream, u=u.cpu().numpy().reshape(module.headlight.pixel_rows, module.headlight.pixel_cols))
         entries.append(f'  {{ file = "./{file.name}", modules = ["{module.name}"] }},\n')
-    known, checks = set(schema(judge.simulation).names) - {"dark_lx_max"}, judge.simulation.scenario.checks
-    gone = [name for name, each in checks.items() if each.metric not in known or each.compare == "open_loop"]  # with the functions
-    cleared = "".join(f"checks.{name} = {{}}\n" for name in gone)
+    cleared = "".join(f"{toml_key(key)} = {{}}\n" for key in _gone(judge.simulation))
     with whole(out / RAW) as part:
-        part.write_text(f"functions = {{}}\n{cleared}\n[lighting]\nraw = [\n{''.join(entries)}]\n", "utf-8")
+        part.write_text(f"{cleared}\n[lighting]\nraw = [\n{''.join(entries)}]\n", "utf-8")
     write_json(out / SUMMARY, summary)
     write_picture(out / PICTURE, judge, beams, found.losses, summary)
+
+
+def _gone(simulation: Simulation) -> list[str]:
+    """Keys that mean nothing without functions, of a simulation that has none."""
+    scenario, known = simulation.scenario, set(schema(simulation).names) - {"dark_lx_max"}
+    spells = {key: getattr(scenario.disturbances, key) for key in ("oncoming", "ambient")}
+    return [
+        *("functions", "off_share", "detector_frames"),
+        *(f"checks.{name}" for name, each in scenario.checks.items() if each.metric not in known or each.compare == "open_loop"),
+        *(f"disturbances.{key}[{k}]" for key, each in spells.items() for k, spell in enumerate(each) if spell.frames == "off"),
+    ]
 
 
 def _tell(summary: dict[str, Any], played_by: str) -> None:

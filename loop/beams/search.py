@@ -1,4 +1,4 @@
-"""Beam patterns searched for, pixel by pixel: down the gradient through lamps, scene, camera and network, or without one (T fig. 9.3)."""
+"""Searches for beam patterns: gradient descent through lamps, scene, camera and network, or sampling (T fig. 9.3)."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from loop.beams.goal import BeamJudge
 
 RATE = 0.02  # of Adam, in utilisation a step at most or so
 START = 0.1  # utilisation of all pixels where the scenario has no base beam
-PATCHES = (3, 8)  # rows and columns of light that a search without a gradient has
+PATCHES = (3, 8)  # rows and columns of patches of light for sampling
 Lights = tuple[Tensor, ...]
 
 
@@ -25,7 +25,7 @@ class Found:
 
 
 def begin(judge: BeamJudge) -> Lights:
-    """The scenario's base beam, or some of all pixels where it is off."""
+    """The scenario's base beam, or all pixels at START if it is off."""
     simulation = judge.simulation
     plan = simulation.planner.plan(simulation.situation(0.0))
     base = tuple(module.base(plan).float() for module in simulation.modules)
@@ -50,7 +50,7 @@ def descend(judge: BeamJudge, start: Lights, steps: int, on_step: Callable[[int,
 
 
 def sample(judge: BeamJudge, start: Lights, trials: int, on_step: Callable[[int, float], None] = lambda step, loss: None) -> Found:
-    """Optuna's tree-structured Parzen estimator on the levels of a few patches of light, and of the start, for whatever gives a score."""
+    """Optuna's tree-structured Parzen estimator on the levels of the start and of a few patches of light, for any detector."""
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=judge.simulation.scenario.seed, multivariate=True))
     names = [f"patch {row} {column}" for row in range(PATCHES[0]) for column in range(PATCHES[1])]
@@ -79,6 +79,6 @@ def _on_pixels(patches: Tensor, rows: int, columns: int) -> Tensor:
 
 
 def alike(lights: Sequence[Tensor], flux: Sequence[Tensor], lm: float) -> Lights:
-    """The same beam with as much flux as another: `[n_p]` of each module dimmed or raised alike, as far as pixels can."""
+    """The beam scaled to a luminous flux in lm: utilisations `[n_p]` of each module, limited to 1."""
     total = float(sum((u * f).sum() for u, f in zip(lights, flux, strict=True)))
     return tuple((u * (lm / max(total, 1e-9))).clamp(max=1) for u in lights)

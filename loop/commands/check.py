@@ -1,4 +1,4 @@
-"""A lamp's beam held against a regulation's set of test points."""
+"""Check a lamp's beam against a regulation's test points."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -16,13 +16,13 @@ RULE_OF_BEAM: Mapping[str, str] = MappingProxyType(
 def judge(
     lamp: Lamp, beam: str, rule: str | None = None, aimed: bool = False, traffic: Traffic = "right"
 ) -> tuple[str, tuple[Result, ...]]:
-    """A title for the findings, and the findings. aimed: turn the lamp by its cut-off or maximum first, as the regulation says.
+    """Title and results of a check of a beam against a rule. aimed: first aim the lamp by its cut-off or maximum, as the regulation does.
 
-    Raises LuxloopError where the lamp has no such beam, there is no such rule, or no rule is given for a beam that has none of its own.
+    Raises LuxloopError for an unknown beam or rule, and where no rule is given for a beam that RULE_OF_BEAM does not list.
     """
     intensity = lamp.lit(lamp.beam(beam))
     if rule is None and beam not in RULE_OF_BEAM:
-        raise LuxloopError(f"beam {beam!r} has no rule of its own; name one with --rule, `luxloop headlight rules` lists them")
+        raise LuxloopError(f"no rule is known for beam {beam!r}; name one with --rule, `luxloop headlight rules` lists them")
     rules = rule_set(RULE_OF_BEAM[beam] if rule is None else rule)
     turn = aim(intensity, rules.id, traffic=traffic) if aimed else (0.0, 0.0)
     turned = f", aimed by {turn[0]:+.2f} deg to the right and {turn[1]:+.2f} deg up" if aimed else ""
@@ -32,7 +32,7 @@ def judge(
 
 
 def kept(lamp: Lamp) -> list[str]:
-    """A line for each of the lamp's beams that has a rule of its own: how much of it the beam keeps."""
+    """One line for each of the lamp's beams in RULE_OF_BEAM: how many requirements of its rule the beam meets."""
     lines = []
     for beam in lamp.beams:
         if beam in RULE_OF_BEAM:

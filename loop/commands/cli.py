@@ -1,4 +1,4 @@
-"""The command `luxloop`. What is heavy to import is imported by the command that needs it, so that help and lists come at once."""
+"""The command `luxloop`. Each command imports its heavy modules itself, so that help and lists appear at once."""
 
 import os
 import re
@@ -37,18 +37,18 @@ app = App(
     name="luxloop",
     version=version,
     help="Closed loops around HD matrix headlights: what the camera sees of a projected symbol controls the light.",
-    help_epilogue="The first run: luxloop run snowflake. With --debug, any command shows the traceback of an error.",
+    help_epilogue="First run: luxloop run snowflake. With --debug, any command shows the traceback of an error.",
     version_flags=["--version"],
     suppress_keyboard_interrupt=False,
 )
 app.command(list_, name="list")
 for command in (schema, doctor, data_app, headlight_app, evaluate, campaign, tune, optimise_beam, train_detector):
     app.command(command)
-app.register_install_completion_command(help="Install the completion of commands and options for bash, zsh or fish.")
+app.register_install_completion_command(help="Install shell completion for bash, zsh or fish.")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command line; returns the exit code. Whatever the user can mend is one sentence on stderr and exit code 2."""
+    """Run a command line; returns the exit code. An error that the user can correct is one sentence on stderr and exit code 2."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # SIGTERM ends a command as Ctrl-C does
     warnings.simplefilter("ignore")
     warnings.filterwarnings("default", category=UserWarning)
@@ -77,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _say(f"interrupted{f': {error}' if str(error) else ''}")
         return INTERRUPTED
     except BrokenPipeError:
-        # Whoever read our output has gone; Python would complain once more when it flushes stdout at exit. Tables end the same way.
+        # The reader of our output has closed the pipe; without this, Python would complain again when it flushes stdout at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return UNREAD
 
@@ -87,7 +87,7 @@ def _say(text: str) -> None:
 
 
 def _complaint(error: CycloptsError) -> str:
-    """What is wrong with a command line, in one sentence."""
+    """An error of the command line as one sentence."""
     command = " ".join(["luxloop", *(error.command_chain or ())])
     if isinstance(error, UnusedCliTokensError):
         return f"{' '.join(error.unused_tokens or ())}: is not expected here; see `{command} --help`"
@@ -101,16 +101,16 @@ def _complaint(error: CycloptsError) -> str:
 
 @app.command
 def new(file: Path | None = None, /, *, like: str | None = None, traffic: int | None = None) -> None:
-    """Write a scenario file, ready to run: a commented one of a symbol with all common keys, or a copy of a shipped one or of an example.
+    """Write a scenario file that is ready to run: a commented template with a symbol, a copy of a shipped scenario or example, or a night.
 
     Parameters
     ----------
     file
-        File to write, such as my.toml, by default named like what is copied; one that exists is left alone.
+        File to write, such as my.toml; by default named like what is copied. An existing file is never overwritten.
     like
-        Shipped scenario or example to copy (see `luxloop list` and `luxloop list examples`), such as gfhb for lighting functions.
+        Shipped scenario or example to copy (see `luxloop list` and `luxloop list examples`), such as gfhb.
     traffic
-        Seed of a night with traffic, its road and light, to write in place of it.
+        Seed: write a random night scene with traffic, road and light instead of the template.
     """
     if like is not None and traffic is not None:
         raise LuxloopError("--like copies a scenario and --traffic draws one; give one of the two")
@@ -140,18 +140,18 @@ def new(file: Path | None = None, /, *, like: str | None = None, traffic: int | 
 
 @app.command
 def check(name: str, /, *, controller: str | None = None, set: Keys = None, json: Json = False, allow_code: AllowCode = False) -> None:
-    """Validate a scenario and everything that it names: symbol, road, meshes, whether lamps and camera reach the target.
+    """Validate a scenario and all that it names (symbols, road, meshes), and whether lamps and camera reach the target.
 
     Parameters
     ----------
     name
         Scenario file, or name of a shipped scenario.
     controller
-        Controller to take instead, with its defaults (see `luxloop list controllers`).
+        Controller to use instead, with its defaults (see `luxloop list controllers`).
     set
         Keys to change, as key=value in TOML syntax, such as headlight.model=mylamp.npz.
     json
-        Print an object: scenario, ok, and either what was found or, as error, what is wrong.
+        Print a JSON object: scenario, ok, and either the facts found or the error.
     """
     from loop.run import check as check_scenario
     from loop.run import in_words
@@ -166,7 +166,7 @@ def check(name: str, /, *, controller: str | None = None, set: Keys = None, json
     if json:
         tables.show_json({"scenario": name, "ok": True, **found})
     else:
-        print(f"{name}: ok ({in_words(found)})")
+        print("\n".join([f"{name}: ok ({in_words(found)})", *(f"note: {note}" for note in found["notes"])]))
 
 
 @app.command
@@ -194,27 +194,27 @@ def run(
     name
         Name of a shipped scenario (see `luxloop list`), or scenario file.
     out
-        Folder for the recording; by default runs/NAME. A recording that is there is replaced.
+        Folder for the recording; by default runs/NAME. An existing recording is replaced.
     set
         Keys to change, as key=value in TOML syntax, such as camera.bits=8 or road.kind=bumps.
     seed
         Seed of all noise.
     steps
-        Control steps.
+        Number of control steps.
     controller
-        Controller to take instead, with its defaults (see `luxloop list controllers`).
+        Controller to use instead, with its defaults (see `luxloop list controllers`).
     plant
-        Recording with frames to play: controllers and functions step on them in shadow, and what they ask for is shown nowhere.
+        Recording with frames to play back: controllers and functions run on its frames, and their output is not shown.
     device
-        Where to compute; auto takes CUDA where there is any.
+        Device to compute on; auto takes CUDA if available.
     video
         Whether to write video.mp4.
     report
         Whether to write report.png, which takes seconds.
     frames
-        Keep what the plant was shown and handed over: light, frames and sensor samples, megabytes a step.
+        Record the plant's input and output as well: light, frames and sensor samples, megabytes per step.
     checks
-        Evaluate all checks of the scenario, those as well for which another light runs beside; exit code 1 where one fails.
+        Evaluate all checks of the scenario, including those that compare with a second light; exit code 1 if one fails.
     """
     from loop.commands.runs import run_scenario
     from loop.scenario.model import load
@@ -228,14 +228,14 @@ def run(
 
 @app.command
 def replay(directory: Path, /, *, compare: bool | None = None, csv: Path | None = None, allow_code: AllowCode = False) -> int:
-    """Run a recorded scenario again and hold it against the recording; exit code 1 where they differ.
+    """Run a recorded scenario again and compare it with the recording; exit code 1 if they differ.
 
     Parameters
     ----------
     directory
         Folder that `luxloop run` wrote.
     compare
-        Whether to run it again; by default yes, unless --csv is given.
+        Whether to run it again and compare; by default yes, unless --csv is given.
     csv
         File to write the recorded steps to, as comma-separated values.
     """

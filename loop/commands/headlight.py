@@ -1,4 +1,4 @@
-"""The commands `luxloop headlight ...`: facts and pictures of lamps and photometric files, lamp files built, exported and checked."""
+"""The commands `luxloop headlight ...`: show, draw, build, export and check lamps and photometric files."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -70,31 +70,31 @@ def show(
     out: Path | None = None,
     allow_code: AllowCode = False,
 ) -> None:
-    """Draw a lamp's light, or a photometric file.
+    """Draw the light of a lamp, or a photometric file.
 
     Parameters
     ----------
     lamp
-        Preset, lamp file (.npz), description (.toml) or photometric file (.ies, .ldt), which without --view is drawn as it was measured.
+        Preset, lamp file (.npz), description (.toml) or photometric file (.ies, .ldt). Without --view, a photometric file is drawn as it
+        was measured.
     beam
-        Name of the beam, full or off; by default what the scenario does, else low, or full where the lamp has no low beam.
+        Name of a beam, full or off; by default the scenario's light, else low, or full if the lamp has no low beam.
     view
         overview (the default), wall, birdseye, driver, volume, pixels or texture.
     style
-        luminance, falsecolour, isolux or isocandela, as far as the view has it.
+        luminance, falsecolour, isolux or isocandela; not every view has all styles.
     side
-        Lamps that shine, both by default.
+        Which lamps are on; by default both.
     traffic
-        Side of the road that the traffic drives on, right by default; for the left, default beams are fitted to it.
+        Side of the road that traffic drives on, by default right; for left, the default beams are fitted to left-hand traffic.
     scenario
-        Scenario whose road, objects and light are shown, and with lighting functions what they make of the lamp; by default a flat road
-        by night.
+        Scenario that gives road, objects, ambient light and lighting functions; by default a flat road at night.
     time_s
-        Moment of the scenario, its start by default.
+        Time in the scenario in s; by default its start.
     visibility_m
-        Visibility in the fog of the view volume, 100 m by default.
+        Visibility in the fog of the view volume in m; by default 100.
     out
-        Picture to write (.png, .jpg, .pdf or .svg); by default the lamp's name, beam and view.
+        Picture to write (.png, .jpg, .pdf or .svg); by default named after lamp, beam and view.
     """
     from loop.pictures.styles import check_format, style_of
     from world.errors import LuxloopError
@@ -119,7 +119,7 @@ def show(
 
         for name, value in chosen.items():
             if value is not None:
-                raise LuxloopError(f"--{name}: a photometric file is drawn as it was measured; for a picture as a lamp give --view, too")
+                raise LuxloopError(f"--{name}: a photometric file is drawn as it was measured; give --view as well to draw it as a lamp")
         print(f"{show_distribution(read(Path(lamp)), out or Path(f'{stem}.png'))} written")
     else:
         from loop.commands.shown import lights_by_side
@@ -128,7 +128,7 @@ def show(
         from world.lampfiles.description import for_traffic, load_lamp
 
         if time_s is not None and (scenario is None or not 0 <= time_s < math.inf):
-            raise LuxloopError("--time-s: is a moment of a --scenario, in s from its start; give both, and a number from 0 on")
+            raise LuxloopError("--time-s: is a time in a --scenario, in s from its start; give both, and a number of 0 or more")
         sides: tuple[Literal["left", "right"], ...] = ("left", "right") if side is None or side == "both" else (side,)
         lamps: dict[str, Lamp] = {each: for_traffic(load_lamp(lamp, each), traffic or "right") for each in sides}
         target = out or Path("-".join([stem, *([beam] if beam else []), *([style] if style else []), view or "overview"]) + ".png")
@@ -137,7 +137,7 @@ def show(
         commands: Mapping[str, Commands] = {}
         if world is not None and beam is None:
             if traffic is not None:
-                raise LuxloopError("--traffic: default beams for one side of the road are no part of a scenario; name a --beam")
+                raise LuxloopError("--traffic: a scenario's light does not depend on the side of the road; name a --beam")
             (pattern, commands), shown = lights_by_side(world, lamp, time_s or 0.0), f"{world.name} at {time_s or 0.0:g} s"
             lamps = {each: lamps[each] for each in lamps if each in pattern} or lamps
             world = None if view in ("pixels", "texture") else world
@@ -158,14 +158,14 @@ def show(
 
 @headlight_app.command
 def build(description: Path, /, *, out: Path | None = None) -> None:
-    """Build a lamp file from a description in TOML, and report what the light textures keep of the source.
+    """Build a lamp file from a description in TOML, and report how well the light textures reproduce the source.
 
     Parameters
     ----------
     description
         TOML file with a [[module]] table for each module.
     out
-        Lamp file to write; by default the description's name with .npz.
+        Lamp file to write; by default the description's name, ending in .npz.
     """
     from loop.commands import headlight_tables
     from world.lampfiles.archive import save
@@ -191,7 +191,7 @@ def export(
     traffic: Literal["left", "right"] = "right",
     step_deg: float = 0.1,
 ) -> None:
-    """Write a beam as an IES file (LM-63-2019, type A) that other programs read.
+    """Write a beam as an IES file (LM-63-2019, type A) for other programs.
 
     Parameters
     ----------
@@ -202,11 +202,11 @@ def export(
     beam
         Name of the beam, full or off; by default low, or full where the lamp has no low beam.
     side
-        Lamp of which side of the car.
+        Side of the car that the lamp is for.
     traffic
         Side of the road that the traffic drives on; for the left, default beams are fitted to it.
     step_deg
-        Step of both angles.
+        Step of both angles in deg.
     """
     from loop.commands.export import export as export_beam
     from world.lampfiles.description import for_traffic, load_lamp
@@ -220,7 +220,7 @@ def export(
 
 @headlight_app.command
 def rules() -> None:
-    """Show the sets of test points that `check` knows, and how sure their numbers are."""
+    """Show the sets of test points that `check` knows, and the confidence in their numbers."""
     from loop.commands import headlight_tables
 
     tables.show(headlight_tables.rules())
@@ -237,7 +237,7 @@ def check(
     aim: bool = False,
     traffic: Literal["left", "right"] = "right",
 ) -> int:
-    """Hold a beam against the test points of UN R149, R112, R123 or FMVSS 108; exit code 1 where it fails.
+    """Check a beam against the test points of UN R149, R112, R123 or FMVSS 108; exit code 1 if it fails.
 
     Parameters
     ----------
@@ -246,11 +246,11 @@ def check(
     beam
         Name of the beam, full or off; by default low, or full where the lamp has no low beam.
     rule
-        Set of test points (see `luxloop headlight rules`); by default the one of R149 that the beam's name calls for.
+        Set of test points (see `luxloop headlight rules`); by default the R149 set for the beam's name.
     side
-        Lamp of which side of the car.
+        Side of the car that the lamp is for.
     aim
-        Aim the lamp by its cut-off or its maximum first, as the regulation says.
+        First aim the lamp by its cut-off or its maximum, as the regulation says.
     traffic
         Side of the road that the traffic drives on; for the left, the tables are mirrored and default beams are fitted to it.
     """
@@ -275,7 +275,7 @@ def _tell_what_beams_keep(lamp: "Lamp") -> None:
 
 @contextmanager
 def _pixels_done() -> Iterator[Callable[[str, int, int], None]]:
-    """A progress bar a module; call what it gives with the module's name, its pixels done and their number."""
+    """A progress bar for each module; yields a function of the module's name, its pixels done and its number of pixels."""
     from loop.terminal.progress import progress
 
     with ExitStack() as bars:

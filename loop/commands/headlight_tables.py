@@ -24,9 +24,9 @@ KINDS = {
 
 
 def presets() -> Table:
-    """Lamps that are shipped."""
+    """The shipped lamps."""
     rows = ((f"[bold]{name}[/]", escape(summary)) for name, summary in SUMMARIES.items())
-    caption = "`luxloop headlight info LAMP` says what is published about a lamp and what is assumed."
+    caption = "`luxloop headlight info LAMP` shows what is published about a lamp and what is assumed."
     return plain(("lamp", "what it is"), rows, caption=caption)
 
 
@@ -80,7 +80,7 @@ def modules(described: Lamp) -> Table:
 
 
 def beams(described: Lamp) -> Table:
-    """Beams of a lamp: what they give, and where they are brightest."""
+    """Beams of a lamp: peak, its direction, flux and mean utilisation."""
     rows = []
     for name in [*described.beams, "full"]:
         utilisations = described.beam(name)
@@ -96,7 +96,7 @@ def beams(described: Lamp) -> Table:
 
 
 def built(reports: Sequence[ModuleReport]) -> Table:
-    """What became of the sources of a lamp that was built."""
+    """How well each module of a built lamp reproduces its source."""
     columns = ("module", "pixels", "texture", "entries a texel", "light left out", "RMSE to the source", "error by fewer overlaps")
     table = plain(columns)
     for each in reports:
@@ -123,7 +123,7 @@ def rules() -> Table:
 
 
 def results(found: Sequence[Result], title: str) -> Table:
-    """What a check found, a row a requirement."""
+    """Results of a check, one row per requirement."""
     rows = []
     for each in found:
         where = "" if each.where is None else f"{each.where[0]:+.2f}, {each.where[1]:+.2f}"
@@ -138,7 +138,7 @@ def results(found: Sequence[Result], title: str) -> Table:
 
 
 def _turned(T: torch.Tensor) -> str:
-    """Yaw and pitch of a mount, as words that an engineer uses."""
+    """Yaw and pitch of a mount in words, such as "3 deg left, 1 deg down"."""
     forward = T[:3, 0]
     yaw, pitch = math.degrees(math.atan2(forward[1], forward[0])), math.degrees(math.asin(-float(forward[2])))
     words = [f"{abs(yaw):.3g} deg {'left' if yaw > 0 else 'right'}"] if abs(yaw) > 1e-6 else []

@@ -1,4 +1,4 @@
-"""The commands that show what luxloop has and what this machine has: list, schema, doctor, data."""
+"""The commands that list what luxloop offers and what this machine has: list, schema, doctor, data."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -12,18 +12,18 @@ from loop.terminal.listing import USES, Kind, listing
 from loop.terminal.options import DIFFERS, OK, Json
 
 data_app = App(name="data", help="Measured roads and light distributions from their public sources.")
-COLOURS = {"ok": "green", "warn": "yellow", "fail": "red"}  # of what the doctor finds
+COLOURS = {"ok": "green", "warn": "yellow", "fail": "red"}  # by status of a check
 
 
 def list_(kind: Kind = "scenarios", /, *, json: Json = False) -> None:
-    """Show what comes with luxloop: scenarios with the data that they lack, or the parts that a scenario may name.
+    """List the shipped scenarios, with the data files that they lack, or the parts that a scenario may name.
 
     Parameters
     ----------
     kind
-        What to show.
+        What to list.
     json
-        Print a list of objects with the keys name and description; scenarios also have uses (controller or kinds of lighting functions) and
+        Print a JSON list of objects with name and description; scenarios also have uses (controller or kinds of lighting functions) and
         lacks (name of a missing data file, or null).
     """
     found = listing(kind)
@@ -48,12 +48,12 @@ def schema() -> None:
 
 
 def doctor(*, json: Json = False) -> int:
-    """Look at what luxloop needs on this machine, and name the command that mends what is missing; exit code 1 where something failed.
+    """Check this machine for what luxloop needs, and name the remedy for what is missing; exit code 1 if a check failed.
 
     Parameters
     ----------
     json
-        Print an object with the keys ok and checks, which are a list of objects with the keys name, status, found and remedy.
+        Print a JSON object: ok, and checks, a list of objects with name, status, found and remedy.
     """
     from loop.terminal.doctor import all_good, checks
 
@@ -68,7 +68,7 @@ def doctor(*, json: Json = False) -> int:
 
 @data_app.command(name="list")
 def data_list() -> None:
-    """List the files that can be fetched, and which of them are on this machine."""
+    """List the data files that can be fetched, and where they are on this machine."""
     rows = (
         (
             f"[bold]{each.name}[/]",
@@ -86,14 +86,14 @@ def data_list() -> None:
 
 @data_app.command(name="get")
 def data_get(name: str, /, *, dir: Path | None = None) -> None:
-    """Fetch a file from its public source, unless it is here.
+    """Fetch a data file from its public source, unless this machine has it.
 
     Parameters
     ----------
     name
         Name of a file from `luxloop data list`, or "all".
     dir
-        Folder to put it into, in place of luxloop's own; set LUXLOOP_DATA to this folder to use it.
+        Folder to store it in, instead of luxloop's own; set LUXLOOP_DATA to this folder to use it.
     """
     for each in data.registry() if name == "all" else [name]:
         fetched = data.get(each, dir)

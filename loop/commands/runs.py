@@ -1,4 +1,4 @@
-"""The commands that run the loop, and tell how far it is."""
+"""Run and replay the loop for the command line, with a progress bar."""
 
 import os
 from functools import partial
@@ -21,15 +21,15 @@ from world.parquet import read_parquet
 
 
 def _one_thread() -> None:
-    """A step's operations are too small to be shared: on a busy machine a second thread makes 20 ms into 400. OMP_NUM_THREADS overrides."""
+    """A step's operations are too small for two threads: on a busy machine a second one turns 20 ms into 400. OMP_NUM_THREADS overrides."""
     if "OMP_NUM_THREADS" not in os.environ:
         torch.set_num_threads(1)
 
 
 def run_scenario(scenario: Scenario, out: Path, device: str, checks: bool, *, report: bool, video: bool, frames: bool) -> bool:
-    """Run, and say how it went and where the files lie; returns whether all checks have passed that were evaluated.
+    """Run a scenario, print its summary and where its files are; returns whether all evaluated checks passed.
 
-    Raises KeyboardInterrupt that says what was kept.
+    Raises KeyboardInterrupt with a message that says what was kept.
     """
     _one_thread()
     done = 0
@@ -56,7 +56,7 @@ def run_scenario(scenario: Scenario, out: Path, device: str, checks: bool, *, re
 
 
 def compare_recording(directory: Path, allow_code: bool) -> bool:
-    """Run a recording again, show how the two differ, return whether they agree."""
+    """Run a recording again and show the differences; returns whether the two agree."""
     manifest = Manifest.read(directory)
     _one_thread()
     with progress(str(manifest.scenario.get("name")), read_parquet(directory / TRAJECTORY).num_rows) as advance:

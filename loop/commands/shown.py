@@ -1,4 +1,4 @@
-"""The light of lighting functions at one moment, for pictures of lamps."""
+"""The light of a scenario's functions at one time, for pictures of lamps."""
 
 from collections.abc import Mapping, Sequence
 
@@ -12,9 +12,9 @@ from world.headlight.lamp import REST, Commands, ModuleCommand
 
 
 def lights_by_side(scenario: Scenario, lamp: str, time_s: float) -> tuple[Mapping[str, Sequence[Tensor]], Mapping[str, Commands]]:
-    """Utilisations `[n_p]` and commands, one a module, that a scenario gives a lamp at a time, by side; dark where a module does not shine.
+    """Utilisations `[n_p]` and commands of a lamp's modules in a scenario at a time, by side; zero for modules that are off.
 
-    lamp: preset or lamp file, in place of the scenario's. Raises LuxloopError where the scenario cannot do with it.
+    lamp: preset or lamp file that replaces the scenario's. Raises LuxloopError where the scenario cannot use it.
     """
     headlight = scenario.headlight.model_copy(update={"model": lamp, "intensity_cd": None})
     try:
@@ -22,7 +22,7 @@ def lights_by_side(scenario: Scenario, lamp: str, time_s: float) -> tuple[Mappin
     except LuxloopError as error:
         first, *others = error.args
         raise LuxloopError(
-            f"{first}; or give --beam, which shows a beam of {lamp} there without what {scenario.name} draws", *others
+            f"{lamp} cannot show what {scenario.name} draws; give --beam for a beam of {lamp} there, or mend this: {first}", *others
         ) from error
     lights, commands = simulation.lights_at(time_s)
     found: dict[str, list[Tensor]] = {}

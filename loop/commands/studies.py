@@ -1,4 +1,4 @@
-"""The commands that do many runs: evaluate, campaign, tune, optimise-beam, train-detector."""
+"""The commands with many runs: evaluate, campaign, tune, optimise-beam, train-detector."""
 
 import shlex
 from pathlib import Path
@@ -14,18 +14,19 @@ def evaluate(
     out: Path = Path("runs/evaluation"),
     jobs: int | None = None,
 ) -> int:
-    """Judge MapReduce control by the joint optimum of all pixels, over rectangles in five degrees of freedom; exit code 1 if jobs failed.
+    """Compare MapReduce control with the joint optimum of all pixels, over rectangles in five degrees of freedom; exit code 1 if jobs
+    failed.
 
     Parameters
     ----------
     quick
-        Take 45 of the 1,215 rectangles, evenly spread, and coarser sensitivities: minutes in place of an hour.
+        Take 45 of the 1,215 rectangles, evenly spread, and coarser sensitivities: minutes instead of an hour.
     lamp
-        Lamp to evaluate, by default both.
+        Lamp to evaluate; by default both.
     out
-        Folder for results, figures and report.md; a run that was stopped goes on from what is there.
+        Folder for results, figures and report.md; an interrupted run continues from there.
     jobs
-        Processes, each with one thread; by default one a core.
+        Processes, each with one thread; by default one per core.
     """
     from loop.evaluation.report import run_evaluation
 
@@ -49,13 +50,13 @@ def campaign(
     file
         TOML file of the campaign (see docs/campaigns.md).
     out
-        Folder for table and report, by default runs/FILE; a campaign that was stopped goes on from what is there.
+        Folder for table and report, by default runs/FILE; an interrupted campaign continues from there.
     jobs
-        Processes, each with one thread; by default one a core.
+        Processes, each with one thread; by default one per core.
     scheduler
-        Address of a Dask scheduler whose workers do the runs, such as tcp://localhost:8786.
+        Address of a Dask scheduler whose workers run the scenarios, such as tcp://localhost:8786.
     device
-        Where to compute; auto takes CUDA where there is any.
+        Device to compute on; auto takes CUDA if available.
     """
     from loop.studies.campaign_report import do_campaign
 
@@ -79,12 +80,12 @@ def tune(
     gradient: bool = False,
     allow_code: AllowCode = False,
 ) -> None:
-    """Look for better values of a scenario's keys, such as a controller's gains; what is best becomes a file for --set.
+    """Tune keys of a scenario, such as a controller's gains, and write the best values as a file for --set.
 
     Parameters
     ----------
     names
-        Scenario files, or names of shipped scenarios; a trial runs all of them.
+        Scenario files, or names of shipped scenarios; each trial runs all of them.
     key
         Keys to tune and their ranges, as key=low:high or key=low:high:log, such as functions.symbol.controller.position.kp=0.1:2.
     objective
@@ -92,21 +93,21 @@ def tune(
     trials
         Total number of trials, earlier ones included.
     seeds
-        Runs of each scenario a trial, which differ in their noise.
+        Runs of each scenario per trial, which differ in their noise.
     seed
         Seed of the search.
     controller
-        Controller to take in all scenarios, with its defaults (see `luxloop list controllers`).
+        Controller to use in all scenarios, with its defaults (see `luxloop list controllers`).
     set
         Keys to change in all scenarios, as key=value in TOML syntax, or a TOML file of them.
     out
-        Folder for the study, the best values and the report, by default runs/tune-NAME; a study that was stopped goes on from there.
+        Folder for study, best values and report, by default runs/tune-NAME; an interrupted study continues from there.
     jobs
-        Processes for the runs of a trial, each with one thread; by default one a core. Their number does not change the result.
+        Processes for the runs of a trial, each with one thread; by default one per core. Their number does not change the result.
     device
-        Where to compute; auto takes CUDA where there is any.
+        Device to compute on; auto takes CUDA if available.
     gradient
-        Gradient descent through differentiable runs, a trial an iteration; for gains and rate limits of thesis_pid where nothing moves.
+        Use gradient descent through differentiable runs, one trial per iteration; for gains and rate limits of thesis_pid in still scenes.
     """
     from loop import objective as objectives
     from loop.run import torch_device
@@ -137,30 +138,31 @@ def optimise_beam(
     device: Device = "auto",
     allow_code: AllowCode = False,
 ) -> None:
-    """Look for the utilisation of every pixel by which objects are detected best with little light, at a scenario's first moment.
+    """Optimise the utilisation of every pixel so that objects are detected well with little light, at the start of a scenario.
 
     Parameters
     ----------
     name
-        Scenario file, or name of a shipped scenario; its base beam is the start, and its functions are left out.
+        Scenario file, or name of a shipped scenario. The search starts from its base beam; its lighting functions are ignored.
     metric
-        What to maximise on the objects: a detector's confidence, their Weber contrast, or the steepness of their edges.
+        What to maximise: a detector's confidence in the objects, their Weber contrast, or the steepness of their edges.
     energy
-        Weight of the lamps' flux, as a share of all pixels on, beside the logarithm of the metric.
+        Weight of the lamps' flux, as a share of all pixels on, against the logarithm of the metric.
     unevenness
-        Weight of standard deviation over mean of the light on objects.
+        Weight of the unevenness of light on objects: standard deviation over mean.
     glare
-        Weight of light on heads and windscreens, for each lx over 1 lx.
+        Weight of glare: each lx above 1 lx on heads and windscreens.
     method
-        Gradient descent over all pixels, for the network and the metrics, or sampling of a few patches of light, for any detector.
+        gradient descends over all pixels, for luxloop's network and the image metrics; sampling tries a few patches of light, for any
+        detector.
     steps
-        Steps of the search; by default 80 of descent, 150 of sampling.
+        Steps of the search; by default 80 for gradient, 150 for sampling.
     set
         Keys to change in the scenario, as key=value in TOML syntax, or a TOML file of them.
     out
-        Folder for utilisations, raw.toml that plays them by --set, picture and figures, by default runs/beam-NAME.
+        Folder for the utilisations, raw.toml to play them with --set, picture and figures; by default runs/beam-NAME.
     device
-        Where to compute; auto takes CUDA where there is any.
+        Device to compute on; auto takes CUDA if available.
     """
     from loop.beams.optimise import optimise_beam
     from loop.scenario.model import load
@@ -179,22 +181,22 @@ def train_detector(
     seed: int = 0,
     jobs: int | None = None,
 ) -> None:
-    """Train luxloop's own detector on well-lit scenes, and judge it on others: weights, report and picture.
+    """Train luxloop's own detector on well-lit scenes and test it on others; writes weights, report and picture.
 
     Parameters
     ----------
     out
-        Folder for scenes, weights and report; scenes that are there are not drawn again.
+        Folder for scenes, weights and report; existing scenes are reused.
     scenes
         Scenes to train on, 2 MB each.
     held_out
-        Scenes to judge it on.
+        Scenes to test it on.
     epochs
-        How often it sees each scene, each time in other light and with other objects.
+        Epochs; each shows every scene in different light and with different objects.
     seed
         Seed of weights, light and noise.
     jobs
-        Processes that draw scenes; by default one a core.
+        Processes that render scenes; by default one per core.
     """
     from loop.training.train import train_detector
 

@@ -13,7 +13,6 @@ from loop.scenario.model import validate
 from perception.detection.build import KEY, METHODS, CheckedDetector, own_detector
 from perception.detection.params import OwnDetector
 from perception.detection.protocol import Detections
-from perception.detection.yolo import SHARES
 from world.errors import LuxloopError
 from world.plugin import check_methods
 
@@ -72,38 +71,8 @@ def _frames(device: str) -> Tensor:
 
 
 def _looked(detector: CheckedDetector, frames: Tensor) -> Sequence[Detections]:
-    """What a detector finds. Raises LuxloopError where that is implausible."""
-    where = f"{KEY}: {detector.kind}: detect"
-    found = pure(detector.own, "detect", {"frames": frames}, "detections")
-    if not isinstance(found, list | tuple):
-        raise LuxloopError(f"{where} gives a {type(found).__name__}; give a list with one luxloop.Detections a frame")
-    for each in detector.checked(found, len(frames)):
-        _check(each, where)
-    return found
-
-
-def _check(found: Detections, where: str) -> None:
-    if not len(found):
-        return
-    (low, high), boxes = (float(each) for each in found.scores.aminmax()), found.boxes
-    if low < 0 or high > 1:
-        raise LuxloopError(f"{where} gives scores from {low:.3g} to {high:.3g}; give 0..1: of logits the sigmoid, of percent a hundredth")
-    if (thinnest := float((boxes[:, 2:] - boxes[:, :2]).min())) <= 0:
-        raise LuxloopError(
-            f"{where} gives boxes with sides down to {thinnest:.3g} px; give left, top, right, bottom, not the middle or width and height"
-        )
-    width, height = SIZE_PX
-    if float(boxes.max()) <= SHARES:
-        raise LuxloopError(
-            f"{where} gives boxes that reach to {float(boxes.max()):.3g} px at most, so they seem to be shares of the frame; multiply them "
-            f"by its width and height, here {width} and {height} px"
-        )
-    u, v = ((boxes[:, :2] + boxes[:, 2:]) / 2).T
-    if bool(((u < 0) | (u > width) | (v < 0) | (v > height)).any()):
-        raise LuxloopError(
-            f"{where} gives boxes whose middle is outside of the frame of {width} x {height} px; give px of the frame, not of a picture of "
-            "another size, columns first: left, top, right, bottom"
-        )
+    """What a detector finds. Raises LuxloopError where that is none, or not the same again."""
+    return detector.checked(pure(detector.own, "detect", {"frames": frames}, "detections"), frames)
 
 
 def _alike(one: Detections, other: Detections) -> bool:

@@ -47,10 +47,10 @@ def check_function(function: type, options: Mapping[str, Any] | None = None, dev
 
     It runs for 5 steps at 10 Hz: the car stands on an empty road, then drives round a bend at 20 m/s, then straight on at 10 m/s in the
     rain under street lamps; a pedestrian and another car are there from the second step to the fourth. In each step it is also told of no
-    objects. Raises LuxloopError with the likely cause and the remedy where `primitives`, or one of `start`, `step`, `adapted` and
-    `base_share` of a function that learns, is missing or fails, changes what it was given, or gives something else for the same input;
-    where a state is no data, or a share of the base beam is not within 0..1; where it does not give a list of what `rectangle` makes,
-    finite and with possible setpoints; and where nothing that it draws changes the light.
+    objects. Raises LuxloopError with the likely cause and the remedy where `primitives`, `commands` if it has that, or one of `start`,
+    `step`, `adapted` and `base_share` of a function that learns, is missing or fails, changes what it was given, or gives something else
+    for the same input; where a state is no data, or a share of the base beam is not within 0..1; where it does not give a list of what
+    `rectangle` makes, finite and with possible setpoints; and where nothing that it draws changes the light.
     """
     name = name_of(function)
     with located("check_function"):
@@ -60,6 +60,9 @@ def check_function(function: type, options: Mapping[str, Any] | None = None, dev
         watched = WatchedFunction(made.own) if isinstance(made, CheckedFunction) else WatchedAdaptive(made)
         simulation, bare = _world(device)
         results = _steps(replace(simulation, planner=replace(simulation.planner, functions={NAME: watched})))
+        if hasattr(function, "commands"):
+            for each in results:
+                _twice(lambda now: pure(made.own, "commands", {"now": now}, "commands"), each.now)
         drawn = {k: each.plan.primitives.origin[0] for k, each in enumerate(results) if each.plan.primitives}
         if drawn and all(one.equal(other) for k in drawn for one, other in zip(results[k].lights, bare[k].lights, strict=True)):
             corner = [round(value, 3) for value in next(iter(drawn.values())).tolist()]

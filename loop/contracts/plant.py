@@ -8,17 +8,16 @@ from typing import Any
 
 from torch import Tensor
 
-from loop.contracts.values import Parts, check_calls, check_state, check_tensor, copied, difference, name_of, pure
+from loop.contracts.values import Parts, check_calls, check_state, copied, difference, name_of, pure
 from loop.lighting.lamps import lamp_modules
 from loop.lighting.simulation import Simulation
 from loop.plant.build import KEY, METHODS
-from loop.plant.checked import ROUNDING_S, check_frames, check_image, check_time, pair
+from loop.plant.checked import ROUNDING_S, check_frames, check_image, check_samples, check_time, pair
 from loop.plant.protocol import Arrivals, Exposure, Frame
 from loop.plant.world import World
 from loop.run import prepare
 from loop.scenario.model import validate
-from perception.egomotion import VALUES, Sample
-from world.errors import LuxloopError, did_you_mean, located
+from world.errors import LuxloopError, located
 from world.plugin import Guarded, check_methods, made
 
 CALLS = {"start": (), "show": ("state", "exposure")}
@@ -118,16 +117,13 @@ def _said(own: Guarded, method: str, inputs: Mapping[str, Any], shown: Sequence[
                 _check_times(frame, start_s, end_s, arrivals.time_s, came)
                 _check_image(frame.image, simulation)
             came.append(frame)
-        if not isinstance(arrivals.samples, tuple) or not all(isinstance(sample, Sample) for sample in arrivals.samples):
-            raise LuxloopError("gives samples that are no tuple of luxloop.Sample; give samples=(luxloop.Sample(...),), or leave them out")
-        for sample in arrivals.samples:
-            _check_sample(sample, arrivals.time_s, simulation)
+        check_samples(arrivals, simulation.symbol.projector.target)
     return state, arrivals
 
 
 def _check_number(frame: Frame, exposures: int, came: Sequence[Frame]) -> None:
     """exposures: how many were shown, numbered from 0."""
-    if not isinstance(frame.number, int) or not 0 <= frame.number < exposures:
+    if not 0 <= frame.number < exposures:
         raise LuxloopError(f"gives a frame of exposure {frame.number!r}, which was not shown; number it as its exposure, exposure.number")
     if frame.number in [each.number for each in came]:
         raise LuxloopError(f"gives the frame of exposure {frame.number} twice; give each once, and take it out of the state then")
@@ -154,25 +150,11 @@ def _check_times(frame: Frame, start_s: float, end_s: float, now_s: float, came:
         raise LuxloopError(f"arrived at {frame.arrived_s:g} s, after time_s = {now_s:g}; give times in s, and a frame when it has come")
 
 
-def _check_sample(sample: Sample, now_s: float, simulation: Simulation) -> None:
-    if sample.sensor not in VALUES:
-        raise LuxloopError(f"gives a sample of {sample.sensor!r}; {did_you_mean(str(sample.sensor), VALUES)}")
-    with located(f"sample of {sample.sensor}"):
-        if not sample.measured_s <= sample.arrived_s + ROUNDING_S or not sample.arrived_s <= now_s + ROUNDING_S:
-            raise LuxloopError(
-                f"was measured at {sample.measured_s:g} s and arrived at {sample.arrived_s:g} s, by time_s = {now_s:g}; give the plant's "
-                "time in s, and a sample when it has arrived"
-            )
-        count = VALUES[sample.sensor] or len(sample.values)
-        check_tensor(sample.values, simulation.symbol.projector.target, (count,), "values")
-
-
 def _check_image(image: Tensor | None, simulation: Simulation) -> None:
     if image is None:
         return
     camera = simulation.scenario.camera
-    check_image(image, camera)
-    check_tensor(image, simulation.symbol.projector.target, (camera.height_px, camera.width_px), "image")
+    check_image(image, camera, simulation.symbol.projector.target)
     if not image.equal(image.round()):
         most, shares = 2**camera.bits - 1, float(image.max()) <= 1
         what = "it seems to hold shares: multiply it by" if shares else "it may hold a luminance: give digital numbers of 0 to"

@@ -1,4 +1,6 @@
-"""What `luxloop evaluate` does: judge MapReduce control by the joint optimum of all pixels, and see how its parameters act (T 8.4, 8.5)."""
+"""`luxloop evaluate`: compare MapReduce control with the joint optimum of all pixels, and show the effect of its parameters (T 8.4,
+8.5).
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -16,7 +18,7 @@ from world.folders import output_folder
 
 LAMPS = ("hd84", "ssl-hd-lores")
 JOBS, SETPOINTS, TABLES, SENSITIVITY = "jobs.jsonl", "setpoints.parquet", "tables.parquet", "sensitivity.parquet"
-CONTROLS = ("mrpc", "options", "corrected", "ours", "median", "default")  # whose errors a setpoint has beside the joint optimum's
+CONTROLS = ("mrpc", "options", "corrected", "ours", "median", "default")  # controls whose errors are computed beside the joint optimum's
 Row = dict[str, Any]
 
 # Rows of T tables 8.2 and 8.3: name, a_m (None: no mapping), shape, what is tuned.
@@ -32,7 +34,7 @@ FIXED_A_M = {"hd84": 1.0, "ssl-hd-lores": 1.015}  # of T figures 8.15 and 8.19
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Rows of the three parts of an evaluation, and the jobs that failed, by their keys."""
+    """Rows of the three parts of an evaluation, and reasons of failed jobs by key."""
 
     setpoints: list[Row]
     tables: list[Row]
@@ -44,7 +46,7 @@ class Evaluation:
         return [name for name in LAMPS if any(row["name"] == name for row in self.setpoints)]
 
     def of(self, name: str) -> "Evaluation":
-        """That of one lamp."""
+        """The evaluation of one lamp."""
         setpoints, tables, sensitivity = (
             [row for row in rows if row["name"] == name] for rows in (self.setpoints, self.tables, self.sensitivity)
         )
@@ -60,10 +62,10 @@ def evaluate(
     setpoints: Sequence[Rectangle] | None = None,
     grid: int | None = None,
 ) -> Evaluation:
-    """Compute what `out` does not hold yet, and leave three Parquet files in it.
+    """Compute the results that `out` does not hold yet, and write three Parquet files into it.
 
-    quick: 45 rectangles evenly spread over all five degrees of freedom, and coarser sensitivities; else 1,215. processes: by default one a
-    core. setpoints, grid: other rectangles, another number of steps of a parameter. Raises what `loop.jobs.runner.run` and
+    quick: 45 instead of 1,215 rectangles, evenly spread over all five degrees of freedom, and coarser sensitivities. processes: by default
+    one per core. setpoints, grid: other rectangles, and another number of steps per parameter. Raises what `loop.jobs.runner.run` and
     `world.folders.output_folder` raise.
     """
     chosen = setpoints or (QUICK if quick else RECTANGLES)

@@ -1,4 +1,4 @@
-"""Pictures of an evaluation: errors over setpoints, where the two controls differ, how parameters act (T 8.4, 8.5, B.4)."""
+"""Figures of an evaluation: errors over setpoints, differences of both controls, effect of parameters (T 8.4, 8.5, B.4)."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -22,7 +22,7 @@ SHOWN = [Rectangle(0, 0, 3.75, height) for height in (1, 2, 3)]  # of T figures 
 
 
 def draw(evaluation: Evaluation, folder: Path, prefix: str = "") -> list[Path]:
-    """Draw all figures of all lamps as PNG; their files, whose names begin with the prefix."""
+    """Draw all figures of all lamps as PNG files whose names begin with the prefix; returns the files."""
     folder.mkdir(parents=True, exist_ok=True)
     files = []
     for name in evaluation.lamps:
@@ -45,7 +45,7 @@ def _figures(one: Evaluation, name: str) -> Iterator[tuple[str, Figure]]:
 
 
 def over_setpoints(rows: Sequence[Row], columns: dict[str, str]) -> Figure:
-    """Values of all rectangles over their horizontal position, a panel a vertical one: colour is their area, markers their turn."""
+    """Values of all rectangles over horizontal position, one panel per vertical position; colours show area, markers rotation."""
     heights, turns = (sorted({row[key] for row in rows}) for key in ("v", "turn"))
     figure, grid = plt.subplots(
         len(columns), len(heights), figsize=(12, 0.6 + 2.7 * len(columns)), sharex=True, sharey="row", layout="constrained", squeeze=False
@@ -113,7 +113,7 @@ def differences(rows: Sequence[Row], name: str) -> Figure:
 
 
 def profiles(rows: Sequence[Row], name: str) -> Figure:
-    """Where MRPC and the joint optimum differ, summed over either axis and related to the most light there (T figure 8.11)."""
+    """Difference of MRPC and joint optimum, summed over either axis, relative to the most light there (T figure 8.11)."""
     light = headlight(name)
     apart, samples = np.zeros((2, light.rows, light.cols))
     for row in rows:
@@ -166,7 +166,7 @@ def _surface(axes: Axes, rows: Sequence[Row], over: str, error: str) -> None:
     n = values.shape[1] // 2
     row, col = np.unravel_index(np.nanargmin(values), values.shape)
     low = float(values[row, col])
-    mapped = values[1:] if unmapped else values  # what lacks mapping may lie far above, and would hide all else
+    mapped = values[1:] if unmapped else values  # rows without mapping may lie far above and would hide all others
     axes.imshow(values, origin="lower", aspect="auto", cmap="viridis_r", vmin=low, vmax=float(mapped.max()), interpolation="nearest")
     axes.axvline(n - 0.5, color="white", lw=1)
     axes.plot(col, row, "r*", ms=9)
@@ -179,7 +179,7 @@ def _surface(axes: Axes, rows: Sequence[Row], over: str, error: str) -> None:
 
 
 def _nearest(rows: Sequence[Row]) -> list[Row]:
-    """Of the rows those that come nearest to the ones that are to be shown."""
+    """The rows nearest to the rectangles in SHOWN."""
 
     def distance(row: Row, wanted: Rectangle) -> float:
         return float(sum(abs(row[key] - value) for key, value in vars(wanted).items()))

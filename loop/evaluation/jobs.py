@@ -1,4 +1,4 @@
-"""What an evaluation computes: jobs for `loop.jobs.runner`, each a function of plain values."""
+"""The jobs of an evaluation for `loop.jobs.runner`, each a function of plain values."""
 
 from dataclasses import replace
 from typing import Any
@@ -18,14 +18,14 @@ from world.presets import lamp
 
 # One set for all setpoints, beside the default: medians of the thesis' optima (T B.4).
 THESIS_MEDIAN = {"hd84": Trial(0.99, 0.87, 0.001), "ssl-hd-lores": Trial(1.025, 0.98, 0.001)}
-OURS = {  # of a few hundred what is best for ten of the rectangles
+OURS = {  # the best of a few hundred trials on ten of the rectangles
     "hd84": Trial(a_x=0.7, a_ac=0.4, corrections=1),
     "ssl-hd-lores": Trial(a_x=0.95, a_ac=0.6, sharpening=2.0, corrections=3),
 }
 WIDE = Rectangle(-6.05, -0.25, 8.9, 7.7)  # the one of T 8.5; on which side of the axis plays no role for lamps that are alike on both
 REFERENCE = Trial(None, 0.5, 1.0, "rectangle")  # T 8.5: pixels taken as their bounding rectangles at half of their peak, no mapping
 CORRECTIONS = 3  # a product with the matrix and one with its transpose each
-GAP = 1e-3  # by how much the joint optimum may be lower than what is called so
+GAP = 1e-3  # largest share by which the true joint optimum may be lower
 
 
 def headlight(name: str) -> Headlight:
@@ -81,7 +81,7 @@ def sensitivity_row(name: str, a_m: float | None, a_r: float, shape: Any, thresh
 
 
 def joint_optimum(part: Part) -> tuple[Tensor, float]:
-    """Utilisations `[n]` of the least MAE (T 3.5.2, 8.4), and by what share that might still be lower."""
+    """Utilisations `[n]` of the least MAE (T 3.5.2, 8.4), and the share by which the true minimum may be lower."""
     light = part.headlight
     found = least_error(light.matrix, wanted(light, part.wanted), gap=GAP)
     return found.u, float((found.error - found.bound) / found.error)

@@ -34,7 +34,7 @@ MEASURES = {
     "mrpc_ratio": "ratio MRPC / joint, tuned for each setpoint",
     "options_ratio": "ratio, a_ac and sharpening tuned as well",
     "corrected_ratio": "ratio, three corrections on top",
-    "ours_ratio": "ratio with one set of ours, corrections and all",
+    "ours_ratio": "ratio with one set of our parameters, with corrections",
     "median_ratio": "ratio with the thesis' median parameters",
     "default_ratio": "ratio with the default parameters",
     "options_sharpening": "best sharpening",
@@ -55,14 +55,14 @@ CAPTIONS = {
 
 
 def run_evaluation(out: Path, lamp: str | None, quick: bool, processes: int | None) -> bool:
-    """Evaluate, write the report, show its first table and what failed; whether nothing failed.
+    """Evaluate, write the report, print its first table and the failed jobs; returns whether all jobs succeeded.
 
     Raises LuxloopError for a lamp that cannot be evaluated, and what `loop.jobs.runner.run` raises.
     """
     if lamp is not None and lamp not in LAMPS:
         raise LuxloopError(f"--lamp: {lamp!r} cannot be evaluated; the lamps are {', '.join(LAMPS)}")
     if processes is not None and processes < 1:
-        raise LuxloopError(f"--jobs: {processes} processes can do nothing; give 1 or more")
+        raise LuxloopError(f"--jobs: {processes} is too few processes; give 1 or more")
     found = evaluate(out, LAMPS if lamp is None else (lamp,), quick=quick, processes=processes)
     for key, reason in found.failures.items():
         tables.console(stderr=True).print(f"failed: {key}: {reason}", markup=False)
@@ -98,7 +98,7 @@ def overview(evaluation: Evaluation) -> Table:
 
 
 def page(evaluation: Evaluation, images: str) -> str:
-    """The results as Markdown; images: what stands before the names of figures in their links."""
+    """The results as Markdown. images: prefix of the figures' names in links."""
     return "\n\n".join(part for name in evaluation.lamps for part in _lamp(evaluation.of(name), name, images)) + "\n"
 
 
@@ -119,7 +119,7 @@ def _lamp(one: Evaluation, name: str, images: str) -> list[str]:
 
 
 def _changes(one: Evaluation, name: str) -> list[str]:
-    """What tuning brings for the wide rectangle, as T tables 8.2 and 8.3 show it."""
+    """Effect of tuning on the wide rectangle, as in T tables 8.2 and 8.3."""
     rows = dict(zip(ROWS, one.tables, strict=False))
     if len(rows) < len(ROWS):
         return []

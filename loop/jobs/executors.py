@@ -1,4 +1,4 @@
-"""Where jobs run: in processes of this machine, or on the workers of a Dask scheduler. What an executor gives, it gives as jobs finish."""
+"""Executors of jobs: processes of this machine, or workers of a Dask scheduler. They yield results as jobs finish."""
 
 import os
 import signal
@@ -17,21 +17,21 @@ from world.errors import LuxloopError
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 CONNECTING_S = 10
-WATCHING_S = 0.5  # between two looks of a worker at whether it has been orphaned
+WATCHING_S = 0.5  # interval at which a worker checks whether its parent process still runs
 
 
 class WorkersLostError(LuxloopError):
-    """Those who do the jobs are gone; what was given before counts."""
+    """The workers died; results already yielded stay valid."""
 
 
 class Executor(Protocol):
-    """Calls a function with each task, and gives the results in the order in which they come. Raises WorkersLostError."""
+    """Calls a function with each task and yields results in order of completion. Raises WorkersLostError."""
 
     def __call__(self, function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator[Result]: ...
 
 
 def local(processes: int | None = None) -> Executor:
-    """Processes of this machine, each with one thread, by default one a core; a single one is this process itself."""
+    """An executor on processes of this machine, each with one thread, by default one per core; a single one is this process."""
 
     def execute(function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator[Result]:
         workers = min(processes or os.cpu_count() or 1, len(tasks))
@@ -43,30 +43,33 @@ def local(processes: int | None = None) -> Executor:
         try:
             yield from parallel(delayed(function)(task) for task in tasks)
         except BrokenProcessPool as error:
-            raise WorkersLostError("a worker process was killed, as happens for want of memory; take fewer processes") from error
+            raise WorkersLostError("a worker process was killed, probably for lack of memory; use fewer processes") from error
 
     return execute
 
 
 def _begin() -> None:
-    """In a worker, before its first task."""
-    for each in (signal.SIGINT, signal.SIGTERM):  # terminals and service managers send them to workers, too; this process ends them
+    """Set up a worker before its first task."""
+    for each in (
+        signal.SIGINT,
+        signal.SIGTERM,
+    ):  # terminals and service managers send them to workers as well; the parent process ends its workers
         signal.signal(each, signal.SIG_IGN)
     threading.Thread(target=_end_after, args=(os.getppid(),), daemon=True).start()
-    process_executor._USE_PSUTIL = False  # else one that keeps 300 MB between tasks is taken for a leak and ended, as simulations do
+    process_executor._USE_PSUTIL = False  # otherwise a worker that keeps 300 MB between tasks, as simulations do, is ended as leaking
 
 
 def _end_after(parent: int) -> None:
-    """End once the process that began this one has been killed, which could not end it."""
+    """End this worker after its parent process was killed and could not end it."""
     while os.getppid() == parent:
         time.sleep(WATCHING_S)
     os._exit(1)
 
 
 def dask(scheduler: str) -> Executor:
-    """Workers of a scheduler, such as tcp://host:8786; a task whose worker is lost goes to another.
+    """An executor on the workers of a scheduler, such as tcp://host:8786; a task whose worker is lost goes to another.
 
-    Raises LuxloopError where Dask is not installed, nobody answers, or a worker has another luxloop.
+    Raises LuxloopError if Dask is not installed, the scheduler does not answer, or a worker has another version of luxloop.
     """
     try:
         import distributed
@@ -97,7 +100,7 @@ def dask(scheduler: str) -> Executor:
                     yield future.result()
                     future.release()
             except distributed.KilledWorker as error:
-                raise WorkersLostError(f"{where}: a job has killed several workers, as happens for want of memory") from error
+                raise WorkersLostError(f"{where}: a job has killed several workers, probably for lack of memory") from error
             except (OSError, distributed.client.FutureCancelledError, distributed.client.FuturesCancelledError) as error:
                 raise WorkersLostError(f"{where}: was lost") from error
 

@@ -1,7 +1,7 @@
 """The job runner of evaluations, campaigns and tables: many independent jobs over all cores, each kept on disk as soon as it is done.
 
-A run that was killed or interrupted goes on where it was, failures are collected, and a job whose parameters or code have changed is
-done again. Where jobs run is up to an executor.
+A killed or interrupted run resumes, failures are collected, and a job whose parameters or code changed runs again. An executor decides
+where jobs run.
 """
 
 import contextlib
@@ -22,13 +22,13 @@ from world.errors import LuxloopError
 from world.validation import parsed_json
 
 Values = Mapping[str, Any]  # what JSON can hold, by name
-NAMED = 4  # jobs that a message names
-_START = b'{"id": '  # of every line
+NAMED = 4  # most jobs named in a message
+_START = b'{"id": '  # begins every line
 
 
 @dataclass(frozen=True)
 class Job:
-    """Keyword arguments of one call; key: what people call it, in tables and messages."""
+    """Keyword arguments of one call. key: readable name for tables and messages."""
 
     key: str
     parameters: Values
@@ -36,14 +36,14 @@ class Job:
 
 @dataclass(frozen=True)
 class Results:
-    """What a run has got: key, parameters and result of each job that succeeded, in the order of the jobs; why others failed, by key."""
+    """Results of a run: key, parameters and result of each successful job, in the order of the jobs; reasons of failures by key."""
 
     rows: list[dict[str, Any]]
     failures: dict[str, str]
 
     def write(self, file: Path) -> None:
-        """Write the rows as Parquet, whole or not at all. Raises LuxloopError where that cannot be."""
-        import pyarrow as pa  # and the recorder takes torch: workers need neither and start at once
+        """Write the rows as Parquet, whole or not at all. Raises LuxloopError if that fails."""
+        import pyarrow as pa  # imported here, since workers do not need it and start faster
 
         from loop.recording.files import write_table
 
@@ -65,15 +65,14 @@ def run(
     executor: Executor | None = None,
     title: str = "jobs",
 ) -> Results:
-    """Do those jobs that the file has no result of, and give the results of all.
+    """Do the jobs without a result in the file, and return the results of all.
 
-    function: of a module's top level, so that another process can import it; called with the parameters of a job, gives what JSON can
-    hold. file: JSON lines, one a result; it only grows, and results of other functions, parameters and versions stay in it. version: what
-    decides a result besides its parameters, such as `digest_of(...)`. processes: each with one thread, by default one a core; 1 stays in
-    this process. executor: runs jobs elsewhere than in processes of this machine. Failed jobs are tried again by the next run.
+    function: of a module's top level, so that other processes can import it; takes the parameters of a job and returns a JSON value. file:
+    JSON lines, one per result; lines are only added, and results of other functions, parameters and versions stay. version: what decides a
+    result besides its parameters, such as `digest_of(...)`. processes: each with one thread, by default one per core; 1 stays in this
+    process. executor: replaces the processes of this machine. The next run tries failed jobs again.
 
-    Raises: KeyboardInterrupt that says what is kept; LuxloopError where workers are lost, or the file is of another kind or cannot be
-    written.
+    Raises: KeyboardInterrupt that says what is kept; LuxloopError if workers are lost, or the file is of another kind or cannot be written.
     """
     pairs = [(_identity(function, job.parameters, version), job) for job in jobs]
     done = _read(file)
@@ -102,7 +101,7 @@ def run(
 
 
 def digest_of(*modules: ModuleType) -> str:
-    """A version made of the source of modules, for results that have to follow their code."""
+    """Code digest of modules, for results that depend on their code."""
     return hashlib.sha256(b"".join(Path(str(module.__file__)).read_bytes() for module in modules)).hexdigest()
 
 
@@ -112,7 +111,7 @@ def _identity(function: Callable[..., Values], parameters: Values, version: str)
 
 
 def _call(function: Callable[..., Values], task: tuple[str, Values]) -> tuple[str, str, str]:
-    """The job's identity, and the result as JSON or why there is none."""
+    """The job's identity, its result as JSON, and the reason of failure, one of both empty."""
     identity, parameters = task
     try:
         return identity, json.dumps(dict(function(**parameters))), ""
@@ -121,7 +120,7 @@ def _call(function: Callable[..., Values], task: tuple[str, Values]) -> tuple[st
 
 
 def reason(error: Exception) -> str:
-    """Why a job has failed: luxloop's own sentence, or what was raised and where."""
+    """The reason why a job failed: luxloop's own sentence, or the exception and its place."""
     if isinstance(error, LuxloopError):
         return "; ".join(map(str, error.args))
     where = traceback.extract_tb(error.__traceback__)[-1]
@@ -129,7 +128,7 @@ def reason(error: Exception) -> str:
 
 
 def _read(file: Path) -> dict[str, dict[str, Any]]:
-    """Results by identity. A last line that is none, as kills and full disks leave it, is removed, and its job will be done again."""
+    """Results by identity. An incomplete last line, left by a kill or a full disk, is removed, and its job runs again."""
     try:
         content = file.read_bytes() if file.exists() else b""
         *lines, last = content.splitlines(keepends=True) or [b""]
@@ -144,13 +143,13 @@ def _read(file: Path) -> dict[str, dict[str, Any]]:
                 os.truncate(file, len(content) - len(last))
         return results
     except (ValueError, KeyError, TypeError) as error:
-        raise LuxloopError(f"{file}: holds something else than results of jobs ({error}); remove it or give another folder") from error
+        raise LuxloopError(f"{file}: is no file of job results ({error}); remove it or give another folder") from error
     except OSError as error:
         raise LuxloopError(f"{file}: cannot be read ({error.strerror}); check its permissions") from error
 
 
 def _entry(line: bytes) -> tuple[str, dict[str, Any]]:
-    """Identity and result of a whole line. Raises ValueError, KeyError or TypeError where it is none."""
+    """Identity and result of a complete line. Raises ValueError, KeyError or TypeError for other lines."""
     if not line.endswith(b"\n"):
         raise ValueError("its last line has no end")
     entry = parsed_json(line)

@@ -49,7 +49,9 @@ def isolines(axes: Axes, x: Image, y: Image, values: Image, most: int = MOST_LIN
 
 
 def false_colours(axes: Axes, values: Image, extent: tuple[float, float, float, float], label: str) -> None:
-    """A picture in colours on a logarithmic scale of three decades, whose bar bears the unit; darker is shown as the darkest."""
+    """An image in false colours on a logarithmic scale of three decades, with a labelled colour bar; darker values get the darkest
+    colour.
+    """
     light = np.nan_to_num(values)
     peak = float(light.max()) or 1.0
     least = peak / 10**DECADES
@@ -80,7 +82,7 @@ def degrees(angle: float) -> str:
 
 
 def degree_grid(axes: Axes) -> None:
-    """A grid of degrees with the lines H-H and V-V, as a wall at 25 m bears it."""
+    """A grid of degrees with the lines H-H and V-V, as on a measuring screen at 25 m."""
     for axis, ticks in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
         span = abs(ticks[1] - ticks[0])
         major = next(step for step in (1, 2, 5, 10, 20) if span / step <= 20)
@@ -118,7 +120,7 @@ def object_outlines(axes: Axes, seen: Seen, extent: tuple[float, float, float, f
 
 
 def distance_marks(axes: Axes, seen: Seen, lane_width_m: float) -> None:
-    """Distances beside the right edge of the lane in a view ahead, where the road is to be seen there and they keep apart."""
+    """Distances beside the right edge of the lane in a view ahead, where the road is visible and labels do not overlap."""
     lowest = 0.97 * seen.view.height
     for metres in MARKS_M:
         place = seen.on_road(metres, -lane_width_m / 2 - BESIDE_M)

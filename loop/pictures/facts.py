@@ -1,4 +1,4 @@
-"""Numbers that tell of a lamp's light: its field, its flux, where it is brightest."""
+"""Figures of a lamp's light: field, flux, peak."""
 
 import math
 from collections.abc import Sequence
@@ -17,7 +17,9 @@ MARGIN_DEG = 0.5  # beyond the field, so that no border is missed
 
 
 class Peak(NamedTuple):
-    """Greatest luminous intensity, and where it is: h to the right, v up. even: so much is as bright that the place says nothing."""
+    """Greatest luminous intensity and its direction: h to the right, v up, deg. even: the field is so even that the direction has no
+    meaning.
+    """
 
     candela: float
     h_deg: float
@@ -26,7 +28,7 @@ class Peak(NamedTuple):
 
 
 def peak(lamp: Lamp, utilisations: Sequence[Tensor]) -> Peak:
-    """Where a lamp is brightest, all modules added up as seen from far away, on a grid of `STEP_DEG`."""
+    """The peak of all modules together in the far field, on a grid of `STEP_DEG`."""
     left, right, bottom, top = lamp.field_deg
     h, v = torch.meshgrid(_around(-left, -right), _around(bottom, top), indexing="ij")
     candela = lamp.intensity(utilisations, direction(h, v).flatten(1))

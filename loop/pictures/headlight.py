@@ -50,13 +50,12 @@ def show(
 ) -> Path:
     """Draw one picture of lamps at work; returns its file.
 
-    lamps: by side, "left" and "right" or one of them. out: the file, whose suffix says its format.
-    beam: a name that the lamps know, by default low, or full where they have none; or
-    utilisations `[n_p]` in 0..1, one a module, by side, which title names. commands: how modules are turned and dimmed beside that, one a
-    module, by side; by default not at all. view and style: see VIEWS. scenario: its road, objects and light at time_s, where the lamps are
-    mounted and how they are turned; by default a flat road. visibility_m: meteorological optical range of the fog in the view "volume", by
-    default 100.
-    Raises LuxloopError for what there is not or has no meaning, and where the file cannot be written.
+    lamps: by side, "left" and "right" or one of them. out: the file, whose suffix says its format. beam: a name that the lamps know, by
+    default low, or full where they have none; or utilisations `[n_p]` in 0..1, one a module, by side, which title names. commands: how
+    modules are turned and dimmed beside that, one a module, by side; by default not at all. view and style: see VIEWS. scenario: its road,
+    objects and light at time_s, where the lamps are mounted and how they are turned; by default a flat road. visibility_m: meteorological
+    optical range of the fog in the view "volume", by default 100. Raises LuxloopError for unknown names, options that do not apply to the
+    view, and a file that cannot be written.
     """
     style = style_of(view, style)
     check_format(out)

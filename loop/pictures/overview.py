@@ -40,7 +40,7 @@ def draw_overview(figure: Figure, car: LitCar, beam: str, road: Road) -> None:
 
 
 def facts(car: LitCar, beam: str) -> list[tuple[str, str]]:
-    """What one wants to know of a beam, as pairs of a name and a value: of the first lamp alone, and how far all reach."""
+    """Facts of a beam as pairs of name and value: of the first lamp, and the reach of all lamps."""
     side, lamp = next(iter(car.lamps.items()))
     pattern = car.patterns[side]
     fluxes = [flux_lm(module.headlight, module.headlight.light_texture(u)) for module, u in zip(lamp.modules, pattern, strict=True)]
@@ -57,7 +57,9 @@ def facts(car: LitCar, beam: str) -> list[tuple[str, str]]:
 
 
 def reach_m(car: LitCar, lux: float) -> float:
-    """How far ahead in m something that stands on a flat road and faces the car gets this illuminance at its foot; 0 where nowhere."""
+    """Reach in m: the greatest distance ahead on a flat road with this illuminance at the road, on a surface facing the car; 0 if
+    nowhere.
+    """
     upright = flat_road(birdseye(CELL_M, ROAD_M), 1.0)
     normal = torch.zeros_like(upright.normal)
     normal[0] = -1

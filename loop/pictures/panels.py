@@ -1,4 +1,4 @@
-"""What a panel of a headlamp picture shows: a wall, the road from above, what an eye sees, pixels, a light texture."""
+"""Panels of headlamp pictures: a wall, the road from above, a view, pixels, a light texture."""
 
 import math
 
@@ -83,7 +83,7 @@ def draw_eye(axes: Axes, seen: Seen, style: str) -> None:
 
 
 def draw_pixels(axes: Axes, light: Headlight, utilisation: Tensor) -> None:
-    """Utilisation of a module's pixels in %, the dark half of the scale drawn out."""
+    """Utilisation of a module's pixels in %, with the dark half of the scale stretched."""
     image = 100 * utilisation.view(light.pixel_rows, light.pixel_cols).cpu().numpy()
     extent = (-0.5, light.pixel_cols - 0.5, light.pixel_rows - 0.5, -0.5)  # a pixel's number at its middle
     shown = axes.imshow(image, cmap="magma", norm=PowerNorm(0.5, 0, 100), extent=extent, aspect="auto", interpolation="nearest")
@@ -110,7 +110,7 @@ def draw_texture(axes: Axes, light: Headlight, texture: Tensor, peak_cd: float) 
 
 
 def _round_tangents(start: float, end: float) -> list[float]:
-    """Tangents of round angles between two tangents, as far apart as their labels need."""
+    """Tangents of round angles between two tangents, spaced for their labels."""
     low, high = sorted((start, end))
     first, last = (math.degrees(math.atan(tangent)) for tangent in (low, high))
     step = next(step for step in (0.5, 1, 2, 5, 10, 20) if (last - first) / step <= 9)

@@ -1,4 +1,4 @@
-"""The views of a lamp, their styles and the formats of pictures: what can be refused before anything heavy is imported."""
+"""The views of a lamp, their styles and picture formats, checked before heavy imports."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,7 +19,7 @@ FORMATS = (".png", ".jpg", ".jpeg", ".pdf", ".svg")
 
 
 def style_of(view: str, style: str | None) -> str:
-    """The style of a view, its own where none is given. Raises LuxloopError for what there is not, with the nearest name."""
+    """The style of a view, by default its first. Raises LuxloopError for unknown names, with the nearest one."""
     if view not in VIEWS:
         raise LuxloopError(f"there is no view {view!r}; {did_you_mean(view, VIEWS)}")
     if style is None or style in VIEWS[view]:
@@ -27,10 +27,10 @@ def style_of(view: str, style: str | None) -> str:
     known = dict.fromkeys(name for names in VIEWS.values() for name in names)
     if style not in known:
         raise LuxloopError(f"there is no style {style!r}; {did_you_mean(style, known)}")
-    raise LuxloopError(f"the view {view!r} is not to be had as {style!r}; give one of {', '.join(VIEWS[view])}")
+    raise LuxloopError(f"view {view!r} has no style {style!r}; it has {', '.join(VIEWS[view])}")
 
 
 def check_format(out: Path) -> None:
-    """Raises LuxloopError where a file's name does not end in the format of a picture."""
+    """Raises LuxloopError for a file name that does not end in a picture format."""
     if out.suffix.lower() not in FORMATS:
         raise LuxloopError(f"{out}: pictures are written as {', '.join(FORMATS)}; end the file's name in one of them")

@@ -1,4 +1,4 @@
-"""What pictures of lamps show: the lamps on their car, and the views of a road that they light."""
+"""The scene of lamp pictures: the lamps on their car, and views of the road that they light."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -31,9 +31,9 @@ SIDES = ("left", "right")
 SHADOW_PX = 1024  # width of a shadow map
 BIRDSEYE_X_M, BIRDSEYE_Y_M, BIRDSEYE_CELL_M = (-6.0, 100.0), (-20.0, 20.0), 0.1
 BIRDSEYE_HEIGHT_M = 300.0  # of the pinhole: a body 1.5 m high, 50 m aside, is seen 25 cm off
-FARTHEST_M = 400.0  # that a ray through fog is followed where it meets nothing
+FARTHEST_M = 400.0  # length of a ray through fog that hits nothing
 NIGHT_LX = 0.03  # a clouded night near a town; by full moon it is ten times as much
-NEAR_BY = 0.05  # of its distance, that a pixel may be off a place on the road: a row spans so much of the road far ahead
+NEAR_BY = 0.05  # tolerance of a pixel's place on the road, as a share of its distance, which a row spans far ahead
 LUMINANCE_OF_RGB = np.array(LUMINANCE, np.float32)
 Image = NDArray[np.floating]
 
@@ -47,7 +47,7 @@ class LitCar:
     mount: HeadlightParams = field(default_factory=HeadlightParams)
 
     def under(self, commands: Mapping[str, Commands]) -> "LitCar":
-        """The same with modules turned and dimmed; commands: one a module, by side, those left out at rest."""
+        """The car with modules turned and dimmed. commands: one per module, by side; sides left out are at rest."""
         lamps, patterns = dict(self.lamps), dict(self.patterns)
         for side in lamps.keys() & commands.keys():
             modules = zip(lamps[side].modules, commands[side], strict=True)
@@ -57,7 +57,7 @@ class LitCar:
 
     @property
     def T_world_middle(self) -> Tensor:
-        """Pose `[4, 4]` that angles are measured from: of the only lamp, or of the middle between two."""
+        """Reference pose `[4, 4]` of angles: that of the only lamp, or midway between two."""
         if len(self.lamps) == 1:
             return T_world_lamp(next(iter(self.lamps)), self.mount)
         return pose_from_degrees((0.0, 0.0, self.mount.height_m))
@@ -90,7 +90,7 @@ class Seen:
     luminance: Image
 
     def on_road(self, x_m: float, y_m: float) -> tuple[float, float] | None:
-        """Where in the picture, in px, the road's surface is at a place; None if it is not to be seen there."""
+        """Image point in px of the road's surface at a place; None if it is not visible."""
         x, y, z = self.surfaces.position.flatten(1)
         away = torch.hypot(x - x_m, y - y_m).masked_fill(self.surfaces.object_id.flatten() != 0, torch.inf)
         nearest = int(away.argmin())
@@ -125,9 +125,9 @@ class Road:
         return face_source(self.scenario.renderer)
 
     def look(self, car: LitCar, view: View, air: Medium | None = None) -> Seen:
-        """The road in the light of the car, dimmed and veiled by the air if there is any but clear.
+        """The road in the light of the car, attenuated and veiled by the air unless it is clear.
 
-        Raises LuxloopError where the scenario names what is not there.
+        Raises LuxloopError if the scenario names data that does not exist.
         """
         surfaces = gbuffer(self._triangles, view, self._face_source.face_ids(self._triangles, view))
         extinction = air.extinction_per_m if air else 0.0
@@ -179,7 +179,7 @@ def _through_air(
     distance = (surfaces.position.flatten(1) - view.origin[:, None]).norm(dim=0).float()
     distance = torch.where(surfaces.object_id.flatten() >= 0, distance, FARTHEST_M)
     through = torch.exp(-air.extinction_per_m * distance)
-    # Near the horizontal half of what is scattered into a ray comes from above, whatever the asymmetry: from a sky of E / pi.
+    # Near the horizontal, half of the light scattered into a ray comes from above, whatever the asymmetry: from a sky of luminance E / pi.
     sky = air.scattering_per_m / air.extinction_per_m * ambient_lx / (2 * math.pi)
     veiled = luminance.flatten(-2) * through + sky * (1 - through)
     for i, source in enumerate(lit):

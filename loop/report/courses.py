@@ -1,7 +1,8 @@
 """What of lighting functions is drawn over time: flux, electrical power, luminance of zones, confidence, and light on objects."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import cycle, product
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -9,9 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import SubFigure
 from matplotlib.ticker import LogFormatter
 
+from controllers.functions.commands import MOVED
 from loop.lighting.compared import compared
 from loop.lighting.simulation import Simulation
-from loop.lighting.summary import START_UP_S, UNITS, eyes_lx, lost_steps, materials_of, spoken, steps_of_nothing, zones_of
+from loop.lighting.summary import START_UP_S, UNITS, eyes_lx, materials_of, named, spoken, zones_of
 from loop.recording.columns import held_in
 from loop.recording.style import FOUR, headed
 from loop.recording.summary import column
@@ -22,24 +24,28 @@ FAINTEST_LX = 0.01  # where the scale of illuminance on objects begins
 FEW_STEPS = 30  # which are marked one by one
 
 
-def write_courses(figure: SubFigure, simulation: Simulation, table: pa.Table) -> None:
-    """One chart below the other, of what there is in a recording's table."""
+def write_courses(figure: SubFigure, simulation: Simulation, table: pa.Table, summary: dict[str, Any]) -> None:
+    """One chart below the other, of what there is in a recording's table and summary."""
     charts: dict[Callable[[Axes], None], float] = {lambda axes: _flux(axes, simulation, table): 1.0}  # and how high they are
     if "power_w" in table.column_names:
         charts[lambda axes: _power(axes, simulation, table)] = 1.1
-    if turned := [name for name in table.column_names if name.startswith("modules.") and name.endswith("_deg")]:
-        charts[lambda axes: _turned(axes, table, turned)] = 1.2
+    commanded = [name for name in table.column_names if name.startswith("modules.")]
+    if turned := [name for name in commanded if name.endswith("_deg")]:
+        charts[lambda axes: _commanded(axes, table, turned, "deg", "Modules, swivelled to the left and levelled down")] = 1.2
+    if dimmed := [name for name in commanded if name.endswith(".intensity")]:
+        charts[lambda axes: _commanded(axes, table, dimmed, "share", "Maximum intensity of modules, of their own")] = 1.0
     if held := held_in(table):
         charts[lambda axes: _held(axes, table, held)] = 1.4
     if zones := zones_of(table):
         charts[lambda axes: _zones(axes, table, zones)] = 2.0
     if any(materials_of(table, quantity) for quantity in UNITS):
         charts[lambda axes: _materials(axes, table)] = 2.0
-    objects, looks = list(simulation.watched), simulation.sight is not None
-    if objects and looks:
-        charts[lambda axes: _confidences(axes, table, objects)] = 1.4
+    objects = {name: each for name, each in summary["objects"].items() if each["lx_max"] is not None}
+    shown, looks = named(objects), simulation.sight is not None
+    if shown and looks:
+        charts[lambda axes: _confidences(axes, table, shown, summary)] = 1.4
     if objects:
-        charts[lambda axes: _on_objects(axes, table, objects, named=not looks)] = 1.6
+        charts[lambda axes: _on_objects(axes, table, shown, objects, with_names=not looks)] = 1.6
     panels = figure.subplots(len(charts), 1, sharex=True, squeeze=False, height_ratios=list(charts.values()))[:, 0]
     for axes, chart in zip(panels, charts, strict=True):
         chart(axes)
@@ -68,17 +74,19 @@ def _power(axes: Axes, simulation: Simulation, table: pa.Table) -> None:
     headed(axes, "Electrical power, beside that of undimmed beams")
 
 
-def _turned(axes: Axes, table: pa.Table, turned: Sequence[str]) -> None:
-    """One curve for all modules that turn alike."""
-    alike: dict[tuple[float, ...], list[str]] = {}
-    for name in turned:
-        alike.setdefault(tuple(column(table, name)), []).append(name.removeprefix("modules."))
-    for values, names in alike.items():
-        what = " and ".join(word for key, word in (("swivel_deg", "swivelled"), ("level_deg", "levelled")) if any(key in n for n in names))
-        who = ", ".join(dict.fromkeys(name.rpartition(".")[0] for name in names))
-        axes.plot(column(table, "time_s"), values, marker=_mark(table), label=f"{who} {what}")
-    axes.set(ylabel="deg")
-    headed(axes, "Modules, swivelled to the left and levelled down")
+def _commanded(axes: Axes, table: pa.Table, names: Sequence[str], unit: str, title: str) -> None:
+    """One curve for all modules that move alike."""
+    alike: dict[tuple[float, ...], list[list[str]]] = {}
+    for name in names:
+        alike.setdefault(tuple(column(table, name)), []).append(name.removeprefix("modules.").rsplit(".", 1))
+    for (values, moved), colour in zip(alike.items(), cycle(COLOURS), strict=False):
+        who = ", ".join(dict.fromkeys(module for module, _ in moved))
+        how = " and ".join(MOVED[movement] for movement in MOVED if any(movement == each for _, each in moved))
+        axes.plot(column(table, "time_s"), values, marker=_mark(table), color=colour, label=f"{who} {how}")
+    axes.set(ylabel=unit)
+    if unit == "share":
+        axes.set_ylim(-0.02, 1.05)
+    headed(axes, title)
 
 
 def _held(axes: Axes, table: pa.Table, held: Sequence[str]) -> None:
@@ -115,26 +123,31 @@ def _materials(axes: Axes, table: pa.Table) -> None:
     headed(axes, "Light of materials, median, as a share of what is wanted")
 
 
-def _confidences(axes: Axes, table: pa.Table, objects: Sequence[str]) -> None:
-    for name, colour in zip(objects, cycle(COLOURS), strict=False):
-        gone = lost_steps(table, name)
+def _confidences(axes: Axes, table: pa.Table, names: Sequence[str], summary: dict[str, Any]) -> None:
+    for name, colour in zip(names, COLOURS, strict=False):
+        gone = summary["objects"][name]["steps_lost"]
         label = spoken(name) + (f", lost in {gone} steps" if gone else "")
         axes.plot(column(table, "time_s"), column(table, f"objects.{name}.confidence"), color=colour, label=label)
     axes.set(ylim=(0, 1.02))
-    if nothing := steps_of_nothing(table, objects):
+    if nothing := summary["tracks_of_nothing"]:
         axes.plot([], [], " ", label=f"a track of nothing in {nothing} steps")
     headed(axes, "Confidence of objects, filtered over frames")
 
 
-def _on_objects(axes: Axes, table: pa.Table, objects: Sequence[str], named: bool) -> None:
-    time_s = column(table, "time_s")
-    for name, colour in zip(objects, cycle(COLOURS), strict=False):
-        mean, most = column(table, f"objects.{name}.lx_mean"), column(table, f"objects.{name}.lx_max")
-        dark = (seen := most[np.isfinite(most)]).size and not seen.any()
-        label = f"{spoken(name)}: 0 lx throughout" if dark else spoken(name) if named else None
-        axes.plot(time_s, mean, marker=_mark(table), color=colour, label=label)
-        axes.plot(time_s, most, color=colour, linestyle=":", linewidth=0.9)
-    axes.plot([], [], color="0.5", linestyle=":", linewidth=0.9, label="most on each")
+def _on_objects(axes: Axes, table: pa.Table, names: Sequence[str], objects: Mapping[str, Any], with_names: bool) -> None:
+    """Those of these names one by one, and the most on all others together."""
+    time_s, others = column(table, "time_s"), objects.keys() - names
+    for name, colour in zip(names, COLOURS, strict=False):
+        dark = not objects[name]["lx_max"]
+        label = f"{spoken(name)}: 0 lx throughout" if dark else spoken(name) if with_names else None
+        axes.plot(time_s, column(table, f"objects.{name}.lx_mean"), marker=_mark(table), color=colour, label=label)
+        axes.plot(time_s, column(table, f"objects.{name}.lx_max"), color=colour, linestyle=":", linewidth=0.9)
+    if others:
+        most = np.fmax.reduce([column(table, f"objects.{name}.lx_max") for name in others])
+        lit = "" if np.nanmax(most) else ": 0 lx throughout"
+        axes.plot(time_s, most, color="0.5", linewidth=0.9, label=f"most on {len(others)} {'others' if names else 'objects'}{lit}")
+    if names:
+        axes.plot([], [], color="0.5", linestyle=":", linewidth=0.9, label="most on each")
     if "eyes_lx_max" in table.column_names and np.isfinite(column(table, "eyes_lx_max")).any():
         later = eyes_lx(table, START_UP_S)
         told = "" if later is None else f": {later:.2g} lx from {START_UP_S:g} s on"

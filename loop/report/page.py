@@ -1,5 +1,6 @@
 """report.png: the camera's view, the road from above, the beams on a wall, charts over time, and how symbols that are held lie."""
 
+import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -34,6 +35,7 @@ from loop.scenario.plant import shadow_of
 from perception.tracking import TrackerParams
 from world.files import whole
 from world.frames import transform
+from world.view import View
 
 WIDE_IN, DPI = 13.0, 130
 LIGHT_IN, ABOVE_IN = 8.6, 3.4  # of the part about all light, and in it of the row of pictures from above
@@ -46,6 +48,7 @@ TOLD = 110  # characters of a line about the camera's pictures
 OBSERVED = 4  # observers' pictures that fit side by side
 FAINTEST_ROAD_LX, BRIGHTEST_ROAD_LX, ROAD_LEVELS_LX = 0.1, 30.0, (1.0, 3.0)  # of the picture from above, and its lines
 AROUND_M = 2.0  # that it shows around the light
+RAYS_ABOVE = 1e6  # of that picture, four for each pixel of the page
 
 
 class Watched:
@@ -82,7 +85,7 @@ def write_report(file: Path, simulation: Simulation, watched: Watched, table: pa
     parts: list[tuple[float, Callable[[SubFigure], None]]] = []
     if not shown or not symbols_alone(simulation):
         high = LIGHT_IN + (simulation.sight is not None or bool(watched.moments[-1].materials)) * TALLER_IN
-        parts.append((high, partial(_draw_light, simulation=simulation, moments=watched.moments, table=table, high=high)))
+        parts.append((high, partial(_draw_light, simulation=simulation, moments=watched.moments, table=table, summary=summary, high=high)))
     for each in shown:
         draw = partial(draw_symbol, simulation=simulation, gathered=each, table=of_one(table, each.name))
         parts.append((HIGH_IN, partial(draw, summary=summary["functions"][each.name])))
@@ -103,8 +106,10 @@ def symbols_alone(simulation: Simulation) -> bool:
     return not (others or simulation.watched or scenario.detector or scenario.lighting.raw or scenario.lighting.base.beam != "off")
 
 
-def _draw_light(figure: SubFigure, simulation: Simulation, moments: Sequence[StepResult], table: pa.Table, high: float) -> None:
-    """The part of a page about all light, so many inches high."""
+def _draw_light(
+    figure: SubFigure, simulation: Simulation, moments: Sequence[StepResult], table: pa.Table, summary: dict[str, Any], high: float
+) -> None:
+    """Draw the part of a page about all light; high: its height in inches."""
     last, upper = moments[-1], high - ABOVE_IN
     figure.suptitle(_title(simulation, last, table), x=0.012, ha="left", fontsize=12, weight="bold")
     left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(7.6, 5.4))[0]
@@ -116,7 +121,7 @@ def _draw_light(figure: SubFigure, simulation: Simulation, moments: Sequence[Ste
     for figure_below in below:
         _observed(figure_below, observed)
     courses, walls = right.subfigures(2, 1, squeeze=False, height_ratios=(upper, ABOVE_IN))[:, 0]
-    write_courses(courses, simulation, table)
+    write_courses(courses, simulation, table, summary)
     _walls(walls, simulation, last)
 
 
@@ -128,6 +133,8 @@ def _title(simulation: Simulation, last: StepResult, table: pa.Table) -> str:
     flicker = f"  ·  symbols on for {1 - scenario.off_share:.0%} at {scenario.rate_hz:g} Hz" if scenario.controlled else ""
     if (folder := shadow_of(scenario.plant)) is not None:
         flicker += f"  ·  {SHADOW} {folder}"
+    ms = float(np.median(column(table, "processing_ms")))
+    flicker += f"  ·  {ms:.0f} ms a step, {ms / 1e3 * scenario.rate_hz:.2g} x real time"
     return f"{scenario.name}  ·  {scenario.headlight.model}  ·  {table.num_rows} steps to {last.time_s:.2f} s{masked}{flicker}"
 
 
@@ -186,13 +193,12 @@ def _observed(figure: SubFigure, observed: Sequence[tuple[StepResult, ObservedSy
 
 
 def _from_above(axes: Axes, simulation: Simulation, last: StepResult) -> None:
-    if simulation.truth is None:
+    if (truth := simulation.truth) is None:
         _outlines(axes, last)
         axes.set(xlabel="ahead in m", ylabel="to the left in m", title="Objects from above, at the end; nobody knows where the light lies")
         axes.set(xlim=BIRDSEYE_X_M, ylim=BIRDSEYE_Y_M)
         return
-    light = simulation.truth.through(birdseye(), last.time_s).light(last.lights, last.now.commands)[0].cpu().numpy()
-    extent = (*BIRDSEYE_X_M, *BIRDSEYE_Y_M)
+    light, extent = _from_near(lambda view: truth.through(view, last.time_s).light(last.lights, last.now.commands)[0])
     most = float(light.max().clip(1, BRIGHTEST_ROAD_LX))
     scale = LogNorm(FAINTEST_ROAD_LX, most)
     shown = axes.imshow(light.clip(FAINTEST_ROAD_LX), cmap="inferno", norm=scale, extent=extent, aspect="auto", interpolation="antialiased")
@@ -202,8 +208,7 @@ def _from_above(axes: Axes, simulation: Simulation, last: StepResult) -> None:
         axes.clabel(lines, fmt=lambda level: f"{level:g} lx", fontsize=7)
     _outlines(axes, last)
     axes.set(xlabel="ahead in m", ylabel="to the left in m", title="Illuminance from above, at the end")
-    (left, right), (low, high) = lit_part(light)
-    axes.set(xlim=(left, right), ylim=(low, high))
+    axes.set(xlim=extent[:2], ylim=extent[2:])
     axes.grid(False)
     ticks = [tick for tick in (0.1, 0.3, 1, 3, 10, 30) if tick <= most]
     bar = axes.figure.colorbar(shown, ax=axes, pad=0.01, ticks=ticks, extend="max" if light.max() > most else "neither")
@@ -219,6 +224,18 @@ def _outlines(axes: Axes, last: StepResult) -> None:
             foot = torch.tensor([[x, x, -x, -x], [y, -y, -y, y], [0.0] * 4], dtype=torch.float64)
             colour = MASKED if each.name in last.masked else TRACKED
             axes.add_patch(Polygon(transform(each.T_world_object.double(), foot)[:2].T.numpy(), fill=False, color=colour, linewidth=1.2))
+
+
+def _from_near(look: Callable[[View], torch.Tensor]) -> tuple[NDArray[np.floating], tuple[float, float, float, float]]:
+    """Light from above `[H, W]` in lx, where there is any, and the extent in m that it covers; each pixel is the mean of four rays, as
+    shadows on a rough road are finer than one.
+    """
+    (left, right), (low, high) = lit_part(look(birdseye()).cpu().numpy())
+    cell_m = math.sqrt((right - left) * (high - low) / RAYS_ABOVE)
+    wide, tall = (2 * math.ceil(length / cell_m / 2) for length in (right - left, high - low))
+    column, row = round((left - BIRDSEYE_X_M[0]) / cell_m), round((BIRDSEYE_Y_M[1] - high) / cell_m)
+    near = look(birdseye(cell_m).within(slice(row, row + tall), slice(column, column + wide)))
+    return torch.nn.functional.avg_pool2d(near[None], 2)[0].cpu().numpy(), (left, right, low, high)
 
 
 def lit_part(light: NDArray[np.floating]) -> tuple[tuple[float, float], tuple[float, float]]:

@@ -1,6 +1,7 @@
 """What happened with a symbol that is held, as the thesis' figures 9.12 to 9.17 show it."""
 
 import math
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
 from loop.plant.simulated import SimulatedPlant
 from loop.recording.columns import ERRORS
-from loop.recording.remedies import SHADOW, remedies
+from loop.recording.remedies import SHADOW, remedies, unjudged
 from loop.recording.style import FOUR, SHARES, STYLE, headed
 from loop.recording.summary import column
 from loop.scenario.plant import shadow_of
@@ -40,6 +41,8 @@ Image = NDArray[np.floating]
 TARGET, PATH, LOST = "#00c8ff", "#ff2020", "#d55e00"
 PAST_SYMBOLS = 12
 HIGH_IN = 9.4  # of a symbol's part of a page
+TITLE, NOTE = 125, 175  # characters of a line as wide as the page
+LEAST_M, LEAST_DEG = 0.01, 0.1  # that the axes of poses show to both sides: less is nothing that anybody sees
 
 
 class Gathered:
@@ -81,13 +84,13 @@ def draw_symbol(figure: SubFigure, simulation: Simulation, gathered: Gathered, t
     assert gathered.last is not None, "a page needs a step"
     symbol, last = simulation.controlled[gathered.name], gathered.last
     lights = {
-        "open loop": opened(simulation, last, gathered.name),
+        "without control (open loop)": opened(simulation, last, gathered.name),
         "at the end": (last.showings[0].exposure.lights, last.showings[-1].exposure.lights),
     }
     shadow = shadow_of(simulation.scenario.plant)
-    figure.suptitle(_title(simulation, gathered.name, summary, shadow), x=0.012, ha="left", fontsize=12.5, weight="bold")
+    figure.suptitle(fill(_title(simulation, gathered.name, summary, shadow), TITLE), x=0.012, ha="left", fontsize=12.5, weight="bold")
     notes = [] if shadow else remedies(gathered.name, summary)
-    figure.supxlabel("\n".join(notes), x=0.012, ha="left", fontsize=10)
+    figure.supxlabel("\n".join(fill(note, NOTE) for note in notes), x=0.012, ha="left", fontsize=10)
     left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(4.3, 7.7))[0]
     _courses(left, symbol.function, gathered, table, summary)
     views = _camera_images(simulation, lights, gathered, last)
@@ -106,14 +109,14 @@ def _title(simulation: Simulation, name: str, summary: dict[str, Any], shadow: s
     who = f"{simulation.scenario.name}: {name}  ({summary['controller']})"
     if shadow is not None:
         return f"{who}  ·  {SHADOW} {shadow}"
+    lost = f"  ·  lost in {summary['lost_steps']} of {summary['shown_steps']} steps" if summary["lost_steps"] else ""
+    if (why := unjudged(summary)) is not None:
+        return f"{who}  ·  {why}{lost}"
     unsettled = summary["unsettled"]
     settled = f"settled at step {summary['settle_step']}" if unsettled is None else f"not settled: {unsettled.replace('_', ' ')}"
     x, y = (number(value, ".1f") for value in summary["centroid_error_percent"])
-    lost = f"  ·  lost in {summary['lost_steps']} of {summary['shown_steps']} steps" if summary["lost_steps"] else ""
-    return (
-        f"{who}  ·  {settled}  ·  "
-        f"IoU {number(summary['iou_open'], '.2f')} → {number(summary['iou_final'], '.2f')}  ·  centroid error {x} %, {y} %{lost}"
-    )
+    iou, without = (number(summary[key], ".2f") for key in ("iou_final", "iou_open"))
+    return f"{who}  ·  {settled}  ·  IoU {iou}, without control {without}  ·  centroid error {x} %, {y} %{lost}"
 
 
 def _courses(figure: SubFigure, target: SymbolFunctionParams, gathered: Gathered, table: pa.Table, summary: dict[str, Any]) -> None:
@@ -133,21 +136,27 @@ def _courses(figure: SubFigure, target: SymbolFunctionParams, gathered: Gathered
     for name, colour, unit in zip(ERRORS, FOUR, _error_units(target.features), strict=True):
         values = column(table, name)
         peak = np.nanmax(np.abs(values), initial=0)
-        label = f"$e_{{{name[2:]}}}$ / {peak:.3g}{unit}"
+        label = f"$e_{{{name[2:]}}}$: {peak:.3g}{unit}"
         errors.plot(steps, values / (peak or 1), color=colour, marker=marker, ms=2.2, label=label)
     errors.set_ylim(-1.1, 1.1)
-    headed(errors, "Control errors, each by its largest")
+    errors.yaxis.set_major_formatter(PercentFormatter(1.0, decimals=0))
+    headed(errors, "Control errors, 100 % is the largest of each")
 
     turned = _right_axis(pose)
     pose.plot(steps, column(table, "x_m") - target.x_m, color=FOUR[0], label=f"x − {target.x_m:g} m")
     pose.plot(steps, column(table, "y_m") - target.y_m, color=FOUR[1], label=f"y − {target.y_m:g} m" if target.y_m else "y")
     turned.plot(steps, column(table, "roll_deg"), color=FOUR[2], ls="--", label="roll")
     turned.plot(steps, column(table, "pitch_deg"), color=FOUR[3], ls="--", label="pitch, nose down")
+    if (z := column(table, "z_m")).any():
+        pose.plot(steps, z, color="black", label="z")
     if gathered.shown:
         at = np.interp(list(gathered.shown), column(table, "time_s"), steps)
         shown = torch.stack(list(gathered.shown.values())).cpu().numpy()
         for values, place, colour, name in zip(shown.T, (target.x_m, target.y_m), FOUR, "xy", strict=False):
             pose.plot(at, values - place, color=colour, lw=0, marker=".", ms=4, label=f"{name} that was shown")
+    for axes, least in ((pose, LEAST_M), (turned, LEAST_DEG)):
+        low, high = axes.get_ylim()
+        axes.set_ylim(min(low, -least), max(high, least))
     pose.set_ylabel("m")
     turned.set_ylabel("deg (dashed)")
     headed(pose, "Pose of the primitive", turned)
@@ -162,7 +171,7 @@ def _courses(figure: SubFigure, target: SymbolFunctionParams, gathered: Gathered
     overlap = _right_axis(judged)
     overlap.plot(steps, column(table, "iou"), color="black", label="IoU")
     if summary["iou_open"] is not None:
-        overlap.axhline(summary["iou_open"], color="black", ls="--", lw=1, label="IoU, open loop")
+        overlap.axhline(summary["iou_open"], color="black", ls="--", lw=1, label="IoU without control")
     overlap.set_ylim(0, 1)
     overlap.set_ylabel("IoU with the target")
     headed(judged, "How the symbol lies, without noise", overlap)

@@ -1,1 +1,1 @@
-"""Many runs of scenarios: campaigns, and the tuning of gains."""
+"""Campaigns of many runs, and tuning of parameters."""

@@ -1,4 +1,4 @@
-"""What `luxloop campaign` does: a grid or list of runs from one TOML file into one table, resumable, on this machine or on many."""
+"""`luxloop campaign`: a grid or list of runs from one TOML file into one table, resumable, on this machine or on many."""
 
 import math
 import os
@@ -28,35 +28,39 @@ Row = dict[str, Any]
 
 
 class RunParams(Params):
-    """One run of a list."""
+    """One single run of a campaign."""
 
-    scenario: str = Field(min_length=1, description="shipped name, or file beside this one")
-    controller: str | None = Field(None, description="controller; left out: the scenario's")
-    variant: str | None = Field(None, description="one of the variants; left out: none")
+    scenario: str = Field(min_length=1, description="shipped scenario, or file relative to the campaign's file")
+    controller: str | None = Field(None, description="controller; left out: the scenario's own")
+    variant: str | None = Field(None, description="name of a variant; left out: none")
     seed: int = Field(0, ge=0, lt=2**63, description="seed of all noise")
 
 
 class CampaignParams(Params):
     """A campaign: all combinations of scenarios, controllers, variants and seeds, and single runs beside them."""
 
-    scenarios: tuple[Annotated[str, Field(min_length=1)], ...] = Field((), description="shipped names, or files beside this one")
-    controllers: tuple[str, ...] = Field((), description="controllers, with what a scenario says of them; left out: each scenario's own")
+    scenarios: tuple[Annotated[str, Field(min_length=1)], ...] = Field(
+        (), description="shipped scenarios, or files relative to the campaign's file"
+    )
+    controllers: tuple[str, ...] = Field(
+        (), description="controllers, with the scenario's settings for them; left out: each scenario's own"
+    )
     seeds: tuple[Annotated[int, Field(ge=0, lt=2**63)], ...] = Field((0,), min_length=1, description="seeds of all noise")
-    set: dict[str, Any] = Field({}, description="keys to change in every scenario, as a scenario file writes them")
-    variants: dict[str, dict[str, Any]] = Field({}, description="named tables of keys to change on top; left out: one without changes")
-    runs: tuple[RunParams, ...] = Field((), description="runs beside the grid")
+    set: dict[str, Any] = Field({}, description="keys to change in every scenario, written as in a scenario file")
+    variants: dict[str, dict[str, Any]] = Field({}, description="named tables of further changes; left out: one variant without changes")
+    runs: tuple[RunParams, ...] = Field((), description="single runs in addition to the grid")
 
 
 @dataclass(frozen=True)
 class Run:
-    """One run: which it is in the campaign, and its scenario with all that the campaign changes."""
+    """One run: its parameters in the campaign, and its scenario with all changes of the campaign."""
 
     params: RunParams
     scenario: Scenario
 
     @property
     def row(self) -> Row:
-        """What tells it from others."""
+        """The columns that identify the run."""
         held = self.scenario.symbol.controller if len(self.scenario.controlled) == 1 else None
         controller = None if held is None else held.name
         return {
@@ -76,7 +80,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Campaign:
-    """Rows of a campaign, one a run in the order of the file: what it is, its figures, and `error`, empty where it succeeded."""
+    """Rows of a campaign, one per run in the order of the file: identity, metrics, and `error`, empty on success."""
 
     name: str
     rows: list[Row]
@@ -87,7 +91,7 @@ class Campaign:
 
 
 def read(file: Path, *, allow_code: bool = False) -> list[Run]:
-    """The runs of a campaign's file; allow_code: whether modules that it or its scenarios name may run.
+    """The runs of a campaign file. allow_code: whether Python modules that it or its scenarios name may run.
 
     Raises LuxloopError that names the file, the key and the remedy.
     """
@@ -115,7 +119,7 @@ def run_campaign(
     executor: Executor | None = None,
     allow_code: bool = False,
 ) -> Campaign:
-    """Do the runs that `out` does not hold yet, and write the table of all.
+    """Do the runs whose results `out` does not hold yet, and write the table of all runs.
 
     Raises what `read`, `loop.jobs.runner.run` and `world.folders.output_folder` raise.
     """
@@ -137,9 +141,9 @@ def run_campaign(
 
 
 def figures_of(scenario: Mapping[str, Any], inputs: dict[str, str], device: str) -> Row:
-    """A job: the figures of a scenario. inputs: `loop.recording.manifest.digests` of its files, which decide the job's result.
+    """A job: run a scenario and return its metrics. inputs: `loop.recording.manifest.digests` of its files, part of the job's identity.
 
-    Raises LuxloopError where the scenario cannot run, or its files are others here.
+    Raises LuxloopError if the scenario cannot run, or its files differ on this machine.
     """
     from loop.metrics import figures
 
@@ -147,9 +151,9 @@ def figures_of(scenario: Mapping[str, Any], inputs: dict[str, str], device: str)
 
 
 def checked(scenario: Mapping[str, Any], inputs: dict[str, str]) -> Scenario:
-    """A job's scenario, ready to run with one thread wherever that is, so that figures do not depend on it.
+    """A job's scenario, ready to run with one thread, so that metrics do not depend on the machine.
 
-    Raises LuxloopError where it is no scenario, or its files are others here.
+    Raises LuxloopError if it is no scenario, or its files differ on this machine.
     """
     import torch
 
@@ -188,6 +192,6 @@ def _run(file: Path, params: CampaignParams, one: RunParams, allow_code: bool) -
         for each in changes:
             resolve_paths(each, file.parent)
         scenario = load(name, changes, allow_code=True)
-        if not allow_code:  # changes are out of a file, too
+        if not allow_code:  # changes come from a file, too
             refuse_code(scenario, one.scenario)
         return Run(one, scenario)

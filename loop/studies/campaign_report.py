@@ -1,4 +1,4 @@
-"""The report of a campaign: a table of means and worst cases over seeds, a picture, and what failed, as one page of Markdown."""
+"""The report of a campaign as Markdown: means and worst cases over seeds, a picture, and failed runs."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -16,7 +16,7 @@ from world.errors import LuxloopError
 from world.files import whole
 
 REPORT, PICTURE = "report.md", "report.png"
-# figure: (what it is, whether more is better)
+# metric: (label, whether more is better)
 SHOWN = {
     "settle_step": ("settle step", False),
     "overshoot_percent": ("overshoot in %", False),
@@ -24,22 +24,22 @@ SHOWN = {
     "iou_open": ("IoU, open loop", True),
     "iou_final": ("IoU, final", True),
     "iou_mean": ("IoU, mean of all judged steps", True),
-    "dark_lx_max": ("on what must be dark, lx", False),
-    "symbol_iou_min": ("IoU of symbols, least", True),
+    "dark_lx_max": ("light on masked objects, lx", False),
+    "symbol_iou_min": ("least IoU of symbols", True),
     "flux_lm_mean": ("flux of all lamps, lm", False),
     "energy_j": ("energy, J", False),
     "confidence_final_mean": ("confidence at the end", True),
-    "confidence_final_min": ("the same, least of an object", True),
-    "eyes_lx_max_after_start_up": ("on heads and windscreens, lx", False),
+    "confidence_final_min": ("confidence at the end, least of all objects", True),
+    "eyes_lx_max_after_start_up": ("light on heads and windscreens, lx", False),
 }
 
 
 def do_campaign(file: Path, out: Path | None, processes: int | None, scheduler: str | None, device: str, allow_code: bool) -> bool:
-    """Run a campaign, write its report, show its table and what failed; whether nothing failed."""
+    """Run a campaign, write its report, print its table and the failed runs; returns whether all runs succeeded."""
     if processes is not None and processes < 1:
-        raise LuxloopError(f"--jobs: {processes} processes can do nothing; give 1 or more")
+        raise LuxloopError(f"--jobs: {processes} is too few processes; give 1 or more")
     if processes is not None and scheduler is not None:
-        raise LuxloopError("--jobs: is for this machine, but --scheduler has workers of its own; give one of the two")
+        raise LuxloopError("--jobs: applies to this machine, but --scheduler has its own workers; give one of the two")
     folder = out or Path("runs") / file.stem
     executor = local(processes) if scheduler is None else dask(scheduler)
     campaign = run_campaign(file, folder, device=str(torch_device(device)), executor=executor, allow_code=allow_code)
@@ -52,7 +52,7 @@ def do_campaign(file: Path, out: Path | None, processes: int | None, scheduler: 
 
 
 def write_report(campaign: Campaign, out: Path) -> None:
-    """Write page and picture into a folder. Raises LuxloopError where that cannot be written."""
+    """Write page and picture into a folder. Raises LuxloopError if they cannot be written."""
     _draw(campaign, out / PICTURE)
     with whole(out / REPORT) as part:
         part.write_text(page(campaign), "utf-8")
@@ -99,7 +99,7 @@ def _groups(rows: Iterable[Row], names: Sequence[str]) -> list[tuple[tuple[str, 
 
 
 def _draw(campaign: Campaign, file: Path) -> None:
-    """A panel a figure: scenarios along x, a colour for each controller and variant, a dot for each seed."""
+    """One panel per metric: scenarios along x, a colour for each controller and variant, a dot for each seed."""
     kinds = [kind for kind in SHOWN if any(row.get(kind) is not None for row in campaign.rows)] or ["settle_step"]
     scenarios = list(dict.fromkeys(row["scenario"] for row in campaign.rows))
     series = _groups(campaign.rows, ("controller", "variant"))

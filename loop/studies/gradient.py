@@ -1,4 +1,4 @@
-"""Tuning by gradient: run, learn from the run where the symbol is seen, descend through runs that are predicted from that, and so on."""
+"""Gradient tuning: run, fit a surrogate of the symbol's errors to the runs, descend through predicted runs, and repeat."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -25,15 +25,15 @@ from perception.extraction import ExtractionParams
 from world.errors import LuxloopError, located
 from world.folders import turn
 
-STARTS, DRAWS = 24, 3  # descents at once, each through so many kinds of noise
+STARTS, DRAWS = 24, 3  # parallel descents, and noise draws of each
 STEPS, RATE = 120, 0.15  # of Adam, in logits of the ranges
-FROM_ENDS = 0.02  # of a range: where values start that lie on its ends or beyond, and would have no slope there
-FAR = 0.05  # what being far off counts beside being outside of what settled symbols may have
+FROM_ENDS = 0.02  # of a range: distance from its ends at which descents start at least, since the slope vanishes at the ends
+FAR = 0.05  # weight of the distance to the target beside the share of steps outside the settled range
 
 
 @dataclass(frozen=True)
 class Iteration:
-    """What has been run: values by key, None where the scenarios differ; mean cost; traces of all runs in the order of `Task.runs`."""
+    """One iteration: values by key, None where the scenarios differ; mean cost; traces of all runs in the order of `Task.runs`."""
 
     values: Mapping[str, float | int | None]
     cost: float
@@ -41,9 +41,9 @@ class Iteration:
 
 
 def tune_by_gradient(task: Task, out: Path, iterations: int, execute: Executor) -> Tuned:
-    """Go on with the study in a folder until it has so many trials; all but the first with the given values are found by descent.
+    """Continue the study in a folder up to a number of trials; the first has the given values, all others are found by descent.
 
-    Raises what `loop.studies.tune.tune` and `loop.lighting.batch.check` raise, and LuxloopError where a symbol is never seen.
+    Raises what `loop.studies.tune.tune` and `loop.lighting.batch.check` raise, and LuxloopError if a symbol is never seen.
     """
     if whole := [each.key for each in task.ranges if each.whole]:
         raise LuxloopError(f"--key {whole[0]}: takes whole numbers, which have no gradient; leave it out, or tune without --gradient")
@@ -60,7 +60,7 @@ def tune_by_gradient(task: Task, out: Path, iterations: int, execute: Executor) 
         shown = finished(study)
         with progress("iterations", iterations, min(shown, iterations)) as advance:
             while True:
-                with turn(out / STUDY):  # each iteration learns from all before, so that processes take turns
+                with turn(out / STUDY):  # each iteration uses all earlier ones, so processes take turns
                     space = begun(study, task, out, execute)
                     if finished(study) >= iterations:
                         break
@@ -75,7 +75,7 @@ def tune_by_gradient(task: Task, out: Path, iterations: int, execute: Executor) 
 
 
 def descend(task: Task, simulations: Sequence[Simulation], before: Sequence[Iteration]) -> dict[str, float]:
-    """The values of least `loss` that are found from the best ones before, and others around."""
+    """The values of least `loss`, by descent from the best earlier ones and random ones around them."""
     scenes = [_learned(simulations, k, before) for k in range(len(simulations))]
     generator = torch.Generator().manual_seed(task.seed * 1000 + len(before))
     best = _logits(task, min(before, key=lambda iteration: iteration.cost).values)
@@ -100,9 +100,9 @@ def descend(task: Task, simulations: Sequence[Simulation], before: Sequence[Iter
 
 
 def loss(rollout: Rollout, simulation: Simulation) -> Tensor:
-    """Share of the steps from which on the symbol is, or will once more be, outside of what settled symbols may have, softly, `[B]`.
+    """Soft share of steps until the symbol is settled for good, `[B]`.
 
-    It stands for settling and residual, whatever the objective is.
+    It replaces settling and residual, whatever the objective is.
     """
     squares = (rollout.errors / near(simulation)).square().amax(-1)
     ahead = squares.flip(-1).cummax(-1).values
@@ -117,7 +117,7 @@ def _before(task: Task, study: optuna.Study) -> list[Iteration]:
 
 
 def _learned(simulations: Sequence[Simulation], number: int, before: Sequence[Iteration]) -> Learned:
-    """Of the scenario of a number, from all its runs so far."""
+    """The surrogate of a scenario, by its number, from all its runs so far."""
     simulation = simulations[number]
     scenario = simulation.scenario
     traces = [trace for iteration in before for trace in iteration.traces[number :: len(simulations)]]
@@ -130,7 +130,7 @@ def _learned(simulations: Sequence[Simulation], number: int, before: Sequence[It
 
 
 def _values(task: Task, logits: Tensor) -> dict[str, float]:
-    """To six digits that count, and not out of the ranges."""
+    """Values rounded to six significant digits, within the ranges."""
     found = ((each, float(f"{_value(each, logit).item():.6g}")) for each, logit in zip(task.ranges, logits, strict=True))
     return {each.key: min(max(value, each.low), each.high) for each, value in found}
 

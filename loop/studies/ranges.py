@@ -1,4 +1,4 @@
-"""Keys of a scenario that are tuned, and the ranges that they are tuned in: `functions.symbol.controller.position.kp=0.1:2`."""
+"""Keys of a scenario to tune, with their ranges: `functions.symbol.controller.position.kp=0.1:2`."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -14,7 +14,7 @@ Values = Mapping[str, float | int]
 
 @dataclass(frozen=True)
 class Range:
-    """A key and its least and largest value. log: whether factors count, not differences. whole: only whole numbers are possible."""
+    """A key and its least and largest value. log: whether to search on a logarithmic scale. whole: whether values are whole numbers."""
 
     key: str
     low: float
@@ -24,7 +24,7 @@ class Range:
 
 
 def parse(text: str, scenarios: Sequence[Scenario]) -> Range:
-    """A range given as KEY=LOW:HIGH or KEY=LOW:HIGH:log, for scenarios that must have that key and bear either end.
+    """A range from KEY=LOW:HIGH or KEY=LOW:HIGH:log; all scenarios must have that key and accept both ends.
 
     Raises LuxloopError that names the key and the remedy.
     """
@@ -47,7 +47,7 @@ def parse(text: str, scenarios: Sequence[Scenario]) -> Range:
         raise LuxloopError(f"{where}: a range that reaches {low:g} has no logarithm; let it begin above 0, or leave :log out")
     with located(where):
         found = [value_of(scenario, key) for scenario in scenarios]
-        # A number that is left out says nothing of its kind; what becomes of the lower end does.
+        # A key without a value has no type; the validated lower end has one.
         kinds = found if any(value is not None for value in found) else [value_of(changed(scenarios[0], {key: _number(low_text)}), key)]
         whole = any(isinstance(value, int) for value in kinds)
         if whole and not (low.is_integer() and high.is_integer()):
@@ -65,7 +65,7 @@ def _number(text: str) -> float | int:
 
 
 def value_of(scenario: Scenario, key: str) -> float | int | None:
-    """The number that a scenario has at a key, None where there is nothing. Raises LuxloopError where there is something else."""
+    """The number at a key of a scenario, None if there is no value. Raises LuxloopError for any other value."""
     table: Any = scenario.model_dump(mode="json")
     for part in toml_key(key).replace('"', "").split("."):
         place = INDEX.fullmatch(part)
@@ -85,7 +85,7 @@ def _hint(key: str, value: Any) -> str:
 
 
 def changed(scenario: Scenario, values: Values) -> Scenario:
-    """The scenario with other values, which keys have as `--set` takes them. Raises LuxloopError where one is not possible."""
+    """The scenario with other values by key, as with `--set`. Raises LuxloopError if a value is invalid."""
     settings = [f"{key}={value!r}" for key, value in values.items()]
     data = overridden(scenario.model_dump(mode="json"), settings)
     return validate(data, f"{scenario.name} with {' '.join(f'{key}={value:g}' for key, value in values.items())}")

@@ -1,4 +1,4 @@
-"""A study in a folder: kept however a process ends, and shared by all processes that tune with the same settings."""
+"""A study in a folder: it survives the end of a process, and all processes with the same settings share it."""
 
 import json
 import os
@@ -20,14 +20,14 @@ from world.folders import shared_folder, turn
 STUDY = "study.log"
 FINISHED = (TrialState.COMPLETE, TrialState.PRUNED)
 PRUNING_AFTER = 8  # trials
-_START: Final = b'{"op_code":'  # of every line
+_START: Final = b'{"op_code":'  # begins every line
 
 
 @contextmanager
 def study_in(out: Path, digest: str) -> Iterator[optuna.Study]:
-    """The study of a digest of settings in a folder, which other processes may be at work on.
+    """The study with a digest of settings in a folder; other processes may work on it at the same time.
 
-    Raises LuxloopError where the folder holds another study, another process has locked it, or it cannot be written.
+    Raises LuxloopError if the folder holds another study, another process has locked it, or it cannot be written.
     """
     file = out / STUDY
     optuna.logging.set_verbosity(optuna.logging.ERROR)
@@ -45,7 +45,7 @@ def study_in(out: Path, digest: str) -> Iterator[optuna.Study]:
 
 @contextmanager
 def keeping(out: Path, what: Callable[[], str]) -> Iterator[None]:
-    """Adds to an interrupt what of a study in a folder is kept."""
+    """Add to an interrupt the message of what a study's folder keeps."""
     try:
         yield
     except KeyboardInterrupt as error:
@@ -53,12 +53,12 @@ def keeping(out: Path, what: Callable[[], str]) -> Iterator[None]:
 
 
 def finished(study: optuna.Study) -> int:
-    """Trials that count."""
+    """Number of trials that are complete or pruned."""
     return len(study.get_trials(deepcopy=False, states=FINISHED))
 
 
 def _mend(file: Path, digest: str) -> None:
-    """What a kill left: the journal's lock, half of its last line, trials that never end."""
+    """Clean up after a killed process: the journal's lock, an incomplete last line, trials that never end."""
     file.with_name(f"{file.name}.lock").unlink(missing_ok=True)
     content = file.read_bytes()
     last = (content.splitlines(keepends=True) or [b""])[-1]

@@ -1,4 +1,4 @@
-"""A scene as runs have found it: how far off the symbol is seen at poses shown, from which runs with other gains are predicted."""
+"""A surrogate of a scene: the symbol's errors at shown poses, learnt from runs, to predict runs with other gains."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,14 +12,13 @@ from loop.lighting.simulation import Simulation
 from loop.recording.summary import FINAL
 from perception.extraction import Loss
 
-NEAR = 0.02  # of the symbol's size: about how far off a symbol may be that has settled
+NEAR = 0.02  # of the symbol's size: approximate error of a settled symbol
 
 
 def near(simulation: Simulation) -> Tensor:
-    """Errors `[4]` in x, y (m), roll and pitch (rad) of a symbol that is about as near as a settled one has to stay
-    (`loop.recording.summary`).
+    """Errors `[4]` in x, y (m), roll and pitch (rad) of a symbol at the limit of being settled (`loop.recording.summary`).
 
-    A turn of the primitive by a share of the angle at which the lamp meets the road shears or stretches the symbol by that share.
+    A rotation of the primitive by a share of the lamp's grazing angle at the road shears or stretches the symbol by that share.
     """
     symbol = simulation.scenario.symbol
     grazing = simulation.scenario.headlight.height_m / symbol.x_m
@@ -28,8 +27,9 @@ def near(simulation: Simulation) -> Tensor:
 
 @dataclass(frozen=True)
 class Learned:
-    """poses, offsets: `[n, 4]`, where the symbol was shown, and how much more than its pose its error was. An error is divided by its plant
-    gain, so that this is much the same everywhere, but for what the road does. noise: `[4]`, standard deviation of the errors."""
+    """The surrogate. poses, offsets: `[n, 4]`, poses shown, and the symbol's errors less these poses. Errors are divided by their plant
+    gains, so that offsets vary only with the road. noise: `[4]`, standard deviation of the errors.
+    """
 
     poses: Tensor
     offsets: Tensor
@@ -37,18 +37,20 @@ class Learned:
 
     @classmethod
     def of(cls, runs: Sequence[Rollout], late: int) -> "Learned":
-        """From runs whose frames come so many steps late, of which one has seen the symbol."""
+        """Learn from runs whose frames are `late` steps late; at least one must have seen the symbol."""
         poses, offsets = [], []
         for each in runs:
             seen, shown = each.seen[0, late:], each.poses[0, : each.poses.shape[1] - late]
             poses.append(shown[seen])
             offsets.append((each.errors[0, late:] - shown)[seen])
-        most = max(len(each) for each in offsets)  # a run that has seen little knows nothing of noise
+        most = max(len(each) for each in offsets)  # a run with few measurements does not show the noise
         noise = torch.stack([each[-FINAL:].std(0, correction=0) for each in offsets if len(each) >= min(most, FINAL)]).amin(0)
         return cls(torch.cat(poses), torch.cat(offsets), noise)
 
     def predicted(self, simulation: Simulation, values: dict[str, Tensor], noise: Tensor) -> Rollout:
-        """Runs with gains, values `[B]`; noise: `[steps, B, 4]`, standard normal. Differentiable in the gains, and without any light."""
+        """Predicted runs. values: gains `[B]` by key. noise: `[steps, B, 4]`, standard normal. Differentiable in the gains; nothing is
+        rendered.
+        """
         apart = near(simulation)
 
         def looked(poses: Tensor, step: int) -> Seen:

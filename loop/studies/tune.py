@@ -1,4 +1,4 @@
-"""What `luxloop tune` does: look for better values of a scenario's keys with Optuna, resumable, alike with any number of processes."""
+"""`luxloop tune`: tune a scenario's keys with Optuna; resumable, and with the same result for any number of processes."""
 
 import hashlib
 import json
@@ -29,16 +29,16 @@ from world.errors import LuxloopError
 from world.folders import turn
 
 FAILURES = "failures"
-TRACES = "traces"  # of what has been run and may be learned from
-APART = 1_000_003  # between the seeds of two searches' first trials, so that they share none
-STARTUP = 8  # trials at random before the sampler learns
+TRACES = "traces"  # attribute with the traces of a trial's runs
+APART = 1_000_003  # distance between the seeds of two searches, so that they share no trial's seed
+STARTUP = 8  # random trials before the sampler uses results
 Runs = list[tuple[dict[str, Any], dict[str, str], str]]
-Trace = list[list[Any]] | str  # of a run: poses, errors and whether seen (`loop.metrics.traced`), or why it failed
+Trace = list[list[Any]] | str  # of a run: poses, errors and whether seen (`loop.metrics.traced`), or the reason of failure
 
 
 @dataclass(frozen=True)
 class Task:
-    """What is tuned. seeds: so many runs of each scenario a trial, with its own seed and those after it. seed: of the search."""
+    """A tuning task. seeds: runs of each scenario per trial, with its own seed and the following ones. seed: of the search."""
 
     scenarios: tuple[Scenario, ...]
     ranges: tuple[Range, ...]
@@ -49,7 +49,7 @@ class Task:
 
     @property
     def digest(self) -> str:
-        """Changes with everything that decides a trial."""
+        """Digest of everything that decides a trial."""
         what = [
             [each.digest for each in self.scenarios],
             self.inputs,
@@ -62,17 +62,17 @@ class Task:
 
     @cached_property
     def inputs(self) -> list[dict[str, str]]:
-        """Digests of the files of each scenario, as they were when this was first asked for."""
+        """Digests of each scenario's files at the first access."""
         return [digests(each) for each in self.scenarios]
 
     @property
     def given(self) -> dict[str, float | int | None]:
-        """The values that all scenarios have; None where they differ, or have none."""
+        """Values common to all scenarios, by key; None where they differ or have none."""
         found = {each.key: {value_of(scenario, each.key) for scenario in self.scenarios} for each in self.ranges}
         return {key: values.pop() if len(values) == 1 else None for key, values in found.items()}
 
     def runs(self, values: Values) -> Runs:
-        """All runs of a trial, one seed after the other."""
+        """All runs of a trial, seed by seed."""
         varied = [changed(scenario, values) for scenario in self.scenarios]
         seeds = range(self.seeds)
         seeded = [
@@ -91,20 +91,20 @@ class Tuned:
 
     @property
     def failures(self) -> list[str]:
-        """Why runs of trials have failed, each of which counts as `loop.objective.FAILED` in all terms."""
+        """Reasons of failed runs; a failed run costs `loop.objective.FAILED` in all terms."""
         return [why for trial in self.study.get_trials(deepcopy=False, states=FINISHED) for why in trial.user_attrs.get(FAILURES, [])]
 
     @property
     def best(self) -> tuple[dict[str, float | int], float]:
-        """Values and cost of the best trial; no values where the given ones are best."""
+        """Values and cost of the best trial; no values if the given ones are best."""
         values, cost = self.study.best_params, self.study.best_value
         return (values, cost) if cost < self.given_cost else ({}, self.given_cost)
 
 
 def tune(task: Task, out: Path, trials: int, execute: Executor) -> Tuned:
-    """Go on with the study in a folder until it has so many trials. What is there is kept whatever happens.
+    """Continue the study in a folder up to a number of trials. Finished trials are kept whatever happens.
 
-    Processes that do so in one folder share the trials. Raises LuxloopError where the folder holds another study or cannot be written;
+    Several processes on one folder share the trials. Raises LuxloopError if the folder holds another study or cannot be written, and
     KeyboardInterrupt that says what is kept.
     """
     with study_in(out, task.digest) as study, keeping(out, lambda: f"{finished(study)} of {trials} trials"):
@@ -117,28 +117,28 @@ def tune(task: Task, out: Path, trials: int, execute: Executor) -> Tuned:
                     _try(study, trial, task, execute)
                 except BaseException:
                     with suppress(OSError):
-                        study.tell(trial, state=TrialState.FAIL, skip_if_finished=True)  # so that another process does it
+                        study.tell(trial, state=TrialState.FAIL, skip_if_finished=True)  # another process will run it
                     raise
-                done = finished(study)  # others do some, too
+                done = finished(study)  # other processes add trials, too
                 advance(done - shown)
                 shown = done
     return Tuned(task, study.user_attrs["given_cost"], study)
 
 
 def _asked(study: optuna.Study, space: dict[str, BaseDistribution], task: Task, out: Path, trials: int) -> optuna.Trial | None:
-    """The next trial of a study of so many; none where all are finished or under way."""
+    """The next trial up to a number of trials; None if all are finished or running."""
     with turn(out / STUDY):
         number = len(study.get_trials(deepcopy=False, states=(*FINISHED, TrialState.RUNNING)))
         if number >= trials:
             return None
-        # Seeded by the trial: a study that was interrupted goes on as it would have.
+        # Seeded by the trial, so that an interrupted study continues as if it had not been interrupted.
         seed = (task.seed * APART + number) % 2**32
         study.sampler = optuna.samplers.TPESampler(seed=seed, n_startup_trials=STARTUP, multivariate=True)
         return study.ask(space)
 
 
 def _try(study: optuna.Study, trial: optuna.Trial, task: Task, execute: Executor) -> None:
-    """All runs of a trial; after half of them it may be given up. The same runs are done however many go on at once."""
+    """Do all runs of a trial, which may be pruned after half of them; the same runs for any number of processes."""
     runs = task.runs(trial.params)
     half = -(-len(runs) // 2)
     costs, traces = ran(task, runs[:half], execute)
@@ -155,18 +155,18 @@ def _try(study: optuna.Study, trial: optuna.Trial, task: Task, execute: Executor
 
 
 def ran(task: Task, runs: Runs, execute: Executor) -> tuple[list[float], list[Trace]]:
-    """Costs and traces in the order of the runs, though they end in any, so that sums are rounded alike."""
+    """Costs and traces in the order of the runs, whatever order they end in, so that sums round equally."""
     done = sorted(execute(_traced, list(enumerate(runs))), key=itemgetter(0))
     return [task.objective.cost(figures) for _, figures, _ in done], [trace for _, _, trace in done]
 
 
 def failed(traces: list[Trace]) -> list[str]:
-    """Why some of the runs have."""
+    """Reasons of the failed runs."""
     return [trace for trace in traces if isinstance(trace, str)]
 
 
 def _traced(task: tuple[int, tuple[dict[str, Any], dict[str, str], str]]) -> tuple[int, dict[str, Any], Trace]:
-    """Number, figures and trace of a run: a controller that loses itself is no reason to stop."""
+    """Number, metrics and trace of a run; a run that fails does not stop the study."""
     number, (scenario, inputs, device) = task
     try:
         figures, run = traced(cast(Scenario, checked(scenario, inputs)), device)
@@ -182,15 +182,15 @@ def _distribution(each: Range) -> BaseDistribution:
 
 
 def begun(study: optuna.Study, task: Task, out: Path, execute: Executor) -> dict[str, BaseDistribution]:
-    """The study's space; before, what the given values cost and their traces are found where the study does not know them.
+    """The study's search space, after a first run of the given values if the study has none.
 
-    Its first trial is of the given values where all scenarios have them and they lie in the ranges: the search learns from them.
-    Raises LuxloopError where all runs with them fail.
+    The given values are the first trial if all scenarios share them and they lie in the ranges, so that the search uses them. Raises
+    LuxloopError if all runs with them fail.
     """
     if "given_cost" not in study.user_attrs:
         costs, traces = ran(task, task.runs({}), execute)
         if len(reasons := failed(traces)) == len(costs):
-            (out / STUDY).unlink()  # nothing is in it, and other settings shall not need another folder
+            (out / STUDY).unlink()  # it is empty, and other settings should not need another folder
             raise LuxloopError(f"every run with the given values fails, so there is nothing to tune; the first: {reasons[0]}")
         study.set_user_attr(TRACES, traces)
         study.set_user_attr("given_cost", float(np.mean(costs)))
@@ -205,5 +205,5 @@ def _within(each: Range, value: float | int | None) -> bool:
 
 
 def mean_cost(task: Task, values: Values, execute: Executor) -> float:
-    """Mean cost of all runs with some values."""
+    """Mean cost of all runs with given values."""
     return float(np.mean(ran(task, task.runs(values), execute)[0]))

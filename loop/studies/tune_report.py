@@ -1,4 +1,4 @@
-"""The command that tunes, and its report: how the cost went down, which keys matter, what is best beside what was given."""
+"""Run a tuning and write its report: history of the cost, importance of keys, best against given values."""
 
 from pathlib import Path
 
@@ -25,12 +25,12 @@ LEAST_FOR_IMPORTANCES = 10  # trials
 
 
 def do_tune(task: Task, folder: Path, trials: int, processes: int | None, gradient: bool, played_by: str) -> Tuned:
-    """Tune, write what is best and a report into the folder, and say it. played_by: arguments of `luxloop run` beside `--set`.
+    """Tune, and write and print best values and report. played_by: arguments of `luxloop run` before `--set`.
 
-    Raises LuxloopError before anything runs where something makes no sense.
+    Raises LuxloopError for invalid settings before anything runs.
     """
     if not task.ranges:
-        raise LuxloopError("--key: what is to be tuned? Give keys with ranges, such as --key functions.symbol.controller.position.kp=0.1:2")
+        raise LuxloopError("--key: is missing; give keys with ranges, such as --key functions.symbol.controller.position.kp=0.1:2")
     for name, value in (("--trials", trials), ("--seeds", task.seeds), ("--jobs", processes or 1)):
         if value < 1:
             raise LuxloopError(f"{name}: {value} is too few; give 1 or more")
@@ -45,13 +45,13 @@ def do_tune(task: Task, folder: Path, trials: int, processes: int | None, gradie
     if values:
         print(f"{folder / BEST} and {folder / REPORT} written; run it with: luxloop run {played_by} --set {folder / BEST}")
     else:
-        print(f"no trial is better than what was given; {folder / REPORT} written")
+        print(f"no trial is better than the given values; {folder / REPORT} written")
     return tuned
 
 
 def write(tuned: Tuned, out: Path) -> None:
-    """Write the best values, the page and its picture into a folder. Raises LuxloopError where that cannot be."""
-    with turn(out / STUDY):  # so that of processes that share a study the last one that writes has all trials
+    """Write best values, page and picture into a folder. Raises LuxloopError if they cannot be written."""
+    with turn(out / STUDY):  # of processes that share a study, the last to write then has all trials
         values, cost = tuned.best
         head = (
             f"# {tuned.task.objective} of {', '.join(each.name for each in tuned.task.scenarios)}: {tuned.given_cost:.4g} -> {cost:.4g}\n"
@@ -87,7 +87,7 @@ def page(tuned: Tuned) -> str:
     ]
     terms = "".join(f"- `{name}`: {objective.TERMS[name][2]}\n" for name in task.objective.weights)
     names = ", ".join(each.name for each in task.scenarios)
-    what = f"{len(finished)} trials ({pruned} given up halfway) of {names} with {task.seeds} seeds each.{_failed(tuned)}"
+    what = f"{len(finished)} trials ({pruned} pruned halfway) of {names} with {task.seeds} seeds each.{_failed(tuned)}"
     table = tables.markdown(("key", "range", "given", "best", "importance"), rows, "llr")
     return f"# Tuning\n\n{what} The cost is `{task.objective}`:\n\n{terms}\n{table}\n\n![History, and cost over each key]({PICTURE})\n"
 
@@ -98,7 +98,7 @@ def _failed(tuned: Tuned) -> str:
 
 
 def _importances(tuned: Tuned) -> dict[str, float]:
-    """Shares of the keys in what sets the best trials apart; empty where there are too few trials."""
+    """Importance of each key, as shares; empty if there are too few trials."""
     complete = tuned.study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
     if len(complete) < LEAST_FOR_IMPORTANCES or len({trial.value for trial in complete}) < 2:
         return {}

@@ -9,7 +9,7 @@ from loop.scenario.shipped import examples, shipped, shipped_files
 Kind = Literal["scenarios", "functions", "controllers", "roads", "symbols", "detectors", "lamps", "plants", "examples"]
 USES: dict[Kind, str] = {
     "scenarios": "Run one with `luxloop run NAME`, copy it with `luxloop new FILE --like NAME`.",
-    "functions": "Take one as functions.NAME.kind of a scenario (keys in docs/functions.md); one of your own is package.module:Name.",
+    "functions": "Take one as functions.NAME.kind of a scenario (keys in docs/scenarios.md); one of your own is package.module:Name.",
     "controllers": "Take one with `--controller NAME`, or as functions.NAME.controller; one of your own is package.module:Name.",
     "roads": "Take one with `--set road.kind=NAME`; `luxloop schema` has the keys of each; one of your own is package.module:Name.",
     "symbols": "Take one as functions.NAME.image of a symbol; one of your own is the path of a picture.",

@@ -1,4 +1,4 @@
-"""Makes scores say how often they are right (Platt 1999; Guo et al. 2017)."""
+"""Calibration of scores to the share of correct boxes (Platt 1999; Guo et al. 2017)."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -14,14 +14,14 @@ from loop.training.scenes import CLASSES, read
 from perception.detection.network import NetworkDetector
 from world.errors import LuxloopError
 
-SUREST = 1e-6  # least that is missing to a score of 1, whose logit has no end
+SUREST = 1e-6  # least distance of a score to 1, where the logit diverges
 
 
 def calibrate(detector: NetworkDetector, rows: Sequence[Mapping[str, Any]]) -> tuple[float, float]:
-    """Slope and shift that the logits of the detector's network have been given, so that scores are the share of boxes that are right.
+    """Calibrate the logits of the detector's network so that scores are shares of correct boxes; returns slope and shift.
 
-    rows: of scenes that `loop.training.scenes.draw` gave, other than those learnt from; each is seen in full and in object-based light.
-    Raises LuxloopError where the scores do not tell right boxes from wrong ones.
+    rows: from `loop.training.scenes.draw`, of scenes not used in training; each is seen in full and in object-based light. Raises
+    LuxloopError if the scores do not separate correct boxes from wrong ones.
     """
     asked: list[tuple[float, bool]] = []
     for row in rows:
@@ -32,15 +32,15 @@ def calibrate(detector: NetworkDetector, rows: Sequence[Mapping[str, Any]]) -> t
     scores, right = torch.tensor(asked, dtype=torch.float64).view(-1, 2).T
     slope, shift = logistic(scores.logit(eps=SUREST), right)
     if not right.any() or not (math.isfinite(slope) and math.isfinite(shift)) or slope <= 0:
-        raise LuxloopError("the network has learnt nothing that tells right boxes from wrong ones; give more --scenes or --epochs")
+        raise LuxloopError("the network's scores do not separate correct boxes from wrong ones; give more --scenes or --epochs")
     detector.network.calibrate(slope, shift)
     return slope, shift
 
 
 def logistic(x: Tensor, right: Tensor) -> tuple[float, float]:
-    """Slope and shift of the logistic curve that says best of each x, `[n]`, how likely it is right, `[n]` of 0 or 1.
+    """Slope and shift of the logistic curve that fits best the probability of right (`[n]`, 0 or 1) over x, `[n]`.
 
-    What is right counts as nearly right, what is not as nearly not, so that there is a best curve (Platt 1999).
+    Targets are slightly inside 0..1, so that a best curve exists (Platt 1999).
     """
     hits, misses = float(right.sum()), float((1 - right).sum())
     targets = torch.where(right > 0, (hits + 1) / (hits + 2), 1 / (misses + 2))

@@ -1,4 +1,4 @@
-"""What the network learns from: parts of scenes, each in two lights, and what it shall say of them."""
+"""Training examples: parts of scenes, each in two lights, and the targets of the network."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -15,9 +15,9 @@ from perception.camera import expose
 from perception.detection.network import STRIDE, middles
 
 SIZE = (256, 384)  # rows, columns of an example
-LEAST_HEIGHT_PX, LEAST_VISIBLE, LEAST_INSIDE = 16, 0.35, 0.4  # of what must be found; what has less may be
-LEAST_LIT = 0.15  # share of what is seen of it that is well lit
-UNSEEN_LX = 0.12  # from all lamps and the sky; what gets more on no such share is not there: who cannot see shall not be sure
+LEAST_HEIGHT_PX, LEAST_VISIBLE, LEAST_INSIDE = 16, 0.35, 0.4  # of objects that must be detected; others may be
+LEAST_LIT = 0.15  # least well-lit share of its visible part
+UNSEEN_LX = 0.12  # from all lamps and the sky; objects without such a share above this count as absent, to avoid confidence in the dark
 SPREAD = 0.09  # standard deviation of a middle's neighbourhood, as a share of the box
 
 
@@ -38,7 +38,7 @@ class Examples:
 
     @classmethod
     def drawn(cls, rows: Sequence[dict[str, Any]], number: int, rng: np.random.Generator) -> "Examples":
-        """Of so many scenes, each of one or two of those that `draw` gave these rows of."""
+        """Examples of a number of scenes, each from one or two of the scenes that `draw` returned as rows."""
         full, alone = zip(*(_pair(rows, rng) for _ in range(number)), strict=True)
         return cls(*(torch.stack(each) for each in zip(*full + alone, strict=True)))
 

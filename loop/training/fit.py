@@ -1,4 +1,4 @@
-"""Fits the network to examples."""
+"""Fit the network to examples."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -17,11 +17,11 @@ from perception.detection.network import Network, boxes_of, prepared
 BATCH = 8  # scenes, each in two lights
 RATE = 4e-3
 BOX_WEIGHT, AGREE_WEIGHT = 2.0, 0.5
-RARE = 0.02  # share of cells that the network takes for an object's before it has learnt anything
+RARE = 0.02  # initial score of the network: share of cells with an object
 
 
 def fit(rows: Sequence[dict[str, Any]], steps: int, seed: int, on_step: Callable[[float], None]) -> Network:
-    """A network that has seen `steps` batches, ready to detect: the mean of its late weights; on_step is told the loss.
+    """Train a network on `steps` batches; returns it ready to detect, with the mean of its late weights. on_step: called with the loss.
 
     rows: of scenes, as `loop.training.scenes.draw` gives them.
     """
@@ -33,11 +33,11 @@ def fit(rows: Sequence[dict[str, Any]], steps: int, seed: int, on_step: Callable
     averaged = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(min(0.99, 1 - 10 / (steps + 10))), use_buffers=True)
     optimiser = torch.optim.AdamW(network.parameters(), RATE, weight_decay=1e-3)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, total_steps=steps, pct_start=0.15)
-    with ThreadPoolExecutor(1) as ahead:  # so that a second core draws the next examples meanwhile
+    with ThreadPoolExecutor(1) as ahead:  # a second core draws the next examples meanwhile
         coming = ahead.submit(Examples.drawn, rows, BATCH, rng)
         for _ in range(steps):
             examples, coming = coming.result(), ahead.submit(Examples.drawn, rows, BATCH, rng)
-            # half as precise and twice as fast where the processor has such numbers
+            # half the precision and twice the speed on processors that support it
             with torch.autocast("cpu", torch.bfloat16):
                 logits, sides = network(prepared(examples.frames))
             logits = logits.float()
@@ -56,7 +56,7 @@ def fit(rows: Sequence[dict[str, Any]], steps: int, seed: int, on_step: Callable
 
 
 def heat_loss(logits: Tensor, examples: Examples) -> Tensor:
-    """Focal loss that forgives what is near a middle (Law & Deng 2018), an object."""
+    """Focal loss per object, reduced near centres (Law & Deng 2018)."""
     p = logits.sigmoid().clamp(1e-4, 1 - 1e-4)
     there = examples.heat == 1
     hit = (1 - p).square() * p.log() * there
@@ -65,7 +65,9 @@ def heat_loss(logits: Tensor, examples: Examples) -> Tensor:
 
 
 def agree_loss(logits: Tensor, examples: Examples) -> Tensor:
-    """How much object-based light takes from the logits of full light, an object that is well lit by both; the latter are not moved."""
+    """Loss per object that is well lit in both lights: by how much its logits in object-based light are below those in full light, which
+    are fixed.
+    """
     own = logits.gather(1, examples.heat.argmax(1, keepdim=True))[:, 0]
     (full, alone), (share_full, share_alone) = own.chunk(2), examples.share.chunk(2)
     share = torch.minimum(share_full, share_alone)
@@ -74,7 +76,7 @@ def agree_loss(logits: Tensor, examples: Examples) -> Tensor:
 
 
 def box_loss(sides: Tensor, examples: Examples) -> Tensor:
-    """1 - generalised IoU (Rezatofighi et al. 2019), an object."""
+    """1 - generalised IoU (Rezatofighi et al. 2019), per object."""
     found, truth = boxes_of(sides), examples.boxes
     low, high = torch.maximum(found[:, :2], truth[:, :2]), torch.minimum(found[:, 2:], truth[:, 2:])
     both = (high - low).clamp(min=0).prod(1)

@@ -1,4 +1,4 @@
-"""How good a detector is on scenes that it was not trained on: what it finds at one illuminance, and how sure it is at all."""
+"""Metrics of a detector on held-out scenes: detections at one illuminance, and confidence at all."""
 
 import time
 from collections.abc import Mapping, Sequence
@@ -20,8 +20,8 @@ from perception.detection.suppression import overlaps
 ILLUMINANCES_LX = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0)
 JUDGED_LX = 10.0
 ALONE_LX, AROUND_LX, EDGE_PX = 20.0, 0.1, 2.0  # of object-based light: on objects, beside them, and the scale of the lamps' blur
-FRAMES = 4  # with other noise, of which confidences are averaged for that
-AGREE = 0.05  # confidence that object-based light may take from full light
+FRAMES = 4  # frames with different noise over which confidences are averaged
+AGREE = 0.05  # loss of confidence from full to object-based light that is accepted
 SURE = 0.5  # least score of what counts as found: at JUDGED_LX rather right than wrong, in less light more often right than that
 SCORES = (0.2, 0.3, 0.4, SURE, 0.6, 0.7, 0.8)  # that might do as well
 BINS = (0.1, 0.3, 0.5, 0.7, 0.9, 1.0)  # of scores, whose boxes are asked how many of them are right
@@ -31,9 +31,9 @@ HEIGHT_PX, VISIBLE, INSIDE = 24, 0.5, 0.5  # least of what must be found; what h
 
 @dataclass(frozen=True)
 class Verdict:
-    """One frame. confidences: one of each object that must be found, best score of its class on it, 0 where no box lies on it.
+    """Verdict on one frame. confidences: of each object that must be detected, the best score of its class, 0 without a box on it.
 
-    found: which are by a sure box. right: which of these in their class. false: sure boxes on nothing.
+    found: which objects a sure box detects. right: which of these in their class. false: number of sure boxes without an object.
     """
 
     labels: tuple[int, ...]
@@ -44,10 +44,10 @@ class Verdict:
 
 
 def judge(detector: Detector, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """What a report says, in numbers, of scenes that `loop.training.scenes.draw` gave the rows of.
+    """Metrics of a detector on the scenes that `loop.training.scenes.draw` returned as rows.
 
-    x lx is light of which every surface that faces the lamps gets x lx, however far away it is: the intensity grows with the square of
-    the distance. Confidence against illuminance is judged without any other light, and with that of the scene's night, as all else is.
+    At x lx every surface facing the lamps gets x lx at any distance: the intensity grows with the square of the distance. Confidence
+    against illuminance is computed without any other light, and with the scene's night light, as are all other metrics.
     """
     labels_of = [CLASSES.index(name) for name in detector.classes]
     in_darkness: dict[float, list[Verdict]] = {lx: [] for lx in ILLUMINANCES_LX}
@@ -85,7 +85,7 @@ def judge(detector: Detector, rows: Sequence[Mapping[str, Any]]) -> dict[str, An
 
 
 def verdict(found: Detections, objects: Sequence[Labelled], labels_of: Sequence[int], sure: float = SURE) -> Verdict:
-    """Of one frame; labels_of: which of our classes each of the detector's is."""
+    """The verdict on one frame. labels_of: luxloop's class for each of the detector's."""
     must = [_must(each) for each in objects]
     boxes, scores = found.boxes.cpu(), found.scores.cpu()
     overlap = overlaps(boxes, torch.tensor([each.box for each in objects]).view(-1, 4))
@@ -112,9 +112,9 @@ def verdict(found: Detections, objects: Sequence[Labelled], labels_of: Sequence[
 
 
 def boxes_right(found: Detections, objects: Sequence[Labelled], labels_of: Sequence[int]) -> list[tuple[float, bool]]:
-    """Score of each box, and whether it is the surest one on an object of its class, be it one that must or that may be found.
+    """Score of each box, and whether it is the one of highest score on an object of its class that must or may be detected.
 
-    Others that lie on what may be found are left out.
+    Other boxes on objects that may be detected are left out.
     """
     boxes, (scores, columns) = found.boxes.cpu(), found.scores.cpu().max(1)
     overlap = overlaps(boxes, torch.tensor([each.box for each in objects]).view(-1, 4))
@@ -130,7 +130,9 @@ def boxes_right(found: Detections, objects: Sequence[Labelled], labels_of: Seque
 
 
 def agreement(detector: Detector, scene: DarkScene, seed: int) -> list[tuple[int, float, float]]:
-    """Label, confidence in full light, and in object-based light of what must be found and is sure in full light; means over frames."""
+    """Label and confidence in full and in object-based light, as means over frames, of objects that must be detected and surely are in full
+    light.
+    """
     labels_of = [CLASSES.index(name) for name in detector.classes]
 
     def means(light: Tensor | float, first: int) -> tuple[tuple[int, ...], list[float]]:
@@ -144,12 +146,12 @@ def agreement(detector: Detector, scene: DarkScene, seed: int) -> list[tuple[int
 
 
 def seen(scene: DarkScene, light: Tensor | float, seed: int, number: int) -> Tensor:
-    """A frame of the scene in so much light, as a detector takes it, with noise of this seed and number."""
+    """A frame of the scene in a light for a detector, with noise of this seed and number."""
     return expose(luminance(scene, light), CAMERA, frame_generator(seed, number, 0)) / (2**CAMERA.bits - 1)
 
 
 def object_based(scene: DarkScene) -> Tensor:
-    """Light on objects alone, roughly as the lighting function of that name gives it by default: it knows who is nearer, this does not."""
+    """Light on objects alone, approximately as object-based lighting gives it by default, but without its handling of nearer objects."""
     params = ObjectLightParams()
     return lit_alone(scene, ALONE_LX, AROUND_LX, params.dark, params.dark_lx, EDGE_PX)
 
@@ -208,7 +210,7 @@ def _confidence(verdicts: Mapping[float, Sequence[Verdict]]) -> dict[str, Any]:
 
 
 def _alone(agreements: Sequence[tuple[int, float, float]]) -> dict[str, Any]:
-    """How many objects object-based light leaves as sure as full light, and what it changes in the median."""
+    """Share of objects whose confidence object-based light keeps within AGREE, and the median change."""
 
     def kept(found: Sequence[tuple[int, float, float]]) -> float | None:
         return round(float(np.mean([dark >= full - AGREE for _, full, dark in found])), 3) if found else None

@@ -1,4 +1,4 @@
-"""Light for scenes that were drawn in the dark: full, even or as beams fall, or as object-based lighting gives it amid darkness."""
+"""Light for scenes that are rendered in the dark: full light (even or like a beam), or object-based light in darkness."""
 
 from collections.abc import Mapping
 from typing import Final
@@ -10,8 +10,8 @@ from torch import Tensor
 from loop.training.scenes import CLASSES, DarkScene, Labelled
 from world.traffic.tracked import Category
 
-WELL_LIT_LX = 5.0  # least by which a detector is trained
-FULL_LX = (WELL_LIT_LX, 150.0)  # of full light, in which much of what is near is as bright as the camera can tell
+WELL_LIT_LX = 5.0  # least illuminance on objects in training
+FULL_LX = (WELL_LIT_LX, 150.0)  # of full light, in which near surfaces often saturate the camera
 DARK_LX = (0.02, 1.0)  # around objects that are lit alone
 OBJECT_LX = (WELL_LIT_LX, 40.0)  # on these
 TOP_LX = (0.2, 1.0)  # on their heads and windscreens
@@ -31,7 +31,7 @@ def full_light(scene: DarkScene, rng: np.random.Generator) -> Tensor:
 
 
 def object_light(scene: DarkScene, rng: np.random.Generator) -> Tensor:
-    """The same of light on most objects, the tops of most of which stay dark, and on places where there is none."""
+    """Illuminance `[height, width]` in lx of object-based light on most objects, most with dark tops, and on places without objects."""
     light, (height, width) = (_even if rng.random() < 0.5 else _beam)(scene, _between(rng, DARK_LX), rng), scene.shape
     lit = [each for each in scene.objects if rng.random() < 0.9] if rng.random() < 0.85 else []
     for _ in range(int(rng.integers(4))):
@@ -71,7 +71,7 @@ def _between(rng: np.random.Generator, limits: tuple[float, float]) -> float:
 
 
 def _even(scene: DarkScene, lx: float, rng: np.random.Generator) -> Tensor:
-    """The same everywhere but for a gradient from side to side."""
+    """Even light with a gradient from side to side."""
     slope = torch.linspace(-1, 1, scene.shape[1]) * float(rng.normal(0, 0.3))
     return (lx * slope.exp()).expand(scene.shape)
 

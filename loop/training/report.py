@@ -24,7 +24,7 @@ Report = Mapping[str, Any]
 
 
 def goals(report: Report) -> list[tuple[str, str, float | None, bool]]:
-    """What was to be reached, the limit in words, what was reached, None where no object counts, and whether."""
+    """Goal, limit in words, value reached (None if no object counts), and whether the goal is reached."""
     found, all_ = report["well_lit"], report["confidence"]["all"]["median"]
     at = dict(zip(report["confidence"]["lx"], all_, strict=True))
     change = None if at[40.0] is None else round(abs(at[40.0] - at[20.0]), 3)
@@ -116,7 +116,7 @@ def confidence_figure(report: Report) -> Figure:
 
 
 def write_report(report: Report, out: Path) -> None:
-    """Write page and picture into a folder. Raises LuxloopError where that cannot be."""
+    """Write page and picture into a folder. Raises LuxloopError if they cannot be written."""
     with whole(out / PICTURE) as file:
         confidence_figure(report).savefig(file, format="jpg")
     with whole(out / PAGE) as file:

@@ -1,4 +1,4 @@
-"""Scenes to train a detector on, drawn once without any headlight's light: what each pixel would send back, so that all light is free."""
+"""Training scenes for a detector, rendered once without headlamps as each pixel's response to light, so that any light can be applied."""
 
 import math
 from collections.abc import Mapping
@@ -89,7 +89,7 @@ class DarkScene:
         return height, width
 
     def shifted(self, left: int, top: int) -> "DarkScene":
-        """The same, whose image begins at a column and row of what the boxes are in; they end at the image."""
+        """The scene with the image origin at a column and row; boxes are clipped to the image."""
         return replace(self, objects=tuple(found for each in self.objects if (found := each.within(left, top, *self.shape[::-1]))))
 
     def mirrored(self) -> "DarkScene":
@@ -100,7 +100,7 @@ class DarkScene:
         return replace(self, **layers, objects=objects)  # type: ignore[arg-type]
 
     def behind(self, other: "DarkScene") -> "DarkScene":
-        """With those of another scene's objects put before and among its own, by their distances; their shadows are left out."""
+        """This scene with the objects of another one inserted by distance; their shadows are left out."""
         nearer = (other.object_id > 0) & (other.distance < self.distance)
         first = int(self.object_id.max()) + 1
         moved = replace(
@@ -114,14 +114,14 @@ class DarkScene:
 
 
 def _still_seen(scene: DarkScene, object_id: Tensor) -> tuple[Labelled, ...]:
-    """Objects of a scene in a picture where others may hide them."""
+    """Objects of a scene that remain visible in an image where others may hide them."""
     before, after = (torch.bincount(ids.flatten() + 1, minlength=256) for ids in (scene.object_id, object_id))
     share = (after / before.clamp(min=1)).tolist()
     return tuple(replace(each, visible=each.visible * share[each.object_id + 1]) for each in scene.objects)
 
 
 def draw(seed: int, folder: str) -> dict[str, Any]:
-    """Draw the scene of a seed into `folder/SEED.npy`; what is in it. Raises LuxloopError where that cannot be written."""
+    """Render the scene of a seed into `folder/SEED.npy` and return its row. Raises LuxloopError if it cannot be written."""
     scenario = _scenario(seed)
     ground, source = _road(_road_seed(seed))
     scene = Scene((ground, *(item.build() for item in scenario.all_objects)), 0.0, scenario.light.street_lamps)
@@ -137,7 +137,7 @@ def draw(seed: int, folder: str) -> dict[str, Any]:
     Path(folder).mkdir(parents=True, exist_ok=True)
     with whole(_file(folder, seed)) as part, part.open("wb") as stream:
         np.save(stream, layers.clamp(max=LARGEST).half().numpy())
-    # parked cars are cars, too, whatever a tracker is told
+    # parked cars count as cars, although trackers do not report them
     names = ["car" if item.kind == "car" else item.category for item in scenario.all_objects]
     objects = [
         {

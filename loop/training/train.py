@@ -1,4 +1,4 @@
-"""What `luxloop train-detector` does: draw scenes, fit the network, judge it on others, and leave weights and report in a folder."""
+"""`luxloop train-detector`: render scenes, fit the network, test it on others, and write weights and report."""
 
 import datetime
 import json
@@ -23,15 +23,15 @@ from world.folders import output_folder
 
 JOBS, FOLDER, WEIGHTS = "scenes.jsonl", "scenes", "detector.pt"
 LEAST_SCORE = 0.01  # of what is asked and judged
-CALIBRATING = 10  # of so many scenes one is left for calibration
+CALIBRATING = 10  # one in so many scenes is kept for calibration
 VERSION: Final = digest_of(scenes)
 
 
 def train(out: Path, number: int, held_out: int, epochs: int, seed: int, processes: int | None) -> dict[str, Any]:
-    """Train on so many scenes, judge on others, write weights and report into a folder; what the report says.
+    """Train on a number of scenes, test on others, write weights and report into a folder; returns the report.
 
-    Raises LuxloopError for numbers that make no sense, scenes that cannot be drawn, a network that has learnt nothing, or a folder that
-    cannot be written.
+    Raises LuxloopError for invalid numbers, scenes that cannot be rendered, a network that has learnt nothing, or a folder that cannot be
+    written.
     """
     for key, value in (("scenes", number), ("held-out", held_out), ("epochs", epochs), ("jobs", 1 if processes is None else processes)):
         if value < 1:

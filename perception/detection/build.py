@@ -1,4 +1,4 @@
-"""The detector that a scenario names."""
+"""The detectors that a scenario can name."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,6 +14,7 @@ from perception.detection.network import NetworkDetector, load
 from perception.detection.onnx import OnnxDetector
 from perception.detection.params import HogParams, NetworkParams, OnnxParams, OwnDetector, RunParams
 from perception.detection.protocol import Detections, Detector
+from perception.detection.yolo import SHARES
 from world import plugin
 from world.errors import LuxloopError, located
 from world.traffic.tracked import Category
@@ -25,7 +26,7 @@ WEIGHTS = "weights/night.pt"  # shipped, with their report beside them
 
 
 def detector(params: RunParams, device: torch.device) -> Detector:
-    """Raises LuxloopError where its file is missing or broken, or one of the user's own cannot be made."""
+    """The detector of a scenario. Raises LuxloopError if its file is missing or broken, or a user-defined one cannot be made."""
     match params:
         case NetworkParams():
             return network_detector(params, device)
@@ -38,7 +39,7 @@ def detector(params: RunParams, device: torch.device) -> Detector:
 
 
 def own_detector(made_by: type, params: OwnDetector, device: torch.device) -> "CheckedDetector":
-    """One of the user's own, of a class that has the methods. Raises LuxloopError where it cannot be made, or its classes are unknown."""
+    """A user-defined detector of a class with the methods. Raises LuxloopError if it cannot be made or its classes are unknown."""
     own = plugin.made(made_by, params.kind, KEY, {"device": device}, params.options)
     classes, known = getattr(own, "classes", None), get_args(Category)
     if not isinstance(classes, tuple) or not classes or any(each not in known for each in classes):
@@ -48,7 +49,7 @@ def own_detector(made_by: type, params: OwnDetector, device: torch.device) -> "C
 
 
 def network_detector(params: NetworkParams, device: torch.device) -> NetworkDetector:
-    """luxloop's own, with the weights shipped or others. Raises LuxloopError where these are none."""
+    """luxloop's own detector with shipped or other weights. Raises LuxloopError if the file holds none."""
     if params.weights is not None:
         with located("detector.weights"):
             network, classes = load(Path(params.weights), device)
@@ -60,7 +61,7 @@ def network_detector(params: NetworkParams, device: torch.device) -> NetworkDete
 
 @dataclass(frozen=True)
 class CheckedDetector:
-    """The user's own detector, whose detections are checked. kind: its name in the scenario."""
+    """A user-defined detector whose detections are checked. kind: its name in the scenario."""
 
     own: plugin.Guarded
     kind: plugin.Name
@@ -70,20 +71,49 @@ class CheckedDetector:
         return cast(tuple[Category, ...], self.own.classes)
 
     def detect(self, frames: Tensor) -> Sequence[Detections]:
-        """Raises LuxloopError where it fails, or gives something else than detections."""
-        return self.checked(self.own.detect(frames), len(frames))
+        """Raises LuxloopError if it fails or does not return valid detections."""
+        return self.checked(self.own.detect(frames), frames)
 
-    def checked(self, found: Any, frames: int) -> Sequence[Detections]:
-        """The detections of n frames. Raises LuxloopError where they are invalid."""
+    def checked(self, found: Any, frames: Tensor) -> Sequence[Detections]:
+        """The detections in frames `[B, height, width]`. Raises LuxloopError where they are invalid."""
+        where, classes = f"{KEY}: {self.kind}: detect", len(self.classes)
+        if not isinstance(found, list | tuple):
+            raise LuxloopError(f"{where} gives a {type(found).__name__}; give a list with one luxloop.Detections a frame")
         with plugin.running(self.kind, KEY, f"reading what detect gives, which must {GIVES},"):
             shapes = [(tuple(each.boxes.shape), tuple(each.scores.shape)) for each in found]
             finite = all(bool(each.boxes.isfinite().all() and each.scores.isfinite().all()) for each in found)
-        where, classes = f"{KEY}: {self.kind}: detect", len(self.classes)
-        if len(shapes) != frames:
-            raise LuxloopError(f"{where} gives {len(shapes)} for {frames} frames; it must {GIVES}")
+        if len(shapes) != len(frames):
+            raise LuxloopError(f"{where} gives {len(shapes)} for {len(frames)} frames; it must {GIVES}")
         for boxes, scores in shapes:
             count = next(iter(boxes), 0)
             if (boxes, scores) != ((count, 4), (count, classes)) or not finite:
                 what = f"boxes {list(boxes)} and scores {list(scores)}" + ("" if finite else ", some of which are not finite")
                 raise LuxloopError(f"{where} gives {what}; with {classes} classes it must {GIVES}")
-        return cast(Sequence[Detections], found)
+        with located(where):
+            for each in found:
+                _check_ranges(each, *frames.shape[1:])
+        return found
+
+
+def _check_ranges(found: Detections, height: int, width: int) -> None:
+    """Raises LuxloopError where scores are no shares, or boxes none in a frame of this size in px."""
+    if not len(found):
+        return
+    (low, high), boxes = (float(each) for each in found.scores.aminmax()), found.boxes
+    if low < 0 or high > 1:
+        raise LuxloopError(f"gives scores from {low:.3g} to {high:.3g}; give 0..1: of logits the sigmoid, of percent a hundredth")
+    if (thinnest := float((boxes[:, 2:] - boxes[:, :2]).min())) <= 0:
+        raise LuxloopError(
+            f"gives boxes with sides down to {thinnest:.3g} px; give left, top, right, bottom, not the middle or width and height"
+        )
+    if (farthest := float(boxes.max())) <= SHARES:
+        raise LuxloopError(
+            f"gives boxes that reach to {farthest:.3g} px at most, so they seem to be shares of the frame; multiply them by its width and "
+            f"height, here {width} and {height} px"
+        )
+    u, v = ((boxes[:, :2] + boxes[:, 2:]) / 2).T
+    if bool(((u < 0) | (u > width) | (v < 0) | (v > height)).any()):
+        raise LuxloopError(
+            f"gives boxes whose middle is outside of the frame of {width} x {height} px; give px of the frame, not of a picture of another "
+            "size, columns first: left, top, right, bottom"
+        )

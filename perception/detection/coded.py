@@ -1,4 +1,4 @@
-"""Pictures for detectors that were made for photographs: 8 bits, coded."""
+"""8-bit gamma-coded images for detectors that are trained on photographs."""
 
 import numpy as np
 from torch import Tensor

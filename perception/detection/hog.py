@@ -1,4 +1,4 @@
-"""OpenCV's detector of people: histograms of gradients and a linear classifier (Dalal & Triggs 2005), trained on others' photographs."""
+"""OpenCV's people detector: histograms of gradients and a linear SVM (Dalal & Triggs 2005), with OpenCV's weights."""
 
 import math
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from perception.detection.protocol import Detections
 from perception.detection.suppression import suppressed
 from world.traffic.tracked import Category
 
-SHRINK = (0.55, 0.75)  # of its window of 64 x 128 px, whose middle someone of 96 px takes
+SHRINK = (0.55, 0.75)  # of its window of 64 x 128 px, in whose middle a person of 96 px stands
 
 
 class HogDetector:
@@ -34,7 +34,7 @@ class HogDetector:
     def _found(self, frame: Tensor) -> Detections:
         params = self.params
         picture = cv2.resize(coded(frame, params.gamma), None, fx=params.magnify, fy=params.magnify, interpolation=cv2.INTER_LINEAR)
-        # OpenCV reads beyond what is smaller than its window
+        # OpenCV reads beyond images that are smaller than its window
         width, height = self._hog.winSize
         below, right = max(height - picture.shape[0], 0), max(width - picture.shape[1], 0)
         picture = cv2.copyMakeBorder(picture, 0, below, 0, right, cv2.BORDER_REPLICATE)

@@ -1,4 +1,4 @@
-"""A small convolutional network that finds middles of objects, and how far their boxes reach from there (CenterNet, Zhou et al. 2019)."""
+"""A small convolutional network that detects objects as centres and box sides relative to them (CenterNet, Zhou et al. 2019)."""
 
 import io
 import math
@@ -18,15 +18,15 @@ from world.budget import afford
 from world.files import reading
 from world.traffic.tracked import Category
 
-STRIDE = 8  # px of the frame a cell of what the network gives
-CODE = 0.75  # power of the light: between 1, where dark clothes hide beside bright ones, and 0.5, where shot noise is even
+STRIDE = 8  # px of the frame per cell of the output
+CODE = 0.75  # exponent on the light: between 1, where dark clothes vanish beside bright ones, and 0.5, where shot noise is uniform
 CANDIDATES = 64  # the most objects in a frame
 
 
 class Network(nn.Module):
-    """From frames `[B, 1, height, width]`, as `prepared` gives them, to logits of the classes and sides of boxes, a cell for 8 x 8 px.
+    """From frames `[B, 1, height, width]`, as from `prepared`, to class logits and box sides in cells of 8 x 8 px.
 
-    It looks at scales of 2 to 32 px, and adds what the coarser ones see to the finer ones.
+    It works at scales of 2 to 32 px and adds coarser features to finer ones.
     """
 
     def __init__(self, classes: int) -> None:
@@ -41,20 +41,22 @@ class Network(nn.Module):
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def expect(self, share: float) -> None:
-        """Before training: begin with objects in this share of the cells, and boxes of about 40 px."""
+        """Initialise the biases before training: objects in this share of the cells, boxes of about 40 px."""
         assert self.head.bias is not None
         nn.init.constant_(self.head.bias[:-4], math.log(share / (1 - share)))
         nn.init.constant_(self.head.bias[-4:], 1.0)
 
     @torch.no_grad()
     def calibrate(self, slope: float, shift: float) -> None:
-        """Give logits from now on so many times larger, and shifted."""
+        """Scale and shift the logits from now on."""
         assert self.head.bias is not None
         self.head.weight[:-4] *= slope
         self.head.bias[:-4] = slope * self.head.bias[:-4] + shift
 
     def forward(self, frames: Tensor) -> tuple[Tensor, Tensor]:
-        """Logits `[B, classes, rows, columns]`; px from a cell's middle to left, top, right, bottom `[B, 4, rows, columns]`, above 0."""
+        """Logits `[B, classes, rows, columns]`, and distances in px from a cell's centre to left, top, right, bottom `[B, 4, rows,
+        columns]`, above 0.
+        """
         middle = self.middle(self.fine(frames))
         coarse = self.coarse(middle)
         coarse = coarse + _spread(self.coarsest(coarse), coarse)
@@ -71,7 +73,7 @@ def _spread(coarse: Tensor, fine: Tensor) -> Tensor:
 
 
 def prepared(frames: Tensor) -> Tensor:
-    """What the network looks at, `[B, 1, height, width]`."""
+    """Input of the network `[B, 1, height, width]` from frames `[B, height, width]` in 0..1."""
     return frames.float().clamp(min=0).pow(CODE)[:, None].contiguous(memory_format=torch.channels_last)
 
 
@@ -82,7 +84,7 @@ def middles(rows: int, columns: int, device: torch.device) -> Tensor:
 
 
 def boxes_of(sides: Tensor) -> Tensor:
-    """Boxes `[B, 4, rows, columns]` of sides in the same shape."""
+    """Boxes `[B, 4, rows, columns]` px from sides of the same shape."""
     rows, columns = sides.shape[-2:]
     at = middles(rows, columns, sides.device)
     return torch.cat([at - sides[:, :2], at + sides[:, 2:]], 1)
@@ -90,7 +92,7 @@ def boxes_of(sides: Tensor) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class NetworkDetector:
-    """The network with its weights. threshold: least score. overlap: IoU above which the less sure of two boxes is dropped."""
+    """The network with its weights. threshold: least score. overlap: IoU above which the box of lower score is suppressed."""
 
     network: Network
     classes: tuple[Category, ...]
@@ -99,7 +101,7 @@ class NetworkDetector:
 
     @torch.inference_mode()
     def detect(self, frames: Tensor) -> Sequence[Detections]:
-        """See `Detector`. A cell counts where it is the surest among its eight neighbours."""
+        """See `Detector`. A cell counts if its score is the highest among its eight neighbours."""
         height, width = frames.shape[-2:]
         device = next(self.network.parameters()).device
         logits, sides = self.network(prepared(frames.to(device)))
@@ -114,7 +116,7 @@ class NetworkDetector:
 
 
 def load(file: Path, device: torch.device) -> tuple[Network, tuple[Category, ...]]:
-    """The network of a file that `save` wrote, ready to detect, and its classes. Raises LuxloopError where it is none."""
+    """The network from a file that `save` wrote, and its classes. Raises LuxloopError if the file is no such file."""
     with reading(file, "holds no weights of this network", "take a file that `luxloop train-detector` wrote"):
         with zipfile.ZipFile(file) as archive:
             afford(f"{file}: its weights", 2 * sum(entry.file_size for entry in archive.infolist()), "train them anew")
@@ -132,7 +134,7 @@ def load(file: Path, device: torch.device) -> tuple[Network, tuple[Category, ...
 
 
 def save(network: Network, classes: Sequence[Category], file: Path) -> None:
-    """Write weights in half precision, with what they find."""
+    """Write the weights in half precision, with their classes."""
     weights: Mapping[str, Any] = network.state_dict()
     halves = {name: each.half() if each.is_floating_point() else each for name, each in weights.items()}
     content = io.BytesIO()  # torch itself would say of a full disk only that it has failed

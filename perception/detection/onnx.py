@@ -1,4 +1,4 @@
-"""Networks of the user's own: any ONNX file that gives what one of the YOLO families gives, run by OpenCV on the CPU."""
+"""User-provided networks: any ONNX file with the output layout of a YOLO family, run by OpenCV on the CPU."""
 
 from collections.abc import Sequence
 
@@ -20,12 +20,12 @@ GREY = 114  # around a frame that is fitted in, as in training
 
 
 class OnnxDetector:
-    """See `Detector`. A class's score is the largest of those numbers that mean it. Boxes whose numbers are not finite are left out."""
+    """See `Detector`. A class's score is the largest of the network's classes that map to it. Boxes that are not finite are dropped."""
 
     def __init__(self, params: OnnxParams) -> None:
         """Open the file and run it once, on a picture that brightens to the right.
 
-        Raises LuxloopError as `onnx_file.opened` does, and where the network gives something else than the parameters say.
+        Raises LuxloopError as `onnx_file.opened` does, and if the output is not what the parameters say.
         """
         self.params = params
         self.meaning = params.classes or COCO
@@ -36,7 +36,7 @@ class OnnxDetector:
         self._check_classes(out, self._read(out)[1].shape[1])
 
     def detect(self, frames: Tensor) -> Sequence[Detections]:
-        """See `Detector`. Raises LuxloopError where the network gives something else than the parameters say (see `yolo.read`)."""
+        """See `Detector`. Raises LuxloopError if the output is not what the parameters say (see `yolo.read`)."""
         return [self._found(frame) for frame in frames]
 
     def _found(self, frame: Tensor) -> Detections:
@@ -59,7 +59,7 @@ class OnnxDetector:
         return Detections(boxes[kept], scores[kept])
 
     def _run(self, picture: np.ndarray) -> Tensor:
-        """What the network gives for a picture `[rows, columns]` uint8."""
+        """Output of the network for a picture `[rows, columns]` uint8."""
         blob = np.repeat(picture[None, None].astype(np.float32) / 255, self.params.channels, 1)
         try:
             self._net.setInput(blob)
@@ -72,13 +72,13 @@ class OnnxDetector:
         return torch.from_numpy(out.copy())
 
     def _ours(self, scores: Tensor) -> Tensor:
-        """Scores `[n, C]` of our classes from those of the network's."""
+        """Scores `[n, C]` of luxloop's classes from those of the network's classes."""
         scores = torch.nn.functional.pad(scores, (0, max(max(self.meaning) + 1 - scores.shape[1], 0)))
         numbers = [[number for number, each in self.meaning.items() if each == category] for category in self.classes]
         return torch.stack([scores[:, each].amax(1) for each in numbers], 1)
 
     def _read(self, out: Tensor) -> tuple[Tensor, Tensor]:
-        """As `yolo.read`. Raises LuxloopError with what was found, and the layout that fits."""
+        """As `yolo.read`. Raises LuxloopError that names the output and the layout that fits."""
         layout = self.params.layout
         try:
             return read(out, layout)
@@ -88,7 +88,7 @@ class OnnxDetector:
             raise LuxloopError(f"detector.layout: {self._gives(out)}, which cannot be {layout}: {found}; {remedy}") from found
 
     def _others(self, out: Tensor) -> list[str]:
-        """What else the output may be, as remedies: of another layout, or of yolov8 with its sides exchanged."""
+        """Remedies for other readings of the output: another layout, or a transposed yolov8."""
 
         def fits(out: Tensor, layout: Layout) -> bool:
             try:

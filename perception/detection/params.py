@@ -26,59 +26,61 @@ Side = Annotated[int, Field(ge=1, le=MOST_PX)]  # px
 
 
 class FoundParams(Params):
-    """What all detectors have that luxloop runs itself."""
+    """Common parameters of the detectors that luxloop runs itself."""
 
-    threshold: float = Field(0.1, gt=0, lt=1, description="least score of what is reported")
-    overlap: float = Field(0.5, gt=0, le=1, description="of two boxes whose IoU is larger, the less sure one is left out")
+    threshold: float = Field(0.1, gt=0, lt=1, description="least score of reported detections")
+    overlap: float = Field(0.5, gt=0, le=1, description="IoU above which the box of lower score is suppressed")
 
 
 class NetworkParams(FoundParams):
     """luxloop's own network, trained on well-lit scenes."""
 
     kind: Literal["network"] = "network"
-    weights: str | None = Field(None, min_length=1, description="file that `luxloop train-detector` wrote; left out: those shipped")
+    weights: str | None = Field(None, min_length=1, description="weights file from `luxloop train-detector`; left out: the shipped weights")
 
 
 class CodedParams(FoundParams):
-    """Detectors that want pictures as 8-bit cameras take them."""
+    """Common parameters of detectors that take 8-bit gamma-coded images."""
 
-    gamma: float = Field(2.2, ge=1, le=3, description="frames are coded with its inverse as a power; 1: as they are")
+    gamma: float = Field(2.2, ge=1, le=3, description="frames are raised to the power 1/gamma before detection; 1: unchanged")
 
 
 class HogParams(CodedParams):
     """OpenCV's detector of upright people, by histograms of gradients."""
 
     kind: Literal["hog"] = "hog"
-    magnify: float = Field(2.0, ge=0.5, le=8, description="by which frames are enlarged: it finds people of at least 96 px there")
-    slope: float = Field(2.0, gt=0, le=20, description="of the logistic curve from the margin, 0 on the edge of what is found, to a score")
+    magnify: float = Field(2.0, ge=0.5, le=8, description="enlargement of frames; HOG finds people of at least 96 px in the enlarged frame")
+    slope: float = Field(
+        2.0, gt=0, le=20, description="slope of the logistic curve from the SVM's margin to a score; the margin is 0 at the detection limit"
+    )
 
 
 class OnnxParams(CodedParams):
-    """A network of the user's own as an ONNX file, run by OpenCV."""
+    """A user-provided network as an ONNX file, run by OpenCV."""
 
     kind: Literal["onnx"] = "onnx"
-    file: str = Field(min_length=1, description="the ONNX file")
-    layout: Layout = Field("yolov8", description="what it gives, as the networks of that name do")
-    input_px: tuple[Side, Side] = Field((640, 640), description="width and height that it takes; frames are fitted in")
-    channels: Literal[1, 3] = Field(3, description="that it takes; all are the same grey")
+    file: str = Field(min_length=1, examples=["detector.onnx"], description="ONNX file of the network")
+    layout: Layout = Field("yolov8", description="layout of its output, named after a network family")
+    input_px: tuple[Side, Side] = Field((640, 640), description="width and height of its input; frames are fitted in")
+    channels: Literal[1, 3] = Field(3, description="channels of its input, all with the same grey")
     classes: dict[Annotated[int, Field(ge=0, le=1_000_000)], Category] | None = Field(
-        None, min_length=1, description="what its classes are here, by their numbers, others count as nothing; left out: those of COCO"
+        None, min_length=1, description="luxloop's class for each of its class numbers; others are ignored; left out: COCO's"
     )
 
 
 class OwnDetector(Params):
-    """`Name(**options)` of a module of the user's own makes the detector."""
+    """`Name(**options)` of a user's module makes the detector."""
 
     kind: plugin.OwnName
-    options: dict[str, Any] = Field({}, description="keyword arguments of Name, beside the device")
+    options: dict[str, Any] = Field({}, description="keyword arguments of Name, in addition to the device")
 
 
 class TruthParams(Params):
-    """Every object that the scene holds, however dark it is. The classes are those of the objects, and parked cars are cars."""
+    """Ground truth: every object of the scene, however dark. Classes are those of the objects, parked cars included."""
 
     kind: Literal["truth"] = "truth"
-    least_height_px: float = Field(12.0, ge=0, le=1e6, description="of what is found")
-    least_visible: float = Field(0.3, ge=0, le=1, description="share of an object that nothing hides, of what is found")
+    least_height_px: float = Field(12.0, ge=0, le=1e6, description="least height of a detected object")
+    least_visible: float = Field(0.3, ge=0, le=1, description="least visible share of a detected object")
 
 
 RunParams = NetworkParams | HogParams | OnnxParams | OwnDetector

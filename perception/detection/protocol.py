@@ -1,4 +1,4 @@
-"""What every detector of objects is: frames in, boxes with a score for each class out."""
+"""The protocol of object detectors: from frames to boxes with a score for each class."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,10 +11,9 @@ from world.traffic.tracked import Category
 
 @dataclass(frozen=True)
 class Detections:
-    """What is found in one frame; detectors give the surest first, trackers take any order.
+    """Detections in one frame; detectors order them by descending score, trackers accept any order.
 
-    boxes: `[n, 4]` px, left, top, right, bottom, of what is seen and what is hidden. scores: `[n, C]` in 0..1, one for each class of the
-    detector.
+    boxes: `[n, 4]` px, left, top, right, bottom, including hidden parts. scores: `[n, C]` in 0..1, one for each class of the detector.
     """
 
     boxes: Tensor
@@ -25,13 +24,13 @@ class Detections:
 
 
 class Detector(Protocol):
-    """Finds objects in grey frames. Has no memory from frame to frame."""
+    """Detects objects in grey frames, each frame by itself."""
 
     @property
     def classes(self) -> tuple[Category, ...]:
-        """What its scores are of."""
+        """The classes of its scores, in order."""
         ...
 
     def detect(self, frames: Tensor) -> Sequence[Detections]:
-        """One for each of the frames `[B, height, width]`: digital numbers as a share 0..1 of the largest."""
+        """One Detections for each of the frames `[B, height, width]`, digital numbers as shares 0..1 of the largest."""
         ...

@@ -1,4 +1,4 @@
-"""Of boxes that lie on each other, the surest stays."""
+"""Non-maximum suppression of overlapping boxes."""
 
 import torch
 from torch import Tensor
@@ -16,8 +16,9 @@ def overlaps(boxes: Tensor, others: Tensor) -> Tensor:
 
 
 def suppressed(boxes: Tensor, overlap: float) -> Tensor:
-    """Which boxes `[..., n, 4]`, the surest first, lie on a surer one with an IoU above `overlap`, `[..., n]` bool (Fast NMS, Bolya 2019).
+    """Boxes `[..., n, 4]`, by descending score, that overlap one of higher score with an IoU above `overlap`: `[..., n]` bool (Fast NMS,
+    Bolya 2019).
 
-    A surer one counts even if it is suppressed itself, so that all are compared at once.
+    A box suppresses others even if it is suppressed itself, so that all are compared at once.
     """
     return overlaps(boxes, boxes).triu(1).amax(-2) > overlap

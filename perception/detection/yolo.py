@@ -1,4 +1,4 @@
-"""What the networks of the YOLO families give, read as boxes and scores."""
+"""Outputs of networks of the YOLO families, read as boxes and scores."""
 
 from collections.abc import Mapping
 from typing import Literal
@@ -22,8 +22,8 @@ MOST_CLASSES = 10_000  # of a network
 def read(out: Tensor, layout: Layout) -> tuple[Tensor, Tensor]:
     """Boxes `[n, 4]` in px of the network's picture (left, top, right, bottom) and scores `[n, C]` in 0..1 of all its classes.
 
-    out: the network's output. Boxes that hold a number that is not finite are left out. Raises ValueError with what was found where the
-    output is not of that layout.
+    out: the network's output. Boxes that are not finite are dropped. Raises ValueError that says what was found if the output does not have
+    the layout.
     """
     if out.ndim != 3 or len(out) != 1:
         raise ValueError("there must be three dimensions, the first of 1")

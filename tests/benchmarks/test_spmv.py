@@ -61,11 +61,15 @@ def test_the_page_has_its_tables_and_pictures(quick: tuple[Path, dict[str, Any]]
         assert "| not measured |" in text
 
 
-def test_the_page_in_docs_was_written_by_this_template() -> None:
-    page, template = ((ROOT / path).read_text("utf-8") for path in ("docs/spmv.md", "benchmarks/spmv_page.md"))
+@pytest.mark.parametrize(
+    ("name", "template"),
+    [(each, each) for each in ("jpo", "places", "spmv", "symbol_control")] + [("object_based_results", "object_based")],
+)
+def test_pages_in_docs_were_written_by_their_templates(name: str, template: str) -> None:
+    page = (ROOT / "docs" / f"{name}.md").read_text("utf-8")
     end = 0
-    for words, _, _, _ in string.Formatter().parse(template):
-        assert words in page[end:], f"docs/spmv.md has not, or not here: {words}"
+    for words, _, _, _ in string.Formatter().parse((ROOT / "benchmarks" / f"{template}_page.md").read_text("utf-8")):
+        assert words in page[end:], f"docs/{name}.md has not, or not here: {words}"
         end = page.index(words, end) + len(words)
     assert page.endswith(words)
 

@@ -13,12 +13,12 @@ from world.validation import validated
 
 class Disc(Params):
     kind: Literal["disc"] = "disc"
-    radius_m: float = Field(gt=0)
+    radius_m: float = Field(gt=0, examples=[0.5], description="half of its width")
 
 
 class Slab(Params):
     kind: Literal["slab"] = "slab"
-    corners_m: tuple[tuple[float, float], ...] = Field(min_length=2)
+    corners_m: tuple[tuple[float, float], ...] = Field(min_length=2, examples=[[[0, 0], [1, 2]]], description="its outline")
 
 
 class Own(Params):
@@ -51,7 +51,7 @@ def test_errors_in_nested_lists_have_their_places() -> None:
     assert errors(name="x", shapes=[{"kind": "slab", "corners_m": corners}]) == [
         "3 errors",
         "shapes[0].corners_m[0][1]: 'a' is not a number",
-        "shapes[0].corners_m[1][1]: is missing; add it (the docs have one)",
+        "shapes[0].corners_m[1][1]: is missing; write corners_m = [[0, 0], [1, 2]], say: its outline (the docs have one)",
         "shapes[0].corners_m[2][0]: [] is not a number; the shell took its quotes, put all of key=value into single ones",
     ]
 
@@ -63,7 +63,7 @@ def test_a_variant_has_its_own_errors_alone() -> None:
         "shapes[0].radius: unknown key; did you mean 'radius_m'?",
         "shapes[3].option: unknown key; did you mean 'options'?",
         "shapes[1].kind: there is no 'disk'; did you mean 'disc'?",
-        "shapes[2].kind: is missing; add it (the docs have one)",
+        'shapes[2].kind: is missing; write kind = "disc", or one of slab, package.module:Name (the docs have one)',
         "shapes[4]: 7 is no table of keys; write key = value below a [header]",
     ]
 
@@ -84,5 +84,8 @@ def test_a_misspelt_key_is_not_also_missing() -> None:
 def test_ten_errors_are_listed_and_one_example_is_named() -> None:
     first, *lines = errors(name="x", shapes=[{"kind": "disc"}] * 13)
     assert first == "13 errors"
-    assert lines[0] == "shapes[0].radius_m: is missing; add it (the docs have one)"
-    assert lines[1:] == [*(f"shapes[{k}].radius_m: is missing; add it" for k in range(1, 10)), "and 3 more"]
+    assert lines[0] == "shapes[0].radius_m: is missing; write radius_m = 0.5, say: half of its width (the docs have one)"
+    assert lines[1:] == [
+        *(f"shapes[{k}].radius_m: is missing; write radius_m = 0.5, say: half of its width" for k in range(1, 10)),
+        "and 3 more",
+    ]

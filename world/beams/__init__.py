@@ -1,4 +1,4 @@
-"""Beams of a headlamp: what they should look like, and the utilisations that come closest."""
+"""Beams of a headlamp: wanted patterns, and the utilisations that come closest to them."""
 
 from world.beams.fitting import fit
 from world.beams.patterns import PATTERNS, Pattern, pattern

@@ -1,4 +1,4 @@
-"""Utilisations that come closest to a pattern, all modules of a lamp together, and within the limits that the pattern is to keep."""
+"""Fit of all modules of a lamp together to a pattern, within the limits of the pattern's rules."""
 
 import numpy as np
 import scipy.sparse as sp
@@ -16,26 +16,26 @@ from world.spmv import Csr, multiply
 from world.texels import bilinear
 
 EVEN_CD = 500.0  # errors count relative to the light, but not below this
-RIM = 0.1  # of the most light there is: where pixels give less, at the rim of the field, errors count less
+RIM = 0.1  # share of the greatest intensity: where the lamp gives less, at the rim of its field, errors count less
 RULE_STEP_DEG = 0.1
-RESERVE = 0.04  # by how much limits are aimed at; half of it must be kept
-WEIGHT_OF_LIMITS = 3.0  # against the pattern, and as much more in each round that they are missed
+RESERVE = 0.04  # relative margin to limits that the fit aims at; half of it must be kept
+WEIGHT_OF_LIMITS = 3.0  # relative to the pattern; it grows by as much in each round that misses a limit
 ROUNDS = 4
-HANDOVER = 0.2  # of a module's rows and columns on either side, over which it gives way to others
+HANDOVER = 0.2  # share of a module's rows and columns on either side over which it fades into other modules
 LEAST_PIXELS = 8
 
 
 def fit(lamp: Lamp, pattern: Pattern, traffic: Traffic = "right") -> tuple[Tensor, ...]:
-    """Utilisations `[n_p]`, one a module, with which the lamp comes closest to a pattern.
+    """Utilisations `[n_p]`, one per module, with which the lamp comes closest to a pattern.
 
-    The limits of the pattern's rules win over its form if the lamp can keep those within its field; `world.regulation.check` tells.
+    The limits of the pattern's rules take precedence over its form if the lamp can meet those within its field (`world.regulation.check`).
     traffic: on the left, the pattern and its rules are mirrored.
     """
     return Sampled(lamp).fit(pattern, traffic)
 
 
 class Sampled:
-    """What a lamp's pixels give at one direction a pixel or more, in each module's field."""
+    """Light of a lamp's pixels, sampled in one direction or more per pixel over each module's field."""
 
     def __init__(self, lamp: Lamp) -> None:
         self.lamp = lamp
@@ -58,14 +58,16 @@ class Sampled:
         return u.split([module.headlight.n_pixels for module in self.lamp.modules])
 
     def _first_guess(self, target: Tensor) -> Tensor:
-        """Each pixel's share of what is wanted where it shines: smooth, since the solver leaves alone what does not matter."""
+        """Start of the fit: for each pixel the mean share of the wanted light in its directions; smooth, as the solver keeps what does not
+        matter.
+        """
         possible = multiply(self.matrix.transposed, self.full)
         return torch.where(possible > 0, multiply(self.matrix.transposed, target) / possible, 0.0).clamp(0, 1)
 
     def _handover(self, target: Tensor) -> Tensor:
-        """Largest utilisation: towards the border of its module a pixel gives way to other modules as far as they can do its work.
+        """Upper bounds of utilisations: towards its module's border a pixel fades out as far as other modules can replace it.
 
-        Where one module simply ended, its edge and the others' coarser answer to it would show as a seam.
+        Otherwise the module's edge and the coarser light of other modules beside it would show as a seam.
         """
         mean = self.matrix.transposed
         lit = multiply(mean, torch.ones(len(target))).clamp(min=1e-6)
@@ -85,7 +87,9 @@ class Sampled:
     def _within_limits(
         self, pattern_alone: Tensor, target: Tensor, weight: Tensor, pattern: Pattern, mirror: float, upper: Tensor
     ) -> Tensor:
-        """The limits within the lamp's reach, all of them or none: a lamp too coarse for them would trade its form for a part."""
+        """A fit within all limits that the lamp can reach, or the plain fit: a lamp too coarse for all would distort its beam to meet a
+        few.
+        """
         points, low, high = _limits(pattern)
         points[0] *= mirror
         limits = self._light_at(direction(*points))

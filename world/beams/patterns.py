@@ -1,4 +1,4 @@
-"""The light that a lamp should give, as a formula of direction: five beams by name, for traffic on the right."""
+"""Beam patterns as intensity over direction: five beams by name, for right-hand traffic."""
 
 import math
 
@@ -15,24 +15,26 @@ SHOULDER_SLOPE = math.tan(math.radians(15.0))
 class Pattern(Params):
     """A broad light, a hot spot in it, and a cut-off above both. Angles in deg, h to the right and v up."""
 
-    cutoff_v_deg: float | None = Field(None, description="height of the cut-off's flat part; none for a driving beam")
-    shoulder_deg: float = Field(0.0, description="where, right of the middle, the cut-off stops rising at 15 deg; 0 keeps it flat", ge=0)
-    decades_per_deg: float = Field(2.8, description="how fast light falls off on the cut-off, as a power of ten", gt=0)
-    above_cd: float = Field(220.0, description="light above the cut-off, for signs", gt=0)
-    hot_cd: float = Field(description="what the hot spot adds to the broad light", ge=0)
-    hot_h_deg: float = Field(0.0, description="middle of the hot spot, to the right")
-    hot_v_deg: float = Field(0.0, description="its height, above the cut-off if there is one")
-    hot_left_deg: float = Field(description="standard deviations of the hot spot, to each side", gt=0)
+    cutoff_v_deg: float | None = Field(None, description="height of the cut-off's horizontal part; none for a driving beam")
+    shoulder_deg: float = Field(
+        0.0, description="angle right of the centre up to which the cut-off rises at 15 deg; 0 keeps it horizontal", ge=0
+    )
+    decades_per_deg: float = Field(2.8, description="gradient of the cut-off: decades of intensity per degree", gt=0)
+    above_cd: float = Field(220.0, description="intensity above the cut-off, for signs", gt=0)
+    hot_cd: float = Field(description="intensity that the hot spot adds to the broad light", ge=0)
+    hot_h_deg: float = Field(0.0, description="centre of the hot spot, right positive")
+    hot_v_deg: float = Field(0.0, description="height of the hot spot, relative to the cut-off if there is one")
+    hot_left_deg: float = Field(description="standard deviation of the hot spot to the left; the next keys are the other sides", gt=0)
     hot_right_deg: float = Field(gt=0)
     hot_up_deg: float = Field(gt=0)
     hot_down_deg: float = Field(gt=0)
-    broad_cd: float = Field(description="broad light in the middle", ge=0)
-    broad_width_deg: float = Field(description="half width at which it has fallen to 1/e", gt=0)
-    near_v_deg: float = Field(description="height from which down the broad light falls off, so that the near road is not too bright")
-    near_deg: float = Field(description="over how much it falls to 1/e there", gt=0)
-    far_v_deg: float = Field(2.0, description="the same above")
+    broad_cd: float = Field(description="intensity of the broad light in the centre", ge=0)
+    broad_width_deg: float = Field(description="half width at which the broad light has fallen to 1/e", gt=0)
+    near_v_deg: float = Field(description="height below which the broad light falls off, so that the near road is not too bright")
+    near_deg: float = Field(description="angle over which it falls to 1/e below", gt=0)
+    far_v_deg: float = Field(2.0, description="height above which the broad light falls off")
     far_deg: float = Field(2.0, gt=0)
-    rules: tuple[str, ...] = Field((), description="ids of the sets whose limits the beam should keep")
+    rules: tuple[str, ...] = Field((), description="ids of the sets of test points that the beam should meet")
 
     def edge(self, h: Tensor) -> Tensor:
         """Height of the cut-off at h."""
@@ -40,7 +42,7 @@ class Pattern(Params):
         return self.cutoff_v_deg + SHOULDER_SLOPE * h.clamp(0, self.shoulder_deg)
 
     def intensity(self, h: Tensor, v: Tensor) -> Tensor:
-        """cd, in the shape of h and v in deg."""
+        """Intensity in cd, in the shape of h and v in deg."""
         base = torch.zeros_like(h) if self.cutoff_v_deg is None else self.edge(h)
         side = torch.where(h < self.hot_h_deg, self.hot_left_deg, self.hot_right_deg)
         height = v - base - self.hot_v_deg

@@ -1,4 +1,4 @@
-"""Setpoints that controllers are judged by: rectangles of even light in five degrees of freedom (T 8.4)."""
+"""Setpoints to evaluate controllers: rectangles of even light in five degrees of freedom (T 8.4)."""
 
 import itertools
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ class Rectangle:
     turn: float = 0.0
 
     def distance(self, h: Tensor, v: Tensor) -> Tensor:
-        """How far directions in deg lie outside of it, as the larger of the distances along its sides; negative inside."""
+        """Distance of directions from the rectangle in deg, as the larger of the distances along its sides; negative inside."""
         angle = torch.deg2rad(torch.tensor(self.turn, dtype=h.dtype, device=h.device))
         x, y = h - self.h, v - self.v
         along, across = x * angle.cos() + y * angle.sin(), y * angle.cos() - x * angle.sin()

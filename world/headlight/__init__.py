@@ -1,4 +1,4 @@
-"""The sparse headlight matrix: pixels of a module to directions of light, where it comes from, and lamps of modules."""
+"""The sparse headlight matrix from a module's pixels to directions, its sources, and lamps of several modules."""
 
 from world.headlight.matrix import Headlight
 

@@ -5,7 +5,7 @@ from torch import Tensor
 
 from world.spmv import Csr, multiply
 
-CHECKED_EVERY = 10  # iterations between looks at the progress, each of which waits for the device
+CHECKED_EVERY = 10  # iterations between checks of the progress, each of which waits for the device
 
 
 def solve(
@@ -20,10 +20,10 @@ def solve(
 ) -> Tensor:
     """u `[..., n]` in `0..upper` with the least `sum (weight * distance of A u from low..high)^2` (T 3.5.2, eq. B.1.1).
 
-    matrix: A `[m, n]`, several modules side by side. wanted: `[..., m]`, or the bounds low and high between which any value is welcome,
-    infinite where there is none. weight: `[m]` or `[..., m]`, 1 by default. upper: `[n]` or
-    `[..., n]`, 1 by default. start: `[..., n]`, taken up warm; a pixel that reaches no row keeps it. Stops when ten steps in a row move no
-    pixel by more than the tolerance. Accelerated projected gradient with restarts, all batch entries at once.
+    matrix: A `[m, n]`, several modules side by side. wanted: `[..., m]`, or bounds low and high between which the error is zero, infinite
+    without a bound. weight: `[m]` or `[..., m]`, 1 by default. upper: `[n]` or `[..., n]`, 1 by default. start: `[..., n]`, warm start; a
+    pixel that reaches no row keeps it. Stops when ten steps in a row move no pixel by more than the tolerance. Accelerated projected
+    gradient with restarts, all batch entries at once.
     """
     low, high = wanted if isinstance(wanted, tuple) else (wanted, wanted)
     squared = torch.ones_like(low) if weight is None else weight.to(low).square().expand(low.shape)

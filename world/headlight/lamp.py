@@ -17,10 +17,10 @@ _MIRROR = torch.diag(torch.tensor([1.0, -1.0, 1.0, 1.0], dtype=torch.float64))
 
 @dataclass(frozen=True)
 class ModuleCommand:
-    """How a module is turned from its rest, and how bright it may be; at rest unless something else is said.
+    """Turn of a module from its rest, and its dimming; by default at rest and undimmed.
 
-    swivel_deg: to the left positive (bending). level_deg: nose down positive (levelling). intensity: its maximum, as a share of its own,
-    0..1.
+    swivel_deg: to the left positive (bending). level_deg: nose down positive (levelling). intensity: limit of its maximum intensity as a
+    share, 0..1.
     """
 
     swivel_deg: float = 0.0
@@ -34,13 +34,13 @@ class ModuleCommand:
         return T @ pose_from_degrees((0.0, 0.0, 0.0), 0.0, self.level_deg, self.swivel_deg).to(T)
 
 
-Commands = tuple[ModuleCommand, ...]  # one a module; none where all are at rest
+Commands = tuple[ModuleCommand, ...]  # one per module; empty if all are at rest
 REST = ModuleCommand()
 
 
 @dataclass(frozen=True)
 class Module:
-    """One module: its light, where it is mounted and how far it can be turned.
+    """One module: its light, mount and ranges of movement.
 
     T_lamp_module: `[4, 4]` float64, from the module's headlight frame to the lamp's. swivel_deg: least and greatest turn about the
     mount's z axis, to the left positive (bending). level_deg: the same about its y axis, nose down positive (levelling).
@@ -60,9 +60,9 @@ class Module:
         return ModuleCommand(swivel_deg, level_deg).turned(self.T_lamp_module)
 
     def turned(self, swivel_deg: float, level_deg: float) -> "Module":
-        """The module at rest where it stands when the lamp is turned so, with what is left of its range.
+        """The module with a turned pose as its rest, and with the remaining ranges.
 
-        A movement that it has not leaves it as it is. Raises as `pose`.
+        Movements that it lacks have no effect. Raises as `pose`.
         """
         swivel, level = (
             angle if any(movement) else 0.0 for angle, movement in ((swivel_deg, self.swivel_deg), (level_deg, self.level_deg))
@@ -79,7 +79,7 @@ class Module:
 
 @dataclass(frozen=True)
 class Lamp:
-    """One headlamp. beams: utilisations `[n_p]`, one a module, by the beam's name. notes: what is published of it and what is guessed."""
+    """One headlamp. beams: utilisations `[n_p]`, one per module, by the beam's name. notes: what is published and what is assumed."""
 
     name: str
     modules: tuple[Module, ...]
@@ -87,24 +87,24 @@ class Lamp:
     notes: str = ""
 
     def module(self, name: str) -> Module:
-        """Raises LuxloopError that names the modules there are."""
+        """The module of a name. Raises LuxloopError that lists the modules."""
         for module in self.modules:
             if module.name == name:
                 return module
         raise LuxloopError(f"lamp {self.name!r} has no module {name!r}; it has {', '.join(module.name for module in self.modules)}")
 
     def turned(self, swivel_deg: float, level_deg: float) -> "Lamp":
-        """The lamp with those of its modules turned that can be. Raises LuxloopError beyond the range of one of them."""
+        """The lamp with all movable modules turned. Raises LuxloopError beyond a module's range."""
         return replace(self, modules=tuple(module.turned(swivel_deg, level_deg) for module in self.modules))
 
     @property
     def finest(self) -> Module:
-        """The module whose pixels cover the least of the texture plane: the one for symbols."""
+        """The module with the smallest pixels on the texture plane, which is best for symbols."""
         return min(self.modules, key=lambda module: pixel_area(module.headlight))
 
     @property
     def field_deg(self) -> tuple[float, float, float, float]:
-        """Where there can be light, as angles in deg from the axis: left and right (left positive), bottom and top (up positive)."""
+        """Field of all modules as angles in deg from the axis: left and right (left positive), bottom and top (up positive)."""
         edge = torch.linspace(0, 1, 33, dtype=torch.float64)
         h, v = [], []
         for module in self.modules:
@@ -122,11 +122,11 @@ class Lamp:
 
     @property
     def default_beam(self) -> str:
-        """The beam that is meant where none is named: the low beam, or all pixels on where the lamp knows none."""
+        """Name of the default beam: the low beam, or `full` if the lamp has none."""
         return "low" if "low" in self.beams else "full"
 
     def beam(self, name: str) -> tuple[Tensor, ...]:
-        """Utilisations of a beam by name, or of `full` (all pixels on) and `off`. Raises LuxloopError that names the beams there are."""
+        """Utilisations of a beam by name, or of `full` (all pixels on) and `off`. Raises LuxloopError that lists the beams."""
         if name in ("full", "off"):
             share = float(name == "full")
             return tuple(torch.full((module.headlight.n_pixels,), share) for module in self.modules)
@@ -135,7 +135,7 @@ class Lamp:
         return self.beams[name]
 
     def lit(self, utilisations: Sequence[Tensor]) -> Callable[[Tensor], Tensor]:
-        """The lamp's light far away for fixed utilisations, one a module: luminous intensity of directions, as `intensity` gives it."""
+        """The lamp's far-field intensity for fixed utilisations, one per module, as a function of directions like `intensity`."""
         textures = [module.headlight.light_texture(u).double().cpu() for module, u in zip(self.modules, utilisations, strict=True)]
 
         def intensity(directions: Tensor) -> Tensor:
@@ -148,12 +148,12 @@ class Lamp:
         return intensity
 
     def intensity(self, utilisations: Sequence[Tensor], directions: Tensor) -> Tensor:
-        """Luminous intensity `[N]` in cd, float64, into directions `[3, N]` of the lamp frame: all modules added up, seen from far away."""
+        """Luminous intensity `[N]` in cd, float64, in directions `[3, N]` of the lamp frame: sum of all modules in the far field."""
         return self.lit(utilisations)(directions)
 
 
 def pixel_area(headlight: Headlight) -> float:
-    """How much of the texture plane, at a distance of 1, a pixel covers on average."""
+    """Mean area of a pixel on the texture plane x = 1."""
     return (headlight.left - headlight.right) * (headlight.top - headlight.bottom) / headlight.n_pixels
 
 

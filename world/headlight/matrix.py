@@ -39,18 +39,18 @@ class Headlight(TexelGrid):
         return float(self.light_texture(torch.ones(self.n_pixels).to(self.matrix.values)).max())
 
     def scaled(self, factor: float) -> "Headlight":
-        """The same light, `factor` times as bright."""
+        """The headlight with all intensities multiplied by a factor."""
         return self if factor == 1 else replace(self, matrix=self.matrix.with_values(self.matrix.values * factor))
 
     def dimmed(self, left: Tensor) -> "Headlight":
-        """The same light with a share `[n_p]` of each pixel's left."""
+        """The headlight with each pixel's light multiplied by a share `[n_p]`."""
         of_entry = left.to(self.matrix.values).index_select(0, self.matrix.indices)
         return replace(self, matrix=self.matrix.with_values(self.matrix.values * of_entry))
 
     def light_texture(self, utilisation: Tensor, band: slice | None = None) -> Tensor:
         """Luminous intensity `[..., rows, cols]` in cd of a utilisation `[..., n_p]` in 0..1: `i = A u` (T eq. 2.4.1, 3.5.1).
 
-        band: all pixels outside of it are dark, so that other rows of texels need not be asked.
+        band: range of pixels outside which all are dark, to skip texel rows that they do not reach.
         """
         rows = self.rows_of(band)
         part = multiply(self.matrix.band(rows.start * self.cols, rows.stop * self.cols), utilisation).unflatten(-1, (-1, self.cols))
@@ -61,7 +61,7 @@ class Headlight(TexelGrid):
         return texture
 
     def rows_of(self, band: slice | None) -> slice:
-        """Rows of texels that the pixels of a band can light, all where it is None."""
+        """Texel rows that the pixels of a band can light; all rows for None."""
         if band is None:
             return slice(0, self.rows)
         first, last = self._pixels_of_rows
@@ -74,10 +74,12 @@ class Headlight(TexelGrid):
         return segment_bounds(row_of_entries(self.matrix) // self.cols, self.matrix.indices, self.rows)
 
     def colour_texture(self, utilisation: Tensor) -> Tensor:
-        """Linear sRGB `[..., 3, rows, cols]` in cd, whose luminance is the light texture; a channel is a product of its own (T 5.1)."""
+        """Light texture in linear sRGB, `[..., 3, rows, cols]` in cd, one matrix product per channel; its luminance is `light_texture` (T
+        5.1).
+        """
         if self.chroma is None:
             return self.light_texture(utilisation)[..., None, :, :].expand(*utilisation.shape[:-1], 3, self.rows, self.cols)
-        channels = [multiply(self.matrix.with_values(self.matrix.values * share), utilisation) for share in self.chroma]
+        channels = [multiply(self.matrix.with_values(self.matrix.values * share), utilisation) for share in self.chroma]  # [..., n_t] each
         return torch.stack(channels, -2).unflatten(-1, (self.rows, self.cols))
 
     def intensity(self, light_texture: Tensor, directions: Tensor) -> Tensor:
@@ -85,10 +87,10 @@ class Headlight(TexelGrid):
         x = directions[0]
         row, col = self.texel_of(directions[1] / x, directions[2] / x)
         texel, weight = bilinear(self, row, col)
-        return (light_texture.flatten(-2)[..., texel] * (weight * (x > 0)).to(light_texture)).sum(-2)
+        return (light_texture.flatten(-2)[..., texel] * (weight * (x > 0)).to(light_texture)).sum(-2)  # bilinear, ahead only, [..., N]
 
     def mirrored(self) -> "Headlight":
-        """The same module with left and right exchanged, pixels numbered from the left again."""
+        """The mirror image of the headlight, with pixels again numbered from the left."""
         texel = np.arange(self.n_texels).reshape(self.rows, self.cols)[:, ::-1].ravel()
         pixel = np.arange(self.n_pixels).reshape(self.pixel_rows, self.pixel_cols)[:, ::-1].ravel()
         order = self.matrix.with_values(torch.arange(1, len(self.matrix.values) + 1, dtype=torch.float64)).to_scipy()[texel][:, pixel]

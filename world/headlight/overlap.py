@@ -1,4 +1,4 @@
-"""Overlap reduction: fewer pixels a texel, so that a headlight matrix costs less, and what that does to the light (T 5.2)."""
+"""Overlap reduction: fewer pixels per texel, for a cheaper headlight matrix, and the resulting errors (T 5.2)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ CHUNK_ROWS = 16_384  # bounds the memory of least squares: 16,384 rows of 24 ent
 
 @dataclass(frozen=True)
 class OverlapErrors:
-    """What a reduced matrix does to the light of some use cases, as shares.
+    """Relative errors of a reduced matrix over some use cases.
 
     rmse: of all texels in all use cases, relative to the root mean square of their intensities. largest: greatest difference at a texel,
     relative to the brightest texel. darkening: mean over the use cases of the lost share of all light, negative where light was added.
@@ -36,7 +36,7 @@ class OverlapErrors:
 
 
 def strongest(matrix: Csr, keep: int | None = None, bound_cd: float = 0.0) -> npt.NDArray[np.bool_]:
-    """Which entries `[nnz]` stay: the `keep` largest of each row (ties keep the lower columns), and of those the ones from bound_cd up.
+    """Mask `[nnz]` of the kept entries: the `keep` largest of each row (lower columns first at ties) that are at least bound_cd.
 
     Raises: LuxloopError where keep is less than one or bound_cd negative.
     """
@@ -63,12 +63,12 @@ def reduce(
     use_cases: Sequence[npt.ArrayLike] = (),
     bound_cd: float = 0.0,
 ) -> Csr:
-    """The matrix with the strongest entries of each row only, in their old order; the arithmetic is float64.
+    """The matrix reduced to the strongest entries of each row, in the same order; computed in float64.
 
-    threshold: the others' intensity is lost. proportional: the row's remaining entries share it in proportion, which keeps the row's sum
-    (T eq. 5.2.1, 5.2.2). least_squares: the remaining entries take the non-negative values that come nearest to the row's intensity in the
-    use_cases (utilisations `[n_p]`), drawn to the proportional ones: never worse there, and equal where the use cases say nothing.
-    A row of which nothing is left, since all was below bound_cd, turns dark.
+    threshold: the others' intensity is lost. proportional: the row's remaining entries share it in proportion, which keeps the row's sum (T
+    eq. 5.2.1, 5.2.2). least_squares: the remaining entries take the non-negative values that come nearest to the row's intensity in the
+    use_cases (utilisations `[n_p]`), regularised towards the proportional ones: never worse there, and equal where the use cases do not
+    decide. A row whose entries are all below bound_cd turns dark.
 
     Raises: LuxloopError where keep or bound_cd make no sense, or least squares have no use cases of n_p pixels.
     """
@@ -111,7 +111,7 @@ def errors(matrix: Csr, reduced: Csr, use_cases: Sequence[npt.ArrayLike]) -> Ove
 
 
 def standard_use_cases(pixel_rows: int, pixel_cols: int, randoms: int = 8, seed: int = 0) -> list[Array]:
-    """Utilisations `[n_p]` that are relevant to any lamp: all on, a checkerboard and its inverse, and random ones."""
+    """Utilisations `[n_p]` relevant for any lamp: all on, a checkerboard and its inverse, and random ones."""
     row, col = np.indices((pixel_rows, pixel_cols)).reshape(2, -1)
     checkerboard = ((row + col) % 2).astype(np.float64)
     generator = np.random.default_rng(seed)

@@ -27,11 +27,11 @@ SHARP_DEG = 1e-6  # a blur that no texture shows: as none
 
 
 class _Pixels(Params):
-    columns: int = Field(description="pixels in a row", gt=0, le=MOST_PIXELS)
+    columns: int = Field(description="pixels per row", gt=0, le=MOST_PIXELS)
     left_deg: float = Field(description="left border of the pixel field, left positive", gt=-80, lt=80)
     right_deg: float = Field(description="right border of the pixel field", gt=-80, lt=80)
-    widening: float = Field(0.0, description="how much wider the outermost column is than the middle one, as a share", ge=0, le=10)
-    cut: float = Field(0.01, description="share of a pixel's peak below which its light is left out: the limit of overlap", ge=0, lt=1)
+    widening: float = Field(0.0, description="relative extra width of the outermost column over the middle one", ge=0, le=10)
+    cut: float = Field(0.01, description="share of a pixel's peak below which its light is dropped, which limits overlap", ge=0, lt=1)
 
     def _columns(self, left: float, right: float) -> tuple[Floats, Floats]:
         """Borders `[columns + 1]` from the left and intensities `[columns]` of the columns: a wider pixel is dimmer by as much."""
@@ -51,12 +51,12 @@ class GaussianPixels(_Pixels):
 
     kind: Literal["gaussian"] = "gaussian"
     row_centres_deg: tuple[Annotated[float, Field(ge=-80, le=80)], ...] = Field(
-        description="middle of each pixel row, top row first, up positive", min_length=1, max_length=MOST_PIXELS
+        description="centre of each pixel row, top row first, up positive", min_length=1, max_length=MOST_PIXELS
     )
-    row_sigmas_deg: tuple[Annotated[float, Field(ge=1e-3, le=90)], ...] = Field(description="standard deviation down each pixel row")
-    column_sigma: float = Field(description="standard deviation along a row, in column widths", ge=1e-3, le=100)
+    row_sigmas_deg: tuple[Annotated[float, Field(ge=1e-3, le=90)], ...] = Field(description="vertical standard deviation of each pixel row")
+    column_sigma: float = Field(description="horizontal standard deviation, in column widths", ge=1e-3, le=100)
     peak_cd: tuple[Annotated[float, Field(ge=0, le=BRIGHTEST_CD)], ...] = Field(
-        description="peak of a single pixel in the middle of each row"
+        description="peak intensity of the middle pixel of each row"
     )
 
     @model_validator(mode="after")
@@ -81,20 +81,20 @@ class GaussianPixels(_Pixels):
 
 
 class BlurredRectangles(_Pixels):
-    """Rectangles side by side, each convolved with a Gaussian: all pixels on, they are an even field with soft borders."""
+    """Adjacent rectangles, each convolved with a Gaussian; with all pixels on they form an even field with soft borders."""
 
     kind: Literal["blurred_rectangles"] = "blurred_rectangles"
     rows: int = Field(description="pixel rows", gt=0, le=MOST_PIXELS)
     bottom_deg: float = Field(description="lower border of the pixel field, up positive", gt=-80, lt=80)
     top_deg: float = Field(description="upper border of the pixel field", gt=-80, lt=80)
     row_heights: tuple[Annotated[float, Field(ge=1e-3, le=1e3)], ...] = Field(
-        (), description="heights of the rows to each other, top row first; equal if empty"
+        (), description="relative heights of the rows, top row first; equal if empty"
     )
     blur_deg: float = Field(description="standard deviation of the Gaussian that softens the edges", ge=0, le=90)
-    overlap: float = Field(0.0, description="how much wider and higher a pixel is than its place in the grid, as a share", ge=0, le=10)
-    peak_cd: float = Field(description="intensity in the middle of the field, all pixels on", ge=0, le=BRIGHTEST_CD)
+    overlap: float = Field(0.0, description="relative excess of a pixel's width and height over its cell of the grid", ge=0, le=10)
+    peak_cd: float = Field(description="intensity in the centre of the field with all pixels on", ge=0, le=BRIGHTEST_CD)
     spacing: Spacing = Field(
-        "angle", description="pixels of equal size in angle, or on the plane of the texture (a lens without distortion)"
+        "angle", description="pixels of equal angle, or of equal size on the plane of the texture (a distortion-free lens)"
     )
 
     @model_validator(mode="after")

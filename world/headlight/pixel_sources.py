@@ -1,4 +1,4 @@
-"""What a lamp's description may name as the light of a module's pixels: a folder of files, a file, a table (T 5.2)."""
+"""Sources of a module's pixels in a lamp description: a folder of files, a file, a table (T 5.2)."""
 
 import os
 import re
@@ -24,15 +24,15 @@ AIM = 'type C and EULUMDAT: turn nadir into the beam axis ("beam"), or leave the
 
 
 class FolderSource(Params):
-    """One photometric file a pixel."""
+    """One photometric file per pixel."""
 
     kind: Literal["folder"] = "folder"
-    path: Path = Field(description="folder with one .ies or .ldt file a pixel")
+    path: Path = Field(description="folder with one .ies or .ldt file per pixel")
     rows: int = Field(gt=0, le=MOST_PIXELS, description="pixel rows")
     columns: int = Field(gt=0, le=MOST_PIXELS, description="pixels in a row")
     pattern: str | None = Field(
         None,
-        description="names with the pixel's place, such as r{row}_c{column}.ies, counted from 0 or 1; left out: files in natural order",
+        description="file names with the pixel's row and column, such as r{row}_c{column}.ies, from 0 or 1; left out: natural order",
     )
     aim: Aim = Field("beam", description=AIM)
 
@@ -88,16 +88,14 @@ class FolderSource(Params):
 
 
 class FileSource(Params):
-    """The photometric file of one pixel, which is alone or repeated over a grid."""
+    """The photometric file of one pixel, used once or repeated over a grid."""
 
     kind: Literal["file"] = "file"
     path: Path = Field(description=".ies or .ldt file of one pixel")
     rows: int = Field(1, gt=0, le=MOST_PIXELS, description="pixel rows")
     columns: int = Field(1, gt=0, le=MOST_PIXELS, description="pixels in a row")
-    pitch_deg: float | None = Field(
-        None, ge=1e-4, le=90, description="angle between neighbours in a row; needed where there are several pixels"
-    )
-    aspect: float = Field(1.0, ge=0.01, le=100, description="width of a pixel's place over its height: rows are pitch_deg / aspect apart")
+    pitch_deg: float | None = Field(None, ge=1e-4, le=90, description="angle between neighbours in a row; required for several pixels")
+    aspect: float = Field(1.0, ge=0.01, le=100, description="width over height of the grid's cells: rows are pitch_deg / aspect apart")
     aim: Aim = Field("beam", description=AIM)
 
     @model_validator(mode="after")
@@ -131,8 +129,8 @@ class TableSource(Params):
 
     kind: Literal["table"] = "table"
     path: Path = Field(description="table of all pixels, .npz or .csv")
-    rows: int | None = Field(None, gt=0, le=MOST_PIXELS, description="pixel rows, where the table does not tell")
-    columns: int | None = Field(None, gt=0, le=MOST_PIXELS, description="pixels in a row, where the table does not tell")
+    rows: int | None = Field(None, gt=0, le=MOST_PIXELS, description="pixel rows, if the table does not say")
+    columns: int | None = Field(None, gt=0, le=MOST_PIXELS, description="pixels per row, if the table does not say")
 
     def pixels(self) -> PixelArray:
         """Read the table. Raises LuxloopError that names the file and what is wrong in it."""

@@ -108,7 +108,7 @@ def _read_csv(path: Path, rows: int | None, columns: int | None) -> PixelArray:
 
 
 def _csv_columns(path: Path) -> Mapping[str, Array]:
-    """Columns that a table needs or may have, by name, float64; others, such as notes, are nobody's business."""
+    """Required and optional columns by name, float64; others, such as notes, are ignored."""
     delimiter, decimal_point = separators(path)
     try:
         table = pyarrow.csv.read_csv(
@@ -155,7 +155,7 @@ def _box(nodes: Array, given: Array) -> tuple[Array, NDArray[np.int64]]:
 
 
 def _same_shape(path: Path, shape: tuple[int, int], rows: int | None, columns: int | None) -> tuple[int, int]:
-    """The shape that the table itself tells."""
+    """The table's own shape; raises LuxloopError if it differs from the given one."""
     for what, told, asked in (("rows", shape[0], rows), ("columns", shape[1], columns)):
         if asked not in (None, told):
             raise LuxloopError(f"{path}: holds {shape[0] * shape[1]} pixels in {told} {what}, not in {asked}; leave {what} out")

@@ -54,7 +54,7 @@ class PixelArray:
 
 @dataclass(frozen=True, eq=False)
 class Assembled:
-    """A headlight matrix and how true it is.
+    """A headlight matrix and its errors against the source.
 
     matrix: `[n_texels, n_p]` cd. chroma: `[3, nnz]` or None, as Headlight has it. dropped: share of all light that was cut off.
     rmse_cd: root mean square difference of pixels on the texture and their sources, over the solid angles into which these shine, as
@@ -71,13 +71,12 @@ class Assembled:
 def assemble(
     array: PixelArray, grid: TexelGrid, cutoff: float = CUTOFF, on_progress: Callable[[int, int], None] | None = None
 ) -> Assembled:
-    """Bring every pixel onto the texture's texels.
+    """Resample every pixel onto the texture.
 
-    Each is a light texture of its own (see world.photometry.texture), but for the texels that it cannot light.
-    on_progress: called with the pixels done and their number.
+    Each pixel is a light texture (see world.photometry.texture), restricted to the texels that it can light. on_progress: called with the
+    pixels done and their number.
 
-    Raises: LuxloopError where the texture sees no light at all, or, before the work, where all pixels together would need more memory than
-    there may be.
+    Raises: LuxloopError if no pixel lights the texture, or, before the work starts, if all pixels together exceed the memory budget.
     """
 
     def light_of(distribution: Distribution, turn: Array | None) -> tuple[NDArray[np.intp], Array]:
@@ -178,7 +177,7 @@ def default_grid(array: PixelArray) -> TexelGrid:
 
 
 def border_share(distribution: Distribution) -> float:
-    """What a measurement still gives at the border of its angles, as a share of its peak; 0 where it goes all the way round."""
+    """Greatest intensity at the border of the measured angles, as a share of the peak; 0 if the measurement covers the full circle."""
     v, h, candela = distribution.unfolded
     all_round = (v[0] <= -90 if distribution.type != "C" else v[0] <= 0, v[-1] >= (180 if distribution.type == "C" else 90))
     borders = [candela[:, end] for end, closed in zip((0, -1), all_round, strict=True) if not closed]
@@ -189,7 +188,7 @@ def border_share(distribution: Distribution) -> float:
 
 
 def affordable(texels: float, pixels: int) -> int:
-    """So many texels along a side, but some to each pixel, and beyond those no more than memory bears."""
+    """Number of texels along a side: at least some per pixel, otherwise limited by memory."""
     fewest = TEXELS_A_PIXEL * pixels
     return min(max(math.ceil(texels), fewest), max(MOST_TEXELS, fewest))
 

@@ -29,11 +29,11 @@ VERSION: Final = 1
 WRITER = "`luxloop headlight build` writes it"
 ALWAYS = ("full", "off")  # beams of every lamp
 BYTES_A_PLACE = 16  # of a pixel or texel: of the matrix' row, of textures and utilisations
-RIGID = 1e-6  # so much may a rotation differ from one
+RIGID = 1e-6  # tolerance of rotation matrices
 
 
 class ModuleHeader(Params):
-    """What is said of a module beside its arrays."""
+    """Properties of a module besides its arrays."""
 
     name: str
     headlight: str
@@ -79,7 +79,7 @@ class Header(Params):
 
 
 class _Stamp(Params):
-    """As much of a header as any version has."""
+    """The part of a header that every version has."""
 
     model_config = ConfigDict(extra="ignore")
 

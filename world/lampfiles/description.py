@@ -1,4 +1,4 @@
-"""Lamps by name or file: presets, lamp files, photometric files, and descriptions in TOML of which lamps are built (T 5.2)."""
+"""Lamps by name or file: presets, lamp files, photometric files, and descriptions in TOML from which lamps are built (T 5.2)."""
 
 import os
 import warnings
@@ -31,27 +31,27 @@ Progress = Callable[[str, int, int], None]
 
 
 class BeamsParams(Params):
-    """The beams that a lamp knows by name, beside `full` and `off`."""
+    """Named beams of a lamp, in addition to `full` and `off`."""
 
     default: bool = Field(False, description="fit the default beams (low, high and others) to the pixels")
     given: dict[str, dict[str, Path]] = Field(
-        {}, description="own beams: by the beam's name and the module's, a .npy, .csv or .png of utilisations; modules left out are dark"
+        {}, description="beams of your own: utilisations (.npy, .csv or .png) by names of beam and module; modules left out are dark"
     )
 
 
 class LampDescription(Params):
-    """Everything that decides a lamp, of the left side of the car."""
+    """A complete lamp, for the left side of the car."""
 
-    name: str = Field(min_length=1, max_length=80, description="name, for tables")
-    notes: str = Field("", description="what is measured of it and what is guessed")
-    module: tuple[ModuleParams, ...] = Field(min_length=1, description="the modules, a [[module]] each")
-    beams: BeamsParams = Field(BeamsParams(), description="the beams it knows by name")
+    name: str = Field(min_length=1, max_length=80, description="name shown in tables")
+    notes: str = Field("", description="notes, such as what is measured and what is assumed")
+    module: tuple[ModuleParams, ...] = Field(min_length=1, description="modules, one [[module]] table each")
+    beams: BeamsParams = Field(BeamsParams(), description="named beams")
 
     @model_validator(mode="after")
     def _names_fit(self) -> Self:
         names = [module.name for module in self.module]
         if len(set(names)) < len(names):
-            raise ValueError(f"module: the names {', '.join(names)} are not unlike; modules are known by them")
+            raise ValueError(f"module: the names {', '.join(names)} are not unique; give each module its own")
         for beam, files in self.beams.given.items():
             if beam in ("full", "off"):
                 raise ValueError(f"beams.given.{beam}: every lamp has {beam} already; choose another name")
@@ -76,7 +76,7 @@ def validate(data: Mapping[str, Any], source: str) -> LampDescription:
 
 
 def build(path: Path, side: Side = "left", on_progress: Progress | None = None) -> tuple[Lamp, tuple[ModuleReport, ...]]:
-    """Build the lamp of a description, and tell what became of each source; default beams are fitted when they are first asked for.
+    """Build the lamp of a description, with a report for each module; default beams are fitted on first use.
 
     on_progress: called with a module's name, the pixels done and their number. Raises LuxloopError that names the file and the remedy.
     """

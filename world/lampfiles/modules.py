@@ -1,4 +1,4 @@
-"""A module of a lamp's description: what it may say, and the light that it becomes."""
+"""Modules of a lamp description, and how they are built."""
 
 import math
 import warnings
@@ -38,8 +38,8 @@ class PresetSource(Params):
     """A module of a lamp that comes with luxloop."""
 
     kind: Literal["preset"] = "preset"
-    name: str = Field(description="name of the lamp; `luxloop headlight list` shows them")
-    module: str | None = Field(None, description="its module; left out: the one with the finest pixels")
+    name: str = Field(description="name of the preset; `luxloop headlight list` shows all")
+    module: str | None = Field(None, description="module of the preset; left out: the one with the finest pixels")
 
 
 SourceParams = Annotated[
@@ -48,11 +48,11 @@ SourceParams = Annotated[
 
 
 class TextureParams(Params):
-    """The light texture. What is left out is chosen so that all light lies on it and texels are finer than the data."""
+    """Light texture; by default it covers all light, with texels finer than the data."""
 
-    rows: int | None = Field(None, gt=0, le=16384, description="texels down; left out: finer than the source")
-    columns: int | None = Field(None, gt=0, le=16384, description="texels across; left out: finer than the source")
-    left_deg: float | None = Field(None, ge=-80, le=80, description="left border, left positive; left out: where the light ends")
+    rows: int | None = Field(None, gt=0, le=16384, description="texel rows; left out: finer than the source")
+    columns: int | None = Field(None, gt=0, le=16384, description="texel columns; left out: finer than the source")
+    left_deg: float | None = Field(None, ge=-80, le=80, description="left border, left positive; borders left out: where the light ends")
     right_deg: float | None = Field(None, ge=-80, le=80, description="right border")
     bottom_deg: float | None = Field(None, ge=-80, le=80, description="lower border, up positive")
     top_deg: float | None = Field(None, ge=-80, le=80, description="upper border")
@@ -86,48 +86,48 @@ class TextureParams(Params):
 
 
 class OverlapParams(Params):
-    """Fewer pixels a texel (T 5.2)."""
+    """Overlap reduction: fewer pixels per texel (T 5.2)."""
 
-    keep: int | None = Field(None, ge=1, le=1_000_000, description="pixels that stay at each texel, the strongest; left out: all")
+    keep: int | None = Field(None, ge=1, le=1_000_000, description="number of strongest pixels kept at each texel; left out: all")
     bound_cd: float = Field(0.0, ge=0, le=1e9, description="luminous intensity below which a pixel's light at a texel is dropped")
     method: Method = Field(
         "proportional",
-        description="the dropped light is lost, shared in proportion by what stays, or shared so that use cases change least: all on, "
+        description="dropped light is lost, shared in proportion by the kept pixels, or shared so that use cases change least: all on, "
         "a checkerboard, random pixels, and the given beams",
     )
 
     @model_validator(mode="after")
     def _says_something(self) -> Self:
         if self.keep is None and self.bound_cd == 0:
-            raise ValueError("keep: is missing; say how many pixels stay at each texel, or give bound_cd")
+            raise ValueError("keep: is missing; give the number of pixels to keep at each texel, or bound_cd")
         return self
 
 
 class MountParams(Params):
-    """Where a module sits in its lamp."""
+    """Pose of a module in its lamp."""
 
-    x_m: float = Field(0.0, ge=-2, le=2, description="photometric centre ahead of the lamp's origin")
-    y_m: float = Field(0.0, ge=-2, le=2, description="to the left of it")
-    z_m: float = Field(0.0, ge=-2, le=2, description="above it")
-    roll_deg: float = Field(0.0, ge=-180, le=180, description="turn about the forward axis, right side down positive")
-    pitch_deg: float = Field(0.0, ge=-90, le=90, description="turn about the left axis, positive is nose down: the light moves down")
-    yaw_deg: float = Field(0.0, ge=-180, le=180, description="turn about the upward axis, to the left positive")
+    x_m: float = Field(0.0, ge=-2, le=2, description="position of the photometric centre ahead of the lamp's origin")
+    y_m: float = Field(0.0, ge=-2, le=2, description="position to the left of it")
+    z_m: float = Field(0.0, ge=-2, le=2, description="height above it")
+    roll_deg: float = Field(0.0, ge=-180, le=180, description="rotation about the forward axis, right side down positive")
+    pitch_deg: float = Field(0.0, ge=-90, le=90, description="rotation about the left axis, nose down positive: the light moves down")
+    yaw_deg: float = Field(0.0, ge=-180, le=180, description="rotation about the upward axis, to the left positive")
 
 
 class ModuleParams(Params):
     """One module of a lamp."""
 
-    name: str = Field(min_length=1, max_length=80, description="name, for tables and scenarios")
-    source: SourceParams = Field(description="the light of its pixels")
-    texture: TextureParams = Field(TextureParams(), description="the light texture")
+    name: str = Field(min_length=1, max_length=80, description="name in tables and scenarios")
+    source: SourceParams = Field(description="source of its pixels' light")
+    texture: TextureParams = Field(TextureParams(), description="size and field of the light texture")
     cutoff: float = Field(CUTOFF, ge=0, lt=1, description="share of a pixel's peak below which its measured light is dropped")
-    overlap: OverlapParams | None = Field(None, description="fewer pixels a texel; left out: all")
-    mount: MountParams | None = Field(None, description="where it sits in the lamp; left out: at its origin, or as the preset")
+    overlap: OverlapParams | None = Field(None, description="overlap reduction: fewer pixels per texel; left out: none")
+    mount: MountParams | None = Field(None, description="pose in the lamp; left out: at its origin, or as in the preset")
     swivel_deg: tuple[Degrees, Degrees] | None = Field(
-        None, description="range of turns to the left (bending); left out: fixed, or as the preset"
+        None, description="range of swivel, left positive (bending); left out: fixed, or as in the preset"
     )
     level_deg: tuple[Degrees, Degrees] | None = Field(
-        None, description="range of turns down (levelling); left out: fixed, or as the preset"
+        None, description="range of levelling, down positive; left out: fixed, or as in the preset"
     )
 
     @model_validator(mode="after")
@@ -143,7 +143,7 @@ class ModuleParams(Params):
 
 @dataclass(frozen=True)
 class ModuleReport:
-    """What became of a module's source.
+    """Report on how a module reproduces its source.
 
     entries_per_texel: before and after overlap reduction. dropped: share of the light below `cutoff`, rmse and rmse_cd: against the source
     (see world.headlight.pixels.Assembled); all three None where the source is no measurement. overlap: None where nothing was reduced.
@@ -229,7 +229,7 @@ def _with_light(params: ModuleParams, folder: Path, on_progress: Progress | None
 
 
 def _warn_of_oddities(source: FolderSource | FileSource | TableSource, array: PixelArray) -> None:
-    """Tell of measurements that are probably not what was meant."""
+    """Warn of measurements that are probably wrong."""
     shares = {id(each): border_share(each) for each in {id(pixel.distribution): pixel.distribution for pixel in array.pixels}.values()}
     cut_off = [(shares[id(pixel.distribution)], j) for j, pixel in enumerate(array.pixels) if shares[id(pixel.distribution)] > STILL_SHINES]
     if cut_off:

@@ -1,4 +1,4 @@
-"""Utilisations of a module's pixels from files, as other programs write them: one for all times, or a sequence."""
+"""Utilisations of a module's pixels from files: constant, or a sequence over time."""
 
 import glob
 import os

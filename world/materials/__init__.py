@@ -1,1 +1,1 @@
-"""What surfaces reflect: BRDF, materials by name, spots."""
+"""Reflection of surfaces: BRDF, named materials, spots."""

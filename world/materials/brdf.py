@@ -1,4 +1,4 @@
-"""How surfaces reflect: a matt ground, glass beads that send light back, a glossy interface on top; none returns more than it gets."""
+"""BRDF of a diffuse base, retroreflective glass beads and a glossy interface on top; it conserves energy."""
 
 import math
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ RANGES = {"roughness": (0.02, 1), "retro_width_deg": (0.01, 90), "trapped": (0, 
 
 @dataclass(frozen=True)
 class Material:
-    """What a surface has besides its albedo. The default is Lambertian.
+    """Material of a surface, besides its albedo. The default is Lambertian.
 
     interface: share of it 0..1 that is covered by a glossy interface. f0: the interface's reflectance at normal incidence.
     roughness: alpha of its GGX microfacets, 0.02..1. retro: share 0..1 of the light that gets through and is sent back to where it came

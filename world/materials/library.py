@@ -1,4 +1,4 @@
-"""Materials by name, albedo that varies over a surface, and asphalt made from a seed."""
+"""Named materials, textures of albedo and material, and random asphalt."""
 
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -90,25 +90,25 @@ class Texture:
 
 
 class RoadSurfaceParams(Params):
-    """Asphalt: fine grain, mottling, mended patches, and lane markings if wanted."""
+    """Asphalt: grain, mottling, repair patches and lane markings."""
 
-    albedo: float = Field(0.2, gt=0, le=1, description="Mean share of light that the dry asphalt reflects, markings left out")
-    grain: float = Field(0.12, ge=0, le=0.5, description="Standard deviation of the asphalt's albedo, relative to its mean; 0: uniform")
-    patches: int = Field(3, ge=0, le=50, description="Mended patches on every 36 m of road")
-    markings: bool = Field(False, description="Paint a solid line on the right of the lane and a broken one on its left")
-    beads: bool = Field(False, description="Let glass beads in the markings send light back to where it comes from")
-    wet: float = Field(0.0, ge=0, le=1, description="Share of the road under a film of water: darker, glossy, its beads drowned")
-    lane_width_m: float = Field(3.5, gt=1, le=10, description="Distance of the two lines; the lane's middle is y = 0")
-    seed: int = Field(0, ge=0, lt=2**63, description="Seed of grain and patches")
+    albedo: float = Field(0.2, gt=0, le=1, description="mean albedo of the dry asphalt without markings")
+    grain: float = Field(0.12, ge=0, le=0.5, description="standard deviation of the asphalt's albedo, relative to its mean; 0: uniform")
+    patches: int = Field(3, ge=0, le=50, description="repair patches per 36 m of road")
+    markings: bool = Field(False, description="paint a solid line on the right of the lane and a broken line on its left")
+    beads: bool = Field(False, description="glass beads make the markings retroreflective")
+    wet: float = Field(0.0, ge=0, le=1, description="share of the road under a film of water: darker, glossy, beads without effect")
+    lane_width_m: float = Field(3.5, gt=1, le=10, description="distance between the two lines; the lane's centre is y = 0")
+    seed: int = Field(0, ge=0, lt=2**63, description="seed of grain and patches")
 
     @property
     def ground(self) -> Material:
-        """What the asphalt has besides its albedo."""
+        """Material of the asphalt."""
         return replace(WET, interface=self.wet) if self.wet else LAMBERTIAN
 
     @property
     def seen_albedo(self) -> float:
-        """The asphalt's mean albedo as it is, wet or dry, markings left out."""
+        """Mean albedo of the asphalt in its current state, wet or dry, without markings."""
         return float(self.ground.darkened(torch.tensor(self.albedo, dtype=torch.float64)))
 
     def texture(self) -> Texture:
@@ -146,7 +146,7 @@ class RoadSurfaceParams(Params):
 
     @property
     def _paint(self) -> Material:
-        """What lane markings have besides their albedo."""
+        """Material of the lane markings."""
         if not self.beads:
             return self.ground
         paint = MATERIALS["lane_paint"]

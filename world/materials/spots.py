@@ -1,4 +1,4 @@
-"""Spots on the road that nobody was told of: paint, patches, puddles."""
+"""Unexpected spots on the road: paint, patches, puddles."""
 
 import math
 from dataclasses import dataclass
@@ -15,16 +15,16 @@ from world.params import Params
 
 
 class SpotParams(Params):
-    """A region of the road whose albedo or material differs; where spots overlap the last one lies on top."""
+    """A region of the road with a different albedo or material; where spots overlap, the last one is on top."""
 
     shape: Literal["ellipse", "rectangle"] = Field("ellipse", description="outline")
-    x_m: float = Field(ge=-10_000, le=10_000, description="centre ahead in the world")
+    x_m: float = Field(ge=-10_000, le=10_000, examples=[17.0], description="centre ahead in the world")
     y_m: float = Field(0.0, ge=-10_000, le=10_000, description="centre to the left")
-    length_m: float = Field(1.0, gt=0, le=200, description="extent along x before it is turned")
-    width_m: float = Field(1.0, gt=0, le=200, description="extent along y before it is turned")
-    yaw_deg: float = Field(0.0, ge=-180, le=180, description="turn to the left")
-    albedo_factor: float = Field(1.0, ge=0, le=10, description="albedo when dry, as a multiple of that of the dry road there")
-    material: MaterialName | None = Field(None, description="what it reflects besides, by name; left out: as the road around it")
+    length_m: float = Field(1.0, gt=0, le=200, description="extent along x before rotation")
+    width_m: float = Field(1.0, gt=0, le=200, description="extent along y before rotation")
+    yaw_deg: float = Field(0.0, ge=-180, le=180, description="rotation to the left")
+    albedo_factor: float = Field(1.0, ge=0, le=10, description="dry albedo as a multiple of that of the dry road there")
+    material: MaterialName | None = Field(None, description="material by name; left out: that of the road around it")
 
     def covers(self, x: Tensor, y: Tensor) -> Tensor:
         """Whether points (x, y), m in the world, lie on it; bool in their shape."""

@@ -72,7 +72,7 @@ class Distribution:
 
     @property
     def complete(self) -> bool:
-        """Whether every azimuth of a type C distribution is said; types A and B end where their lamp does."""
+        """Whether a type C distribution covers every azimuth; types A and B count as complete."""
         _, h, _ = self.unfolded
         return self.type != "C" or h[-1] - h[0] >= 360 - _BEYOND_DEG
 
@@ -84,9 +84,9 @@ class Distribution:
             h_at = h[0] + np.mod(h_at - h[0], 360.0)
         i, s, inside_h = _between(h, h_at)
         j, t, inside_v = _between(v, v_at)
-        low = (1 - t) * candela[i, j] + t * candela[i, j + 1]
+        low = (1 - t) * candela[i, j] + t * candela[i, j + 1]  # linear over v at the horizontal angles h_i and h_i+1, [...]
         high = (1 - t) * candela[i + 1, j] + t * candela[i + 1, j + 1]
-        return np.where(inside_h & inside_v, (1 - s) * low + s * high, 0.0)
+        return np.where(inside_h & inside_v, (1 - s) * low + s * high, 0.0)  # linear over h, zero beyond the table
 
     def intensity(self, directions: ArrayLike, aim: Aim = "beam") -> Array:
         """Luminous intensity `[...]` in cd into directions `[3, ...]` of the headlight frame (x forward, y left, z up; of any length).
@@ -112,7 +112,7 @@ def angles_of(kind: Kind, directions: ArrayLike, aim: Aim = "beam") -> tuple[Arr
     if aim == "nadir" and kind != "A":
         x, z = -z, x
     if kind == "A":
-        v, h = np.arctan2(z, np.hypot(x, y)), np.arctan2(-y, x)
+        v, h = np.arctan2(z, np.hypot(x, y)), np.arctan2(-y, x)  # T eq. 2.3.5: elevation, and azimuth clockwise from above
     elif kind == "B":
         v, h = np.arctan2(z, x), np.arctan2(-y, np.hypot(x, z))
     else:
@@ -124,7 +124,7 @@ def directions_of(kind: Kind, vertical_deg: ArrayLike, horizontal_deg: ArrayLike
     """Unit directions `[3, ...]` of the headlight frame for photometric angles: the inverse of `angles_of` (T eq. 2.3.4)."""
     v, h = np.radians(vertical_deg), np.radians(horizontal_deg)
     if kind == "A":
-        return np.stack([np.cos(v) * np.cos(h), -np.cos(v) * np.sin(h), np.sin(v)])
+        return np.stack([np.cos(v) * np.cos(h), -np.cos(v) * np.sin(h), np.sin(v)])  # T eq. 2.3.4, [3, ...]
     if kind == "B":
         x, y, z = np.cos(h) * np.cos(v), -np.sin(h), np.cos(h) * np.sin(v)
     else:
@@ -133,7 +133,7 @@ def directions_of(kind: Kind, vertical_deg: ArrayLike, horizontal_deg: ArrayLike
 
 
 def sample(intensity: Callable[[Tensor], Tensor], horizontal_deg: ArrayLike, vertical_deg: ArrayLike) -> Distribution:
-    """A type A distribution of any lamp, measured at the nodes of a grid.
+    """A type A distribution of any lamp, sampled at the nodes of a grid.
 
     intensity: cd `[N]` of directions `[3, N]` float64 of the lamp frame, as `Lamp.intensity` gives it for fixed utilisations.
     horizontal_deg `[H]` to the right and vertical_deg `[V]` up, ascending.
@@ -145,13 +145,13 @@ def sample(intensity: Callable[[Tensor], Tensor], horizontal_deg: ArrayLike, ver
 
 
 def _around(h: Array, candela: Array) -> tuple[Array, Array]:
-    """Unfold the planes of type C to the full turn, where they tell it."""
+    """Unfold the planes of type C to 360 deg by their symmetry."""
     span = h[-1] - h[0]
     while span in (90.0, 180.0):
         h, candela = np.concatenate([h, 2 * h[-1] - h[-2::-1]]), np.concatenate([candela, candela[-2::-1]])
         span = h[-1] - h[0]
     closing = 360.0 - span
-    if 0 < closing <= np.diff(h).max() * (1 + 1e-6):  # the last plane before the first one comes round again
+    if 0 < closing <= np.diff(h).max() * (1 + 1e-6):  # close the circle from the last plane to the first
         h, candela = np.append(h, h[0] + 360.0), np.concatenate([candela, candela[:1]])
     return h, candela
 

@@ -1,4 +1,4 @@
-"""How a lamp is aimed before it is judged: by its cut-off or its maximum, then turned a little where that is allowed and helps."""
+"""Aiming of a lamp before a check: by its cut-off or maximum, then re-aimed within the tolerance if that helps."""
 
 import torch
 
@@ -17,11 +17,12 @@ AIMS = 5  # tried in each direction
 
 
 def aim(intensity: Intensity, set_id: str, *, traffic: Traffic = "right") -> Point:
-    """The turn `(h, v)` in deg, to the right and up, with which this set judges the lamp.
+    """The aim `(h, v)` in deg, right and up positive, at which this set checks the lamp.
 
-    intensity: cd `[N]` of directions `[3, N]` of the lamp frame. set_id: such as "r149-passing-c". traffic: side of the road it keeps to.
-    A cut-off goes to its height and its shoulder to its place, a driving beam's maximum to H-V; other beams stay. Where the lamp fails
-    so, the best of the aims within the set's tolerance with which it passes, if there is one. Raises LuxloopError for an unknown id.
+    intensity: cd `[N]` of directions `[3, N]` of the lamp frame. set_id: such as "r149-passing-c". traffic: side of the road it keeps to. A
+    cut-off is set to its nominal height and its shoulder to its nominal position, a driving beam's maximum to H-V; other beams are not
+    aimed. If the lamp fails at this aim, the best aim within the set's tolerance at which it passes is taken, if there is one. Raises
+    LuxloopError for an unknown id.
     """
     rules = rule_set(set_id)
     seen = aimed(intensity, (0.0, 0.0), traffic)

@@ -1,4 +1,4 @@
-"""A beam against the limits: a value, a limit and a verdict for each requirement of a set."""
+"""Check of a beam against a set of requirements: value, limit and verdict of each."""
 
 import math
 from dataclasses import replace
@@ -26,12 +26,12 @@ def check(
     conditional: bool = False,
     step_deg: float = STEP_DEG,
 ) -> tuple[Result, ...]:
-    """Judge one lamp's beam by a set of requirements, each at its worst point.
+    """Check one lamp's beam against a set of requirements, each at its worst point.
 
-    intensity: cd `[N]` of directions `[3, N]` of the lamp frame. set_id: such as "r149-passing-c".
-    aim: how far the lamp is turned, deg to the right and up; `aim()` finds
-    it. traffic: the tables are made for traffic on the right and are mirrored for the left. conditional: count the requirements, too,
-    that hold under a condition only. step_deg: distance of the points at which zones are sampled. Raises LuxloopError for an unknown id.
+    intensity: cd `[N]` of directions `[3, N]` of the lamp frame. set_id: such as "r149-passing-c". aim: how far the lamp is turned, deg to
+    the right and up; `aim()` finds it. traffic: the tables are made for traffic on the right and are mirrored for the left. conditional:
+    include requirements that apply only under a condition. step_deg: spacing of the points at which zones are sampled. Raises LuxloopError
+    for an unknown id.
     """
     rules = rule_set(set_id)
     seen = aimed(intensity, aim, traffic)
@@ -64,7 +64,7 @@ def _seen(intensity: Intensity, samples: list[Tensor]) -> list[Tensor]:
 
 
 def samples_of(requirement: Requirement, step_deg: float) -> Tensor:
-    """Where a requirement is looked at first: `[2, N]` of h and v in deg."""
+    """First sample points of a requirement: `[2, N]` of h and v in deg."""
     if requirement.kind == "segment":
         start, end = requirement.where
         return sampling.segment(start, end, step_deg)
@@ -84,7 +84,7 @@ def _finer(requirement: Requirement, points: Tensor, values: Tensor, step_deg: f
 
 
 def _value(requirement: Requirement, points: Tensor, values: Tensor) -> tuple[float, Point | None]:
-    """The value that counts and where it was found: that nearest to a limit or farthest beyond it, for Imax the largest."""
+    """The decisive value and its point: nearest to a limit or farthest beyond it; for Imax the largest."""
     if requirement.kind == "sum":
         return float(values.sum()), None
     if requirement.kind == "flux":

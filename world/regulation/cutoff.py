@@ -1,4 +1,4 @@
-"""The cut-off of a passing beam: where it lies, how sharp and how straight it is."""
+"""Cut-off of a passing beam: position, sharpness and straightness."""
 
 from dataclasses import dataclass
 

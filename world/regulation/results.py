@@ -1,4 +1,4 @@
-"""What a check says of one requirement."""
+"""Results of a check."""
 
 import math
 from collections.abc import Callable, Sequence

@@ -1,4 +1,4 @@
-"""The limits themselves: sets of requirements on a beam, read from the tables beside this file."""
+"""Sets of requirements on beams, read from the tables beside this file."""
 
 import tomllib
 from functools import cache
@@ -18,28 +18,30 @@ class Requirement(Params):
 
     id: str
     kind: Literal["point", "segment", "zone", "sum", "imax", "flux"]
-    where: tuple[Point, ...] = Field((), description="a point, a segment's ends, a zone's corners, points to add up, a box's two corners")
-    min: float | None = Field(None, description="cd, or lm for flux; a multiple of the value of `of` where that is given")
+    where: tuple[Point, ...] = Field(
+        (), description="a point, the ends of a segment, the corners of a zone, points to add up, or two corners of a box"
+    )
+    min: float | None = Field(None, description="lower limit in cd, or lm for flux; with `of`, as a multiple of its value")
     max: float | None = None
     of: str = Field("", description="id of another requirement, or Imax: limits are relative to its value")
-    only_if: str = Field("", description="the requirement counts under this condition only, which photometry cannot tell")
+    only_if: str = Field("", description="condition under which the requirement applies, which photometry cannot decide")
     note: str = ""
 
 
 class Cutoff(Params):
-    """How a passing beam's cut-off is found, judged and aimed (R149 and FMVSS 108 alike)."""
+    """Detection, check and aim of a passing beam's cut-off (R149 and FMVSS 108)."""
 
-    scan_h_deg: float = Field(description="the vertical line on which the cut-off is looked for")
-    at_v_deg: float = Field(description="where the cut-off goes on that line")
+    scan_h_deg: float = Field(description="vertical line on which the cut-off is sought")
+    at_v_deg: float = Field(description="height to which the cut-off is aimed on that line")
     sharpness_min: float = Field(description="least of log10 E(v) - log10 E(v + 0.1 deg) on the scan")
     sharpness_max: float | None = None
     straight_at_h_deg: tuple[float, ...]
     straight_within_deg: float
-    shoulder: bool = Field(False, description="aim sideways too, by the rising part of the cut-off")
+    shoulder: bool = Field(False, description="also aim horizontally, by the rising part of the cut-off")
 
 
 class ReAim(Params):
-    """How far a lamp may be turned from its nominal aim to pass."""
+    """Tolerance for re-aiming a lamp from its nominal aim."""
 
     left: float = 0.0
     right: float = 0.0
@@ -56,7 +58,7 @@ class RuleSet(Params):
     beam: Literal["low", "high", "adaptive"]
     confidence: str
     note: str = ""
-    cutoff: tuple[Cutoff, ...] = Field((), description="alternatives, of which the sharper counts")
+    cutoff: tuple[Cutoff, ...] = Field((), description="alternative scans; the sharper cut-off applies")
     re_aim_deg: ReAim = ReAim()
     requirements: tuple[Requirement, ...]
 

@@ -1,1 +1,1 @@
-"""Road surfaces: shapes, noise, scans, and those of the user's own."""
+"""Road surfaces: shapes, roughness, scans, and user-defined roads."""

@@ -1,4 +1,4 @@
-"""A road of the user's own, named in the scenario by `package.module:Name`."""
+"""A user-defined road, named in the scenario by `package.module:Name`."""
 
 from functools import cached_property
 from typing import Any, cast
@@ -13,14 +13,14 @@ from world.roads.base import Floats, MeshGrid, Road, RoadModel
 
 
 class OwnRoad(RoadModel):
-    """`Name(**options)` of a module of the user's own makes the road, a `Road`."""
+    """`Name(**options)` of a user's module makes the road, a `Road`."""
 
     kind: plugin.OwnName
     options: dict[str, Any] = Field({}, description="keyword arguments of Name")
 
     @cached_property
     def road(self) -> Road:
-        """The road itself. Raises LuxloopError where there is none, it does not take its options, or lacks a method."""
+        """The road itself. Raises LuxloopError if it does not exist, refuses its options or lacks a method."""
         return cast(Road, plugin.make(self.kind, "road.kind", {}, self.options, ("z", "grid")))
 
     def z(self, x: ArrayLike, y: ArrayLike) -> Floats:

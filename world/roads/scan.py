@@ -27,7 +27,9 @@ class OpenCrgRoad(RoadModel):
     """
 
     kind: Literal["opencrg"] = "opencrg"
-    file: str = Field(description="OpenCRG file: a path, relative to the scenario file, or a name from `luxloop data list`")
+    file: str = Field(
+        examples=["road.crg"], description="OpenCRG file: a path, relative to the scenario file, or a name from `luxloop data list`"
+    )
     u_m: float | None = Field(
         default=None, ge=-1e6, le=1e6, description="place along the scan that lies at at_x_m, in the file's u; default: its middle"
     )
@@ -42,11 +44,9 @@ class OpenCrgRoad(RoadModel):
         default=0.0, ge=-10_000, le=10_000, description="distance to the left of the vehicle's middle at which the place lies"
     )
     heading_deg: float = Field(
-        default=0.0, ge=-360.0, le=360.0, description="direction that the vehicle looks in, from the scan's there, to the left positive"
+        default=0.0, ge=-360.0, le=360.0, description="heading of the vehicle relative to the scan's direction at the place, left positive"
     )
-    blend_m: float = Field(
-        default=3.0, gt=0.0, le=10_000, description="length over which the border of the scan fades into the plane z = 0"
-    )
+    blend_m: float = Field(default=3.0, gt=0.0, le=10_000, description="length over which the scan's border blends into the plane z = 0")
 
     def z(self, x: ArrayLike, y: ArrayLike) -> Floats:
         """Height in m over the plane that the vehicle stands on. Raises LuxloopError where file or place do not fit."""

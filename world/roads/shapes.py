@@ -1,4 +1,4 @@
-"""The roads that a scenario may name. All are heights over the plane z = 0 that the vehicle stands on, see `Road`."""
+"""Parametric roads for scenarios, as heights over the plane z = 0 that the vehicle stands on (see `Road`)."""
 
 from functools import lru_cache
 from itertools import pairwise
@@ -51,13 +51,15 @@ class Flat(RoadModel):
 
 
 class Grade(RoadModel):
-    """A change of grade and of cross-fall ahead: what the vehicle shares with the road under it, it cannot see."""
+    """A change of grade and crossfall ahead; a constant slope under the vehicle would not be visible from it."""
 
     kind: Literal["grade"] = "grade"
-    grade_percent: float = Field(default=1.5, ge=-20.0, le=20.0, description="rise ahead of start_x_m")
-    crossfall_percent: float = Field(default=2.0, ge=-10.0, le=10.0, description="rise to the left, about the vehicle's middle line")
-    start_x_m: float = Field(default=13.0, ge=-10_000, le=10_000, description="where the grade begins to change")
-    curve_m: float = Field(default=4.0, gt=0.0, le=10_000, description="length of the vertical curve in which it changes")
+    grade_percent: float = Field(default=1.5, ge=-20.0, le=20.0, description="grade ahead of start_x_m, uphill positive")
+    crossfall_percent: float = Field(
+        default=2.0, ge=-10.0, le=10.0, description="crossfall about the vehicle's centre line, rising to the left"
+    )
+    start_x_m: float = Field(default=13.0, ge=-10_000, le=10_000, description="start of the vertical curve to the grade")
+    curve_m: float = Field(default=4.0, gt=0.0, le=10_000, description="length of that vertical curve")
 
     def z(self, x: ArrayLike, y: ArrayLike) -> Floats:
         x, y = _plane(x, y)
@@ -75,17 +77,19 @@ def _rise(beyond: Floats, curve_m: float) -> Floats:
 class GradeParams(Params):
     """A grade of a profile."""
 
-    x_m: float = Field(ge=0.0, le=100_000, description="where the vertical curve to it begins")
-    percent: float = Field(ge=-20.0, le=20.0, description="rise beyond the curve")
+    x_m: float = Field(ge=0.0, le=100_000, examples=[20.0], description="start of the vertical curve to this grade")
+    percent: float = Field(ge=-20.0, le=20.0, examples=[5.0], description="grade beyond the curve, uphill positive")
     curve_m: float = Field(default=40.0, gt=0.0, le=10_000, description="length of the parabolic vertical curve")
 
 
 class Profile(RoadModel):
-    """A road that rises and falls: grades with vertical curves between them, level until the first; with roughness from 6 m ahead on."""
+    """A road with hills: grades joined by vertical curves, level up to the first; roughness from 6 m ahead on."""
 
     kind: Literal["profile"] = "profile"
-    grades: tuple[GradeParams, ...] = Field(min_length=1, description="grades in ascending x_m, whose curves do not overlap")
-    roughness_class: RoughnessClass | None = Field(default=None, description="ISO 8608 class of the roughness on top; left out: none")
+    grades: tuple[GradeParams, ...] = Field(
+        min_length=1, examples=[[{"x_m": 20.0, "percent": 5.0}]], description="grades in ascending x_m; their curves must not overlap"
+    )
+    roughness_class: RoughnessClass | None = Field(default=None, description="ISO 8608 class of added roughness; left out: none")
     seed: int = Field(default=1, ge=0, lt=2**63, description="seed of the roughness")
 
     @model_validator(mode="after")
@@ -109,8 +113,8 @@ class Bumps(RoadModel):
     """Smooth random bumps and hollows, some metres long."""
 
     kind: Literal["bumps"] = "bumps"
-    lowest_m: float = Field(default=-0.02, ge=-0.5, le=0.0, description="lowest height around the symbol (x 12 to 22 m, y -2 to 2 m)")
-    highest_m: float = Field(default=0.05, ge=0.0, le=0.5, description="highest height around the symbol")
+    lowest_m: float = Field(default=-0.02, ge=-0.5, le=0.0, description="lowest height in the symbol's area (x 12 to 22 m, y -2 to 2 m)")
+    highest_m: float = Field(default=0.05, ge=0.0, le=0.5, description="highest height in that area")
     seed: int = Field(default=1, ge=0, lt=2**63, description="seed of the bumps")
 
     def z(self, x: ArrayLike, y: ArrayLike) -> Floats:
@@ -141,8 +145,8 @@ class SpeedBump(RoadModel):
     """A bump across the whole road, cosine-shaped along it."""
 
     kind: Literal["speed_bump"] = "speed_bump"
-    x_m: float = Field(default=17.0, ge=3.0, le=10_000, description="distance of its middle")
-    height_m: float = Field(default=0.08, gt=0.0, le=0.5, description="height of its middle")
+    x_m: float = Field(default=17.0, ge=3.0, le=10_000, description="distance of its centre")
+    height_m: float = Field(default=0.08, gt=0.0, le=0.5, description="height at its centre")
     length_m: float = Field(default=1.0, gt=0.1, le=10.0, description="length along the road")
 
     def z(self, x: ArrayLike, y: ArrayLike) -> Floats:
@@ -152,14 +156,17 @@ class SpeedBump(RoadModel):
 
 
 class Curb(RoadModel):
-    """A step to a pavement on the left that runs along the road, from 6 m ahead on."""
+    """A kerb along the left of the road, from 6 m ahead on."""
 
     kind: Literal["curb"] = "curb"
     y_m: float = Field(
-        default=0.5, ge=-10_000, le=10_000, description="where the step is; half a metre from the middle a symbol 2 m wide straddles it"
+        default=0.5,
+        ge=-10_000,
+        le=10_000,
+        description="lateral position of the step, left positive; at 0.5 m a symbol 2 m wide straddles it",
     )
-    height_m: float = Field(default=0.10, ge=-0.5, le=0.5, description="height of the pavement; negative: a road edge that drops")
-    ramp_m: float = Field(default=0.03, gt=0.0, le=1.0, description="width of the step's face: a height cannot be vertical")
+    height_m: float = Field(default=0.10, ge=-0.5, le=0.5, description="height of the kerb; negative: a road edge that drops")
+    ramp_m: float = Field(default=0.03, gt=0.0, le=1.0, description="width of the step's face, since a height field has no vertical faces")
 
     def z(self, x: ArrayLike, y: ArrayLike) -> Floats:
         x, y = _plane(x, y)
@@ -170,11 +177,11 @@ class Curb(RoadModel):
 
 
 class Step(RoadModel):
-    """A step across the whole road, beyond which it goes on level: a raised square, or a terrace below."""
+    """A step across the whole road, level beyond: a raised or a lowered area."""
 
     kind: Literal["step"] = "step"
-    x_m: float = Field(default=12.0, ge=3.0, le=10_000, description="distance of the middle of its face")
-    height_m: float = Field(default=0.2, ge=-0.5, le=0.5, description="height of the road beyond; negative: it drops")
+    x_m: float = Field(default=12.0, ge=3.0, le=10_000, description="distance of the centre of its face")
+    height_m: float = Field(default=0.2, ge=-0.5, le=0.5, description="height of the road beyond the step; negative: it drops")
     ramp_m: float = Field(default=0.5, gt=0.0, le=5.0, description="length of the step's face along the road")
 
     def z(self, x: ArrayLike, y: ArrayLike) -> Floats:
@@ -190,8 +197,8 @@ class Pothole(RoadModel):
 
     kind: Literal["pothole"] = "pothole"
     x_m: float = Field(default=17.0, ge=3.0, le=10_000, description="distance of its centre")
-    y_m: float = Field(default=0.3, ge=-10_000, le=10_000, description="distance of its centre to the left of the vehicle's middle")
-    diameter_m: float = Field(default=0.9, gt=0.1, le=3.0, description="diameter at the road's surface")
+    y_m: float = Field(default=0.3, ge=-10_000, le=10_000, description="lateral position of its centre, left positive")
+    diameter_m: float = Field(default=0.9, gt=0.1, le=3.0, description="diameter at the road surface")
     depth_m: float = Field(default=0.06, gt=0.0, le=0.5, description="depth")
     edge_m: float = Field(default=0.15, gt=0.0, le=10_000, description="width of the edge")
 
@@ -216,16 +223,18 @@ _TABLE_M, _TABLE_RAMP_M = 6.0, 1.0  # length of a speed table with, and of one o
 
 
 class Mixed(RoadModel):
-    """A residential road: a little grade and cross-fall, bumps, roughness, kerbs on both sides and a speed table further on."""
+    """A residential road: slight grade and crossfall, bumps, roughness, kerbs on both sides and a speed table ahead."""
 
     kind: Literal["mixed"] = "mixed"
-    grade_percent: float = Field(default=1.2, ge=-5.0, le=5.0, description="rise ahead, from 13 m on")
-    crossfall_percent: float = Field(default=2.5, ge=-5.0, le=5.0, description="rise to the left")
-    bumps_m: tuple[Metres, Metres] = Field(default=(-0.015, 0.025), description="lowest and highest of the smooth bumps around the symbol")
-    roughness_class: RoughnessClass = Field(default="B", description="ISO 8608 class of the roughness on top")
-    curb_y_m: float = Field(default=4.0, gt=1.5, le=10_000, description="distance of the kerbs to both sides")
+    grade_percent: float = Field(default=1.2, ge=-5.0, le=5.0, description="grade from 13 m on, uphill positive")
+    crossfall_percent: float = Field(default=2.5, ge=-5.0, le=5.0, description="crossfall, rising to the left")
+    bumps_m: tuple[Metres, Metres] = Field(
+        default=(-0.015, 0.025), description="lowest and highest height of the smooth bumps around the symbol"
+    )
+    roughness_class: RoughnessClass = Field(default="B", description="ISO 8608 class of added roughness")
+    curb_y_m: float = Field(default=4.0, gt=1.5, le=10_000, description="distance of the kerbs on both sides")
     curb_height_m: float = Field(default=0.10, ge=0.0, le=0.3, description="height of the kerbs")
-    table_x_m: float = Field(default=45.0, ge=25.0, le=10_000, description="where the speed table begins")
+    table_x_m: float = Field(default=45.0, ge=25.0, le=10_000, description="start of the speed table")
     table_height_m: float = Field(default=0.08, ge=0.0, le=0.3, description="height of the speed table")
     seed: int = Field(
         default=12, ge=0, lt=2**63, description="seed of bumps and roughness; the default keeps the symbol within the lamp's field"

@@ -1,5 +1,6 @@
 """A road along a drive: tiles across it, fine near the vehicle and coarse far ahead, made when they come into sight."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
@@ -24,7 +25,7 @@ ALONG_M: Final = (0.1, 0.6)  # spacing of rows, near and far: in a camera at 1.3
 ACROSS_M: Final = 0.12
 BESIDE_M: Final = (3.5, 25.0)  # to both sides of the course: finely meshed, and meshed at all
 AROUND_M: Final = 5.0  # objects, beyond their middle
-KEPT_TILES: Final = 64
+KEPT: Final = 4  # times the tiles that are in sight
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +33,7 @@ class RoadTiles:
     """A road meshed where the vehicle comes.
 
     course_y_m: least and greatest y of its course. albedo, texture: as those of a `Body`. others_y_m: y of what else shall stand on it.
+    sight_m: how far ahead it is there.
     """
 
     road: Road
@@ -41,6 +43,7 @@ class RoadTiles:
     name: str = "road"
     track: PoseTrack = field(default_factory=PoseTrack.static)
     others_y_m: tuple[float, ...] = ()
+    sight_m: float = SIGHT_M
 
     @cached_property
     def _edges_m(self) -> tuple[float, float]:
@@ -51,14 +54,14 @@ class RoadTiles:
 
     @cached_property
     def _tile(self) -> Callable[[int, int, bool], Placed]:
-        """`_make`, memoised for the last KEPT_TILES tiles."""
-        return lru_cache(KEPT_TILES)(self._make)
+        """`_make`, memoised for the last tiles."""
+        return lru_cache(KEPT * math.ceil(self.sight_m / LENGTH_M))(self._make)
 
     def near(self, object_id: int, T_world_ground: Tensor) -> tuple[Placed, ...]:
         """The tiles in sight of a vehicle at `T_world_ground` `[4, 4]`, as parts of the body `object_id`."""
         (cos, sin), (x, y) = T_world_ground[:2, 0].tolist(), T_world_ground[:2, 3].tolist()
         tiles = []
-        for k in range(int((x - SIGHT_M) // LENGTH_M), int((x + SIGHT_M) // LENGTH_M) + 1):
+        for k in range(int((x - self.sight_m) // LENGTH_M), int((x + self.sight_m) // LENGTH_M) + 1):
             start, stop = k * LENGTH_M, (k + 1) * LENGTH_M
             if max((end - x) * cos + (side - y) * sin for end in (start, stop) for side in self._edges_m) > 0:
                 far = max(start - x, x - stop) > NEAR_M

@@ -1,4 +1,4 @@
-"""The scene: bodies that come, move and go, and the light that is there without the headlights."""
+"""The scene: bodies that appear, move and vanish, and the light besides the headlights."""
 
 from dataclasses import dataclass, replace
 
@@ -20,15 +20,19 @@ Key = tuple[tuple[int, tuple[float, ...]], ...]
 
 
 class StreetLamp(Params):
-    """A point light that shines equally into all directions, without shadows."""
+    """A point light with equal intensity in all directions, without shadows."""
 
-    position_m: tuple[Metres, Metres, Metres] = Field(description="Where it hangs in the world (x forward, y left, z up)")
-    intensity_cd: float = Field(gt=0, le=1e9, description="Luminous intensity into every direction")
+    position_m: tuple[Metres, Metres, Metres] = Field(
+        examples=[[20.0, 5.0, 6.0]], description="position in the world (x forward, y left, z up)"
+    )
+    intensity_cd: float = Field(gt=0, le=1e9, examples=[2000.0], description="luminous intensity in every direction")
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """bodies: the road first; their order gives the object ids. ambient_lx: illuminance of a surface facing up, from an overcast sky."""
+    """A scene. bodies: the road first; their order gives the object ids. ambient_lx: illuminance of a surface facing up by an overcast
+    sky.
+    """
 
     bodies: tuple[Body | RoadTiles | Figure, ...]
     ambient_lx: float = 0.0

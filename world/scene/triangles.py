@@ -28,6 +28,11 @@ class Placed:
         """Unit normals at the corners in the world, `[F, 3 corners, 3]` float32."""
         return (self.body.corner_normals @ self.T_world_body[:3, :3].T).float()
 
+    @cached_property
+    def box(self) -> Tensor:
+        """Corners of the body's bounding box in the world, `[8, 3]` float64 m."""
+        return torch.cartesian_prod(*self.body.bounds.T) @ self.T_world_body[:3, :3].T + self.T_world_body[:3, 3]
+
     @property
     def n_faces(self) -> int:
         return len(self.body.mesh.faces)

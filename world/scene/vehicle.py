@@ -36,10 +36,10 @@ PROFILE_M: Final = 0.05  # spacing of the road's heights along the way
 
 
 class CourseParams(Params):
-    """What the driver does at a time; in between speed and curvature change evenly, outside they hold."""
+    """Speed and curvature at a time; linear between entries, constant outside."""
 
     time_s: float = Field(0.0, ge=0, le=1e6, description="time of this entry")
-    speed_m_s: float = Field(ge=0, le=100, description="speed of the rear axle")
+    speed_m_s: float = Field(ge=0, le=100, examples=[20.0], description="speed of the rear axle")
     curvature_1_m: float = Field(
         0.0, ge=-0.2, le=0.2, description="curvature of the rear axle's path, to the left positive: tan(steering angle) / wheelbase"
     )
@@ -52,27 +52,29 @@ class SuspensionParams(Params):
     pitch_hz: float = Field(1.4, gt=0, le=10, description="natural frequency of pitch")
     roll_hz: float = Field(1.6, gt=0, le=10, description="natural frequency of roll")
     damping: float = Field(0.35, gt=0, le=2, description="damping ratio of all three")
-    dive_deg_per_m_s2: float = Field(0.2, ge=0, le=2, description="nose-down pitch for each m/s^2 of braking; squat when accelerating")
-    lean_deg_per_m_s2: float = Field(0.4, ge=0, le=2, description="roll to the outside for each m/s^2 of lateral acceleration")
+    dive_deg_per_m_s2: float = Field(0.2, ge=0, le=2, description="nose-down pitch per m/s^2 of braking; squat when accelerating")
+    lean_deg_per_m_s2: float = Field(0.4, ge=0, le=2, description="outward roll per m/s^2 of lateral acceleration")
 
 
 class OscillationParams(Params):
-    """A pitch that is added to the suspension's."""
+    """A sinusoidal pitch in addition to the suspension's."""
 
     pitch_deg: float = Field(0.0, ge=-5, le=5, description="amplitude, nose down first")
-    rate_hz: float = Field(1.2, gt=0, le=20, description="oscillations a second")
+    rate_hz: float = Field(1.2, gt=0, le=20, description="frequency")
 
 
 class VehicleParams(Params):
-    """How the vehicle drives, and how its body moves on its springs."""
+    """Course of the vehicle, and dynamics of its body on the suspension."""
 
-    course: tuple[CourseParams, ...] = Field(min_length=1, description="speed and curvature over ascending times")
-    wheelbase_m: float = Field(2.8, gt=0.5, le=10, description="distance of the axles")
-    track_m: float = Field(1.6, gt=0.5, le=3, description="distance of the wheels of an axle")
-    overhang_m: float = Field(0.8, ge=0, le=3, description="distance of the front axle behind the lamps")
-    suspension: SuspensionParams = Field(SuspensionParams(), description="the springs")
-    oscillation: OscillationParams = Field(OscillationParams(), description="pitch from elsewhere")
-    simulation_hz: float = Field(500.0, ge=50, le=10_000, description="rate at which the motion is integrated")
+    course: tuple[CourseParams, ...] = Field(
+        min_length=1, examples=[[{"speed_m_s": 20.0}]], description="speed and curvature over ascending time"
+    )
+    wheelbase_m: float = Field(2.8, gt=0.5, le=10, description="distance between the axles")
+    track_m: float = Field(1.6, gt=0.5, le=3, description="distance between the wheels of an axle")
+    overhang_m: float = Field(0.8, ge=0, le=3, description="distance from the lamps back to the front axle")
+    suspension: SuspensionParams = Field(SuspensionParams(), description="suspension of the body")
+    oscillation: OscillationParams = Field(OscillationParams(), description="additional sinusoidal pitch")
+    simulation_hz: float = Field(500.0, ge=50, le=10_000, description="rate of the numerical integration of motion")
 
     @property
     def pivot_x_m(self) -> float:
@@ -207,7 +209,7 @@ def drive(params: VehicleParams, road: Road, duration_s: float) -> Motion:
         math.radians(spring.lean_deg_per_m_s2) * lateral, spring.roll_hz, spring.damping, dt
     )
     pitch = pitch + math.radians(params.oscillation.pitch_deg) * np.sin(2 * np.pi * params.oscillation.rate_hz * t)
-    level, slope = _ground(params, road, _integral(speed, dt), x, y, yaw)
+    level, slope = followed(params, road, _integral(speed, dt), x, y, yaw)
     climb, bend, *rates = (np.gradient(mode, dt) for mode in (level, slope, heave, roll, pitch))
     levers = [(end * params.wheelbase_m / 2, side * params.track_m / 2) for end in (1, -1) for side in (1, -1)]
     travel = (heave + left * roll - front * pitch - wheel for (front, left), wheel in zip(levers, wheels, strict=True))
@@ -216,19 +218,28 @@ def drive(params: VehicleParams, road: Road, duration_s: float) -> Motion:
     return Motion(t, np.stack(columns, axis=1), params.pivot_x_m, params.rear_x_m)
 
 
-def _ground(params: VehicleParams, road: Road, way_m: Floats, x: Floats, y: Floats, yaw: Floats) -> tuple[Floats, Floats]:
+def followed(
+    params: VehicleParams,
+    road: Road,
+    way_m: Floats,
+    x: Floats,
+    y: Floats,
+    yaw: Floats,
+    low_pass_m: tuple[float, float] = LOW_PASS_M,
+) -> tuple[Floats, Floats]:
     """Height `[N]` in m of the ground frame's origin and slope `[N]` in rad, nose down, of the plane through the low-passed road.
 
-    way_m: `[N]`, that the rear axle has driven, which goes on straight at both ends.
+    way_m: `[N]`, that the rear axle has driven, which goes on straight at both ends. x, y, yaw: of the vehicle there, `[N]`, m and rad.
+    low_pass_m: lengths over which the road's height and slope are low-passed.
     """
-    reach = math.ceil(max(LOW_PASS_M) / 2 / PROFILE_M) + 1
+    reach = math.ceil(max(low_pass_m) / 2 / PROFILE_M) + 1
     along = (np.arange(math.ceil(way_m[-1] / PROFILE_M) + 2 * reach + 2) - reach) * PROFILE_M
     at_x, at_y, heading = (np.interp(along, way_m, column) for column in (x, y, yaw))
     beyond = params.rear_x_m + along - np.clip(along, 0, way_m[-1])
     at_x, at_y = at_x + beyond * np.cos(heading), at_y + beyond * np.sin(heading)
     aside = params.track_m / 2 * np.array([[1], [-1]])
     heights = road.z(at_x - aside * np.sin(heading), at_y + aside * np.cos(heading)).mean(0)
-    height, level = (np.convolve(heights, _window(each), mode="same") for each in LOW_PASS_M)
+    height, level = (np.convolve(heights, _window(each), mode="same") for each in low_pass_m)
     learnt = smoothstep(way_m, 0.0, LEARNT_M)
     slope = -np.arctan(learnt * np.interp(way_m, along, np.gradient(level, PROFILE_M)))
     return learnt * np.interp(way_m, along, height) + params.rear_x_m * np.sin(slope), slope

@@ -1,1 +1,1 @@
-"""Road users and what stands beside roads, as meshes made from a seed."""
+"""Road users and roadside objects as random meshes."""

@@ -20,9 +20,9 @@ class AnimalParams(MadeParams):
     """A deer; the origin lies on the ground below its middle."""
 
     kind: Literal["animal"] = "animal"
-    category: Category | None = Field("animal", description="What a tracker reports it as to lighting functions")
-    shoulder_m: float | None = Field(None, ge=0.4, le=2.2, description="Height of the shoulders; left out: by the seed, 0.7 to 1.3 m")
-    antlers: bool | None = Field(None, description="left out: by the seed, two in five")
+    category: Category | None = Field("animal", description="class that trackers report to lighting functions")
+    shoulder_m: float | None = Field(None, ge=0.4, le=2.2, description="shoulder height; left out: from the seed, 0.7 to 1.3 m")
+    antlers: bool | None = Field(None, description="whether it has antlers; left out: from the seed, two in five have")
 
     def build(self) -> Body | Figure:
         """Raises LuxloopError where `parts` names one that there is not."""

@@ -29,9 +29,9 @@ class CarParams(MadeParams):
 
     wheels_m: ClassVar = (2.6, 1.5)
     kind: Literal["car"] = "car"
-    category: Category | None = Field("car", description="What a tracker reports it as to lighting functions")
-    style: Style | None = Field(None, description="left out: by the seed")
-    lit: bool = Field(True, description="Whether headlamps and tail lamps shine; false: as parked")
+    category: Category | None = Field("car", description="class that trackers report to lighting functions")
+    style: Style | None = Field(None, description="body style; left out: from the seed")
+    lit: bool = Field(True, description="whether headlamps and tail lamps are on; false: parked")
 
     def build(self) -> Body:
         """Raises LuxloopError where `parts` names one that there is not."""

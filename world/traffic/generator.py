@@ -1,4 +1,4 @@
-"""Traffic at random: who and what is on a road and beside it, and roads, surfaces and light that vary, all from a seed."""
+"""Random traffic on and beside the road, and random roads, surfaces and light, all from a seed."""
 
 import math
 from collections import Counter
@@ -30,9 +30,9 @@ Place = tuple[float, float, float]  # x and y in m, yaw in deg
 
 
 class TrafficParams(Params):
-    """Road users and what stands beside the road, made from a seed, besides the objects that are given one by one."""
+    """Random road users and roadside objects, in addition to single objects."""
 
-    seed: int = Field(0, ge=0, lt=2**63, description="seed of who is where")
+    seed: int = Field(0, ge=0, lt=2**63, description="seed of the random scene")
     pedestrians: int = Field(2, ge=0, le=30, description="on pavements, crossing or waiting")
     cyclists: int = Field(1, ge=0, le=20, description="ahead or oncoming")
     cars: int = Field(1, ge=0, le=10, description="ahead or oncoming, with their lamps on")
@@ -40,10 +40,17 @@ class TrafficParams(Params):
     animals: int = Field(0, ge=0, le=10, description="deer")
     signs: int = Field(1, ge=0, le=20, description="traffic signs")
     clutter: int = Field(4, ge=0, le=50, description="trees, bushes, posts, bins, delineators; they have no category")
-    near_m: float = Field(8.0, ge=3, le=100, description="least distance ahead at the start")
-    far_m: float = Field(60.0, ge=10, le=200, description="greatest distance ahead at the start; on a drive, length of each stretch of way")
+    near_m: float = Field(8.0, ge=3, le=100, description="smallest distance ahead at the start")
+    far_m: float = Field(
+        60.0, ge=10, le=200, description="largest distance ahead at the start; on a drive, length of each section of the route"
+    )
     moving: bool = Field(True, description="whether road users move")
-    on_road: bool = Field(False, description="whether they stand on the road's surface, in place of z = 0; on a drive they do")
+    on_road: bool = Field(False, description="whether they stand on the road's surface instead of z = 0; on a drive they always do")
+
+    @property
+    def sight_m(self) -> float:
+        """How far ahead somebody is met on a drive."""
+        return 2 * self.far_m
 
     @model_validator(mode="after")
     def _near_is_nearer(self) -> Self:
@@ -151,7 +158,7 @@ def _made(kind: str, name: str, seed: int, place: Place, speed_m_s: float, keys:
 
 @lru_cache(maxsize=8)  # a run asks for its objects again and again
 def _along(params: TrafficParams, vehicle: VehicleParams, duration_s: float) -> tuple[ObjectParams, ...]:
-    route = Route.of(vehicle, duration_s, 2 * params.far_m)
+    route = Route.of(vehicle, duration_s, params.sight_m)
     moments_s = tuple(takewhile(math.isfinite, (params._moment_s(k, route) for k in count())))
     number = len(moments_s) * sum(each for _, each, _ in params._counted())
     afford(f"traffic: {number:,} objects", BYTES_AN_OBJECT * number, "take fewer steps or objects, or raise far_m")

@@ -1,4 +1,4 @@
-"""What all objects made from a seed have: parts by name, each of a material, whose reflectance can be set."""
+"""Common base of random objects: named parts, whose material and albedo can be set."""
 
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -20,10 +20,10 @@ EYES = frozenset({"head", "hair", "helmet", "windscreen"})
 
 
 class SurfaceParams(Params):
-    """What a part looks like; what is left out stays as the seed has it."""
+    """Albedo and material of a part; by default from the seed."""
 
-    albedo: float | None = Field(None, ge=0, le=1, description="Share of light reflected, diffusely")
-    material: MaterialName | None = Field(None, description="Material by name")
+    albedo: float | None = Field(None, ge=0, le=1, description="diffuse albedo")
+    material: MaterialName | None = Field(None, description="material by name")
 
 
 def check_parts(owner: str, given: Iterable[str], names: Sequence[str]) -> None:
@@ -36,8 +36,8 @@ def check_parts(owner: str, given: Iterable[str], names: Sequence[str]) -> None:
 class MadeParams(TrackedParams):
     """An object made from a seed."""
 
-    seed: int = Field(0, ge=0, lt=2**63, description="Seed of proportions, clothes, colours")
-    parts: dict[str, SurfaceParams] = Field({}, description="Albedo and material of parts by name, in place of what the seed gives")
+    seed: int = Field(0, ge=0, lt=2**63, description="seed of proportions, clothes and colours")
+    parts: dict[str, SurfaceParams] = Field({}, description="albedo and material of parts by name, instead of those from the seed")
 
     def random(self) -> np.random.Generator:
         return np.random.default_rng(self.seed)

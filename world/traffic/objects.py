@@ -1,4 +1,4 @@
-"""Objects that a scenario file may put into the scene: boxes, meshes from files, and what is made from a seed."""
+"""Objects for scenarios: boxes, meshes from files, and random objects."""
 
 import io
 import os
@@ -32,8 +32,8 @@ Side = Annotated[float, Field(gt=0, le=1000)]
 class SolidParams(TrackedParams):
     """An object of one surface."""
 
-    albedo: float = Field(0.2, ge=0, le=1, description="Share of light reflected, diffusely; of what gets wet when it is dry")
-    material: MaterialName | None = Field(None, description="What it reflects besides, by name; left out: nothing, it is matt")
+    albedo: float = Field(0.2, ge=0, le=1, description="diffuse albedo, when dry")
+    material: MaterialName | None = Field(None, description="material by name; left out: matt")
 
     def part(self, name: str, given: SurfaceParams | None = None) -> Part:
         """A part of it; given: what it looks like in place of the whole."""
@@ -47,7 +47,7 @@ class BoxParams(SolidParams):
     """A box; its origin is the centre of its bottom face."""
 
     kind: Literal["box"] = "box"
-    size_m: tuple[Side, Side, Side] = Field(description="Length (x), width (y), height (z)")
+    size_m: tuple[Side, Side, Side] = Field(examples=[[0.4, 0.4, 0.3]], description="length (x), width (y), height (z)")
 
     def build(self) -> Body:
         box = trimesh.creation.box(self.size_m)
@@ -59,13 +59,13 @@ class MeshParams(SolidParams):
     """A mesh from a file, whose origin it keeps."""
 
     kind: Literal["mesh"] = "mesh"
-    file: Path = Field(description="Mesh file: .obj, .ply, .stl, .off, .glb or .gltf")
-    scale: float = Field(1.0, gt=0, le=1e6, description="Metres a unit of the file")
-    forward: Axis = Field("x", description="The file's axis that points ahead")
-    up: Axis = Field("z", description="The file's axis that points up; y in .glb and in most .obj files")
-    smooth: bool = Field(False, description="Interpolate normals over the faces, for rounded bodies")
+    file: Path = Field(examples=["rock.obj"], description="mesh file: .obj, .ply, .stl, .off, .glb or .gltf")
+    scale: float = Field(1.0, gt=0, le=1e6, description="metres per unit of the file")
+    forward: Axis = Field("x", description="axis of the file that points forward")
+    up: Axis = Field("z", description="axis of the file that points up; y in .glb and most .obj files")
+    smooth: bool = Field(False, description="interpolate normals over faces, for rounded bodies")
     parts: dict[str, SurfaceParams] = Field(
-        {}, description="Albedo and material of parts, by the names of the file's nodes, or of its materials where it has no nodes"
+        {}, description="albedo and material of parts, by the file's node names, or by its material names if it has no nodes"
     )
 
     @model_validator(mode="after")

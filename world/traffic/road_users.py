@@ -41,10 +41,10 @@ class PedestrianParams(MadeParams):
     """Someone on foot; the origin lies between the feet."""
 
     kind: Literal["pedestrian"] = "pedestrian"
-    category: Category | None = Field("pedestrian", description="What a tracker reports it as to lighting functions")
-    height_m: float | None = Field(None, ge=0.8, le=2.2, description="Height; left out: by the seed, around 1.71 m")
+    category: Category | None = Field("pedestrian", description="class that trackers report to lighting functions")
+    height_m: float | None = Field(None, ge=0.8, le=2.2, description="height; left out: from the seed, around 1.71 m")
     clothing: Clothing | None = Field(None, description=CLOTHING)
-    stance: Literal["walking", "standing"] | None = Field(None, description="left out: walking on a track that moves, else standing")
+    stance: Literal["walking", "standing"] | None = Field(None, description="stance; left out: walking while it moves, else standing")
 
     def build(self) -> Body | Figure:
         """Raises LuxloopError where `parts` names one that there is not."""
@@ -65,11 +65,11 @@ class CyclistParams(MadeParams):
 
     wheels_m: ClassVar = (1.06, 0.0)
     kind: Literal["cyclist"] = "cyclist"
-    category: Category | None = Field("cyclist", description="What a tracker reports it as to lighting functions")
-    height_m: float | None = Field(None, ge=1.2, le=2.2, description="Height of the rider on foot; left out: by the seed, around 1.71 m")
+    category: Category | None = Field("cyclist", description="class that trackers report to lighting functions")
+    height_m: float | None = Field(None, ge=1.2, le=2.2, description="height of the rider on foot; left out: from the seed, around 1.71 m")
     clothing: Clothing | None = Field(None, description=CLOTHING)
-    helmet: bool | None = Field(None, description="left out: by the seed, every other one")
-    lit: bool = Field(True, description="Whether front and rear lamp of the bicycle shine")
+    helmet: bool | None = Field(None, description="whether the rider wears a helmet; left out: from the seed, every other one does")
+    lit: bool = Field(True, description="whether the bicycle's front and rear lamps are on")
 
     def build(self) -> Body | Figure:
         """Raises LuxloopError where `parts` names one that there is not."""

@@ -1,4 +1,4 @@
-"""What stands beside roads: signs, and clutter that no detector shall take for a road user."""
+"""Roadside objects: signs, and clutter that detectors should not report."""
 
 from typing import Literal
 
@@ -25,10 +25,10 @@ class TrafficSignParams(MadeParams):
     """A traffic sign of retroreflective sheet on a post; it faces the way that its x axis points, its origin is the post's foot."""
 
     kind: Literal["traffic_sign"] = "traffic_sign"
-    category: Category | None = Field("sign", description="What a tracker reports it as to lighting functions")
-    shape: SignShape | None = Field(None, description="left out: by the seed")
-    height_m: float = Field(2.0, ge=0, le=8, description="Height of its lower edge")
-    size_m: float = Field(0.6, gt=0.1, le=3, description="Diameter, or that of the circle through its corners")
+    category: Category | None = Field("sign", description="class that trackers report to lighting functions")
+    shape: SignShape | None = Field(None, description="shape of the sign; left out: from the seed")
+    height_m: float = Field(2.0, ge=0, le=8, description="height of its lower edge")
+    size_m: float = Field(0.6, gt=0.1, le=3, description="diameter, or that of the circle through its corners")
 
     def build(self) -> Body:
         """Raises LuxloopError where `parts` names one that there is not."""
@@ -56,7 +56,7 @@ class ClutterParams(MadeParams):
     """A tree, bush, post, bin or delineator; the origin is its foot."""
 
     kind: Literal["clutter"] = "clutter"
-    shape: Clutter = Field("tree", description="What it is")
+    shape: Clutter = Field("tree", description="kind of object")
 
     def build(self) -> Body:
         """Raises LuxloopError where `parts` names one that there is not."""

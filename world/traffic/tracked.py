@@ -1,4 +1,4 @@
-"""What all objects of a scenario file have: a name, and a pose over time, given by keyframes or as a path."""
+"""Common parameters of objects: a name, and a pose over time by keyframes or a path."""
 
 import math
 from itertools import pairwise
@@ -20,24 +20,28 @@ ROAD_USERS: frozenset[Category] = frozenset({"pedestrian", "cyclist", "motorcycl
 
 
 class KeyframeParams(Params):
-    """Where an object is at one time."""
+    """Pose of an object at one time."""
 
-    time_s: float = Field(0.0, ge=-1e6, le=1e6, description="Time since the scenario's start")
-    position_m: tuple[Metres, Metres, Metres] = Field(description="Object's origin in the world (x forward, y left, z up)")
-    roll_deg: float = Field(0.0, ge=-180, le=180, description="About the x axis, positive: right side down")
-    pitch_deg: float = Field(0.0, ge=-90, le=90, description="About the y axis, positive: nose down")
-    yaw_deg: float = Field(0.0, ge=-180, le=180, description="About the z axis, positive: to the left")
+    time_s: float = Field(0.0, ge=-1e6, le=1e6, description="time since the scenario's start")
+    position_m: tuple[Metres, Metres, Metres] = Field(
+        examples=[[20.0, 2.0, 0.0]], description="position of the object's origin in the world (x forward, y left, z up)"
+    )
+    roll_deg: float = Field(0.0, ge=-180, le=180, description="rotation about the x axis, right side down positive")
+    pitch_deg: float = Field(0.0, ge=-90, le=90, description="rotation about the y axis, nose down positive")
+    yaw_deg: float = Field(0.0, ge=-180, le=180, description="rotation about the z axis, to the left positive")
 
 
 class WayParams(Params):
-    """A way at a constant speed, on which the object looks ahead."""
+    """A path at constant speed; the object faces along it."""
 
     points_m: tuple[tuple[Metres, Metres, Metres], ...] = Field(
-        min_length=2, description="Points of the way in the world, with a curve through them"
+        min_length=2,
+        examples=[[[60.0, 3.0, 0.0], [5.0, 3.0, 0.0]]],
+        description="points of the path in the world, joined by a smooth curve",
     )
-    speed_m_s: float = Field(gt=0, le=70, description="Speed")
+    speed_m_s: float = Field(gt=0, le=70, examples=[14.0], description="speed along the path")
     start_s: float = Field(
-        0.0, ge=-1e6, le=1e6, description="Time at the first point; before, and after the last point, the object stands still"
+        0.0, ge=-1e6, le=1e6, description="time at the first point; before it, and after the last point, the object stands still"
     )
 
     @model_validator(mode="after")
@@ -61,17 +65,17 @@ class WayParams(Params):
 
 
 class TrackedParams(Params):
-    """What all objects have: a name, a pose over time, and the time that they are there."""
+    """Common parameters of objects: name, pose over time, times of appearing and vanishing."""
 
     wheels_m: ClassVar[tuple[float, float] | None] = None  # as those of `PoseTrack`
 
-    name: PlainName = Field(description="Name, for recordings and reports")
-    category: Category | None = Field(None, description="What a tracker reports it as to lighting functions; left out: it is not reported")
-    track: tuple[KeyframeParams, ...] = Field((), description="Poses in ascending time; one keyframe: the object stands still")
-    path: WayParams | None = Field(None, description="A way at a constant speed, in place of a track")
-    on_road: bool = Field(False, description="Count heights from the road's surface under the object's origin, in place of z = 0")
-    appears_s: float | None = Field(None, ge=-1e6, le=1e6, description="Time of appearing; left out: there from the start")
-    vanishes_s: float | None = Field(None, ge=-1e6, le=1e6, description="Time of vanishing; left out: there to the end")
+    name: PlainName = Field(examples=["walker"], description="name in recordings and reports")
+    category: Category | None = Field(None, description="class that trackers report to lighting functions; left out: it is not reported")
+    track: tuple[KeyframeParams, ...] = Field((), description="keyframes in ascending time; with one, the object stands still")
+    path: WayParams | None = Field(None, description="path at constant speed, instead of a track")
+    on_road: bool = Field(False, description="measure heights from the road's surface under the object's origin instead of z = 0")
+    appears_s: float | None = Field(None, ge=-1e6, le=1e6, description="time at which it appears; left out: at the start")
+    vanishes_s: float | None = Field(None, ge=-1e6, le=1e6, description="time at which it vanishes; left out: never")
 
     @model_validator(mode="after")
     def _somewhere_in_order(self) -> Self:

@@ -28,6 +28,7 @@ class Part:
 
 FREE = Part("left free", (-7.0, 15.0), (-1.0, 2.0))
 FIXED = Part("right fixed")
+BOTH = (FREE, FIXED)
 
 
 def planner(**functions: Any) -> Planner:
@@ -39,15 +40,15 @@ def now(time_s: float = 0.0, **known: Any) -> Situation:
 
 
 def commands(given: Any, *modules: Part) -> tuple[ModuleCommand, ...]:
-    return composed(given.values(), modules or (FREE, FIXED))
+    return composed(given.values(), modules or BOTH)
 
 
 def test_bending_swivels_to_where_the_course_is_met_and_leaves_what_cannot() -> None:
     for sign in (1, -1):
-        given = planner(bend={"kind": "bending"}).commanded({}, now(speed_m_s=10.0, curvature_1_m=0.02 * sign))
+        given = planner(bend={"kind": "bending"}).commanded({}, now(speed_m_s=10.0, curvature_1_m=0.02 * sign), BOTH)
         free, fixed = commands(given)
         assert free.swivel_deg == pytest.approx(IN_CURVE_DEG if sign > 0 else -7.0) and fixed == ModuleCommand()
-    (far,) = commands(planner(bend={"kind": "bending", "largest_deg": 5.0}).commanded({}, now(**CURVE)), FREE)
+    (far,) = commands(planner(bend={"kind": "bending", "largest_deg": 5.0}).commanded({}, now(**CURVE), BOTH), FREE)
     assert far.swivel_deg == 5.0
 
 
@@ -56,10 +57,20 @@ def test_motors_are_no_faster_than_they_can_by_the_clock_of_the_situation() -> N
     bend = planner(bend={"kind": "bending", "rate_deg_s": 10.0, "stop_s": 3.0})
     turned, given = [], {}
     for time_s in (0.0, 0.1, 0.4, 0.4, 2.0, 3.0, 3.5):
-        given = bend.commanded(given, now(time_s) if time_s == 0 else now(time_s, **CURVE))
+        given = bend.commanded(given, now(time_s) if time_s == 0 else now(time_s, **CURVE), BOTH)
         turned.append(commands(given, FREE)[0].swivel_deg)
     assert turned == pytest.approx([0.0, 1.0, 4.0, 4.0, IN_CURVE_DEG, IN_CURVE_DEG - 10.0, 0.0])
-    assert commands(bend.commanded({}, now(1.0, **CURVE)), FREE)[0].swivel_deg == pytest.approx(IN_CURVE_DEG)
+    assert commands(bend.commanded({}, now(1.0, **CURVE), BOTH), FREE)[0].swivel_deg == pytest.approx(IN_CURVE_DEG)
+
+
+def test_a_motor_at_the_end_of_its_range_turns_back_at_once() -> None:
+    """The right curve wants 11.5 deg of modules that end at 7 and 3; they leave their ends in the step in which the left one begins."""
+    narrow = Part("left free narrow", (-3.0, 3.0))
+    bend, given, turned = planner(bend={"kind": "bending", "rate_deg_s": 10.0}), {}, []
+    for time_s, sign in ((0.0, -1), (1.0, -1), (1.1, 1), (1.2, 1)):
+        given = bend.commanded(given, now(time_s, speed_m_s=10.0, curvature_1_m=0.02 * sign), (FREE, narrow))
+        turned.append([each.swivel_deg for each in commands(given, FREE, narrow)])
+    assert turned == [pytest.approx(each) for each in ([-7.0, -3.0], [-7.0, -3.0], [-6.0, -2.0], [-5.0, -1.0])]
 
 
 def test_levelling_turns_against_the_pitch_and_by_entries_over_time() -> None:
@@ -70,21 +81,21 @@ def test_levelling_turns_against_the_pitch_and_by_entries_over_time() -> None:
         (False, 0.4, 2.0, 1.0),
         (True, 2.0, 9.0, -0.5),
     ):
-        given = planner(level=level | {"dynamic": dynamic}).commanded({}, now(time_s, pitch_rad=math.radians(pitch_deg)))
+        given = planner(level=level | {"dynamic": dynamic}).commanded({}, now(time_s, pitch_rad=math.radians(pitch_deg)), BOTH)
         free, fixed = commands(given)
         assert free.level_deg == pytest.approx(expected) and fixed == ModuleCommand()
 
 
 def test_dimming_follows_its_entries_where_it_is_active() -> None:
     dim = planner(dim={"kind": "dimming", "entries": [{"time_s": 1.0, "share": 1.0}, {"time_s": 2.0, "share": 0.5}], "stop_s": 5.0})
-    shares = [commands(dim.commanded({}, now(time_s)), FIXED)[0].intensity for time_s in (0.0, 1.5, 3.0, 5.0)]
+    shares = [commands(dim.commanded({}, now(time_s), BOTH), FIXED)[0].intensity for time_s in (0.0, 1.5, 3.0, 5.0)]
     assert shares == pytest.approx([1.0, 0.75, 0.5, 1.0])
 
 
 def test_turns_add_up_within_the_range_and_intensities_multiply() -> None:
     given = {
-        "a": Given(0.0, (((), ModuleCommand(10.0, -0.75, 0.5)),)),
-        "b": Given(0.0, ((("left",), ModuleCommand(8.0, -0.5, 0.5)), (("right fixed",), ModuleCommand(1.0, 1.0, 0.8)))),
+        "a": Given(0.0, tuple((part.name, ModuleCommand(10.0, -0.75, 0.5)) for part in BOTH)),
+        "b": Given(0.0, ((FREE.name, ModuleCommand(8.0, -0.5, 0.5)), (FIXED.name, ModuleCommand(1.0, 1.0, 0.8)))),
     }
     assert commands(given) == (ModuleCommand(15.0, -1.0, 0.25), ModuleCommand(0.0, 0.0, 0.4))
     assert commands(dict(reversed(given.items()))) == commands(given), "in any order"
@@ -93,7 +104,7 @@ def test_turns_add_up_within_the_range_and_intensities_multiply() -> None:
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({"kind": "levelling", "dynamic": False}, "entries: nothing is levelled without them"),
+        ({"kind": "levelling", "dynamic": False}, "entries: with dynamic = false and no entries nothing is levelled"),
         ({"kind": "dimming", "entries": []}, "entries"),
         ({"kind": "dimming", "entries": [{"share": 1.5}]}, "share"),
         ({"kind": "dimming", "entries": [{"share": 1.0}, {"share": 0.5}]}, "entries: time_s must ascend"),

@@ -270,7 +270,7 @@ def test_a_perfect_tracker_reports_the_box_of_a_body() -> None:
             {"soft_zones": [{"margin_m": 0.9, "u_rel": 0.5}, {"margin_m": 0.4, "u_rel": 0.3}]},
             "soft_zones: margin_m must ascend",
         ),
-        (PathParams, {"control_m": [(9, 1), (9, 1), (9, 1)]}, "control_m: all points are one"),
+        (PathParams, {"control_m": [(9, 1), (9, 1), (9, 1)]}, "control_m: all points coincide"),
         (SymbolFunctionParams, {"image": "a", "x_m": -3}, "x_m"),
         (
             SymbolFunctionParams,

@@ -1,13 +1,14 @@
-"""From a scenario's [headlight] to the modules that shine, and to those of them that draw a symbol."""
+"""From a scenario's [headlight] to the modules that shine, and to those of them that draw a symbol; and to the road of a drive."""
 
 from pathlib import Path
 
 import pytest
 import torch
 
+from loop.assembly.build import build_motion, build_scene
 from loop.lighting.lamps import shining_modules
 from loop.lighting.simulation import Simulation
-from loop.scenario.model import Scenario, load
+from loop.scenario.model import Scenario, load, validate
 from world.errors import LuxloopError
 from world.frames import pose_from_degrees
 from world.headlight.lamp import Lamp, Module
@@ -94,3 +95,22 @@ def test_modules_that_give_no_light_cannot_be_scaled(tmp_path: Path) -> None:
     archive.save(tmp_path / "dark.npz", Lamp("dark", (Module("main", idealised(4, 8).scaled(0.0)),)))
     with pytest.raises(LuxloopError, match="main give no light"):
         shining_modules(load("flat", [f"headlight.model={tmp_path / 'dark.npz'}", "headlight.intensity_cd=1000"]), CPU)
+
+
+def test_the_road_is_there_under_all_that_is_met_on_a_drive() -> None:
+    drive = {"course": [{"speed_m_s": 15.0}]}
+    traffic = {"seed": 3, "cars": 3, "parked": 2, "clutter": 4}
+    given = validate({"name": "met", "steps": 90, "rate_hz": 30, "vehicle": drive, "traffic": traffic, "road": {"kind": "iso8608"}}, "met")
+    motion = build_motion(given)
+    scene = build_scene(given, motion)
+    farthest_m = 0.0
+    for time_s in (0.0, 1.0, 2.0):
+        T_world_ground = motion.at(time_s).T_world_ground
+        road, others = [], []
+        for placed in scene.at(time_s, T_world_ground).placed:
+            x = placed.T_world_body[0, 3] + torch.as_tensor(placed.body.mesh.vertices[:, 0])
+            (others if placed.object_id else road).append(x)
+        ends = torch.cat(road).max()
+        assert all(float(x.mean()) < ends for x in others)
+        farthest_m = max(farthest_m, *(float(x.mean() - T_world_ground[0, 3]) for x in others))
+    assert farthest_m > 100, "so that a road of 90 m would end before them"

@@ -92,7 +92,9 @@ def test_the_command_leaves_what_a_scenario_plays(tmp_path: Path, capsys: pytest
     lines = [
         f"[checks.{name}]\nat_least = 0\n" + "".join(f"{key} = {value!r}\n" for key, value in of.items()) for name, of in checks.items()
     ]
-    file.write_text(f'name = "beam"\nsteps = 1\n{objects}{tables}{symbol}{"".join(lines)}')
+    held = 'off_share = 0.47\ndetector_frames = "both"\ndetector = { kind = "truth" }\n'
+    glare = "".join(f"[[disturbances.ambient]]\nfactor = 2\nframes = '{frames}'\n" for frames in ("off", "on"))
+    file.write_text(f'name = "beam"\nsteps = 1\n{held}{objects}{tables}{symbol}{glare}{"".join(lines)}')
     out = tmp_path / "out"
     assert cli.main(["optimise-beam", str(file), "--metric", "edges", "--steps", "3", "--out", str(out), "--device", "cpu"]) == 0
     assert {each.name for each in out.iterdir()} == {"raw.toml", "beam.json", "beam.png", "left-matrix.npz", "right-matrix.npz"}
@@ -101,6 +103,8 @@ def test_the_command_leaves_what_a_scenario_plays(tmp_path: Path, capsys: pytest
     assert all(math.isfinite(score) for each in summary["beams"].values() for score in each["scores"].values())
     raw = load(str(file), [str(out / "raw.toml")])
     assert [*raw.checks] == ["eva", "dimmer"] and not raw.functions, "checks of functions that are left out go with them"
+    assert (raw.off_share, raw.detector_frames) == (0.5, "on"), "nor are there off frames without a symbol that is held"
+    assert [spell.frames for spell in raw.disturbances.ambient] == ["on"]
     played = prepare(raw, "cpu").at(0)
     lm = sum(power.flux_lm for power in played.powers.values())
     assert lm == pytest.approx(summary["beams"]["found"]["flux_lm"], rel=1e-4)

@@ -13,7 +13,9 @@ import pytest
 import torch
 
 from loop.commands import cli
+from loop.run import run
 from loop.scenario import data
+from loop.scenario.model import load
 from loop.terminal import listing
 from loop.terminal.doctor import Check
 from tests.loop.conftest import FILE, Lux, assert_one_sentence
@@ -46,6 +48,11 @@ def test_each_kind_is_listed_for_people_and_for_programs(lux: Lux, kind: str, so
     assert all(set(each) == keys and each["description"] for each in listed.values())
 
 
+def test_keys_of_functions_are_on_the_page_that_their_list_names(lux: Lux) -> None:
+    page = re.search(r"keys in (docs/\w+\.md)", lux("list", "functions")[1])
+    assert page and "| `rate_deg_s` | `25.0` |" in (ROOT / page[1]).read_text("utf-8")
+
+
 def test_scenarios_are_listed_with_their_controllers_and_other_functions(lux: Lux) -> None:
     uses = {each["name"]: each["uses"] for each in json.loads(lux("list", "--json")[1])}
     assert uses["snowflake"] == ["thesis_pid"] and uses["gfhb"] == ["glare_free"]
@@ -76,6 +83,7 @@ def test_check_for_programs_says_what_was_found_and_what_is_wrong(lux: Lux) -> N
         "controllers": {"symbol": "luxloop"},
         "objects": 0,
         "detector": None,
+        "notes": [],
     }
     code, out, _ = lux("check", "gfhb", "--json", "--set", "headlight.model=hd84", "renderer=raycast")
     found = json.loads(out)
@@ -84,6 +92,14 @@ def test_check_for_programs_says_what_was_found_and_what_is_wrong(lux: Lux) -> N
     code, out, error = lux("check", "small.toml", "--json", "--set", "camera.bitz=8")
     found = json.loads(out)
     assert code == cli.WRONG and found["ok"] is False and error == f"error: {found['error']}\n"
+
+
+def test_check_says_how_much_of_a_target_the_lamps_cannot_reach(lux: Lux) -> None:
+    code, out, _ = lux("check", "small.toml", "--set", "functions.symbol.x_m=12.0")
+    note = re.search(r"\nnote: (\d+) % of the target of functions.symbol lies beyond the lower border of the lamps' field; (.*)\n$", out)
+    assert code == 0 and note and note[2] == "raise functions.symbol.x_m"
+    done = run(load("small.toml", ["functions.symbol.x_m=12.0"], steps=1, controller={"name": "open"}), video=False, report=False)
+    assert int(note[1]) == pytest.approx(100 * done.summary["functions"]["symbol"]["cut"], abs=0.5)  # it is shown there, and rounded
 
 
 def test_doctor_for_programs(lux: Lux) -> None:

@@ -283,7 +283,7 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
     said = capsys.readouterr()
     assert "runs/tune-flat" in said.out and said.err == ""  # not that of an empty folder something was done before
     for wrong, said in (
-        (["tune", "flat"], "what is to be tuned"),
+        (["tune", "flat"], "--key: is missing"),
         (["tune", "flat", "--key", KEYS[0], "--trials", "0"], "--trials: 0 is too few"),
     ):
         assert cli.main(wrong) == cli.WRONG

@@ -95,7 +95,7 @@ def test_classes_of_ones_own_detector_must_be_known(classes: Any) -> None:
         detector(OwnDetector(kind=KIND, options={"classes": classes}), CPU)
 
 
-BOXES, SCORES = torch.zeros(3, 4), torch.zeros(3, 2)
+BOXES, SCORES = torch.tensor([[10.0, 20.0, 30.0, 40.0]] * 3), torch.zeros(3, 2)
 
 
 @pytest.mark.parametrize(
@@ -105,7 +105,7 @@ BOXES, SCORES = torch.zeros(3, 4), torch.zeros(3, 2)
         (BOXES, torch.zeros(3), r"gives boxes \[3, 4\] and scores \[3\]"),
         (torch.zeros(3, 5), SCORES, r"gives boxes \[3, 5\]"),
         (torch.zeros(()), SCORES, r"gives boxes \[\]"),
-        (BOXES / 0, SCORES, "some of which are not finite"),
+        (BOXES / 0 * 0, SCORES, "some of which are not finite"),
         (BOXES.numpy(), SCORES.numpy(), r"fails.*\(AttributeError"),
         (None, None, r"fails.*\(AttributeError"),
     ],
@@ -114,5 +114,28 @@ def test_what_ones_own_detector_gives_is_checked(boxes: Any, scores: Any, said: 
     own = detector(OwnDetector(kind=KIND, options={"boxes": boxes, "scores": scores}), CPU)
     with pytest.raises(LuxloopError, match=rf"detector.kind: .*Given: .*detect.*must give one Detections a frame.*{said}|{said}.*must"):
         own.detect(torch.zeros(2, 60, 80))
+
+
+@pytest.mark.parametrize(
+    ("boxes", "scores", "said"),
+    [
+        (BOXES, SCORES - 0.1, r"scores from -0.1 to -0.1; give 0\.\.1: of logits the sigmoid"),
+        (BOXES, SCORES + 30, r"scores from 30 to 30; give 0\.\.1"),
+        (BOXES[:, [2, 1, 0, 3]], SCORES, "boxes with sides down to -20 px; give left, top, right, bottom"),
+        (BOXES[:, [0, 1, 2, 1]], SCORES, "boxes with sides down to 0 px"),
+        (BOXES / 80, SCORES, "seem to be shares of the frame; multiply them by its width and height, here 80 and 60 px"),
+        (BOXES + 60, SCORES, "middle is outside of the frame of 80 x 60 px"),
+    ],
+)
+def test_what_ones_own_detector_gives_is_in_range_in_a_run_as_well(boxes: Any, scores: Any, said: str) -> None:
+    own = detector(OwnDetector(kind=KIND, options={"boxes": boxes, "scores": scores}), CPU)
+    with pytest.raises(LuxloopError, match=rf"^detector.kind: .*Given: detect: gives .*{said}"):
+        own.detect(torch.zeros(2, 60, 80))
+
+
+def test_boxes_that_reach_beyond_the_frame_are_none_the_worse() -> None:
+    boxes = torch.tensor([[-10.0, -5.0, 30.0, 40.0]])
+    right = detector(OwnDetector(kind=KIND, options={"boxes": boxes, "scores": SCORES[:1]}), CPU)
+    assert [len(each) for each in right.detect(torch.zeros(2, 60, 80))] == [1, 1]
     right = detector(OwnDetector(kind=KIND, options={"boxes": BOXES, "scores": SCORES}), CPU)
     assert [len(each) for each in right.detect(torch.zeros(2, 60, 80))] == [3, 3]
