@@ -179,7 +179,7 @@ def test_junk_in_the_last_line_costs_that_line(junk: bytes, tmp_path: Path) -> N
 def test_files_of_another_kind_are_left_alone(content: bytes, tmp_path: Path) -> None:
     file = tmp_path / "mine.txt"
     file.write_bytes(content)
-    with pytest.raises(LuxloopError, match=r"mine\.txt: holds something else"):
+    with pytest.raises(LuxloopError, match=r"mine\.txt: holds something else than job results"):
         run(square, numbers(1), file, version="1", processes=1)
     assert file.read_bytes() == content
 

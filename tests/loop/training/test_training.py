@@ -260,7 +260,7 @@ def test_a_wrong_slope_is_calibrated_away(row: dict[str, object]) -> None:
     assert all(math.isfinite(each) for each in calibrate(ours, [row]))
     upside_down = shipped()
     upside_down.network.calibrate(-1.0, 0.0)
-    with pytest.raises(LuxloopError, match="learnt nothing"):
+    with pytest.raises(LuxloopError, match="do not separate correct boxes"):
         calibrate(upside_down, [row])
 
 
