@@ -1,7 +1,7 @@
 """How fast and how well the thesis' controller pulls the symbols straight: `python benchmarks/convergence.py [--json FILE] [--quick]`.
 
 All four symbols, each from its own start, on procedural roads, and the shipped scenarios on measured ones; beside each the open loop.
-Writes docs/convergence.md.
+Writes docs/results/convergence.md.
 """
 
 import argparse
@@ -44,7 +44,7 @@ VIEWS = {
     ],
 }
 COLUMNS = ("road", "symbol", "settle", "overshoot %", "error %", "error open %", "IoU open", "IoU", "SSIM", "lost steps")
-DOC = Path(__file__).parents[1] / "docs" / "convergence.md"
+DOC = Path(__file__).parents[1] / "docs" / "results" / "convergence.md"
 
 
 def measure(scenario: Scenario) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """How well MapReduce control draws rectangles, beside the joint optimum of all pixels: `python benchmarks/evaluation.py [--quick]`.
 
-Goes on where an earlier run in the same folder was, and writes docs/evaluation.md with its figures.
+Goes on where an earlier run in the same folder was, and writes docs/results/evaluation.md with its figures.
 """
 
 import argparse
@@ -10,12 +10,12 @@ from loop.evaluation import figures
 from loop.evaluation.evaluate import evaluate
 from loop.evaluation.report import page
 
-DOCS = Path(__file__).parents[1] / "docs"
+DOCS = Path(__file__).parents[1] / "docs" / "results"
 HEAD = (Path(__file__).parent / "evaluation_page.md").read_text("utf-8")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Evaluate MapReduce control and write docs/evaluation.md.")
+    parser = argparse.ArgumentParser(description="Evaluate MapReduce control and write docs/results/evaluation.md.")
     parser.add_argument("--quick", action="store_true", help="45 setpoints and coarser sensitivities")
     parser.add_argument("--out", type=Path, default=Path("runs/evaluation"), help="folder for results")
     parser.add_argument("--jobs", type=int, help="processes, by default one a core")

@@ -1,7 +1,7 @@
 """What object-based lighting saves and keeps: `python benchmarks/object_based.py [--quick] [--scenes N] [--seeds N]`.
 
 Static and moving scenes that the detector was not trained on, through the whole chain, with all methods side by side; zones; the
-tracker; renderings that should agree. Goes on where an earlier run in the same folder was, and writes docs/object_based_results.md.
+tracker; renderings that should agree. Goes on where an earlier run in the same folder was, and writes docs/results/object_based.md.
 """
 
 import argparse
@@ -30,7 +30,7 @@ from perception.camera import expose, frame_generator
 from perception.detection.build import WEIGHTS
 
 ROOT = Path(__file__).parents[1]
-DOCS, NETWORK = ROOT / "docs", ROOT / "perception" / "detection" / WEIGHTS
+DOCS, NETWORK = ROOT / "docs" / "results", ROOT / "perception" / "detection" / WEIGHTS
 SCENES, SEEDS = 64, 5
 QUICK = {"scenes": 2, "seeds": 1, "times": 1, "steps": 45, "pairs": 1}
 WHOLE = {"times": 3, "steps": 75, "pairs": 8}  # of the tracker's situations, of their frames, and of pairs of renderings

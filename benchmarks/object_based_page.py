@@ -1,4 +1,4 @@
-"""docs/object_based_results.md and its picture, from results of benchmarks/object_based.py; the words are in the .md beside it."""
+"""docs/results/object_based.md and its picture, from results of benchmarks/object_based.py; the words are in the .md beside it."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -18,7 +18,7 @@ from object_based_goals import FOUND, GOALS, NEAR, RATE_HZ, Measured, Row, media
 from loop.terminal.tables import markdown, number
 
 TEMPLATE = Path(__file__).with_suffix(".md")
-NAME, PICTURE = "object_based_results.md", "object-based-results.png"
+NAME, PICTURE = "object_based.md", "object-based-results.png"
 GREEN, GREY = (90, 220, 120), (110, 130, 160)
 Pictures = Mapping[str, tuple[Any, Sequence[Sequence[float]], Sequence[float]]]  # by title: frame 0..1, boxes, scores
 

@@ -22,7 +22,7 @@ from loop.jobs.runner import Job, digest_of, run
 from loop.recording.digest import digest_of_code
 from loop.recording.manifest import digests
 
-DOCS = Path(__file__).parents[1] / "docs"
+DOCS = Path(__file__).parents[1] / "docs" / "results"
 
 
 def main() -> None:

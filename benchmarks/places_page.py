@@ -1,4 +1,4 @@
-"""docs/places.md and its picture, from the results of benchmarks/places.py; the words are in the .md beside this file."""
+"""docs/results/places.md and its picture, from the results of benchmarks/places.py; the words are in the .md beside this file."""
 
 from collections.abc import Iterable, Sequence
 from itertools import islice, pairwise

@@ -2,7 +2,7 @@
 
 The lamps of the thesis' tables A.1 and A.2, lamps with long rows and the shipped ones, in every format that can pay; incremental updates
 as in its fig. 6.1; memory as in its 6.2. On the CPU in one process with one thread, in process time, all in turn; on CUDA as captured
-graphs, in clock time with synchronisation. `--page` writes docs/spmv.md and its pictures.
+graphs, in clock time with synchronisation. `--page` writes docs/results/spmv.md and its pictures.
 """
 
 import argparse
@@ -241,7 +241,12 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="also write the results here")
     parser.add_argument("--quick", action="store_true", help="small lamps and few rounds, to see that it works")
     parser.add_argument(
-        "--page", type=Path, nargs="?", const=ROOT / "docs", metavar="FOLDER", help="also write spmv.md and its pictures (docs)"
+        "--page",
+        type=Path,
+        nargs="?",
+        const=ROOT / "docs" / "results",
+        metavar="FOLDER",
+        help="also write spmv.md and its pictures (docs/results)",
     )
     arguments = parser.parse_args()
     torch.set_num_threads(1)

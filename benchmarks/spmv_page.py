@@ -1,4 +1,4 @@
-"""docs/spmv.md and its pictures from the results of benchmarks/spmv.py; the words are in spmv_page.md beside this file."""
+"""docs/results/spmv.md and its pictures from the results of benchmarks/spmv.py; the words are in spmv_page.md beside this file."""
 
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,7 @@
 """How well symbols lie on roads by luxloop's controllers: `python benchmarks/symbol_control.py [--quick] [--out FOLDER] [--json FILE]`.
 
 Standing roads, late frames, drives and disturbances, and in each of these worlds all controllers side by side. Goes on where an
-earlier run in the same folder was, and writes docs/symbol_control.md. `--quick`: one seed, two latencies.
+earlier run in the same folder was, and writes docs/results/symbol_control.md. `--quick`: one seed, two latencies.
 """
 
 import argparse
@@ -20,7 +20,7 @@ from loop.jobs.runner import Job, digest_of, run
 from loop.recording.digest import digest_of_code
 from loop.recording.manifest import digests
 
-DOCS = Path(__file__).parents[1] / "docs"
+DOCS = Path(__file__).parents[1] / "docs" / "results"
 SEEDS = 5
 
 

@@ -1,4 +1,4 @@
-"""docs/symbol_control.md and its picture, from the results of benchmarks/symbol_control.py; the words are in the .md beside this file."""
+"""docs/results/symbol_control.md and its picture from the results of benchmarks/symbol_control.py; the words are in the .md beside this."""
 
 from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path

@@ -36,6 +36,7 @@ def stage(page: Path) -> None:
             shutil.copyfile(path, copy)
         return f"]({os.path.relpath(copy, (STAGE / place(page)).parent)}"
 
+    (STAGE / place(page)).parent.mkdir(parents=True, exist_ok=True)
     text = re.sub(r"^```(\w+) \w+$", r"```\1", page.read_text("utf-8"), flags=re.M)  # a second word tells tests what a block is
     (STAGE / place(page)).write_text(re.sub(r"\]\((?!https?:|#)([^)#\s]+)", moved, text), "utf-8")
 
@@ -49,7 +50,7 @@ def names() -> str:
 def main() -> int:
     shutil.rmtree(STAGE, ignore_errors=True)
     STAGE.mkdir(parents=True)
-    for page in (*(ROOT / "docs").glob("*.md"), *ROOT.glob("*.md")):
+    for page in (*(ROOT / "docs").rglob("*.md"), *ROOT.glob("*.md")):
         stage(page)
     (STAGE / "names.md").write_text(names(), "utf-8")
     return subprocess.run([Path(sys.executable).with_name("zensical"), "build", "--clean", "--strict"], cwd=ROOT).returncode

@@ -27,7 +27,7 @@ from world.lampfiles import description
 from world.lampfiles.description import LampDescription
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", *sorted((ROOT / "docs").rglob("*.md"))]
 SCENARIOS = ROOT / "docs" / "scenarios.md"
 
 # What is not run here, and why.
@@ -152,13 +152,13 @@ def test_links_lead_somewhere(page: Path) -> None:
 
 
 def test_the_index_leads_to_every_page() -> None:
-    named = set(re.findall(r"\]\(([a-z_]+\.md)", (ROOT / "docs" / "index.md").read_text("utf-8")))
-    assert named | {"index.md"} == {page.name for page in (ROOT / "docs").glob("*.md")}
+    named = set(re.findall(r"\]\(([a-z_/]+\.md)", (ROOT / "docs" / "index.md").read_text("utf-8")))
+    assert named | {"index.md"} == {page.relative_to(ROOT / "docs").as_posix() for page in (ROOT / "docs").rglob("*.md")}
 
 
 def test_the_site_shows_every_page() -> None:
-    shown = set(re.findall(r'"(\w+\.md)"', (ROOT / "zensical.toml").read_text("utf-8")))
-    assert shown >= {page.name for page in (ROOT / "docs").glob("*.md")}
+    shown = set(re.findall(r'"([\w/]+\.md)"', (ROOT / "zensical.toml").read_text("utf-8")))
+    assert shown >= {page.relative_to(ROOT / "docs").as_posix() for page in (ROOT / "docs").rglob("*.md")}
 
 
 def headings(page: Path) -> list[str]:
@@ -173,7 +173,7 @@ def test_constants_have_the_values_that_are_written(page: Path) -> None:
 
 
 def test_pictures_are_small() -> None:
-    for picture in (ROOT / "docs" / "images").iterdir():
+    for picture in (ROOT / "docs").rglob("images/*"):
         assert picture.stat().st_size < 400_000, picture.name
 
 

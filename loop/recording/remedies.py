@@ -5,7 +5,7 @@ from typing import Any
 
 from loop.recording.summary import FINAL
 
-CUT = 0.02  # of a symbol; less than that costs no more IoU than two runs may differ by in docs/symbol_control.md
+CUT = 0.02  # of a symbol; less than that costs no more IoU than two runs may differ by in docs/results/symbol_control.md
 PLANE_M = 0.2  # roads nearer to the plane z = 0 are drawn for on it
 SHADOW = "in shadow of"
 SHORT = 40  # steps, as the shipped scenarios have: thesis_pid still moves after 20 that began 40 m ahead, and settles in 40

@@ -13,7 +13,7 @@ import luxloop
 from world.errors import LuxloopError
 
 ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "scenarios" / "examples").glob("*.py"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), *sorted((ROOT / "scenarios" / "examples").glob("*.py"))]
 SMALL = ["camera.width_px=320", "camera.height_px=180"]
 UNITS = r"_(m|deg|s|px|cd|percent)$"
 

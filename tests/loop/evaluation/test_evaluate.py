@@ -153,4 +153,4 @@ def test_wrong_options_are_refused(lamp: str, processes: int, message: str, tmp_
 def test_the_page_has_the_words_of_its_template() -> None:
     root = Path(__file__).parents[3]
     words = (root / "benchmarks" / "evaluation_page.md").read_text("utf-8")
-    assert (root / "docs" / "evaluation.md").read_text("utf-8").startswith(words)
+    assert (root / "docs" / "results" / "evaluation.md").read_text("utf-8").startswith(words)
