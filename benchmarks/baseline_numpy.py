@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, maximum_filter, uniform_filter
 
-from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.flat_model import PAIRED
+from controllers.symbol.sensing.projection import ProjectionCommand
 from loop.lighting.simulation import Simulation
 from perception.camera import camera_view
 from perception.extraction import NEIGHBOURHOOD, WHOLLY_LIT
@@ -111,7 +111,7 @@ class Baseline:
     def __init__(self, simulation: Simulation, picture: Picture | None) -> None:
         self.picture, self.camera, self.params = picture, simulation.scenario.camera, simulation.scenario.symbol.extraction
         symbol, world = simulation.symbol, simulation.world
-        projector, self.model = symbol.projector, symbol.observer.model
+        projector, self.model = symbol.projector, symbol.sensor.model
         (lamp,) = projector.modules
         self.projector, self.headlight = projector, lamp.pixel_controller.headlight
         self.noise = np.random.default_rng(simulation.scenario.seed) if self.camera.noise else None
@@ -135,7 +135,7 @@ class Baseline:
 
         bank = symbol.controller.inner.gains
         names = ("kp", "ki", "kd", "lower", "upper", "rate_limit", "tracking_time")
-        pose = symbol.controller.drawing(symbol.start().controller, None).pose.tolist()
+        pose = symbol.controller.projection(symbol.start().controller, None).pose.tolist()
         self.start = [Pid(*(float(getattr(bank, name)[k]) for name in names), output=pose[k]) for k in range(4)]
 
     def step(self, pids: Sequence[Pid], lap: Lap) -> tuple[Sequence[Pid], Floats]:
@@ -211,8 +211,8 @@ class Baseline:
         dark = uniform_filter(off, 3, mode="nearest") * level
         variance = np.minimum(dark, c.saturation_e) + (c.read_noise_e**2 * c.noise + level**2 / 12) if c.noise else level**2 / 12
         limit = np.float32(self.params.threshold_sigma * 2**0.5) * np.sqrt(variance) * electron
-        drawing = Drawing(self.projector.symbol.new_tensor(pose))
-        crop = self.projector.footprint(drawing, self.model.eye.view, self.params.footprint_margin_m)
+        projection = ProjectionCommand(self.projector.symbol.new_tensor(pose))
+        crop = self.projector.footprint(projection, self.model.eye.view, self.params.footprint_margin_m)
         footprint = np.zeros(on.shape, bool)
         footprint[crop.slices] = True
         symbol = _symbol_image((on - off) * (level * electron), limit) * footprint

@@ -56,7 +56,7 @@ def step_ms(name: str, overrides: tuple[str, ...], device: str, steps: int) -> d
     for _ in range(steps + 3):
         seconds, (state, result) = clocked(lambda state=state: simulation.step(state), device)
         taken.append(1e3 * seconds)
-        poses = {key: held.drawing.pose.tolist() for key, held in result.held.items()}
+        poses = {key: held.projection.pose.tolist() for key, held in result.held.items()}
     return {"ms": median(taken[3:]), "poses": poses}
 
 

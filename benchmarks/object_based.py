@@ -99,12 +99,12 @@ def example() -> object_based_page.Pictures:
         state, result = simulation.step(state)
     beams = beam_lights(simulation)
     lights = {LOW: beams[LOW], FULL: beams[FULL], "object-based": result.lights}
-    view, camera, sight = simulation.world.lit(result.time_s), simulation.scenario.camera, simulation.sight
-    assert sight is not None
+    view, camera, pipeline = simulation.world.lit(result.time_s), simulation.scenario.camera, simulation.pipeline
+    assert pipeline is not None
     pictures = {}
     for name, each in lights.items():
         frame = expose(view.light(each)[1] + view.base, camera, frame_generator(0, COMES, 0)) / (2**camera.bits - 1)
-        found = sight.find(frame, view)
+        found = pipeline.find(frame, view)
         flux = sum(flux_by_side(simulation.modules, each).values())
         pictures[f"{name}: {flux:.0f} lm"] = (frame.numpy(), found.boxes.tolist(), found.scores.amax(-1).tolist())
     return pictures

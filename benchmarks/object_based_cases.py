@@ -11,15 +11,15 @@ from torch import Tensor
 
 from controllers.functions.planner import Planner
 from controllers.obl.function import ObjectBasedState
+from loop.lighting.detection import DetectionPipeline, pairs
 from loop.lighting.lamps import flux_by_side
 from loop.lighting.result import StepResult
-from loop.lighting.sight import Sight, pairs
 from loop.lighting.simulation import Simulation
 from loop.plant.world import LitScene
 from loop.scenario.model import Scenario, load, validate
 from loop.scenario.overrides import Override
 from perception.camera import CameraParams, expose, frame_generator
-from perception.ground_truth import Truth
+from perception.ground_truth import GroundTruth
 from world.traffic.generator import varied
 
 CAMERA = {"width_px": 640, "height_px": 360, "pitch_deg": 1.5, "oversampling": 1, "saturation_e": 2000.0}
@@ -168,12 +168,12 @@ class Counting:
     """Which objects count: large enough, and seen well enough, in every step that is judged; the newcomer in those at the end."""
 
     def __init__(self, simulation: Simulation) -> None:
-        assert simulation.sight is not None and simulation.sight.detector is not None
-        self.classes = simulation.sight.detector.classes
+        assert simulation.pipeline is not None and simulation.pipeline.detector is not None
+        self.classes = simulation.pipeline.detector.classes
         self.categories: dict[str, str] = {}
         self.steps: dict[str, int] = {}
 
-    def add(self, objects: Sequence[Truth], step: int) -> None:
+    def add(self, objects: Sequence[GroundTruth], step: int) -> None:
         for each in objects:
             large, seen = each.whole[3] - each.whole[1] >= LEAST_HEIGHT_PX, min(each.visible, each.inside) >= LEAST_VISIBLE
             if large and seen and each.category in self.classes and (step in LATE) == (each.name == NEWCOMER):
@@ -189,8 +189,8 @@ class References:
     """What the detector says of objects in the light of beams, with each seed's noise: scores by name, 0 where it finds none."""
 
     def __init__(self, simulation: Simulation, seeds: int) -> None:
-        assert simulation.sight is not None
-        self.sight: Sight = simulation.sight
+        assert simulation.pipeline is not None
+        self.pipeline: DetectionPipeline = simulation.pipeline
         self.camera: CameraParams = simulation.scenario.camera
         self.scores: dict[str, list[dict[str, list[float]]]] = {beam: [{} for _ in range(seeds)] for beam in BEAMS}
         self._last: tuple[LitScene, dict[str, Tensor]] | None = None
@@ -201,7 +201,7 @@ class References:
         for beam, luminance in self._last[1].items():
             for seed, scores in enumerate(self.scores[beam]):
                 frame = expose(luminance, self.camera, frame_generator(seed, step, 0, luminance.device))
-                found = self.sight.find(frame / (2**self.camera.bits - 1), view)
+                found = self.pipeline.find(frame / (2**self.camera.bits - 1), view)
                 its_box = dict(pairs(view.boxes, found.boxes.double().cpu()))
                 for k, each in enumerate(view.objects):
                     if (step in LATE) == (each.name == NEWCOMER):

@@ -11,7 +11,7 @@ from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
 from loop.jobs.runner import Job
-from loop.lighting.sight import pairs
+from loop.lighting.detection import pairs
 from loop.lighting.simulation import Simulation
 from loop.plant.world import World
 from perception.camera import expose, frame_generator
@@ -181,12 +181,12 @@ def agreement(scenario: Mapping[str, Any]) -> dict[str, Any]:
 
 def _frame(simulation: Simulation, noise: int = 0) -> tuple[Tensor, Detections]:
     """A frame in the high beam as shares of the largest digital number, and what is found in it."""
-    assert simulation.sight is not None
+    assert simulation.pipeline is not None
     view, camera = simulation.world.lit(0.0), simulation.scenario.camera
     lights = [module.lamp.beam("high")[module.number].to(module.flux) for module in simulation.modules]
     luminance = view.light(lights)[1] + view.base
     frame = expose(luminance, camera, frame_generator(noise, 0, 0)) / (2**camera.bits - 1)
-    return frame, simulation.sight.find(frame, view)
+    return frame, simulation.pipeline.find(frame, view)
 
 
 def _with_less_overlap(simulation: Simulation) -> Simulation:

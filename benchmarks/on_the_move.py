@@ -19,9 +19,9 @@ from torch import Tensor
 from controllers.symbol.heights.feedforward import relief_of
 from controllers.symbol.heights.luxloop import LuxloopParams, region_of
 from controllers.symbol.heights.patch import drawn_on
-from controllers.symbol.sensing.drawing import Drawing
-from controllers.symbol.sensing.observer import Observer
-from controllers.symbol.sensing.protocol import Look
+from controllers.symbol.sensing.projection import ProjectionCommand
+from controllers.symbol.sensing.protocol import Observation
+from controllers.symbol.sensing.symbol_sensor import SymbolSensor
 from loop.lighting.simulation import Simulation
 from loop.scenario.model import load
 from loop.terminal import tables
@@ -61,7 +61,7 @@ COLUMNS: Mapping[str, tuple[str, tuple[str, ...]]] = {
 class Knowing:
     """Draws for the true road from where the body truly is; its state is the step."""
 
-    observer: Observer
+    sensor: SymbolSensor
     road: Road
     motion: Motion
     period_s: float
@@ -69,16 +69,16 @@ class Knowing:
     def start(self, pose: Tensor) -> int:
         return 0
 
-    def drawing(self, state: int, ego: Ego | None) -> Drawing:
-        projector, now = self.observer.projector, self.motion.at(state * self.period_s)
+    def projection(self, state: int, ego: Ego | None) -> ProjectionCommand:
+        projector, now = self.sensor.projector, self.motion.at(state * self.period_s)
         symbol = projector.params
         lamps = torch.stack([module.T_world_headlight[:3, 3].double() for module in projector.modules])
-        ends = torch.stack([camera_view(self.observer.camera).origin, *lamps], 1)
+        ends = torch.stack([camera_view(self.sensor.camera).origin, *lamps], 1)
         there = transform(now.T_ground_body, ends).T
         relief = relief_of(self.road.z, region_of(symbol, *LuxloopParams().beyond_m), there[0], T_ground_plane=now.T_world_ground)
         return drawn_on(relief, there[1:].float(), symbol, inverse(now.T_ground_body))
 
-    def step(self, state: int, look: Look) -> int:
+    def step(self, state: int, observation: Observation) -> int:
         return state + 1
 
 
@@ -89,7 +89,7 @@ def iou(changes: tuple[str, ...], column: str, steps: int) -> list[float]:
     simulation = Simulation.prepare(load("driving", (*changes, *more, held, f"steps={steps}")))
     if column == BOUND:
         world, scenario = simulation.world, simulation.scenario
-        knowing = Knowing(simulation.symbol.observer, cast(Road, scenario.road), world.motion, 1 / scenario.rate_hz)
+        knowing = Knowing(simulation.symbol.sensor, cast(Road, scenario.road), world.motion, 1 / scenario.rate_hz)
         simulation = simulation.with_controller(knowing)
     return [float(result.symbol.verdict.iou) for result in simulation.run()]
 

@@ -128,7 +128,7 @@ def _pictures(place: Place) -> list[tuple[str, torch.Tensor, float]]:
     *_, last = islice(simulation.run(), own["luxloop"].steps)
     view, symbol = simulation.world.lit(0.0), simulation.symbol
     target = symbol.projector.light(symbol.projector.target)
-    flat = symbol.observer.model.luminance(target)
+    flat = symbol.sensor.model.luminance(target)
     rows, cols = _around(flat)
     lights = {
         "open loop": simulation.of_all(symbol, target),

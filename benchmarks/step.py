@@ -22,7 +22,7 @@ from baseline_numpy import Baseline, Lap, Picture
 from bench import machine, on_one_thread
 from rich.table import Table
 
-from controllers.symbol.sensing.protocol import Look, Shown
+from controllers.symbol.sensing.protocol import Observation, Shown
 from loop.lighting.result import SimulationState
 from loop.lighting.simulation import Simulation
 from loop.scenario.model import load
@@ -60,17 +60,17 @@ def luxloop_step(simulation: Simulation, state: SimulationState, lap: Lap) -> tu
     ((name, held),) = state.held.items()
     lit = simulation.world.lit(state.arrivals.time_s)
     lap("render")
-    drawing = symbol.controller.drawing(held.controller, simulation.ego(state.samples, state.arrivals.time_s))
-    lights = symbol.projector.draw(drawing)
+    projection = symbol.controller.projection(held.controller, simulation.ego(state.samples, state.arrivals.time_s))
+    lights = symbol.projector.draw(projection)
     lap("light")
     lit_on = added_light(lit.transports, lights, lit.base)
     lap("luminance")
     noise = (frame_generator(scenario.seed, state.step, frame) for frame in (0, 1))
     frames = (expose(lit_on, scenario.camera, next(noise)), expose(lit.base, scenario.camera, next(noise)))
     lap("camera")
-    seen = symbol.observer.look(frames, drawing, lights)
+    seen = symbol.sensor.measure(frames, projection, lights)
     lap("perceive")
-    held = replace(held, controller=symbol.controller.step(held.controller, Look(seen, frames, Shown(drawing, lights))))
+    held = replace(held, controller=symbol.controller.step(held.controller, Observation(seen, frames, Shown(projection, lights))))
     lap("control")
     return replace(state, step=state.step + 1, held={name: held}), seen.errors
 

@@ -151,8 +151,8 @@ def side_by_side(simulation: Simulation, own: Mapping[str, Scenario]) -> dict[st
 
     All go through the same world step by step, so each view of it is rendered once, and their frames have the same noise.
     """
-    observer = simulation.symbol.observer
-    controllers = (build_controller(each.symbol.controller, observer) for each in own.values())
+    sensor = simulation.symbol.sensor
+    controllers = (build_controller(each.symbol.controller, sensor) for each in own.values())
     runs = [replace(simulation.with_controller(each), scenario=own[name]).run() for name, each in zip(own, controllers, strict=True)]
     rows: dict[str, list[dict[str, Any]]] = {name: [] for name in own}
     for results in zip(*runs, strict=True):

@@ -106,7 +106,7 @@ def _simulation(scenario: Scenario, device: str) -> Simulation:
     for name, symbol in ready.controlled.items():
         function = scenario.functions[name]
         assert isinstance(function, SymbolFunctionParams) and function.controller is not None
-        controller = build_symbol_controller(function.controller, symbol.observer)
+        controller = build_symbol_controller(function.controller, symbol.sensor)
         held[name] = replace(symbol, function=function, controller=controller)
     return replace(ready, scenario=scenario, plant=replace(ready.plant, seed=scenario.seed), controlled=held)
 

@@ -13,8 +13,8 @@ from typing import Any
 import pyarrow as pa
 import torch
 
-from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.field import SIDES, cut
+from controllers.symbol.sensing.projection import ProjectionCommand
 from loop.lighting.commanded import unmoved
 from loop.lighting.controlled import ControlledSymbol
 from loop.lighting.record import row, schema, valued
@@ -96,7 +96,7 @@ def run(
         raise LuxloopError(f"{folder}: is the recording that is played, which this run would replace; give another folder with --out")
     folder = Path(folder)
     with output_folder(folder), ExitStack() as stack:
-        simulation, look = prepare(scenario, device), None
+        simulation, observation = prepare(scenario, device), None
         camera, watched = scenario.camera, Watched(simulation)
         run_checks = Checks(scenario.checks, (lambda light: map(row, simulation.lit_by(light).run())) if checks else None)
         page = partial(write_report, folder / REPORT, simulation, watched) if report else None
@@ -110,8 +110,8 @@ def run(
             run_checks.step()
             watched.add(result)
             if film is not None:
-                look = white_of(result, simulation) if look is None else look
-                film.add(frame_picture(result, simulation, look))
+                observation = white_of(result, simulation) if observation is None else observation
+                film.add(frame_picture(result, simulation, observation))
             on_step(result)
     gc.collect()  # matplotlib leaves exceptions of its parser in cycles, and their frames hold the simulation: half a gigabyte
     return RunResult(recorder.summary, read_parquet(folder / TRAJECTORY), folder, temporary)
@@ -155,12 +155,12 @@ def check(scenario: Scenario, device: str = "auto") -> dict[str, Any]:
 
 def _cut(name: str, symbol: ControlledSymbol) -> list[str]:
     """How much of a symbol's target lies beyond the lamps' field, and the remedy; empty where that is next to nothing."""
-    shares = cut(symbol.projector, Drawing(symbol.projector.target)).tolist()
+    shares = cut(symbol.projector, ProjectionCommand(symbol.projector.target)).tolist()
     return of_target(name, dict(zip(SIDES, shares, strict=True)))
 
 
 def _first_look(simulation: Simulation) -> dict[str, Any]:
-    if simulation.sight is None:
+    if simulation.pipeline is None:
         return {}
     with located(simulation.scenario.source):
         first = next((each for each in simulation.run() if each.frame is not None), None)

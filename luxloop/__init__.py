@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from controllers.pixels.ssc import Ssc, Utilisation
     from controllers.situation import Situation, TrackedObject
     from controllers.symbol import build_controller
-    from controllers.symbol.sensing.drawing import Drawing
-    from controllers.symbol.sensing.observer import Observer
-    from controllers.symbol.sensing.protocol import Look, SymbolController
+    from controllers.symbol.sensing.projection import ProjectionCommand
+    from controllers.symbol.sensing.protocol import Observation, SymbolController
+    from controllers.symbol.sensing.symbol_sensor import SymbolSensor
     from loop.contracts.controller import check_controller
     from loop.contracts.detector import check_detector
     from loop.contracts.function import check_function
@@ -52,19 +52,18 @@ if TYPE_CHECKING:
 __all__ = [
     "Arrivals",
     "Detections",
-    "Drawing",
     "Ego",
     "Exposure",
     "Frame",
     "Lamp",
     "LightingParams",
-    "Look",
     "Loss",
     "LuxloopError",
     "Module",
     "ModuleCommand",
-    "Observer",
+    "Observation",
     "Planner",
+    "ProjectionCommand",
     "RoadModel",
     "RunResult",
     "Sample",
@@ -73,6 +72,7 @@ __all__ = [
     "Situation",
     "Ssc",
     "SymbolController",
+    "SymbolSensor",
     "TrackedBoxes",
     "TrackedObject",
     "Utilisation",
@@ -104,9 +104,9 @@ _MODULES = {
     "controllers.pixels.ssc": ("Ssc", "Utilisation"),
     "controllers.situation": ("Situation", "TrackedObject"),
     "controllers.symbol": ("build_controller",),
-    "controllers.symbol.sensing.drawing": ("Drawing",),
-    "controllers.symbol.sensing.observer": ("Observer",),
-    "controllers.symbol.sensing.protocol": ("Look", "SymbolController"),
+    "controllers.symbol.sensing.projection": ("ProjectionCommand",),
+    "controllers.symbol.sensing.symbol_sensor": ("SymbolSensor",),
+    "controllers.symbol.sensing.protocol": ("Observation", "SymbolController"),
     "loop.contracts.controller": ("check_controller",),
     "loop.contracts.detector": ("check_detector",),
     "loop.contracts.function": ("check_function",),

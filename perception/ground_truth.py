@@ -16,7 +16,7 @@ Box = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
-class Truth:
+class GroundTruth:
     """Ground truth of one object in one view.
 
     box: left, top, right, bottom in px of its visible part. whole: the same of the whole object, hidden or outside the image. pixels:
@@ -35,7 +35,7 @@ class Truth:
     materials: Mapping[str, int]
 
 
-def ground_truth(surfaces: GBuffer, triangles: Triangles, view: View, categories: Sequence[Category | None]) -> tuple[Truth, ...]:
+def ground_truth(surfaces: GBuffer, triangles: Triangles, view: View, categories: Sequence[Category | None]) -> tuple[GroundTruth, ...]:
     """All objects that at least one pixel sees, in the order of their ids.
 
     surfaces: of `triangles` in `view`. categories: those of the objects 1, 2, ...; the road is object 0. Boxes are in px of the view,
@@ -56,7 +56,9 @@ def ground_truth(surfaces: GBuffer, triangles: Triangles, view: View, categories
         # a rasteriser and a ray may take an outline's pixel differently
         visible = min(pixels / max(alone, 1), 1.0)
         materials = _materials(surfaces, seen, placed)
-        found.append(Truth(placed.body.name, object_id, categories[object_id - 1], _seen(seen), whole, pixels, visible, inside, materials))
+        found.append(
+            GroundTruth(placed.body.name, object_id, categories[object_id - 1], _seen(seen), whole, pixels, visible, inside, materials)
+        )
     return tuple(found)
 
 

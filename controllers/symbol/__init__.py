@@ -11,9 +11,9 @@ from controllers.symbol.laws.open_loop import OpenLoop, OpenLoopParams
 from controllers.symbol.laws.own import OwnParams, own_controller
 from controllers.symbol.laws.stages import StagedParams, staged
 from controllers.symbol.laws.thesis_pid import ThesisPid, ThesisPidParams
-from controllers.symbol.sensing.observer import Observer
 from controllers.symbol.sensing.projector import StartParams
 from controllers.symbol.sensing.protocol import SymbolController
+from controllers.symbol.sensing.symbol_sensor import SymbolSensor
 from world.plugin import OWN, known_or_own
 
 NamedParams = LuxloopParams | OpenLoopParams | FeedforwardParams | ThesisPidParams | GaussNewtonParams | ModelReferenceParams
@@ -38,25 +38,25 @@ CONTROLLERS: dict[str, type[NamedParams]] = {
 }
 
 
-def build_controller(params: AnyParams, observer: Observer) -> SymbolController:
-    """The controller of these params, a symbol's in a scenario, for an observer with all that a controller may know: lamps, camera, flat
+def build_controller(params: AnyParams, sensor: SymbolSensor) -> SymbolController:
+    """The controller of these params, a symbol's in a scenario, for an sensor with all that a controller may know: lamps, camera, flat
     road and target.
 
     Raises LuxloopError where a controller of the user's own cannot be made.
     """
     match params:
         case OpenLoopParams():
-            return OpenLoop(observer.projector.target)
+            return OpenLoop(sensor.projector.target)
         case FeedforwardParams():
-            return Surveyed(params, observer) if params.survey else Feedforward(params, observer)
+            return Surveyed(params, sensor) if params.survey else Feedforward(params, sensor)
         case ThesisPidParams():
-            return staged(params, ThesisPid.prepare(params, observer.projector.target), observer)
+            return staged(params, ThesisPid.prepare(params, sensor.projector.target), sensor)
         case LuxloopParams():
-            return Luxloop(params, observer)
+            return Luxloop(params, sensor)
         case OwnParams():
-            return staged(params, own_controller(params, observer), observer)
+            return staged(params, own_controller(params, sensor), sensor)
         case GaussNewtonParams() | ModelReferenceParams():
-            return staged(params, Feedback(params, observer), observer)
+            return staged(params, Feedback(params, sensor), sensor)
 
 
 def refuse_place(params: AnyParams, target: str, where: str = "") -> None:
@@ -64,7 +64,7 @@ def refuse_place(params: AnyParams, target: str, where: str = "") -> None:
     own = isinstance(params, OwnParams) and params.warp is None and params.supervisor is None
     if target == "place" and isinstance(params, StagedParams) and not own:
         raise ValueError(
-            f"{where}target: {params.name} compares with the look of a symbol on a flat road and holds no place; "
+            f"{where}target: {params.name} compares with the observation of a symbol on a flat road and holds no place; "
             f'set controller.name = "luxloop", or {where}target = "appearance"'
         )
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 from controllers.symbol import AnyParams, build_controller
 from controllers.symbol.heights.feedforward import FeedforwardParams
-from controllers.symbol.sensing.observer import Observer
 from controllers.symbol.sensing.protocol import SymbolController
+from controllers.symbol.sensing.symbol_sensor import SymbolSensor
 from loop.scenario import data
 from loop.scenario.model import Scenario
 from loop.scenario.shipped import named
@@ -55,11 +55,11 @@ def _built(item: ObjectParams, road: Road) -> Body | Figure:
     return replace(body, track=replace(body.track, road=road, wheels_m=item.wheels_m)) if item.on_road else body
 
 
-def build_symbol_controller(params: AnyParams, observer: Observer) -> SymbolController:
+def build_symbol_controller(params: AnyParams, sensor: SymbolSensor) -> SymbolController:
     """The controller of a symbol. Raises LuxloopError where a road's file is missing, or a controller of one's own cannot be made."""
     if isinstance(params, FeedforwardParams):
         params = params.model_copy(update={"road": _located(params.road)})
-    return build_controller(params, observer)
+    return build_controller(params, sensor)
 
 
 def _located(road: Road) -> Road:

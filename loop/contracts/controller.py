@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from controllers.symbol.laws.own import KEY, METHODS
-from controllers.symbol.sensing.drawing import Drawing, Warp
-from controllers.symbol.sensing.protocol import Look
+from controllers.symbol.sensing.projection import ProjectionCommand, Warp
+from controllers.symbol.sensing.protocol import Observation
 from loop.contracts.values import check_calls, check_state, check_tensor, name_of, pure
 from loop.lighting.controlled import ControlledSymbol, Frames
 from loop.lighting.simulation import Simulation
@@ -40,7 +40,10 @@ SCENARIO: dict[str, Any] = {
 }
 FARTHEST_M = (100.0, 20.0)  # ahead and to each side: what a scenario's start may be
 STEEPEST = math.radians(45)
-REMEDY = "subtract a share of look.seen.pose_error, the pose less its target in m and rad; look.seen.errors are in units of the image"
+REMEDY = (
+    "subtract a share of observation.measurement.pose_error, the pose less its target in m and rad; "
+    "observation.measurement.errors are in units of the image"
+)
 LOST_AFTER = (0, 4)  # steps; at each of them the symbol is lost as well
 AWAY = 1.5  # times as far from the target as at the start, and some noise
 
@@ -48,19 +51,20 @@ AWAY = 1.5  # times as far from the target as at the start, and some noise
 def check_controller(controller: type, options: Mapping[str, Any] | None = None, device: str = "auto") -> None:
     """Check a symbol controller of your own against the contract of `luxloop.SymbolController`, in a few seconds.
 
-    controller: the class, of which a scenario makes `controller(observer, **options)`. A class and not an instance, since an instance has
-    the observer of another scenario, and since making it belongs to the contract; a class and not its name, so that it can be checked where
+    controller: the class, of which a scenario makes `controller(sensor, **options)`. A class and not an instance, since an instance has
+    the sensor of another scenario, and since making it belongs to the contract; a class and not its name, so that it can be checked where
     it is written, in a notebook or in a test. options: those of the scenario. device: "auto", "cpu" or "cuda".
 
     It runs for 8 steps on a flat road, seen by a camera of 320 x 180 px, and in some of them also without frames, and with frames that do
     not show the symbol. Raises LuxloopError with the likely cause and the remedy where a method is missing or fails, changes what
-    it was given, or gives something else for the same input; where a state is no data; where a drawing has another shape, dtype or device
-    than the pose `[4]` that `start` is given, is not finite, or not in m and rad; and where the symbol is moved away from its target.
+    it was given, or gives something else for the same input; where a state is no data; where a projection has another shape, dtype or
+    device than the pose `[4]` that `start` is given, is not finite, or not in m and rad; and where the symbol is moved away from its
+    target.
     """
     name = name_of(controller)
     check_methods(controller, f"{KEY}: {name}", METHODS)
     simulation = _world(device)
-    own = made(controller, name, KEY, {"observer": simulation.symbol.observer}, options or {})
+    own = made(controller, name, KEY, {"sensor": simulation.symbol.sensor}, options or {})
     check_calls(own, CALLS)
     symbol = simulation.symbol
     watched = replace(simulation, controlled={"symbol": replace(symbol, controller=Watched(own, symbol))})
@@ -100,58 +104,58 @@ class Watched:
         check_state(self.own, "start", state)
         return WatchedState(state)
 
-    def drawing(self, state: WatchedState, ego: Ego | None) -> Drawing:
+    def projection(self, state: WatchedState, ego: Ego | None) -> ProjectionCommand:
         """The controller's drawing, with a pose in reach."""
-        drawing = pure(self.own, "drawing", {"state": state.inner, "ego": ego}, "drawing")
+        projection = pure(self.own, "drawing", {"state": state.inner, "ego": ego}, "drawing")
         with located(f"{self.own.key}: {self.own.name}: drawing"):
-            self._check(drawing)
-        return drawing
+            self._check(projection)
+        return projection
 
-    def step(self, state: WatchedState, look: Look) -> WatchedState:
-        """The controller's state after a look. In some steps it is also shown nothing, and goes on from there."""
-        after = self._stepped(state, look)
-        if state.steps in LOST_AFTER and look.frames is not None:
-            for situation, lost in self._lost(look, look.frames).items():
+    def step(self, state: WatchedState, observation: Observation) -> WatchedState:
+        """The controller's state after an observation. In some steps it is also shown nothing, and goes on from there."""
+        after = self._stepped(state, observation)
+        if state.steps in LOST_AFTER and observation.frames is not None:
+            for situation, lost in self._lost(observation, observation.frames).items():
                 with located(f"in {situation}"):
                     blind = self._stepped(state, lost)
-                    self.drawing(blind, look.ego)
+                    self.projection(blind, observation.ego)
                 with located(f"after {situation}"):
-                    self.drawing(self._stepped(blind, look), look.ego)
+                    self.projection(self._stepped(blind, observation), observation.ego)
         return after
 
-    def _stepped(self, state: WatchedState, look: Look) -> WatchedState:
-        after = pure(self.own, "step", {"state": state.inner, "look": look}, "state")
+    def _stepped(self, state: WatchedState, observation: Observation) -> WatchedState:
+        after = pure(self.own, "step", {"state": state.inner, "look": observation}, "state")
         check_state(self.own, "step", after)
         return WatchedState(after, state.steps + 1)
 
-    def _lost(self, look: Look, frames: Frames) -> dict[str, Look]:
+    def _lost(self, observation: Observation, frames: Frames) -> dict[str, Observation]:
         """Looks at the same light where the camera lost the frames, and where these do not show it."""
-        observer, shown, dark = self.symbol.observer, look.shown, (frames[1], frames[1])
-        no_frame, nothing = (observer.look(each, shown.drawing, shown.lights) for each in (None, dark))
+        sensor, shown, dark = self.symbol.sensor, observation.shown, (frames[1], frames[1])
+        no_frame, nothing = (sensor.measure(each, shown.projection, shown.lights) for each in (None, dark))
         return {
-            "a step without frames (look.frames is None)": replace(look, seen=no_frame, frames=None),
-            "a step whose frames do not show the symbol": replace(look, seen=nothing, frames=dark),
+            "a step without frames (observation.frames is None)": replace(observation, measurement=no_frame, frames=None),
+            "a step whose frames do not show the symbol": replace(observation, measurement=nothing, frames=dark),
         }
 
-    def _check(self, drawing: Any) -> None:
-        """Raises LuxloopError where a drawing is none that can be shown."""
-        if not isinstance(drawing, Drawing):
-            raise LuxloopError(f"gives a {type(drawing).__name__}; return luxloop.Drawing(pose), with the pose [4]")
+    def _check(self, projection: Any) -> None:
+        """Raises LuxloopError where a projection is none that can be shown."""
+        if not isinstance(projection, ProjectionCommand):
+            raise LuxloopError(f"gives a {type(projection).__name__}; return luxloop.ProjectionCommand(pose), with the pose [4]")
         like = self.symbol.projector.target
-        check_tensor(drawing.pose, like, (4,), "pose")
-        x, y, roll, pitch = drawing.pose.tolist()
+        check_tensor(projection.pose, like, (4,), "pose")
+        x, y, roll, pitch = projection.pose.tolist()
         if max(abs(roll), abs(pitch)) > STEEPEST:
             raise LuxloopError(
                 f"pose has roll {roll:.3g} and pitch {pitch:.3g} rad, more than 45 deg; convert degrees with torch.deg2rad, or {REMEDY}"
             )
         if not 1 < x <= FARTHEST_M[0] or abs(y) > FARTHEST_M[1]:
             raise LuxloopError(f"pose has x {x:.3g} and y {y:.3g} m, where no lamp can draw; {REMEDY}")
-        for name, value, shape in (("z", drawing.z, ()), ("shape", drawing.shape, (4,)), ("aim", drawing.aim, (2,))):
+        for name, value, shape in (("z", projection.z, ()), ("shape", projection.shape, (4,)), ("aim", projection.aim, (2,))):
             if value is not None:
                 check_tensor(value, like, shape, name)
-        if drawing.warp is not None:
-            self._check_warp(drawing.warp, like)
-        for module, u in zip(self.symbol.projector.modules, drawing.raw or (), strict=False):
+        if projection.warp is not None:
+            self._check_warp(projection.warp, like)
+        for module, u in zip(self.symbol.projector.modules, projection.raw or (), strict=False):
             check_tensor(u, like, (module.pixel_controller.headlight.n_pixels,), f"raw of {module.name}")
             _check_share(u, "raw")
 

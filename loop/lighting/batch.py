@@ -11,9 +11,9 @@ from torch import Tensor
 from controllers.pixels.ssc import Utilisation
 from controllers.symbol.laws.lifting import Lifting
 from controllers.symbol.laws.thesis_pid import ThesisPid, ThesisPidParams
-from controllers.symbol.sensing.drawing import Drawing
-from controllers.symbol.sensing.observer import Seen
-from controllers.symbol.sensing.protocol import Look, Shown
+from controllers.symbol.sensing.projection import ProjectionCommand
+from controllers.symbol.sensing.protocol import Observation, Shown
+from controllers.symbol.sensing.symbol_sensor import Measurement
 from loop.lighting.simulation import Simulation
 from loop.scenario.model import only
 from loop.scenario.plant import SimulatedPlantParams
@@ -100,7 +100,7 @@ def rollouts(simulation: Simulation, values: dict[str, Tensor], *, quantise: boo
     return loops(simulation, values, lambda poses, step: look(simulation, poses, step, quantise=quantise))
 
 
-def loops(simulation: Simulation, values: dict[str, Tensor], look: Callable[[Tensor, int], Seen]) -> Rollout:
+def loops(simulation: Simulation, values: dict[str, Tensor], look: Callable[[Tensor, int], Measurement]) -> Rollout:
     """The same around anything that looks at poses `[B, 4]` that are shown at a step."""
     assert isinstance(simulation.symbol.controller, Lifting)  # of which a batch needs nothing: nothing is searched for
     controller = with_values(simulation.symbol.controller.inner, values)
@@ -109,10 +109,10 @@ def loops(simulation: Simulation, values: dict[str, Tensor], look: Callable[[Ten
     state = controller.start(start.expand(batch, -1).to(next(iter(values.values()))))
     late, looks, rows = simulation.scenario.camera.latency_steps, [], []
     for step in range(simulation.scenario.steps):
-        pose = controller.drawing(state, None).pose
+        pose = controller.projection(state, None).pose
         looks.append(look(pose, step))
-        seen = looks[step - late] if step >= late else simulation.symbol.observer.lost(pose, Loss.NO_FRAME)
-        state = controller.step(state, Look(seen, None, Shown(Drawing(pose), ())))
+        seen = looks[step - late] if step >= late else simulation.symbol.sensor.lost(pose, Loss.NO_FRAME)
+        state = controller.step(state, Observation(seen, None, Shown(ProjectionCommand(pose), ())))
         usable = (seen.code == Loss.SEEN) & seen.pose_error.isfinite().all(-1)
         rows.append((pose, torch.where(usable[:, None], seen.pose_error, 0.0), usable))
     return Rollout(*(torch.stack(column, 1) for column in zip(*rows, strict=True)))
@@ -131,12 +131,12 @@ def with_values(controller: Any, values: dict[str, Tensor]) -> ThesisPid:
     return made
 
 
-def look(simulation: Simulation, poses: Tensor, step: int, *, quantise: bool = True) -> Seen:
+def look(simulation: Simulation, poses: Tensor, step: int, *, quantise: bool = True) -> Measurement:
     """What the camera sees of poses `[B, 4]` at a step, exposed only where their light can be."""
     symbol, view, camera = simulation.symbol, simulation.world.lit(0.0), simulation.scenario.camera
-    observer, crop = symbol.observer, symbol.footprint(Drawing(poses))
+    sensor, crop = symbol.sensor, symbol.footprint(ProjectionCommand(poses))
     if crop.v_stop - crop.v_start < 2 or crop.u_stop - crop.u_start < 2:
-        return observer.lost(poses, Loss.NOTHING)
+        return sensor.lost(poses, Loss.NOTHING)
     # One by one: the few rays and pixels that each pose touches are quicker than all of a batch.
     lights, resting = [symbol.projector.light(pose) for pose in poses], _resting(simulation, step)
     shown = [_among(resting, symbol.drawn_by, light) for light in lights]
@@ -147,9 +147,9 @@ def look(simulation: Simulation, poses: Tensor, step: int, *, quantise: bool = T
             (_luminance(view.transports, [resting], view.base, crop)[0], _noise(simulation, step, 1)),
         )
     )
-    model = observer.model
+    model = sensor.model
     flat = _luminance(model.transports, lights, -model.beams, crop)
-    return observer.compare(on, off, symbol_image(flat, model.limit[crop.slices], model.params), crop)
+    return sensor.compare(on, off, symbol_image(flat, model.limit[crop.slices], model.params), crop)
 
 
 def _resting(simulation: Simulation, step: int) -> Lights:

@@ -15,12 +15,12 @@ from controllers.pixels.ssc import Utilisation
 from controllers.situation import LAYERS, Situation
 from controllers.symbol import ControllerParams
 from controllers.symbol.laws.open_loop import OpenLoopParams
-from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.field import cut
 from controllers.symbol.sensing.flat_model import FlatModel, flat_model
-from controllers.symbol.sensing.observer import Observer, Seen
+from controllers.symbol.sensing.projection import ProjectionCommand
 from controllers.symbol.sensing.projector import DrawingModule, Projector
-from controllers.symbol.sensing.protocol import Look, Shown, SymbolController
+from controllers.symbol.sensing.protocol import Observation, Shown, SymbolController
+from controllers.symbol.sensing.symbol_sensor import Measurement, SymbolSensor
 from loop.assembly.build import build_road, build_symbol_controller
 from loop.lighting.feasible import brightness, refuse_undrawable, refuse_unseen
 from loop.lighting.judging import Judge
@@ -55,39 +55,39 @@ class HeldState:
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """A symbol in one step. drawing: what was shown. cut: `[4]`, shares beyond the borders of the lamps' field
+    """A symbol in one step. projection: what was shown. cut: `[4]`, shares beyond the borders of the lamps' field
     (`controllers.symbol.sensing.field`). seen: what was made of the newest frames. verdict: None where nobody judged.
     """
 
-    drawing: Drawing
+    projection: ProjectionCommand
     cut: Tensor
-    seen: Seen
+    seen: Measurement
     verdict: Verdict | None
 
     @property
     def pose(self) -> Tensor:
         """`[4]` = x, y in m, roll, pitch in rad."""
-        return self.drawing.pose
+        return self.projection.pose
 
     @property
     def z(self) -> Tensor:
         """`[]` m, height of its centre above the assumed road."""
-        return torch.zeros_like(self.pose[0]) if self.drawing.z is None else self.drawing.z
+        return torch.zeros_like(self.pose[0]) if self.projection.z is None else self.projection.z
 
     @property
     def aim(self) -> Tensor:
         """`[2]`, x and y in m where it lies in place of its target, NaN for the target."""
-        return torch.full_like(self.pose[:2], torch.nan) if self.drawing.aim is None else self.drawing.aim.to(self.pose)
+        return torch.full_like(self.pose[:2], torch.nan) if self.projection.aim is None else self.projection.aim.to(self.pose)
 
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """What was shown in a step. drawings: of the symbols, by name. measured: names of those that are off in the off exposure.
+    """What was shown in a step. projections: of the symbols, by name. measured: names of those that are off in the off exposure.
 
     on, off: lights of all modules. ego: the motion with which they were drawn. alone: whether nothing else was drawn or masked.
     """
 
-    drawings: Mapping[str, Drawing]
+    projections: Mapping[str, ProjectionCommand]
     measured: tuple[str, ...]
     on: tuple[Utilisation, ...]
     off: tuple[Utilisation, ...]
@@ -101,10 +101,10 @@ class Moment:
         if on is None:
             return moment
         moment = replace(moment, on=on.lights, alone=False)
-        if off is None or not on.drawings:
+        if off is None or not on.projections:
             return moment
-        measured = tuple(name for name in on.drawings if name not in off.drawings)
-        return replace(moment, drawings=on.drawings, measured=measured)
+        measured = tuple(name for name in on.projections if name not in off.projections)
+        return replace(moment, projections=on.projections, measured=measured)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +116,7 @@ class ControlledSymbol:
 
     function: SymbolFunctionParams
     drawn_by: tuple[int, ...]
-    observer: Observer
+    sensor: SymbolSensor
     controller: SymbolController
     judge: Judge | None
 
@@ -130,22 +130,22 @@ class ControlledSymbol:
         base = planner.composed(Situation(0.0, torch.eye(4), torch.zeros(0, 3)), planner.start(), {})
         drawn_by = _chosen(function, modules)
         mine = [modules[k] for k in drawn_by]
-        drawing = tuple(DrawingModule(each.name, each.controller.over(each.base(base)), each.T_world_module) for each in mine)
+        projection = tuple(DrawingModule(each.name, each.controller.over(each.base(base)), each.T_world_module) for each in mine)
         with located("image"):
             image = load_still(named(function.image, "symbols")).to(modules[0].flux.device)
-        projector = Projector(drawing, image, function.held, camera_view(scenario.camera).origin)
+        projector = Projector(projection, image, function.held, camera_view(scenario.camera).origin)
 
         def model_of(camera: CameraParams) -> FlatModel:
             return flat_model(projector, camera, scenario.surface, scenario.light.ambient_lx, function.extraction, function.features)
 
         model = model_of(scenario.camera)
-        observer = Observer(projector, model, scenario.camera, function.extraction)
+        sensor = SymbolSensor(projector, model, scenario.camera, function.extraction)
         judge = None
         if world is not None:
             judged = model if world.camera == scenario.camera else model_of(world.camera)  # the judge knows where the camera is
             judge = Judge.of(world, function.held, build_road(scenario), judged.luminance(projector.light(projector.target)))
-        refuse_undrawable(observer, judge, base.base.name)
-        return cls(function, drawn_by, observer, build_symbol_controller(function.controller, observer), judge)
+        refuse_undrawable(sensor, judge, base.base.name)
+        return cls(function, drawn_by, sensor, build_symbol_controller(function.controller, sensor), judge)
 
     @property
     def params(self) -> ControllerParams:
@@ -156,27 +156,27 @@ class ControlledSymbol:
     @property
     def projector(self) -> Projector:
         """What draws it."""
-        return self.observer.projector
+        return self.sensor.projector
 
     @cached_property
     def brightness(self) -> Tensor:
         """Median luminance `[]` in cd/m^2 at its target on a flat road."""
-        return brightness(self.observer, self.judge)
+        return brightness(self.sensor, self.judge)
 
     def in_open_loop(self) -> "ControlledSymbol":
         """The same without control: drawn at its target for a flat road."""
-        return replace(self, controller=build_symbol_controller(OpenLoopParams(), self.observer))
+        return replace(self, controller=build_symbol_controller(OpenLoopParams(), self.sensor))
 
     def start(self) -> HeldState:
         """Before anything is seen."""
         return HeldState(self.controller.start(self.function.start_pose.pose.to(self.projector.target)))
 
-    def command(self, drawing: Drawing, T_ground_body: Tensor) -> tuple[Primitives, ...]:
-        """What a drawing asks of the modules, in the ground frame; nothing of one that is all pixels."""
-        if drawing.raw is not None:
+    def command(self, projection: ProjectionCommand, T_ground_body: Tensor) -> tuple[Primitives, ...]:
+        """What a projection asks of the modules, in the ground frame; nothing of one that is all pixels."""
+        if projection.raw is not None:
             return ()
         function, parts = self.function, []
-        for module, primitive in zip(self.projector.modules, self.projector.primitives(drawing, clear=True), strict=True):
+        for module, primitive in zip(self.projector.modules, self.projector.primitives(projection, clear=True), strict=True):
             drawn = replace(
                 primitive,
                 weight=torch.full_like(primitive.weight, function.weight),
@@ -196,38 +196,38 @@ class ControlledSymbol:
         beams = zip(self.drawn_by, self.projector.resting, strict=True)  # the same as off where nothing else shines
         return tuple(on[k] if off[k].u is beam.u else Utilisation(beam.u + on[k].u - off[k].u) for k, beam in beams)
 
-    def step(self, state: HeldState, name: str, moment: Moment, images: Frames | None, ego: Ego | None) -> tuple[HeldState, Seen]:
-        """Look at the frames of a moment that shows it, None where they are lost, and control. name: its own."""
-        shown = Shown(moment.drawings[name], self.light(moment.on, moment.off), moment.ego)
+    def step(self, state: HeldState, name: str, moment: Moment, images: Frames | None, ego: Ego | None) -> tuple[HeldState, Measurement]:
+        """Observation at the frames of a moment that shows it, None where they are lost, and control. name: its own."""
+        shown = Shown(moment.projections[name], self.light(moment.on, moment.off), moment.ego)
         frames = images if name in moment.measured else None
         taken = None if moment.alone or frames is None else self._taken(shown)
         if taken is not None and not bool(taken.isfinite().all()):
-            frames, seen = None, replace(self.observer.lost(shown.drawing.pose, Loss.COVERED), shape=state.shape)
+            frames, seen = None, replace(self.sensor.lost(shown.projection.pose, Loss.COVERED), shape=state.shape)
         else:
-            seen = self.observer.look(frames, shown.drawing, shown.lights, state.shape if ego is None or ego.stands else None)
+            seen = self.sensor.measure(frames, shown.projection, shown.lights, state.shape if ego is None or ego.stands else None)
             if taken is not None and seen.code == Loss.SEEN:
                 errors = seen.errors - taken
-                seen = replace(seen, errors=errors, pose_error=self.observer.pose_error(errors))
-        return HeldState(self.controller.step(state.controller, Look(seen, frames, shown, ego)), state.turn, seen.shape), seen
+                seen = replace(seen, errors=errors, pose_error=self.sensor.pose_error(errors))
+        return HeldState(self.controller.step(state.controller, Observation(seen, frames, shown, ego)), state.turn, seen.shape), seen
 
     def _taken(self, shown: Shown) -> Tensor | None:
         """By how much other functions move the features `[4]` of the symbol where they take of its light or lay theirs over it, NaN where
         they leave too little of it to be measured; None where they do not, or where the flat road would not show it anyway.
         """
-        alone = self.projector.draw(shown.drawing)
+        alone = self.projector.draw(shown.projection)
         if all(torch.allclose(a.u, b.u, rtol=0, atol=SAME) for a, b in zip(shown.lights, alone, strict=True)):
             return None
-        left, whole = (self.observer.rendered(shown.drawing, lights) for lights in (shown.lights, alone))
+        left, whole = (self.sensor.rendered(shown.projection, lights) for lights in (shown.lights, alone))
         return left - whole if bool(whole.isfinite().all()) else None
 
-    def held(self, drawing: Drawing, seen: Seen | None, verdict: Verdict | None) -> Held:
+    def held(self, projection: ProjectionCommand, seen: Measurement | None, verdict: Verdict | None) -> Held:
         """What is recorded of a step; seen: None where no frame shows it yet."""
-        seen = self.observer.lost(drawing.pose, Loss.NO_FRAME) if seen is None else seen
-        return Held(drawing, cut(self.projector, drawing), seen, verdict)
+        seen = self.sensor.lost(projection.pose, Loss.NO_FRAME) if seen is None else seen
+        return Held(projection, cut(self.projector, projection), seen, verdict)
 
-    def footprint(self, drawing: Drawing) -> Crop:
-        """Where the camera may see a drawing."""
-        return self.projector.footprint(drawing, self.observer.model.eye.view, self.observer.params.footprint_margin_m)
+    def footprint(self, projection: ProjectionCommand) -> Crop:
+        """Where the camera may see a projection."""
+        return self.projector.footprint(projection, self.sensor.model.eye.view, self.sensor.params.footprint_margin_m)
 
 
 def controlled_symbols(
@@ -242,13 +242,15 @@ def controlled_symbols(
     return found
 
 
-def turn(symbols: Mapping[str, ControlledSymbol], states: Mapping[str, HeldState], drawings: Mapping[str, Drawing]) -> tuple[str, ...]:
+def turn(
+    symbols: Mapping[str, ControlledSymbol], states: Mapping[str, HeldState], projections: Mapping[str, ProjectionCommand]
+) -> tuple[str, ...]:
     """Names of the symbols to be measured together: those that have waited longest, no two in one part of the image."""
-    if len(drawings) < 2:
-        return tuple(drawings)
+    if len(projections) < 2:
+        return tuple(projections)
     taken: dict[str, Crop] = {}
-    for name in sorted(drawings, key=lambda name: (states[name].turn, name)):
-        where = symbols[name].footprint(drawings[name])
+    for name in sorted(projections, key=lambda name: (states[name].turn, name)):
+        where = symbols[name].footprint(projections[name])
         if not any(_meet(where, other) for other in taken.values()):
             taken[name] = where
     return tuple(taken)

@@ -4,8 +4,8 @@ import math
 
 import torch
 
-from controllers.symbol.sensing.observer import Observer
 from controllers.symbol.sensing.projector import DrawingModule, Projector, SymbolParams
+from controllers.symbol.sensing.symbol_sensor import SymbolSensor
 from loop.assembly.truth import true_camera
 from loop.lighting.judging import Judge
 from loop.scenario.model import Scenario
@@ -24,12 +24,12 @@ def refuse_unseen(symbol: SymbolParams, scenario: Scenario) -> None:
         raise LuxloopError(f"{_target(symbol)} is out of the sight of the camera as it truly is; make disturbances.calibration smaller")
 
 
-def refuse_undrawable(observer: Observer, judge: Judge | None, beam: str) -> None:
+def refuse_undrawable(sensor: SymbolSensor, judge: Judge | None, beam: str) -> None:
     """Raises LuxloopError where lamps cannot draw the symbol at its target, or the camera cannot measure it.
 
     beam: name of the base beam.
     """
-    projector, camera, model = observer.projector, observer.camera, observer.model
+    projector, camera, model = sensor.projector, sensor.camera, sensor.model
     where = _target(projector.params)
     if projector.params.quantity == "u_rel" and not any(bool(each.u.any()) for each in projector.resting):
         raise LuxloopError('quantity: u_rel is a multiple of the base beam, but there is none; give lighting.base.beam = "low", say')
@@ -45,7 +45,7 @@ def refuse_undrawable(observer: Observer, judge: Judge | None, beam: str) -> Non
             f"{where} cannot be told from noise on a flat road ({_pixels_there(projector)}); raise value or "
             "headlight.intensity_cd, draw the symbol larger or with wider strokes, or take a lamp with finer pixels or a finer camera"
         )
-    brightest = float(brightness(observer, judge) + model.beams.median())
+    brightest = float(brightness(sensor, judge) + model.beams.median())
     if judge is not None:
         brightest += float(judge.world.lit(0.0).base.median())
     if brightest > saturation_luminance(camera):
@@ -55,11 +55,11 @@ def refuse_undrawable(observer: Observer, judge: Judge | None, beam: str) -> Non
         )
 
 
-def brightness(observer: Observer, judge: Judge | None) -> torch.Tensor:
+def brightness(sensor: SymbolSensor, judge: Judge | None) -> torch.Tensor:
     """Median luminance `[]` in cd/m^2 of the symbol at its target on a flat road."""
     if judge is not None:
         return judge.goal.median
-    flat = observer.model.luminance(observer.projector.light(observer.projector.target))
+    flat = sensor.model.luminance(sensor.projector.light(sensor.projector.target))
     return flat[flat > THRESHOLD * flat.max()].median()
 
 

@@ -10,7 +10,7 @@ from torch import Tensor
 from controllers.functions.glare_free import GlareFreeParams
 from controllers.pixels.rthc import masks
 from controllers.situation import Situation, TrackedObject
-from loop.lighting.sight import Recognised, name_of
+from loop.lighting.detection import Recognised, name_of
 from loop.plant.world import LitScene, Metered
 from world.traffic.tracked import ROAD_USERS
 

@@ -107,7 +107,7 @@ LOOKED_AT = {
 def schema(simulation: Simulation) -> pa.Schema:
     """Columns of a simulation's recording: `lamp.left.flux_lm`, `objects.NAME.lx_max`, `modules.left hires.level_deg`."""
     sides = dict.fromkeys(module.side for module in simulation.modules)
-    tracked, looks = simulation.watched, simulation.sight is not None
+    tracked, looks = simulation.watched, simulation.pipeline is not None
     held = bool(simulation.controlled)  # so that a step has exposures of different light
     observed = any(getattr(function, "observer", None) for function in simulation.scenario.functions.values())
     columns = STEP | (CONTROL if held else {}) | (OBSERVED if observed else {})

@@ -65,7 +65,7 @@ class Recorder:
         checks = {} if self._checked is None else self._checked(self.table())
         fitting = sum(number in self._asked for number in self._came)
         frames = {"asked": len(self._asked), "came": fitting, "unknown": len(self._came) - fitting}
-        sees = self.simulation.sight is not None or self.simulation.planner.adaptive or self.simulation.controlled
+        sees = self.simulation.pipeline is not None or self.simulation.planner.adaptive or self.simulation.controlled
         looks = {"frames": frames} if sees else {}
         return summary_of(self.simulation, self.table(), self._last, self._covered) | looks | {"idle_functions": idle, "checks": checks}
 

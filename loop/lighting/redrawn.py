@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 from controllers.pixels.primitives import Primitives
 from controllers.pixels.ssc import Utilisation
-from controllers.symbol.sensing.drawing import Drawing
+from controllers.symbol.sensing.projection import ProjectionCommand
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
 from world.frames import inverse
@@ -15,7 +15,7 @@ Pair = tuple[tuple[Utilisation, ...], tuple[Utilisation, ...]]
 
 def opened(simulation: Simulation, result: StepResult, name: str) -> Pair:
     """Lights of a step with one of its symbols that are held as the open loop draws it, and without that one."""
-    target = Drawing(simulation.controlled[name].projector.target)
+    target = ProjectionCommand(simulation.controlled[name].projector.target)
     return _pair(simulation, result, name, _drawn(simulation, result, {name: target}))
 
 
@@ -31,11 +31,11 @@ def covering(simulation: Simulation, result: StepResult, name: str) -> tuple[str
     return tuple(other for other in drawn if other != name and own(other) < least)
 
 
-def _drawn(simulation: Simulation, result: StepResult, others: dict[str, Drawing]) -> dict[str, Sequence[Primitives]]:
-    """Primitives of a step's functions, with some symbols as other drawings."""
+def _drawn(simulation: Simulation, result: StepResult, others: dict[str, ProjectionCommand]) -> dict[str, Sequence[Primitives]]:
+    """Primitives of a step's functions, with some symbols as other projections."""
     T_ground_body = result.view.T_world_view @ inverse(simulation.view.T_world_view)
-    drawings = {name: each.drawing for name, each in result.held.items()} | others
-    commands = {name: simulation.controlled[name].command(each, T_ground_body) for name, each in drawings.items()}
+    projections = {name: each.projection for name, each in result.held.items()} | others
+    commands = {name: simulation.controlled[name].command(each, T_ground_body) for name, each in projections.items()}
     return {**simulation.planner.drawn(result.now, result.functions), **commands}
 
 

@@ -11,11 +11,11 @@ from controllers.functions.commands import Given
 from controllers.functions.planner import Plan, States
 from controllers.situation import Situation
 from loop.lighting.controlled import Frames, Held, HeldState, Moment
+from loop.lighting.detection import Recognised
 from loop.lighting.lamps import LampPower
 from loop.lighting.observed import ObservedSymbol
 from loop.lighting.on_materials import InZone, OnMaterial
 from loop.lighting.on_objects import OnObject
-from loop.lighting.sight import Recognised
 from loop.plant.pairing import UnderWay
 from loop.plant.protocol import Arrivals, Frame, Showing
 from loop.scenario.model import only
@@ -52,7 +52,7 @@ class SimulationState:
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class FrameDetections:
     """What was found in the frame that came, nothing where none did, and the tracks at its time that are not lost.
 
     recognised: what is made of each object in sight, by its name. false_positives: detections of none that may be new objects, None where
@@ -99,7 +99,7 @@ class StepResult:
     frames: Frames | None
     taken_s: float
     objects: Mapping[str, OnObject]
-    look: Look | None
+    look: FrameDetections | None
     symbols: tuple[ObservedSymbol, ...]
     held: Mapping[str, Held]
     zones: Mapping[str, InZone]

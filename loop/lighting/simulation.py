@@ -16,11 +16,12 @@ from controllers.pixels.primitives import Primitives
 from controllers.pixels.secondary import Light, SecondaryRays, scene_caster
 from controllers.pixels.ssc import Utilisation
 from controllers.situation import Seen, Situation, TrackedObject
-from controllers.symbol.sensing.drawing import Drawing
-from controllers.symbol.sensing.observer import Seen as SeenSymbol
+from controllers.symbol.sensing.projection import ProjectionCommand
 from controllers.symbol.sensing.protocol import SymbolController
+from controllers.symbol.sensing.symbol_sensor import Measurement
 from loop.lighting.commanded import commanded, refuse_commands
 from loop.lighting.controlled import ControlledSymbol, Moment, controlled_symbols, turn
+from loop.lighting.detection import DetectionPipeline, false_positives, recognised
 from loop.lighting.ground import attitude, moved, seen_from
 from loop.lighting.judging import over_setpoint
 from loop.lighting.lamps import LampPower, ShiningModule, driven, in_reach, lamp_modules, mean_powers, shining_modules
@@ -28,8 +29,7 @@ from loop.lighting.names import check_names, refuse_unknown
 from loop.lighting.observed import ObservedSymbol, in_white, observed_symbols
 from loop.lighting.on_materials import OnMaterial, in_zones, on_materials
 from loop.lighting.on_objects import DUE_S, OnObject, most_on, must_be_dark, near_enough, on_objects, told_as
-from loop.lighting.result import Clock, Look, SimulationState, StepResult
-from loop.lighting.sight import Sight, false_positives, recognised
+from loop.lighting.result import Clock, FrameDetections, SimulationState, StepResult
 from loop.plant.build import build_plant
 from loop.plant.pairing import paired
 from loop.plant.protocol import Arrivals, Exposure, Plant, Showing
@@ -69,7 +69,7 @@ class Simulation:
     lights: tuple[tuple[str, Light], ...]
     view: View
     plant: Plant
-    sight: Sight | None = None
+    pipeline: DetectionPipeline | None = None
     controlled: Mapping[str, ControlledSymbol] = field(default_factory=dict)
 
     @classmethod
@@ -91,8 +91,8 @@ class Simulation:
         refuse_commands(planner, modules, controlled)
         lights = tuple((module.name, Light.of(module.headlight, module.T_world_module)) for module in modules)
         view, given = camera_view(scenario.camera), scenario.detector
-        sight = None if given is None else Sight.prepare(given, scenario.tracker, view, device)
-        simulation = cls(scenario, device, planner, modules, lights, view, plant, sight, controlled)
+        pipeline = None if given is None else DetectionPipeline.prepare(given, scenario.tracker, view, device)
+        simulation = cls(scenario, device, planner, modules, lights, view, plant, pipeline, controlled)
         planner.plan(simulation.situation(0.0))
         return simulation
 
@@ -154,7 +154,7 @@ class Simulation:
         if self.truth is None:
             return {}
         told = [item.category for item in self.scenario.all_objects]
-        wanted = enumerate(zip(self.world.scene.objects, told if self.sight is None else categories(self.world.given), strict=True), 1)
+        wanted = enumerate(zip(self.world.scene.objects, told if self.pipeline is None else categories(self.world.given), strict=True), 1)
         return {body.name: number for number, (body, category) in wanted if category is not None}
 
     def situation(self, time_s: float, tracks: Any = None, ego: Ego | None = None) -> Situation:
@@ -170,7 +170,7 @@ class Simulation:
             time_s,
             torch.eye(4, dtype=torch.float64),
             torch.stack([light.T_world_headlight[:3, 3].double().cpu() for _, light in lights]),
-            self._all_objects(time_s) if self.sight is None else self._tracked(tracks, time_s, T_ground_body),
+            self._all_objects(time_s) if self.pipeline is None else self._tracked(tracks, time_s, T_ground_body),
             speed,
             yaw_rate / speed if speed else 0.0,
             conditions.wet,
@@ -185,7 +185,7 @@ class Simulation:
 
     def start(self, step: int = 0) -> SimulationState:
         """The state before a step, with nothing seen yet."""
-        (plant, arrivals), tracks = self.plant.start(), None if self.sight is None else self.sight.tracker.start()
+        (plant, arrivals), tracks = self.plant.start(), None if self.pipeline is None else self.pipeline.tracker.start()
         if step:
             arrivals = self.sensed(step / self.scenario.rate_hz)
         held = {name: each.start() for name, each in self.controlled.items()}
@@ -209,22 +209,22 @@ class Simulation:
         per_step = len(shares)
         ego = self.ego(state.samples, time_s)
         view, (now, given) = self._from(attitude(ego)), self._commanded(time_s, state, ego)
-        drawings, drawn = self._drawn(state, now, ego)
-        measured = turn(self.controlled, state.held, drawings)
+        projections, drawn = self._drawn(state, now, ego)
+        measured = turn(self.controlled, state.held, projections)
         plans = [self.planner.composed(now, state.functions, drawn)]
         if measured:
             plans.append(self.planner.composed(now, state.functions, _without(drawn, measured)))
         clock.lap("plan")
         driven = [self._driven(plan, now) for plan in plans]
         plan, exposures = plans[0], [lights for lights, _ in driven] * (per_step // len(driven))
-        exposures[0] = self._raw(exposures[0], drawings)
-        asked = [drawings, *[{name: each for name, each in drawings.items() if name not in measured}] * (per_step - 1)]
+        exposures[0] = self._raw(exposures[0], projections)
+        asked = [projections, *[{name: each for name, each in projections.items() if name not in measured}] * (per_step - 1)]
         clock.lap("light")
         plant, arrivals, samples, frames, showings = state.plant, state.arrivals, state.samples, state.frames, list[Showing]()
         metered: list[Metered] = []
-        for part, (share, shown, drawing) in enumerate(zip(shares, exposures, asked, strict=True)):
+        for part, (share, shown, projection) in enumerate(zip(shares, exposures, asked, strict=True)):
             number, duration_s = per_step * state.step + part, share / self.scenario.rate_hz
-            before, exposure = arrivals, Exposure(number, arrivals.time_s, duration_s, shown, drawing, now.commands)
+            before, exposure = arrivals, Exposure(number, arrivals.time_s, duration_s, shown, projection, now.commands)
             plant, arrivals = self.plant.show(plant, exposure)
             if world is not None and world.metered:  # what the simulated plant has just metered
                 metered.append(world.meter(before.time_s, shown, now.commands))
@@ -241,31 +241,31 @@ class Simulation:
             believed = {number: each for number, each in believed.items() if number > frame.number}  # those before it never come
             if frame.image is not None:
                 image, then_s = frame.image, frame.taken_s
-                then = None if world is None or not (self.sight or self.planner.learns) else world.lit(then_s)
-                if self.sight is not None:
+                then = None if world is None or not (self.pipeline or self.planner.learns) else world.lit(then_s)
+                if self.pipeline is not None:
                     share = image / (2**self.scenario.camera.bits - 1)
-                    found = self.sight.find(share, then)
-                    tracks = self.sight.tracker.follow(tracks, found, share, then_s)
+                    found = self.pipeline.find(share, then)
+                    tracks = self.pipeline.tracker.follow(tracks, found, share, then_s)
                 if self.planner.learns:
                     functions = self.planner.step(functions, self._learnt(now, then, then_s, image, then_view, tracks))
         clock.lap("find")
-        oncoming_s = near_enough(metered[0].seen, state.oncoming_s, time_s) if metered and self.sight is not None else {}
+        oncoming_s = near_enough(metered[0].seen, state.oncoming_s, time_s) if metered and self.pipeline is not None else {}
         due = [name for name, since_s in oncoming_s.items() if time_s - since_s >= DUE_S]
-        look = None if self.sight is None else self._look(self.sight, tracks, found, then_s, metered, due)
+        observation = None if self.pipeline is None else self._look(self.pipeline, tracks, found, then_s, metered, due)
         clock.lap("look")
-        alone = len(drawings) == 1 and len(self.planner.functions) == 1 and self.scenario.lighting.power_limit is None
-        moment = Moment(drawings, measured, exposures[0], exposures[-1], ego, alone)
+        alone = len(projections) == 1 and len(self.planner.functions) == 1 and self.scenario.lighting.power_limit is None
+        moment = Moment(projections, measured, exposures[0], exposures[-1], ego, alone)
         looks, under_way, frames = paired((*state.under_way, (per_step * state.step, moment)), frames) if self.controlled else ([], (), ())
         newer = self.ego(samples, arrivals.time_s)
         held = {name: replace(each, turn=state.step) if name in measured else each for name, each in state.held.items()}
-        looked = dict[str, SeenSymbol]()
+        looked = dict[str, Measurement]()
         for each in looks:
             moment = each.what.as_shown(each)
-            for name in (name for name in held if name in moment.drawings):
+            for name in (name for name in held if name in moment.projections):
                 held[name], looked[name] = self.controlled[name].step(held[name], name, moment, each.images, newer)
         clock.lap("control")
         masked = frozenset(each.name for each in now.objects if must_be_dark(self.scenario.functions, each, now))
-        told = told_as(self.watched, None if look is None else look.recognised)
+        told = told_as(self.watched, None if observation is None else observation.recognised)
         luminance = None if world is None else world.image(time_s, exposures[0], now.commands)
         zones = in_zones(self.planner.functions, state.functions, luminance, view if world is None else world.view_from_ground(time_s))
         objects: Mapping[str, OnObject] = {}
@@ -281,11 +281,11 @@ class Simulation:
                 symbols = observed_symbols(plan, [light.u for light in exposures[0]], whitened, world, now)
         every = self.scenario.judge_every
         judges = world is not None and bool(every) and state.step % every == 0
-        if judges and lit is not None and self.sight is not None and self.planner.functions:
+        if judges and lit is not None and self.pipeline is not None and self.planner.functions:
             road_ratio = over_setpoint(self._turned(now), plan, exposures[0], lit.seen)
         if judges and measured:
             verdicts = self._judged(state, now, drawn, measured, exposures)
-        results = {name: self.controlled[name].held(each, looked.get(name), verdicts.get(name)) for name, each in drawings.items()}
+        results = {name: self.controlled[name].held(each, looked.get(name), verdicts.get(name)) for name, each in projections.items()}
         clock.lap("look")
         result = StepResult(
             state.step,
@@ -303,7 +303,7 @@ class Simulation:
             looks[-1].images if looks else None,
             looks[-1].taken_s if looks else math.nan,
             objects,
-            look,
+            observation,
             symbols,
             results,
             zones,
@@ -329,26 +329,26 @@ class Simulation:
             verdicts[name] = judge.judged(self.world.added(now.time_s, on, off, now.commands), now.time_s)
         return verdicts
 
-    def _raw(self, lights: Lights, drawings: Mapping[str, Drawing]) -> Lights:
+    def _raw(self, lights: Lights, projections: Mapping[str, ProjectionCommand]) -> Lights:
         """With the utilisations that a controller gives in place of a symbol. Raises LuxloopError beside other functions."""
         shown = list(lights)
-        for name, drawing in drawings.items():
-            if drawing.raw is not None:
+        for name, projection in projections.items():
+            if projection.raw is not None:
                 if len(self.planner.functions) > 1:
                     raise LuxloopError(f"functions.{name}.controller: drives all pixels, which leaves none to others; take them out")
-                for k, u in zip(self.controlled[name].drawn_by, drawing.raw, strict=True):
+                for k, u in zip(self.controlled[name].drawn_by, projection.raw, strict=True):
                     shown[k] = Utilisation(u)
         return tuple(shown)
 
-    def _drawn(self, state: SimulationState, now: Situation, ego: Ego | None) -> tuple[dict[str, Drawing], Parts]:
+    def _drawn(self, state: SimulationState, now: Situation, ego: Ego | None) -> tuple[dict[str, ProjectionCommand], Parts]:
         """What controllers want drawn of the symbols that are shown now, and the primitives of all functions."""
         shown = {name: each for name, each in self.controlled.items() if each.function.shows(now)}
-        drawings = {name: each.controller.drawing(state.held[name].controller, ego) for name, each in shown.items()}
+        projections = {name: each.controller.projection(state.held[name].controller, ego) for name, each in shown.items()}
         commands = {}
-        for name, drawing in drawings.items():
+        for name, projection in projections.items():
             with located(f"functions.{name}"):
-                commands[name] = shown[name].command(drawing, attitude(ego))
-        return drawings, self.planner.drawn(now, state.functions) | commands
+                commands[name] = shown[name].command(projection, attitude(ego))
+        return projections, self.planner.drawn(now, state.functions) | commands
 
     def at(self, step: int) -> StepResult:
         """One step alone, before which nothing was seen; that of the run where nothing depends on what was seen."""
@@ -367,7 +367,7 @@ class Simulation:
     @property
     def remembers(self) -> bool:
         """Whether a step depends on those before it."""
-        return self.sight is not None or self.planner.learns or bool(self.controlled) or bool(self.planner.commanding)
+        return self.pipeline is not None or self.planner.learns or bool(self.controlled) or bool(self.planner.commanding)
 
     def base(self, beam: str) -> str:
         """What shines below all functions, in words, where the base beam is one of this name."""
@@ -400,23 +400,25 @@ class Simulation:
         return tuple(replace(each, T_world_object=T_ground_world @ each.T_world_object) for each in found)
 
     def _tracked(self, tracks: Any, time_s: float, T_ground_body: Tensor) -> tuple[TrackedObject, ...]:
-        return () if self.sight is None or tracks is None else self.sight.objects(tracks, time_s, self._from(T_ground_body))
+        return () if self.pipeline is None or tracks is None else self.pipeline.objects(tracks, time_s, self._from(T_ground_body))
 
     def _from(self, T_ground_body: Tensor) -> View:
         """The camera's view from the ground frame, as the car believes."""
         return replace(self.view, T_world_view=T_ground_body @ self.view.T_world_view)
 
-    def _look(self, sight: Sight, tracks: Any, found: Detections | None, then_s: float, metered: Sequence[Metered], due: list[str]) -> Look:
+    def _look(
+        self, pipeline: DetectionPipeline, tracks: Any, found: Detections | None, then_s: float, metered: Sequence[Metered], due: list[str]
+    ) -> FrameDetections:
         """Of a time. found: in its frame, None without one. metered: in each exposure of now. due: who must not be dazzled any more."""
-        found = found or Detections(torch.zeros(0, 4), torch.zeros(0, len(sight.classes)))
-        present = sight.present(tracks, then_s)
+        found = found or Detections(torch.zeros(0, 4), torch.zeros(0, len(pipeline.classes)))
+        present = pipeline.present(tracks, then_s)
         if not metered:
-            return Look(found, present, {}, None, None, None, None)
+            return FrameDetections(found, present, {}, None, None, None, None)
         then, shares = self.world.lit(then_s), self.scenario.shares
         false = false_positives(then, found, self.scenario.tracker.start_score)
         eyes = most_on([each.seen.eyes for each in metered], metered, shares)
         oncoming, _ = most_on([each.seen.eyes_of(due) for each in metered], metered, shares)
-        return Look(found, present, recognised(then, present, found), false, *eyes, oncoming)
+        return FrameDetections(found, present, recognised(then, present, found), false, *eyes, oncoming)
 
     def _learnt(self, now: Situation, then: LitScene | None, then_s: float, image: Tensor, view: View, tracks: Any) -> Situation:
         """The situation once a frame is there, which was taken at then_s of the scene then, in a view that the car believes."""
@@ -424,7 +426,7 @@ class Simulation:
         luminance, most = luminance_of(image, camera), saturation_luminance(camera)
         looks = any(function.kind == "material" for function in self.scenario.functions.values())
         materials = (then.surfaces.albedo, *then.materials) if looks and then is not None else ()
-        objects = now.objects if self.sight is None or tracks is None else self.sight.objects(tracks, now.time_s, view)
+        objects = now.objects if self.pipeline is None or tracks is None else self.pipeline.objects(tracks, now.time_s, view)
         return replace(now, objects=objects, seen=Seen(then_s, view, luminance, most, *materials))
 
     def _turned(self, now: Situation) -> list[ShiningModule]:

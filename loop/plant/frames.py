@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from controllers.pixels.ssc import Utilisation
-from controllers.symbol.sensing.drawing import Drawing, Warp
+from controllers.symbol.sensing.projection import ProjectionCommand, Warp
 from loop.plant.protocol import Exposure
 from perception.camera import CameraParams
 from perception.egomotion import VALUES, Sample
@@ -111,10 +111,10 @@ def light_arrays(exposure: Exposure) -> Arrays:
     for k, light in enumerate(exposure.lights):
         band = None if light.band is None else torch.tensor([light.band.start, light.band.stop], dtype=torch.float64)
         arrays |= {f"u_{k}": light.u, f"band_{k}": band}
-    for name, drawing in exposure.drawings.items():
-        of_it = {"pose": drawing.pose, "z": drawing.z, "shape": drawing.shape, "aim": drawing.aim}
-        of_it |= {f"raw_{k}": u for k, u in enumerate(drawing.raw or ())}
-        if (warp := drawing.warp) is not None:
+    for name, projection in exposure.projections.items():
+        of_it = {"pose": projection.pose, "z": projection.z, "shape": projection.shape, "aim": projection.aim}
+        of_it |= {f"raw_{k}": u for k, u in enumerate(projection.raw or ())}
+        if (warp := projection.warp) is not None:
             of_it |= {"source": warp.source, "dimming": warp.dimming, "size_m": torch.tensor(warp.size_m, dtype=torch.float64)}
         arrays |= {f"{name}.{key}": value for key, value in of_it.items()}
     return {name: each.detach().cpu().numpy() for name, each in arrays.items() if each is not None}
@@ -126,8 +126,10 @@ def write_light(file: Path, arrays: Arrays) -> None:
         write_npz(part, arrays.items())
 
 
-def read_light(file: Path, pixels: Sequence[int], device: torch.device) -> tuple[tuple[Utilisation, ...], dict[str, Drawing], Commands]:
-    """Lights, drawings by the names of their symbols, on the device, and commands. pixels: of each module.
+def read_light(
+    file: Path, pixels: Sequence[int], device: torch.device
+) -> tuple[tuple[Utilisation, ...], dict[str, ProjectionCommand], Commands]:
+    """Lights, projections by the names of their symbols, on the device, and commands. pixels: of each module.
 
     Raises LuxloopError for utilisations of other modules.
     """
@@ -199,13 +201,13 @@ def _optional(arrays: Arrays, name: str, device: torch.device, shape: tuple[int,
     return _tensor(arrays, name, device, shape) if name in arrays else None
 
 
-def _drawing(arrays: Arrays, name: str, pixels: Sequence[int], device: torch.device) -> Drawing:
+def _drawing(arrays: Arrays, name: str, pixels: Sequence[int], device: torch.device) -> ProjectionCommand:
     own = {key.removeprefix(f"{name}."): value for key, value in arrays.items() if key.startswith(f"{name}.")}
     raw = [_tensor(own, key, device, own[key].shape) for k in range(len(pixels)) if (key := f"raw_{k}") in own]
     if any(u.shape not in [(n,) for n in pixels] for u in raw):
         raise ValueError(f"the utilisations of {name} are of none of the modules")
     z, shape, aim = (_optional(own, key, device, size) for key, size in (("z", ()), ("shape", (4,)), ("aim", (2,))))
-    return Drawing(_tensor(own, "pose", device, (4,)), z, _warp(own, len(pixels), device), tuple(raw) or None, shape, aim)
+    return ProjectionCommand(_tensor(own, "pose", device, (4,)), z, _warp(own, len(pixels), device), tuple(raw) or None, shape, aim)
 
 
 def _warp(arrays: Arrays, modules: int, device: torch.device) -> Warp | None:

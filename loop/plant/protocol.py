@@ -7,7 +7,7 @@ from typing import Any, Protocol
 from torch import Tensor
 
 from controllers.pixels.ssc import Utilisation
-from controllers.symbol.sensing.drawing import Drawing
+from controllers.symbol.sensing.projection import ProjectionCommand
 from perception.egomotion import Sample
 from world.headlight.lamp import Commands
 
@@ -16,16 +16,16 @@ from world.headlight.lamp import Commands
 class Exposure:
     """Light that is shown for `duration_s` s from `start_s` s on, with one frame of it.
 
-    number: ascending, never used twice. lights: utilisations, one a module, base beams included. drawings: of the symbols in these lights
-    that controllers hold, by name; a plant has no use for them. commands: how modules are turned and dimmed, one a module; empty where
-    all are at rest.
+    number: ascending, never used twice. lights: utilisations, one a module, base beams included. projections: of the symbols in these
+    lights that controllers hold, by name; a plant has no use for them. commands: how modules are turned and dimmed, one a module; empty
+    where all are at rest.
     """
 
     number: int
     start_s: float
     duration_s: float
     lights: tuple[Utilisation, ...]
-    drawings: Mapping[str, Drawing] = field(default_factory=dict)
+    projections: Mapping[str, ProjectionCommand] = field(default_factory=dict)
     commands: Commands = ()
 
 

@@ -15,7 +15,7 @@ from loop.assembly.truth import LampModule
 from perception.camera import CameraParams, average_rows, camera_view
 from perception.detection.params import TruthParams
 from perception.detection.protocol import Detections
-from perception.ground_truth import Box, Truth, ground_truth, part_mask
+from perception.ground_truth import Box, GroundTruth, ground_truth, part_mask
 from perception.materials import material_picture
 from world.headlight.lamp import REST, Commands, ModuleCommand
 from world.light.ambient import ambient_luminance
@@ -97,7 +97,7 @@ class LitScene:
         return arriving.view_as(self.base), leaving.view_as(self.base)
 
     @cached_property
-    def objects(self) -> tuple[Truth, ...]:
+    def objects(self) -> tuple[GroundTruth, ...]:
         """Those with a class, of which a pixel is seen at least."""
         found = ground_truth(self.surfaces, self.triangles, self.view, categories(self.given))
         return tuple(each for each in found if each.category is not None)

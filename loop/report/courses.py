@@ -41,7 +41,7 @@ def write_courses(figure: SubFigure, simulation: Simulation, table: pa.Table, su
     if any(materials_of(table, quantity) for quantity in UNITS):
         charts[lambda axes: _materials(axes, table)] = 2.0
     objects = {name: each for name, each in summary["objects"].items() if each["lx_max"] is not None}
-    shown, looks = named(objects), simulation.sight is not None
+    shown, looks = named(objects), simulation.pipeline is not None
     if shown and looks:
         charts[lambda axes: _confidences(axes, table, shown, summary)] = 1.4
     if objects:

@@ -11,8 +11,8 @@ from torch import Tensor
 from controllers.situation import TrackedObject
 from controllers.symbol.sensing.projector import SymbolParams
 from controllers.zones.zone import ZoneParams
-from loop.lighting.result import Look, StepResult
-from loop.lighting.sight import name_of
+from loop.lighting.detection import name_of
+from loop.lighting.result import FrameDetections, StepResult
 from loop.lighting.simulation import Simulation
 from loop.lighting.summary import spoken
 from world.frames import transform
@@ -48,8 +48,8 @@ def marks(result: StepResult, simulation: Simulation) -> tuple[Mark, ...]:
     if result.look is None:
         there = (each for each in result.now.objects if each.since_s <= result.time_s < each.until_s)
         return (*zones, *(Mark(_around(each, view), each.name in result.masked) for each in there))
-    assert simulation.sight is not None
-    return (*zones, *_found(result.look), *_tracked(result.look, simulation.sight.classes, result.masked))
+    assert simulation.pipeline is not None
+    return (*zones, *_found(result.look), *_tracked(result.look, simulation.pipeline.classes, result.masked))
 
 
 def readable(marked: Iterable[Mark], character_px: float, width_px: int) -> tuple[Mark, ...]:
@@ -86,11 +86,11 @@ def _target(symbol: SymbolParams, view: View) -> tuple[tuple[Point, Point], ...]
     return () if (depth <= 0).any() else tuple((points[k], points[(k + 1) % 4]) for k in range(4))
 
 
-def _found(look: Look) -> tuple[Mark, ...]:
+def _found(look: FrameDetections) -> tuple[Mark, ...]:
     return tuple(Mark(_outline(box), faint=True) for box in look.found.boxes.tolist())
 
 
-def _tracked(look: Look, classes: tuple[Category, ...], masked: frozenset[str]) -> tuple[Mark, ...]:
+def _tracked(look: FrameDetections, classes: tuple[Category, ...], masked: frozenset[str]) -> tuple[Mark, ...]:
     drawn, tracks = [], look.tracks
     for number, box, category, sure in zip(
         tracks.number.tolist(), tracks.boxes.tolist(), tracks.category.tolist(), tracks.confidence.tolist(), strict=True

@@ -84,7 +84,7 @@ def write_report(file: Path, simulation: Simulation, watched: Watched, table: pa
     shown = [each for each in watched.gathered if each.last is not None]
     parts: list[tuple[float, Callable[[SubFigure], None]]] = []
     if not shown or not symbols_alone(simulation):
-        high = LIGHT_IN + (simulation.sight is not None or bool(watched.moments[-1].materials)) * TALLER_IN
+        high = LIGHT_IN + (simulation.pipeline is not None or bool(watched.moments[-1].materials)) * TALLER_IN
         parts.append((high, partial(_draw_light, simulation=simulation, moments=watched.moments, table=table, summary=summary, high=high)))
     for each in shown:
         draw = partial(draw_symbol, simulation=simulation, gathered=each, table=of_one(table, each.name))
@@ -158,10 +158,10 @@ def _told_of_boxes(simulation: Simulation) -> str:
     kinds = {function.kind for function in simulation.scenario.functions.values()}
     zones = "; with its name: a zone" if "zone" in kinds else ""
     zones += "; blue: where a symbol that is held shall lie" if simulation.controlled else ""
-    if not simulation.watched and simulation.sight is None:
+    if not simulation.watched and simulation.pipeline is None:
         return f"What the camera sees{zones}"
     orange = ", orange where a mask keeps it dark" if "glare_free" in kinds else ""
-    if simulation.sight is None:
+    if simulation.pipeline is None:
         return f"What the camera sees; a green box is an object that functions are told of{orange}{zones}"
     return f"What the camera sees; green: tracked, and how sure{orange}; grey: found in this frame{zones}"
 

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from controllers.symbol.sensing.observer import Seen
+from controllers.symbol.sensing.symbol_sensor import Measurement
 from loop.lighting.controlled import Held
 from loop.lighting.judging import Judge
 from loop.lighting.lamps import ShiningModule, under
@@ -80,7 +80,7 @@ def frame_picture(result: StepResult, simulation: Simulation, white: Tensor) -> 
     return picture
 
 
-def _outline(picture: Picture, seen: Seen) -> None:
+def _outline(picture: Picture, seen: Measurement) -> None:
     """Of an extracted symbol."""
     mask = (seen.symbol > 0.5).to(torch.uint8).cpu().numpy()
     if mask.size:

@@ -76,7 +76,7 @@ class Gathered:
         self.frame = self.frame if result.frames is None else result.frames[0]
         self.last = result
         shown = [frame.shown for showing in result.showings for frame in showing.after.frames if frame.shown is not None]
-        self.shown |= {each.start_s: each.drawings[self.name].pose for each in shown if self.name in each.drawings}
+        self.shown |= {each.start_s: each.projections[self.name].pose for each in shown if self.name in each.projections}
 
 
 def draw_symbol(figure: SubFigure, simulation: Simulation, gathered: Gathered, table: pa.Table, summary: dict[str, Any]) -> None:
@@ -206,7 +206,7 @@ def _camera_images(simulation: Simulation, lights: Pairs, gathered: Gathered, la
 
 def _target_luminance(symbol: ControlledSymbol) -> torch.Tensor:
     projector = symbol.projector
-    return symbol.observer.model.luminance(projector.light(projector.target))
+    return symbol.sensor.model.luminance(projector.light(projector.target))
 
 
 def _target_outline(axes: Axes, symbol: ControlledSymbol) -> None:

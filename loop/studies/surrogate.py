@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from controllers.symbol.sensing.observer import Seen
+from controllers.symbol.sensing.symbol_sensor import Measurement
 from loop.lighting.batch import Rollout, loops
 from loop.lighting.simulation import Simulation
 from loop.recording.summary import FINAL
@@ -53,10 +53,10 @@ class Learned:
         """
         apart = near(simulation)
 
-        def looked(poses: Tensor, step: int) -> Seen:
+        def looked(poses: Tensor, step: int) -> Measurement:
             squares = ((poses[:, None] - self.poses) / apart).square().sum(-1)
             weights = (squares + 1.0) ** -2
             offsets = (weights / weights.sum(-1, keepdim=True)) @ self.offsets
-            return replace(simulation.symbol.observer.lost(poses, Loss.SEEN), pose_error=poses + offsets + self.noise * noise[step])
+            return replace(simulation.symbol.sensor.lost(poses, Loss.SEEN), pose_error=poses + offsets + self.noise * noise[step])
 
         return loops(simulation, values, looked)

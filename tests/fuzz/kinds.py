@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 import torch
 
 from controllers.pixels.ssc import Utilisation
-from controllers.symbol.sensing.drawing import Drawing, Warp
+from controllers.symbol.sensing.projection import ProjectionCommand, Warp
 from loop.jobs.runner import run as run_jobs
 from loop.lighting import replay
 from loop.plant import frames
@@ -325,8 +325,8 @@ def _frames(folder: Path) -> dict[str, bytes]:
     times = {"duration_s": 0.01, "light": 0, "taken_s": 0.0, "arrived_s": 0.0, "came_with": 0, "lost": False}
     samples = frames.sample_values([Sample("wheels", 0.005, 0.01, torch.ones(2)), Sample("gyro", 0.008, 0.009, torch.zeros(3))])
     rows = [{"number": k, "time_s": 0.01 * k, "samples": samples, **times} for k in range(3)]
-    drawing = Drawing(LIKE, warp=Warp(torch.rand(1, 2, 4, 3), torch.rand(1, 4, 3), (4.0, 2.0)))
-    shown = Exposure(0, 0.0, 0.1, (Utilisation(torch.rand(6), slice(1, 5)),), {"symbol": drawing}, (ModuleCommand(3.0, 1.0, 0.5),))
+    projection = ProjectionCommand(LIKE, warp=Warp(torch.rand(1, 2, 4, 3), torch.rand(1, 4, 3), (4.0, 2.0)))
+    shown = Exposure(0, 0.0, 0.1, (Utilisation(torch.rand(6), slice(1, 5)),), {"symbol": projection}, (ModuleCommand(3.0, 1.0, 0.5),))
     light = frames.light_arrays(shown)
     return _written(
         folder,

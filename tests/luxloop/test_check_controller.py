@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 import luxloop
-from luxloop import Drawing, Look, Loss, LuxloopError, Observer, check_controller
+from luxloop import Loss, LuxloopError, Observation, ProjectionCommand, SymbolSensor, check_controller
 
 
 @dataclass(frozen=True)
@@ -18,18 +18,18 @@ class State:
 
 
 class Halfway:
-    def __init__(self, observer: Observer, share: float = 0.5) -> None:
+    def __init__(self, sensor: SymbolSensor, share: float = 0.5) -> None:
         self.share, self.memory = share, [0]
 
     def start(self, pose: Tensor) -> Any:
         return State(pose)
 
-    def drawing(self, state: Any, ego: Any) -> Any:
-        return Drawing(state.pose)
+    def projection(self, state: Any, ego: Any) -> Any:
+        return ProjectionCommand(state.pose)
 
-    def step(self, state: Any, look: Look) -> Any:
-        usable = look.seen.code == Loss.SEEN
-        return State(torch.where(usable, state.pose - self.share * look.seen.pose_error, state.pose), state.steps + 1)
+    def step(self, state: Any, observation: Observation) -> Any:
+        usable = observation.measurement.code == Loss.SEEN
+        return State(torch.where(usable, state.pose - self.share * observation.measurement.pose_error, state.pose), state.steps + 1)
 
 
 class InDegrees(Halfway):
@@ -38,67 +38,67 @@ class InDegrees(Halfway):
 
 
 class ByErrors(Halfway):
-    def step(self, state: State, look: Look) -> State:
-        return State(state.pose + 10 * look.seen.errors.nan_to_num())
+    def step(self, state: State, observation: Observation) -> State:
+        return State(state.pose + 10 * observation.measurement.errors.nan_to_num())
 
 
 class FarAway(Halfway):
-    def drawing(self, state: State, ego: Any) -> Drawing:
-        return Drawing(state.pose + torch.tensor([100.0, 100.0, 0.0, 0.0]).to(state.pose) * state.steps)
+    def projection(self, state: State, ego: Any) -> ProjectionCommand:
+        return ProjectionCommand(state.pose + torch.tensor([100.0, 100.0, 0.0, 0.0]).to(state.pose) * state.steps)
 
 
 class Adding(Halfway):
-    def step(self, state: State, look: Look) -> State:
-        return State(state.pose + self.share * look.seen.pose_error.nan_to_num())
+    def step(self, state: State, observation: Observation) -> State:
+        return State(state.pose + self.share * observation.measurement.pose_error.nan_to_num())
 
 
 class NotANumber(Halfway):
-    def step(self, state: State, look: Look) -> State:
-        return State(state.pose - self.share * look.seen.pose_error)
+    def step(self, state: State, observation: Observation) -> State:
+        return State(state.pose - self.share * observation.measurement.pose_error)
 
 
 class NeedsFrames(Halfway):
-    def step(self, state: State, look: Look) -> State:
-        on, _ = look.frames
-        return replace(super().step(state, look), steps=int(on.max()))
+    def step(self, state: State, observation: Observation) -> State:
+        on, _ = observation.frames
+        return replace(super().step(state, observation), steps=int(on.max()))
 
 
 class NeedsSymbol(Halfway):
-    def step(self, state: State, look: Look) -> State:
-        rows = look.seen.symbol.sum(1).argmax() if look.frames is not None else 0
-        return replace(super().step(state, look), steps=int(rows) + [0][int(look.seen.code == Loss.NOTHING)])
+    def step(self, state: State, observation: Observation) -> State:
+        rows = observation.measurement.symbol.sum(1).argmax() if observation.frames is not None else 0
+        return replace(super().step(state, observation), steps=int(rows) + [0][int(observation.measurement.code == Loss.NOTHING)])
 
 
 class InPlace(Halfway):
-    def step(self, state: State, look: Look) -> State:
-        state.pose.sub_(self.share * look.seen.pose_error.nan_to_num())
+    def step(self, state: State, observation: Observation) -> State:
+        state.pose.sub_(self.share * observation.measurement.pose_error.nan_to_num())
         return state
 
 
 class SpoilsTheLook(Halfway):
-    def step(self, state: State, look: Look) -> State:
-        look.seen.pose_error.nan_to_num_()
+    def step(self, state: State, observation: Observation) -> State:
+        observation.measurement.pose_error.nan_to_num_()
         return state
 
 
 class Counting(Halfway):
-    def step(self, state: State, look: Look) -> State:
+    def step(self, state: State, observation: Observation) -> State:
         self.memory[0] += 1
-        return replace(super().step(state, look), steps=self.memory[0])
+        return replace(super().step(state, observation), steps=self.memory[0])
 
 
 class Buffered(Halfway):
     buffer = torch.zeros(4)
 
-    def step(self, state: State, look: Look) -> State:
-        pose = super().step(state, look).pose
+    def step(self, state: State, observation: Observation) -> State:
+        pose = super().step(state, observation).pose
         self.memory[0] += 1
         return State(self.buffer.copy_(pose + self.memory[0]))
 
 
 class Dithering(Halfway):
-    def drawing(self, state: State, ego: Any) -> Drawing:
-        return Drawing(state.pose + 0.01 * torch.randn(4).to(state.pose))
+    def projection(self, state: State, ego: Any) -> ProjectionCommand:
+        return ProjectionCommand(state.pose + 0.01 * torch.randn(4).to(state.pose))
 
 
 class StateIsSelf(Halfway):
@@ -117,20 +117,22 @@ class Batched(Halfway):
 
 
 class DrawsAPose(Halfway):
-    def drawing(self, state: State, ego: Any) -> Tensor:
+    def projection(self, state: State, ego: Any) -> Tensor:
         return state.pose
 
 
 class Raised(Halfway):
-    def drawing(self, state: State, ego: Any) -> Drawing:
-        return Drawing(state.pose, z=torch.zeros(3).to(state.pose))
+    def projection(self, state: State, ego: Any) -> ProjectionCommand:
+        return ProjectionCommand(state.pose, z=torch.zeros(3).to(state.pose))
 
 
 class Warped(Halfway):
-    def drawing(self, state: State, ego: Any) -> Drawing:
-        from controllers.symbol.sensing.drawing import Warp
+    def projection(self, state: State, ego: Any) -> ProjectionCommand:
+        from controllers.symbol.sensing.projection import Warp
 
-        return Drawing(state.pose, warp=Warp(torch.zeros(1, 2, 4, 4).to(state.pose), 2 * torch.ones(1, 4, 4).to(state.pose), (4.0, 2.0)))
+        return ProjectionCommand(
+            state.pose, warp=Warp(torch.zeros(1, 2, 4, 4).to(state.pose), 2 * torch.ones(1, 4, 4).to(state.pose), (4.0, 2.0))
+        )
 
 
 class TakesLess(Halfway):
@@ -139,34 +141,38 @@ class TakesLess(Halfway):
 
 
 class Silent:
-    def __init__(self, observer: Observer) -> None: ...
+    def __init__(self, sensor: SymbolSensor) -> None: ...
 
     def start(self, pose: Tensor) -> Tensor:
         return pose
 
-    def drawing(self, state: Tensor, ego: Any) -> Drawing:
-        return Drawing(state)
+    def projection(self, state: Tensor, ego: Any) -> ProjectionCommand:
+        return ProjectionCommand(state)
 
 
 BROKEN: dict[Any, list[str]] = {
     Silent: ["has no method step"],
-    TakesLess: ["step takes (state: ", "is called as step(state, look)"],
+    TakesLess: ["step takes (state: ", "is called as step(state, observation)"],
     InDegrees: ["roll 2 and pitch -1 rad", "torch.deg2rad"],
-    ByErrors: ["more than 45 deg", "subtract a share of look.seen.pose_error", "look.seen.errors are in units of the image"],
+    ByErrors: [
+        "more than 45 deg",
+        "subtract a share of observation.measurement.pose_error",
+        "observation.measurement.errors are in units of the image",
+    ],
     FarAway: ["x 117 and y 100 m, where no lamp can draw", "subtract a share"],
-    Adding: ["moves the symbol away", "subtract a share of look.seen.pose_error"],
-    NotANumber: ["in a step without frames", "pose is not finite, [nan, nan, nan, nan]", "look.seen.code != Loss.SEEN"],
-    NeedsFrames: ["in a step without frames (look.frames is None)", "step fails at", "test_check_controller.py, line", "mend it"],
+    Adding: ["moves the symbol away", "subtract a share of observation.measurement.pose_error"],
+    NotANumber: ["in a step without frames", "pose is not finite, [nan, nan, nan, nan]", "observation.measurement.code != Loss.SEEN"],
+    NeedsFrames: ["in a step without frames (observation.frames is None)", "step fails at", "test_check_controller.py, line", "mend it"],
     NeedsSymbol: ["in a step whose frames do not show the symbol", "step fails at", "IndexError"],
     InPlace: ["step changes state.pose, which it was given", "dataclasses.replace"],
-    SpoilsTheLook: ["in a step without frames", "step changes look.seen.", "which it was given"],
+    SpoilsTheLook: ["in a step without frames", "step changes observation.measurement.", "which it was given"],
     Counting: ["step gives another state.steps", "same state and look", "not in self"],
     Buffered: ["step changes state.pose, which it gave before", "clone()"],
-    Dithering: ["drawing gives another drawing.pose", "same state", "seed random numbers"],
+    Dithering: ["drawing gives another projection.pose", "same state", "seed random numbers"],
     StateIsSelf: ["start gives a state that cannot be saved", "state.law is of the type StateIsSelf", "frozen dataclass"],
     Double: ["pose is float64 [4]", "it must be a tensor float32 [4]", "new_tensor"],
     Batched: ["pose is float32 [1, 4]", "check its dimensions"],
-    DrawsAPose: ["drawing: gives a Tensor", "luxloop.Drawing(pose)"],
+    DrawsAPose: ["projection: gives a Tensor", "luxloop.ProjectionCommand(pose)"],
     Raised: ["z is float32 [3]", "float32 []"],
     Warped: ["warp.dimming reaches from 2 to 2", "clamp(0, 1)"],
 }
@@ -187,17 +193,17 @@ def test_controllers_that_are_shipped_keep_the_contract(name: str, device: torch
     assert params is not None
 
     class Shipped:
-        def __init__(self, observer: Observer) -> None:
-            self.law = luxloop.build_controller(params, observer)
+        def __init__(self, sensor: SymbolSensor) -> None:
+            self.law = luxloop.build_controller(params, sensor)
 
         def start(self, pose: Tensor) -> Any:
             return self.law.start(pose)
 
-        def drawing(self, state: Any, ego: Any) -> Drawing:
-            return self.law.drawing(state, ego)
+        def projection(self, state: Any, ego: Any) -> ProjectionCommand:
+            return self.law.projection(state, ego)
 
-        def step(self, state: Any, look: Look) -> Any:
-            return self.law.step(state, look)
+        def step(self, state: Any, observation: Observation) -> Any:
+            return self.law.step(state, observation)
 
     check_controller(Shipped, device=device.type)
 

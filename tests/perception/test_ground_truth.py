@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from perception.ground_truth import Truth, ground_truth, part_mask
+from perception.ground_truth import GroundTruth, ground_truth, part_mask
 from tests.world.grids import camera, flat
 from world.rendering.gbuffer import GBuffer, gbuffer
 from world.rendering.raycast import RayCaster
@@ -26,7 +26,7 @@ def seen(*bodies: Body) -> tuple[GBuffer, Triangles]:
     return gbuffer(triangles, VIEW, RayCaster().face_ids(triangles, VIEW)), triangles
 
 
-def truth(*bodies: Body) -> tuple[Truth, ...]:
+def truth(*bodies: Body) -> tuple[GroundTruth, ...]:
     return ground_truth(*seen(*bodies), VIEW, ["pedestrian"] * len(bodies))
 
 

@@ -1,7 +1,8 @@
 """Sparse matrix-vector products `i = A u` (T 2.5, 5.3).
 
 `Csr` with `multiply` is what lamps are stored in and every run multiplies with. The other formats, `fastest`, `CapturedProduct` and the
-incremental updates are a study (docs/results/spmv.md) for programs that stream light textures; a run spends too small a share of its time on such products.
+incremental updates are a study (docs/results/spmv.md) for programs that stream light textures; a run spends too small a share of its time
+on such products.
 """
 
 from world.spmv.auto import fastest

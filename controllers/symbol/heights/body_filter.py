@@ -23,7 +23,7 @@ JERK: Final = (0.8, 0.5, 0.5)  # m/s^3 and rad/s^3, root of the density of what 
 NOISE: Final = ((1e-3, 2e-4, 2e-4), (5e-3, 2e-3, 2e-3))  # usual, of measured heave, roll and pitch and of their rates
 FIRST: Final = (0.02, 0.1, 0.02, 0.1, 0.5)  # m or rad: usual values and rates on the road, and values, rates and accelerations by others
 UNEVEN_M: Final = 0.05  # usual height of the road
-PITCH_SEEN: Final = 1.5e-4  # rad, how well looks tell how much the body has pitched between them
+PITCH_SEEN: Final = 1.5e-4  # rad, how well observations tell how much the body has pitched between them
 OTHER: Final = slice(6, 15)  # states of what other things shake
 LEVEL: Final = 15  # state that tells how the body was pitched when the road was seen last
 BODY: Final = 16  # states before the strip's
@@ -44,11 +44,12 @@ class BodyFilter:
     """What is known of the body and the road at time_s: mean `[n]` and covariance `[n, n]` of a state, float64 on the CPU.
 
     All is over a level plane that does not move (`Ego.level_attitude`). State: heave in m, roll and pitch in rad, as the road shakes
-    them, and their rates; the same three as other things shake them, their rates and accelerations; the pitch in rad at the last look
-    that is taken in; the road in m along the wheels' tracks, the mean of both, then left minus right, in cells from start_m on.
+    them, and their rates; the same three as other things shake them, their rates and accelerations; the pitch in rad at the last
+    observation that is taken in; the road in m along the wheels' tracks, the mean of both, then left minus right, in cells from start_m on.
     way_m: driven so far. known_m: how far along it the road was seen. slope_rad: of the ground, with which the road goes on beyond.
-    axles_m: x of front and rear axle on the ground. distance_m: of the symbol from the middle between them, where a rise of the body looks
-    like a pitch. looks: at later times, by how many rad the body had pitched since the one before, None where that is not known.
+    axles_m: x of front and rear axle on the ground. distance_m: of the symbol from the middle between them, where a rise of the body
+    observations like a pitch. observations: at later times, by how many rad the body had pitched since the one before, None where that is
+    not known.
     """
 
     params: BodyParams
@@ -94,7 +95,7 @@ class BodyFilter:
 
     @property
     def level_rad(self) -> float:
-        """The same at the last look that is taken in, as it is known now."""
+        """The same at the last observation that is taken in, as it is known now."""
         return float(self.mean[LEVEL])
 
     def updated(self, ego: Ego) -> "BodyFilter":
@@ -102,18 +103,18 @@ class BodyFilter:
         body = self
         for time_s in ego.told_s:
             if time_s > body.time_s:
-                past = tuple(look for look in body.looks if look[0] <= time_s)
+                past = tuple(observation for observation in body.looks if observation[0] <= time_s)
                 told = replace(body, speed_m_s=float(ego.speed_m_s), slope_rad=float(ego.ground[1]), looks=past)
                 known = told.caught_up().at(time_s)._measured(ego)
                 body = replace(known, looks=body.looks[len(past) :])
         return body
 
     def looked(self, time_s: float, pitched_rad: float | None) -> "BodyFilter":
-        """With another look, after which the body had pitched by so much since the one before."""
+        """With another observation, after which the body had pitched by so much since the one before."""
         return replace(self, looks=(*self.looks, (time_s, pitched_rad)))
 
     def caught_up(self) -> "BodyFilter":
-        """At the time of the last look, with all of them taken in."""
+        """At the time of the last observation, with all of them taken in."""
         body = self
         for time_s, pitched_rad in self.looks:
             body = body.at(time_s)

@@ -13,11 +13,11 @@ from controllers.symbol.heights.luxloop import region_of
 from controllers.symbol.heights.patch import drawn_on
 from controllers.symbol.heights.relief import Relief
 from controllers.symbol.heights.survey import Survey, SurveyState
-from controllers.symbol.sensing.drawing import Drawing
-from controllers.symbol.sensing.observer import Observer
 from controllers.symbol.sensing.planes import HERE, touching
+from controllers.symbol.sensing.projection import ProjectionCommand
 from controllers.symbol.sensing.projector import SymbolParams
-from controllers.symbol.sensing.protocol import Look
+from controllers.symbol.sensing.protocol import Observation
+from controllers.symbol.sensing.symbol_sensor import SymbolSensor
 from perception.birdseye import Region
 from perception.camera import camera_view
 from perception.egomotion import Ego
@@ -44,73 +44,73 @@ class FeedforwardParams(Params):
 
 
 class Feedforward:
-    """Draws for the given road for ever; the state is the drawing."""
+    """Draws for the given road for ever; the state is the projection."""
 
-    def __init__(self, params: FeedforwardParams, observer: Observer) -> None:
-        symbol = observer.projector.params
+    def __init__(self, params: FeedforwardParams, sensor: SymbolSensor) -> None:
+        symbol = sensor.projector.params
         with located("controller"):
             plane = HERE if symbol.target == "appearance" else plane_of(params.road.z, symbol)
-            eye = transform(inverse(plane), camera_view(observer.camera).origin[:, None])[:, 0]
-            relief = relief_of(params.road.z, region_around(observer), eye, params.offset_m, plane)
-        self.drawn = shown_on(relief, observer, plane)
+            eye = transform(inverse(plane), camera_view(sensor.camera).origin[:, None])[:, 0]
+            relief = relief_of(params.road.z, region_around(sensor), eye, params.offset_m, plane)
+        self.drawn = shown_on(relief, sensor, plane)
 
-    def start(self, pose: Tensor) -> Drawing:
+    def start(self, pose: Tensor) -> ProjectionCommand:
         """The symbol for the given road, whatever the pose `[4]`."""
         return self.drawn
 
-    def drawing(self, state: Drawing, ego: Ego | None) -> Drawing:
+    def projection(self, state: ProjectionCommand, ego: Ego | None) -> ProjectionCommand:
         """The same for ever."""
         return state
 
-    def step(self, state: Drawing, look: Look) -> Drawing:
+    def step(self, state: ProjectionCommand, observation: Observation) -> ProjectionCommand:
         """Nothing changes."""
         return state
 
 
 @dataclass(frozen=True)
 class SurveyedState:
-    """survey: what was seen of the patterns. drawing: for the road that they told, None before."""
+    """survey: what was seen of the patterns. projection: for the road that they told, None before."""
 
     survey: SurveyState
-    drawing: Drawing | None = None
+    projection: ProjectionCommand | None = None
 
 
 class Surveyed:
     """Surveys the road, then draws for it for ever."""
 
-    def __init__(self, params: FeedforwardParams, observer: Observer) -> None:
-        self.params, self.observer = params, observer
-        self.survey = Survey(observer, region_around(observer))
+    def __init__(self, params: FeedforwardParams, sensor: SymbolSensor) -> None:
+        self.params, self.sensor = params, sensor
+        self.survey = Survey(sensor, region_around(sensor))
 
     def start(self, pose: Tensor) -> SurveyedState:
         """The first pattern, whatever the pose `[4]`."""
         return SurveyedState(self.survey.start())
 
-    def drawing(self, state: SurveyedState, ego: Ego | None) -> Drawing:
+    def projection(self, state: SurveyedState, ego: Ego | None) -> ProjectionCommand:
         """A pattern, or the symbol for the road that was found."""
-        return state.drawing or self.survey.drawing(state.survey)
+        return state.projection or self.survey.projection(state.survey)
 
-    def step(self, state: SurveyedState, look: Look) -> SurveyedState:
+    def step(self, state: SurveyedState, observation: Observation) -> SurveyedState:
         """Go on with the survey; draw as soon as it is complete."""
-        if state.drawing is not None:
+        if state.projection is not None:
             return state
-        survey = self.survey.step(state.survey, look)
+        survey = self.survey.step(state.survey, observation)
         if not survey.complete:
             return SurveyedState(survey)
         relief = self.survey.relief(survey)
         relief = replace(relief, heights=relief.heights + self.params.offset_m)
-        return SurveyedState(survey, shown_on(relief, self.observer))
+        return SurveyedState(survey, shown_on(relief, self.sensor))
 
 
-def region_around(observer: Observer) -> Region:
+def region_around(sensor: SymbolSensor) -> Region:
     """The plane that light for the symbol crosses, high or low."""
-    return region_of(observer.projector.params, *BEYOND_M)
+    return region_of(sensor.projector.params, *BEYOND_M)
 
 
-def shown_on(relief: Relief, observer: Observer, T_ground_plane: Tensor = HERE) -> Drawing:
+def shown_on(relief: Relief, sensor: SymbolSensor, T_ground_plane: Tensor = HERE) -> ProjectionCommand:
     """The symbol for a road that is known over a plane at `[4, 4]`, from a standing body."""
-    symbol = observer.projector.params
-    lamps = torch.stack([module.T_world_headlight[:3, 3] for module in observer.projector.modules], 1).to(T_ground_plane)
+    symbol = sensor.projector.params
+    lamps = torch.stack([module.T_world_headlight[:3, 3] for module in sensor.projector.modules], 1).to(T_ground_plane)
     return drawn_on(relief, transform(inverse(T_ground_plane), lamps).T, symbol, T_ground_plane, symbol.target == "place")
 
 

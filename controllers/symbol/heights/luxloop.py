@@ -10,19 +10,19 @@ from pydantic import Field
 from torch import Tensor
 
 from controllers.symbol.heights.body_filter import BodyFilter, BodyParams
-from controllers.symbol.heights.memory import Memory
+from controllers.symbol.heights.body_poses import AT_REST, BodyPoses, Following, ground_at
+from controllers.symbol.heights.forward_model import ForwardModel
 from controllers.symbol.heights.patch import drawn_on
 from controllers.symbol.heights.registration import HEIGHT_M, Heights, Registration
-from controllers.symbol.heights.sight import Sight
-from controllers.symbol.heights.stance import AT_REST, Following, Stances, ground_at
+from controllers.symbol.heights.road_map import RoadMap
 from controllers.symbol.heights.sweep import sweep
 from controllers.symbol.sensing.aim import aimed, elsewhere
-from controllers.symbol.sensing.drawing import Drawing
-from controllers.symbol.sensing.observer import Observer
 from controllers.symbol.sensing.planes import HERE, placed
+from controllers.symbol.sensing.projection import ProjectionCommand
 from controllers.symbol.sensing.projector import SymbolParams
-from controllers.symbol.sensing.protocol import Look
+from controllers.symbol.sensing.protocol import Observation
 from controllers.symbol.sensing.shape import reached
+from controllers.symbol.sensing.symbol_sensor import SymbolSensor
 from perception.birdseye import Region
 from perception.camera import camera_view
 from perception.egomotion import Ego
@@ -56,7 +56,7 @@ class LuxloopParams(Params):
     cell_m: tuple[Cell, Cell] = Field((0.2, 0.15), description="distance of heights on the assumed road, along and across")
     beyond_m: tuple[Reach, Reach, Reach] = Field((1.2, 1.5, 0.6), description="how far heights go beyond the symbol: near, far, sides")
     highest_m: float = Field(0.14, gt=0, le=0.3, description="largest height, up or down, that is looked for")
-    memory: float = Field(0.6, ge=0, lt=1, description="share of what is known that a step on the move keeps; the rest may have changed")
+    road_map: float = Field(0.6, ge=0, lt=1, description="share of what is known that a step on the move keeps; the rest may have changed")
     evidence: float = Field(
         0.0025, ge=0, le=1e6, description="share of the symbol that heights have to explain beyond what the flat road does"
     )
@@ -71,20 +71,20 @@ class LuxloopParams(Params):
 
 @dataclass(frozen=True)
 class LuxloopState:
-    """memory: what is known of the road, in the ground frame of time_s, which is ground in the level one, None before the first look. body:
-    what was known of it then, if it is measured.
+    """road_map: what is known of the road, in the ground frame of time_s, which is ground in the level one, None before the first
+    observation. body: what was known of it then, if it is measured.
 
-    drawing: of a vehicle that stands, None on the move, where it depends on what is measured until it is shown. level_rad: pitch of the
-    body that the memory's heights are based on. first: the first drawing for an acquired road; None once a look shows it. sought: the
-    symbol has been seen, or a road was guessed to look for it on.
+    projection: of a vehicle that stands, None on the move, where it depends on what is measured until it is shown. level_rad: pitch of the
+    body that the road map's heights are based on. first: the first drawing for an acquired road; None once an observation shows it. sought:
+    the symbol has been seen, or a road was guessed to look for it on.
     """
 
-    memory: Memory
+    road_map: RoadMap
     time_s: float
-    drawing: Drawing | None
+    projection: ProjectionCommand | None
     body: BodyFilter | None = None
     level_rad: float = 0.0
-    first: Drawing | None = None
+    first: ProjectionCommand | None = None
     sought: bool = False
     ground: Tensor | None = None
 
@@ -92,80 +92,84 @@ class LuxloopState:
 class Luxloop:
     """Registration of the heights of a road that the vehicle may drive over, supervised by the open loop."""
 
-    def __init__(self, params: LuxloopParams, observer: Observer) -> None:
-        self.params, self.projector, self.observer = params, observer.projector, observer
+    def __init__(self, params: LuxloopParams, sensor: SymbolSensor) -> None:
+        self.params, self.projector, self.sensor = params, sensor.projector, sensor
         self.region = region_of(self.projector.params, *params.beyond_m)
         self.reach_m = self.projector.params.x_m - self.projector.params.length_m / 4
         self.standing = lru_cache(maxsize=2)(self._standing)
         self.registration = self.over(HERE)[1]
         lamps = torch.stack([module.T_world_headlight[:3, 3].cpu().double() for module in self.projector.modules])
-        self.ends = torch.stack([camera_view(observer.camera).origin, *lamps], 1)  # of the ways of light, in the body
-        self.in_flight = observer.camera.latency_steps + observer.camera.latency_spread_steps + 2
+        self.ends = torch.stack([camera_view(sensor.camera).origin, *lamps], 1)  # of the ways of light, in the body
+        self.in_flight = sensor.camera.latency_steps + sensor.camera.latency_spread_steps + 2
         self.tried = torch.linspace(-params.highest_m, params.highest_m, HEIGHTS, device=self.projector.symbol.device)
 
     def start(self, pose: Tensor) -> LuxloopState:
         """State that shows the pose `[4]` first, or the symbol for the road that is believed."""
-        memory = self._nothing(self.registration)
+        road_map = self._nothing(self.registration)
         if self.params.start_height_m == 0:
-            return LuxloopState(memory, 0.0, Drawing(pose))
-        mean = memory.heights.mean + self.params.start_height_m
-        believed = _believed(memory, mean)
+            return LuxloopState(road_map, 0.0, ProjectionCommand(pose))
+        mean = road_map.heights.mean + self.params.start_height_m
+        believed = _believed(road_map, mean)
         return LuxloopState(believed, 0.0, self._drawn(believed))
 
-    def drawing(self, state: LuxloopState, ego: Ego | None) -> Drawing:
+    def projection(self, state: LuxloopState, ego: Ego | None) -> ProjectionCommand:
         """The symbol for the road as it is known, from where the body will be by what is measured now."""
-        if state.drawing is not None:
-            return state.drawing
+        if state.projection is not None:
+            return state.projection
         body = self._filtered(state.body, ego)
         assert ego is not None and body is not None  # or it would stand
         now = body.caught_up()
-        memory = state.memory.levelled(now.level_rad - state.level_rad, body.pivot_x_m)
+        road_map = state.road_map.levelled(now.level_rad - state.level_rad, body.pivot_x_m)
         ground = ground_at(ego, state.time_s) if state.ground is None else state.ground
-        return self._drawn(memory, Following.of(ego, now, state.time_s, ground))
+        return self._drawn(road_map, Following.of(ego, now, state.time_s, ground))
 
-    def step(self, state: LuxloopState, look: Look) -> LuxloopState:
-        """Register the look; the open loop's drawing, unless heights explain it better than a flat road does.
+    def step(self, state: LuxloopState, observation: Observation) -> LuxloopState:
+        """Register the observation; the open loop's drawing, unless heights explain it better than a flat road does.
 
-        What is known of the road tells how the body has pitched since the look before, and what the wheels will come to.
+        What is known of the road tells how the body has pitched since the observation before, and what the wheels will come to.
         """
-        body, then = state.body, look.shown.ego
-        for ego in (then, look.ego):  # a measurement that is newer than the look tells more once the look is taken in
+        body, then = state.body, observation.shown.ego
+        for ego in (then, observation.ego):  # a measurement that is newer than the observation tells more once the observation is taken in
             if ego is not None and then is not None and ego.told_s[-1] < then.time_s + ROUNDING_S:
                 body = self._filtered(body, ego)
         now = None if body is None else body.caught_up()
-        stances = Stances.of(look, now, state.time_s, state.ground)
-        memory, first, sought = state.memory, state.first, state.sought or bool(look.seen.code == Loss.SEEN)
-        if anew := look.frames is not None and first is not None and look.shown.drawing.shows(first):
+        body_poses = BodyPoses.of(observation, now, state.time_s, state.ground)
+        road_map, first, sought = state.road_map, state.first, state.sought or bool(observation.measurement.code == Loss.SEEN)
+        if anew := observation.frames is not None and first is not None and observation.shown.projection.shows(first):
             first = None
-        if stances.still:
-            registration = self.over(memory.T_ground_plane)[1]
+        if body_poses.still:
+            registration = self.over(road_map.T_ground_plane)[1]
         else:
-            memory = memory if memory.T_ground_plane.equal(HERE) else self._nothing(self.registration)
-            registration = self._fine(stances)
-        memory = memory.moved(stances.since, registration.sight.eye)
-        if not stances.still and then is not None and body is not None:
-            memory = memory.over(self._heights(self._bent(then, body), memory))
-        if body is None or now is None or stances.still:
-            memory = self._looked(registration, memory, look, stances, anew)
-            if stances.still and not bool(memory.heights.information.any()) and (guess := self._guessed(state, look)) is not None:
-                memory, sought = guess, True
+            road_map = road_map if road_map.T_ground_plane.equal(HERE) else self._nothing(self.registration)
+            registration = self._fine(body_poses)
+        road_map = road_map.moved(body_poses.since, registration.forward_model.eye)
+        if not body_poses.still and then is not None and body is not None:
+            road_map = road_map.over(self._heights(self._bent(then, body), road_map))
+        if body is None or now is None or body_poses.still:
+            road_map = self._looked(registration, road_map, observation, body_poses, anew)
+            if (
+                body_poses.still
+                and not bool(road_map.heights.information.any())
+                and (guess := self._guessed(state, observation)) is not None
+            ):
+                road_map, sought = guess, True
         else:
-            memory = memory.levelled(now.level_rad - state.level_rad, body.pivot_x_m)
-            if look.frames is not None:
-                known, predicted = memory, now.at(stances.time_s).pitch_rad
-                memory = self._looked(registration, known.loosened(PITCH_RAD, body.pivot_x_m), look, stances)
-                pitched = memory.pitched(known, body.pivot_x_m)
-                body = body.looked(stances.time_s, None if pitched is None else predicted + pitched - now.level_rad)
+            road_map = road_map.levelled(now.level_rad - state.level_rad, body.pivot_x_m)
+            if observation.frames is not None:
+                known, predicted = road_map, now.at(body_poses.time_s).pitch_rad
+                road_map = self._looked(registration, known.loosened(PITCH_RAD, body.pivot_x_m), observation, body_poses)
+                pitched = road_map.pitched(known, body.pivot_x_m)
+                body = body.looked(body_poses.time_s, None if pitched is None else predicted + pitched - now.level_rad)
                 now = body.caught_up()
-                memory = memory.levelled(now.level_rad - predicted, body.pivot_x_m)
-        if body is not None and look.ego is not None and memory.T_ground_plane.equal(HERE):
-            body = _previewed(body, memory, stances, look.ego)
-        drawing, level_rad = self._drawn(memory) if stances.still else None, 0.0 if now is None else now.level_rad
-        if drawing is not None and drawing.warp is not None:
-            memory = memory.showing(drawing, self.in_flight)
-        if memory.shape is not state.memory.shape:
-            first = None if memory.shape is None else drawing
-        return LuxloopState(memory, stances.time_s, drawing, body, level_rad, first, sought, stances.ground)
+                road_map = road_map.levelled(now.level_rad - predicted, body.pivot_x_m)
+        if body is not None and observation.ego is not None and road_map.T_ground_plane.equal(HERE):
+            body = _previewed(body, road_map, body_poses, observation.ego)
+        projection, level_rad = self._drawn(road_map) if body_poses.still else None, 0.0 if now is None else now.level_rad
+        if projection is not None and projection.warp is not None:
+            road_map = road_map.showing(projection, self.in_flight)
+        if road_map.shape is not state.road_map.shape:
+            first = None if road_map.shape is None else projection
+        return LuxloopState(road_map, body_poses.time_s, projection, body, level_rad, first, sought, body_poses.ground)
 
     def _filtered(self, before: BodyFilter | None, ego: Ego | None) -> BodyFilter | None:
         """What is known of the body after a measurement, if there is one; one without axles has no filter."""
@@ -173,53 +177,59 @@ class Luxloop:
             return before
         return BodyFilter.first(self.params.body, ego, self.reach_m, self.projector.params.x_m) if before is None else before.updated(ego)
 
-    def _looked(self, registration: Registration, memory: Memory, look: Look, stances: Stances, anew: bool = False) -> Memory:
-        """What is known after a look: nothing, where heights do not explain it. anew: it is the first at light for an acquired road."""
-        if look.frames is None:
-            return memory
-        frames, textures, searched = look.frames, self.projector.textures(look.shown.lights), memory.searched
-        nothing = self._nothing(self.registration) if stances.still else self._nothing(registration).over(memory.heights.base)
-        fine, known = registration.sight, memory.heights
+    def _looked(
+        self, registration: Registration, road_map: RoadMap, observation: Observation, body_poses: BodyPoses, anew: bool = False
+    ) -> RoadMap:
+        """What is known after an observation: nothing, where heights do not explain it. anew: it is the first at light for an acquired
+        road.
+        """
+        if observation.frames is None:
+            return road_map
+        frames, textures, searched = observation.frames, self.projector.textures(observation.shown.lights), road_map.searched
+        nothing = self._nothing(self.registration) if body_poses.still else self._nothing(registration).over(road_map.heights.base)
+        fine, known = registration.forward_model, road_map.heights
         informed = bool(known.information.any())
         contrast, limit = fine.observe_symbol(frames, textures)
         seen = fine.symbol(contrast, limit)
         lit = float(seen.sum()) * fine.step >= LEAST_LIT_PX
-        limit = limit / fine.on_pixels(memory.brightness)  # of the light that the assumed road would show
-        drawn = memory.shown(look.shown.drawing)
+        limit = limit / fine.on_pixels(road_map.brightness)  # of the light that the assumed road would show
+        drawn = road_map.shown(observation.shown.projection)
         late = [] if drawn is None or drawn.heights is known else [drawn.heights.mean]
         roads = torch.stack([nothing.heights.mean, *[known.mean] * informed, *late])
         leaves = registration.residual(roads, seen, textures, limit).tolist()
         flat_leaves, before = leaves[0], leaves[informed]
         if lit and not informed and flat_leaves <= self.params.evidence:
             return nothing  # for no heights can explain so much more
-        unsure = not informed or (anew and not memory.settled and searched < SEARCHES)
-        if stances.still and unsure and (acquired := self._acquired(memory, look)) is not None:
-            return self._looked(self.over(acquired.T_ground_plane)[1], acquired, look, stances)
+        unsure = not informed or (anew and not road_map.settled and searched < SEARCHES)
+        if body_poses.still and unsure and (acquired := self._acquired(road_map, observation)) is not None:
+            return self._looked(self.over(acquired.T_ground_plane)[1], acquired, observation, body_poses)
         if not lit:
             there = fine.symbol(fine.luminance(textures, fine.on_pixels(known.mean)[None])[0], limit) * fine.inside
-            return memory if float(there.sum()) * fine.step < LEAST_LIT_PX else nothing
+            return road_map if float(there.sum()) * fine.step < LEAST_LIT_PX else nothing
         if drawn is not None:
             residual = leaves[-1] if late else before
-            memory = memory.judged(drawn, residual if residual < flat_leaves else math.inf)
-            if memory.kept is not None and memory.kept.done:
-                return replace(memory, heights=memory.kept.best.heights, brightness=memory.kept.best.brightness)
+            road_map = road_map.judged(drawn, residual if residual < flat_leaves else math.inf)
+            if road_map.kept is not None and road_map.kept.done:
+                return replace(road_map, heights=road_map.kept.best.heights, brightness=road_map.kept.best.brightness)
         least, best = self._refined(registration, known, known.mean, seen, textures, limit)
         if least > self.params.sweep_above:
-            swept = self._swept(memory, frames, textures, stances)
+            swept = self._swept(road_map, frames, textures, body_poses)
             again = self._refined(registration, known, swept, seen, textures, limit)
             least, best = min((least, best), again, key=lambda each: each[0])
-        memory = replace(memory, settled=memory.settled or before > UNEVEN)
-        if least > POOR and stances.still and memory.searched == searched < SEARCHES:
-            if (acquired := self._acquired(memory, look)) is not None:
+        road_map = replace(road_map, settled=road_map.settled or before > UNEVEN)
+        if least > POOR and body_poses.still and road_map.searched == searched < SEARCHES:
+            if (acquired := self._acquired(road_map, observation)) is not None:
                 return acquired
-            memory = replace(memory, searched=searched + 1)
+            road_map = replace(road_map, searched=searched + 1)
         if least > flat_leaves - (0.0 if informed else self.params.evidence):
             return nothing
         information = known.information + best.information
-        gain = best.information.trace() / information.trace().clamp(min=1)  # of this look beside all earlier ones
-        brightness = _brightness(fine, best.mean, memory.brightness, contrast, seen, textures)
-        share = (least / before if least < before else 1.0) if stances.still else self.params.memory
-        return replace(memory, heights=replace(best, information=share * information), brightness=memory.brightness.lerp(brightness, gain))
+        gain = best.information.trace() / information.trace().clamp(min=1)  # of this observation beside all earlier ones
+        brightness = _brightness(fine, best.mean, road_map.brightness, contrast, seen, textures)
+        share = (least / before if least < before else 1.0) if body_poses.still else self.params.road_map
+        return replace(
+            road_map, heights=replace(best, information=share * information), brightness=road_map.brightness.lerp(brightness, gain)
+        )
 
     def _refined(
         self, registration: Registration, known: Heights, nodes: Tensor, seen: Tensor, textures: tuple[Tensor, ...], limit: Tensor
@@ -228,28 +238,30 @@ class Luxloop:
         found = registration.refine(nodes, known, seen, textures, limit)
         return float(registration.residual(found.mean[None], seen, textures, limit)[0]), found
 
-    def _acquired(self, memory: Memory, look: Look) -> Memory | None:
-        """The road that explains where in the whole image the symbol is; None where a road near the plane may, which looks find without."""
-        assert look.frames is not None
+    def _acquired(self, road_map: RoadMap, observation: Observation) -> RoadMap | None:
+        """The road that explains where in the whole image the symbol is; None where a road near the plane may, which observations find
+        without.
+        """
+        assert observation.frames is not None
         symbol = self.projector.params
-        found = look.seen.acquired or self.observer.acquire(look.frames, look.shown.lights)
+        found = observation.measurement.acquired or self.sensor.acquire(observation.frames, observation.shown.lights)
         if not found.found or float(self._heights(found.shape, self._nothing(self.registration)).abs().max()) < LOW_M[symbol.target]:
             return None
-        return self._shaped(memory, found.shape)
+        return self._shaped(road_map, found.shape)
 
-    def _guessed(self, state: LuxloopState, look: Look) -> Memory | None:
+    def _guessed(self, state: LuxloopState, observation: Observation) -> RoadMap | None:
         """A road to look for the symbol on that is not in the image, though it is shown for the road that was believed.
 
         Half as high or low as that; after a flat road one that falls, unless the symbol has been seen before, so that something hides it.
         """
-        lost, before = look.seen.acquired, state.memory.shape
-        if lost is None or lost.found or state.drawing is None or not look.shown.drawing.shows(state.drawing):
+        lost, before = observation.measurement.acquired, state.road_map.shape
+        if lost is None or lost.found or state.projection is None or not observation.shown.projection.shows(state.projection):
             return None
         if before is not None:
-            return self._shaped(state.memory, before / 2) if state.memory.searched < SEARCHES else None
-        return None if state.sought or lost.match else self._shaped(state.memory, self.projector.target.new_tensor(FALLEN))
+            return self._shaped(state.road_map, before / 2) if state.road_map.searched < SEARCHES else None
+        return None if state.sought or lost.match else self._shaped(state.road_map, self.projector.target.new_tensor(FALLEN))
 
-    def _shaped(self, before: Memory, shape: Tensor) -> Memory:
+    def _shaped(self, before: RoadMap, shape: Tensor) -> RoadMap:
         """A road of shape `[4]`, over the plane on which the symbol is aimed there."""
         symbol = self.projector.params
         rise = float((shape - (0 if before.shape is None else before.shape)) @ shape.new_tensor([1.0, 0.0, symbol.y_m, 0.0]))
@@ -267,81 +279,83 @@ class Luxloop:
         ahead_m, curvature = self.projector.params.x_m - ego.rear_x_m, -ego.ground[3] / ego.speed_m_s.clamp(min=1.0)
         return torch.stack([curvature * ahead_m**2 / 2, curvature * ahead_m, 0 * curvature, curvature]).to(self.projector.target)
 
-    def _heights(self, shape: Tensor, memory: Memory) -> Tensor:
-        """Heights `[n]` of a road of shape `[4]` at the nodes of a memory."""
-        T, eye = memory.T_ground_plane.to(shape), memory.eye
-        origin, ways = transform(T, eye[:, None])[:, 0], T[:3, :3] @ (memory.nodes() - eye[:, None])
+    def _heights(self, shape: Tensor, road_map: RoadMap) -> Tensor:
+        """Heights `[n]` of a road of shape `[4]` at the nodes of a road map."""
+        T, eye = road_map.T_ground_plane.to(shape), road_map.eye
+        origin, ways = transform(T, eye[:, None])[:, 0], T[:3, :3] @ (road_map.nodes() - eye[:, None])
         share = reached(shape[None], self.projector.params.x_m, origin, ways)[0].clamp(max=FARTHEST)
         return eye[2] * (1 - share)
 
-    def _swept(self, memory: Memory, frames: tuple[Tensor, Tensor], textures: tuple[Tensor, ...], stances: Stances) -> Tensor:
-        coarse = self.over(memory.T_ground_plane)[0] if stances.still else self._coarse(stances)
+    def _swept(self, road_map: RoadMap, frames: tuple[Tensor, Tensor], textures: tuple[Tensor, ...], body_poses: BodyPoses) -> Tensor:
+        coarse = self.over(road_map.T_ground_plane)[0] if body_poses.still else self._coarse(body_poses)
         contrast, limit = coarse.observe_symbol(frames, textures)
-        seen, limit = coarse.symbol(contrast, limit), limit / coarse.on_pixels(memory.brightness)
-        return sweep(coarse, seen, textures, limit, self.tried, memory.heights.base)
+        seen, limit = coarse.symbol(contrast, limit), limit / coarse.on_pixels(road_map.brightness)
+        return sweep(coarse, seen, textures, limit, self.tried, road_map.heights.base)
 
-    def _drawn(self, memory: Memory, following: Following = AT_REST) -> Drawing:
+    def _drawn(self, road_map: RoadMap, following: Following = AT_REST) -> ProjectionCommand:
         """The symbol for the road as it is known, from where the body will be then."""
-        symbol, plane = self.projector.params, memory.T_ground_plane
+        symbol, plane = self.projector.params, road_map.T_ground_plane
         T_plane_body = following.body if plane.equal(HERE) else inverse(plane) @ following.body
         T_body_plane = inverse(T_plane_body)
-        if not (memory.heights.information.any() or memory.heights.base.any()):
+        if not (road_map.heights.information.any() or road_map.heights.base.any()):
             return laid(self.projector.target, T_body_plane)
-        ends = transform(T_plane_body, self.ends).T.to(memory.eye)
-        relief = memory.relief_from(following.until, ends[0])
-        drawing = drawn_on(relief, ends[1:], symbol, T_body_plane, symbol.target == "place" or not plane.equal(HERE))
-        return replace(drawing, aim=elsewhere(plane, symbol))
+        ends = transform(T_plane_body, self.ends).T.to(road_map.eye)
+        relief = road_map.relief_from(following.until, ends[0])
+        projection = drawn_on(relief, ends[1:], symbol, T_body_plane, symbol.target == "place" or not plane.equal(HERE))
+        return replace(projection, aim=elsewhere(plane, symbol))
 
-    def _nothing(self, registration: Registration) -> Memory:
+    def _nothing(self, registration: Registration) -> RoadMap:
         """Nothing known of the road."""
-        heights, sight = registration.unknown(), registration.sight
-        return Memory(heights, torch.ones_like(heights.mean), self.region, (sight.rows, sight.cols), sight.eye)
+        heights, forward_model = registration.unknown(), registration.forward_model
+        return RoadMap(heights, torch.ones_like(heights.mean), self.region, (forward_model.rows, forward_model.cols), forward_model.eye)
 
-    def over(self, T_ground_plane: Tensor) -> tuple[Sight, Registration]:
+    def over(self, T_ground_plane: Tensor) -> tuple[ForwardModel, Registration]:
         """What heights over a plane `[4, 4]` are swept and refined with while the vehicle stands."""
         return self.standing(tuple(T_ground_plane.flatten().tolist()))
 
-    def _standing(self, plane: tuple[float, ...]) -> tuple[Sight, Registration]:
-        stances = Stances() if plane == tuple(HERE.flatten().tolist()) else Stances().over(HERE.new_tensor(plane).view(4, 4))
-        return self._coarse(stances), self._fine(stances)
+    def _standing(self, plane: tuple[float, ...]) -> tuple[ForwardModel, Registration]:
+        body_poses = BodyPoses() if plane == tuple(HERE.flatten().tolist()) else BodyPoses().over(HERE.new_tensor(plane).view(4, 4))
+        return self._coarse(body_poses), self._fine(body_poses)
 
-    def _fine(self, stances: Stances) -> Registration:
-        return Registration.prepare(self._sight(stances, 2, 3))
+    def _fine(self, body_poses: BodyPoses) -> Registration:
+        return Registration.prepare(self._sight(body_poses, 2, 3))
 
-    def _coarse(self, stances: Stances) -> Sight:
-        return self._sight(stances, 4, 1)
+    def _coarse(self, body_poses: BodyPoses) -> ForwardModel:
+        return self._sight(body_poses, 4, 1)
 
-    def _sight(self, stances: Stances, step: int, samples: int) -> Sight:
+    def _sight(self, body_poses: BodyPoses, step: int, samples: int) -> ForwardModel:
         """How the body sees the road when the two frames are exposed."""
-        return Sight.prepare(self.observer, self.region, self.params.cell_m, step, samples, stances.on, stances.off)
+        return ForwardModel.prepare(self.sensor, self.region, self.params.cell_m, step, samples, body_poses.on, body_poses.off)
 
 
-def _previewed(body: BodyFilter, memory: Memory, stances: Stances, ego: Ego) -> BodyFilter:
-    """With the road that the wheels will come to, as it is known after a look when it has left the light."""
-    way_m, driven_m = body.unseen(), body.way_m + body.speed_m_s * (stances.time_s - body.time_s)
-    x = (way_m - driven_m).to(memory.eye)
+def _previewed(body: BodyFilter, road_map: RoadMap, body_poses: BodyPoses, ego: Ego) -> BodyFilter:
+    """With the road that the wheels will come to, as it is known after an observation when it has left the light."""
+    way_m, driven_m = body.unseen(), body.way_m + body.speed_m_s * (body_poses.time_s - body.time_s)
+    x = (way_m - driven_m).to(road_map.eye)
     aside = ego.yaw_rate_rad_s / ego.speed_m_s.clamp(min=1.0) * (x - ego.rear_x_m) ** 2 / 2
     half_m = body.params.track_m / 2
-    heights, information = memory.tracks(x.expand(2, -1), torch.stack([aside + half_m, aside - half_m]))
-    level_m = transform(stances.ground.to(x), torch.stack([x, 0 * x, 0 * x]))[2]  # of the ground
+    heights, information = road_map.tracks(x.expand(2, -1), torch.stack([aside + half_m, aside - half_m]))
+    level_m = transform(body_poses.ground.to(x), torch.stack([x, 0 * x, 0 * x]))[2]  # of the ground
     return body.seen(way_m, level_m + heights, ROAD_M**2 + 1 / information.clamp(min=1e-3))
 
 
-def _believed(memory: Memory, heights: Tensor) -> Memory:
+def _believed(road_map: RoadMap, heights: Tensor) -> RoadMap:
     """A road whose heights `[n]` are taken for granted until something is seen of it."""
-    return replace(memory, heights=Heights(heights, torch.eye(len(heights)).to(heights) / HEIGHT_M**2, heights))
+    return replace(road_map, heights=Heights(heights, torch.eye(len(heights)).to(heights) / HEIGHT_M**2, heights))
 
 
-def laid(target: Tensor, T_body_ground: Tensor) -> Drawing:
+def laid(target: Tensor, T_body_ground: Tensor) -> ProjectionCommand:
     """The symbol as it is, for a body, at a target pose `[4]` that lies flat on the ground."""
     if T_body_ground.equal(HERE):
-        return Drawing(target)
+        return ProjectionCommand(target)
     centre = T_body_ground.new_tensor([float(target[0]), float(target[1]), 0.0])
     pose, z = placed(T_body_ground @ pose_of(centre, torch.eye(3).to(centre)))
-    return Drawing(pose.to(target), z.to(target))
+    return ProjectionCommand(pose.to(target), z.to(target))
 
 
-def _brightness(fine: Sight, heights: Tensor, before: Tensor, contrast: Tensor, seen: Tensor, textures: tuple[Tensor, ...]) -> Tensor:
+def _brightness(
+    fine: ForwardModel, heights: Tensor, before: Tensor, contrast: Tensor, seen: Tensor, textures: tuple[Tensor, ...]
+) -> Tensor:
     """Brightness `[n]` of the nodes, from where the light is that falls on such heights."""
     expected = fine.luminance(textures, fine.on_pixels(heights)[None])[0]
     lit = (seen > 0.5) & (expected > 0)

@@ -5,8 +5,8 @@ from torch import Tensor
 from torch.nn.functional import interpolate
 
 from controllers.symbol.heights.relief import Relief
-from controllers.symbol.sensing.drawing import CELLS, Drawing, Warp
 from controllers.symbol.sensing.planes import LEAST_HEIGHT_M, below_lamps, holding, placed
+from controllers.symbol.sensing.projection import CELLS, ProjectionCommand, Warp
 from controllers.symbol.sensing.projector import SymbolParams
 from world.frames import inverse, pose, transform
 
@@ -17,11 +17,11 @@ HIGHEST_M = 0.2  # of a road: a higher one gets a patch that is fitted to it
 LEAST_DEPTH_M = 0.05  # above and below a fitted patch, where the road is looked for at least
 
 
-def drawn_on(relief: Relief, lamps: Tensor, symbol: SymbolParams, T_body_ground: Tensor, in_place: bool = False) -> Drawing:
+def drawn_on(relief: Relief, lamps: Tensor, symbol: SymbolParams, T_body_ground: Tensor, in_place: bool = False) -> ProjectionCommand:
     """The symbol, on a rectangle on the road, warped such that the eye sees on the relief what it would see on the plane.
 
-    lamps: `[m, 3]` m. T_body_ground: `[4, 4]`; relief and lamps are in the ground frame, the drawing is in that of the body. The light of a
-    cell takes what of the symbol lies where the eye sees that light on the plane, or where the light is itself if the symbol shall lie
+    lamps: `[m, 3]` m. T_body_ground: `[4, 4]`; relief and lamps are in the ground frame, the projection is in that of the body. The light
+    of a cell takes what of the symbol lies where the eye sees that light on the plane, or where the light is itself if the symbol shall lie
     in_place. What is brighter than the plane would be is dimmed.
     """
     lamps = lamps.to(relief.heights)
@@ -36,7 +36,7 @@ def drawn_on(relief: Relief, lamps: Tensor, symbol: SymbolParams, T_body_ground:
         x_seen, y_seen, _ = relief.points(x_seen, y_seen)
     source = [2 * (symbol.y_m - y_seen) / symbol.width_m, 2 * (symbol.x_m - x_seen) / symbol.length_m]
     fine = interpolate(torch.stack([*source, 1 / brightness.clamp(min=1)], 1), scale_factor=FOLLOWED, mode="bilinear")
-    return Drawing(*placed(T_body_ground.to(T) @ T), Warp(fine[:, :2], fine[:, 2], size_m))
+    return ProjectionCommand(*placed(T_body_ground.to(T) @ T), Warp(fine[:, :2], fine[:, 2], size_m))
 
 
 def _patch(relief: Relief, lamps: Tensor, symbol: SymbolParams, in_place: bool) -> tuple[Tensor, tuple[float, float], float]:

@@ -9,7 +9,7 @@ from kornia.filters import get_gaussian_kernel1d
 from torch import Tensor
 from torch.nn.functional import conv2d
 
-from controllers.symbol.heights.sight import Sight
+from controllers.symbol.heights.forward_model import ForwardModel
 
 BLURS = (
     (1.0, 4.0, 0.4),
@@ -36,37 +36,37 @@ class Heights:
 
 @dataclass(frozen=True)
 class Registration:
-    """Registers looks of one sight."""
+    """Registers observations of one sight."""
 
-    sight: Sight
+    forward_model: ForwardModel
     edges: Tensor
     slopes: Tensor
     pairs: Tensor
     products: Tensor
 
     @classmethod
-    def prepare(cls, sight: Sight) -> "Registration":
+    def prepare(cls, forward_model: ForwardModel) -> "Registration":
         """Make the tables of node pairs once."""
-        rows, cols, region = sight.rows, sight.cols, sight.region
-        k = torch.arange(rows * cols, device=sight.node.device).view(rows, cols)
+        rows, cols, region = forward_model.rows, forward_model.cols, forward_model.region
+        k = torch.arange(rows * cols, device=forward_model.node.device).view(rows, cols)
         down, right = torch.stack([k[1:], k[:-1]]).flatten(1), torch.stack([k[:, 1:], k[:, :-1]]).flatten(1)
         aspect = (region.x_far_m - region.x_near_m) / rows / ((region.y_left_m - region.y_right_m) / cols)
         slopes = torch.cat([torch.full((down.shape[1],), aspect**0.5), torch.full((right.shape[1],), aspect**-0.5)]).to(k.device)
-        pairs = (sight.node[:, None] * (rows * cols) + sight.node).flatten()
-        products = (sight.weight[:, None] * sight.weight).flatten(0, 1)
-        return cls(sight, torch.cat([down, right], 1), SLOPE_M * slopes, pairs, products)
+        pairs = (forward_model.node[:, None] * (rows * cols) + forward_model.node).flatten()
+        products = (forward_model.weight[:, None] * forward_model.weight).flatten(0, 1)
+        return cls(forward_model, torch.cat([down, right], 1), SLOPE_M * slopes, pairs, products)
 
     def unknown(self) -> Heights:
         """Zero, and nothing known."""
-        n = self.sight.rows * self.sight.cols
+        n = self.forward_model.rows * self.forward_model.cols
         zero = self.slopes.new_zeros(n)
         return Heights(zero, zero.new_zeros(n, n), zero)
 
     def residual(self, nodes: Tensor, seen: Tensor, textures: tuple[Tensor, ...], limit: Tensor) -> Tensor:
         """What heights `[k, n]` leave unexplained of a symbol image `[h, w]`, as a share of what they predict to be lit: `[k]`."""
         predicted = self._predicted(nodes, textures, limit, BLURS[-1])
-        error = (self._blurred(seen[None], BLURS[-1]) - predicted).square().clamp(max=0.09) * self.sight.inside
-        return error.sum((-2, -1)) / (predicted * self.sight.inside).sum((-2, -1)).clamp(min=1.0)
+        error = (self._blurred(seen[None], BLURS[-1]) - predicted).square().clamp(max=0.09) * self.forward_model.inside
+        return error.sum((-2, -1)) / (predicted * self.forward_model.inside).sum((-2, -1)).clamp(min=1.0)
 
     def refine(self, nodes: Tensor, known: Heights, seen: Tensor, textures: tuple[Tensor, ...], limit: Tensor) -> Heights:
         """Gauss-Newton from heights `[n]`, on a symbol image `[h, w]` and what is known; the information is that of the image alone.
@@ -75,7 +75,7 @@ class Registration:
         with the predicted image p, Tukey's biweight rho, the known mean m and information L, the base b, its usual distance h, and the
         differences d_ij of z - b between neighbours with their usual size s_ij (Cauchy). None lies above a free way of light.
         """
-        sight, (i, j), n = self.sight, self.edges, len(nodes)
+        forward_model, (i, j), n = self.forward_model, self.edges, len(nodes)
         information = known.information
         for blur in BLURS:
             smooth = self._blurred(seen[None], blur)[0]
@@ -84,14 +84,20 @@ class Registration:
                 predicted, higher, lower = self._predicted(around, textures, limit, blur)
                 slope, error = (higher - lower) / (2 * PROBE_M), smooth - predicted  # J = dp/dz and e, both [h, w]
                 scale = 2 * blur[2] * torch.where(error < 0, HIDDEN, 1.0)  # of Tukey's biweight w = (1 - (e / scale)^2)^2
-                weight = (1 - (error / scale) ** 2).clamp(min=0) ** 2 * sight.inside * (sight.step / (PIXEL_SIGMA**2 * blur[0] * blur[1]))
+                weight = (
+                    (1 - (error / scale) ** 2).clamp(min=0) ** 2
+                    * forward_model.inside
+                    * (forward_model.step / (PIXEL_SIGMA**2 * blur[0] * blur[1]))
+                )
                 information = self._squared(weight * slope * slope)  # J' W J [n, n]
                 force = (
-                    sight.on_nodes(weight * slope * error) + known.information @ (known.mean - nodes) + (known.base - nodes) / HEIGHT_M**2
+                    forward_model.on_nodes(weight * slope * error)
+                    + known.information @ (known.mean - nodes)
+                    + (known.base - nodes) / HEIGHT_M**2
                 )
-                free, above = self._free(sight.on_pixels(nodes), seen)
+                free, above = self._free(forward_model.on_pixels(nodes), seen)
                 matrix = information + known.information + self._squared(above)  # of the normal equations, [n, n]
-                force = force + sight.on_nodes(above * (free - sight.on_pixels(nodes)))
+                force = force + forward_model.on_nodes(above * (free - forward_model.on_pixels(nodes)))
                 step = (nodes - known.base)[i] - (nodes - known.base)[j]
                 stiffness = 1 / (self.slopes**2 + step**2 / 4)  # an edge as soon as it is steep: Cauchy
                 force = force.index_add(0, i, -stiffness * step).index_add(0, j, stiffness * step)
@@ -104,16 +110,16 @@ class Registration:
         return Heights(nodes, information, known.base)
 
     def _predicted(self, nodes: Tensor, textures: tuple[Tensor, ...], limit: Tensor, blur: tuple[float, float, float]) -> Tensor:
-        luminance = self.sight.luminance(textures, self.sight.on_pixels(nodes))
-        return self._blurred(self.sight.symbol(luminance, limit), blur)
+        luminance = self.forward_model.luminance(textures, self.forward_model.on_pixels(nodes))
+        return self._blurred(self.forward_model.symbol(luminance, limit), blur)
 
     def _blurred(self, image: Tensor, blur: tuple[float, float, float]) -> Tensor:
-        down, across = (_gaussian(sigma, image.device) for sigma in (blur[0], blur[1] / self.sight.step))
+        down, across = (_gaussian(sigma, image.device) for sigma in (blur[0], blur[1] / self.forward_model.step))
         return conv2d(conv2d(image[:, None], across[:, None], padding="same"), down[..., None], padding="same")[:, 0]
 
     def _squared(self, weight: Tensor) -> Tensor:
         """`J^T W J` `[n, n]` of a weight `[h, w]` for each pixel."""
-        n = self.sight.rows * self.sight.cols
+        n = self.forward_model.rows * self.forward_model.cols
         return weight.new_zeros(n * n).index_add_(0, self.pairs, (self.products * weight.flatten()).flatten()).view(n, n)
 
     def _free(self, heights: Tensor, seen: Tensor) -> tuple[Tensor, Tensor]:
@@ -122,14 +128,14 @@ class Registration:
         Returns the height `[h, w]` m that dark pixels have at most by that, and the weight `[h, w]` 1/m^2 of those that are higher. With
         several lamps there are none: it is not known whose light arrives.
         """
-        lamp, middle = self.sight.lamps[0], self.sight.samples // 2
-        on_plane, per_m = (a[:, middle :: self.sight.samples] for a in (lamp.on_plane, lamp.per_m))
+        lamp, middle = self.forward_model.lamps[0], self.forward_model.samples // 2
+        on_plane, per_m = (a[:, middle :: self.forward_model.samples] for a in (lamp.on_plane, lamp.per_m))
         rise = (on_plane[2] + per_m[2] * heights) / (on_plane[0] + per_m[0] * heights)
-        lit = (seen > 0.5) & (self.sight.inside > 0)
+        lit = (seen > 0.5) & (self.forward_model.inside > 0)
         lowest = torch.where(lit, rise, torch.inf).cummin(-2).values
         highest = (lowest * on_plane[0] - on_plane[2]) / (per_m[2] - lowest * per_m[0])
-        above = (rise > lowest) & (seen < 0.2) & (self.sight.inside > 0) & lowest.isfinite() & (len(self.sight.lamps) == 1)
-        return torch.where(above, highest, 0.0), above / FREE_M**2 * self.sight.step
+        above = (rise > lowest) & (seen < 0.2) & (self.forward_model.inside > 0) & lowest.isfinite() & (len(self.forward_model.lamps) == 1)
+        return torch.where(above, highest, 0.0), above / FREE_M**2 * self.forward_model.step
 
 
 @lru_cache(maxsize=8)

@@ -8,11 +8,11 @@ import torch
 from kornia.filters import gaussian_blur2d
 from torch import Tensor
 
+from controllers.symbol.heights.forward_model import ForwardModel
 from controllers.symbol.heights.relief import Relief
-from controllers.symbol.heights.sight import Sight
-from controllers.symbol.sensing.drawing import Drawing
-from controllers.symbol.sensing.observer import Observer
-from controllers.symbol.sensing.protocol import Look
+from controllers.symbol.sensing.projection import ProjectionCommand
+from controllers.symbol.sensing.protocol import Observation
+from controllers.symbol.sensing.symbol_sensor import SymbolSensor
 from perception.birdseye import Region
 
 CELL_M = (0.15, 0.1)
@@ -36,15 +36,15 @@ class SurveyState:
 class Survey:
     """Shows each pattern and its inverse once, with the first module that draws, and triangulates."""
 
-    def __init__(self, observer: Observer, region: Region) -> None:
-        modules = observer.projector.modules
+    def __init__(self, sensor: SymbolSensor, region: Region) -> None:
+        modules = sensor.projector.modules
         self.headlight = modules[0].pixel_controller.headlight
-        self.sight = Sight.prepare(observer, region, CELL_M, 2, 1)
+        self.forward_model = ForwardModel.prepare(sensor, region, CELL_M, 2, 1)
         rows = self.headlight.pixel_rows
         codes = cv2.structured_light.GrayCodePattern.create(1, rows).generate()[1]
         others = tuple(each.pixel_controller.default for each in modules[1:])
         stripes = [self._stripes(code) for code in codes]
-        self.patterns = tuple(Drawing(observer.projector.target, raw=(u, *others)) for u in stripes)
+        self.patterns = tuple(ProjectionCommand(sensor.projector.target, raw=(u, *others)) for u in stripes)
         whole = stripes[0] + stripes[1] - 2 * modules[0].pixel_controller.default
         self.lit = (
             self.headlight.light_texture(whole),
@@ -55,16 +55,16 @@ class Survey:
         """Nothing seen."""
         return SurveyState(0, (None,) * len(self.patterns))
 
-    def drawing(self, state: SurveyState) -> Drawing:
+    def projection(self, state: SurveyState) -> ProjectionCommand:
         """The pattern that is shown next."""
         return self.patterns[state.next]
 
-    def step(self, state: SurveyState, look: Look) -> SurveyState:
+    def step(self, state: SurveyState, observation: Observation) -> SurveyState:
         """Keep what the frames show; go round what is still missing, since frames may be late or lost."""
         seen = list(state.seen)
         for k, pattern in enumerate(self.patterns):
-            if look.frames is not None and look.shown.drawing.shows(pattern):
-                seen[k] = self.sight.observe(look.frames)[0]
+            if observation.frames is not None and observation.shown.projection.shows(pattern):
+                seen[k] = self.forward_model.observe(observation.frames)[0]
         after = [(state.next + 1 + k) % len(seen) for k in range(len(seen))]
         return replace(state, seen=tuple(seen), next=next((k for k in after if seen[k] is None), state.next))
 
@@ -74,18 +74,18 @@ class Survey:
         bits = (contrasts[0::2] > contrasts[1::2]).long()
         binary = bits.cumsum(0) % 2  # from Gray code
         row = (binary * (2 ** torch.arange(len(bits) - 1, -1, -1, device=bits.device))[:, None, None]).sum(0)
-        lamp, sight = self.sight.lamps[0], self.sight
+        lamp, forward_model = self.forward_model.lamps[0], self.forward_model
         rise = self._rise(row)
         height = (rise * lamp.on_plane[0] - lamp.on_plane[2]) / (lamp.per_m[2] - rise * lamp.per_m[0])
         lit = contrasts[0] + contrasts[1]
-        usable = (height.abs() < HIGHEST_M) & (lit > 0.2 * lit.median()) & (sight.inside > 0)
+        usable = (height.abs() < HIGHEST_M) & (lit > 0.2 * lit.median()) & (forward_model.inside > 0)
         heights = self._smooth(torch.where(usable, height, 0.0), usable.to(height))
-        expected = sight.luminance(self.lit, sight.on_pixels(heights.flatten())[None])[0] * usable
-        return Relief(sight.region, sight.eye, heights, self._smooth(lit * usable, expected))
+        expected = forward_model.luminance(self.lit, forward_model.on_pixels(heights.flatten())[None])[0] * usable
+        return Relief(forward_model.region, forward_model.eye, heights, self._smooth(lit * usable, expected))
 
     def _smooth(self, values: Tensor, weights: Tensor) -> Tensor:
         """Sum of values over sum of weights, both `[h, w]`, around each node: `[rows, cols]`."""
-        found = self.sight.on_nodes(torch.stack([values, weights])).view(1, 2, self.sight.rows, self.sight.cols)
+        found = self.forward_model.on_nodes(torch.stack([values, weights])).view(1, 2, self.forward_model.rows, self.forward_model.cols)
         parts = [
             share * gaussian_blur2d(found, (2 * int(3 * sigma) + 1,) * 2, (sigma, sigma), border_type="replicate")[0]
             for share, sigma in SMOOTHING
@@ -107,4 +107,4 @@ class Survey:
         texel = torch.arange(light.rows)[whole > 0] + 0.5
         rise = light.top + (light.bottom - light.top) * texel / light.rows
         order = mean.argsort()
-        return torch.from_numpy(np.interp(row.cpu().numpy(), mean[order].numpy(), rise[order].numpy())).to(self.sight.inside)
+        return torch.from_numpy(np.interp(row.cpu().numpy(), mean[order].numpy(), rise[order].numpy())).to(self.forward_model.inside)

@@ -1,26 +1,28 @@
-"""Heights from one look by a plane sweep, as in stereo vision: every height is tried everywhere, neighbours settle what is ambiguous."""
+"""Heights from one observation by a plane sweep, as in stereo vision: every height is tried everywhere, neighbours settle what is
+ambiguous.
+"""
 
 import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from controllers.symbol.heights.sight import Sight
+from controllers.symbol.heights.forward_model import ForwardModel
 
 CAPS = (0.25, 0.6)  # a pixel costs no more than this where light is missing, which may be hidden, and where it comes from nowhere
 PIXEL = 0.4  # of the camera, cost as much as one height step between neighbours
 STEP, JUMP = 0.3, 3.0  # cost of neighbours that differ by one height step, and by more
 
 
-def sweep(sight: Sight, seen: Tensor, textures: tuple[Tensor, ...], limit: Tensor, heights: Tensor, base: Tensor) -> Tensor:
+def sweep(forward_model: ForwardModel, seen: Tensor, textures: tuple[Tensor, ...], limit: Tensor, heights: Tensor, base: Tensor) -> Tensor:
     """Heights in m at the nodes `[n]`, out of `[k]` over the base `[n]` that are tried, in even steps about zero.
 
     seen: symbol image `[h, w]`. limit: threshold `[h, w]` cd/m^2. textures: light that was shown, `[rows, cols]` cd a module.
     """
-    tried = heights[:, None, None] + sight.on_pixels(base)
-    lack = seen - sight.symbol(sight.luminance(textures, tried), limit)
-    cost = torch.where(lack < 0, (-lack).clamp(max=CAPS[0]), lack.clamp(max=CAPS[1])) * sight.inside
-    costs = sight.on_nodes(cost) * (PIXEL * sight.step) + 0.4 * heights.abs()[:, None]
-    return base + heights[semi_global(costs.T.unflatten(0, (sight.rows, sight.cols))).flatten()]
+    tried = heights[:, None, None] + forward_model.on_pixels(base)
+    lack = seen - forward_model.symbol(forward_model.luminance(textures, tried), limit)
+    cost = torch.where(lack < 0, (-lack).clamp(max=CAPS[0]), lack.clamp(max=CAPS[1])) * forward_model.inside
+    costs = forward_model.on_nodes(cost) * (PIXEL * forward_model.step) + 0.4 * heights.abs()[:, None]
+    return base + heights[semi_global(costs.T.unflatten(0, (forward_model.rows, forward_model.cols))).flatten()]
 
 
 def semi_global(costs: Tensor) -> Tensor:

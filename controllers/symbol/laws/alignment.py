@@ -13,7 +13,7 @@ from kornia.geometry.transform import remap
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from controllers.symbol.sensing.observer import Observer, Seen
+from controllers.symbol.sensing.symbol_sensor import Measurement, SymbolSensor
 from perception.birdseye import BirdsEye, Region, birds_eye, rectify
 from perception.extraction import Crop
 
@@ -67,15 +67,15 @@ class Alignment:
     basis: Tensor
 
     @classmethod
-    def prepare(cls, observer: Observer) -> Self:
+    def prepare(cls, sensor: SymbolSensor) -> Self:
         """Look at the target on the flat road."""
-        projector, eye = observer.projector, observer.model.eye
+        projector, eye = sensor.projector, sensor.model.eye
         p, device = projector.params, projector.symbol.device
         half = [size * (0.5 + beyond) for size, beyond in zip((p.length_m, p.width_m), BEYOND, strict=True)]
         region = Region(max(p.x_m - half[0], 1.0), p.x_m + half[0], p.y_m + half[1], p.y_m - half[1], CELL_M)
         plane = birds_eye(region, eye.view).to(device)
         crop = Crop(0, eye.view.height, 0, eye.view.width)
-        target = rectify(plane, observer.model.symbol(projector.light(projector.target), crop))
+        target = rectify(plane, sensor.model.symbol(projector.light(projector.target), crop))
         y, x = (-plane.axes.u.to(target)).expand_as(target), (-plane.axes.v.to(target))[:, None].expand_as(target)
         points = torch.stack([(p.y_m - y) * (2 / p.width_m), (p.x_m - x) * (2 / p.length_m)])
         lamp = torch.stack([module.T_world_headlight[:3, 3] for module in projector.modules]).mean(0).to(target)
@@ -87,7 +87,7 @@ class Alignment:
         basis = interpolate(nodes, target.shape, mode="bilinear", align_corners=True).flatten(1)
         return cls(plane, target, points, Placement(torch.eye(3).to(target), target.new_zeros(NODES), per_m, extent), basis)
 
-    def image(self, seen: Seen) -> Tensor:
+    def image(self, seen: Measurement) -> Tensor:
         """The symbol image `[rows, cols]` from above."""
         return rectify(self.plane, seen.symbol, seen.crop.u_start, seen.crop.v_start)
 

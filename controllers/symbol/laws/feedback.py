@@ -14,10 +14,10 @@ from pydantic import Field
 from torch import Tensor
 
 from controllers.symbol.laws.stages import StagedParams
-from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.flat_model import PROBE
-from controllers.symbol.sensing.observer import Observer
-from controllers.symbol.sensing.protocol import Look
+from controllers.symbol.sensing.projection import ProjectionCommand
+from controllers.symbol.sensing.protocol import Observation
+from controllers.symbol.sensing.symbol_sensor import SymbolSensor
 from perception.egomotion import Ego
 from perception.extraction import Loss
 from world.params import Degrees, Metres
@@ -66,10 +66,10 @@ class FeedbackState:
 class Feedback:
     """One of the laws."""
 
-    def __init__(self, params: FeedbackParams, observer: Observer) -> None:
-        self.params, self.observer = params, observer
-        self.target = observer.projector.target
-        height = torch.stack([module.T_world_headlight[2, 3] for module in observer.projector.modules]).mean()
+    def __init__(self, params: FeedbackParams, sensor: SymbolSensor) -> None:
+        self.params, self.sensor = params, sensor
+        self.target = sensor.projector.target
+        height = torch.stack([module.T_world_headlight[2, 3] for module in sensor.projector.modules]).mean()
         self.m_per_z = float(self.target[0] / height) if params.dof == "z" else 1.0
         lows, highs = zip(
             params.shift_range_m,
@@ -95,19 +95,19 @@ class Feedback:
         losses = torch.zeros(pose.shape[:-1], dtype=torch.int64, device=pose.device)
         return FeedbackState(correction.clamp(self.low, self.high), losses, pose)
 
-    def drawing(self, state: FeedbackState, ego: Ego | None) -> Drawing:
+    def projection(self, state: FeedbackState, ego: Ego | None) -> ProjectionCommand:
         """The symbol as it is at the corrected target."""
-        return self._drawn(state.correction) if state.pose is None else Drawing(state.pose)
+        return self._drawn(state.correction) if state.pose is None else ProjectionCommand(state.pose)
 
-    def step(self, state: FeedbackState, look: Look) -> FeedbackState:
+    def step(self, state: FeedbackState, observation: Observation) -> FeedbackState:
         """Correct by what was seen; hold while the symbol is lost, show the flat-road primitive after repeated loss."""
-        usable = (look.seen.code == Loss.SEEN) & look.seen.errors.isfinite().all(-1)
-        lost = ~usable & (look.seen.code != Loss.NO_FRAME)
+        usable = (observation.measurement.code == Loss.SEEN) & observation.measurement.errors.isfinite().all(-1)
+        lost = ~usable & (observation.measurement.code != Loss.NO_FRAME)
         losses = torch.where(usable, 0, state.losses + lost)
-        offset = torch.where(usable[..., None], look.seen.errors, 0.0)
+        offset = torch.where(usable[..., None], observation.measurement.errors, 0.0)
         if isinstance(self.params, ModelReferenceParams):
-            rendered = self.observer.rendered(look.shown.drawing, look.shown.lights)
-            offset = torch.where(usable[..., None], offset + self.observer.model.target - rendered, 0.0)
+            rendered = self.sensor.rendered(observation.shown.projection, observation.shown.lights)
+            offset = torch.where(usable[..., None], offset + self.sensor.model.target - rendered, 0.0)
             wanted = -offset @ self.inverse.T
         else:
             wanted = state.correction - offset @ self.inverse.T
@@ -116,12 +116,12 @@ class Feedback:
         correction = torch.where(usable[..., None], moved, state.correction)
         return FeedbackState(torch.where(reset[..., None], 0.0, correction), torch.where(reset, 0, losses))
 
-    def _drawn(self, correction: Tensor) -> Drawing:
+    def _drawn(self, correction: Tensor) -> ProjectionCommand:
         if self.params.dof == "x":
-            return Drawing(self.target + correction)
+            return ProjectionCommand(self.target + correction)
         shift = torch.cat([torch.zeros_like(correction[..., :1]), correction[..., 1:]], -1)
-        return Drawing(self.target + shift, correction[..., 0])
+        return ProjectionCommand(self.target + shift, correction[..., 0])
 
     def _expected(self, correction: Tensor) -> Tensor:
-        drawing = self._drawn(correction)
-        return self.observer.rendered(drawing, self.observer.projector.draw(drawing))
+        projection = self._drawn(correction)
+        return self.sensor.rendered(projection, self.sensor.projector.draw(projection))

@@ -5,9 +5,9 @@ from typing import Any
 
 from torch import Tensor
 
-from controllers.symbol.sensing.drawing import Drawing
-from controllers.symbol.sensing.observer import Observer
-from controllers.symbol.sensing.protocol import Look, SymbolController
+from controllers.symbol.sensing.projection import ProjectionCommand
+from controllers.symbol.sensing.protocol import Observation, SymbolController
+from controllers.symbol.sensing.symbol_sensor import SymbolSensor
 from perception.egomotion import Ego
 from perception.extraction import Loss
 
@@ -27,47 +27,51 @@ class LiftingState:
 class Lifting:
     """The controller draws and sees as on the plane z = 0, and begins anew at the target on every other road that is acquired."""
 
-    def __init__(self, inner: SymbolController, observer: Observer) -> None:
-        self.inner, self.observer, self.projector = inner, observer, observer.projector
+    def __init__(self, inner: SymbolController, sensor: SymbolSensor) -> None:
+        self.inner, self.sensor, self.projector = inner, sensor, sensor.projector
 
     def start(self, pose: Tensor) -> LiftingState:
         """State that shows the pose `[..., 4]` first."""
         return LiftingState(self.inner.start(pose))
 
-    def drawing(self, state: LiftingState, ego: Ego | None) -> Drawing:
+    def projection(self, state: LiftingState, ego: Ego | None) -> ProjectionCommand:
         """The controller's, for the road as it is known."""
-        drawing = self.inner.drawing(state.inner, ego)
-        return drawing if state.shape is None else replace(drawing, shape=state.shape)
+        projection = self.inner.projection(state.inner, ego)
+        return projection if state.shape is None else replace(projection, shape=state.shape)
 
-    def step(self, state: LiftingState, look: Look) -> LiftingState:
+    def step(self, state: LiftingState, observation: Observation) -> LiftingState:
         """Step the controller by what was drawn for the road as it is known; the errors of earlier light are those of another plant."""
-        if not _same(look.shown.drawing.shape, state.shape):
+        if not _same(observation.shown.projection.shape, state.shape):
             return state
-        shape, losses = self._known(state, look)
+        shape, losses = self._known(state, observation)
         if not _same(shape, state.shape):
             return LiftingState(self.inner.start(self.projector.target), shape)
         if shape is not None:
-            drawing = replace(look.shown.drawing, shape=None)
-            look = replace(look, shown=replace(look.shown, drawing=drawing, lights=self.projector.draw(drawing)))
-        return LiftingState(self.inner.step(state.inner, look), shape, losses)
+            projection = replace(observation.shown.projection, shape=None)
+            observation = replace(
+                observation, shown=replace(observation.shown, projection=projection, lights=self.projector.draw(projection))
+            )
+        return LiftingState(self.inner.step(state.inner, observation), shape, losses)
 
-    def _known(self, state: LiftingState, look: Look) -> tuple[Tensor | None, int]:
-        """The road's shape after a look, None on the move, which shapes do not follow, and how often in a row the symbol was lost on it."""
-        moving = look.ego is not None and not look.ego.stands
-        if look.seen.code.dim() or moving:
+    def _known(self, state: LiftingState, observation: Observation) -> tuple[Tensor | None, int]:
+        """The road's shape after an observation, None on the move, which shapes do not follow, and how often in a row the symbol was lost
+        on it.
+        """
+        moving = observation.ego is not None and not observation.ego.stands
+        if observation.measurement.code.dim() or moving:
             return None, 0
-        if look.seen.code == Loss.SEEN:
-            return self._beyond(state.shape, look) if look.seen.acquired is None else look.seen.shape, 0
-        losses = state.losses + int(state.shape is not None and look.seen.code != Loss.NO_FRAME)
+        if observation.measurement.code == Loss.SEEN:
+            return self._beyond(state.shape, observation) if observation.measurement.acquired is None else observation.measurement.shape, 0
+        losses = state.losses + int(state.shape is not None and observation.measurement.code != Loss.NO_FRAME)
         return (None, 0) if losses == LOSSES else (state.shape, losses)
 
-    def _beyond(self, known: Tensor | None, look: Look) -> Tensor | None:
+    def _beyond(self, known: Tensor | None, observation: Observation) -> Tensor | None:
         """The known shape, or that of a road farther off where the symbol reaches the footprint's ends."""
-        if look.frames is None or not self.observer.at_ends(look.seen):
+        if observation.frames is None or not self.sensor.at_ends(observation.measurement):
             return known
-        found = self.observer.acquire(look.frames, look.shown.lights)
+        found = self.sensor.acquire(observation.frames, observation.shown.lights)
         risen = found.shape[0] - (0.0 if known is None else known[0])
-        return found.shape if found.match > SURE and found.found and risen.abs() > self.observer.params.footprint_margin_m else known
+        return found.shape if found.match > SURE and found.found and risen.abs() > self.sensor.params.footprint_margin_m else known
 
 
 def _same(a: Tensor | None, b: Tensor | None) -> bool:

@@ -5,8 +5,8 @@ from typing import Literal
 
 from torch import Tensor
 
-from controllers.symbol.sensing.drawing import Drawing
-from controllers.symbol.sensing.protocol import Look
+from controllers.symbol.sensing.projection import ProjectionCommand
+from controllers.symbol.sensing.protocol import Observation
 from perception.egomotion import Ego
 from world.params import Params
 
@@ -27,10 +27,10 @@ class OpenLoop:
         """The target, in the shape of the pose `[..., 4]`."""
         return self.target.expand_as(pose)
 
-    def drawing(self, state: Tensor, ego: Ego | None) -> Drawing:
+    def projection(self, state: Tensor, ego: Ego | None) -> ProjectionCommand:
         """The symbol as it is at the target `[..., 4]`."""
-        return Drawing(state)
+        return ProjectionCommand(state)
 
-    def step(self, state: Tensor, look: Look) -> Tensor:
+    def step(self, state: Tensor, observation: Observation) -> Tensor:
         """Nothing changes."""
         return state

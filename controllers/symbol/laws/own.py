@@ -5,8 +5,8 @@ from typing import Any, cast
 from pydantic import Field
 
 from controllers.symbol.laws.stages import StagedParams
-from controllers.symbol.sensing.observer import Observer
 from controllers.symbol.sensing.protocol import SymbolController
+from controllers.symbol.sensing.symbol_sensor import SymbolSensor
 from world import plugin
 
 KEY = "controller.name"
@@ -14,12 +14,12 @@ METHODS = ("start", "drawing", "step")
 
 
 class OwnParams(StagedParams):
-    """`Name(observer, **options)` of a module of the user's own makes the controller."""
+    """`Name(sensor, **options)` of a module of the user's own makes the controller."""
 
     name: plugin.OwnName
-    options: dict[str, Any] = Field({}, description="keyword arguments of Name, beside the observer")
+    options: dict[str, Any] = Field({}, description="keyword arguments of Name, beside the sensor")
 
 
-def own_controller(params: OwnParams, observer: Observer) -> SymbolController:
+def own_controller(params: OwnParams, sensor: SymbolSensor) -> SymbolController:
     """Import and call it. Raises LuxloopError where there is none, it does not take what it is given, or lacks a method."""
-    return cast(SymbolController, plugin.make(params.name, KEY, {"observer": observer}, params.options, METHODS))
+    return cast(SymbolController, plugin.make(params.name, KEY, {"sensor": sensor}, params.options, METHODS))

@@ -5,8 +5,8 @@ from pydantic import Field
 from controllers.symbol.laws.lifting import Lifting
 from controllers.symbol.laws.supervising import Supervising, SupervisorParams
 from controllers.symbol.laws.warping import Warping, WarpParams
-from controllers.symbol.sensing.observer import Observer
 from controllers.symbol.sensing.protocol import SymbolController
+from controllers.symbol.sensing.symbol_sensor import SymbolSensor
 from world.params import Params
 
 
@@ -17,10 +17,10 @@ class StagedParams(Params):
     supervisor: SupervisorParams | None = Field(None, description="shows the open loop where control does not better it; left out: none")
 
 
-def staged(params: StagedParams, controller: SymbolController, observer: Observer) -> SymbolController:
+def staged(params: StagedParams, controller: SymbolController, sensor: SymbolSensor) -> SymbolController:
     """The controller with the stages that its keys ask for, lifted onto the road."""
     if params.warp is not None:
-        controller = Warping(params.warp, controller, observer)
+        controller = Warping(params.warp, controller, sensor)
     if params.supervisor is not None:
-        controller = Supervising(params.supervisor, controller, observer)
-    return Lifting(controller, observer)
+        controller = Supervising(params.supervisor, controller, sensor)
+    return Lifting(controller, sensor)

@@ -8,9 +8,9 @@ from pydantic import Field
 from torch import Tensor
 
 from controllers.symbol.laws.alignment import Alignment
-from controllers.symbol.sensing.drawing import Drawing
-from controllers.symbol.sensing.observer import Observer
-from controllers.symbol.sensing.protocol import Look, SymbolController
+from controllers.symbol.sensing.projection import ProjectionCommand
+from controllers.symbol.sensing.protocol import Observation, SymbolController
+from controllers.symbol.sensing.symbol_sensor import SymbolSensor
 from perception.egomotion import Ego
 from perception.extraction import Loss
 from world.params import Params
@@ -32,7 +32,7 @@ class SupervisorParams(Params):
 class SupervisingState:
     """inner: state of the controller in charge, None for the open loop. opened: residual of the open loop when it was last seen.
 
-    looks: at the controller's symbol so far. failed: residual of the open loop that nothing could be done about, None for none.
+    observations: at the controller's symbol so far. failed: residual of the open loop that nothing could be done about, None for none.
     """
 
     inner: Any = None
@@ -44,40 +44,44 @@ class SupervisingState:
 class Supervising:
     """Begins with the open loop; the controller takes over from there where the road is uneven, as long as it is better."""
 
-    def __init__(self, params: SupervisorParams, inner: SymbolController, observer: Observer) -> None:
-        self.params, self.inner, self.target = params, inner, observer.projector.target
-        self.alignment = Alignment.prepare(observer)
-        self.flat = Drawing(self.target)
+    def __init__(self, params: SupervisorParams, inner: SymbolController, sensor: SymbolSensor) -> None:
+        self.params, self.inner, self.target = params, inner, sensor.projector.target
+        self.alignment = Alignment.prepare(sensor)
+        self.flat = ProjectionCommand(self.target)
 
     def start(self, pose: Tensor) -> SupervisingState:
         """The open loop, whatever the pose `[4]`."""
         return SupervisingState()
 
-    def drawing(self, state: SupervisingState, ego: Ego | None) -> Drawing:
+    def projection(self, state: SupervisingState, ego: Ego | None) -> ProjectionCommand:
         """The open loop's, or the controller's."""
-        return self.flat if state.inner is None else self.inner.drawing(state.inner, ego)
+        return self.flat if state.inner is None else self.inner.projection(state.inner, ego)
 
-    def step(self, state: SupervisingState, look: Look) -> SupervisingState:
+    def step(self, state: SupervisingState, observation: Observation) -> SupervisingState:
         """Judge what was seen, then step the controller if it is in charge."""
-        if look.seen.code == Loss.NO_FRAME:
-            return state if state.inner is None else replace(state, inner=self.inner.step(state.inner, look))
-        image = self.alignment.image(look.seen) if look.seen.code == Loss.SEEN else torch.zeros_like(self.alignment.target)
+        if observation.measurement.code == Loss.NO_FRAME:
+            return state if state.inner is None else replace(state, inner=self.inner.step(state.inner, observation))
+        image = (
+            self.alignment.image(observation.measurement)
+            if observation.measurement.code == Loss.SEEN
+            else torch.zeros_like(self.alignment.target)
+        )
         residual = float(self.alignment.residual(image))
-        opened = look.shown.drawing.shows(self.flat)
+        opened = observation.shown.projection.shows(self.flat)
         if state.inner is None:
-            return self._tried(residual, image, state, look) if opened else state
+            return self._tried(residual, image, state, observation) if opened else state
         if opened:
-            return replace(state, opened=residual, inner=self.inner.step(state.inner, look))
+            return replace(state, opened=residual, inner=self.inner.step(state.inner, observation))
         if state.looks >= self.params.grace_steps and residual >= state.opened:
             return SupervisingState(failed=state.opened)
-        return replace(state, looks=state.looks + 1, inner=self.inner.step(state.inner, look))
+        return replace(state, looks=state.looks + 1, inner=self.inner.step(state.inner, observation))
 
-    def _tried(self, residual: float, image: Tensor, state: SupervisingState, look: Look) -> SupervisingState:
+    def _tried(self, residual: float, image: Tensor, state: SupervisingState, observation: Observation) -> SupervisingState:
         """The controller, unless it has failed here before or a registration explains too little, as where something hides the road."""
-        if look.seen.code != Loss.SEEN or (state.failed is not None and abs(residual - state.failed) < self.params.changed):
+        if observation.measurement.code != Loss.SEEN or (state.failed is not None and abs(residual - state.failed) < self.params.changed):
             return state
         placement = self.alignment.register(image, "homography+mesh")
         left = float(self.alignment.residual(self.alignment.undone(image, placement)))
         if left > (1 - self.params.explained) * residual:
             return SupervisingState(failed=residual)
-        return SupervisingState(self.inner.step(self.inner.start(self.target), look), residual)
+        return SupervisingState(self.inner.step(self.inner.start(self.target), observation), residual)

@@ -14,8 +14,8 @@ from torch import Tensor
 
 from controllers.pid import PidGains, PidParams, PidState, pid_gains, pid_reset, pid_step
 from controllers.symbol.laws.stages import StagedParams
-from controllers.symbol.sensing.drawing import Drawing
-from controllers.symbol.sensing.protocol import Look
+from controllers.symbol.sensing.projection import ProjectionCommand
+from controllers.symbol.sensing.protocol import Observation
 from perception.egomotion import Ego
 from perception.extraction import Loss
 from world.params import Degrees, Metres, Params
@@ -100,16 +100,16 @@ class ThesisPid:
         """State that shows the pose `[..., 4]` first."""
         return ThesisPidState(pid_reset(self.gains, pose), torch.zeros(pose.shape[:-1], dtype=torch.int64, device=pose.device))
 
-    def drawing(self, state: ThesisPidState, ego: Ego | None) -> Drawing:
+    def projection(self, state: ThesisPidState, ego: Ego | None) -> ProjectionCommand:
         """The symbol as it is at the outputs of the four loops, `[..., 4]`."""
-        return Drawing(state.pid.output)
+        return ProjectionCommand(state.pid.output)
 
-    def step(self, state: ThesisPidState, look: Look) -> ThesisPidState:
+    def step(self, state: ThesisPidState, observation: Observation) -> ThesisPidState:
         """Move the primitive against the errors; hold it while the symbol is lost; show the flat-road primitive after repeated loss.
 
         A missing frame says nothing about the symbol: the pose is held and the loss is not counted.
         """
-        seen = look.seen
+        seen = observation.measurement
         usable = (seen.code == Loss.SEEN) & seen.pose_error.isfinite().all(-1)
         lost = ~usable & (seen.code != Loss.NO_FRAME)
         losses = torch.where(usable, 0, state.losses + lost)

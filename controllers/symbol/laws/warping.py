@@ -8,9 +8,9 @@ from pydantic import Field
 from torch import Tensor
 
 from controllers.symbol.laws.alignment import Alignment, Kind, Placement
-from controllers.symbol.sensing.drawing import CELLS, Drawing, Warp
-from controllers.symbol.sensing.observer import Observer
-from controllers.symbol.sensing.protocol import Look, SymbolController
+from controllers.symbol.sensing.projection import CELLS, ProjectionCommand, Warp
+from controllers.symbol.sensing.protocol import Observation, SymbolController
+from controllers.symbol.sensing.symbol_sensor import SymbolSensor
 from perception.egomotion import Ego
 from perception.extraction import Loss
 from world.params import Params
@@ -31,54 +31,54 @@ class WarpParams(Params):
 class WarpingState:
     """inner: the controller's state. residual: 1 minus IoU of the best symbol seen so far, or of the controller's last.
 
-    best: what was shown then, None while the controller draws. drawing: what is tried now. share: of a placement that is undone at once,
+    best: what was shown then, None while the controller draws. projection: what is tried now. share: of a placement that is undone at once,
     zero when there is nothing more to be had.
     """
 
     inner: Any
     residual: float = 1.0
-    best: Drawing | None = None
-    drawing: Drawing | None = None
+    best: ProjectionCommand | None = None
+    projection: ProjectionCommand | None = None
     share: float = 1.0
 
 
 class Warping:
-    """The controller's own drawing until that gets no better; from then on a warp, composed exactly with each registration."""
+    """The controller's own projection until that gets no better; from then on a warp, composed exactly with each registration."""
 
-    def __init__(self, params: WarpParams, inner: SymbolController, observer: Observer) -> None:
-        self.params, self.inner, self.projector = params, inner, observer.projector
-        self.alignment = Alignment.prepare(observer)
+    def __init__(self, params: WarpParams, inner: SymbolController, sensor: SymbolSensor) -> None:
+        self.params, self.inner, self.projector = params, inner, sensor.projector
+        self.alignment = Alignment.prepare(sensor)
 
     def start(self, pose: Tensor) -> WarpingState:
         """State that shows the pose `[4]` first."""
         return WarpingState(self.inner.start(pose))
 
-    def drawing(self, state: WarpingState, ego: Ego | None) -> Drawing:
+    def projection(self, state: WarpingState, ego: Ego | None) -> ProjectionCommand:
         """What is tried, or what the controller draws."""
-        return state.drawing or self.inner.drawing(state.inner, ego)
+        return state.projection or self.inner.projection(state.inner, ego)
 
-    def step(self, state: WarpingState, look: Look) -> WarpingState:
+    def step(self, state: WarpingState, observation: Observation) -> WarpingState:
         """Keep a warp whose symbol lies better than any before, else go half as far; give a lost symbol back to the controller."""
-        lost = look.seen.code != Loss.SEEN
-        if state.drawing is None or (lost and look.seen.code != Loss.NO_FRAME):
-            return self._led(state, look, bool(lost))
-        if lost or not look.shown.drawing.shows(state.drawing):
+        lost = observation.measurement.code != Loss.SEEN
+        if state.projection is None or (lost and observation.measurement.code != Loss.NO_FRAME):
+            return self._led(state, observation, bool(lost))
+        if lost or not observation.shown.projection.shows(state.projection):
             return state
-        image = self.alignment.image(look.seen)
+        image = self.alignment.image(observation.measurement)
         residual = float(self.alignment.residual(image))
-        if state.drawing is not state.best and residual > state.residual:
-            return replace(state, drawing=state.best, share=state.share / 2)
+        if state.projection is not state.best and residual > state.residual:
+            return replace(state, projection=state.best, share=state.share / 2)
         changed = residual > state.residual + self.params.least_drop
         if state.share < LEAST_SHARE and not changed:
             return state
-        seen = replace(state, residual=residual, best=state.drawing, share=1.0 if changed else state.share)
+        seen = replace(state, residual=residual, best=state.projection, share=1.0 if changed else state.share)
         return self._tried(seen, self.alignment.register(image, self.params.kind), image)
 
-    def _led(self, state: WarpingState, look: Look, lost: bool) -> WarpingState:
-        following = WarpingState(self.inner.step(state.inner, look))
+    def _led(self, state: WarpingState, observation: Observation, lost: bool) -> WarpingState:
+        following = WarpingState(self.inner.step(state.inner, observation))
         if lost:
             return following
-        image = self.alignment.image(look.seen)
+        image = self.alignment.image(observation.measurement)
         residual = float(self.alignment.residual(image))
         following = replace(following, residual=residual)
         if residual < state.residual - self.params.least_drop:
@@ -86,17 +86,17 @@ class Warping:
         placement = self.alignment.register(image, self.params.kind)
         if float(self.alignment.residual(self.alignment.undone(image, placement))) > self.params.takes_over:
             return following
-        return self._tried(replace(following, best=look.shown.drawing), placement, image)
+        return self._tried(replace(following, best=observation.shown.projection), placement, image)
 
     def _tried(self, state: WarpingState, placement: Placement, image: Tensor) -> WarpingState:
         assert state.best is not None
         drop = state.residual - float(self.alignment.residual(self.alignment.undone(image, placement)))
         if drop < self.params.least_drop:
-            return replace(state, drawing=state.best, share=0.0)
+            return replace(state, projection=state.best, share=0.0)
         warp = state.best.warp or self._whole()
         placed = torch.stack([placement.of(source) for source in warp.source])
         warp = replace(warp, source=torch.lerp(warp.source, placed, state.share))
-        return replace(state, drawing=replace(state.best, warp=warp))
+        return replace(state, projection=replace(state.best, warp=warp))
 
     def _whole(self) -> Warp:
         """The symbol as it is, on a warp's rectangle."""

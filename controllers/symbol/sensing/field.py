@@ -5,29 +5,29 @@ from kornia.geometry.transform import remap
 from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d
 
-from controllers.symbol.sensing.drawing import CELLS, Drawing
+from controllers.symbol.sensing.projection import CELLS, ProjectionCommand
 from controllers.symbol.sensing.projector import DrawingModule, Projector
 
 SIDES = ("left", "right", "top", "bottom")  # of a module's light texture
 EVERY = 8  # every eighth cell of a rectangle along and across is tested
 
 
-def cut(projector: Projector, drawing: Drawing) -> Tensor:
+def cut(projector: Projector, projection: ProjectionCommand) -> Tensor:
     """Shares `[4]` of one symbol's white area that lie beyond the SIDES of every module's field; their sum is what is cut.
 
     A place is cut where no module has a texel in its direction. It counts for one side: of the module whose field is nearest, the one that
     it is furthest beyond. NaN where no symbol is drawn.
     """
-    drawing = projector.on_road(drawing)
+    projection = projector.on_road(projection)
     rows, cols = (n // EVERY for n in CELLS)
     v, u = ((torch.arange(n).to(projector.symbol) + 0.5) / n for n in (rows, cols))
-    rectangle = projector.rectangle(drawing)
+    rectangle = projector.rectangle(projection)
     origin, d1, d2 = (each[0].to(u)[:, None, None] for each in (rectangle.origin, rectangle.d1, rectangle.d2))
     places = origin + u * d1 + v[:, None] * d2  # [3, rows, cols]
     furthest, sides = torch.stack([beyond(module, places) for module in projector.modules]).max(1)  # [m, rows, cols]
     nearest, module = furthest.min(0, keepdim=True)  # [1, rows, cols]
     side = sides.gather(0, module)
-    white = _white(projector.symbol, drawing, rows, cols)
+    white = _white(projector.symbol, projection, rows, cols)
     lost = white * (nearest > 0) * (side == torch.arange(len(SIDES)).to(side)[:, None, None])  # [4, rows, cols]
     return lost.sum((1, 2)) / white.sum()
 
@@ -39,13 +39,13 @@ def beyond(module: DrawingModule, places: Tensor) -> Tensor:
     return torch.stack([y - light.left * x, light.right * x - y, z - light.top * x, light.bottom * x - z])
 
 
-def _white(symbol: Tensor, drawing: Drawing, rows: int, cols: int) -> Tensor:
-    """The symbol `[rows, cols]` as it lies on a drawing's rectangle, mean of all modules."""
+def _white(symbol: Tensor, projection: ProjectionCommand, rows: int, cols: int) -> Tensor:
+    """The symbol `[rows, cols]` as it lies on a projection's rectangle, mean of all modules."""
     coarse = adaptive_avg_pool2d(symbol[None, None], (rows, cols))
-    if drawing.raw is not None:
+    if projection.raw is not None:
         return torch.zeros_like(coarse[0, 0])
-    if drawing.warp is None:
+    if projection.warp is None:
         return coarse[0, 0]
-    u, v = drawing.warp.source[..., EVERY // 2 :: EVERY, EVERY // 2 :: EVERY].unbind(1)
+    u, v = projection.warp.source[..., EVERY // 2 :: EVERY, EVERY // 2 :: EVERY].unbind(1)
     coarse = coarse.expand(len(u), -1, -1, -1)
     return remap(coarse, u, v, padding_mode="zeros", align_corners=False, normalized_coordinates=True)[:, 0].mean(0)

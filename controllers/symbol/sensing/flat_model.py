@@ -11,7 +11,7 @@ from pydantic import Field
 from torch import Tensor
 
 from controllers.pixels.ssc import Utilisation
-from controllers.symbol.sensing.drawing import Drawing
+from controllers.symbol.sensing.projection import ProjectionCommand
 from controllers.symbol.sensing.projector import Projector
 from perception.appearance import Appearance, Axes, appearance, area, features, image_axes
 from perception.birdseye import BirdsEye, birds_eye, rectify, region_around
@@ -121,7 +121,7 @@ def flat_model(
     )
 
     def seen(pose: Tensor) -> Tensor:
-        crop = projector.footprint(Drawing(pose), view, params.footprint_margin_m)
+        crop = projector.footprint(ProjectionCommand(pose), view, params.footprint_margin_m)
         return model.eye.features(model.eye.look(model.symbol(projector.light(pose), crop), crop))
 
     target, probe = projector.target, torch.diag(projector.symbol.new_tensor(PROBE))

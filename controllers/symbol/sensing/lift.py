@@ -1,8 +1,8 @@
-"""Drawings for a road of a shape that is known: on it the eye sees what it would see of the same drawing on the plane z = 0.
+"""Projections for a road of a shape that is known: on it the eye sees what it would see of the same drawing on the plane z = 0.
 
 All light of a lamp leaves one point, and all lines of sight end in another. So light is followed to the road, from there along the line of
-sight to the plane z = 0, and is what the lamp would send to that place of the plane. A step of the drawing's pose then moves what is seen
-as far as it does on the plane.
+sight to the plane z = 0, and is what the lamp would send to that place of the plane. A step of the projection's pose then moves what is
+seen as far as it does on the plane.
 """
 
 import torch
@@ -10,8 +10,8 @@ from kornia.geometry.transform import remap
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from controllers.symbol.sensing.drawing import CELLS, Drawing, Warp
 from controllers.symbol.sensing.planes import below_lamps, holding, placed
+from controllers.symbol.sensing.projection import CELLS, ProjectionCommand, Warp
 from controllers.symbol.sensing.shape import reached
 from world.frames import inverse, pose, rotation, transform
 
@@ -20,13 +20,15 @@ FARTHEST, NOWHERE = 3.0, 1e3  # of the way to the plane z = 0 and to the patch: 
 LEAST_FALL_M = 1e-3  # of lines over what they cross
 
 
-def lifted(drawing: Drawing, size_m: tuple[float, float], shape: Tensor, x0_m: float, eye: Tensor, lamps: Tensor) -> Drawing:
+def lifted(
+    projection: ProjectionCommand, size_m: tuple[float, float], shape: Tensor, x0_m: float, eye: Tensor, lamps: Tensor
+) -> ProjectionCommand:
     """A drawing of a symbol of `size_m` (length, width) on the plane, as one on a rectangle tangent to a road of a shape `[4]` about x0.
 
     eye: `[3]`, lamps: `[m, 3]` m. Each lamp has a warp of its own.
     """
-    length, width = size_m if drawing.warp is None else drawing.warp.size_m
-    T = _rectangle(drawing)
+    length, width = size_m if projection.warp is None else projection.warp.size_m
+    T = _rectangle(projection)
     corners = lamps.new_tensor([[length, length, -length, -length], [width, -width, width, -width], [0.0] * 4]) / 2
     ways = torch.stack([_crossed(lamp, transform(T, corners)) for lamp in lamps], 1) - eye[:, None, None]  # [3, m, 4]
     road = eye[:, None, None] + ways * reached(shape[None], x0_m, eye, ways)[0].clamp(max=FARTHEST)
@@ -42,13 +44,13 @@ def lifted(drawing: Drawing, size_m: tuple[float, float], shape: Tensor, x0_m: f
         x_there, y_there, _ = _crossed(lamp_there[:, 0], seen)
         places.append(torch.stack([-2 * y_there / width, -2 * x_there / length]).view(2, rows, cols))
     source = interpolate(torch.stack(places), scale_factor=FOLLOWED, mode="bilinear")
-    return Drawing(*placed(patch), _warped(drawing.warp, source, size))
+    return ProjectionCommand(*placed(patch), _warped(projection.warp, source, size))
 
 
-def _rectangle(drawing: Drawing) -> Tensor:
-    """Pose `[4, 4]` of a drawing's rectangle."""
-    x, y, roll, pitch = drawing.pose
-    z = torch.zeros_like(x) if drawing.z is None else drawing.z
+def _rectangle(projection: ProjectionCommand) -> Tensor:
+    """Pose `[4, 4]` of a projection's rectangle."""
+    x, y, roll, pitch = projection.pose
+    z = torch.zeros_like(x) if projection.z is None else projection.z
     return pose(torch.stack([x, y, z]), rotation(roll, pitch, torch.zeros_like(x)))
 
 

@@ -13,8 +13,8 @@ from torch import Tensor
 
 from controllers.pixels.primitives import Primitives, Quantity, road_symbol
 from controllers.pixels.ssc import PixelController, Utilisation
-from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.lift import lifted
+from controllers.symbol.sensing.projection import ProjectionCommand
 from controllers.symbol.sensing.shape import reached
 from perception.extraction import Crop
 from world.params import Params
@@ -30,7 +30,7 @@ class SymbolParams(Params):
     x_m: float = Field(17.0, gt=1, le=100, description="target position of the centre ahead of the lamps")
     y_m: float = Field(0.0, ge=-20, le=20, description="target position of the centre to the left")
     target: Literal["appearance", "place"] = Field(
-        "appearance", description="what lies at x_m, y_m: the look of a symbol on a flat road, or the symbol on the road itself"
+        "appearance", description="what lies at x_m, y_m: the observation of a symbol on a flat road, or the symbol on the road itself"
     )
     quantity: Quantity = Field(
         "u_abs", description="unit of the setpoint: I_v in cd, E_v in lx, u_abs as a share, u_rel as a multiple of the base beam"
@@ -74,7 +74,7 @@ class Projector:
     """Draws one symbol with lamp modules.
 
     modules: those that draw it. symbol: its image `[h, w]` in 0..1. params: its size, brightness and target. eye: `[3]` m in the body
-    frame, for which drawings are lifted onto a road.
+    frame, for which projections are lifted onto a road.
     """
 
     modules: tuple[DrawingModule, ...]
@@ -101,52 +101,52 @@ class Projector:
         value = p.value if p.quantity == "u_rel" else p.value / len(self.modules)
         return road_symbol(pose, 0.0, width_m, length_m, image, value, p.quantity)
 
-    def rectangle(self, drawing: Drawing) -> Primitives:
-        """The primitive that a drawing's symbol lies on, not warped."""
-        drawing = self.on_road(drawing)
-        size = (self.params.length_m, self.params.width_m) if drawing.warp is None else drawing.warp.size_m
-        return _raised(self._rectangle(drawing.pose, *size, self.symbol), drawing.z)
+    def rectangle(self, projection: ProjectionCommand) -> Primitives:
+        """The primitive that a projection's symbol lies on, not warped."""
+        projection = self.on_road(projection)
+        size = (self.params.length_m, self.params.width_m) if projection.warp is None else projection.warp.size_m
+        return _raised(self._rectangle(projection.pose, *size, self.symbol), projection.z)
 
     def light(self, pose: Tensor) -> tuple[Utilisation, ...]:
         """Utilisations `[..., n_p]`, one a module, that draw the symbol as it is at a pose `[..., 4]`."""
         return self._cast([self.primitive(pose)] * len(self.modules))
 
-    def draw(self, drawing: Drawing) -> tuple[Utilisation, ...]:
-        """Utilisations `[..., n_p]`, one a module, of a drawing; a warped one costs a turn for each of a batch."""
-        if drawing.raw is not None:
-            return tuple(Utilisation(u) for u in drawing.raw)
-        drawing = self.on_road(drawing)
-        if drawing.warp is None:
-            return self._cast(self.primitives(drawing))
-        batch = drawing.pose.shape[:-1]
-        singles = [self._cast(self.primitives(each)) for each in drawing.singles()]
+    def draw(self, projection: ProjectionCommand) -> tuple[Utilisation, ...]:
+        """Utilisations `[..., n_p]`, one a module, of a projection; a warped one costs a turn for each of a batch."""
+        if projection.raw is not None:
+            return tuple(Utilisation(u) for u in projection.raw)
+        projection = self.on_road(projection)
+        if projection.warp is None:
+            return self._cast(self.primitives(projection))
+        batch = projection.pose.shape[:-1]
+        singles = [self._cast(self.primitives(each)) for each in projection.singles()]
         return tuple(
             Utilisation(torch.stack([light.u for light in lights]).unflatten(0, batch)) if batch else lights[0]
             for lights in zip(*singles, strict=True)
         )
 
-    def primitives(self, drawing: Drawing, clear: bool = False) -> Sequence[Primitives]:
-        """The primitive that each module draws of a drawing without raw utilisations; a warped one is no batch.
+    def primitives(self, projection: ProjectionCommand, clear: bool = False) -> Sequence[Primitives]:
+        """The primitive that each module draws of a projection without raw utilisations; a warped one is no batch.
 
         clear: whether a warp's cells beyond the symbol let through what lies below, in place of being dark.
         """
-        drawing = self.on_road(drawing)
-        if drawing.warp is None:
-            return [_raised(self.primitive(drawing.pose), drawing.z)] * len(self.modules)
-        u, v = drawing.warp.source.unbind(1)
+        projection = self.on_road(projection)
+        if projection.warp is None:
+            return [_raised(self.primitive(projection.pose), projection.z)] * len(self.modules)
+        u, v = projection.warp.source.unbind(1)
         symbol = self.symbol.expand(len(u), 1, -1, -1)
-        warped = remap(symbol, u, v, padding_mode="zeros", align_corners=False, normalized_coordinates=True)[:, 0] * drawing.warp.dimming
+        warped = remap(symbol, u, v, padding_mode="zeros", align_corners=False, normalized_coordinates=True)[:, 0] * projection.warp.dimming
         if clear:
-            warped = torch.stack([warped, (drawing.warp.source.abs().amax(1) <= 1).to(warped)], 1)
+            warped = torch.stack([warped, (projection.warp.source.abs().amax(1) <= 1).to(warped)], 1)
         images = warped.expand(len(self.modules), *warped.shape[1:])
-        return [_raised(self._rectangle(drawing.pose, *drawing.warp.size_m, image), drawing.z) for image in images]
+        return [_raised(self._rectangle(projection.pose, *projection.warp.size_m, image), projection.z) for image in images]
 
-    def on_road(self, drawing: Drawing) -> Drawing:
+    def on_road(self, projection: ProjectionCommand) -> ProjectionCommand:
         """The drawing as one on z = 0 or on a rectangle tangent to the road of its shape."""
-        if drawing.shape is None:
-            return drawing
+        if projection.shape is None:
+            return projection
         p, lamps = self.params, torch.stack([module.T_world_headlight[:3, 3] for module in self.modules]).to(self.symbol)
-        return lifted(drawing, (p.length_m, p.width_m), drawing.shape, p.x_m, self.eye.to(self.symbol), lamps)
+        return lifted(projection, (p.length_m, p.width_m), projection.shape, p.x_m, self.eye.to(self.symbol), lamps)
 
     def _cast(self, primitives: Iterable[Primitives]) -> tuple[Utilisation, ...]:
         """Of one primitive a module."""
@@ -162,13 +162,13 @@ class Projector:
             for module, light, beam in zip(self.modules, lights, (each.pixel_controller.default for each in self.modules), strict=True)
         )
 
-    def footprint(self, drawing: Drawing, view: View, margin_m: float, shape: Tensor | None = None) -> Crop:
-        """Where in a camera's image the light of a drawing can appear if the road is at most margin_m above or below a shape `[4]`.
+    def footprint(self, projection: ProjectionCommand, view: View, margin_m: float, shape: Tensor | None = None) -> Crop:
+        """Where in a camera's image the light of a projection can appear if the road is at most margin_m above or below a shape `[4]`.
 
         shape: of the road, see `controllers.symbol.sensing.shape`; default: z = 0. One rectangle for all of a batch. Rays that do not meet
         the road within 200 m end there.
         """
-        corners = self.rectangle(drawing).corners().detach().reshape(-1, 3).T.cpu().double()
+        corners = self.rectangle(projection).corners().detach().reshape(-1, 3).T.cpu().double()
         origins = torch.stack([module.T_world_headlight[:3, 3:] for module in self.modules]).to(corners)
         rays = corners - origins
         middle = corners.new_zeros(4) if shape is None else shape.detach().to(corners)

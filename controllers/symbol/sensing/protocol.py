@@ -1,4 +1,4 @@
-"""What every symbol controller is: state in, state out, and a drawing of the symbol to be shown."""
+"""What every symbol controller is: state in, state out, and a projection of the symbol to be shown."""
 
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -6,8 +6,8 @@ from typing import Any, Protocol
 from torch import Tensor
 
 from controllers.pixels.ssc import Utilisation
-from controllers.symbol.sensing.drawing import Drawing
-from controllers.symbol.sensing.observer import Seen
+from controllers.symbol.sensing.projection import ProjectionCommand
+from controllers.symbol.sensing.symbol_sensor import Measurement
 from perception.egomotion import Ego
 
 
@@ -15,24 +15,24 @@ from perception.egomotion import Ego
 class Shown:
     """What was shown in a step.
 
-    drawing: of the symbol. lights: utilisations, one a module. ego: the motion with which it was drawn, None for a vehicle that stands.
+    projection: of the symbol. lights: utilisations, one a module. ego: the motion with which it was drawn, None for a vehicle that stands.
     """
 
-    drawing: Drawing
+    projection: ProjectionCommand
     lights: tuple[Utilisation, ...]
     ego: Ego | None = None
 
 
 @dataclass(frozen=True)
-class Look:
+class Observation:
     """What arrives in a step.
 
-    seen: features and errors of the symbol. frames: on and off frame `[height, width]`, digital numbers; None where the camera lost them
-    or none have come. shown: what these frames show, which is older than this step where the camera is late. ego: what is known of the
+    measurement: features and errors of the symbol. frames: on and off frame `[height, width]`, digital numbers; None where the camera lost
+    them or none have come. shown: what these frames show, which is older than this step where the camera is late. ego: what is known of the
     motion now, None for a vehicle that stands.
     """
 
-    seen: Seen
+    measurement: Measurement
     frames: tuple[Tensor, Tensor] | None
     shown: Shown
     ego: Ego | None = None
@@ -45,10 +45,10 @@ class SymbolController(Protocol):
         """State that shows the pose `[..., 4]` (x, y in m, roll, pitch in rad) first."""
         ...
 
-    def drawing(self, state: Any, ego: Ego | None) -> Drawing:
-        """What is to be shown now. ego: what is known of the vehicle's motion now, if anything, newer than any look."""
+    def projection(self, state: Any, ego: Ego | None) -> ProjectionCommand:
+        """What is to be shown now. ego: what is known of the vehicle's motion now, if anything, newer than any observation."""
         ...
 
-    def step(self, state: Any, look: Look) -> Any:
-        """The state after one look."""
+    def step(self, state: Any, observation: Observation) -> Any:
+        """The state after one observation."""
         ...

@@ -16,11 +16,11 @@ from controllers.pixels.ssc import Ssc
 from controllers.symbol import CONTROLLERS, build_controller
 from controllers.symbol.laws.open_loop import OpenLoop, OpenLoopParams
 from controllers.symbol.laws.thesis_pid import ThesisPid, ThesisPidParams
-from controllers.symbol.sensing.drawing import Drawing, Warp
 from controllers.symbol.sensing.flat_model import FeatureParams, FlatModel, flat_model
-from controllers.symbol.sensing.observer import Observer, Seen
+from controllers.symbol.sensing.projection import ProjectionCommand, Warp
 from controllers.symbol.sensing.projector import DrawingModule, Projector, SymbolParams
-from controllers.symbol.sensing.protocol import Look, Shown, SymbolController
+from controllers.symbol.sensing.protocol import Observation, Shown, SymbolController
+from controllers.symbol.sensing.symbol_sensor import Measurement, SymbolSensor
 from perception.appearance import Appearance
 from perception.camera import CameraParams, average_rows, camera_view, expose, frame_generator
 from perception.extraction import Crop, ExtractionParams, Loss
@@ -57,10 +57,10 @@ def projector(symbol: str = "snowflake", n_lamps: int = 1) -> Projector:
 
 
 @cache
-def observer(symbol: str = "snowflake", what: FeatureParams = RAW, edges: str = "grey", n_lamps: int = 1) -> Observer:
+def sensor(symbol: str = "snowflake", what: FeatureParams = RAW, edges: str = "grey", n_lamps: int = 1) -> SymbolSensor:
     extraction = ExtractionParams(edges=edges)
     model = flat_model(projector(symbol, n_lamps), CAMERA, RoadSurfaceParams(), AMBIENT_LX, extraction, what)
-    return Observer(projector(symbol, n_lamps), model, CAMERA, extraction)
+    return SymbolSensor(projector(symbol, n_lamps), model, CAMERA, extraction)
 
 
 @cache
@@ -76,9 +76,9 @@ def frames(luminance: Tensor, step: int | None = None) -> tuple[Tensor, Tensor]:
     return expose(off + luminance, CAMERA, noise[0]), expose(off, CAMERA, noise[1])
 
 
-def look(watcher: Observer, shown: Tensor, step: int | None = None) -> Seen:
+def measure(watcher: SymbolSensor, shown: Tensor, step: int | None = None) -> Measurement:
     lights = watcher.projector.light(shown)
-    return watcher.look(frames(watcher.model.luminance(lights), step), Drawing(shown), lights)
+    return watcher.look(frames(watcher.model.luminance(lights), step), ProjectionCommand(shown), lights)
 
 
 # The flat model
@@ -87,7 +87,7 @@ def look(watcher: Observer, shown: Tensor, step: int | None = None) -> Seen:
 @pytest.mark.parametrize("symbol", SYMBOLS)
 @pytest.mark.parametrize("edges", ["grey", "binary"])
 def test_signs_of_the_four_errors_in_the_camera_image(symbol: str, edges: str) -> None:
-    y_by_x, x_by_y, roll, pitch = observer(symbol, RAW, edges).model.gains.tolist()
+    y_by_x, x_by_y, roll, pitch = sensor(symbol, RAW, edges).model.gains.tolist()
     assert y_by_x < 0, "farther is higher in the image"
     assert x_by_y < 0, "left is left"
     assert roll > 0
@@ -96,14 +96,14 @@ def test_signs_of_the_four_errors_in_the_camera_image(symbol: str, edges: str) -
 
 @pytest.mark.parametrize("symbol", SYMBOLS)
 def test_in_the_birds_eye_view_a_metre_is_a_metre(symbol: str) -> None:
-    gains = observer(symbol, PLANE).model.gains
+    gains = sensor(symbol, PLANE).model.gains
     # Along the symbol there are some 40 px and lamp rows: a tenth of one over a probe of 0.6 m is 2 %, more with strokes across.
     torch.testing.assert_close(gains[:1], torch.tensor([-1.0]), rtol=0.04, atol=0)
     torch.testing.assert_close(gains[1:2], torch.tensor([-1.0]), rtol=0.01, atol=0)
 
 
 def test_batched_light_is_that_of_singles() -> None:
-    model = observer().model
+    model = sensor().model
     poses = torch.stack([TARGET, TARGET + torch.tensor([-2.0, 0.8, 0.08, -0.03])])
     batch = model.luminance(projector().light(poses))
     assert batch.shape == (2, CAMERA.height_px, CAMERA.width_px)
@@ -114,21 +114,21 @@ def test_batched_light_is_that_of_singles() -> None:
 
 
 def test_the_light_of_two_lamps_adds_up_to_that_of_one() -> None:
-    both = observer(n_lamps=2).model
+    both = sensor(n_lamps=2).model
     lights = projector(n_lamps=2).light(TARGET)
     parts = [added_light((t,), (light,), torch.zeros_like(both.limit)) for t, light in zip(both.transports, lights, strict=True)]
     torch.testing.assert_close(both.luminance(lights), parts[0] + parts[1])
-    one = observer().model.luminance(projector().light(TARGET))
+    one = sensor().model.luminance(projector().light(TARGET))
     # The setpoint is shared; the lamps see the symbol from 1.2 m apart, which changes cos / d^2 by less than a hundredth.
     assert both.luminance(lights).sum().item() == pytest.approx(one.sum().item(), rel=0.02)
 
 
 def test_a_symbol_out_of_the_lamps_reach_leaves_the_road_dark() -> None:
     lights = projector().light(TARGET + torch.tensor([0.0, 30.0, 0.0, 0.0]))
-    assert not observer().model.luminance(lights).any()
+    assert not sensor().model.luminance(lights).any()
 
 
-# The observer
+# The sensor
 
 offsets = st.tuples(st.floats(-6, 10), st.floats(-2, 2), st.floats(-0.12, 0.12), st.floats(-0.07, 0.03))
 
@@ -141,7 +141,7 @@ def test_footprint_holds_what_the_lamp_can_draw_on_an_uneven_road(
     pose = (TARGET + torch.tensor(offset)).double()
     view = camera_view(CAMERA)
     larger = Warp(torch.zeros(1, 2, 2, 2), torch.ones(1, 2, 2), (7.2, 2.6)) if warped else None
-    crop = projector().footprint(Drawing(pose, None if z is None else torch.tensor(z), larger), view, 0.15)
+    crop = projector().footprint(ProjectionCommand(pose, None if z is None else torch.tensor(z), larger), view, 0.15)
     length_m, width_m = larger.size_m if larger else (4.0, 2.0)
     primitive = road_symbol(pose, 0.0, width_m, length_m, torch.ones(1, 1), 1.0, "u_abs")
     point = (primitive.origin + u * primitive.d1 + v * primitive.d2)[0] + torch.tensor([0.0, 0.0, z or 0.0])
@@ -159,7 +159,7 @@ def test_footprint_holds_what_the_lamp_can_draw_on_an_uneven_road(
 @pytest.mark.parametrize("what", [RAW, PLANE], ids=["raw", "birdseye"])
 @pytest.mark.parametrize("symbol", SYMBOLS)
 def test_at_the_target_there_is_no_error(symbol: str, what: FeatureParams) -> None:
-    seen = look(observer(symbol, what), TARGET)
+    seen = measure(sensor(symbol, what), TARGET)
     assert seen.code == Loss.SEEN
     # Twelve bits of quantisation are all that differs from the model: they average out to a few thousandths of a pixel.
     assert seen.area_ratio.item() == pytest.approx(1, abs=0.001)
@@ -171,7 +171,7 @@ def test_at_the_target_there_is_no_error(symbol: str, what: FeatureParams) -> No
 def test_errors_are_scaled_to_metres_and_radians(what: FeatureParams, k: int) -> None:
     offset = torch.zeros(4)
     offset[k] = (0.4, 0.2, math.radians(2), math.radians(-0.5))[k]
-    seen = look(observer("snowflake", what), TARGET + offset)
+    seen = measure(sensor("snowflake", what), TARGET + offset)
     # Linear, but for the roll of quadrants that strokes leave and enter: within a quarter at twice the probe.
     linear = 0.25 if k == 2 and what is RAW else 0.05
     assert seen.pose_error[k].item() == pytest.approx(offset[k].item(), rel=linear)
@@ -179,10 +179,10 @@ def test_errors_are_scaled_to_metres_and_radians(what: FeatureParams, k: int) ->
 
 def test_a_batch_is_a_loop_of_singles() -> None:
     poses = TARGET + torch.tensor([[0.0, 0, 0, 0], [0.5, -0.2, 0.02, 0.0], [0.0, 30.0, 0, 0]])
-    batch = look(observer(), poses)
+    batch = measure(sensor(), poses)
     assert batch.errors.shape == batch.pose_error.shape == (3, 4)
     for k, pose in enumerate(poses):
-        single = look(observer(), pose)
+        single = measure(sensor(), pose)
         assert batch.code[k] == single.code
         # The crop is that of the whole batch: other sums.
         torch.testing.assert_close(batch.errors[k], single.errors, equal_nan=True, rtol=1e-3, atol=1e-3)
@@ -190,25 +190,25 @@ def test_a_batch_is_a_loop_of_singles() -> None:
 
 
 def test_light_beside_the_footprint_is_ignored() -> None:
-    watcher, lights = observer(), projector().light(TARGET)
-    clean = look(watcher, TARGET)
+    watcher, lights = sensor(), projector().light(TARGET)
+    clean = measure(watcher, TARGET)
     glare = watcher.model.luminance(lights)
     beside = torch.ones_like(glare, dtype=torch.bool)
     beside[clean.crop.slices] = False
-    seen = watcher.look(frames(glare + 5.0 * beside), Drawing(TARGET), lights)
+    seen = watcher.look(frames(glare + 5.0 * beside), ProjectionCommand(TARGET), lights)
     torch.testing.assert_close(seen.errors, clean.errors, rtol=0, atol=0)
 
 
 def test_reasons_for_loss() -> None:
-    watcher, lights = observer(), projector().light(TARGET)
+    watcher, lights = sensor(), projector().light(TARGET)
     symbol = watcher.model.luminance(lights)
     left_part = symbol * (torch.arange(CAMERA.width_px) < 0.47 * CAMERA.width_px)
-    assert watcher.look(None, Drawing(TARGET), lights).code == Loss.NO_FRAME
-    assert watcher.look(frames(torch.zeros_like(symbol), step=1), Drawing(TARGET), lights).code == Loss.NOTHING
-    assert watcher.look(frames(left_part), Drawing(TARGET), lights).code == Loss.TOO_SMALL
-    assert watcher.look(frames(symbol + 5.0), Drawing(TARGET), lights).code == Loss.TOO_LARGE
+    assert watcher.look(None, ProjectionCommand(TARGET), lights).code == Loss.NO_FRAME
+    assert watcher.look(frames(torch.zeros_like(symbol), step=1), ProjectionCommand(TARGET), lights).code == Loss.NOTHING
+    assert watcher.look(frames(left_part), ProjectionCommand(TARGET), lights).code == Loss.TOO_SMALL
+    assert watcher.look(frames(symbol + 5.0), ProjectionCommand(TARGET), lights).code == Loss.TOO_LARGE
     aside = TARGET + torch.tensor([0.0, 30.0, 0.0, 0.0])
-    lost = watcher.look(frames(symbol), Drawing(aside), projector().light(aside))
+    lost = watcher.look(frames(symbol), ProjectionCommand(aside), projector().light(aside))
     assert lost.code == Loss.NOTHING
     assert lost.errors.isnan().all()
     assert lost.symbol.numel() == 0
@@ -216,26 +216,26 @@ def test_reasons_for_loss() -> None:
 
 def test_shadows_are_no_symbol() -> None:
     lights = projector().light(TARGET)
-    on, off = frames(observer().model.luminance(lights))
-    assert observer().look((off, on), Drawing(TARGET), lights).code == Loss.NOTHING
+    on, off = frames(sensor().model.luminance(lights))
+    assert sensor().look((off, on), ProjectionCommand(TARGET), lights).code == Loss.NOTHING
 
 
 # The controllers
 
 
 def pose_of(controller: SymbolController, state: Any) -> Tensor:
-    drawing = controller.drawing(state, None)
-    assert drawing.warp is None and drawing.z is None
-    return drawing.pose
+    projection = controller.projection(state, None)
+    assert projection.warp is None and projection.z is None
+    return projection.pose
 
 
-def report(pose_error: Tensor, code: Tensor | int = Loss.SEEN) -> Look:
-    """What an observer would say."""
+def report(pose_error: Tensor, code: Tensor | int = Loss.SEEN) -> Observation:
+    """What an sensor would say."""
     nan = torch.full(pose_error.shape[:-1], torch.nan)
     shape = Appearance(nan, nan[..., None, None].expand(*nan.shape, 5, 2), nan, nan)
     code = torch.as_tensor(code).expand(pose_error.shape[:-1])
-    seen = Seen(code, pose_error, pose_error, nan, shape, torch.zeros(0, 0), Crop(0, 0, 0, 0))
-    return Look(seen, None, Shown(Drawing(pose_error), ()))
+    seen = Measurement(code, pose_error, pose_error, nan, shape, torch.zeros(0, 0), Crop(0, 0, 0, 0))
+    return Observation(seen, None, Shown(ProjectionCommand(pose_error), ()))
 
 
 def thesis_pid() -> ThesisPid:
@@ -251,8 +251,8 @@ def test_controllers_go_by_name() -> None:
     assert set(CONTROLLERS) == {"luxloop", "open", "feedforward", "thesis_pid", "gauss_newton", "model_reference"}
     for name, params in CONTROLLERS.items():
         assert params().name == name
-    assert isinstance(build_controller(OpenLoopParams(), observer()), OpenLoop)
-    assert isinstance(build_controller(PARAMS, observer()).inner, ThesisPid)
+    assert isinstance(build_controller(OpenLoopParams(), sensor()), OpenLoop)
+    assert isinstance(build_controller(PARAMS, sensor()).inner, ThesisPid)
 
 
 @settings(deadline=None)
@@ -338,7 +338,7 @@ def test_a_batch_of_states_equals_singles(device: torch.device) -> None:
 
 
 def test_open_loop_ignores_everything() -> None:
-    controller = build_controller(OpenLoopParams(), observer())
+    controller = build_controller(OpenLoopParams(), sensor())
     state = controller.start(START)
     for code in Loss:
         state = controller.step(state, report(torch.full((4,), 1.0), int(code)))
@@ -360,7 +360,7 @@ def test_converges_on_an_ideal_plant() -> None:
     assert -error[:, 2:].min() < 0.25
 
 
-def run(watcher: Observer, start: Tensor, steps: int = 30, drop_every: int | None = None) -> Tensor:
+def run(watcher: SymbolSensor, start: Tensor, steps: int = 30, drop_every: int | None = None) -> Tensor:
     """Poses `[steps, 4]` of a loop around the flat model with camera noise."""
     controller = thesis_pid()
     state, poses = controller.start(start), []
@@ -371,7 +371,12 @@ def run(watcher: Observer, start: Tensor, steps: int = 30, drop_every: int | Non
         seen_frames = frames(watcher.model.luminance(lights), step)
         dropped = drop_every is not None and step % drop_every == 1
         state = controller.step(
-            state, Look(watcher.look(None if dropped else seen_frames, Drawing(pose), lights), None, Shown(Drawing(pose), lights))
+            state,
+            Observation(
+                watcher.look(None if dropped else seen_frames, ProjectionCommand(pose), lights),
+                None,
+                Shown(ProjectionCommand(pose), lights),
+            ),
         )
     return torch.stack(poses)
 
@@ -383,7 +388,7 @@ CLOSE = torch.tensor([0.01, 0.005, math.radians(0.05), math.radians(0.02)])
 @pytest.mark.parametrize("what", [RAW, PLANE], ids=["raw", "birdseye"])
 @pytest.mark.parametrize("symbol", SYMBOLS)
 def test_the_loop_closes_on_a_flat_road(symbol: str, what: FeatureParams) -> None:
-    poses = run(observer(symbol, what), START)
+    poses = run(sensor(symbol, what), START)
     assert ((poses[-5:].mean(0) - TARGET).abs() < CLOSE).all()
 
 
@@ -391,22 +396,22 @@ def test_the_loop_closes_on_a_flat_road(symbol: str, what: FeatureParams) -> Non
 @pytest.mark.parametrize("away_m", [-3.0, 3.0])
 def test_the_loop_closes_from_every_corner(side: float, away_m: float) -> None:
     start = torch.tensor([17.0 + away_m, side, side * math.radians(5), math.radians(-2)])
-    assert ((run(observer("chevrons", PLANE), start)[-5:].mean(0) - TARGET).abs() < CLOSE).all()
+    assert ((run(sensor("chevrons", PLANE), start)[-5:].mean(0) - TARGET).abs() < CLOSE).all()
 
 
 def test_the_loop_survives_dropped_frames() -> None:
-    poses = run(observer(), START, steps=40, drop_every=3)
+    poses = run(sensor(), START, steps=40, drop_every=3)
     assert torch.equal(poses[2], poses[1])
     assert ((poses[-5:].mean(0) - TARGET).abs() < CLOSE).all()
 
 
 def test_the_loop_closes_with_two_lamps() -> None:
-    poses = run(observer("snowflake", PLANE, n_lamps=2), START)
+    poses = run(sensor("snowflake", PLANE, n_lamps=2), START)
     assert ((poses[-5:].mean(0) - TARGET).abs() < CLOSE).all()
 
 
 def test_the_model_is_a_value() -> None:
-    model: FlatModel = observer().model
+    model: FlatModel = sensor().model
     with pytest.raises(AttributeError):
         model.gains = torch.ones(4)  # type: ignore[misc]
     assert model.target.shape == model.gains.shape == (4,)

@@ -10,7 +10,7 @@ import torch
 from rich.console import Console
 
 from controllers.pixels.ssc import Utilisation
-from controllers.symbol.sensing.protocol import Look, Shown
+from controllers.symbol.sensing.protocol import Observation, Shown
 from loop.commands import cli
 from loop.lighting.record import row, schema
 from loop.lighting.result import StepResult
@@ -231,13 +231,13 @@ def test_what_a_frame_says_that_it_shows_is_what_is_measured() -> None:
     symbol = asked.controlled["flake"]
 
     class Listening:
-        start, drawing = symbol.controller.start, symbol.controller.drawing
+        start, projection = symbol.controller.start, symbol.controller.projection
 
-        def step(self, state: Any, look: Look) -> Any:
-            looks.append(look.shown)
-            return symbol.controller.step(state, look)
+        def step(self, state: Any, observation: Observation) -> Any:
+            looks.append(observation.shown)
+            return symbol.controller.step(state, observation)
 
     listening = replace(asked, plant=Half(), controlled={"flake": replace(symbol, controller=Listening())})
     results = list(listening.run())
-    for look, each in zip(looks, results, strict=True):
-        torch.testing.assert_close(look.lights[0].u, each.lights[0] / 2)
+    for observation, each in zip(looks, results, strict=True):
+        torch.testing.assert_close(observation.lights[0].u, each.lights[0] / 2)

@@ -139,9 +139,9 @@ def test_an_old_state_shows_the_same_frames_again(recorded: dict[str, Path]) -> 
         states.append(plant.show(states[-1][0], exposure))
     (frame,), (again,) = states[3][1].frames, plant.show(states[2][0], exposure)[1].frames
     assert frame.number == again.number == 2 and frame.image is not None and again.image is not None and frame.image.equal(again.image)
-    assert frame.shown is not None and set(frame.shown.drawings) == {"symbol"}
+    assert frame.shown is not None and set(frame.shown.projections) == {"symbol"}
     off = states[4][1].frames[0].shown
-    assert off is not None and off.drawings == {}
+    assert off is not None and off.projections == {}
 
 
 def test_a_shadow_is_recorded_beside_and_says_what_it_is(lux: Lux, tmp_path: Path) -> None:
@@ -225,8 +225,8 @@ def of_too_much(folder: Path) -> None:
 
 
 def of_few_pixels(folder: Path) -> None:
-    drawing = {"symbol.pose": np.zeros(4, np.float32), "symbol.raw_0": np.zeros(3, np.float32)}
-    np.savez(light_file(folder, 2), u_0=np.zeros(332 * 1024, np.float32), **drawing)
+    projection = {"symbol.pose": np.zeros(4, np.float32), "symbol.raw_0": np.zeros(3, np.float32)}
+    np.savez(light_file(folder, 2), u_0=np.zeros(332 * 1024, np.float32), **projection)
 
 
 def of_no_name(folder: Path) -> None:

@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 import torch
 
-from controllers.symbol.sensing.drawing import Drawing, Warp
+from controllers.symbol.sensing.projection import ProjectionCommand, Warp
 from loop.lighting.recorder import Recorder
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
@@ -75,10 +75,10 @@ def test_all_that_was_shown_and_came_is_kept_bit_for_bit(changes: dict[str, Any]
         )
         assert same(read_samples(row, like), showing.before.samples)
         pixels = [light.u.numel() for light in showing.exposure.lights]
-        lights, drawings, _ = read_light(light_file(tmp_path, row["light"]), pixels, like.device)
-        asked = showing.exposure.drawings
+        lights, projections, _ = read_light(light_file(tmp_path, row["light"]), pixels, like.device)
+        asked = showing.exposure.projections
         assert all(a.u.equal(b.u) and a.band == b.band for a, b in zip(lights, showing.exposure.lights, strict=True))
-        assert drawings.keys() == asked.keys() and all(drawings[name].shows(asked[name]) for name in asked)
+        assert projections.keys() == asked.keys() and all(projections[name].shows(asked[name]) for name in asked)
     assert same(read_samples(rows[-1], like), showings[-1].after.samples) and rows[-1]["time_s"] == showings[-1].after.time_s
     came = {frame.number: (frame, showing) for showing in showings for frame in showing.after.frames}
     assert {row["number"] for row in rows if row["came_with"] is not None} == came.keys()
@@ -89,7 +89,7 @@ def test_all_that_was_shown_and_came_is_kept_bit_for_bit(changes: dict[str, Any]
         assert frame.image is None or read_image(image_file(tmp_path, number), camera, like).equal(frame.image)
     lost = [frame.image is None for frame, _ in came.values()]
     assert any(lost) == bool(camera.drop_probability) and not all(lost)
-    assert any(showing.exposure.drawings for showing in showings) and not all(showing.exposure.drawings for showing in showings)
+    assert any(showing.exposure.projections for showing in showings) and not all(showing.exposure.projections for showing in showings)
     light_files = len(list((tmp_path / FOLDER).glob("light_*")))
     assert light_files <= len(results) + 1, "off exposures share one light"
 
@@ -99,11 +99,11 @@ def test_a_warped_drawing_is_kept_bit_for_bit(tmp_path: Path, small_simulation: 
     warp = Warp(torch.rand((1, 2, 8, 4), generator=generator), torch.rand((1, 8, 4), generator=generator), (4.1, 2.3))
     numbers = torch.rand(6, generator=generator)
     lights = small_simulation.symbol.projector.resting
-    drawing = Drawing(target, numbers[0], warp, tuple(light.u for light in lights), target + 1, numbers[1:3])
-    write_light(tmp_path / "light.npz", light_arrays(Exposure(0, 0.0, 0.1, lights, {"mine": drawing})))
-    _, drawings, _ = read_light(tmp_path / "light.npz", [light.u.numel() for light in lights], target.device)
-    (again,) = (drawings[name] for name in drawings if name == "mine")
-    assert again.shows(drawing) and again.aim is not None and again.aim.equal(numbers[1:3])
+    projection = ProjectionCommand(target, numbers[0], warp, tuple(light.u for light in lights), target + 1, numbers[1:3])
+    write_light(tmp_path / "light.npz", light_arrays(Exposure(0, 0.0, 0.1, lights, {"mine": projection})))
+    _, projections, _ = read_light(tmp_path / "light.npz", [light.u.numel() for light in lights], target.device)
+    (again,) = (projections[name] for name in projections if name == "mine")
+    assert again.shows(projection) and again.aim is not None and again.aim.equal(numbers[1:3])
     assert again.warp is not None and again.warp.size_m == warp.size_m
 
 
@@ -116,8 +116,8 @@ def test_functions_without_a_symbol_that_is_held_keep_frames(tmp_path: Path) -> 
     camera = CameraParams.model_validate(Manifest.read(tmp_path).scenario["camera"])
     for row, result in zip(rows, seen, strict=False):
         assert read_image(image_file(tmp_path, row["number"]), camera, result.frame).equal(result.frame)
-        lights, drawings, _ = read_light(light_file(tmp_path, row["light"]), [u.numel() for u in result.lights], result.frame.device)
-        assert not drawings and all(light.u.equal(u) for light, u in zip(lights, result.lights, strict=True))
+        lights, projections, _ = read_light(light_file(tmp_path, row["light"]), [u.numel() for u in result.lights], result.frame.device)
+        assert not projections and all(light.u.equal(u) for light, u in zip(lights, result.lights, strict=True))
 
 
 def test_documentation_names_every_column() -> None:

@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 import pytest
 import torch
 
-from controllers.symbol.sensing.drawing import Drawing
+from controllers.symbol.sensing.projection import ProjectionCommand
 from loop.lighting import recorder
 from loop.lighting.record import ZONE, row, schema, summary_of
 from loop.lighting.recorder import Recorder
@@ -78,7 +78,7 @@ def test_row_has_plain_values_in_the_units_of_their_names(small_simulation: Simu
 
 def test_lost_symbol_is_a_row_with_a_reason(small_simulation: Simulation, small_results: list[StepResult]) -> None:
     result = small_results[0]
-    seen = small_simulation.symbol.observer.look(None, Drawing(result.symbol.pose), small_simulation.symbol.projector.resting)
+    seen = small_simulation.symbol.sensor.measure(None, ProjectionCommand(result.symbol.pose), small_simulation.symbol.projector.resting)
     values = row(replace(result, frames=None, held={"symbol": replace(result.symbol, seen=seen)}))
     assert values["functions.symbol.loss"] == "no_frame"
     assert math.isnan(values["functions.symbol.c_u"]) and math.isnan(values["functions.symbol.e_pitch"])

@@ -24,7 +24,7 @@ from pathlib import Path
 
 Path(__file__).with_name("mark").touch()
 
-from controllers.symbol.sensing.drawing import Drawing
+from controllers.symbol.sensing.projection import ProjectionCommand
 from perception import extraction
 from world.roads.shapes import Flat
 
@@ -41,8 +41,8 @@ class Stays:
     def start(self, pose):
         return pose
     def drawing(self, state, ego):
-        return Drawing(state)
-    def step(self, state, look):
+        return ProjectionCommand(state)
+    def step(self, state, observation):
         return 1 / 0 if self.fails else state
 """
 BARE = """

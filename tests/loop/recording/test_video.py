@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from controllers.symbol.sensing.drawing import Drawing
+from controllers.symbol.sensing.projection import ProjectionCommand
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
 from loop.recording.video import Picture, VideoWriter, tone_map
@@ -56,7 +56,7 @@ def test_symbol_is_outlined_where_it_is(small_simulation: Simulation, small_resu
 
 def test_lost_frames_are_a_dark_picture_that_says_so(small_simulation: Simulation, small_results: list[StepResult]) -> None:
     result = small_results[0]
-    seen = small_simulation.symbol.observer.look(None, Drawing(result.symbol.pose), small_simulation.symbol.projector.resting)
+    seen = small_simulation.symbol.sensor.measure(None, ProjectionCommand(result.symbol.pose), small_simulation.symbol.projector.resting)
     lost = replace(result, frame=None, frames=None, held={"symbol": replace(result.symbol, seen=seen)})
     picture = drawn(lost, small_simulation)
     assert not shows(picture, SEEN_RGB)

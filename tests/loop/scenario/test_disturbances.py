@@ -133,7 +133,7 @@ def test_a_camera_that_looks_elsewhere_moves_the_image_and_not_the_light(plain: 
     simulation = prepared({"calibration": off_by})
     right, wrong = first(plain), first(simulation)
     # the controller expects what it did; the light lies as well as before, and the judge, who knows the true camera, sees that
-    assert torch.equal(simulation.symbol.observer.model.target, plain.symbol.observer.model.target)
+    assert torch.equal(simulation.symbol.sensor.model.target, plain.symbol.sensor.model.target)
     assert wrong.symbol.verdict.centroid_percent.abs().max() < 0.2 and float(wrong.symbol.verdict.iou) > 0.97
     u, v = right.symbol.seen.appearance.centroids[0].tolist()
     u_wrong, v_wrong = wrong.symbol.seen.appearance.centroids[0].tolist()

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from controllers.symbol.sensing.acquisition import Acquired
-from controllers.symbol.sensing.drawing import Drawing
+from controllers.symbol.sensing.projection import ProjectionCommand
 from controllers.symbol.sensing.shape import reached
 from loop.lighting.simulation import Simulation
 from loop.run import prepare
@@ -42,7 +42,7 @@ def shown_at_target(prepared: Simulation) -> tuple[Tensor, Tensor]:
 def acquired(road: str, *more: str) -> Acquired:
     prepared = simulation(road, *more)
     projector = prepared.symbol.projector
-    return prepared.symbol.observer.acquire(shown_at_target(prepared), projector.light(projector.target))
+    return prepared.symbol.sensor.acquire(shown_at_target(prepared), projector.light(projector.target))
 
 
 def test_a_ray_meets_the_road_where_the_quadratic_is_solved() -> None:
@@ -75,7 +75,7 @@ def test_a_flat_road_is_found_to_be_flat() -> None:
 
 def test_one_bright_place_hides_no_area_of_the_light_around_it() -> None:
     prepared = simulation(FLAT)
-    projector, acquisition = prepared.symbol.projector, prepared.symbol.observer.acquisition
+    projector, acquisition = prepared.symbol.projector, prepared.symbol.sensor.acquisition
     (texture,) = projector.textures(projector.light(projector.target))
     spotted, (row, col) = texture.clone(), divmod(int(texture.argmax()), texture.shape[-1])
     spotted[row : row + 4, col : col + 4] *= 5  # as where a patch is dimmed all but at its border
@@ -98,17 +98,17 @@ def test_what_is_no_symbol_is_not_taken_for_it(disturbance: str) -> None:
     dark = tuple(type(light)(torch.zeros_like(light.u)) for light in nothing)
     frames = frames_of(prepared.plant, dark)
     assert frames is not None
-    assert not prepared.symbol.observer.acquire(frames, nothing).found
+    assert not prepared.symbol.sensor.acquire(frames, nothing).found
 
 
 def test_a_symbol_that_is_plainly_in_the_image_is_never_lost() -> None:
     for percent in (-2.0, 3.0, 4.0):
         prepared = simulation(grade(percent))
-        observer, drawing = prepared.symbol.observer, Drawing(prepared.symbol.projector.target)
-        lights = observer.projector.light(drawing.pose)
-        seen = observer.look(shown_at_target(prepared), drawing, lights)
+        sensor, projection = prepared.symbol.sensor, ProjectionCommand(prepared.symbol.projector.target)
+        lights = sensor.projector.light(projection.pose)
+        seen = sensor.measure(shown_at_target(prepared), projection, lights)
         assert seen.code == Loss.SEEN, percent
-        again = observer.look(shown_at_target(prepared), drawing, lights, seen.shape)
+        again = sensor.measure(shown_at_target(prepared), projection, lights, seen.shape)
         assert again.code == Loss.SEEN
         assert again.acquired is None, "once found it is looked for where it was"
 
@@ -136,7 +136,7 @@ def test_a_car_that_stands_acquires_the_road_whatever_noise_its_sensors_have() -
     [
         # the first search, from beside the target and 6 m farther off, fails; lamp and camera allow 0.89
         ("{kind='grade', grade_percent=-3.315, crossfall_percent=0, start_x_m=8.0, curve_m=60.0}", "warning_triangle", 25.0, 3, 11, 0.85),
-        # the first looks explain it to some 1e-4, and more of them made it worse: 0.91 after 16; lamp and camera allow 0.98
+        # the first observations explain it to some 1e-4, and more of them made it worse: 0.91 after 16; lamp and camera allow 0.98
         ("{kind='step', x_m=9.7, height_m=-0.02, ramp_m=0.13}", "distance_warning", 14.5, 1, 16, 0.95),
     ],
 )

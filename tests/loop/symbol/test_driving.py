@@ -6,8 +6,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from controllers.symbol.sensing.drawing import Drawing
-from controllers.symbol.sensing.protocol import Look
+from controllers.symbol.sensing.projection import ProjectionCommand
+from controllers.symbol.sensing.protocol import Observation
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
 from loop.scenario.model import Scenario, validate
@@ -87,14 +87,14 @@ class Listening:
     def start(self, pose: Tensor) -> None:
         return None
 
-    def drawing(self, state: None, ego: Ego | None) -> Drawing:
+    def projection(self, state: None, ego: Ego | None) -> ProjectionCommand:
         assert ego is not None
         self.drawn.append(ego)
-        return Drawing(self.target)
+        return ProjectionCommand(self.target)
 
-    def step(self, state: None, look: Look) -> None:
-        assert look.ego is not None and look.shown.ego is not None
-        self.looked.append((look.shown.ego, look.ego))
+    def step(self, state: None, observation: Observation) -> None:
+        assert observation.ego is not None and observation.shown.ego is not None
+        self.looked.append((observation.shown.ego, observation.ego))
 
 
 def test_light_is_drawn_with_what_is_known_when_it_is_exposed(nodding):

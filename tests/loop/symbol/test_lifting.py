@@ -1,4 +1,4 @@
-"""Drawings on roads of a known shape: against lines of sight in closed form, and controllers that settle on grades."""
+"""Projections on roads of a known shape: against lines of sight in closed form, and controllers that settle on grades."""
 
 from dataclasses import replace
 
@@ -7,9 +7,9 @@ import torch
 
 from controllers.symbol.laws.lifting import LOSSES, Lifting
 from controllers.symbol.sensing.acquisition import Acquired
-from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.field import cut
-from controllers.symbol.sensing.protocol import Look, Shown
+from controllers.symbol.sensing.projection import ProjectionCommand
+from controllers.symbol.sensing.protocol import Observation, Shown
 from loop.lighting.simulation import Simulation
 from loop.run import prepare
 from loop.scenario.model import load
@@ -44,17 +44,17 @@ def height(shape: torch.Tensor, x: torch.Tensor, y: torch.Tensor) -> torch.Tenso
 
 def test_on_the_plane_itself_nothing_changes(flat: Simulation) -> None:
     projector = flat.symbol.projector
-    (light,), (lifted,) = projector.light(ASIDE), projector.draw(Drawing(ASIDE, shape=torch.zeros(4)))
+    (light,), (lifted,) = projector.light(ASIDE), projector.draw(ProjectionCommand(ASIDE, shape=torch.zeros(4)))
     # reading the symbol through cells of 1 cm takes something from edges, which are long beside the strokes
     assert float((light.u - lifted.u).abs().sum() / light.u.abs().sum()) < 0.05
 
 
 def test_the_rectangle_lies_on_the_plane_of_the_road(flat: Simulation) -> None:
     projector = flat.symbol.projector
-    drawing = projector.on_road(Drawing(ASIDE, shape=PLANE))
-    assert drawing.warp is not None
-    corners = projector._rectangle(drawing.pose, *drawing.warp.size_m, projector.symbol).corners()[0]
-    x, y, z = (corners + torch.stack([torch.tensor(0.0), torch.tensor(0.0), drawing.z])).T
+    projection = projector.on_road(ProjectionCommand(ASIDE, shape=PLANE))
+    assert projection.warp is not None
+    corners = projector._rectangle(projection.pose, *projection.warp.size_m, projector.symbol).corners()[0]
+    x, y, z = (corners + torch.stack([torch.tensor(0.0), torch.tensor(0.0), projection.z])).T
     torch.testing.assert_close(z, height(PLANE, x, y), rtol=0, atol=1e-5)  # single precision
 
 
@@ -63,8 +63,8 @@ def test_the_eye_sees_each_place_of_the_symbol_where_it_is_on_the_plane(flat: Si
     shape = PLANE.clone()
     shape[3] = curvature
     projector = flat.symbol.projector
-    drawing = projector.on_road(Drawing(projector.target, shape=shape))
-    assert drawing.warp is not None
+    projection = projector.on_road(ProjectionCommand(projector.target, shape=shape))
+    assert projection.warp is not None
     x_y = torch.tensor([[15.3, 0.9], [17.0, 0.0], [18.8, -0.7]])
     u_v = torch.stack([-x_y[:, 1] / 1.0, (17.0 - x_y[:, 0]) / 2.0], 1)  # of a symbol of 2 m by 4 m
     eye, lamp = projector.eye.float()[:, None], projector.modules[0].T_world_headlight[:3, 3:].float()
@@ -76,13 +76,13 @@ def test_the_eye_sees_each_place_of_the_symbol_where_it_is_on_the_plane(flat: Si
         under = z < height(shape, x, y)
         near, far = torch.where(under, near, middle), torch.where(under, middle, far)
     road = eye + ways * near
-    x, y, roll, pitch = drawing.pose
-    back = inverse(pose(torch.stack([x, y, drawing.z]), rotation(roll, pitch, torch.zeros(()))))
+    x, y, roll, pitch = projection.pose
+    back = inverse(pose(torch.stack([x, y, projection.z]), rotation(roll, pitch, torch.zeros(()))))
     start, end = transform(back, lamp), transform(back, road)
     crossed = start + (end - start) * start[2] / (start[2] - end[2])
-    length, width = drawing.warp.size_m
+    length, width = projection.warp.size_m
     at = torch.stack([-2 * crossed[1] / width, -2 * crossed[0] / length], -1)[None, None]
-    found = torch.nn.functional.grid_sample(drawing.warp.source[:1], at, align_corners=False)[0, :, 0].T
+    found = torch.nn.functional.grid_sample(projection.warp.source[:1], at, align_corners=False)[0, :, 0].T
     torch.testing.assert_close(found, u_v, rtol=0, atol=2e-3)  # 2 mm across: places are interpolated over 4 cells of 1 cm
 
 
@@ -105,25 +105,25 @@ def test_a_shape_begins_the_controller_anew_and_is_given_up_where_nothing_is_see
     assert isinstance(lifting, Lifting)
     start = torch.tensor([15.0, 1.5, 0.08, -0.03])
     before = lifting.start(start)
-    lost = flat.symbol.observer.lost(start, Loss.NOTHING)
+    lost = flat.symbol.sensor.lost(start, Loss.NOTHING)
     acquired = Acquired(PLANE, 0.95, 0.0)
     found = replace(lost, code=torch.tensor(0), shape=PLANE, acquired=acquired, errors=torch.ones(4), pose_error=torch.ones(4))
 
-    def shown(drawing: Drawing) -> Shown:
-        return Shown(drawing, flat.symbol.projector.draw(drawing))
+    def shown(projection: ProjectionCommand) -> Shown:
+        return Shown(projection, flat.symbol.projector.draw(projection))
 
-    state = lifting.step(before, Look(found, None, shown(lifting.drawing(before, None))))
-    drawing = lifting.drawing(state, None)
-    at_target = Drawing(flat.symbol.projector.target)
-    assert drawing.shows(replace(at_target, shape=PLANE)), "errors of light that was not drawn for the road move nothing"
-    late = lifting.step(state, Look(found, None, shown(lifting.drawing(before, None))))
-    assert lifting.drawing(late, None).shows(drawing)
-    moved = lifting.step(late, Look(found, None, shown(drawing)))
-    assert not lifting.drawing(moved, None).shows(drawing)
+    state = lifting.step(before, Observation(found, None, shown(lifting.projection(before, None))))
+    projection = lifting.projection(state, None)
+    at_target = ProjectionCommand(flat.symbol.projector.target)
+    assert projection.shows(replace(at_target, shape=PLANE)), "errors of light that was not drawn for the road move nothing"
+    late = lifting.step(state, Observation(found, None, shown(lifting.projection(before, None))))
+    assert lifting.projection(late, None).shows(projection)
+    moved = lifting.step(late, Observation(found, None, shown(projection)))
+    assert not lifting.projection(moved, None).shows(projection)
     for _ in range(LOSSES):
         assert moved.shape is not None
-        moved = lifting.step(moved, Look(lost, None, shown(lifting.drawing(moved, None))))
-    assert lifting.drawing(moved, None).shows(at_target)
+        moved = lifting.step(moved, Observation(lost, None, shown(lifting.projection(moved, None))))
+    assert lifting.projection(moved, None).shows(at_target)
 
 
 def test_a_symbol_that_goes_on_beyond_its_footprint_is_searched_for() -> None:
@@ -147,16 +147,16 @@ def test_late_looks_at_light_for_another_road_do_not_change_the_road() -> None:
 
 @pytest.mark.parametrize("height", [0.4, 0.8, -0.5])
 def test_a_symbol_on_a_road_that_is_flat_again_is_seen_whole(flat: Simulation, height: float) -> None:
-    symbol, drawing = flat.symbol, Drawing(flat.symbol.projector.target)
-    lights = symbol.projector.draw(drawing)
+    symbol, projection = flat.symbol, ProjectionCommand(flat.symbol.projector.target)
+    lights = symbol.projector.draw(projection)
     frames = frames_of(flat.plant, lights)
-    seen = symbol.observer.look(frames, drawing, lights, torch.tensor([height, 0.0, 0.0, 0.0]))
+    seen = symbol.sensor.measure(frames, projection, lights, torch.tensor([height, 0.0, 0.0, 0.0]))
     assert seen.code == Loss.SEEN
     assert seen.errors.abs().max() < 0.5, "noise; a crop that cuts the symbol off moves its centroid by pixels"
 
 
 def test_what_is_cut_of_a_lifted_symbol_is_that_of_the_lifted_one(flat: Simulation) -> None:
-    drawing = Drawing(torch.tensor([13.0, 0.0, 0.0, 0.0]))
-    lifted = replace(drawing, shape=torch.zeros(4))
+    projection = ProjectionCommand(torch.tensor([13.0, 0.0, 0.0, 0.0]))
+    lifted = replace(projection, shape=torch.zeros(4))
     # a patch has other cells than the symbol's rectangle
-    torch.testing.assert_close(cut(flat.symbol.projector, lifted), cut(flat.symbol.projector, drawing), rtol=0, atol=0.01)
+    torch.testing.assert_close(cut(flat.symbol.projector, lifted), cut(flat.symbol.projector, projection), rtol=0, atol=0.01)

@@ -1,4 +1,4 @@
-"""Heights from one look, and drawings for them: against closed forms, then in a small closed loop."""
+"""Heights from one observation, and drawings for them: against closed forms, then in a small closed loop."""
 
 import ctypes
 import math
@@ -17,10 +17,10 @@ from torch import Tensor
 from controllers.symbol.heights.patch import FOLLOWED, _fitted, drawn_on
 from controllers.symbol.heights.relief import Relief
 from controllers.symbol.heights.sweep import semi_global, sweep
-from controllers.symbol.sensing.drawing import CELLS, Drawing, Warp
 from controllers.symbol.sensing.planes import HERE
+from controllers.symbol.sensing.projection import CELLS, ProjectionCommand, Warp
 from controllers.symbol.sensing.projector import SymbolParams
-from controllers.symbol.sensing.protocol import Look, Shown
+from controllers.symbol.sensing.protocol import Observation, Shown
 from controllers.symbol.sensing.shape import reached
 from loop.lighting.result import SimulationState
 from loop.lighting.simulation import Simulation
@@ -39,13 +39,13 @@ def relief(height: float, brightness: float = 1.0) -> Relief:
     return Relief(REGION, EYE, torch.full((20, 10), height), torch.full((20, 10), brightness))
 
 
-def drawn(road: Relief, lamps: Tensor = LAMP[None]) -> Drawing:
+def drawn(road: Relief, lamps: Tensor = LAMP[None]) -> ProjectionCommand:
     return drawn_on(road, lamps, SymbolParams(image="snowflake"), HERE)
 
 
-def warp_of(drawing: Drawing) -> Warp:
-    assert drawing.warp is not None
-    return drawing.warp
+def warp_of(projection: ProjectionCommand) -> Warp:
+    assert projection.warp is not None
+    return projection.warp
 
 
 def on_plane(x: Tensor, y: Tensor) -> Tensor:
@@ -81,14 +81,14 @@ def test_light_falls_on_the_first_thing_in_its_way() -> None:
 
 
 def test_a_drawing_for_the_plane_is_the_symbol_itself() -> None:
-    drawing = drawn(relief(0.0, 0.5))
-    warp = warp_of(drawing)
+    projection = drawn(relief(0.0, 0.5))
+    warp = warp_of(projection)
     length, width = warp.size_m
     v = (2 * (torch.arange(CELLS[0]) + 0.5) / CELLS[0] - 1) * length / 4
     u = (2 * (torch.arange(CELLS[1]) + 0.5) / CELLS[1] - 1) * width / 2
     # rounding of float32 coordinates of some 20 m, over half of the symbol's width of 1 m
     inner = (slice(FOLLOWED, -FOLLOWED), slice(FOLLOWED, -FOLLOWED))  # at the outermost, dark cells nothing is there to interpolate
-    torch.testing.assert_close(drawing.pose, torch.tensor([17.0, 0.0, 0.0, 0.0]), rtol=0, atol=1e-4)
+    torch.testing.assert_close(projection.pose, torch.tensor([17.0, 0.0, 0.0, 0.0]), rtol=0, atol=1e-4)
     torch.testing.assert_close(warp.source[0, 1][inner], v[:, None].expand(CELLS)[inner], rtol=0, atol=1e-4)
     torch.testing.assert_close(warp.source[0, 0][inner], u.expand(CELLS)[inner], rtol=0, atol=1e-4)
     assert (warp.dimming == 1).all(), "what is darker than expected is not dimmed"
@@ -100,14 +100,14 @@ def test_a_symbol_for_a_slope_is_drawn_on_the_slope(slope: float) -> None:
     shape = torch.tensor([[slope * 14.0, slope, 0.01, 0.0]])
     x, y = torch.meshgrid(torch.linspace(20.95, 13.05, 80), torch.linspace(1.95, -1.95, 40), indexing="ij")
     heights = EYE[2] * (1 - reached(shape, 17.0, EYE, on_plane(x, y) - EYE[:, None, None])[0])
-    drawing = drawn(Relief(REGION, EYE, heights, torch.ones(80, 40)))
-    x, y, roll, pitch = drawing.pose
-    assert drawing.z is not None
-    assert float(drawing.z) == pytest.approx(float(shape[0, 0] + slope * (x - 17) + 0.01 * y), abs=1e-3)  # rounding over 20 m
+    projection = drawn(Relief(REGION, EYE, heights, torch.ones(80, 40)))
+    x, y, roll, pitch = projection.pose
+    assert projection.z is not None
+    assert float(projection.z) == pytest.approx(float(shape[0, 0] + slope * (x - 17) + 0.01 * y), abs=1e-3)  # rounding over 20 m
     # heights behind lines of sight between cells of 10 cm are interpolated, on a slope they are not quite linear
     assert float(pitch) == pytest.approx(-math.atan(slope), abs=3e-4)
     assert float(roll) == pytest.approx(math.atan(0.01), abs=3e-4)
-    u, v = warp_of(drawing).source[0]
+    u, v = warp_of(projection).source[0]
     assert (u.min() < -1) & (u.max() > 1) & (v.min() < -1) & (v.max() > 1), "the patch holds the whole symbol"
 
 
@@ -136,10 +136,10 @@ def test_each_lamp_has_a_drawing_of_its_own() -> None:
     assert (left[0] - right[0]).abs().max() > 0.04, "3 cm of road over and under the patch move a lamp's light by 2 cm sideways"
     by_both = ['headlight.lamps=["left", "right"]', 'functions.symbol.modules=["left", "right"]']
     projector = prepare(load("flat", [*SMALL, *by_both]), "cpu").symbol.projector
-    both = projector.draw(Drawing(projector.target, warp=warp))
+    both = projector.draw(ProjectionCommand(projector.target, warp=warp))
     for k, light in enumerate(both):
         for_all = replace(warp, source=warp.source[k, None], dimming=warp.dimming[k, None])
-        assert torch.equal(light.u, projector.draw(Drawing(projector.target, warp=for_all))[k].u)
+        assert torch.equal(light.u, projector.draw(ProjectionCommand(projector.target, warp=for_all))[k].u)
 
 
 def test_neighbours_settle_what_is_ambiguous() -> None:
@@ -165,7 +165,7 @@ def test_one_look_tells_how_high_the_road_is(lifted: Simulation) -> None:
     controller, projector = lifted.symbol.controller, lifted.symbol.projector
     lights = projector.light(projector.target)
     frames = frames_of(lifted.plant, lights)
-    fine = controller.registration.sight
+    fine = controller.registration.forward_model
     contrast, limit = fine.observe(frames)
     seen = fine.symbol(contrast, limit)
     textures = tuple(m.pixel_controller.headlight.light_texture(light.u) for m, light in zip(projector.modules, lights, strict=True))
@@ -229,9 +229,9 @@ def test_a_flat_road_keeps_the_open_loop() -> None:
     for _ in range(3):
         state, _ = prepared.step(state)
     ego = prepared.ego(state.samples, state.arrivals.time_s)
-    drawing = prepared.symbol.controller.drawing(state.held["symbol"].controller, ego)
-    assert drawing.warp is None
-    assert torch.equal(drawing.pose, prepared.symbol.projector.target)
+    projection = prepared.symbol.controller.projection(state.held["symbol"].controller, ego)
+    assert projection.warp is None
+    assert torch.equal(projection.pose, prepared.symbol.projector.target)
 
 
 def test_without_frames_and_without_light_the_open_loop_is_shown() -> None:
@@ -239,15 +239,15 @@ def test_without_frames_and_without_light_the_open_loop_is_shown() -> None:
     state, result = prepared.step(prepared.start())
     controller, target = prepared.symbol.controller, prepared.symbol.projector.target
     blind = controller.step(controller.start(result.symbol.pose), _look(prepared, None))
-    assert torch.equal(blind.drawing.pose, target)
+    assert torch.equal(blind.projection.pose, target)
     dark = tuple(torch.zeros_like(frame) for frame in result.frames)
-    assert torch.equal(controller.step(state.held["symbol"].controller, _look(prepared, dark)).drawing.pose, target)
+    assert torch.equal(controller.step(state.held["symbol"].controller, _look(prepared, dark)).projection.pose, target)
 
 
-def _look(prepared: Simulation, frames: tuple[Tensor, Tensor] | None) -> Look:
-    observer, drawing = prepared.symbol.observer, Drawing(prepared.symbol.projector.target)
-    lights = observer.projector.light(drawing.pose)
-    return Look(observer.look(frames, drawing, lights), frames, Shown(drawing, lights))
+def _look(prepared: Simulation, frames: tuple[Tensor, Tensor] | None) -> Observation:
+    sensor, projection = prepared.symbol.sensor, ProjectionCommand(prepared.symbol.projector.target)
+    lights = sensor.projector.light(projection.pose)
+    return Observation(sensor.measure(frames, projection, lights), frames, Shown(projection, lights))
 
 
 def test_a_batch_of_warped_drawings_equals_singles() -> None:
@@ -256,9 +256,9 @@ def test_a_batch_of_warped_drawings_equals_singles() -> None:
     shifted = warp_of(drawn(relief(0.0)))
     warps = [shifted, replace(shifted, source=shifted.source + 0.05)]
     batch = Warp(torch.stack([w.source for w in warps]), torch.stack([w.dimming for w in warps]), shifted.size_m)
-    (together,) = projector.draw(Drawing(target.expand(2, 4), warp=batch))
+    (together,) = projector.draw(ProjectionCommand(target.expand(2, 4), warp=batch))
     for light, warp in zip(together.u, warps, strict=True):
-        assert torch.equal(light, projector.draw(Drawing(target, warp=warp))[0].u)
+        assert torch.equal(light, projector.draw(ProjectionCommand(target, warp=warp))[0].u)
     plain = projector.light(target)[0].u
     # the symbol is resampled once more: pixels at its edges differ
     assert (together.u[0] - plain).abs().sum() < 0.1 * plain.sum()
@@ -271,11 +271,11 @@ def test_a_wrong_belief_at_the_start_is_drawn_and_given_up() -> None:
     assert float(first.symbol.seen.pose_error[0]) == pytest.approx(0.3, abs=0.1)  # of a symbol that is some cm longer, too
     _, seen = course(prepared, prepared.start(), 5)
     assert seen[0] < opened(prepared) - 0.1
-    assert min(seen[1:]) > 0.9  # one look is enough; at this resolution noise alone costs up to 0.03 in some steps
+    assert min(seen[1:]) > 0.9  # one observation is enough; at this resolution noise alone costs up to 0.03 in some steps
 
 
 def test_looks_that_agree_add_up_until_noise_hardly_moves_the_symbol() -> None:
-    found = [state.held["symbol"].controller.memory.heights for state in on_bumps()[0][1:11]]
+    found = [state.held["symbol"].controller.road_map.heights for state in on_bumps()[0][1:11]]
     heights, known = [each.mean for each in found], [float(each.information.trace()) for each in found]
     assert known[-1] > 2 * known[1]
     moves = [float((after - before).abs().mean()) for before, after in pairwise(heights)]
@@ -298,10 +298,10 @@ def test_noise_is_measured_where_the_camera_does_not_tell() -> None:
     limits = []
     for prepared in (usual, noisy):
         frames, textures = shown_at_target(prepared)
-        sight = prepared.symbol.controller.registration.sight
-        contrast, limit = sight.observe_symbol(frames, textures)
-        assert (limit >= sight.observe(frames)[1]).all()
-        unlit = (sight.inside > 0) & (contrast < contrast.max() / 2)
+        forward_model = prepared.symbol.controller.registration.forward_model
+        contrast, limit = forward_model.observe_symbol(frames, textures)
+        assert (limit >= forward_model.observe(frames)[1]).all()
+        unlit = (forward_model.inside > 0) & (contrast < contrast.max() / 2)
         limits.append(float(limit.mean()))
         # faintly lit pixels are beyond, a tenth; with the camera's own noise as threshold it would be 0.31 of the noisy ones
         assert float((contrast[unlit].abs() > limit[unlit]).float().mean()) < 0.15
@@ -318,9 +318,9 @@ def test_ten_times_the_noise_leaves_the_symbol_where_it_was() -> None:
 def test_a_symbol_that_fills_most_of_what_is_seen_is_not_taken_for_noise(tmp_path: Path) -> None:
     Image.new("L", (8, 8), 255).save(tmp_path / "white.png")
     large = simulation('{kind="bumps"}', f'functions.symbol={{image="{tmp_path / "white.png"}", width_m=4.0, length_m=8.0}}')
-    sight = large.symbol.controller.registration.sight
+    forward_model = large.symbol.controller.registration.forward_model
     frames, textures = shown_at_target(large)
-    contrast, limit = sight.observe(frames)
-    assert float((contrast > limit)[sight.inside > 0].float().mean()) > 0.5
+    contrast, limit = forward_model.observe(frames)
+    assert float((contrast > limit)[forward_model.inside > 0].float().mean()) > 0.5
     # The road's few cm move some light into what is dark on a plane, which raises the median, but noise of two columns is below the limit.
-    torch.testing.assert_close(sight.observe_symbol(frames, textures), (contrast, limit))
+    torch.testing.assert_close(forward_model.observe_symbol(frames, textures), (contrast, limit))

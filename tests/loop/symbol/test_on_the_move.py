@@ -12,10 +12,10 @@ from torch import Tensor
 
 from controllers.symbol.heights.body_filter import CELL_M, BodyFilter, BodyParams
 from controllers.symbol.heights.feedforward import relief_of
+from controllers.symbol.heights.forward_model import ForwardModel
 from controllers.symbol.heights.luxloop import Luxloop, LuxloopParams, laid
-from controllers.symbol.heights.memory import Memory
 from controllers.symbol.heights.registration import Heights
-from controllers.symbol.heights.sight import Sight
+from controllers.symbol.heights.road_map import RoadMap
 from controllers.symbol.heights.springs import PARTS, followed
 from loop.lighting.simulation import Simulation
 from loop.scenario.model import load
@@ -45,10 +45,10 @@ class Waves:
         return 0.02 * np.sin(2 * np.pi * along / 3) + 0.01 * across - self.T[2, 0] * x - self.T[2, 3]
 
 
-def remembered(T_world_ground: Tensor, eye: Tensor) -> Memory:
+def remembered(T_world_ground: Tensor, eye: Tensor) -> RoadMap:
     """What an eye knows of the waves; relief_of has cells of 0.1 m, as many as the grid."""
     heights = relief_of(Waves(T_world_ground).z, REGION, eye).heights.flatten()
-    return Memory(Heights(heights, torch.eye(len(heights)), torch.zeros_like(heights)), torch.ones_like(heights), REGION, GRID, eye)
+    return RoadMap(Heights(heights, torch.eye(len(heights)), torch.zeros_like(heights)), torch.ones_like(heights), REGION, GRID, eye)
 
 
 def way(x: float, y: float, yaw: float, z: float = 0.0, slope: float = 0.0) -> Tensor:
@@ -72,7 +72,7 @@ def test_information_moves_by_whole_cells_exactly_and_is_kept_in_between() -> No
     grid, eye = torch.arange(n).view(GRID), EYE
     known = torch.zeros(n, n)
     known[grid[20, 10], grid[20, 10]], known[grid[20, 10], grid[21, 10]], known[grid[21, 10], grid[20, 10]] = 4.0, 1.0, 1.0
-    flat = Memory(Heights(torch.zeros(n), known, torch.zeros(n)), torch.ones(n), REGION, GRID, eye)
+    flat = RoadMap(Heights(torch.zeros(n), known, torch.zeros(n)), torch.ones(n), REGION, GRID, eye)
     by_cells = flat.moved(way(0.3, 0.0, 0.0), eye).heights.information
     expected = torch.zeros(n, n)
     expected[grid[23, 10], grid[23, 10]], expected[grid[23, 10], grid[24, 10]], expected[grid[24, 10], grid[23, 10]] = 4.0, 1.0, 1.0
@@ -227,10 +227,10 @@ def test_a_wrong_belief_of_the_springs_costs_little_and_no_filter_much(suspensio
     simulation = Simulation.prepare(load("driving", [*true, "functions.symbol.controller={name='luxloop'}"]))
     usual = simulation.symbol.controller
     assert isinstance(usual, Luxloop)
-    believing = Luxloop(usual.params.model_copy(update={"body": BodyParams(**springs(suspension))}), usual.observer)
+    believing = Luxloop(usual.params.model_copy(update={"body": BodyParams(**springs(suspension))}), usual.sensor)
     right, wrong, none = (
         np.mean([float(result.symbol.verdict.iou) for result in simulation.with_controller(each).run()][10:])
-        for each in (believing, usual, Unfiltered(usual.params, usual.observer))
+        for each in (believing, usual, Unfiltered(usual.params, usual.sensor))
     )
     # usual belief 0.86 on soft and 0.84 on stiff springs, without a filter 0.83 and 0.77
     assert wrong > right - 0.03
@@ -248,7 +248,7 @@ def test_what_is_known_of_the_body_stays_a_covariance(speed_m_s: float) -> None:
 
 
 def test_looks_tell_how_the_body_pitches_between_them_and_not_how_the_road_lies() -> None:
-    """A period late sensors with errors, looks without: by these the body is known better, whatever the road's tilt."""
+    """A period late sensors with errors, observations without: by these the body is known better, whatever the road's tilt."""
     errors: dict[bool, list[float]] = {False: [], True: []}
     for looks, found in errors.items():
         generator, body = torch.Generator().manual_seed(5), None
@@ -270,13 +270,13 @@ def test_looks_tell_how_the_body_pitches_between_them_and_not_how_the_road_lies(
 
 
 def test_the_road_under_the_wheels_tracks_is_read_where_it_is() -> None:
-    memory = remembered(torch.eye(4, dtype=torch.float64), EYE)
+    road_map = remembered(torch.eye(4, dtype=torch.float64), EYE)
     x, y = torch.linspace(14.5, 19.0, 10).expand(2, -1), torch.tensor([[0.8], [-0.8]]).expand(2, 10)
-    heights, information = memory.tracks(x, y)
+    heights, information = road_map.tracks(x, y)
     expected = torch.from_numpy(Waves(torch.eye(4)).z(x.numpy(), y.numpy())).to(heights)
     torch.testing.assert_close(heights, expected, rtol=0, atol=1.5e-3)  # hidden behind crests: lines of sight rise by 0.08
     torch.testing.assert_close(information, torch.ones_like(information))  # but for the rounding of bilinear weights
-    assert (memory.tracks(x + 10, y)[1] == 0).all(), "beyond the region"
+    assert (road_map.tracks(x + 10, y)[1] == 0).all(), "beyond the region"
 
 
 @pytest.mark.parametrize("attitude", [(0.0, 0.0, 0.0), (0.03, 0.01, -0.017)])
@@ -284,10 +284,10 @@ def test_a_symbol_is_laid_on_the_ground_from_a_tilted_body(attitude: tuple[float
     body = body_pose(torch.tensor(attitude, dtype=torch.float64), -2.2)
     target = torch.tensor([17.0, 0.5, 0.0, 0.0], dtype=torch.float64)
     simulation = Simulation.prepare(load("flat", SMALL))
-    drawing = laid(target, inverse(body))
-    z = drawing.z
+    projection = laid(target, inverse(body))
+    z = projection.z
     projector = simulation.symbol.projector
-    corners = projector.primitive(drawing.pose).corners().squeeze(0) + torch.tensor([0.0, 0.0, 0.0 if z is None else float(z)])
+    corners = projector.primitive(projection.pose).corners().squeeze(0) + torch.tensor([0.0, 0.0, 0.0 if z is None else float(z)])
     flat = projector.primitive(target).corners().squeeze(0)
     # the yaw that is left out is the product of roll and pitch, 1.7e-4 rad over 2 m
     torch.testing.assert_close(transform(body, corners.T).T, flat, rtol=0, atol=6e-4)
@@ -298,18 +298,18 @@ def test_the_off_frame_is_seen_from_where_the_on_frame_was() -> None:
     more = ["camera.oversampling=4", "light.ambient_lx=4", "camera.noise=false", "functions.symbol.controller={name='luxloop'}"]
     simulation = Simulation.prepare(load("driving", [*EXACT, *more]))
     _, result = simulation.step(simulation.start())
-    world, seer, controller = simulation.world, simulation.symbol.observer, simulation.symbol.controller
+    world, seer, controller = simulation.world, simulation.symbol.sensor, simulation.symbol.controller
     assert result.frames is not None and isinstance(controller, Luxloop)
     on_s, off_s = result.time_s, result.time_s + 0.5 / simulation.scenario.rate_hz
     now, later = (world.motion.at(t) for t in (on_s, off_s))
     driven = inverse(now.T_world_ground) @ later.T_world_ground
     where = (seer, controller.region, (0.2, 0.15), 2, 3, now.T_ground_body)
-    raw, warped = (Sight.prepare(*where, T_off) for T_off in (now.T_ground_body, driven @ later.T_ground_body))
+    raw, warped = (ForwardModel.prepare(*where, T_off) for T_off in (now.T_ground_body, driven @ later.T_ground_body))
     unlit = simulation.plant.exposed(world.lit(on_s).base, world.lit(on_s).base, 0, 0)
     errors = []
-    for sight in (raw, warped):
-        contrast, _ = sight.observe(result.frames)
-        truth, _ = replace(sight, off_place=None).observe((result.frames[0], unlit))
+    for forward_model in (raw, warped):
+        contrast, _ = forward_model.observe(result.frames)
+        truth, _ = replace(forward_model, off_place=None).observe((result.frames[0], unlit))
         errors.append(float((contrast - truth).square().mean().sqrt()))
     # half of a pixel's grain is of the rays that sample it, which meet other points of the road from there
     assert errors[1] < 0.6 * errors[0]
@@ -321,7 +321,7 @@ def test_the_road_ahead_is_taken_to_bend_on_as_the_ground_does() -> None:
     assert isinstance(controller, Luxloop)
     ego = replace(nodding(1.0), ground=torch.tensor([-0.3, 0.02, -0.4, 20 / radius_m]), speed_m_s=torch.tensor(20.0))
     body = BodyFilter.first(BODY, ego, 16.0, 17.0)
-    nothing = controller.start(torch.tensor([17.0, 0.0, 0.0, 0.0])).memory
+    nothing = controller.start(torch.tensor([17.0, 0.0, 0.0, 0.0])).road_map
     assert not controller._heights(controller._bent(ego, body), nothing).any(), "the ground has still to learn the road"
     base = controller._heights(controller._bent(ego, replace(body, way_m=20.0)), nothing)
     nodes, eye = nothing.nodes(), nothing.eye[:, None]
@@ -329,8 +329,8 @@ def test_the_road_ahead_is_taken_to_bend_on_as_the_ground_does() -> None:
     torch.testing.assert_close(road[2], -((road[0] - ego.rear_x_m) ** 2) / (2 * radius_m), rtol=0, atol=1e-5)
     assert float(base.min()) < -LuxloopParams().highest_m, "more than is looked for around the plane"
     known = remembered(torch.eye(4, dtype=torch.float64), EYE)
-    for memory, mean in ((nothing, base), (known, known.heights.mean)):
-        over = memory.over(base if memory is nothing else known.brightness)
+    for road_map, mean in ((nothing, base), (known, known.heights.mean)):
+        over = road_map.over(base if road_map is nothing else known.brightness)
         assert over.heights.mean.equal(mean), "what is known stays, whatever is expected"
 
 

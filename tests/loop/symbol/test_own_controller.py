@@ -2,13 +2,13 @@
 
 import pytest
 
-from controllers.symbol.sensing.drawing import Drawing
+from controllers.symbol.sensing.projection import ProjectionCommand
 from loop.run import prepare
 from loop.scenario.model import load
 from world.errors import LuxloopError
 
 OWN = """
-from controllers.symbol.sensing.drawing import Drawing
+from controllers.symbol.sensing.projection import ProjectionCommand
 
 class Halfway:
     def __init__(self, observer, share=0.5):
@@ -16,9 +16,9 @@ class Halfway:
     def start(self, pose):
         return pose
     def drawing(self, state, ego):
-        return Drawing(state)
-    def step(self, state, look):
-        return state - self.share * look.seen.pose_error.nan_to_num()
+        return ProjectionCommand(state)
+    def step(self, state, observation):
+        return state - self.share * observation.measurement.pose_error.nan_to_num()
 
 class Speechless:
     def __init__(self, observer):
@@ -35,7 +35,7 @@ def test_a_controller_of_ones_own_is_named_in_the_scenario() -> None:
     _, second = simulation.step(state)
     assert simulation.symbol.controller.inner.share == 0.25
     assert (second.symbol.pose - first.symbol.pose + 0.25 * first.symbol.seen.pose_error).abs().max() < 1e-6
-    assert isinstance(simulation.symbol.controller.drawing(state.held["symbol"].controller, None), Drawing)
+    assert isinstance(simulation.symbol.controller.projection(state.held["symbol"].controller, None), ProjectionCommand)
     again = type(scenario).model_validate_json(scenario.model_dump_json())
     assert again == scenario, "recordings hold it"
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from controllers.symbol.sensing.drawing import CELLS
+from controllers.symbol.sensing.projection import CELLS
 from loop.lighting.result import StepResult
 from loop.run import prepare
 from loop.scenario.model import load

@@ -27,7 +27,7 @@ def ious(steps: int, controller: str, *changes: str) -> list[float]:
 
 @pytest.fixture(scope="module")
 def alignment() -> Alignment:
-    return Alignment.prepare(simulation("functions.symbol.controller={name='open'}").symbol.observer)
+    return Alignment.prepare(simulation("functions.symbol.controller={name='open'}").symbol.sensor)
 
 
 def moved(alignment: Alignment, placement: Placement) -> torch.Tensor:

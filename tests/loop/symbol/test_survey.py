@@ -37,7 +37,7 @@ def test_a_survey_finds_a_lifted_plane_and_draws_for_it() -> None:
 def test_late_and_lost_frames_only_cost_time() -> None:
     sim = simulation("camera.latency_steps=1", "camera.drop_probability=0.3")
     state, steps = sim.start(), 0
-    while state.held["symbol"].controller.drawing is None:
+    while state.held["symbol"].controller.projection is None:
         state, steps = sim.step(state)[0], steps + 1
         assert steps < 80
     assert steps > len(sim.symbol.controller.survey.patterns)  # type: ignore[attr-defined]

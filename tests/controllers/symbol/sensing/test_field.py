@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from controllers.pixels.ssc import Ssc
-from controllers.symbol.sensing.drawing import CELLS, Drawing, Warp
 from controllers.symbol.sensing.field import SIDES, cut
+from controllers.symbol.sensing.projection import CELLS, ProjectionCommand, Warp
 from controllers.symbol.sensing.projector import DrawingModule, Projector, SymbolParams
 from world.frames import pose_from_degrees
 from world.presets import idealised
@@ -26,8 +26,8 @@ def projector(*pitches_deg: float, symbol: torch.Tensor = WHITE) -> Projector:
     return Projector(tuple(modules), symbol, SymbolParams(image="white"), torch.tensor([-1.6, 0.0, 1.35]))
 
 
-def drawn(x_m: float = 17.0, y_m: float = 0.0) -> Drawing:
-    return Drawing(torch.tensor([x_m, y_m, 0.0, 0.0]))
+def drawn(x_m: float = 17.0, y_m: float = 0.0) -> ProjectionCommand:
+    return ProjectionCommand(torch.tensor([x_m, y_m, 0.0, 0.0]))
 
 
 def shares(*args: object) -> dict[str, float]:

@@ -35,7 +35,7 @@ class Recognised:
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class DetectionPipeline:
     """A detector, None for the truth, and what tracks what it finds."""
 
     detector: Detector | None
@@ -45,7 +45,7 @@ class Sight:
     view: View
 
     @classmethod
-    def prepare(cls, params: AnyParams, tracker: TrackerParams | OwnTracker, view: View, device: torch.device) -> "Sight":
+    def prepare(cls, params: AnyParams, tracker: TrackerParams | OwnTracker, view: View, device: torch.device) -> "DetectionPipeline":
         """Raises LuxloopError where the detector's file is missing or broken, or one of the user's own cannot be made."""
         finds = None if isinstance(params, TruthParams) else detector(params, device)
         classes = get_args(Category) if finds is None else finds.classes

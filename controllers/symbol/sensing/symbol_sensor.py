@@ -9,8 +9,8 @@ from torch import Tensor
 
 from controllers.pixels.ssc import Utilisation
 from controllers.symbol.sensing.acquisition import Acquired, Acquisition
-from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.flat_model import PAIRED, FlatModel
+from controllers.symbol.sensing.projection import ProjectionCommand
 from controllers.symbol.sensing.projector import Projector
 from perception.appearance import Appearance, errors
 from perception.camera import CameraParams
@@ -21,7 +21,7 @@ ENDS = 0.1  # of a footprint's rows, at its near and its far end
 
 
 @dataclass(frozen=True)
-class Seen:
+class Measurement:
     """One look at the symbol.
 
     code: `[...]` int64, a `Loss`. errors: `[..., 4]`, e_x, e_y, e_roll, e_pitch in the units of the features, valid where it is seen.
@@ -44,7 +44,7 @@ class Seen:
 
 
 @dataclass(frozen=True)
-class Observer:
+class SymbolSensor:
     """Extraction in the predicted footprint, gated by the area that is expected there; errors against the flat model's target.
 
     A symbol that is not where it is expected is searched for in the whole image. projector: the lamps that draw, and the symbol. model:
@@ -61,29 +61,33 @@ class Observer:
         """Searches whole images."""
         return Acquisition.prepare(self.projector, self.camera)
 
-    def look(
-        self, frames: tuple[Tensor, Tensor] | None, drawing: Drawing, lights: Sequence[Utilisation], shape: Tensor | None = None
-    ) -> Seen:
-        """Look at the on and off frames `[height, width]` (digital numbers) that show the light of a drawing.
+    def measure(
+        self,
+        frames: tuple[Tensor, Tensor] | None,
+        projection: ProjectionCommand,
+        lights: Sequence[Utilisation],
+        shape: Tensor | None = None,
+    ) -> Measurement:
+        """Look at the on and off frames `[height, width]` (digital numbers) that show the light of a projection.
 
         frames: None where the camera lost them. lights: the utilisations that were shown, one a module. shape: `[4]` of the road that the
         look before found, None for a flat one; it is forgotten where the symbol is seen as on a flat road and no longer well on this one.
         Of a batch `[..., height, width]` nothing is searched for.
         """
         if frames is None:
-            return replace(self.lost(drawing.pose, Loss.NO_FRAME), shape=shape)
-        seen = self._expected(frames, drawing, lights, shape if drawing.shape is None else drawing.shape)
+            return replace(self.lost(projection.pose, Loss.NO_FRAME), shape=shape)
+        seen = self._expected(frames, projection, lights, shape if projection.shape is None else projection.shape)
         if seen.code.dim():
             return seen
-        if drawing.shape is None and shape is not None and (seen.code != Loss.SEEN or self.at_ends(seen)):
-            flat = self._expected(frames, drawing, lights, None)
+        if projection.shape is None and shape is not None and (seen.code != Loss.SEEN or self.at_ends(seen)):
+            flat = self._expected(frames, projection, lights, None)
             seen = flat if flat.code == Loss.SEEN and not self.at_ends(flat) else seen
         if seen.code == Loss.SEEN:
             return seen
         acquired = self.acquire(frames, lights)
         if not acquired.found:
             return replace(seen, acquired=acquired)
-        found = self._expected(frames, drawing, lights, acquired.shape)
+        found = self._expected(frames, projection, lights, acquired.shape)
         if not found.symbol.numel():
             return replace(seen, acquired=acquired)
         return replace(found, code=torch.zeros_like(found.code), acquired=acquired)
@@ -94,11 +98,13 @@ class Observer:
         symbol = symbol_image(difference(on, off, self.camera), threshold(off, self.camera, self.params), self.params)
         return self.acquisition.find(symbol, self.projector.textures(lights))
 
-    def _expected(self, frames: tuple[Tensor, Tensor], drawing: Drawing, lights: Sequence[Utilisation], shape: Tensor | None) -> Seen:
+    def _expected(
+        self, frames: tuple[Tensor, Tensor], projection: ProjectionCommand, lights: Sequence[Utilisation], shape: Tensor | None
+    ) -> Measurement:
         """Look where a road of this shape shows the light."""
-        crop = self.projector.footprint(drawing, self.model.eye.view, self.params.footprint_margin_m, shape)
+        crop = self.projector.footprint(projection, self.model.eye.view, self.params.footprint_margin_m, shape)
         if crop.v_stop - crop.v_start < 2 or crop.u_stop - crop.u_start < 2:
-            return replace(self.lost(drawing.pose, Loss.NOTHING), shape=shape)
+            return replace(self.lost(projection.pose, Loss.NOTHING), shape=shape)
         on, off = (frame[..., *crop.slices] for frame in frames)
         seen = self.compare(on, off, self.model.symbol(lights, crop), crop)
         if shape is None:
@@ -106,34 +112,34 @@ class Observer:
         area, expected = seen.symbol.sum((-2, -1)), self.acquisition.area(shape, self.projector.textures(lights))
         return replace(seen, code=gate(area, expected, self.params), area_ratio=area / expected, shape=shape)
 
-    def at_ends(self, seen: Seen) -> bool:
+    def at_ends(self, seen: Measurement) -> bool:
         """Whether the symbol reaches to where the footprint ends, so that the road may be higher or lower than that allows for."""
         rows = max(round(ENDS * len(seen.symbol)), 1)
         top, bottom = (bool((end > LIT).any()) for end in (seen.symbol[:rows], seen.symbol[-rows:]))
         return (top and seen.crop.v_start > 0) or (bottom and seen.crop.v_stop < self.model.eye.view.height)
 
-    def compare(self, on: Tensor, off: Tensor, expected_symbol: Tensor, crop: Crop) -> Seen:
+    def compare(self, on: Tensor, off: Tensor, expected_symbol: Tensor, crop: Crop) -> Measurement:
         """Look at frames `[..., h, w]` (digital numbers) cut at crop, beside the symbol image that the flat road would show there."""
         contrast, limit = difference(on, off, self.camera), threshold(off, self.camera, self.params)
         symbol = symbol_image(contrast, limit, self.params)
         seen = self.model.eye.look(symbol, crop)
         expected = self.model.eye.area(expected_symbol, crop)
         error = errors(self.model.eye.features(seen), self.model.target)
-        return Seen(gate(seen.area, expected, self.params), error, self.pose_error(error), seen.area / expected, seen, symbol, crop)
+        return Measurement(gate(seen.area, expected, self.params), error, self.pose_error(error), seen.area / expected, seen, symbol, crop)
 
     def pose_error(self, error: Tensor) -> Tensor:
         """Errors of features `[..., 4]` in m and rad of x, y, roll, pitch."""
         return error[..., PAIRED] / self.model.gains
 
-    def rendered(self, drawing: Drawing, lights: Sequence[Utilisation]) -> Tensor:
-        """Features `[..., 4]` that a flat road would show of the light of a drawing, without noise."""
-        crop = self.projector.footprint(drawing, self.model.eye.view, self.params.footprint_margin_m)
+    def rendered(self, projection: ProjectionCommand, lights: Sequence[Utilisation]) -> Tensor:
+        """Features `[..., 4]` that a flat road would show of the light of a projection, without noise."""
+        crop = self.projector.footprint(projection, self.model.eye.view, self.params.footprint_margin_m)
         return self.model.eye.features(self.model.eye.look(self.model.symbol(lights, crop), crop))
 
-    def lost(self, pose: Tensor, reason: Loss) -> Seen:
+    def lost(self, pose: Tensor, reason: Loss) -> Measurement:
         """What is seen of poses `[..., 4]` where there is nothing to look at."""
         nan = torch.full_like(pose, torch.nan)
         batch = pose.shape[:-1]
         nothing = Appearance(nan[..., 0], pose.new_full((*batch, 5, 2), torch.nan), nan[..., 0], nan[..., 0])
         code = torch.full(batch, reason, dtype=torch.int64, device=pose.device)
-        return Seen(code, nan, nan, torch.zeros_like(nan[..., 0]), nothing, pose.new_zeros(*batch, 0, 0), Crop(0, 0, 0, 0))
+        return Measurement(code, nan, nan, torch.zeros_like(nan[..., 0]), nothing, pose.new_zeros(*batch, 0, 0), Crop(0, 0, 0, 0))

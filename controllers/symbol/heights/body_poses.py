@@ -1,4 +1,4 @@
-"""Where the body stands over the ground when frames and drawings are exposed, from what the vehicle's sensors say."""
+"""Where the body stands over the ground when frames and projections are exposed, from what the vehicle's sensors say."""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -7,7 +7,7 @@ from torch import Tensor
 
 from controllers.symbol.heights.body_filter import BodyFilter, exact
 from controllers.symbol.sensing.planes import HERE
-from controllers.symbol.sensing.protocol import Look
+from controllers.symbol.sensing.protocol import Observation
 from perception.egomotion import Ego
 from world.frames import inverse
 
@@ -17,9 +17,9 @@ LATER_S = 0.2  # a quarter of a slow oscillation, after which one that swings th
 
 @dataclass(frozen=True)
 class Following:
-    """The body when the next drawing is exposed; all poses `[4, 4]`, float64 on the CPU.
+    """The body when the next projection is exposed; all poses `[4, 4]`, float64 on the CPU.
 
-    until: the ground frame of that time in that of the last look. body: `T_ground_body` then.
+    until: the ground frame of that time in that of the last observation. body: `T_ground_body` then.
     """
 
     until: Tensor = HERE
@@ -27,7 +27,7 @@ class Following:
 
     @classmethod
     def of(cls, ego: Ego | None, body: BodyFilter, since_s: float, ground: Tensor) -> "Following":
-        """As far as is known now. since_s: time of the last look. ground: `T_level_ground` `[4, 4]` then."""
+        """As far as is known now. since_s: time of the last observation. ground: `T_level_ground` `[4, 4]` then."""
         if ego is None:
             return cls()
         now = ground_at(ego, ego.time_s)
@@ -45,11 +45,11 @@ AT_REST: Final = Following()
 
 
 @dataclass(frozen=True)
-class Stances:
-    """The body over a look; all poses `[4, 4]`, float64 on the CPU.
+class BodyPoses:
+    """The body over an observation; all poses `[4, 4]`, float64 on the CPU.
 
-    time_s: of the look's on frame. ground: its ground frame in the level one. since: its ground frame in that of the look before. on, off:
-    `T_ground_body` of its two frames in its ground frame.
+    time_s: of the observation's on frame. ground: its ground frame in the level one. since: its ground frame in that of the observation
+    before. on, off: `T_ground_body` of its two frames in its ground frame.
     """
 
     time_s: float = 0.0
@@ -59,17 +59,17 @@ class Stances:
     off: Tensor = HERE
 
     @classmethod
-    def of(cls, look: Look, body: BodyFilter | None, before_s: float, before: Tensor | None) -> "Stances":
+    def of(cls, observation: Observation, body: BodyFilter | None, before_s: float, before: Tensor | None) -> "BodyPoses":
         """With the body as it is known now; without one the vehicle stands on even wheels.
 
-        before_s, before: time_s and ground of the look before, None where there was none.
+        before_s, before: time_s and ground of the observation before, None where there was none.
         """
-        then = look.shown.ego
-        if look.ego is None or then is None or body is None:
+        then = observation.shown.ego
+        if observation.ego is None or then is None or body is None:
             return cls()
         seen_s, on_s = then.time_s, then.on_s
         ground = ground_at(then, seen_s)
-        if then.stands and _rests(body, ground, seen_s) and Following.of(look.ego, body, seen_s, ground).still:
+        if then.stands and _rests(body, ground, seen_s) and Following.of(observation.ego, body, seen_s, ground).still:
             return cls(seen_s, ground)
         T_ground_level, way = inverse(ground), exact(then.way(seen_s - before_s))
         since = inverse(ground if before is None else before) @ way @ ground
@@ -78,10 +78,10 @@ class Stances:
 
     @property
     def still(self) -> bool:
-        """Whether the look is that of a standing vehicle on even wheels."""
+        """Whether the observation is that of a standing vehicle on even wheels."""
         return self.on.equal(HERE) and self.off.equal(HERE)
 
-    def over(self, T_ground_plane: Tensor) -> "Stances":
+    def over(self, T_ground_plane: Tensor) -> "BodyPoses":
         """The same over a plane at `[4, 4]` in place of the ground, of a vehicle that stands."""
         T = inverse(T_ground_plane)
         return replace(self, on=T @ self.on, off=T @ self.off)

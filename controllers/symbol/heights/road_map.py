@@ -1,4 +1,4 @@
-"""Road memory: what is known of the road's heights stays on the road while the vehicle drives over it."""
+"""Road road_map: what is known of the road's heights stays on the road while the vehicle drives over it."""
 
 import math
 from dataclasses import dataclass, replace
@@ -8,27 +8,27 @@ from torch import Tensor
 
 from controllers.symbol.heights.registration import Heights
 from controllers.symbol.heights.relief import Relief
-from controllers.symbol.sensing.drawing import Drawing
 from controllers.symbol.sensing.planes import HERE
+from controllers.symbol.sensing.projection import ProjectionCommand
 from perception.birdseye import Region
 from world.frames import inverse, transform
 
-PATIENCE = 5  # looks in a row without a lower residual, after which a standing vehicle keeps its best heights: more would fit noise
-CHANGED = 4.0  # ratio of a look's residual to that of the kept heights, above which the road has changed
+PATIENCE = 5  # observations in a row without a lower residual, after which a standing vehicle keeps its best heights: more would fit noise
+CHANGED = 4.0  # ratio of an observation's residual to that of the kept heights, above which the road has changed
 
 
 @dataclass(frozen=True)
 class Drawn:
     """Heights and brightness `[n]`, and the symbol that was drawn for them: only a look at that says how good they are."""
 
-    drawing: Drawing
+    projection: ProjectionCommand
     heights: Heights
     brightness: Tensor
 
 
 @dataclass(frozen=True)
 class Kept:
-    """The heights that left the lowest residual at a look at their own drawing, and the number of such looks since."""
+    """The heights that left the lowest residual at a look at their own projection, and the number of such observations since."""
 
     best: Drawn
     residual: float
@@ -36,18 +36,18 @@ class Kept:
 
     @property
     def done(self) -> bool:
-        """Whether further looks no longer lower the residual."""
+        """Whether further observations no longer lower the residual."""
         return self.looks >= PATIENCE
 
 
 @dataclass(frozen=True)
-class Memory:
+class RoadMap:
     """Heights and brightness `[n]` at the nodes `[rows, cols]` of a region, by lines of sight of an eye at `[3]` m, in a ground frame.
 
     T_ground_plane: `[4, 4]` float64, the plane over which heights are; region and eye are in its frame, too. shape: `[4]` of the road, if
     it was acquired. searched: how many searches there were. settled: there need be no further one, since two agree or heights
-    explain the road better. drawn: the newest drawings while the vehicle stands, and the heights they were made for, by which a late look
-    is judged. kept: the best of them.
+    explain the road better. drawn: the newest projections while the vehicle stands, and the heights they were made for, by which a late
+    observation is judged. kept: the best of them.
     """
 
     heights: Heights
@@ -66,24 +66,24 @@ class Memory:
         """The road as the eye sees it."""
         return Relief(self.region, self.eye, self.heights.mean.view(self.grid), self.brightness.view(self.grid))
 
-    def showing(self, drawing: Drawing, most: int) -> "Memory":
-        """With a drawing of the symbol for these heights. most: drawings of which looks may still come."""
-        if self.drawn and self.drawn[-1].drawing.shows(drawing):
+    def showing(self, projection: ProjectionCommand, most: int) -> "RoadMap":
+        """With a projection of the symbol for these heights. most: projections of which observations may still come."""
+        if self.drawn and self.drawn[-1].projection.shows(projection):
             return self
-        return replace(self, drawn=(*self.drawn, Drawn(drawing, self.heights, self.brightness))[-most:])
+        return replace(self, drawn=(*self.drawn, Drawn(projection, self.heights, self.brightness))[-most:])
 
-    def shown(self, drawing: Drawing) -> Drawn | None:
-        """What a drawing was made for, if that is known."""
-        return next((each for each in reversed(self.drawn) if each.drawing.shows(drawing)), None)
+    def shown(self, projection: ProjectionCommand) -> Drawn | None:
+        """What a projection was made for, if that is known."""
+        return next((each for each in reversed(self.drawn) if each.projection.shows(projection)), None)
 
-    def judged(self, drawn: Drawn, residual: float) -> "Memory":
-        """After a look at a drawing; the best heights are kept until the road changes.
+    def judged(self, drawn: Drawn, residual: float) -> "RoadMap":
+        """After a look at a projection; the best heights are kept until the road changes.
 
         residual: of its heights, infinite where they explain less than a flat road does, which only a look at the kept ones counts.
         """
         kept = self.kept
         if kept is not None and kept.done:
-            if not kept.best.drawing.shows(drawn.drawing):
+            if not kept.best.projection.shows(drawn.projection):
                 return self
             anew = residual > CHANGED * kept.residual
         elif math.isinf(residual):
@@ -92,7 +92,7 @@ class Memory:
             anew = kept is None or residual < kept.residual
         return replace(self, kept=Kept(drawn, residual) if anew or kept is None else replace(kept, looks=kept.looks + 1))
 
-    def moved(self, T_before_now: Tensor, eye: Tensor) -> "Memory":
+    def moved(self, T_before_now: Tensor, eye: Tensor) -> "RoadMap":
         """The same road in the ground frame that has the pose `[4, 4]` in this one, as an eye at `[3]` m sees it there.
 
         What comes into the region is as high as what was at its border, and nothing is known of it. The base stays: who knows the new
@@ -105,7 +105,7 @@ class Memory:
         information = self._carried(self._seen_anew(self.nodes(), self.heights.mean, self.eye, inverse(T), eye))
         return replace(self, heights=Heights(mean, information, self.heights.base), brightness=brightness, eye=eye, drawn=(), kept=None)
 
-    def over(self, base: Tensor) -> "Memory":
+    def over(self, base: Tensor) -> "RoadMap":
         """With another road `[n]` m as the base of its heights, which they are where nothing is known."""
         mean = self.heights.mean if self.heights.information.any() else base
         return replace(self, heights=replace(self.heights, mean=mean, base=base))
@@ -126,19 +126,19 @@ class Memory:
         inside = (places[0] > r.x_near_m) & (places[0] < r.x_far_m) & (places[1] < r.y_left_m) & (places[1] > r.y_right_m)
         return heights, relief.at(self.heights.information.diagonal().view(self.grid), *places) * inside
 
-    def levelled(self, pitch_rad: float, pivot_x_m: float) -> "Memory":
+    def levelled(self, pitch_rad: float, pivot_x_m: float) -> "RoadMap":
         """As it would be, had the body that saw it pitched by so many rad more."""
         heights = self.heights.mean - pitch_rad * (self.nodes()[0] - pivot_x_m)
         return replace(self, heights=replace(self.heights, mean=heights))
 
-    def loosened(self, pitch_rad: float, pivot_x_m: float) -> "Memory":
+    def loosened(self, pitch_rad: float, pivot_x_m: float) -> "RoadMap":
         """With a body whose pitch is uncertain by so many rad: heights may all be higher by as much times their distance (Woodbury)."""
         L, arm = self.heights.information, self.nodes()[0] - pivot_x_m
         pull = L @ arm
         information = L - pull[:, None] * pull / (1 / pitch_rad**2 + arm @ pull)
         return replace(self, heights=replace(self.heights, information=information))
 
-    def pitched(self, before: "Memory", pivot_x_m: float) -> float | None:
+    def pitched(self, before: "RoadMap", pivot_x_m: float) -> float | None:
         """By how many rad the body has pitched more than it was taken to, if the road is still as it was known before; None: unknown."""
         known, seen = (each.heights.information.diagonal() for each in (before, self))
         arm = self.nodes()[0] - pivot_x_m

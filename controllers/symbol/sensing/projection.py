@@ -27,7 +27,7 @@ class Warp:
 
 
 @dataclass(frozen=True)
-class Drawing:
+class ProjectionCommand:
     """One symbol to be shown.
 
     pose: `[..., 4]` = x, y in m, roll, pitch in rad, in the body frame. z: `[...]` m, height of the centre above the assumed road, None for
@@ -44,8 +44,8 @@ class Drawing:
     shape: Tensor | None = None
     aim: Tensor | None = None
 
-    def shows(self, other: "Drawing") -> bool:
-        """Whether another drawing is the same; that of a state that was stored and read again is another object."""
+    def shows(self, other: "ProjectionCommand") -> bool:
+        """Whether another projection is the same; that of a state that was stored and read again is another object."""
         mine, others = self._values(), other._values()
         return len(mine) == len(others) and all(a.shape == b.shape and bool((a == b).all()) for a, b in zip(mine, others, strict=True))
 
@@ -55,8 +55,8 @@ class Drawing:
         given = [none if each is None else each for each in (self.z, self.shape)]
         return [self.pose, *given, *warp, *(self.raw or ())]
 
-    def singles(self) -> Iterator["Drawing"]:
-        """The drawings of a batch, one by one."""
+    def singles(self) -> Iterator["ProjectionCommand"]:
+        """The projections of a batch, one by one."""
         n = self.pose.dim() - 1
         poses = self.pose.flatten(0, n - 1) if n else self.pose[None]
         for k, pose in enumerate(poses):
@@ -64,4 +64,4 @@ class Drawing:
             z = z if z is None else z.flatten()[k]
             if warp is not None and n:
                 warp = Warp(warp.source.flatten(0, n - 1)[k], warp.dimming.flatten(0, n - 1)[k], warp.size_m)
-            yield Drawing(pose, z, warp)
+            yield ProjectionCommand(pose, z, warp)

@@ -9,8 +9,8 @@ from kornia.geometry.transform import remap
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, grid_sample
 
-from controllers.symbol.sensing.observer import Observer
 from controllers.symbol.sensing.planes import HERE
+from controllers.symbol.sensing.symbol_sensor import SymbolSensor
 from perception.birdseye import Region
 from perception.camera import CameraParams, average_rows, camera_view, luminance_of
 from perception.extraction import Crop, Extraction, difference, symbol_image, threshold
@@ -25,7 +25,7 @@ DARKNESS_TEXELS = 3.0  # over which a shadow's edge fades
 
 @dataclass(frozen=True)
 class LampSight:
-    """A module's light on lines of sight: a point at height z has the lamp coordinates `on_plane + z * per_m`, both `[3, H, w]`.
+    """A module's light on lines of forward_model: a point at height z has the lamp coordinates `on_plane + z * per_m`, both `[3, H, w]`.
 
     factor: `[H, w]`, cd/m^2 on the plane for each cd. origin: `[3]` m, the lamp.
     """
@@ -54,7 +54,7 @@ class LampSight:
 
 
 @dataclass(frozen=True)
-class Sight:
+class ForwardModel:
     """Lines of sight through a region of the plane, and the nodes `[rows, cols]` that hold its heights.
 
     step: columns of the camera that are taken together. samples: lines of sight in a camera row. node: `[4, h * w]` int64 and weight:
@@ -80,16 +80,16 @@ class Sight:
     @classmethod
     def prepare(
         cls,
-        observer: Observer,
+        sensor: SymbolSensor,
         region: Region,
         cell_m: tuple[float, float],
         step: int,
         samples: int,
         T_on: Tensor = HERE,
         T_off: Tensor = HERE,
-    ) -> "Sight":
+    ) -> "ForwardModel":
         """cell_m: of the nodes, along and across. step, samples: as above. T_on, T_off: `T_ground_body` `[4, 4]` in on and off frame."""
-        projector, camera = observer.projector, observer.camera
+        projector, camera = sensor.projector, sensor.camera
         device = projector.symbol.device
         whole = _from(T_on, camera_view(camera))
         x, y = torch.tensor([[region.x_near_m, region.x_far_m], [region.y_left_m, region.y_right_m]], dtype=torch.float64)
@@ -108,7 +108,7 @@ class Sight:
             T, origin = inverse(T_ground_headlight), T_ground_headlight[:3, 3]
             on_plane = torch.einsum("ij,jhw->ihw", T[:3, :3], ground) + T[:3, 3, None, None]
             per_m = torch.einsum("ij,jhw->ihw", T[:3, :3], (eye[:, None, None] - ground) / eye[2])
-            factor = observer.model.albedo * origin[2] / (ground - origin[:, None, None]).norm(dim=0) ** 3 / math.pi
+            factor = sensor.model.albedo * origin[2] / (ground - origin[:, None, None]).norm(dim=0) ** 3 / math.pi
             parts = (part.float().to(device) for part in (on_plane, per_m, factor, origin))
             lamps.append(LampSight(module.pixel_controller.headlight, *parts))
         middle = average_rows(ground, samples)
@@ -123,7 +123,7 @@ class Sight:
         inside = (inside_x & inside_y).float()
         node, weight, seen = node.to(device), weight.to(device), inside.to(device)
         off = None if T_off.equal(T_on) else _place_in_image(whole, _from(T_off, camera_view(camera)), crop).to(device)
-        origin, params = eye.float().to(device), observer.params
+        origin, params = eye.float().to(device), sensor.params
         return cls(region, crop, origin, step, samples, tuple(lamps), rows, cols, node, weight, seen, camera, params, off)
 
     @property

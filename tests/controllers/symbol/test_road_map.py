@@ -1,0 +1,77 @@
+"""Road memory: heights are judged by looks at what was drawn for them, and the best are kept."""
+
+import math
+
+import torch
+
+from controllers.symbol.heights.registration import Heights
+from controllers.symbol.heights.road_map import CHANGED, PATIENCE, RoadMap
+from controllers.symbol.sensing.projection import ProjectionCommand
+from perception.birdseye import Region
+
+IN_FLIGHT = 4  # projections of which observations may still come
+
+
+def projection(x_m: float) -> ProjectionCommand:
+    return ProjectionCommand(torch.tensor([x_m, 0.0, 0.0, 0.0]))
+
+
+def of_heights(before: RoadMap, height_m: float) -> RoadMap:
+    """With other heights, and with the drawing for them shown."""
+    heights = Heights(torch.full((4,), height_m), torch.eye(4), torch.zeros(4))
+    changed = RoadMap(heights, torch.ones(4), before.region, before.grid, before.eye, drawn=before.drawn, kept=before.kept)
+    return changed.showing(projection(17 + height_m), IN_FLIGHT)
+
+
+def looked(road_map: RoadMap, height_m: float, residual: float) -> RoadMap:
+    """After a look at what was drawn for a road of this height."""
+    drawn = road_map.shown(projection(17 + height_m))
+    assert drawn is not None
+    assert drawn.heights.mean[0] == height_m
+    return road_map.judged(drawn, residual)
+
+
+NOTHING = RoadMap(
+    Heights(torch.zeros(4), torch.zeros(4, 4), torch.zeros(4)), torch.ones(4), Region(15, 19, 1, -1), (2, 2), torch.tensor([2, 0, 1.2])
+)
+
+
+def test_a_late_look_judges_the_heights_that_it_shows() -> None:
+    road_map = of_heights(of_heights(of_heights(NOTHING, 0.25), 0.5), 0.75)
+    road_map = looked(road_map, 0.25, 0.02)
+    road_map = looked(road_map, 0.5, 0.01)
+    road_map = looked(road_map, 0.75, 0.03)
+    assert road_map.kept is not None
+    assert road_map.kept.best.heights.mean[0] == 0.5
+    assert road_map.shown(projection(1.0)) is None
+
+
+def test_after_looks_that_are_no_better_the_best_heights_are_kept_until_their_own_light_says_that_the_road_changed() -> None:
+    road_map = looked(of_heights(of_heights(NOTHING, 0.25), 0.5), 0.25, 0.01)
+    for _ in range(PATIENCE):
+        assert road_map.kept is not None and not road_map.kept.done
+        road_map = looked(road_map, 0.5, 0.02)
+    assert road_map.kept is not None and road_map.kept.done
+    late = looked(road_map, 0.5, 2 * CHANGED * 0.01)  # light for heights that were not kept
+    assert late.kept is not None and late.kept.done
+    for residual in (2 * CHANGED * 0.01, math.inf):  # it explains less, or less than a flat road would
+        changed = looked(road_map, 0.25, residual)
+        assert changed.kept is not None and not changed.kept.done
+
+
+def test_looks_that_heights_explain_less_than_a_flat_road_do_not_count() -> None:
+    road_map = of_heights(NOTHING, 0.25)
+    assert looked(road_map, 0.25, math.inf).kept is None
+    road_map = looked(road_map, 0.25, 0.01)
+    for _ in range(2 * PATIENCE):
+        road_map = looked(road_map, 0.25, math.inf)
+    assert road_map.kept is not None and road_map.kept.looks == 0
+
+
+def test_the_same_drawing_is_remembered_once_and_old_ones_are_forgotten() -> None:
+    road_map = of_heights(of_heights(NOTHING, 0.25), 0.25)
+    assert len(road_map.drawn) == 1
+    for k in range(2, 2 * IN_FLIGHT):
+        road_map = of_heights(road_map, k / 4)
+    assert len(road_map.drawn) == IN_FLIGHT
+    assert road_map.shown(projection(17.25)) is None
