@@ -90,8 +90,8 @@ def _traced(held: Held | None, target: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Pose, error of the pose, and whether it was seen; the target, unseen, while it is not shown."""
     if held is None:
         return target, torch.zeros_like(target), torch.zeros_like(target[0], dtype=torch.bool)
-    usable = (held.seen.code == Loss.SEEN) & held.seen.pose_error.isfinite().all()
-    return held.pose, torch.where(usable, held.seen.pose_error, 0.0), usable
+    usable = (held.measurement.code == Loss.SEEN) & held.measurement.pose_error.isfinite().all()
+    return held.pose, torch.where(usable, held.measurement.pose_error, 0.0), usable
 
 
 def _simulation(scenario: Scenario, device: str) -> Simulation:

@@ -124,7 +124,7 @@ def test_parts_of_ones_own_run(code: str, module: str, tables: str, tmp_path: Pa
         return
     scenario = load("flat", [str(keys)], steps=12, camera={"width_px": 640, "height_px": 360, "oversampling": 2}, allow_code=True)
     *_, last = prepare(scenario, "cpu").run()
-    assert last.symbol.seen.code == 0, "it is seen, by whatever plant"
+    assert last.symbol.measurement.code == 0, "it is seen, by whatever plant"
     verdict = last.symbol.verdict
     assert verdict is None or verdict.iou > 0.7, "each of them brings the symbol to its place, or leaves it there"
 

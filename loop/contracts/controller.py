@@ -22,7 +22,7 @@ from perception.extraction import Loss
 from world.errors import LuxloopError, located
 from world.plugin import Guarded, check_methods, made
 
-CALLS = {"start": ("pose",), "drawing": ("state", "ego"), "step": ("state", "look")}
+CALLS = {"start": ("pose",), "projection": ("state", "ego"), "step": ("state", "observation")}
 SCENARIO: dict[str, Any] = {
     "name": "check_controller",
     "steps": 8,
@@ -68,7 +68,7 @@ def check_controller(controller: type, options: Mapping[str, Any] | None = None,
     check_calls(own, CALLS)
     symbol = simulation.symbol
     watched = replace(simulation, controlled={"symbol": replace(symbol, controller=Watched(own, symbol))})
-    seen = [result.symbol.seen for result in watched.run()]
+    seen = [result.symbol.measurement for result in watched.run()]
     first, last = (math.hypot(*each.pose_error[:2].tolist()) for each in (seen[0], seen[-1]))
     if seen[-1].code != Loss.SEEN or last > AWAY * first:
         end = f"it is {last:.2g} m away" if seen[-1].code == Loss.SEEN else "it is not seen any more"
@@ -105,9 +105,9 @@ class Watched:
         return WatchedState(state)
 
     def projection(self, state: WatchedState, ego: Ego | None) -> ProjectionCommand:
-        """The controller's drawing, with a pose in reach."""
-        projection = pure(self.own, "drawing", {"state": state.inner, "ego": ego}, "drawing")
-        with located(f"{self.own.key}: {self.own.name}: drawing"):
+        """The controller's projection command, with a pose in reach."""
+        projection = pure(self.own, "projection", {"state": state.inner, "ego": ego}, "projection")
+        with located(f"{self.own.key}: {self.own.name}: projection"):
             self._check(projection)
         return projection
 
@@ -124,7 +124,7 @@ class Watched:
         return after
 
     def _stepped(self, state: WatchedState, observation: Observation) -> WatchedState:
-        after = pure(self.own, "step", {"state": state.inner, "look": observation}, "state")
+        after = pure(self.own, "step", {"state": state.inner, "observation": observation}, "state")
         check_state(self.own, "step", after)
         return WatchedState(after, state.steps + 1)
 

@@ -84,7 +84,7 @@ def check_tensor(value: Any, like: Tensor, shape: tuple[int, ...], what: str) ->
     if not value.isfinite().all():
         raise LuxloopError(
             f"{what} is not finite, {_shown(value)}; errors are NaN where the symbol is not seen: leave the state as it is where "
-            "look.seen.code != Loss.SEEN"
+            "observation.measurement.code != Loss.SEEN"
         )
 
 

@@ -56,12 +56,12 @@ class HeldState:
 @dataclass(frozen=True, eq=False)
 class Held:
     """A symbol in one step. projection: what was shown. cut: `[4]`, shares beyond the borders of the lamps' field
-    (`controllers.symbol.sensing.field`). seen: what was made of the newest frames. verdict: None where nobody judged.
+    (`controllers.symbol.sensing.field`). measurement: what was made of the newest frames. verdict: None where nobody judged.
     """
 
     projection: ProjectionCommand
     cut: Tensor
-    seen: Measurement
+    measurement: Measurement
     verdict: Verdict | None
 
     @property

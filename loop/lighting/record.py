@@ -185,7 +185,7 @@ def row(result: StepResult) -> dict[str, Any]:
 
 def of_symbol(held: Held) -> dict[str, Any]:
     """What is recorded of one symbol in a step, by the names of SYMBOL."""
-    verdict, seen = held.verdict or NOT_JUDGED, held.seen
+    verdict, seen = held.verdict or NOT_JUDGED, held.measurement
     degrees = torch.tensor([1.0, 1.0, 180 / torch.pi, 180 / torch.pi], dtype=torch.float64)
     tensors = {
         POSE: held.pose,

@@ -78,7 +78,7 @@ class Recorder:
         if self._idle:
             self._idle &= self.simulation.idle(result)
         self._last |= dict.fromkeys(result.held, result)
-        self._covered |= {name: result for name, each in result.held.items() if each.seen.code == Loss.COVERED}
+        self._covered |= {name: result for name, each in result.held.items() if each.measurement.code == Loss.COVERED}
         self._asked |= {each.exposure.number for each in result.showings}
         self._came += [frame.number for each in result.showings for frame in each.after.frames if frame.image is not None]
         if not self._begun:

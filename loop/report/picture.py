@@ -66,7 +66,7 @@ def frame_picture(result: StepResult, simulation: Simulation, white: Tensor) -> 
         at = (mark.at[0], mark.at[1] - 3)
         cv2.putText(picture, mark.text, at, cv2.FONT_HERSHEY_SIMPLEX, line / 38, colour, 1, cv2.LINE_AA)
     for held in result.held.values():
-        _outline(picture, held.seen)
+        _outline(picture, held.measurement)
     for name in list(result.held)[:1]:
         if (judge := simulation.controlled[name].judge) is not None:
             _paste(picture, _from_above(result, simulation, judge, white, round(ABOVE * height)), margin, left=True)
@@ -135,7 +135,7 @@ def captions(result: StepResult, simulation: Simulation) -> list[tuple[str, tupl
 
 
 def _of_symbol(name: str, simulation: Simulation, held: Held) -> tuple[str, tuple[int, int, int]]:
-    loss, lies = loss_name(int(held.seen.code)), "not judged"
+    loss, lies = loss_name(int(held.measurement.code)), "not judged"
     if held.verdict is not None:
         x, y = held.verdict.centroid_percent.tolist()
         lies = f"centroid error {x:+.1f} %, {y:+.1f} %; IoU {float(held.verdict.iou):.2f}"

@@ -63,7 +63,7 @@ class Gathered:
         """Take what is needed of a step."""
         if (held := result.held.get(self.name)) is None:
             return
-        seen = held.seen
+        seen = held.measurement
         centre = (math.nan, math.nan)
         if int(seen.code) == Loss.SEEN:
             height, width = seen.symbol.shape

@@ -168,7 +168,7 @@ BROKEN: dict[Any, list[str]] = {
     SpoilsTheLook: ["in a step without frames", "step changes observation.measurement.", "which it was given"],
     Counting: ["step gives another state.steps", "same state and look", "not in self"],
     Buffered: ["step changes state.pose, which it gave before", "clone()"],
-    Dithering: ["drawing gives another projection.pose", "same state", "seed random numbers"],
+    Dithering: ["projection gives another projection.pose", "same state", "seed random numbers"],
     StateIsSelf: ["start gives a state that cannot be saved", "state.law is of the type StateIsSelf", "frozen dataclass"],
     Double: ["pose is float64 [4]", "it must be a tensor float32 [4]", "new_tensor"],
     Batched: ["pose is float32 [1, 4]", "check its dimensions"],

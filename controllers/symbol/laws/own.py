@@ -10,7 +10,7 @@ from controllers.symbol.sensing.symbol_sensor import SymbolSensor
 from world import plugin
 
 KEY = "controller.name"
-METHODS = ("start", "drawing", "step")
+METHODS = ("start", "projection", "step")
 
 
 class OwnParams(StagedParams):

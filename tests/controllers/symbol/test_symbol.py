@@ -78,7 +78,7 @@ def frames(luminance: Tensor, step: int | None = None) -> tuple[Tensor, Tensor]:
 
 def measure(watcher: SymbolSensor, shown: Tensor, step: int | None = None) -> Measurement:
     lights = watcher.projector.light(shown)
-    return watcher.look(frames(watcher.model.luminance(lights), step), ProjectionCommand(shown), lights)
+    return watcher.measure(frames(watcher.model.luminance(lights), step), ProjectionCommand(shown), lights)
 
 
 # The flat model
@@ -195,7 +195,7 @@ def test_light_beside_the_footprint_is_ignored() -> None:
     glare = watcher.model.luminance(lights)
     beside = torch.ones_like(glare, dtype=torch.bool)
     beside[clean.crop.slices] = False
-    seen = watcher.look(frames(glare + 5.0 * beside), ProjectionCommand(TARGET), lights)
+    seen = watcher.measure(frames(glare + 5.0 * beside), ProjectionCommand(TARGET), lights)
     torch.testing.assert_close(seen.errors, clean.errors, rtol=0, atol=0)
 
 
@@ -203,12 +203,12 @@ def test_reasons_for_loss() -> None:
     watcher, lights = sensor(), projector().light(TARGET)
     symbol = watcher.model.luminance(lights)
     left_part = symbol * (torch.arange(CAMERA.width_px) < 0.47 * CAMERA.width_px)
-    assert watcher.look(None, ProjectionCommand(TARGET), lights).code == Loss.NO_FRAME
-    assert watcher.look(frames(torch.zeros_like(symbol), step=1), ProjectionCommand(TARGET), lights).code == Loss.NOTHING
-    assert watcher.look(frames(left_part), ProjectionCommand(TARGET), lights).code == Loss.TOO_SMALL
-    assert watcher.look(frames(symbol + 5.0), ProjectionCommand(TARGET), lights).code == Loss.TOO_LARGE
+    assert watcher.measure(None, ProjectionCommand(TARGET), lights).code == Loss.NO_FRAME
+    assert watcher.measure(frames(torch.zeros_like(symbol), step=1), ProjectionCommand(TARGET), lights).code == Loss.NOTHING
+    assert watcher.measure(frames(left_part), ProjectionCommand(TARGET), lights).code == Loss.TOO_SMALL
+    assert watcher.measure(frames(symbol + 5.0), ProjectionCommand(TARGET), lights).code == Loss.TOO_LARGE
     aside = TARGET + torch.tensor([0.0, 30.0, 0.0, 0.0])
-    lost = watcher.look(frames(symbol), ProjectionCommand(aside), projector().light(aside))
+    lost = watcher.measure(frames(symbol), ProjectionCommand(aside), projector().light(aside))
     assert lost.code == Loss.NOTHING
     assert lost.errors.isnan().all()
     assert lost.symbol.numel() == 0
@@ -217,7 +217,7 @@ def test_reasons_for_loss() -> None:
 def test_shadows_are_no_symbol() -> None:
     lights = projector().light(TARGET)
     on, off = frames(sensor().model.luminance(lights))
-    assert sensor().look((off, on), ProjectionCommand(TARGET), lights).code == Loss.NOTHING
+    assert sensor().measure((off, on), ProjectionCommand(TARGET), lights).code == Loss.NOTHING
 
 
 # The controllers
@@ -373,7 +373,7 @@ def run(watcher: SymbolSensor, start: Tensor, steps: int = 30, drop_every: int |
         state = controller.step(
             state,
             Observation(
-                watcher.look(None if dropped else seen_frames, ProjectionCommand(pose), lights),
+                watcher.measure(None if dropped else seen_frames, ProjectionCommand(pose), lights),
                 None,
                 Shown(ProjectionCommand(pose), lights),
             ),

@@ -188,7 +188,7 @@ def test_a_check_of_a_detector_says_that_no_frame_came() -> None:
 @pytest.mark.usefixtures("own")
 def test_a_step_of_which_one_frame_is_lost_is_not_seen() -> None:
     results = list(prepared(plant={"kind": "own:Blind", "options": {"lost": [3, 4]}}, steps=4).run())
-    assert [int(each.symbol.seen.code) for each in results] == [Loss.SEEN, Loss.NO_FRAME, Loss.NO_FRAME, Loss.SEEN]
+    assert [int(each.symbol.measurement.code) for each in results] == [Loss.SEEN, Loss.NO_FRAME, Loss.NO_FRAME, Loss.SEEN]
 
 
 @pytest.mark.usefixtures("own")
@@ -234,7 +234,7 @@ def test_the_judge_looks_as_often_as_it_is_asked_to() -> None:
     every, third, never = ([result.symbol for result in of_run] for of_run in results)
     assert [each.verdict is not None for each in third] == [step % 3 == 0 for step in range(12)]
     assert all(each.verdict is None for each in never)
-    assert all(a.pose.equal(b.pose) and a.seen.errors.equal(b.seen.errors) for a, b in zip(every, never, strict=True))
+    assert all(a.pose.equal(b.pose) and a.measurement.errors.equal(b.measurement.errors) for a, b in zip(every, never, strict=True))
     tables = [
         table_of([row_of(each) for each in of_run], schema(simulation)) for simulation, of_run in zip(simulations, results, strict=True)
     ]

@@ -316,7 +316,7 @@ def test_a_plant_may_say_that_it_shows_something_else(small_simulation: Simulati
             return state, replace(arrivals, frames=tuple(replace(each, shown=shown if self.says else None) for each in arrivals.frames))
 
     silent, told = (next(replace(small_simulation, plant=Moved(says)).run()).symbol for says in (False, True))
-    assert float((told.seen.area_ratio - 1).abs()) < float((silent.seen.area_ratio - 1).abs())
+    assert float((told.measurement.area_ratio - 1).abs()) < float((silent.measurement.area_ratio - 1).abs())
 
 
 def test_the_plant_does_not_know_the_truth(recorded: dict[str, Path]) -> None:

@@ -67,8 +67,8 @@ def test_row_has_plain_values_in_the_units_of_their_names(small_simulation: Simu
     values = {name: all_values[f"functions.symbol.{name}"] for name in SYMBOL}
     assert [values[name] for name in POSE] == pytest.approx([19.0, 1.0, 5.0, -2.0])
     assert values["z_m"] == 0.0
-    assert values["pose_error_roll_deg"] == pytest.approx(math.degrees(result.symbol.seen.pose_error[2]))
-    assert values["br_v"] == result.symbol.seen.appearance.centroids[4, 1].item()
+    assert values["pose_error_roll_deg"] == pytest.approx(math.degrees(result.symbol.measurement.pose_error[2]))
+    assert values["br_v"] == result.symbol.measurement.appearance.centroids[4, 1].item()
     assert result.symbol.verdict is not None
     assert values["centroid_error_y_percent"] == result.symbol.verdict.centroid_percent[1].item()
     assert values["loss"] == ""
@@ -190,7 +190,7 @@ def test_one_seed_gives_the_same_bits_in_two_processes(tmp_path: Path, small_sce
 def test_another_seed_gives_another_trajectory(small_scenario: Scenario, small_results: list[StepResult]) -> None:
     other = Simulation.prepare(small_scenario.model_copy(update={"seed": 1}))
     _, result = other.step(other.start())
-    assert not torch.equal(result.symbol.seen.errors, small_results[0].symbol.seen.errors)
+    assert not torch.equal(result.symbol.measurement.errors, small_results[0].symbol.measurement.errors)
 
 
 def test_a_run_is_summarised_once(tmp_path: Path, small_scenario: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -47,7 +47,7 @@ def size(height_in: float) -> tuple[int, int, int]:
 def lost(result: StepResult) -> StepResult:
     nan = torch.full((4,), torch.nan)
     code = torch.tensor(int(Loss.NOTHING))
-    seen = replace(result.symbol.seen, code=code, errors=nan, pose_error=nan)
+    seen = replace(result.symbol.measurement, code=code, errors=nan, pose_error=nan)
     return replace(result, held={"symbol": replace(result.symbol, seen=seen)})
 
 
@@ -145,7 +145,7 @@ def test_path_is_the_centroid_in_the_image(small_results: list[StepResult]) -> N
     gathered = Gathered("symbol", 2)
     gathered.add(small_results[0])
     gathered.add(lost(small_results[1]))
-    centre = small_results[0].symbol.seen.appearance.centroids[0].tolist()
+    centre = small_results[0].symbol.measurement.appearance.centroids[0].tolist()
     assert gathered.path[0] == pytest.approx(centre, abs=1e-3)  # float32 sums of 320 px
     assert np.isnan(gathered.path[1]).all()
 

@@ -36,11 +36,11 @@ class Looks:
         return extraction.symbol_image(contrast, limit, extraction.ExtractionParams())
 
 class Stays:
-    def __init__(self, observer, fails=False):
+    def __init__(self, sensor, fails=False):
         self.fails = fails
     def start(self, pose):
         return pose
-    def drawing(self, state, ego):
+    def projection(self, state, ego):
         return ProjectionCommand(state)
     def step(self, state, observation):
         return 1 / 0 if self.fails else state

@@ -44,7 +44,7 @@ def test_picture_has_the_cameras_size_and_shows_symbol_and_target(small_simulati
 
 def test_symbol_is_outlined_where_it_is(small_simulation: Simulation, small_results: list[StepResult]) -> None:
     result = small_results[0]
-    seen = result.symbol.seen
+    seen = result.symbol.measurement
     nothing = replace(seen, symbol=torch.zeros_like(seen.symbol))
     bare = replace(result, held={"symbol": replace(result.symbol, seen=nothing)})
     changed = (drawn(result, small_simulation) != drawn(bare, small_simulation)).any(-1)

@@ -135,8 +135,8 @@ def test_a_camera_that_looks_elsewhere_moves_the_image_and_not_the_light(plain: 
     # the controller expects what it did; the light lies as well as before, and the judge, who knows the true camera, sees that
     assert torch.equal(simulation.symbol.sensor.model.target, plain.symbol.sensor.model.target)
     assert wrong.symbol.verdict.centroid_percent.abs().max() < 0.2 and float(wrong.symbol.verdict.iou) > 0.97
-    u, v = right.symbol.seen.appearance.centroids[0].tolist()
-    u_wrong, v_wrong = wrong.symbol.seen.appearance.centroids[0].tolist()
+    u, v = right.symbol.measurement.appearance.centroids[0].tolist()
+    u_wrong, v_wrong = wrong.symbol.measurement.appearance.centroids[0].tolist()
     fx = plain.world.view.fx
     expected_u = 160 + 1.02 * fx * math.tan(math.atan((u - 160) / fx) + math.radians(0.4))
     # the symbol's edges fall on other parts of pixels; a yaw about an inclined axis lifts nothing this near to the middle

@@ -235,7 +235,7 @@ from world.errors import LuxloopError
 
 
 class Frail(OpenLoop):
-    def __init__(self, observer, weight):
+    def __init__(self, sensor, weight):
         if weight > 0.5:
             raise IndexError("too heavy")
         super().__init__(observer.projector.target)

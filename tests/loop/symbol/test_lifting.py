@@ -129,7 +129,7 @@ def test_a_shape_begins_the_controller_anew_and_is_given_up_where_nothing_is_see
 def test_a_symbol_that_goes_on_beyond_its_footprint_is_searched_for() -> None:
     prepared = simulation(-2.0, "{name='thesis_pid'}")
     state, result = prepared.step(prepared.start())
-    assert result.symbol.seen.code == Loss.SEEN and result.symbol.seen.shape is None
+    assert result.symbol.measurement.code == Loss.SEEN and result.symbol.measurement.shape is None
     assert state.held["symbol"].controller.shape is not None
 
 

@@ -268,7 +268,7 @@ def test_a_wrong_belief_at_the_start_is_drawn_and_given_up() -> None:
     prepared = simulation('{kind="flat"}', "functions.symbol.controller={name='luxloop', start_height_m=0.03}")
     _, first = prepared.step(prepared.start())
     # the camera at 1.35 m takes the target for 17 m (1 - 0.03 / 1.35), where the lamp at 0.75 m casts light 0.75 / 0.72 times as far
-    assert float(first.symbol.seen.pose_error[0]) == pytest.approx(0.3, abs=0.1)  # of a symbol that is some cm longer, too
+    assert float(first.symbol.measurement.pose_error[0]) == pytest.approx(0.3, abs=0.1)  # of a symbol that is some cm longer, too
     _, seen = course(prepared, prepared.start(), 5)
     assert seen[0] < opened(prepared) - 0.1
     assert min(seen[1:]) > 0.9  # one observation is enough; at this resolution noise alone costs up to 0.03 in some steps

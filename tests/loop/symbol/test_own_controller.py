@@ -11,17 +11,17 @@ OWN = """
 from controllers.symbol.sensing.projection import ProjectionCommand
 
 class Halfway:
-    def __init__(self, observer, share=0.5):
+    def __init__(self, sensor, share=0.5):
         self.share = share
     def start(self, pose):
         return pose
-    def drawing(self, state, ego):
+    def projection(self, state, ego):
         return ProjectionCommand(state)
     def step(self, state, observation):
         return state - self.share * observation.measurement.pose_error.nan_to_num()
 
 class Speechless:
-    def __init__(self, observer):
+    def __init__(self, sensor):
         pass
 """
 SMALL = ["camera.width_px=320", "camera.height_px=180", "camera.oversampling=2"]
@@ -34,7 +34,7 @@ def test_a_controller_of_ones_own_is_named_in_the_scenario() -> None:
     state, first = simulation.step(simulation.start())
     _, second = simulation.step(state)
     assert simulation.symbol.controller.inner.share == 0.25
-    assert (second.symbol.pose - first.symbol.pose + 0.25 * first.symbol.seen.pose_error).abs().max() < 1e-6
+    assert (second.symbol.pose - first.symbol.pose + 0.25 * first.symbol.measurement.pose_error).abs().max() < 1e-6
     assert isinstance(simulation.symbol.controller.projection(state.held["symbol"].controller, None), ProjectionCommand)
     again = type(scenario).model_validate_json(scenario.model_dump_json())
     assert again == scenario, "recordings hold it"
@@ -47,7 +47,7 @@ def test_a_controller_of_ones_own_is_named_in_the_scenario() -> None:
         ("{name='no_such_module_at_all:Halfway'}", ["no_such_module_at_all", "PYTHONPATH"]),
         ("{name='own:Quarterway'}", ["own", "no Quarterway"]),
         ("{name='own:Halfway', options={gain=1}}", ["functions.symbol: controller.options", "gain"]),
-        ("{name='own:Speechless'}", ["no method start", "drawing"]),
+        ("{name='own:Speechless'}", ["no method start", "projection"]),
         ("{name='own:'}", ["functions.symbol.controller.name", "pattern"]),
     ],
 )

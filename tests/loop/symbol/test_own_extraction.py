@@ -43,7 +43,7 @@ SMALL = ["camera.width_px=320", "camera.height_px=180", "camera.oversampling=2"]
 def looked(*overrides: Any) -> tuple[Simulation, Tensor]:
     """Errors of three steps on bumps."""
     simulation = prepare(load("flat", [*SMALL, "road.kind=bumps", *overrides], steps=3), "cpu")
-    return simulation, torch.stack([result.symbol.seen.errors for result in simulation.run()])
+    return simulation, torch.stack([result.symbol.measurement.errors for result in simulation.run()])
 
 
 @pytest.mark.usefixtures("own")

@@ -69,7 +69,7 @@ def test_an_uneven_road_is_left_to_heights_after_two_searches(data_dir: Path, mo
 def test_the_nearest_place_that_is_lit_is_recorded() -> None:
     last = ends("kind='grade', grade_percent=-4, crossfall_percent=0, start_x_m=3", 5)
     assert 25 < float(last.symbol.aim[0]) < 33 and float(last.symbol.aim[1]) == pytest.approx(0.0, abs=0.1)
-    assert last.symbol.seen.code == 0 and last.symbol.cut.sum() < 0.02
+    assert last.symbol.measurement.code == 0 and last.symbol.cut.sum() < 0.02
 
 
 @pytest.mark.parametrize("controller", ["thesis_pid", "gauss_newton", "model_reference"])
