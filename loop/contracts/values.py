@@ -13,6 +13,7 @@ from pydantic import BaseModel
 from torch import Tensor
 
 from world.errors import LuxloopError
+from world.partial import PartialImage
 from world.plugin import Guarded, Name
 
 DATA = (Tensor, np.ndarray, np.generic, bool, int, float, complex, str, bytes, type(None), Enum, Path, torch.device, torch.dtype)
@@ -112,7 +113,7 @@ def _parts(value: Any, place: str) -> Iterator[tuple[str, Any]]:
     elif isinstance(value, tuple | list):
         inner = {f"[{number}]": each for number, each in enumerate(value)}
     if inner is None:
-        yield place, value
+        yield place, value[:, :] if isinstance(value, PartialImage) else value
     else:
         for name, each in inner.items():
             yield from _parts(each, f"{place}{name}")

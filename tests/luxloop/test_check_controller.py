@@ -166,7 +166,7 @@ BROKEN: dict[Any, list[str]] = {
     NeedsSymbol: ["in a step whose frames do not show the symbol", "step fails at", "IndexError"],
     InPlace: ["step changes state.pose, which it was given", "dataclasses.replace"],
     SpoilsTheLook: ["in a step without frames", "step changes observation.measurement.", "which it was given"],
-    Counting: ["step gives another state.steps", "same state and look", "not in self"],
+    Counting: ["step gives another state.steps", "same state and observation", "not in self"],
     Buffered: ["step changes state.pose, which it gave before", "clone()"],
     Dithering: ["projection gives another projection.pose", "same state", "seed random numbers"],
     StateIsSelf: ["start gives a state that cannot be saved", "state.law is of the type StateIsSelf", "frozen dataclass"],

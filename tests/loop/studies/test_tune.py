@@ -238,7 +238,7 @@ class Frail(OpenLoop):
     def __init__(self, sensor, weight):
         if weight > 0.5:
             raise IndexError("too heavy")
-        super().__init__(observer.projector.target)
+        super().__init__(sensor.projector.target)
 """
 
 
