@@ -1,6 +1,5 @@
 """How the light lies on the true road, which only a plant that knows the truth can say: symbols, and whether lights add up."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -26,6 +25,7 @@ from world.scene.vehicle import STANDING
 from world.view import View
 
 LEAST_LX = 1.0  # on a surface that faces the lamps: of less nobody on the road sees anything
+UPRIGHT = 0.5  # of a primitive's normal along z, below which its light is meant for an object, not for the road
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,14 +102,16 @@ def over_setpoint(modules: Sequence[ShiningModule], plan: Plan, lights: Sequence
     """Most light on a point of the road that the camera sees, as a multiple of the largest setpoint there; None where there is none.
 
     modules: as aimed, in the ground frame. Both are illuminances of surfaces that face the lamps, so that the slope of a stone does not
-    count. The setpoint is the largest of the base beam and of the functions' that a pixel's light spreads from (`_spread`), as no lamp can
-    separate what is nearer. What functions share is set for all modules together; shares of pixels add up.
+    count. The setpoint is the largest of the base beam and of the functions' within the light of a pixel (`_spread`), as no lamp can
+    separate what is nearer. What functions share is set for all modules together; shares of pixels add up. The road behind light that is
+    meant for an object does not count: lamps share that light on the object, and their rays part behind it.
     """
     road = seen.surfaces.position[:, seen.surfaces.object_id == 0]
     points = transform(inverse(seen.vehicle.T_world_ground), road.double()).float()
     if not points.shape[1] or plan.primitives is None:
         return None
-    lit, base, added, together = (torch.zeros_like(points[0]) for _ in range(4))
+    on_objects = plan.primitives.select((plan.primitives.normal[:, 2].abs() < UPRIGHT) & (plan.primitives.value > 0))
+    lit, base, added, together, behind = (torch.zeros_like(points[0]) for _ in range(5))
     for module, light in zip(modules, lights, strict=True):
         lamp = module.headlight
 
@@ -130,22 +132,30 @@ def over_setpoint(modules: Sequence[ShiningModule], plan: Plan, lights: Sequence
         in_cd[rows, cols] = torch.where((quantity == I_V) | (quantity == E_V), asked.value, 0.0)
         added += on_road(_spread(shares, lamp))
         together = torch.maximum(together, on_road(_spread(in_cd, lamp)))
+        if len(mine := on_objects.for_module(module.name)):
+            hit = trace(mine.to(beam.device), lamp, module.T_world_module)
+            lights_object = torch.zeros_like(beam)
+            lights_object[hit.window.slices] = hit.cover
+            behind += on_road(_spread(lights_object, lamp))
     most = torch.stack([base, added, together]).amax(0)
-    ratios = (lit / most.clamp(min=LEAST_LX))[lit >= LEAST_LX]
+    ratios = (lit / most.clamp(min=LEAST_LX))[(lit >= LEAST_LX) & (behind == 0)]
     return float(ratios.max()) if len(ratios) else None
 
 
 def _spread(texture: Tensor, lamp: Headlight) -> Tensor:
-    """The largest value `[rows, cols]` of those from which a pixel's light reaches a texel."""
-    up, aside = _reach(lamp)
+    """The largest value `[rows, cols]` of the setpoints of all pixels whose light reaches a texel.
+
+    A pixel averages setpoints over its light, so that what is asked at its one edge shines at the other.
+    """
+    up, aside = _extent(lamp)
     return max_pool2d(max_pool2d(texture[None], (2 * up + 1, 1), 1, (up, 0)), (1, 2 * aside + 1), 1, (0, aside))[0]
 
 
 @lru_cache(maxsize=16)
-def _reach(lamp: Headlight) -> tuple[int, int]:
-    """How many texels, up and aside, the light of its middle pixel reaches until it is a tenth of its peak."""
+def _extent(lamp: Headlight) -> tuple[int, int]:
+    """How many texels, up and aside, the light of its middle pixel is large where it is more than a tenth of its peak."""
     only = torch.zeros(lamp.n_pixels).to(lamp.matrix.values)
     only[lamp.n_pixels // 2 + (lamp.pixel_cols or 0) // 2] = 1
     light = lamp.light_texture(only)
-    up, aside = (math.ceil(int((light > light.max() / 10).any(dim).sum()) / 2) for dim in (1, 0))
+    up, aside = (int((light > light.max() / 10).any(dim).sum()) for dim in (1, 0))
     return up, aside

@@ -190,7 +190,7 @@ class Luxloop:
         fine, known = registration.forward_model, road_map.heights
         informed = bool(known.information.any())
         contrast, limit = fine.observe_symbol(frames, textures)
-        seen = fine.symbol(contrast, limit)
+        seen, least_seen = fine.symbol(contrast, limit), limit
         lit = float(seen.sum()) * fine.step >= LEAST_LIT_PX
         limit = limit / fine.on_pixels(road_map.brightness)  # of the light that the assumed road would show
         drawn = road_map.shown(observation.shown.projection)
@@ -225,7 +225,7 @@ class Luxloop:
             return nothing
         information = known.information + best.information
         gain = best.information.trace() / information.trace().clamp(min=1)  # of this observation beside all earlier ones
-        brightness = _brightness(fine, best.mean, road_map.brightness, contrast, seen, textures)
+        brightness = _brightness(fine, best.mean, road_map.brightness, contrast, seen, textures, least_seen)
         share = (least / before if least < before else 1.0) if body_poses.still else self.params.road_map
         return replace(
             road_map, heights=replace(best, information=share * information), brightness=road_map.brightness.lerp(brightness, gain)
@@ -354,11 +354,14 @@ def laid(target: Tensor, T_body_ground: Tensor) -> ProjectionCommand:
 
 
 def _brightness(
-    fine: ForwardModel, heights: Tensor, before: Tensor, contrast: Tensor, seen: Tensor, textures: tuple[Tensor, ...]
+    fine: ForwardModel, heights: Tensor, before: Tensor, contrast: Tensor, seen: Tensor, textures: tuple[Tensor, ...], limit: Tensor
 ) -> Tensor:
-    """Brightness `[n]` of the nodes, from where the light is that falls on such heights."""
+    """Brightness `[n]` of the nodes, from where the light is that falls on such heights.
+
+    limit: `[h, w]` cd/m^2. Where less light than that is expected, what is seen is other light, and says nothing of the road.
+    """
     expected = fine.luminance(textures, fine.on_pixels(heights)[None])[0]
-    lit = (seen > 0.5) & (expected > 0)
+    lit = (seen > 0.5) & (expected > limit)
     there, usual = fine.on_nodes(torch.stack([contrast, expected]) * lit)
     guess = SEEN_BY * usual.mean()
     return torch.where(usual + guess > 0, (there + guess * before) / (usual + guess), before)

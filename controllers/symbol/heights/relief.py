@@ -26,12 +26,12 @@ class Relief:
     heights: Tensor
     brightness: Tensor
 
-    def at(self, values: Tensor, x: Tensor, y: Tensor) -> Tensor:
-        """Values of the cells `[rows, cols]` behind points `[h, w]` of the plane, bilinear."""
+    def at(self, values: Tensor, x: Tensor, y: Tensor, beyond: str = "border") -> Tensor:
+        """Values of the cells `[rows, cols]` behind points `[h, w]` of the plane, bilinear; beyond: what they are out of the region."""
         r = self.region
         u = 2 * (r.y_left_m - y) / (r.y_left_m - r.y_right_m) - 1
         v = 2 * (r.x_far_m - x) / (r.x_far_m - r.x_near_m) - 1
-        return grid_sample(values[None, None], torch.stack([u, v], -1)[None], padding_mode="border", align_corners=False)[0, 0]
+        return grid_sample(values[None, None], torch.stack([u, v], -1)[None], padding_mode=beyond, align_corners=False)[0, 0]
 
     def points(self, x: Tensor, y: Tensor) -> Tensor:
         """The road's points `[3, ...]` m behind points of the plane."""

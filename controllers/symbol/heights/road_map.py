@@ -95,13 +95,13 @@ class RoadMap:
     def moved(self, T_before_now: Tensor, eye: Tensor) -> "RoadMap":
         """The same road in the ground frame that has the pose `[4, 4]` in this one, as an eye at `[3]` m sees it there.
 
-        What comes into the region is as high as what was at its border, and nothing is known of it. The base stays: who knows the new
-        ground frame gives another one, `over`.
+        What comes into the region is as high as what was at its border, as bright as the assumed road, and nothing is known of it. The
+        base stays: who knows the new ground frame gives another one, `over`.
         """
         T = T_before_now.to(eye)
         if self._is_seen_so(T, eye):
             return self
-        mean, brightness = self._seen_by(T, eye, self.brightness)
+        mean, brightness = self._seen_by(T, eye)
         information = self._carried(self._seen_anew(self.nodes(), self.heights.mean, self.eye, inverse(T), eye))
         return replace(self, heights=Heights(mean, information, self.heights.base), brightness=brightness, eye=eye, drawn=(), kept=None)
 
@@ -115,7 +115,7 @@ class RoadMap:
         T = T_before_now.to(eye)
         if self._is_seen_so(T, eye):
             return self.relief()
-        heights, brightness = self._seen_by(T, eye, self.brightness)
+        heights, brightness = self._seen_by(T, eye)
         return Relief(self.region, eye, heights.view(self.grid), brightness.view(self.grid))
 
     def tracks(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
@@ -158,14 +158,14 @@ class RoadMap:
     def _is_seen_so(self, T: Tensor, eye: Tensor) -> bool:
         return eye.equal(self.eye) and T.equal(torch.eye(4).to(T))
 
-    def _seen_by(self, T: Tensor, eye: Tensor, *others: Tensor) -> list[Tensor]:
-        """Heights and other values `[n]` at the nodes of an eye in the ground frame that has the pose T `[4, 4]` in this one."""
+    def _seen_by(self, T: Tensor, eye: Tensor) -> tuple[Tensor, Tensor]:
+        """Heights and brightness `[n]` at the nodes of an eye in the ground frame that has the pose T `[4, 4]` in this one."""
         relief, nodes = self.relief(), self.nodes()
         heights = -transform(T, nodes)[2]  # of the old plane
         for _ in range(3):  # where on the road a line of sight ends is known once its height is
-            *places, z = self._seen_anew(nodes, heights, eye, T, self.eye)
-            heights = heights + (relief.at(relief.heights, *places) - z).flatten()
-        return [heights, *(relief.at(each.view(self.grid), *places).flatten() for each in others)]
+            x, y, z = self._seen_anew(nodes, heights, eye, T, self.eye)
+            heights = heights + (relief.at(relief.heights, x, y) - z).flatten()
+        return heights, 1 + relief.at(relief.brightness - 1, x, y, beyond="zeros").flatten()
 
     def _seen_anew(self, nodes: Tensor, heights: Tensor, eye: Tensor, T: Tensor, other: Tensor) -> Tensor:
         """Where on its plane another eye sees the road that is as high as `[n]` m on the lines of sight of an eye through nodes `[3, n]`.

@@ -1,6 +1,7 @@
 """Road memory: heights are judged by looks at what was drawn for them, and the best are kept."""
 
 import math
+from dataclasses import replace
 
 import torch
 
@@ -8,6 +9,7 @@ from controllers.symbol.heights.registration import Heights
 from controllers.symbol.heights.road_map import CHANGED, PATIENCE, RoadMap
 from controllers.symbol.sensing.projection import ProjectionCommand
 from perception.birdseye import Region
+from world.frames import pose
 
 IN_FLIGHT = 4  # projections of which observations may still come
 
@@ -34,6 +36,12 @@ def looked(road_map: RoadMap, height_m: float, residual: float) -> RoadMap:
 NOTHING = RoadMap(
     Heights(torch.zeros(4), torch.zeros(4, 4), torch.zeros(4)), torch.ones(4), Region(15, 19, 1, -1), (2, 2), torch.tensor([2, 0, 1.2])
 )
+
+
+def test_road_that_comes_into_the_region_is_as_bright_as_the_assumed_one() -> None:
+    at_border = replace(NOTHING, brightness=torch.tensor([40.0, 1.0, 40.0, 1.0]))  # bright on the left
+    turned = at_border.moved(pose(torch.tensor([0.0, 1.0, 0.0]).double(), torch.eye(3).double()), at_border.eye)
+    torch.testing.assert_close(turned.brightness, torch.tensor([1.0, 40.0, 1.0, 40.0]), rtol=0, atol=1.0)
 
 
 def test_a_late_look_judges_the_heights_that_it_shows() -> None:

@@ -32,6 +32,20 @@ def test_four_modules_give_one_setpoint_unless_each_gives_the_whole(share: bool,
     assert least < one["road_lx_ratio_max"] < most  # lores pixels miss by a tenth; two to four modules reach the band
 
 
+def test_the_light_of_one_module_alone_adds_up_with_nothing() -> None:
+    band = BAND | {"control_m": [[18.0, -1.2], [18.0, 1.2]], "width_m": 1.0, "modules": ["left hires"], "value": 12.0}
+    (one,) = rows(1, functions={"band": band}, lighting={"base": {"beam": "off"}})
+    assert one["road_lx_ratio_max"] < 1, "a pixel that lies across the band's border lights all that its light reaches"
+
+
+def test_light_on_a_pedestrian_says_nothing_of_the_road_behind() -> None:
+    aside = {"kind": "pedestrian", "name": "aside", "seed": 5, "track": [{"position_m": [10.0, 3.0, 0.0], "yaw_deg": 90.0}]}
+    light = {"kind": "object_based", "method": "constant", "setpoint_lx": 6.0, "share": 0.2}
+    *_, last = rows(5, objects=[aside], functions={"light": light}, lighting={"base": {"beam": "low"}})
+    assert last["tracks"] == 1 and last["primitives"] > 0, "where only one of the lamps reaches, it gives the whole"
+    assert last["road_lx_ratio_max"] < 1.1, "and the other's part falls on the same road behind"
+
+
 def test_oncoming_heads_count_from_three_tenths_of_a_second_on() -> None:
     lit = rows(6, objects=[COMING, AHEAD], lighting={"base": {"beam": "full"}})
     told = [each["oncoming_lx_max"] for each in lit]
