@@ -17,7 +17,7 @@ from luxloop import Ego, Loss, Observation, ProjectionCommand, SymbolSensor
 
 @dataclass(frozen=True)
 class State:
-    """pose: `[4]`. J: `[4, 4]`, interaction matrix. before: `[2, 4]`, shown pose and error of the last observation, None before the first."""
+    """pose: `[4]`. J: `[4, 4]`, interaction matrix. before: `[2, 4]`, shown pose and error of the last observation, None at first."""
 
     pose: Tensor
     J: Tensor

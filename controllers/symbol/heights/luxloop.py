@@ -56,7 +56,7 @@ class LuxloopParams(Params):
     cell_m: tuple[Cell, Cell] = Field((0.2, 0.15), description="distance of heights on the assumed road, along and across")
     beyond_m: tuple[Reach, Reach, Reach] = Field((1.2, 1.5, 0.6), description="how far heights go beyond the symbol: near, far, sides")
     highest_m: float = Field(0.14, gt=0, le=0.3, description="largest height, up or down, that is looked for")
-    road_map: float = Field(0.6, ge=0, lt=1, description="share of what is known that a step on the move keeps; the rest may have changed")
+    memory: float = Field(0.6, ge=0, lt=1, description="share of what is known that a step on the move keeps; the rest may have changed")
     evidence: float = Field(
         0.0025, ge=0, le=1e6, description="share of the symbol that heights have to explain beyond what the flat road does"
     )
@@ -226,7 +226,7 @@ class Luxloop:
         information = known.information + best.information
         gain = best.information.trace() / information.trace().clamp(min=1)  # of this observation beside all earlier ones
         brightness = _brightness(fine, best.mean, road_map.brightness, contrast, seen, textures, least_seen)
-        share = (least / before if least < before else 1.0) if body_poses.still else self.params.road_map
+        share = (least / before if least < before else 1.0) if body_poses.still else self.params.memory
         return replace(
             road_map, heights=replace(best, information=share * information), brightness=road_map.brightness.lerp(brightness, gain)
         )

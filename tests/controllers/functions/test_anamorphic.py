@@ -86,11 +86,11 @@ def test_the_observer_sees_what_he_shall_see(who: str, ssc: Ssc) -> None:
     """IoU of what is lit more than half as bright as the lamp can, with the wanted image, in a camera that looks through the picture."""
     eye_m, centre_m, width_m, height_m = OBSERVERS[who]
     image, light, T = load_still(SYMBOLS / "chevrons.png"), ssc.headlight, pose_from_degrees((0.0, 0.6, 0.75))
-    sensor = {"eye_m": eye_m, "centre_m": centre_m, "width_m": width_m, "height_m": height_m}
+    observer = {"eye_m": eye_m, "centre_m": centre_m, "width_m": width_m, "height_m": height_m}
     now = Situation(0.0, torch.eye(4, dtype=torch.float64), T[None, :3, 3], symbols={"a": Still(image)})
-    (p,) = SymbolFunctionParams(image="a", sensor=sensor).primitives(now)
-    assert p.sensor is not None
-    picture = [v[0] for v in (p.sensor.eye, p.sensor.origin, p.sensor.d1, p.sensor.d2)]
+    (p,) = SymbolFunctionParams(image="a", observer=observer).primitives(now)
+    assert p.observer is not None
+    picture = [v[0] for v in (p.observer.eye, p.observer.origin, p.observer.d1, p.observer.d2)]
     u = ssc.utilisation(p.to(torch.float32), T).u
 
     rows, cols = round(640 * height_m / width_m), 640

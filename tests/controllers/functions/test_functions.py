@@ -134,13 +134,13 @@ def test_black_leaves_the_base_beam_where_it_is_changed_relatively(value: float)
 
 
 def test_an_observer_gets_a_rectangle_of_his_own() -> None:
-    (p,) = SymbolFunctionParams(image="a", sensor={"name": "anna"}).primitives(now(PERSON))
-    assert p.sensor is not None and p.sensor.active.all()
-    torch.testing.assert_close(p.sensor.eye[0], torch.tensor([20.0, 3.0, 1.5]).double())
+    (p,) = SymbolFunctionParams(image="a", observer={"name": "anna"}).primitives(now(PERSON))
+    assert p.observer is not None and p.observer.active.all()
+    torch.testing.assert_close(p.observer.eye[0], torch.tensor([20.0, 3.0, 1.5]).double())
     torch.testing.assert_close(p.normal[0], UP)
-    assert not SymbolFunctionParams(image="a", sensor={"name": "anna"}).primitives(now())
+    assert not SymbolFunctionParams(image="a", observer={"name": "anna"}).primitives(now())
     with pytest.raises(LuxloopError, match="lower the picture"):
-        SymbolFunctionParams(image="a", sensor={"centre_m": (10, 0, 2.0)}).primitives(now())
+        SymbolFunctionParams(image="a", observer={"centre_m": (10, 0, 2.0)}).primitives(now())
 
 
 CURVE = torch.tensor([[5.0, 0.0], [12.0, 0.0], [16.0, 2.0], [18.0, 6.0]], dtype=torch.float64)

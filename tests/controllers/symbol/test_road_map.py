@@ -1,4 +1,4 @@
-"""Road memory: heights are judged by looks at what was drawn for them, and the best are kept."""
+"""The road map: heights are judged by looks at what was drawn for them, and the best are kept."""
 
 import math
 from dataclasses import replace

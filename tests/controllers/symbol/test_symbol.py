@@ -230,7 +230,7 @@ def pose_of(controller: SymbolController, state: Any) -> Tensor:
 
 
 def report(pose_error: Tensor, code: Tensor | int = Loss.SEEN) -> Observation:
-    """What an sensor would say."""
+    """What a sensor would say."""
     nan = torch.full(pose_error.shape[:-1], torch.nan)
     shape = Appearance(nan, nan[..., None, None].expand(*nan.shape, 5, 2), nan, nan)
     code = torch.as_tensor(code).expand(pose_error.shape[:-1])

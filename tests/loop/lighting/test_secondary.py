@@ -89,9 +89,9 @@ def test_what_an_observer_sees_is_measured_from_their_eye() -> None:
     simulation, result = run({}, symbol, headlight={"model": "idealised-332x1024"})
     assert result.symbol_iou_min is not None and result.symbol_iou_min > 0.85  # pixels are a fortieth of the picture in height
     primitives = result.plan.primitives
-    assert primitives is not None and primitives.sensor is not None
-    aside = replace(primitives.sensor, eye=primitives.sensor.eye + torch.tensor([0.0, 2.0, 0.0]))
-    plan = replace(result.plan, primitives=replace(primitives, sensor=aside))
+    assert primitives is not None and primitives.observer is not None
+    aside = replace(primitives.observer, eye=primitives.observer.eye + torch.tensor([0.0, 2.0, 0.0]))
+    plan = replace(result.plan, primitives=replace(primitives, observer=aside))
     full = tuple(torch.ones_like(u) for u in result.lights)
     (seen,) = observed_symbols(plan, result.lights, full, simulation.world, result.now)
     assert seen.iou < 0.5

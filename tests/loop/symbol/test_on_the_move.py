@@ -1,4 +1,4 @@
-"""Road memory, the body filter and where light is exposed: against closed forms, then in a small closed loop on the move."""
+"""The road map, the body filter and where light is exposed: against closed forms, then in a small closed loop on the move."""
 
 import math
 from dataclasses import dataclass, replace

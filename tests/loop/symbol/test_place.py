@@ -62,7 +62,7 @@ def test_an_uneven_road_is_left_to_heights_after_two_searches(data_dir: Path, mo
     for _ in range(6):
         state, result = prepared.step(state)
         ious.append(float(result.symbol.verdict.iou))
-    assert state.held["symbol"].controller.memory.searched == 2
+    assert state.held["symbol"].controller.road_map.searched == 2
     assert min(ious[3:]) > 0.92  # with shapes that are searched for again and again 0.80
 
 
