@@ -130,4 +130,4 @@ def _flat(values: dict[str, Any]) -> dict[str, Any]:
     flat: dict[str, Any] = {}
     for key, value in values.items():
         flat |= {f"{key}.{inner}": each for inner, each in _flat(value).items()} if isinstance(value, dict) else {key: value}
-    return {key: value for key, value in flat.items() if "_ms_" not in key}
+    return {key: value for key, value in flat.items() if "_ms_" not in key and key != "times_real_time"}

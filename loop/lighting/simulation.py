@@ -243,15 +243,14 @@ class Simulation:
                 image, then_s = frame.image, frame.taken_s
                 then = None if world is None or not (self.pipeline or self.planner.learns) else world.lit(then_s)
                 if self.pipeline is not None:
-                    share = image / (2**self.scenario.camera.bits - 1)
-                    found = self.pipeline.find(share, then)
+                    found = self.pipeline.find(share := image / (2**self.scenario.camera.bits - 1), then)
                     tracks = self.pipeline.tracker.follow(tracks, found, share, then_s)
                 if self.planner.learns:
                     functions = self.planner.step(functions, self._learnt(now, then, then_s, image, then_view, tracks))
         clock.lap("find")
         oncoming_s = near_enough(metered[0].seen, state.oncoming_s, time_s) if metered and self.pipeline is not None else {}
         due = [name for name, since_s in oncoming_s.items() if time_s - since_s >= DUE_S]
-        observation = None if self.pipeline is None else self._look(self.pipeline, tracks, found, then_s, metered, due)
+        detected = None if self.pipeline is None else self._look(self.pipeline, tracks, found, then_s, metered, due)
         clock.lap("look")
         alone = len(projections) == 1 and len(self.planner.functions) == 1 and self.scenario.lighting.power_limit is None
         moment = Moment(projections, measured, exposures[0], exposures[-1], ego, alone)
@@ -265,7 +264,7 @@ class Simulation:
                 held[name], looked[name] = self.controlled[name].step(held[name], name, moment, each.images, newer)
         clock.lap("control")
         masked = frozenset(each.name for each in now.objects if must_be_dark(self.scenario.functions, each, now))
-        told = told_as(self.watched, None if observation is None else observation.recognised)
+        told = told_as(self.watched, None if detected is None else detected.recognised)
         luminance = None if world is None else world.image(time_s, exposures[0], now.commands)
         zones = in_zones(self.planner.functions, state.functions, luminance, view if world is None else world.view_from_ground(time_s))
         objects: Mapping[str, OnObject] = {}
@@ -279,8 +278,7 @@ class Simulation:
             if (white := in_white(plan)) is not None:
                 whitened = [light.u for light in self._driven(white, now)[0]]
                 symbols = observed_symbols(plan, [light.u for light in exposures[0]], whitened, world, now)
-        every = self.scenario.judge_every
-        judges = world is not None and bool(every) and state.step % every == 0
+        judges = world is not None and bool(every := self.scenario.judge_every) and state.step % every == 0
         if judges and lit is not None and self.pipeline is not None and self.planner.functions:
             road_ratio = over_setpoint(self._turned(now), plan, exposures[0], lit.seen)
         if judges and measured:
@@ -303,7 +301,7 @@ class Simulation:
             looks[-1].images if looks else None,
             looks[-1].taken_s if looks else math.nan,
             objects,
-            observation,
+            detected,
             symbols,
             results,
             zones,

@@ -80,7 +80,7 @@ def summarise(
         **{key: over(key, "mean") for key in LOOKING if key in known},
         **(_eyes(table) | {"tracks_of_nothing": steps_of_nothing(table, objects)} if "eyes_lx_max" in known else {}),
         "processing_ms_median": ms,
-        "times_real_time": None if ms is None or table.num_rows < 2 else ms / 1e3 * (table.num_rows - 1) / (times_s[-1] - times_s[0]),
+        "times_real_time": None if ms is None or table.num_rows < 2 else ms / 1e3 * (table.num_rows - 1) / float(times_s[-1] - times_s[0]),
     }
 
 

@@ -143,7 +143,7 @@ class Luxloop:
             road_map = road_map if road_map.T_ground_plane.equal(HERE) else self._nothing(self.registration)
             registration = self._fine(body_poses)
         road_map = road_map.moved(body_poses.since, registration.forward_model.eye)
-        if not body_poses.still and then is not None and body is not None:
+        if not body_poses.still and then is not None and body is not None and not then.stands:
             road_map = road_map.over(self._heights(self._bent(then, body), road_map))
         if body is None or now is None or body_poses.still:
             road_map = self._looked(registration, road_map, observation, body_poses, anew)

@@ -312,7 +312,7 @@ def test_a_scenario_turns_the_modules_that_can_be_turned(bending: dict[str, Lamp
     [
         ({"view": "drivr"}, "no view 'drivr'; did you mean 'driver'"),
         ({"view": "wall", "style": "isolxu"}, "no style 'isolxu'; did you mean 'isolux'"),
-        ({"view": "driver", "style": "isocandela"}, "'driver'.*'isocandela'; give one of luminance, falsecolour, isolux"),
+        ({"view": "driver", "style": "isocandela"}, "'driver'.*'isocandela'; it has luminance, falsecolour, isolux"),
         ({"beam": "hihg"}, "no beam 'hihg'; it has low, full, off"),
         ({"out": Path("beam.bmp")}, r"beam.bmp: pictures are written as .png"),
         ({"visibility_m": 0.0, "view": "volume"}, "visibility of 0 m"),

@@ -72,14 +72,14 @@ def test_row_has_plain_values_in_the_units_of_their_names(small_simulation: Simu
     assert result.symbol.verdict is not None
     assert values["centroid_error_y_percent"] == result.symbol.verdict.centroid_percent[1].item()
     assert values["loss"] == ""
-    assert {f"{part}_ms" for part in ("plan", "light", "look", "control")} == {name for name in names if name.endswith("_ms")}
+    assert {f"{part}_ms" for part in ("plan", "light", "look", "control", "processing")} == {name for name in names if name.endswith("_ms")}
     assert all_values["look_ms"] == result.timings["plant"] + result.timings["look"], "rendering is no part of the car"
 
 
 def test_lost_symbol_is_a_row_with_a_reason(small_simulation: Simulation, small_results: list[StepResult]) -> None:
     result = small_results[0]
     seen = small_simulation.symbol.sensor.measure(None, ProjectionCommand(result.symbol.pose), small_simulation.symbol.projector.resting)
-    values = row(replace(result, frames=None, held={"symbol": replace(result.symbol, seen=seen)}))
+    values = row(replace(result, frames=None, held={"symbol": replace(result.symbol, measurement=seen)}))
     assert values["functions.symbol.loss"] == "no_frame"
     assert math.isnan(values["functions.symbol.c_u"]) and math.isnan(values["functions.symbol.e_pitch"])
     assert table_of([values], schema(small_simulation))["functions.symbol.c_u"].null_count == 1

@@ -48,7 +48,7 @@ def lost(result: StepResult) -> StepResult:
     nan = torch.full((4,), torch.nan)
     code = torch.tensor(int(Loss.NOTHING))
     seen = replace(result.symbol.measurement, code=code, errors=nan, pose_error=nan)
-    return replace(result, held={"symbol": replace(result.symbol, seen=seen)})
+    return replace(result, held={"symbol": replace(result.symbol, measurement=seen)})
 
 
 def test_page_is_readable_in_print_and_shows_target_and_past(

@@ -46,7 +46,7 @@ def test_symbol_is_outlined_where_it_is(small_simulation: Simulation, small_resu
     result = small_results[0]
     seen = result.symbol.measurement
     nothing = replace(seen, symbol=torch.zeros_like(seen.symbol))
-    bare = replace(result, held={"symbol": replace(result.symbol, seen=nothing)})
+    bare = replace(result, held={"symbol": replace(result.symbol, measurement=nothing)})
     changed = (drawn(result, small_simulation) != drawn(bare, small_simulation)).any(-1)
     v, u = np.nonzero(changed)
     crop, (lit_v, lit_u) = seen.crop, torch.nonzero(seen.symbol > 0.5).T
@@ -57,7 +57,7 @@ def test_symbol_is_outlined_where_it_is(small_simulation: Simulation, small_resu
 def test_lost_frames_are_a_dark_picture_that_says_so(small_simulation: Simulation, small_results: list[StepResult]) -> None:
     result = small_results[0]
     seen = small_simulation.symbol.sensor.measure(None, ProjectionCommand(result.symbol.pose), small_simulation.symbol.projector.resting)
-    lost = replace(result, frame=None, frames=None, held={"symbol": replace(result.symbol, seen=seen)})
+    lost = replace(result, frame=None, frames=None, held={"symbol": replace(result.symbol, measurement=seen)})
     picture = drawn(lost, small_simulation)
     assert not shows(picture, SEEN_RGB)
     assert shows(picture[-12:, :80], LOST_RGB)
