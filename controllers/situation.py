@@ -31,8 +31,7 @@ class TrackedObject:
     name: unique name of the object or its track. category: its class. T_world_object: `[4, 4]`, pose of the box in the world, origin at the
     centre of its foot, x along its length, z up. size_m: length, width, height. since_s: time at which the tracker first saw it. until_s:
     time at which the tracker lost it, infinite while it is tracked; a lost object stays in the list while its functions fade out.
-    confidence: 0..1, of its class, filtered over frames. score: the same in the last frame alone, NaN if it was not detected there. lit:
-    false for a vehicle whose lamps are not seen: nobody drives it, or it is none.
+    confidence: 0..1, of its class, filtered over frames. score: the same in the last frame alone, NaN if it was not detected there.
     """
 
     name: str
@@ -43,7 +42,6 @@ class TrackedObject:
     until_s: float = math.inf
     confidence: float = 1.0
     score: float = 1.0
-    lit: bool = True
 
     @classmethod
     def of(cls, body: Body | Figure, category: Category, time_s: float) -> "TrackedObject":

@@ -10,7 +10,6 @@ BRIGHT = 0.95  # of the largest digital number: threshold of light sources
 ABOVE_M = 0.6  # height of a lamp's middle
 APART = 0.5  # of a box's width: least distance of two lamps
 BETWEEN = 0.1  # of a box's width, to both sides of their middle, where nothing shines: else it is one light
-LEVEL = 0.15  # of a box's width, by which two lamps differ in height at most
 AROUND = 0.25  # of a box's width, within which its lamps are looked for at its sides
 
 
@@ -33,21 +32,6 @@ def by_lamps(frame: Tensor, boxes: Tensor, pixels_a_metre: Tensor, others: Tenso
     down = (near * v).sum(1) / near.sum(1) + ABOVE_M * pixels_a_metre - boxes[:, 3]
     moved = boxes + torch.stack([across, down, across, down], -1)
     return torch.where(two[:, None], moved, torch.nan)
-
-
-def pairs(frame: Tensor, boxes: Tensor) -> Tensor:
-    """`[n]` bool: whether the outermost bright spots in boxes `[n, 4]` px are at one height and as far apart as two lamps; what shines
-    between them may be a plate. frame: as in `by_lamps`.
-    """
-    v, u = (each.double().cpu() + 0.5 for each in (frame >= BRIGHT).nonzero().unbind(-1))
-    if not len(u):
-        return torch.zeros(len(boxes), dtype=torch.bool)
-    width = (boxes[:, 2] - boxes[:, 0])[:, None]
-    near = _inside(u, v, boxes + width * torch.tensor([-AROUND, 0.0, AROUND, 0.0]).double())
-    first, last = torch.where(near, u, torch.inf).amin(1, True), torch.where(near, u, -torch.inf).amax(1, True)
-    ends = torch.stack([near & (u < first + AROUND * width), near & (u > last - AROUND * width)]).double()
-    left, right = (ends * v).sum(-1, True) / ends.sum(-1, True).clamp(min=1)
-    return ((last - first >= APART * width) & ((left - right).abs() <= LEVEL * width))[:, 0]
 
 
 def _inside(u: Tensor, v: Tensor, boxes: Tensor) -> Tensor:

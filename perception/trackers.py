@@ -68,7 +68,6 @@ class CheckedTracker:
             raise LuxloopError(f"{where} gives a {type(told).__name__}; it must give luxloop.TrackedBoxes")
         n = len(told)
         shapes = dict.fromkeys(("number", "category", "since_s", "until_s"), (n,)) | {"boxes": (n, 4)}
-        shapes |= {} if told.lit is None else {"lit": (n,)}
         for name, shape in {**shapes, "confidence": (n, all_classes), "score": (n, all_classes)}.items():
             if tuple(getattr(told, name).shape) != shape:
                 raise LuxloopError(
@@ -80,5 +79,5 @@ class CheckedTracker:
             raise LuxloopError(f"{where} gives the same number to several tracks, {told.number.tolist()}; number each new one higher")
         if n and not 0 <= int(told.category.min()) <= int(told.category.max()) < all_classes:
             raise LuxloopError(f"{where} gives category {told.category.tolist()}; give indices of its {all_classes} classes, from 0 on")
-        values = {name: each.detach().cpu() for name, each in vars(told).items() if each is not None}
-        return TrackedBoxes(**{name: each.double() if each.is_floating_point() else each for name, each in values.items()})
+        values = (each.detach().cpu() for each in vars(told).values())
+        return TrackedBoxes(*(each.double() if each.is_floating_point() else each for each in values))

@@ -18,7 +18,7 @@ from torch.nn.functional import one_hot
 
 from perception.detection.protocol import Detections
 from perception.detection.suppression import SAME, overlaps
-from perception.lamps import SHINE, by_lamps, pairs
+from perception.lamps import SHINE, by_lamps
 from perception.parts import MEASURED, SOLID, alike, are_parts, belonging, completed, hiding, limits_m, spread_of, standing, uncut
 from perception.placing import nearness
 from perception.tracks import EACH, TrackedBoxes, Tracks
@@ -37,7 +37,6 @@ WEAK = 0.5  # of the score that starts a track: what scores less does not keep o
 KEPT = 2.0  # longest time without detection, as a multiple of the time with detections
 BOTH = 0.5  # IoU with a track that has no box, from which on another's box may be both's
 LINGER_S = 2.0  # time for which a lost track is still reported, so that its light can fade
-LIT = (2, 0.25)  # least number of frames with a vehicle's lamps, and share of those with a detection: fewer are others' lamps
 SURER = 2.0  # times as sure of another class as of its own: a track changes class
 
 
@@ -79,7 +78,7 @@ class Tracker:
         """
         present = self.at(tracks, time_s).present
         boxes, scores = self.whole(present), found.scores.detach().double().cpu()
-        shine = self._vehicles(present)
+        shine = torch.tensor([self.classes[number] in SHINE for number in present.category.tolist()], dtype=torch.bool)
         sure = found.boxes.detach().double().cpu()[scores.amax(-1) >= self.params.keeps_score]
         missed = shine & ~(overlaps(boxes, sure) >= SAME).any(-1)
         metre = (boxes[missed, 2] - boxes[missed, 0]) / present.size_m[missed, 0]
@@ -87,17 +86,12 @@ class Tracker:
         there = moved.isfinite().all(-1)
         kept = one_hot(present.category[missed][there], len(self.classes)).double() * self.params.keeps_score
         all_found = Detections(torch.cat([found.boxes.detach().double().cpu(), moved[there]]), torch.cat([scores, kept]))
-        tracks = self.step(tracks, all_found, time_s)
-        lamps = self._vehicles(tracks) & tracks.until_s.isinf() & pairs(frame, self.whole(tracks))
-        return replace(tracks, lamps=tracks.lamps + lamps)
+        return self.step(tracks, all_found, time_s)
 
     def report(self, tracks: Tracks, time_s: float) -> TrackedBoxes:
         """The confirmed tracks, lost ones included, predicted to a time."""
         ahead = self.at(tracks.known, time_s)
-        lit = ~self._vehicles(ahead) | (ahead.lamps >= (LIT[1] * ahead.frames).clamp(min=LIT[0]))
-        return TrackedBoxes(
-            ahead.number, self.whole(ahead), ahead.category, ahead.confidence, ahead.score, ahead.since_s, ahead.until_s, lit
-        )
+        return TrackedBoxes(ahead.number, self.whole(ahead), ahead.category, ahead.confidence, ahead.score, ahead.since_s, ahead.until_s)
 
     def boxes(self, tracks: Tracks) -> Tensor:
         """Boxes `[n, 4]` px (left, top, right, bottom), clipped to the image."""
@@ -226,7 +220,6 @@ class Tracker:
             covariance=torch.diag_embed((px[:, None, None] * deviations) ** 2),
             size_m=self._size_m(found.boxes, at),
             frames=torch.ones(n, dtype=torch.int64),
-            lamps=torch.zeros(n, dtype=torch.int64),
             since_s=now if self.params.confirm_frames == 1 else never,
             seen_s=now,
             until_s=never,
@@ -235,10 +228,6 @@ class Tracker:
             score=found.scores,
             following=following + n,
         )
-
-    def _vehicles(self, tracks: Tracks) -> Tensor:
-        """`[n]` bool: which are of a class with a pair of lamps."""
-        return torch.tensor([self.classes[number] in SHINE for number in tracks.category.tolist()], dtype=torch.bool)
 
     def _pixels_a_metre(self, u: Tensor, v: Tensor) -> Tensor:
         return self.view.fx * nearness(self.view, u, v)

@@ -16,7 +16,7 @@ class TrackedBoxes:
     number: `[n]` int64 from 1 on, unique identity. boxes: `[n, 4]` px, left, top, right, bottom, including hidden parts and parts outside
     the image. category: `[n]` int64, index of the class. confidence: `[n, C]` in 0..1, of each class. score: `[n, C]`, the same in the last
     frame alone, NaN if not detected. since_s: `[n]`, time of the first report. until_s: `[n]`, time of loss, inf if not lost; a lost track
-    is reported for 2 s, so that its light can fade. lit: `[n]` bool, false for vehicles whose lamps are not seen; None: unknown.
+    is reported for 2 s, so that its light can fade.
     """
 
     number: Tensor
@@ -26,7 +26,6 @@ class TrackedBoxes:
     score: Tensor
     since_s: Tensor
     until_s: Tensor
-    lit: Tensor | None = None
 
     @classmethod
     def of(cls, number: Tensor, found: Detections, since_s: Tensor) -> Self:
@@ -40,7 +39,7 @@ class TrackedBoxes:
     @property
     def present(self) -> "TrackedBoxes":
         """The tracks that are not lost."""
-        return TrackedBoxes(**{name: value[self.until_s.isinf()] for name, value in vars(self).items() if value is not None})
+        return TrackedBoxes(*(value[self.until_s.isinf()] for value in vars(self).values()))
 
 
 class ObjectTracker(Protocol):
@@ -64,9 +63,9 @@ class Tracks:
     """All n tracks after a frame at time_s, C classes. following: number of the next new track.
 
     number: `[n]`, the identity. mean: `[n, 2, 2]`, u and v of the foot in px and their rates a second. covariance: `[n, 2, 2, 2]`. size_m:
-    `[n, 2]`, width and height. frames, lamps: `[n]`, number of frames with a detection, and with a pair of lamps. since_s, seen_s, until_s:
-    `[n]`, times of confirmation, last detection and loss; inf: not yet. category: `[n]`, index of the class. confidence: `[n, C]`,
-    filtered. score: `[n, C]` in this frame, NaN if not detected.
+    `[n, 2]`, width and height. frames: `[n]`, number of frames with a detection. since_s, seen_s, until_s: `[n]`, times of confirmation,
+    last detection and loss; inf: not yet. category: `[n]`, index of the class. confidence: `[n, C]`, filtered. score: `[n, C]` in this
+    frame, NaN if not detected.
     """
 
     time_s: float
@@ -75,7 +74,6 @@ class Tracks:
     covariance: Tensor
     size_m: Tensor
     frames: Tensor
-    lamps: Tensor
     since_s: Tensor
     seen_s: Tensor
     until_s: Tensor
@@ -102,4 +100,4 @@ class Tracks:
         return self.take(self.since_s.isfinite() & self.until_s.isinf())
 
 
-EACH = ("number", "mean", "covariance", "size_m", "frames", "lamps", "since_s", "seen_s", "until_s", "category", "confidence", "score")
+EACH = ("number", "mean", "covariance", "size_m", "frames", "since_s", "seen_s", "until_s", "category", "confidence", "score")

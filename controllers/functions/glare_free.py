@@ -27,7 +27,7 @@ class SoftZoneParams(Params):
 
 
 class GlareFreeParams(SelectionParams):
-    """Keeps light off other road users; off vehicles only while their lamps are seen, as nobody drives without at night."""
+    """Keeps light off other road users."""
 
     kind: Literal["glare_free"] = "glare_free"
     margin_m: float = Field(0.2, ge=0, le=10_000, description="safety margin around the box, except below its foot")
@@ -49,10 +49,6 @@ class GlareFreeParams(SelectionParams):
         A fading mask lets light through again and must yield to full masks, so its weight is finite and its priority lower.
         """
         return tuple(part for each in self.selected(now) for part in self._around(each, now))
-
-    def selected(self, now: Situation) -> tuple[TrackedObject, ...]:
-        """The selected objects but for vehicles without lamps: parked ones, and lit road that a detector takes for one."""
-        return tuple(each for each in super().selected(now) if each.lit)
 
     def _around(self, each: TrackedObject, now: Situation) -> tuple[Primitives, ...]:
         share = fade(now.time_s, each.since_s, each.until_s, self.fade_in_s, self.fade_out_s)

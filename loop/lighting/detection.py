@@ -75,7 +75,6 @@ class DetectionPipeline:
                 float(told.until_s[k]),
                 float(told.confidence[k, number]),
                 float(told.score[k, number]),
-                told.lit is None or bool(told.lit[k]),
             )
             for k, number in enumerate(numbers)
         )

@@ -46,20 +46,3 @@ def test_a_dark_car_is_kept_while_both_lamps_shine(start_score: float, lamps: in
             tracker.boxes(kept), box, rtol=0, atol=2.0
         )  # px; lamps are whole ones, and so is what they say of the foot
         assert float(kept.score.max()) == tracker.params.keeps_score
-
-
-@pytest.mark.parametrize(("category", "lamps", "lit"), [("car", 2, True), ("car", 1, False), ("car", 0, False), ("cyclist", 0, True)])
-def test_a_vehicle_without_lamps_is_told_from_one_that_drives(category: Category, lamps: int, lit: bool) -> None:
-    classes = get_args(Category)
-    tracker = Tracker(classes, VIEW, TrackerParams())
-    box = torch.tensor([[300.0, 160.0, 360.0, 210.0]]).double()
-    frame = torch.full((VIEW.height, VIEW.width), 0.01)
-    for middle in (308, 352)[:lamps]:
-        frame[189:192, middle - 1 : middle + 2] = 1.0
-    scores = torch.zeros(1, len(classes))
-    scores[0, classes.index(category)] = 0.9
-    tracks = tracker.start()
-    for k in range(FOUND):
-        tracks = tracker.follow(tracks, Detections(box, scores), frame, k / RATE_HZ)
-    (told,) = [tracker.report(tracks, FOUND / RATE_HZ)]
-    assert told.lit is not None and told.lit.tolist() == [lit] and told.present.lit is not None

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from perception.lamps import ABOVE_M, by_lamps, pairs
+from perception.lamps import ABOVE_M, by_lamps
 
 METRE = 20.0  # px
 BOX = torch.tensor([[100.0, 100.0, 136.0, 130.0]]).double()  # 1.8 m by 1.5 m
@@ -36,10 +36,3 @@ def test_without_lamps_there_is_nothing_to_say() -> None:
     wide = frame(*((u, 118) for u in range(104, 134)))
     assert bool(by_lamps(wide, BOX, metre, NOBODY).isnan().all())  # one light, not two
     assert by_lamps(frame((118, 115)), NOBODY, metre[:0], NOBODY).shape == (0, 4)
-
-
-def test_a_pair_of_lamps_is_at_one_height() -> None:
-    assert pairs(frame((105, 118), (130, 120)), BOX).tolist() == [True]
-    assert pairs(frame((105, 118), (130, 126)), BOX).tolist() == [False]  # a barrier's end and the paint of a lane, say
-    assert pairs(frame((105, 118)), BOX).tolist() == [False] and pairs(frame(), BOX).tolist() == [False]
-    assert pairs(frame((105, 118), (130, 120)), NOBODY).shape == (0,)

@@ -7,6 +7,7 @@ import torch
 
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
+from loop.run import prepare
 from loop.scenario.model import Scenario, load, validate
 from loop.scenario.shipped import shipped
 from perception.camera import CameraParams, camera_view
@@ -126,3 +127,11 @@ def test_shipped_glare_free_scenarios_are_dark_where_they_must_be(name: str) -> 
         masked = {each for each, light in result.objects.items() if light.masked}
         light = most_light(simulation, result, masked)
         assert masked and all(lx == 0.0 for seen in light.values() for lx in seen.values()), (step, light)
+
+
+@pytest.mark.parametrize(("x_m", "y_m", "yaw_deg"), [(35.0, 3.5, 180.0), (70.0, 3.5, 180.0), (35.0, 0.0, 0.0)])
+def test_a_car_that_the_network_finds_is_kept_dark_near_and_far(x_m: float, y_m: float, yaw_deg: float) -> None:
+    """Whatever its lamps look like: they fill a near box and are less than a pixel each in a far one."""
+    car = f"{{kind='car', name='other', seed=3, track=[{{position_m=[{x_m}, {y_m}, 0.0], yaw_deg={yaw_deg}}}]}}"
+    *_, last = prepare(load("gfhb", ["steps=12", "checks={}", f"objects=[{car}]", "detector={kind='network'}"]), "cpu").run()
+    assert last.objects["other"].lx_max < 2, "11.8 lx without a mask; the edge of a box that the network places a pixel off has 1.0"
