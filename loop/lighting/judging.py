@@ -25,7 +25,6 @@ from world.scene.vehicle import STANDING
 from world.view import View
 
 LEAST_LX = 1.0  # on a surface that faces the lamps: of less nobody on the road sees anything
-UPRIGHT = 0.5  # of a primitive's normal along z, below which its light is meant for an object, not for the road
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,15 +102,13 @@ def over_setpoint(modules: Sequence[ShiningModule], plan: Plan, lights: Sequence
 
     modules: as aimed, in the ground frame. Both are illuminances of surfaces that face the lamps, so that the slope of a stone does not
     count. The setpoint is the largest of the base beam and of the functions' within the light of a pixel (`_spread`), as no lamp can
-    separate what is nearer. What functions share is set for all modules together; shares of pixels add up. The road behind light that is
-    meant for an object does not count: lamps share that light on the object, and their rays part behind it.
+    separate what is nearer. What functions share is set for all modules together; shares of pixels add up.
     """
     road = seen.surfaces.position[:, seen.surfaces.object_id == 0]
     points = transform(inverse(seen.vehicle.T_world_ground), road.double()).float()
     if not points.shape[1] or plan.primitives is None:
         return None
-    on_objects = plan.primitives.select((plan.primitives.normal[:, 2].abs() < UPRIGHT) & (plan.primitives.value > 0))
-    lit, base, added, together, behind = (torch.zeros_like(points[0]) for _ in range(5))
+    lit, base, added, together = (torch.zeros_like(points[0]) for _ in range(4))
     for module, light in zip(modules, lights, strict=True):
         lamp = module.headlight
 
@@ -132,13 +129,8 @@ def over_setpoint(modules: Sequence[ShiningModule], plan: Plan, lights: Sequence
         in_cd[rows, cols] = torch.where((quantity == I_V) | (quantity == E_V), asked.value, 0.0)
         added += on_road(_spread(shares, lamp))
         together = torch.maximum(together, on_road(_spread(in_cd, lamp)))
-        if len(mine := on_objects.for_module(module.name)):
-            hit = trace(mine.to(beam.device), lamp, module.T_world_module)
-            lights_object = torch.zeros_like(beam)
-            lights_object[hit.window.slices] = hit.cover
-            behind += on_road(_spread(lights_object, lamp))
     most = torch.stack([base, added, together]).amax(0)
-    ratios = (lit / most.clamp(min=LEAST_LX))[(lit >= LEAST_LX) & (behind == 0)]
+    ratios = (lit / most.clamp(min=LEAST_LX))[lit >= LEAST_LX]
     return float(ratios.max()) if len(ratios) else None
 
 

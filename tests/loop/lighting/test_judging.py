@@ -38,12 +38,12 @@ def test_the_light_of_one_module_alone_adds_up_with_nothing() -> None:
     assert one["road_lx_ratio_max"] < 1, "a pixel that lies across the band's border lights all that its light reaches"
 
 
-def test_light_on_a_pedestrian_says_nothing_of_the_road_behind() -> None:
+def test_what_two_lamps_share_on_a_pedestrian_adds_up_on_the_road_behind() -> None:
     aside = {"kind": "pedestrian", "name": "aside", "seed": 5, "track": [{"position_m": [10.0, 3.0, 0.0], "yaw_deg": 90.0}]}
     light = {"kind": "object_based", "method": "constant", "setpoint_lx": 6.0, "share": 0.2}
     *_, last = rows(5, objects=[aside], functions={"light": light}, lighting={"base": {"beam": "low"}})
-    assert last["tracks"] == 1 and last["primitives"] > 0, "where only one of the lamps reaches, it gives the whole"
-    assert last["road_lx_ratio_max"] < 1.1, "and the other's part falls on the same road behind"
+    assert last["tracks"] == 1 and last["primitives"] > 0, "where only one of the lamps reaches the body, it gives the whole"
+    assert 1.1 < last["road_lx_ratio_max"] < 2, "rays of both lamps through different places of the body meet on the road behind"
 
 
 def test_oncoming_heads_count_from_three_tenths_of_a_second_on() -> None:
