@@ -40,7 +40,7 @@ class ConditionParams(SelectionParams):
 
 
 class ObserverParams(Params):
-    """An observer for whom the symbol looks like an upright picture in the air that faces them."""
+    """An observer who sees the symbol as an upright picture that faces them."""
 
     eye_m: tuple[Metres, Metres, Metres] = Field(
         DRIVER_M, description="eye position in the vehicle frame (x forward, y left, z up); by default the driver's"

@@ -129,7 +129,7 @@ class Watched:
         return WatchedState(after, state.steps + 1)
 
     def _lost(self, observation: Observation, frames: Frames) -> dict[str, Observation]:
-        """Looks at the same light where the camera lost the frames, and where these do not show it."""
+        """Observations of the same light where the camera lost the frames, and where these do not show it."""
         sensor, shown, dark = self.symbol.sensor, observation.shown, (frames[1], frames[1])
         no_frame, nothing = (sensor.measure(each, shown.projection, shown.lights) for each in (None, dark))
         return {

@@ -15,10 +15,8 @@ from loop.plant.world import LitScene, Metered
 from world.traffic.tracked import ROAD_USERS
 
 DRIVEN = ROAD_USERS - {"pedestrian"}
-LEAST_PX, DUE_S = (
-    24.0,
-    0.3 - 1e-6,
-)  # with what clocks round, height from which on a detector ought to find somebody, and the time that it has for that
+LEAST_PX = 24.0  # height from which on a detector ought to find somebody
+DUE_S = 0.3 - 1e-6  # the time that it has for that, less the rounding of clocks
 
 
 @dataclass(frozen=True)

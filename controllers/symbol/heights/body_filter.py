@@ -63,7 +63,7 @@ class BodyFilter:
     mean: Tensor
     covariance: Tensor
     distance_m: float
-    looks: tuple[tuple[float, float | None], ...] = ()
+    observations: tuple[tuple[float, float | None], ...] = ()
 
     @classmethod
     def first(cls, params: BodyParams, ego: Ego, reach_m: float, symbol_x_m: float) -> "BodyFilter":
@@ -103,20 +103,20 @@ class BodyFilter:
         body = self
         for time_s in ego.told_s:
             if time_s > body.time_s:
-                past = tuple(observation for observation in body.looks if observation[0] <= time_s)
-                told = replace(body, speed_m_s=float(ego.speed_m_s), slope_rad=float(ego.ground[1]), looks=past)
+                past = tuple(observation for observation in body.observations if observation[0] <= time_s)
+                told = replace(body, speed_m_s=float(ego.speed_m_s), slope_rad=float(ego.ground[1]), observations=past)
                 known = told.caught_up().at(time_s)._measured(ego)
-                body = replace(known, looks=body.looks[len(past) :])
+                body = replace(known, observations=body.observations[len(past) :])
         return body
 
     def looked(self, time_s: float, pitched_rad: float | None) -> "BodyFilter":
         """With another observation, after which the body had pitched by so much since the one before."""
-        return replace(self, looks=(*self.looks, (time_s, pitched_rad)))
+        return replace(self, observations=(*self.observations, (time_s, pitched_rad)))
 
     def caught_up(self) -> "BodyFilter":
         """At the time of the last observation, with all of them taken in."""
         body = self
-        for time_s, pitched_rad in self.looks:
+        for time_s, pitched_rad in self.observations:
             body = body.at(time_s)
             row = body._pitch()
             row[LEVEL] -= 1
@@ -125,7 +125,7 @@ class BodyFilter:
             taken = torch.eye(len(row), dtype=torch.float64)
             taken[LEVEL] = body._pitch()
             body = replace(body, mean=taken @ body.mean, covariance=taken @ body.covariance @ taken.T)
-        return replace(body, looks=())
+        return replace(body, observations=())
 
     def unseen(self) -> Tensor:
         """How far along the way the strip's cells are that were not seen yet: `[k]` m."""

@@ -32,12 +32,12 @@ class Kept:
 
     best: Drawn
     residual: float
-    looks: int = 0
+    observations: int = 0
 
     @property
     def done(self) -> bool:
         """Whether further observations no longer lower the residual."""
-        return self.looks >= PATIENCE
+        return self.observations >= PATIENCE
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class RoadMap:
             return self
         else:
             anew = kept is None or residual < kept.residual
-        return replace(self, kept=Kept(drawn, residual) if anew or kept is None else replace(kept, looks=kept.looks + 1))
+        return replace(self, kept=Kept(drawn, residual) if anew or kept is None else replace(kept, observations=kept.observations + 1))
 
     def moved(self, T_before_now: Tensor, eye: Tensor) -> "RoadMap":
         """The same road in the ground frame that has the pose `[4, 4]` in this one, as an eye at `[3]` m sees it there.

@@ -20,7 +20,7 @@ class SupervisorParams(Params):
     """When a controller is given the charge, and when it loses it."""
 
     grace_steps: int = Field(
-        8, ge=1, le=1_000_000, description="looks at the controller's symbol, after which it has to lie better than the open loop's"
+        8, ge=1, le=1_000_000, description="observations of the controller's symbol, after which it has to lie better than the open loop's"
     )
     explained: float = Field(
         0.3, ge=0, le=1, description="share of the residual that registration explains at least; of obstacles it is less"
@@ -37,7 +37,7 @@ class SupervisingState:
 
     inner: Any = None
     opened: float = 1.0
-    looks: int = 0
+    observations: int = 0
     failed: float | None = None
 
 
@@ -72,9 +72,9 @@ class Supervising:
             return self._tried(residual, image, state, observation) if opened else state
         if opened:
             return replace(state, opened=residual, inner=self.inner.step(state.inner, observation))
-        if state.looks >= self.params.grace_steps and residual >= state.opened:
+        if state.observations >= self.params.grace_steps and residual >= state.opened:
             return SupervisingState(failed=state.opened)
-        return replace(state, looks=state.looks + 1, inner=self.inner.step(state.inner, observation))
+        return replace(state, observations=state.observations + 1, inner=self.inner.step(state.inner, observation))
 
     def _tried(self, residual: float, image: Tensor, state: SupervisingState, observation: Observation) -> SupervisingState:
         """The controller, unless it has failed here before or a registration explains too little, as where something hides the road."""

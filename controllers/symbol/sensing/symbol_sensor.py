@@ -71,8 +71,8 @@ class SymbolSensor:
         """Look at the on and off frames `[height, width]` (digital numbers) that show the light of a projection.
 
         frames: None where the camera lost them. lights: the utilisations that were shown, one a module. shape: `[4]` of the road that the
-        look before found, None for a flat one; it is forgotten where the symbol is seen as on a flat road and no longer well on this one.
-        Of a batch `[..., height, width]` nothing is searched for.
+        measurement before found, None for a flat one; it is forgotten where the symbol is seen as on a flat road and no longer well on
+        this one. In a batch `[..., height, width]` no lost symbol is searched for.
         """
         if frames is None:
             return replace(self.lost(projection.pose, Loss.NO_FRAME), shape=shape)

@@ -73,7 +73,7 @@ def test_looks_that_heights_explain_less_than_a_flat_road_do_not_count() -> None
     road_map = looked(road_map, 0.25, 0.01)
     for _ in range(2 * PATIENCE):
         road_map = looked(road_map, 0.25, math.inf)
-    assert road_map.kept is not None and road_map.kept.looks == 0
+    assert road_map.kept is not None and road_map.kept.observations == 0
 
 
 def test_the_same_drawing_is_remembered_once_and_old_ones_are_forgotten() -> None:
