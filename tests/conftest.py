@@ -4,6 +4,7 @@ import ctypes
 import gc
 import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -27,6 +28,15 @@ def pytest_runtest_logfinish() -> None:
         gc.collect()
         ctypes.CDLL(None).malloc_trim(0)
         floor_bytes = resident_bytes()
+
+
+@pytest.fixture(autouse=True)
+def forget_own_modules(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Modules that a test wrote are forgotten with it: the next test's own of that name lies elsewhere."""
+    yield
+    written = str(tmp_path_factory.getbasetemp())
+    for name in [name for name, module in sys.modules.items() if str(getattr(module, "__file__", "")).startswith(written)]:
+        del sys.modules[name]
 
 
 @pytest.fixture(scope="session")

@@ -1,7 +1,6 @@
 """A small, fast simulation that the tests of recordings share, and a command line in a folder of its own."""
 
 import re
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -77,7 +76,6 @@ def own(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.Monk
     """The test's `OWN`, the text of a module that a user wrote, can be named in scenarios as `own`."""
     (tmp_path / "own.py").write_text(request.module.OWN)
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.delitem(sys.modules, "own", raising=False)
 
 
 @pytest.fixture

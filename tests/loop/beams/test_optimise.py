@@ -3,7 +3,6 @@
 import json
 import math
 import re
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -130,7 +129,6 @@ def test_a_search_that_fails_leaves_no_folder_but_one_that_was_there(
     there: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.delitem(sys.modules, "detects_never", raising=False)
     (tmp_path / "detects_never.py").write_text(
         "class Detector:\n    classes = ('pedestrian',)\n\n    def __init__(self, device):\n        pass\n\n"
         "    def detect(self, frames):\n        raise RuntimeError('never')\n"

@@ -74,7 +74,6 @@ NAMING = {
 def mine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with scenarios and their module, which leaves a mark where it runs; the user is elsewhere."""
     monkeypatch.setattr(sys, "path", [*sys.path])
-    monkeypatch.delitem(sys.modules, "mine", raising=False)
     folder = tmp_path / "mine"
     folder.mkdir()
     (folder / "mine.py").write_text(MINE)
