@@ -1,16 +1,19 @@
 """The project's only ray caster: embree through trimesh, each body in its own frame, so that nothing is rebuilt when a body moves."""
 
 import math
+from collections.abc import Iterator, Sequence
 
 import torch
 from torch import Tensor
 
 from world.frames import inverse
-from world.scene.triangles import Triangles
+from world.scene.triangles import Placed, Triangles
 from world.view import View
 
 TOLERANCE_M = 2e-3  # by which a surface lies before itself: what OpenGL interpolates is 1 mm off where light grazes a road 60 m ahead
 MARGIN_M = 1e-3  # around a body, which may be flat
+NEAREST_M = 1e-6  # to the origin of rays
+STEEPEST = 1e3  # slope beside the axis that most rays follow; steeper ones are compared with every box
 ROUNDING = 1e-5  # of products in float32, as a share of them
 
 
@@ -51,12 +54,12 @@ def _cast(triangles: Triangles, origin: Tensor, directions: Tensor, farthest: Te
     """
     nearest = torch.full((directions.shape[1],), -1)
     depth = torch.full((directions.shape[1],), torch.inf, dtype=torch.float64)
-    ways = directions.float()
-    squares, farthest = ways.square().sum(0), farthest.expand(directions.shape[1])
-    for first, placed in triangles.parts():
+    farthest = farthest.expand(directions.shape[1])
+    for (first, placed), rays in zip(triangles.parts(), _towards(triangles.placed, origin, directions.float(), farthest), strict=True):
+        if not len(rays):
+            continue
         T_body_world, body = inverse(placed.T_world_body), placed.body
         local_origin = T_body_world[:3, :3] @ origin + T_body_world[:3, 3]
-        rays = torch.nonzero(_towards(body.bounds, placed.T_world_body, origin, ways, squares, farthest))[:, 0]
         local = T_body_world[:3, :3] @ directions.index_select(1, rays)
         near = torch.nonzero(_near(body.bounds, local_origin, local, farthest[rays]))[:, 0]
         rays, local = rays[near], local.index_select(1, near)
@@ -74,22 +77,39 @@ def _cast(triangles: Triangles, origin: Tensor, directions: Tensor, farthest: Te
     return nearest, depth
 
 
-def _towards(bounds: Tensor, T_world_body: Tensor, origin: Tensor, ways: Tensor, squares: Tensor, farthest: Tensor) -> Tensor:
-    """Which rays `[3, N]` of squared length `[N]` may meet a body: cheap tests, which most do not pass.
+def _towards(placed: Sequence[Placed], origin: Tensor, ways: Tensor, farthest: Tensor) -> Iterator[Tensor]:
+    """Indices of the rays `[3, N]` that may meet each body: cheap tests, which most do not pass.
 
-    Of a ball around its box; for rays that start within, of how far they go towards the slabs of the box in the world.
+    Of how far they go towards the sides of the box around it in the world; and of where this box is to a camera at the origin that looks
+    along the axis which most rays follow.
     """
-    middle, half = bounds.mean(0), (bounds[1] - bounds[0]) / 2
-    away = T_world_body[:3, :3] @ middle + T_world_body[:3, 3] - origin
-    beyond = float(away @ away - half @ half)
-    if beyond > 0:
-        along = away.float() @ ways
-        return (along > 0) & (along.square_() >= (1 - ROUNDING) * beyond * squares)
-    towards = torch.ones_like(squares, dtype=torch.bool)
-    for way, gap, reach_m in zip(ways, away.tolist(), (T_world_body[:3, :3].abs() @ half).tolist(), strict=True):
-        if abs(gap) > reach_m:  # the origin lies beside this slab
-            towards &= way * farthest * math.copysign(1.0, gap) >= (abs(gap) - reach_m) * (1 - ROUNDING)
-    return towards
+    if not placed:
+        return
+    along = ways.mean(1)
+    axis = int(along.abs().argmax())
+    sides, sign = [each for each in range(3) if each != axis], math.copysign(1.0, along[axis])
+    ahead = sign * ways[axis]
+    slopes, ends = ways[sides] / ahead, ways * farthest
+    aside = torch.nonzero((ahead <= 0).logical_or_((slopes.abs() > STEEPEST).any(0)))[:, 0]
+    corners = torch.stack([each.box for each in placed]) - origin  # [n, 8, 3]
+    low, high = corners.amin(1), corners.amax(1)
+    depths = sign * torch.stack([low, high], 1)[:, :, axis]  # [n, 2]
+    edges = (torch.stack([low, high], 1)[:, :, None, sides] / depths.clamp(min=NEAREST_M)[:, None, :, None]).flatten(1, 2)  # [n, 4, 2]
+    spare = ROUNDING * (1 + edges.abs())
+    least, most = (edges - spare).amin(1).tolist(), (edges + spare).amax(1).tolist()
+    for bottom, top, (l0, l1), (m0, m1), far in zip(low.tolist(), high.tolist(), least, most, depths.amax(1).tolist(), strict=True):
+        met = aside
+        if far > 0:
+            towards = (slopes[0] >= l0).logical_and_(slopes[0] <= m0).logical_and_(slopes[1] >= l1).logical_and_(slopes[1] <= m1)
+            towards.logical_and_(ahead > 0)
+            for end, least_m, most_m in zip(ends, bottom, top, strict=True):
+                if least_m > 0:
+                    towards.logical_and_(end >= least_m * (1 - ROUNDING))
+                elif most_m < 0:
+                    towards.logical_and_(end <= most_m * (1 - ROUNDING))
+            met = torch.nonzero(towards)[:, 0]
+            met = torch.cat([met, aside]) if len(aside) else met
+        yield met
 
 
 def _near(bounds: Tensor, origin: Tensor, directions: Tensor, farthest: Tensor) -> Tensor:
