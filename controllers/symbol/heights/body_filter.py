@@ -122,9 +122,11 @@ class BodyFilter:
             row[LEVEL] -= 1
             if pitched_rad is not None:
                 body = body._learnt(row[None], torch.tensor([pitched_rad]).double(), torch.tensor([PITCH_SEEN**2]).double())
-            taken = torch.eye(len(row), dtype=torch.float64)
-            taken[LEVEL] = body._pitch()
-            body = replace(body, mean=taken @ body.mean, covariance=taken @ body.covariance @ taken.T)
+            pitch, mean, covariance = body._pitch(), body.mean.clone(), body.covariance.clone()
+            mean[LEVEL] = pitch @ body.mean
+            covariance[LEVEL] = covariance[:, LEVEL] = pitch @ body.covariance
+            covariance[LEVEL, LEVEL] = pitch @ body.covariance @ pitch
+            body = replace(body, mean=mean, covariance=covariance)
         return replace(body, observations=())
 
     def unseen(self) -> Tensor:

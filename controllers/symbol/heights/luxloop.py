@@ -149,7 +149,7 @@ class Luxloop:
             road_map = self._looked(registration, road_map, observation, body_poses, anew)
             if (
                 body_poses.still
-                and not bool(road_map.heights.information.any())
+                and not road_map.heights.informed
                 and (guess := self._guessed(state, observation)) is not None
             ):
                 road_map, sought = guess, True
@@ -188,7 +188,7 @@ class Luxloop:
         frames, textures, searched = observation.frames, self.projector.textures(observation.shown.lights), road_map.searched
         nothing = self._nothing(self.registration) if body_poses.still else self._nothing(registration).over(road_map.heights.base)
         fine, known = registration.forward_model, road_map.heights
-        informed = bool(known.information.any())
+        informed = known.informed
         contrast, limit = fine.observe_symbol(frames, textures)
         seen, least_seen = fine.symbol(contrast, limit), limit
         lit = float(seen.sum()) * fine.step >= LEAST_LIT_PX
@@ -297,7 +297,7 @@ class Luxloop:
         symbol, plane = self.projector.params, road_map.T_ground_plane
         T_plane_body = following.body if plane.equal(HERE) else inverse(plane) @ following.body
         T_body_plane = inverse(T_plane_body)
-        if not (road_map.heights.information.any() or road_map.heights.base.any()):
+        if not (road_map.heights.informed or road_map.heights.base.any()):
             return laid(self.projector.target, T_body_plane)
         ends = transform(T_plane_body, self.ends).T.to(road_map.eye)
         relief = road_map.relief_from(following.until, ends[0])

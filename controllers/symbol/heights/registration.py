@@ -33,6 +33,11 @@ class Heights:
     information: Tensor
     base: Tensor
 
+    @property
+    def informed(self) -> bool:
+        """Whether anything was seen so far."""
+        return bool(self.information.diagonal().any())
+
 
 @dataclass(frozen=True)
 class Registration:

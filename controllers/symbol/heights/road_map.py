@@ -107,7 +107,7 @@ class RoadMap:
 
     def over(self, base: Tensor) -> "RoadMap":
         """With another road `[n]` m as the base of its heights, which they are where nothing is known."""
-        mean = self.heights.mean if self.heights.information.any() else base
+        mean = self.heights.mean if self.heights.informed else base
         return replace(self, heights=replace(self.heights, mean=mean, base=base))
 
     def relief_from(self, T_before_now: Tensor, eye: Tensor) -> Relief:
