@@ -13,7 +13,7 @@ from controllers.symbol.heights.body_filter import BodyFilter, BodyParams
 from controllers.symbol.heights.body_poses import AT_REST, BodyPoses, Following, ground_at
 from controllers.symbol.heights.forward_model import ForwardModel
 from controllers.symbol.heights.patch import drawn_on
-from controllers.symbol.heights.registration import HEIGHT_M, Heights, Registration
+from controllers.symbol.heights.registration import HEIGHT_M, ITERATIONS, Heights, Registration
 from controllers.symbol.heights.road_map import RoadMap
 from controllers.symbol.heights.sweep import sweep
 from controllers.symbol.sensing.aim import aimed, elsewhere
@@ -147,11 +147,7 @@ class Luxloop:
             road_map = road_map.over(self._heights(self._bent(then, body), road_map))
         if body is None or now is None or body_poses.still:
             road_map = self._looked(registration, road_map, observation, body_poses, anew)
-            if (
-                body_poses.still
-                and not road_map.heights.informed
-                and (guess := self._guessed(state, observation)) is not None
-            ):
+            if body_poses.still and not road_map.heights.informed and (guess := self._guessed(state, observation)) is not None:
                 road_map, sought = guess, True
         else:
             road_map = road_map.levelled(now.level_rad - state.level_rad, body.pivot_x_m)
@@ -211,7 +207,8 @@ class Luxloop:
             road_map = road_map.judged(drawn, residual if residual < flat_leaves else math.inf)
             if road_map.kept is not None and road_map.kept.done:
                 return replace(road_map, heights=road_map.kept.best.heights, brightness=road_map.kept.best.brightness)
-        least, best = self._refined(registration, known, known.mean, seen, textures, limit)
+        iterations = 1 if informed and not body_poses.still else ITERATIONS  # on the move the next observation corrects what one leaves
+        least, best = self._refined(registration, known, known.mean, seen, textures, limit, iterations)
         if least > self.params.sweep_above:
             swept = self._swept(road_map, frames, textures, body_poses)
             again = self._refined(registration, known, swept, seen, textures, limit)
@@ -232,10 +229,17 @@ class Luxloop:
         )
 
     def _refined(
-        self, registration: Registration, known: Heights, nodes: Tensor, seen: Tensor, textures: tuple[Tensor, ...], limit: Tensor
+        self,
+        registration: Registration,
+        known: Heights,
+        nodes: Tensor,
+        seen: Tensor,
+        textures: tuple[Tensor, ...],
+        limit: Tensor,
+        iterations: int = ITERATIONS,
     ) -> tuple[float, Heights]:
         """Heights from nodes `[n]` on, and what they leave unexplained."""
-        found = registration.refine(nodes, known, seen, textures, limit)
+        found = registration.refine(nodes, known, seen, textures, limit, iterations)
         return float(registration.residual(found.mean[None], seen, textures, limit)[0]), found
 
     def _acquired(self, road_map: RoadMap, observation: Observation) -> RoadMap | None:

@@ -73,8 +73,12 @@ class Registration:
         error = (self._blurred(seen[None], BLURS[-1]) - predicted).square().clamp(max=0.09) * self.forward_model.inside
         return error.sum((-2, -1)) / (predicted * self.forward_model.inside).sum((-2, -1)).clamp(min=1.0)
 
-    def refine(self, nodes: Tensor, known: Heights, seen: Tensor, textures: tuple[Tensor, ...], limit: Tensor) -> Heights:
+    def refine(
+        self, nodes: Tensor, known: Heights, seen: Tensor, textures: tuple[Tensor, ...], limit: Tensor, iterations: int = ITERATIONS
+    ) -> Heights:
         """Gauss-Newton from heights `[n]`, on a symbol image `[h, w]` and what is known; the information is that of the image alone.
+
+        iterations: for each of the two blurs.
 
         The heights z have the least `sum rho(seen - p(z)) + (z - m)' L (z - m) + sum 4 log(1 + d_ij^2 / (4 s_ij^2)) + |z - b|^2 / h^2`
         with the predicted image p, Tukey's biweight rho, the known mean m and information L, the base b, its usual distance h, and the
@@ -84,7 +88,7 @@ class Registration:
         information = known.information
         for blur in BLURS:
             smooth = self._blurred(seen[None], blur)[0]
-            for _ in range(ITERATIONS):
+            for _ in range(iterations):
                 around = torch.stack([nodes, nodes + PROBE_M, nodes - PROBE_M])
                 predicted, higher, lower = self._predicted(around, textures, limit, blur)
                 slope, error = (higher - lower) / (2 * PROBE_M), smooth - predicted  # J = dp/dz and e, both [h, w]
