@@ -52,13 +52,14 @@ def followed(params: ObjectLoopParams, curve: Curve, noise: float = 0.0, steps: 
 def test_the_light_comes_down_to_the_knee(knee: float, slope: float, fall: float, noise: float, seed: int) -> None:
     """It loses the tolerance against full light at most, and four errors of the difference of a mean of 6 and one of 12 frames.
 
-    It is at most a step of `ratio` above what that costs.
+    It is at most a step of `ratio` above that, unless the tolerance is less than five errors: noise may look like a loss then.
     """
+    error = noise * math.sqrt(1 / 6 + 1 / 12)
     states = followed(ObjectLoopParams(), curve := Knee(knee, slope, fall), noise, seed=seed)
     last = states[-1]
     assert last.settled
-    assert curve(last.lx) >= curve(20.0) - 0.02 - 4 * noise * math.sqrt(1 / 6 + 1 / 12)
-    assert last.lx <= max(knee * 1.5**2, 2.0)
+    assert curve(last.lx) >= curve(20.0) - 0.02 - 4 * error
+    assert last.lx <= max(knee * 1.5**2, 2.0) or 5 * error > 0.02
     kept = [state.lx for state in states if state.settled]
     assert set(kept) == {last.lx}
 
