@@ -1,0 +1,170 @@
+// Messages of the studio's WebSocket, as docs/studio_protocol.md describes them.
+
+/** 16 numbers of a 4 x 4 matrix, row by row; `T_a_b` takes points of frame b to frame a. Frames are x forward, y left, z up. */
+export type Matrix4x4 = number[];
+export type Vector = [number, number, number];
+
+/** An array of a message's body. rows x columns and so on are in `shape`. */
+export type Values = Uint8Array | Uint16Array | Uint32Array | Float32Array;
+export interface Picture {
+  readonly shape: number[];
+  /** Of a `png`. */
+  readonly bitmap?: ImageBitmap;
+  /** Of all others; half floats (`f2`) come as their 16 bits, in a Uint16Array. */
+  readonly values?: Values;
+}
+export type Arrays = ReadonlyMap<string, Picture>;
+
+export interface Module {
+  name: string;
+  side: "left" | "right";
+  rows: number;
+  cols: number;
+  left: number;
+  right: number;
+  bottom: number;
+  top: number;
+  pixel_rows: number;
+  pixel_cols: number;
+  peak_cd: number;
+  flux_lm: number;
+}
+
+export interface Camera {
+  width: number;
+  height: number;
+  fx: number;
+  fy: number;
+  cx: number;
+  cy: number;
+  bits: number;
+  saturation_cd_m2: number;
+}
+
+export interface Column {
+  name: string;
+  unit: string;
+  description: string;
+}
+
+export interface Run {
+  label: string;
+  overrides: string[];
+  controllers: Record<string, string>;
+  columns: Column[];
+  modules: Module[];
+  camera: Camera;
+  ambient_lx: number;
+  white_cd_m2: number;
+  road: string;
+  street_lamps: { position_m: Vector; intensity_cd: number }[];
+}
+
+export interface Named {
+  name: string;
+  description: string;
+}
+
+export interface ScenarioMessage {
+  type: "scenario";
+  name: string;
+  source: string;
+  steps: number;
+  rate_hz: number;
+  seed: number;
+  runs: Run[];
+  model: unknown;
+  choices: { scenarios: Named[]; controllers: Named[]; rules: string[] };
+}
+
+export interface MeshHead {
+  id: number;
+  object: string;
+  kind: "road" | "object";
+  two_sided: boolean;
+  /** Of a texture: [x_min, y_min, x_max, y_max] in m of the body's frame. */
+  box?: [number, number, number, number];
+}
+
+export interface MeshesMessage {
+  type: "meshes";
+  run: number;
+  meshes: MeshHead[];
+}
+
+export interface Mark {
+  lines: [[number, number], [number, number]][];
+  kind: "tracked" | "masked" | "found" | "target" | "seen";
+  text: string;
+  at: [number, number];
+}
+
+export interface StepMessage {
+  type: "step";
+  run: number;
+  step: number;
+  time_s: number;
+  scrub: boolean;
+  T_world_ground: Matrix4x4;
+  T_world_body: Matrix4x4;
+  T_world_camera: Matrix4x4;
+  modules: { T_world_module: Matrix4x4; scale_cd: number }[];
+  light_rows: Record<string, [number, number]>;
+  bodies: { mesh: number; T_world_body: Matrix4x4 }[];
+  spotlights: { position_m: Vector; axis: Vector; intensity_cd: number; width_deg: [number, number] }[];
+  symbols: Record<string, { pose: [number, number, number, number]; loss: string; target: Vector[] }>;
+  marks: Mark[];
+  notes: string[];
+}
+
+export interface RowsMessage {
+  type: "rows";
+  run: number;
+  first: number;
+}
+
+export interface StatusMessage {
+  type: "status";
+  playing: boolean;
+  speed: number | null;
+  pen: number | null;
+  clients: number;
+  step_ms: number | null;
+  real_time: number | null;
+  failed: string | null;
+}
+
+export interface BeamPoint {
+  id: string;
+  where: [number, number] | null;
+  value: number;
+  unit: string;
+  limit: string;
+  passed: boolean | null;
+}
+
+export type ServerMessage =
+  | { type: "welcome"; protocol: number; version: string; role: "edit" | "watch"; id: number }
+  | { type: "error"; text: string; about: string | null }
+  | { type: "progress"; text: string | null }
+  | StatusMessage
+  | ScenarioMessage
+  | MeshesMessage
+  | StepMessage
+  | RowsMessage
+  | { type: "summary"; run: number; summary: unknown }
+  | { type: "beam"; run: number; rule: string; side: string; points: BeamPoint[] };
+
+export type View = "scene" | "light" | "camera" | "matrix" | "marks";
+
+export type ClientMessage =
+  | { type: "hello"; token: string; name: string }
+  | { type: "want"; views: View[] }
+  | { type: "scrub"; run: number; step: number }
+  | { type: "summary"; run: number }
+  | { type: "beam"; run: number; rule: string; side: "left" | "right" }
+  | { type: "pen" | "play" | "pause" | "step" | "reset" }
+  | { type: "speed"; factor: number | null }
+  | { type: "open"; name: string; overrides: string[]; recording: string | null }
+  | { type: "set"; overrides: string[] }
+  | { type: "compare"; overrides: string[] | null };
