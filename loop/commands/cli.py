@@ -15,6 +15,7 @@ from cyclopts import App, CycloptsError, UnknownCommandError, UnusedCliTokensErr
 from loop.commands.headlight import headlight_app
 from loop.commands.listing import data_app, doctor, list_, schema
 from loop.commands.studies import campaign, evaluate, optimise_beam, train_detector, tune
+from loop.commands.studio import studio
 from loop.scenario.shipped import copied, examples, original
 from loop.terminal import tables
 from loop.terminal.options import DIFFERS, FAILED, INTERRUPTED, OK, UNREAD, WRONG, AllowCode, Device, Flag, Json, Keys, with_controller
@@ -42,7 +43,7 @@ app = App(
     suppress_keyboard_interrupt=False,
 )
 app.command(list_, name="list")
-for command in (schema, doctor, data_app, headlight_app, evaluate, campaign, tune, optimise_beam, train_detector):
+for command in (studio, schema, doctor, data_app, headlight_app, evaluate, campaign, tune, optimise_beam, train_detector):
     app.command(command)
 app.register_install_completion_command(help="Install shell completion for bash, zsh or fish.")
 

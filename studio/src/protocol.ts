@@ -160,7 +160,7 @@ export type View = "scene" | "light" | "camera" | "matrix" | "marks";
 export type ClientMessage =
   | { type: "hello"; token: string; name: string }
   | { type: "want"; views: View[] }
-  | { type: "scrub"; run: number; step: number }
+  | { type: "scrub"; run: number; step: number | null }
   | { type: "summary"; run: number }
   | { type: "beam"; run: number; rule: string; side: "left" | "right" }
   | { type: "pen" | "play" | "pause" | "step" | "reset" }

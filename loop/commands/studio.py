@@ -1,0 +1,60 @@
+"""The command that serves the studio."""
+
+import asyncio
+import webbrowser
+from pathlib import Path
+
+from loop.terminal.options import AllowCode, Device, Keys
+
+
+def studio(
+    scenario: str = "snowflake",
+    /,
+    *,
+    set: Keys = None,
+    host: str = "127.0.0.1",
+    port: int = 8765,
+    open: bool = True,
+    allow_code: AllowCode = False,
+    device: Device = "auto",
+) -> None:
+    """Watch and steer a loop in the browser while it runs: the scene in 3-D, the camera, the pixels and the curves.
+
+    Parameters
+    ----------
+    scenario
+        Shipped name (see `luxloop list`), path of a scenario, or folder of a recording.
+    set
+        Other values of keys, as KEY=VALUE in TOML, or a .toml file of keys.
+    host
+        Address to listen on; with another one than 127.0.0.1 whoever has a token can open the page from other machines.
+    port
+        Port to listen on, 0 for a free one.
+    open
+        Whether the page is opened in the browser.
+    device
+        Where torch computes.
+    """
+    from loop.studio.page import page
+    from loop.studio.server import Studio, Tokens
+    from loop.studio.session import Source
+
+    folder = Path(scenario)
+    recording = folder if folder.is_dir() else None
+    source = Source(scenario if recording is None else "", tuple(set or ()), recording)
+    files, tokens = page(), Tokens()
+
+    async def serve() -> None:
+        served = Studio(source, files, tokens, allow_code=allow_code, device=device)
+        server = await served.serve(host, port)
+        address = f"http://{host}:{server.sockets[0].getsockname()[1]}/"
+        print(f"To edit:  {address}#{tokens.edit}\nTo watch: {address}#{tokens.watch}\nEnd it with Ctrl-C.", flush=True)
+        if open:
+            webbrowser.open(f"{address}#{tokens.edit}")
+        try:
+            await server.serve_forever()
+        finally:
+            server.close()
+            served.stop()
+
+    asyncio.run(serve())

@@ -1,0 +1,1 @@
+"""The studio: a page in the browser that watches and steers a loop while it runs."""

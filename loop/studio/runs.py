@@ -1,0 +1,141 @@
+"""A run that is watched: its simulation, its steps so far, and their values."""
+
+import time
+from collections.abc import Collection
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+import torch
+
+from loop.lighting.record import row, schema, summary_of
+from loop.lighting.result import StepResult
+from loop.lighting.simulation import Simulation
+from loop.recording.files import table_of
+from loop.report.picture import white_of
+from loop.studio.messages import View
+from loop.studio.shapes import Shapes
+from loop.studio.snapshot import Snapshot, snapshot
+from perception.camera import camera_view, saturation_luminance
+from world.errors import located
+from world.frames import inverse
+from world.regulation import check
+
+KEPT_BYTES: Final = 2**30  # of light and pictures of steps that are over; the oldest are forgotten beyond
+UNITS: Final = {"flux": "lm", "sharpness": "decades in 0.1 deg", "straightness": "deg"}  # of requirements by kind, else cd
+REST: Final = 10  # times what a picture takes pass between two, so that looking costs a tenth at most
+
+
+class Run:
+    """Steps of one simulation, with what clients show of them.
+
+    The thread that steps it adds to `snapshots`, `rows` and `shapes`; others read them, and nothing that was added changes but for what
+    old snapshots hold. label: for the page.
+    """
+
+    def __init__(self, simulation: Simulation, label: str, overrides: Collection[str]) -> None:
+        """Does the first step, so that there is something to see."""
+        self.simulation, self.label, self.overrides = simulation, label, list(overrides)
+        self.schema = schema(simulation)
+        self.columns = [each for each in self.schema if not pa.types.is_string(each.type)]
+        self.shapes, self.snapshots, self.rows = Shapes(), list[Snapshot](), list[np.ndarray]()
+        self.step_ms = float("nan")
+        self._state, self._kept, self._forgotten = simulation.start(), 0, 0
+        self._plain, self._last = list[dict[str, Any]](), dict[str, StepResult]()
+        self._look_s = 0.0  # when a picture may be taken again
+        self.white_cd_m2 = float("nan")
+        self.white_cd_m2 = float(white_of(self.step(("camera", "marks")), simulation))
+        self.peaks_cd = [each.headlight.peak_cd for each in simulation.modules]
+
+    @property
+    def over(self) -> bool:
+        """Whether all steps of the scenario are done."""
+        return len(self.snapshots) >= self.simulation.scenario.steps
+
+    def step(self, wanted: Collection[View], still: bool = True) -> StepResult:
+        """Do a step. wanted: what somebody looks at. still: nothing follows at once, so that there is time for pictures."""
+        began_s = time.perf_counter()
+        with located(self.simulation.scenario.source):
+            self._state, result = self.simulation.step(self._state)
+        self.step_ms = 1e3 * (time.perf_counter() - began_s)
+        values = row(result)
+        self._plain.append(values)
+        self._last |= dict.fromkeys(result.held, result)
+        looks = set(wanted) if still or time.perf_counter() >= self._look_s else set(wanted) - {"camera"}
+        began_s = time.perf_counter()
+        taken = snapshot(self.simulation, result, self.shapes, self.snapshots[-1] if self.snapshots else None, looks)
+        self._look_s = time.perf_counter() + REST * (time.perf_counter() - began_s)
+        self.rows.append(np.array([_number(values.get(each.name)) for each in self.columns], np.float32))
+        self.snapshots.append(taken)
+        self._kept += taken.bytes
+        while self._kept > KEPT_BYTES and self._forgotten < len(self.snapshots) - 1:
+            self._forget(self._forgotten)
+        return result
+
+    def _forget(self, number: int) -> None:
+        old = self.snapshots[number]
+        self.snapshots[number] = Snapshot(old.step, old.head, (), {}, old.bodies)
+        self._kept -= old.bytes
+        self._forgotten = number + 1
+
+    def summary(self) -> dict[str, Any]:
+        """Of all steps so far, as `summary.json` has it. It renders, and so runs where the steps do."""
+        return summary_of(self.simulation, table_of(self._plain, self.schema), self._last)
+
+    def beam(self, rule: str, side: str) -> list[dict[str, Any]]:
+        """A regulation's verdict on what the lamp of a side shows now, as the protocol has it. Raises LuxloopError for an unknown rule."""
+        shown = self.snapshots[-1]
+        body = torch.tensor(shown.head["T_world_body"], dtype=torch.float64).view(4, 4)
+        lit = []
+        for module, u, posed in zip(self.simulation.modules, shown.lights, shown.head["modules"], strict=True):
+            if module.side == side and bool(u.any()):
+                R = (inverse(body) @ torch.tensor(posed["T_world_module"], dtype=torch.float64).view(4, 4))[:3, :3]
+                lit.append((module.headlight, module.headlight.light_texture(u.to(module.flux)).double().cpu(), R))
+
+        def intensity(directions: torch.Tensor) -> torch.Tensor:
+            parts = [headlight.intensity(texture, R.T @ directions.double()) for headlight, texture, R in lit]
+            return sum(parts, torch.zeros(directions.shape[1], dtype=torch.float64))
+
+        verdicts = {"pass": True, "fail": False, "not applicable": None}
+        return [
+            {
+                "id": each.id,
+                "where": each.where,
+                "value": each.value,
+                "unit": UNITS.get(each.kind, "cd"),
+                "limit": each.limits,
+                "passed": verdicts[each.verdict],
+            }
+            for each in check(intensity, rule)
+        ]
+
+    def facts(self) -> dict[str, Any]:
+        """What the page must know of it, plain."""
+        scenario = self.simulation.scenario
+        view = camera_view(scenario.camera)
+        lens = {key: getattr(view, key) for key in ("width", "height", "fx", "fy", "cx", "cy")}
+        return {
+            "label": self.label,
+            "overrides": self.overrides,
+            "controllers": {name: each.params.name for name, each in self.simulation.controlled.items()},
+            "columns": [
+                {"name": each.name, **{key.decode(): value.decode() for key, value in (each.metadata or {}).items()}}
+                for each in self.columns
+            ],
+            "modules": [self._module(k) for k in range(len(self.simulation.modules))],
+            "camera": {**lens, "bits": scenario.camera.bits, "saturation_cd_m2": saturation_luminance(scenario.camera)},
+            "ambient_lx": scenario.light.ambient_lx,
+            "white_cd_m2": self.white_cd_m2,
+            "road": scenario.road.kind,
+            "street_lamps": [each.model_dump(mode="json") for each in scenario.light.street_lamps],
+        }
+
+    def _module(self, number: int) -> dict[str, Any]:
+        module = self.simulation.modules[number]
+        keys = ("rows", "cols", "left", "right", "bottom", "top", "pixel_rows", "pixel_cols")
+        grid = {key: getattr(module.headlight, key) for key in keys}
+        return {"name": module.name, "side": module.side, **grid, "peak_cd": self.peaks_cd[number], "flux_lm": module.flux_lm}
+
+
+def _number(value: Any) -> float:
+    return float("nan") if value is None or isinstance(value, str) else float(value)

@@ -1,0 +1,221 @@
+"""The studio's server: the page, and a socket by which its clients watch and steer one session."""
+
+import asyncio
+import json
+import secrets
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from http import HTTPStatus
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+
+from loop.studio.messages import LARGEST, PROTOCOL, Button, Hello, Message, Scrub, Want, packed, read
+from loop.studio.session import Session, Source
+from world.errors import LuxloopError
+
+if TYPE_CHECKING:
+    from loop.studio.feed import Feed
+
+HELLO_S: Final = 10.0  # in which a client must say its token
+UNKNOWN: Final = 4401  # code by which a connection with another token is closed
+STATUS_S: Final = 0.1  # between two words on the session's state
+ASKING: Final = ("want", "scrub", "summary", "beam")  # what watchers may send as well
+KINDS: Final = {".html": "text/html; charset=utf-8", ".js": "text/javascript", ".css": "text/css", ".txt": "text/plain; charset=utf-8"}
+
+
+@dataclass(frozen=True)
+class Tokens:
+    """What lets a client in: to edit, or to watch alone."""
+
+    edit: str = field(default_factory=lambda: secrets.token_urlsafe(24))
+    watch: str = field(default_factory=lambda: secrets.token_urlsafe(24))
+
+    def role(self, token: str) -> str | None:
+        """`edit`, `watch`, or None of a token that is neither."""
+        return next((role for role in ("edit", "watch") if secrets.compare_digest(token.encode(), getattr(self, role).encode())), None)
+
+
+class Client:
+    """One connection. number: never used twice."""
+
+    def __init__(self, connection: ServerConnection, number: int, role: str) -> None:
+        self.connection, self.number, self.role = connection, number, role
+        self.feed: Feed | None = None  # made where PyTorch is imported
+        self.wanted: Want | None = None
+        self.scrubbed: tuple[int, int] | None = None
+        self.changed, self.answers = asyncio.Event(), list[dict[str, Any]]()
+
+
+class Studio:
+    """A session and its clients. Make it in a running event loop."""
+
+    def __init__(self, source: Source, page: Path, tokens: Tokens, *, allow_code: bool = False, device: str = "auto") -> None:
+        """page: folder of the page's files."""
+        self.page, self.tokens = page, tokens
+        self._loop = asyncio.get_running_loop()
+        self._clients, self._pen, self._number = list[Client](), int | None, 0
+        self._pen = None
+        self._threads = ThreadPoolExecutor(2, "messages")
+        self.session = Session(source, lambda: self._loop.call_soon_threadsafe(self._tell), allow_code=allow_code, device=device)
+        self._hosts: frozenset[str] = frozenset()
+
+    async def serve(self, host: str, port: int) -> Server:
+        """Listen; a port of 0 takes a free one. Raises LuxloopError where the port cannot be had."""
+        limits = {"max_size": LARGEST, "compression": None, "ping_interval": 20, "ping_timeout": 60}
+        try:
+            server = await serve(self._client, host, port, process_request=self._answer, **limits)
+        except OSError as error:
+            raise LuxloopError(
+                f"--port {port}: cannot listen on {host}:{port} ({error.strerror}); give another --port, 0 for a free one"
+            ) from error
+        bound = server.sockets[0].getsockname()[1]
+        self._hosts = frozenset(f"{name}:{bound}" for name in (host, "localhost", "127.0.0.1") if name)
+        self.session.start()
+        return server
+
+    def stop(self) -> None:
+        """End the session after the step that it is at."""
+        self.session.stop()
+        self._threads.shutdown()
+
+    def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
+        host, origin = request.headers.get("Host", ""), request.headers.get("Origin")
+        if host not in self._hosts or (origin is not None and origin not in (f"http://{host}", f"https://{host}")):
+            return _response(HTTPStatus.FORBIDDEN, "text/plain", b"This address is not that of the studio.\n")
+        path = request.path.partition("?")[0]
+        if path == "/socket":
+            return None
+        name = "index.html" if path == "/" else path.removeprefix("/")
+        known = {each.name: each for each in self.page.iterdir()} if self.page.is_dir() else {}
+        if name not in known or known[name].suffix not in KINDS:
+            return _response(HTTPStatus.NOT_FOUND, "text/plain", b"There is no such file.\n")
+        return _response(HTTPStatus.OK, KINDS[known[name].suffix], known[name].read_bytes())
+
+    async def _client(self, connection: ServerConnection) -> None:
+        try:
+            async with asyncio.timeout(HELLO_S):
+                hello = read(await connection.recv())
+            role = self.tokens.role(hello.token) if isinstance(hello, Hello) else None
+        except (LuxloopError, TimeoutError, ConnectionClosed):
+            role = None
+        if role is None:
+            await connection.close(UNKNOWN, "this token is not of this studio; open the address that luxloop studio prints")
+            return
+        self._number += 1
+        client = Client(connection, self._number, role)
+        self._clients.append(client)
+        if role == "edit" and self._pen is None:
+            self._pen = client.number
+        client.answers.append({"type": "welcome", "protocol": PROTOCOL, "version": _version(), "role": role, "id": client.number})
+        sender = asyncio.create_task(self._send(client))
+        self._tell()
+        try:
+            async for data in connection:
+                self._receive(client, data)
+        except ConnectionClosed:
+            pass
+        finally:
+            sender.cancel()
+            self._clients.remove(client)
+            if self._pen == client.number:
+                self._pen = next((each.number for each in self._clients if each.role == "edit"), None)
+            self._look()
+            self._tell()
+
+    def _receive(self, client: Client, data: bytes | str) -> None:
+        reply = self._reply_to(client)
+        try:
+            message = read(data)
+            self._refuse(client, message)
+        except LuxloopError as error:
+            reply({"type": "error", "text": str(error), "about": None})
+            return
+        match message:
+            case Want():
+                client.wanted = message
+                self._look()
+            case Scrub(step=step):
+                client.scrubbed = None if step is None else (message.run, step)
+            case Button(type="pen"):
+                self._pen = client.number
+                self._tell()
+            case Hello():
+                pass
+            case _:
+                self.session.ask(message, lambda head: self._loop.call_soon_threadsafe(reply, head) and None)
+        client.changed.set()
+
+    def _refuse(self, client: Client, message: Message) -> None:
+        if message.type in (*ASKING, "hello"):
+            return
+        if client.role != "edit":
+            raise LuxloopError(f"{message.type}: this address lets you watch; open the one that luxloop studio prints for editing")
+        if message.type != "pen" and self._pen != client.number:
+            raise LuxloopError(f"{message.type}: another page holds the pen; take it first")
+
+    def _reply_to(self, client: Client) -> Callable[[dict[str, Any]], None]:
+        def reply(head: dict[str, Any]) -> None:
+            client.answers.append(head)
+            client.changed.set()
+
+        return reply
+
+    def _look(self) -> None:
+        wants = [each.wanted for each in self._clients]
+        everything = Want(type="want", views=("scene", "light", "camera", "matrix", "marks"))
+        self.session.wanted = frozenset(view for want in wants for view in (want or everything).views)
+
+    def _tell(self) -> None:
+        for client in self._clients:
+            client.changed.set()
+
+    async def _send(self, client: Client) -> None:
+        """Send what a client lacks whenever something has changed; while it takes that, changes gather, and the newest comes next."""
+        last, said_s = "", 0.0
+        while True:
+            await client.changed.wait()
+            client.changed.clear()
+            published = self.session.published
+            answers, client.answers = client.answers, []
+            for head in answers:
+                await client.connection.send(packed(head))
+            keys = ("playing", "speed", "step_ms", "real_time", "failed", "progress")
+            status = {"type": "status", **{key: getattr(published, key) for key in keys}, "pen": self._pen, "clients": len(self._clients)}
+            if (text := json.dumps(status)) != last:
+                if time.monotonic() - said_s >= STATUS_S or not published.playing:
+                    last, said_s = text, time.monotonic()
+                    await client.connection.send(packed(status))
+                else:
+                    self._loop.call_later(STATUS_S, client.changed.set)
+            if published.runs:
+                client.feed = client.feed or _feed()
+                client.feed.wanted = client.feed.wanted if client.wanted is None else frozenset(client.wanted.views)
+                client.feed.scrubbed = client.scrubbed
+                messages = client.feed.messages(published)
+                while (data := await self._loop.run_in_executor(self._threads, next, messages, None)) is not None:
+                    await client.connection.send(data)
+
+
+def _feed() -> "Feed":
+    from loop.studio.feed import Feed
+
+    return Feed()
+
+
+def _version() -> str:
+    from importlib import metadata
+
+    return metadata.version("luxloop")
+
+
+def _response(status: HTTPStatus, kind: str, body: bytes) -> Response:
+    headers = {"Content-Type": kind, "Content-Length": str(len(body)), "Cache-Control": "no-store", "Connection": "close"}
+    headers |= {"X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer"}
+    return Response(status.value, status.phrase, Headers(headers), body)

@@ -1,0 +1,71 @@
+"""Bodies of a scene as numbered meshes, each sent once."""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+import torch
+
+from world.scene.body import Body
+from world.scene.triangles import Placed
+
+TEXEL_M: Final = 0.05  # of an albedo picture
+MOST_TEXELS: Final = 2_000_000
+
+Mesh = tuple[dict[str, Any], dict[str, np.ndarray]]  # head and arrays of it
+
+
+class Shapes:
+    """Numbers bodies, and makes a mesh of each when it is first seen; `meshes` has them in the order of their numbers."""
+
+    def __init__(self) -> None:
+        self.meshes: list[Mesh] = []
+        self._known: dict[int, tuple[int, Body]] = {}  # by identity; a body that is kept keeps its identity
+
+    def number(self, placed: Placed) -> int:
+        """That of a placed body's mesh."""
+        body = placed.body
+        if id(body) not in self._known:
+            number = len(self.meshes)
+            self.meshes.append(_mesh(number, body, "road" if placed.object_id == 0 else "object"))
+            self._known[id(body)] = number, body
+        return self._known[id(body)][0]
+
+
+def _mesh(number: int, body: Body, kind: str) -> Mesh:
+    arrays: dict[str, np.ndarray]
+    if body.smooth and body.part_of_face is None:
+        vertices, normals, faces = np.asarray(body.mesh.vertices), np.asarray(body.mesh.vertex_normals), np.asarray(body.mesh.faces)
+    else:  # faces that differ share no corners
+        vertices, normals = body.corners.flatten(0, 1).numpy(), body.corner_normals.flatten(0, 1).numpy()
+        faces = np.arange(len(vertices)).reshape(-1, 3)
+    arrays = {"vertices": vertices.astype(np.float32), "normals": normals.astype(np.float32), "faces": faces.astype(np.uint32)}
+    head: dict[str, Any] = {"id": number, "object": body.name, "kind": kind, "two_sided": body.two_sided}
+    if body.texture is None:
+        albedo = np.full(len(vertices), body.albedo)
+        if body.part_of_face is not None:
+            of_part = np.array([part.albedo for part in body.parts])
+            albedo = of_part[body.part_of_face.numpy()].repeat(3)
+        arrays["albedo"] = _byte(albedo)
+    else:
+        low, high = (each[:2].tolist() for each in body.bounds)
+        columns, rows = (max(round((b - a) / _texel_m(low, high)), 1) for a, b in zip(low, high, strict=True))
+        x, y = (torch.from_numpy(a + (np.arange(n) + 0.5) * (b - a) / n) for a, b, n in zip(low, high, (columns, rows), strict=True))
+        head["box"] = [*low, *high]
+        arrays["texture"] = _byte(body.texture.at(x.expand(rows, -1).contiguous(), y[:, None].expand(-1, columns).contiguous()).numpy())
+    return head, {f"{number}.{name}": array for name, array in arrays.items()}
+
+
+def _texel_m(low: list[float], high: list[float]) -> float:
+    area = (high[0] - low[0]) * (high[1] - low[1])
+    return max(TEXEL_M, (area / MOST_TEXELS) ** 0.5)
+
+
+def _byte(share: np.ndarray) -> np.ndarray:
+    coded: np.ndarray = (255 * np.clip(share, 0, 1)).round().astype(np.uint8)
+    return coded
+
+
+def whole(meshes: list[Mesh]) -> tuple[list[dict[str, Any]], Mapping[str, np.ndarray]]:
+    """Heads and arrays of several meshes."""
+    return [head for head, _ in meshes], {name: array for _, arrays in meshes for name, array in arrays.items()}

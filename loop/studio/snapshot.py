@@ -1,0 +1,136 @@
+"""A step as the studio's clients see it: poses, bodies, light and pictures, made where the simulation runs."""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from loop.lighting.result import StepResult
+from loop.lighting.simulation import Simulation
+from loop.recording.columns import loss_name
+from loop.report.marks import marks
+from loop.report.picture import captions
+from loop.studio.messages import View
+from loop.studio.shapes import Shapes
+from world.frames import transform
+from world.headlight.lamp import REST
+from world.scene.triangles import NOTHING, Triangles
+
+Pictures = dict[str, np.ndarray]  # `[height, width]` uint8, by name
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """A step. head: what is plain. lights: utilisations `[n_p]`, dimmed as modules were commanded, one a module; the same tensor as in the
+    step before where nothing changed. pictures: `camera.on`, `camera.off`, `camera.symbol`, where somebody looked. bodies: at its time.
+    """
+
+    step: int
+    head: dict[str, Any]
+    lights: tuple[Tensor, ...]
+    pictures: Pictures
+    bodies: Triangles = NOTHING
+
+    @property
+    def bytes(self) -> int:
+        """What it holds, what it shares with other steps included."""
+        return sum(u.nbytes for u in self.lights) + sum(picture.nbytes for picture in self.pictures.values())
+
+
+def snapshot(simulation: Simulation, result: StepResult, shapes: Shapes, before: Snapshot | None, wanted: Collection[View]) -> Snapshot:
+    """Of a step that was just done. before: the snapshot of the step before. wanted: what somebody looks at.
+
+    It renders what pictures need, and so runs where the simulation does.
+    """
+    world, time_s = simulation.truth, result.time_s
+    eye = torch.eye(4, dtype=torch.float64)
+    T_world_ground = T_world_body = eye
+    bodies, spotlights = NOTHING, ()
+    if world is not None:
+        state = world.motion.at(time_s)
+        T_world_ground, T_world_body = state.T_world_ground, state.T_world_body
+        bodies = world.scene.at(time_s, T_world_ground, NOTHING if before is None else before.bodies)
+        spotlights = world.scene.spotlights_at(time_s)
+    resting = [each.T_world_headlight for each in world.modules] if world else [each.T_world_module for each in simulation.modules]
+    commands = result.now.commands or (REST,) * len(resting)
+    lights = tuple(
+        _kept(command.intensity * u if command.intensity != 1 else u, None if before is None else before.lights[k])
+        for k, (u, command) in enumerate(zip(result.lights, commands, strict=True))
+    )
+    head = {
+        "step": result.step,
+        "time_s": time_s,
+        "T_world_ground": _numbers(T_world_ground),
+        "T_world_body": _numbers(T_world_body),
+        "T_world_camera": _numbers((simulation.view if world is None else world.view_at(time_s)).T_world_view),
+        "modules": [
+            {"T_world_module": _numbers(T_world_body @ command.turned(T.double().cpu()))}
+            for T, command in zip(resting, commands, strict=True)
+        ],
+        "bodies": [{"mesh": shapes.number(each), "T_world_body": _numbers(each.T_world_body)} for each in bodies.placed],
+        "spotlights": [
+            {
+                "position_m": each.position.tolist(),
+                "axis": each.axis.tolist(),
+                "intensity_cd": each.intensity_cd,
+                "width_deg": list(each.width_deg),
+            }
+            for each in spotlights
+        ],
+        "symbols": {name: _symbol(simulation, result, name, T_world_ground) for name in result.held},
+        "marks": _marks(simulation, result) if "marks" in wanted else [],
+        "notes": [text for text, _ in captions(result, simulation)],
+    }
+    pictures = _pictures(simulation, result) if "camera" in wanted else {}
+    return Snapshot(result.step, head, lights, pictures, bodies)
+
+
+def _kept(u: Tensor, before: Tensor | None) -> Tensor:
+    u = u.detach().cpu()
+    return before if before is not None and before.equal(u) else u
+
+
+def _numbers(T: Tensor) -> list[float]:
+    return [round(each, 6) for each in T.flatten().tolist()]
+
+
+def _symbol(simulation: Simulation, result: StepResult, name: str, T_world_ground: Tensor) -> dict[str, Any]:
+    held, params = result.held[name], simulation.controlled[name].function.held
+    x, y = params.length_m / 2, params.width_m / 2
+    corners = torch.tensor([[x, x, -x, -x], [y, -y, -y, y], [0.0] * 4], dtype=torch.float64)
+    there = corners + torch.tensor([[params.x_m], [params.y_m], [0.0]], dtype=torch.float64)
+    target = transform(T_world_ground, there).T.tolist()
+    return {"pose": held.pose.tolist(), "loss": loss_name(int(held.measurement.code)), "target": target}
+
+
+def _marks(simulation: Simulation, result: StepResult) -> list[dict[str, Any]]:
+    kinds = (
+        (each, "target" if each.target else "found" if each.faint else "masked" if each.masked else "tracked")
+        for each in marks(result, simulation)
+    )
+    return [{"lines": each.lines, "kind": kind, "text": each.text, "at": each.at} for each, kind in kinds]
+
+
+def _pictures(simulation: Simulation, result: StepResult) -> Pictures:
+    camera, pictures = simulation.scenario.camera, Pictures()
+    most = 2**camera.bits - 1
+    if result.frames is not None:
+        pictures = {name: _coded(frame, most) for name, frame in zip(("camera.on", "camera.off"), result.frames, strict=True)}
+    elif result.frame is not None:
+        pictures = {"camera.on": _coded(result.frame, most)}
+    symbol = np.zeros((camera.height_px, camera.width_px), np.uint8)
+    for held in result.held.values():
+        seen = held.measurement
+        if seen.symbol.numel():
+            symbol[seen.crop.slices] = np.maximum(symbol[seen.crop.slices], (255 * seen.symbol.clamp(0, 1)).byte().cpu().numpy())
+    return pictures | ({"camera.symbol": symbol} if symbol.any() else {})
+
+
+def _coded(frame: Tensor, most: int) -> np.ndarray:
+    """Digital numbers as 255 times the root of their share of the most: noise is as coarse in the dark as in the light."""
+    share = (frame.float() + 0.0).cpu().numpy() / most
+    coded: np.ndarray = (255 * np.sqrt(np.clip(share, 0, 1))).round().astype(np.uint8)
+    return coded
