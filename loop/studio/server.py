@@ -178,7 +178,7 @@ class Studio:
 
     async def _send(self, client: Client) -> None:
         """Send what a client lacks whenever something has changed; while it takes that, changes gather, and the newest comes next."""
-        last, said_s = "", 0.0
+        last, said_s, preparing = "", 0.0, None
         while True:
             await client.changed.wait()
             client.changed.clear()
@@ -186,7 +186,10 @@ class Studio:
             answers, client.answers = client.answers, []
             for head in answers:
                 await client.connection.send(packed(head))
-            keys = ("playing", "speed", "step_ms", "real_time", "failed", "progress")
+            if published.progress != preparing:
+                preparing = published.progress
+                await client.connection.send(packed({"type": "progress", "text": preparing}))
+            keys = ("playing", "speed", "step_ms", "real_time", "failed")
             status = {"type": "status", **{key: getattr(published, key) for key in keys}, "pen": self._pen, "clients": len(self._clients)}
             if (text := json.dumps(status)) != last:
                 if time.monotonic() - said_s >= STATUS_S or not published.playing:

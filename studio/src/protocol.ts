@@ -132,6 +132,8 @@ export interface StatusMessage {
   step_ms: number | null;
   real_time: number | null;
   failed: string | null;
+  /** What is being prepared, as `progress` says it. */
+  progress?: string | null;
 }
 
 export interface BeamPoint {
@@ -167,4 +169,4 @@ export type ClientMessage =
   | { type: "speed"; factor: number | null }
   | { type: "open"; name: string; overrides: string[]; recording: string | null }
   | { type: "set"; overrides: string[] }
-  | { type: "compare"; overrides: string[] | null };
+  | { type: "compare"; overrides: string[] | null; recording?: string | null };
