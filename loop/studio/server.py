@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from http import HTTPStatus
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -60,17 +61,18 @@ class Studio:
         """page: folder of the page's files."""
         self.page, self.tokens = page, tokens
         self._loop = asyncio.get_running_loop()
-        self._clients, self._pen, self._number = list[Client](), int | None, 0
-        self._pen = None
+        self._clients, self._number = list[Client](), 0
+        self._pen: int | None = None
         self._threads = ThreadPoolExecutor(2, "messages")
-        self.session = Session(source, lambda: self._loop.call_soon_threadsafe(self._tell), allow_code=allow_code, device=device)
+        self.session = Session(source, self._changed, allow_code=allow_code, device=device)
         self._hosts: frozenset[str] = frozenset()
 
     async def serve(self, host: str, port: int) -> Server:
         """Listen; a port of 0 takes a free one. Raises LuxloopError where the port cannot be had."""
-        limits = {"max_size": LARGEST, "compression": None, "ping_interval": 20, "ping_timeout": 60}
         try:
-            server = await serve(self._client, host, port, process_request=self._answer, **limits)
+            server = await serve(
+                self._client, host, port, process_request=self._answer, max_size=LARGEST, compression=None, ping_timeout=60
+            )
         except OSError as error:
             raise LuxloopError(
                 f"--port {port}: cannot listen on {host}:{port} ({error.strerror}); give another --port, 0 for a free one"
@@ -149,7 +151,7 @@ class Studio:
             case Hello():
                 pass
             case _:
-                self.session.ask(message, lambda head: self._loop.call_soon_threadsafe(reply, head) and None)
+                self.session.ask(message, partial(self._later, reply))
         client.changed.set()
 
     def _refuse(self, client: Client, message: Message) -> None:
@@ -166,6 +168,14 @@ class Studio:
             client.changed.set()
 
         return reply
+
+    def _changed(self) -> None:
+        """Tell clients, from another thread."""
+        self._loop.call_soon_threadsafe(self._tell)
+
+    def _later(self, reply: Callable[[dict[str, Any]], None], head: dict[str, Any]) -> None:
+        """Reply from another thread."""
+        self._loop.call_soon_threadsafe(reply, head)
 
     def _look(self) -> None:
         wants = [each.wanted for each in self._clients]

@@ -6,6 +6,7 @@ import time
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -93,7 +94,7 @@ class Session:
                 continue
             if asked is None:
                 return
-            self._attempt(lambda asked=asked: self._do(asked), asked)
+            self._attempt(partial(self._do, asked), asked)
 
     def _attempt(self, what: Callable[[], None], asked: Asked | None) -> None:
         """Errors become a sentence: the answer to who asked, and of what nobody asked the state of the session."""

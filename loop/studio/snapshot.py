@@ -17,6 +17,7 @@ from loop.studio.messages import View
 from loop.studio.shapes import Shapes
 from world.frames import transform
 from world.headlight.lamp import REST
+from world.scene.body import Spotlight
 from world.scene.triangles import NOTHING, Triangles
 
 Pictures = dict[str, np.ndarray]  # `[height, width]` uint8, by name
@@ -48,7 +49,7 @@ def snapshot(simulation: Simulation, result: StepResult, shapes: Shapes, before:
     world, time_s = simulation.truth, result.time_s
     eye = torch.eye(4, dtype=torch.float64)
     T_world_ground = T_world_body = eye
-    bodies, spotlights = NOTHING, ()
+    bodies, spotlights = NOTHING, tuple[Spotlight, ...]()
     if world is not None:
         state = world.motion.at(time_s)
         T_world_ground, T_world_body = state.T_world_ground, state.T_world_body

@@ -12,9 +12,7 @@ def refuse_foreign(overrides: Sequence[str]) -> None:
     """Raises LuxloopError where an override names a file, a module of Python or a plant, which the server's machine would open."""
     for override in overrides:
         if is_file(override):
-            raise LuxloopError(
-                f"{override}: the page cannot name a file; give its keys, or start luxloop studio with --allow-code"
-            )
+            raise LuxloopError(f"{override}: the page cannot name a file; give its keys, or start luxloop studio with --allow-code")
         given = tables(override)
         if "plant" in given:
             raise LuxloopError(f"{override}: a plant cannot be chosen from the page; start luxloop studio with --allow-code")
