@@ -132,8 +132,6 @@ export interface StatusMessage {
   step_ms: number | null;
   real_time: number | null;
   failed: string | null;
-  /** What is being prepared, as `progress` says it. */
-  progress?: string | null;
 }
 
 export interface BeamPoint {

@@ -1,0 +1,156 @@
+// One chart: uPlot, and beside it the names of the curves with their numbers.
+
+import uPlot from "uplot";
+import { h } from "../dom.ts";
+import type { RunData } from "../state.ts";
+import { type Group, valueAt } from "./groups.ts";
+import { places, stretch, thinned } from "./thinned.ts";
+
+/** Told apart without red and green (after Okabe and Ito), light enough for the dark ground. */
+const COLOURS = ["#56b4e9", "#e69f00", "#2fc79a", "#f0e442", "#e08fbf", "#ff8a4c", "#8fa8ff", "#c8ccd2"];
+const DASH = [5, 4];
+const MOST_POINTS = 1200;
+const INK = "#b4bcc8";
+const GRID = "#2c323b";
+const FONT = "11px system-ui, sans-serif";
+
+export interface Shown {
+  runs: readonly RunData[];
+  rate_hz: number;
+  /** Steps to draw. */
+  first: number;
+  end: number;
+  /** Step whose numbers are shown, where the cursor is nowhere. */
+  step: number;
+  /** Whether that step is an old one that is looked at again. */
+  marked: boolean;
+}
+
+export class Chart {
+  readonly element: HTMLElement;
+  readonly #plot: uPlot;
+  readonly #room = h("div", { class: "plot" });
+  readonly #numbers: HTMLElement[][];
+  readonly #resize: ResizeObserver;
+  #shown: Shown = { runs: [], rate_hz: 1, first: 0, end: 0, step: -1, marked: false };
+
+  /** onpick: a step was clicked. */
+  constructor(
+    readonly group: Group,
+    private readonly runCount: number,
+    onpick: (step: number) => void,
+  ) {
+    this.#numbers = group.curves.map(() => Array.from({ length: runCount }, () => h("output", {})));
+    this.element = h("figure", { class: "chart" }, this.#caption(), this.#room);
+    this.#plot = new uPlot(this.#options(), [[], ...group.curves.flatMap(() => Array.from({ length: runCount }, () => []))], this.#room);
+    this.#plot.over.addEventListener("click", () => {
+      const { left = -1 } = this.#plot.cursor;
+      if (left >= 0) onpick(Math.round(this.#plot.posToVal(left, "x") * this.#shown.rate_hz));
+    });
+    this.#resize = new ResizeObserver(() => {
+      const { clientWidth: width, clientHeight: height } = this.#room;
+      if (width > 0 && height > 0) this.#plot.setSize({ width, height });
+    });
+    this.#resize.observe(this.#room);
+  }
+
+  draw(shown: Shown): void {
+    this.#shown = shown;
+    const { runs, rate_hz, first, end } = shown;
+    const part = stretch(first, end, MOST_POINTS);
+    const data: (number | null)[][] = [places(part).map((step) => step / rate_hz)];
+    for (const curve of this.group.curves) {
+      for (const run of Array(this.runCount).keys()) {
+        const rows = runs[run]?.rows;
+        data.push(rows ? thinned((step) => valueAt(curve, rows, step), part) : data[0].map(() => null));
+      }
+    }
+    this.#plot.setData(data as uPlot.AlignedData);
+    this.#write();
+  }
+
+  dispose(): void {
+    this.#resize.disconnect();
+    this.#plot.destroy();
+    this.element.remove();
+  }
+
+  #caption(): HTMLElement {
+    const names = this.group.curves.map(({ label, title }, k) => {
+      const key = h("span", { class: "key" });
+      key.style.background = COLOURS[k % COLOURS.length];
+      return h("li", { title }, key, h("span", { class: "name" }, label), ...this.#numbers[k]);
+    });
+    const unit = this.group.unit && this.group.unit !== "1" ? h("span", { class: "muted" }, ` ${this.group.unit}`) : null;
+    return h("figcaption", {}, h("h3", {}, this.group.title, unit), h("ul", {}, ...names));
+  }
+
+  #write(): void {
+    const { runs, rate_hz, step } = this.#shown;
+    const { left = -1 } = this.#plot.cursor;
+    const at = left >= 0 ? Math.round(this.#plot.posToVal(left, "x") * rate_hz) : step;
+    this.group.curves.forEach((curve, k) => {
+      this.#numbers[k].forEach((output, run) => {
+        const rows = runs[run]?.rows;
+        output.textContent = rows ? brief(valueAt(curve, rows, Math.min(at, rows.count - 1))) : "-";
+      });
+    });
+  }
+
+  #options(): uPlot.Options {
+    const axis: uPlot.Axis = { stroke: INK, font: FONT, grid: { stroke: GRID, width: 1 }, ticks: { show: false }, gap: 3 };
+    const series = this.group.curves.flatMap(({ label }, k) =>
+      Array.from({ length: this.runCount }, (_, run): uPlot.Series => {
+        return { label, stroke: COLOURS[k % COLOURS.length], width: 1.5, points: { show: false }, ...(run === 1 && { dash: DASH }) };
+      }),
+    );
+    return {
+      width: 200,
+      height: 100,
+      legend: { show: false },
+      cursor: { sync: { key: "steps" }, drag: { x: false, y: false }, y: false, points: { size: 5 } },
+      scales: { x: { time: false }, y: { range: this.group.range ? () => this.group.range! : range } },
+      axes: [
+        { ...axis, size: 20, space: 50, values: (_, ticks) => ticks.map((each) => `${+each.toFixed(3)} s`) },
+        { ...axis, size: 42, space: 22, values: (_, ticks) => ticks.map((each) => `${+each.toPrecision(6)}`) },
+      ],
+      series: [{}, ...series],
+      hooks: {
+        setCursor: [() => this.#write()],
+        draw: [(plot) => this.#mark(plot)],
+      },
+    };
+  }
+
+  #mark(plot: uPlot): void {
+    const { marked, step, rate_hz } = this.#shown;
+    if (!marked) return;
+    const x = Math.round(plot.valToPos(step / rate_hz, "x", true));
+    const { ctx, bbox } = plot;
+    ctx.save();
+    ctx.strokeStyle = "#ffd166";
+    ctx.lineWidth = 1.5 * (window.devicePixelRatio || 1);
+    ctx.beginPath();
+    ctx.moveTo(x, bbox.top);
+    ctx.lineTo(x, bbox.top + bbox.height);
+    ctx.stroke();
+    ctx.restore();
+  }
+}
+
+/** Of the vertical axis: zero is in it, and curves keep off the upper border. */
+function range(_: uPlot, low: number | null, high: number | null): [number, number] {
+  if (low === null || high === null) return [0, 1];
+  const [from, to] = [Math.min(0, low), Math.max(0, high)];
+  const room = (to - from || 1) * 0.08;
+  return [from < 0 ? from - room : 0, to > 0 || from === to ? to + room : 0];
+}
+
+/** A number in few characters. */
+export function brief(value: number): string {
+  if (!Number.isFinite(value)) return "-";
+  const size = Math.abs(value);
+  if (size !== 0 && (size < 1e-3 || size >= 1e6)) return value.toExponential(1);
+  if (Number.isInteger(value) && size < 1e6) return String(value);
+  return size >= 1000 ? value.toFixed(0) : String(+value.toPrecision(3));
+}

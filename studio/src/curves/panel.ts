@@ -1,0 +1,69 @@
+// Curves of the columns of all runs, over the last minute or the whole run.
+
+import { h, toggle } from "../dom.ts";
+import { panel } from "../panels.ts";
+import type { Column } from "../protocol.ts";
+import type { Session } from "../session.ts";
+import { newestStep, type Studio } from "../state.ts";
+import { Chart } from "./chart.ts";
+import { columnList } from "./columns.ts";
+import { defaults, groups } from "./groups.ts";
+
+const REDRAW_MS = 100;
+const MINUTE_S = 60;
+
+export function curvesPanel(store: Studio, session: Session): HTMLElement {
+  const { element, bar, body } = panel(store, "curves", "Curves");
+  const empty = h("p", { class: "empty" }, "No columns are chosen.");
+  let charts: Chart[] = [];
+  let chosen: Set<string> | null = null;
+  let whole = false;
+  let columns: Column[] = [];
+  let timer: ReturnType<typeof setTimeout> | null = null;
+  let drawn_ms = 0;
+
+  const draw = () => {
+    timer = null;
+    drawn_ms = performance.now();
+    const { runs, scenario, scrub } = store.state;
+    if (!scenario || element.hidden) return;
+    const end = Math.max(0, ...runs.map(({ rows }) => rows.count));
+    const first = whole ? 0 : Math.max(0, end - Math.ceil(MINUTE_S * scenario.rate_hz));
+    const step = scrub ?? newestStep(store.state);
+    for (const chart of charts) chart.draw({ runs, rate_hz: scenario.rate_hz, first, end, step, marked: scrub !== null });
+  };
+  const redraw = () => {
+    if (timer === null) timer = setTimeout(draw, Math.max(0, REDRAW_MS - (performance.now() - drawn_ms)));
+  };
+  const rebuild = () => {
+    for (const chart of charts) chart.dispose();
+    const { scenario } = store.state;
+    const now = chosen ?? defaults(columns);
+    const pick = (step: number) => session.scrub(Math.max(0, Math.min(step, newestStep(store.state))));
+    charts = groups(columns, now).map((group) => new Chart(group, scenario?.runs.length ?? 1, pick));
+    body.replaceChildren(...charts.map((each) => each.element), empty);
+    empty.hidden = charts.length > 0 || columns.length === 0;
+    list.show(columns, now);
+    redraw();
+  };
+  const list = columnList((names) => {
+    chosen = names;
+    rebuild();
+  });
+  const span = toggle("whole run", "Draw the whole run, or its last minute", (now) => {
+    whole = now;
+    span.show(now);
+    redraw();
+  });
+  const runsKey = h("span", { class: "runs-key muted" });
+  bar.append(runsKey, span.button, list.element);
+  store.on(["scenario"], ({ scenario }) => {
+    const all = (scenario?.runs ?? []).flatMap((run) => run.columns);
+    columns = [...new Map(all.map((each) => [each.name, each])).values()];
+    const [one, other] = scenario?.runs ?? [];
+    runsKey.replaceChildren(...(other ? [`run 1, solid: ${one.label}; run 2, dashed: ${other.label}`] : []));
+    rebuild();
+  });
+  store.on(["rows_version", "runs", "scrub", "maximised"], redraw);
+  return element;
+}

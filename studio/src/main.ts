@@ -1,0 +1,50 @@
+// The studio's page: one store, one session with the server, and panels that show the one and ask the other.
+
+import { cameraPanel } from "./camera/panel.ts";
+import { curvesPanel } from "./curves/panel.ts";
+import { helpDialog, summaryDialog } from "./dialogs.ts";
+import { h } from "./dom.ts";
+import { bindKeys } from "./keys.ts";
+import { matrixPanel } from "./matrix/panel.ts";
+import { notices } from "./notices.ts";
+import type { SceneView } from "./scene/index.ts";
+import { beamControls } from "./scenes/beam.ts";
+import { ScenesPanel } from "./scenes/panel.ts";
+import { Session } from "./session.ts";
+import { newStore, type Studio } from "./state.ts";
+import { Toasts } from "./toast.ts";
+import { toolbar } from "./toolbar.ts";
+
+declare global {
+  interface Window {
+    /** For tests: the page's state, and the scene of each run. */
+    luxloop: { store: Studio; readonly scenes: SceneView[] };
+  }
+}
+
+const store = newStore();
+const toasts = new Toasts();
+const scenes = new ScenesPanel(store);
+const scheme = location.protocol === "https:" ? "wss" : "ws";
+const address = { url: `${scheme}://${location.host}/socket`, token: decodeURIComponent(location.hash.slice(1)) };
+const session = new Session(address, store, scenes, toasts.show);
+const help = helpDialog();
+const summary = summaryDialog(store, session);
+const tools = toolbar(store, session, { help: help.open, summary: summary.open });
+beamControls(store, session, scenes.bar, scenes.body);
+
+const main = h("main", {}, scenes.element, cameraPanel(store), matrixPanel(store), curvesPanel(store, session));
+document.body.append(h("header", { class: "top" }, tools.element, notices(store)), main, toasts.element, help.element, summary.element);
+store.on(["maximised"], ({ maximised }) => main.classList.toggle("maximised", maximised !== null));
+store.on(["scenario"], ({ scenario }) => {
+  document.title = scenario ? `${scenario.name} - luxloop studio` : "luxloop studio";
+});
+bindKeys(store, { playOrPause: tools.playOrPause, step: tools.step, reset: tools.reset, help: help.open });
+addEventListener("hashchange", () => location.reload());
+
+window.luxloop = {
+  store,
+  get scenes() {
+    return scenes.views;
+  },
+};

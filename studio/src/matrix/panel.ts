@@ -1,0 +1,125 @@
+// How far each pixel of each module is turned up.
+
+import { h } from "../dom.ts";
+import { panel } from "../panels.ts";
+import { runSwitch } from "../runs.ts";
+import type { Studio } from "../state.ts";
+import { Viewport } from "../viewport.ts";
+import { type Layout, layout, type Tile } from "./layout.ts";
+
+const LABEL_PX = 11;
+const STOPS: [number, number, number, number][] = [
+  [0, 0, 0, 0],
+  [0.3, 92, 47, 12],
+  [0.7, 240, 166, 58],
+  [1, 255, 251, 235],
+];
+
+/** Colours of utilisations 0..255 as little-endian RGBA; they grow lighter without a break. */
+const COLOURS = Uint32Array.from({ length: 256 }, (_, code) => {
+  const share = code / 255;
+  const next = Math.max(
+    1,
+    STOPS.findIndex(([at]) => at >= share),
+  );
+  const [low, high] = [STOPS[next - 1], STOPS[next]];
+  const between = (share - low[0]) / (high[0] - low[0]);
+  const [r, g, b] = [1, 2, 3].map((channel) => Math.round(low[channel] + between * (high[channel] - low[channel])));
+  return (0xff000000 | (b << 16) | (g << 8) | r) >>> 0;
+});
+
+interface Painted {
+  canvas: OffscreenCanvas;
+  image: ImageData;
+  of: Uint8Array | null;
+}
+
+export function matrixPanel(store: Studio): HTMLElement {
+  const { element, bar, body } = panel(store, "matrix", "Matrix");
+  const readout = h("output", { class: "readout" });
+  const empty = h("p", { class: "empty" }, "No light yet.");
+  let tiles: Layout = { width: 1, height: 1, tiles: [] };
+  let pictures: Painted[] = [];
+  let cursor: { x: number; y: number } | null = null;
+
+  const run = () => store.state.scenario?.runs[store.state.matrix_run];
+  const utilisation = (module: number) => store.state.runs[store.state.matrix_run]?.utilisations.get(module);
+  const refresh = () => {
+    pictures.forEach((picture, module) => {
+      const u = utilisation(module);
+      if (!u || picture.of === u) return;
+      picture.of = u;
+      const pixels = new Uint32Array(picture.image.data.buffer);
+      for (let k = 0; k < pixels.length; k++) pixels[k] = COLOURS[u[k]];
+      (picture.canvas.getContext("2d") as OffscreenCanvasRenderingContext2D).putImageData(picture.image, 0, 0);
+    });
+  };
+  const view = new Viewport(
+    "Utilisation of the matrix of each module",
+    {
+      draw(context, scale) {
+        refresh();
+        for (const tile of tiles.tiles) drawTile(context, scale, tile);
+        read();
+      },
+      hover(point) {
+        cursor = point;
+        read();
+      },
+    },
+    200,
+  );
+  const drawTile = (context: CanvasRenderingContext2D, scale: number, { module, x, y, width, height }: Tile) => {
+    const { canvas, of } = pictures[module];
+    const facts = run()?.modules[module];
+    if (!facts) return;
+    context.fillStyle = "#000";
+    context.fillRect(x, y, width, height);
+    context.imageSmoothingEnabled = (scale * width * (window.devicePixelRatio || 1)) / facts.pixel_cols < 1;
+    if (of) context.drawImage(canvas, x, y, width, height);
+    context.strokeStyle = "#5b6472";
+    context.lineWidth = 1 / scale;
+    context.strokeRect(x, y, width, height);
+    const font_px = Math.min(LABEL_PX / scale, 80);
+    context.font = `${font_px}px system-ui, sans-serif`;
+    context.textBaseline = "bottom";
+    context.fillStyle = "#b4bcc8";
+    context.fillText(`${facts.name}  ${facts.pixel_rows} x ${facts.pixel_cols}`, x, y - 2 / scale);
+  };
+  const read = () => {
+    const tile = cursor && tiles.tiles.find(({ x, y, width, height }) => within(cursor!.x - x, width) && within(cursor!.y - y, height));
+    const facts = tile && run()?.modules[tile.module];
+    if (!cursor || !tile || !facts) {
+      readout.textContent = "";
+      return;
+    }
+    const row = Math.min(facts.pixel_rows - 1, Math.floor(((cursor.y - tile.y) / tile.height) * facts.pixel_rows));
+    const col = Math.min(facts.pixel_cols - 1, Math.floor(((cursor.x - tile.x) / tile.width) * facts.pixel_cols));
+    const u = utilisation(tile.module)?.[row * facts.pixel_cols + col];
+    readout.textContent = `${facts.name}, row ${row}, column ${col}${u === undefined ? "" : `: ${((100 * u) / 255).toFixed(0)} %`}`;
+  };
+
+  bar.append(runSwitch(store, "matrix_run"));
+  body.append(view.canvas, empty, readout);
+  store.on(["scenario", "matrix_run"], () => {
+    const modules = run()?.modules ?? [];
+    tiles = layout(modules);
+    pictures = modules.map(({ pixel_rows, pixel_cols }) => ({
+      canvas: new OffscreenCanvas(pixel_cols, pixel_rows),
+      image: new ImageData(pixel_cols, pixel_rows),
+      of: null,
+    }));
+    view.setContent(tiles.width, tiles.height);
+    view.redraw();
+  });
+  store.on(["matrix_version", "runs", "matrix_run"], ({ runs, matrix_run }) => {
+    empty.hidden = (runs[matrix_run]?.utilisations.size ?? 0) > 0;
+    view.redraw();
+  });
+  store.on(["maximised"], view.redraw);
+  return element;
+}
+
+function within(value: number, size: number): boolean {
+  return value >= 0 && value < size;
+}

@@ -1,0 +1,148 @@
+// The scene of each run, all seen from the same place in the same light, and the controls of that.
+
+import { h, select, toggle } from "../dom.ts";
+import { EXPOSURE_EV, VIEWPOINTS } from "../keys.ts";
+import { panel } from "../panels.ts";
+import type { Arrays, MeshesMessage, ScenarioMessage, StepMessage } from "../protocol.ts";
+import { SceneView } from "../scene/index.ts";
+import type { SceneSink } from "../session.ts";
+import type { State, Studio, Viewpoint } from "../state.ts";
+
+/** What a view may offer so that two of them move as one. */
+interface Movable {
+  onMove?: ((orbit: unknown) => void) | null;
+  setOrbit?(orbit: unknown): void;
+}
+
+interface Cell {
+  element: HTMLElement;
+  label: HTMLElement;
+  view: SceneView | null;
+}
+
+export class ScenesPanel implements SceneSink {
+  readonly element: HTMLElement;
+  readonly bar: HTMLElement;
+  readonly body: HTMLElement;
+  readonly #cells: Cell[] = [];
+  readonly #room = h("div", { class: "scenes" });
+
+  constructor(private readonly store: Studio) {
+    const { element, bar, body } = panel(store, "scene", "Scene");
+    this.element = element;
+    this.bar = bar;
+    this.body = body;
+    body.append(this.#room);
+    bar.append(...lightControls(store));
+    this.#fit(1);
+    const options = this.views[0]?.options;
+    if (options) {
+      const { exposure_ev, style, isolux, fog, frusta } = options;
+      store.set({ exposure_ev, style, isolux, fog, frusta });
+    }
+    store.on(["exposure_ev", "style", "isolux", "fog", "frusta"], (state) => this.#each((view) => applyOptions(view, state)));
+    store.on(["viewpoint"], ({ viewpoint }) => this.#each((view) => view.setViewpoint(viewpoint)));
+    store.on(["beams", "viewpoint", "rule", "side"], (state) => {
+      this.#cells.forEach(({ view }, run) => {
+        const beam = state.viewpoint === "wall" ? state.beams[run] : null;
+        view?.setBeam(beam && beam.rule === state.rule ? beam.points : [], state.side);
+      });
+    });
+  }
+
+  /** The views that there are, one a run. */
+  get views(): SceneView[] {
+    return this.#cells.flatMap(({ view }) => view ?? []);
+  }
+
+  begin({ runs }: ScenarioMessage): void {
+    this.#fit(runs.length);
+    this.#cells.forEach(({ view, label }, run) => {
+      view?.setRun(runs[run]);
+      label.textContent = `run ${run + 1}: ${runs[run].label}`;
+      label.hidden = runs.length < 2;
+    });
+  }
+
+  meshes(message: MeshesMessage, arrays: Arrays): void {
+    this.#cells[message.run]?.view?.addMeshes(message, arrays);
+  }
+
+  step(message: StepMessage, arrays: Arrays): void {
+    this.#cells[message.run]?.view?.show(message, arrays);
+  }
+
+  #each(call: (view: SceneView) => void): void {
+    for (const view of this.views) call(view);
+  }
+
+  #fit(count: number): void {
+    while (this.#cells.length > count) {
+      const cell = this.#cells.pop();
+      cell?.view?.dispose();
+      cell?.element.remove();
+    }
+    while (this.#cells.length < count) this.#cells.push(this.#cell());
+    const { views } = this;
+    for (const view of views) {
+      const others = views.filter((each) => each !== view) as Movable[];
+      if ("onMove" in view) (view as Movable).onMove = (orbit) => others.forEach((each) => void each.setOrbit?.(orbit));
+    }
+  }
+
+  #cell(): Cell {
+    const label = h("p", { class: "scene-label" });
+    label.hidden = true;
+    const container = h("div", { class: "scene-view" });
+    const element = h("div", { class: "scene-cell" }, container, label);
+    this.#room.append(element);
+    let view: SceneView | null = null;
+    try {
+      view = new SceneView(container);
+      applyOptions(view, this.store.state);
+      view.setViewpoint(this.store.state.viewpoint);
+    } catch (error) {
+      console.error(error);
+      container.append(h("p", { class: "empty" }, `The scene cannot be drawn: ${error instanceof Error ? error.message : error}`));
+    }
+    return { element, label, view };
+  }
+}
+
+function applyOptions(view: SceneView, { exposure_ev, style, isolux, fog, frusta }: Readonly<State>): void {
+  view.setOptions({ exposure_ev, style, isolux, fog, frusta });
+}
+
+function lightControls(store: Studio): HTMLElement[] {
+  const viewpoint = select("Viewpoint (1 to 5)", VIEWPOINTS, (value) => store.set({ viewpoint: value as Viewpoint }));
+  const { least, most } = EXPOSURE_EV;
+  const exposure = h("input", { type: "range", min: least, max: most, step: 0.1, "aria-label": "Exposure in EV", class: "exposure" });
+  const number = h("output", { class: "ev" });
+  exposure.addEventListener("input", () => store.set({ exposure_ev: exposure.valueAsNumber }));
+  exposure.addEventListener("dblclick", () => store.set({ exposure_ev: 0 }));
+  const style = select(
+    "What colours show",
+    [
+      ["luminance", "luminance"],
+      ["lux", "illuminance"],
+    ],
+    (value) => store.set({ style: value === "lux" ? "lux" : "luminance" }),
+  );
+  const flags = (
+    [
+      ["isolux", "Lines of equal illuminance on the road"],
+      ["fog", "Light that haze scatters"],
+      ["frusta", "Fields of the lamps' modules and of the camera"],
+    ] as const
+  ).map(([key, title]) => ({ key, ...toggle(key, title, (on) => store.set({ [key]: on })) }));
+  store.on(["viewpoint", "exposure_ev", "style", "isolux", "fog", "frusta"], (state) => {
+    viewpoint.value = state.viewpoint;
+    exposure.value = String(state.exposure_ev);
+    number.textContent = `${state.exposure_ev > 0 ? "+" : ""}${state.exposure_ev.toFixed(1)} EV`;
+    exposure.setAttribute("aria-valuetext", number.textContent);
+    style.value = state.style;
+    for (const { key, show } of flags) show(state[key]);
+  });
+  const slider = h("label", { class: "slider", title: "Exposure ([ and ])" }, h("span", { class: "wide" }, "exposure"), exposure, number);
+  return [viewpoint, slider, style, ...flags.map(({ button }) => button)];
+}

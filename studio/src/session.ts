@@ -1,0 +1,168 @@
+// What the page does with the server's messages, and what it asks of the server.
+
+import { Connection } from "./connection.ts";
+import type { Arrays, ClientMessage, MeshesMessage, ScenarioMessage, ServerMessage, StepMessage, View } from "./protocol.ts";
+import { type PanelName, RunData, type Studio } from "./state.ts";
+
+/** What the scenes are given, in the order in which it came. */
+export interface SceneSink {
+  begin(scenario: ScenarioMessage): void;
+  meshes(message: MeshesMessage, arrays: Arrays): void;
+  step(message: StepMessage, arrays: Arrays): void;
+}
+
+const VIEWS: Record<PanelName, View[]> = { scene: ["scene", "light"], camera: ["camera", "marks"], matrix: ["matrix"], curves: [] };
+const ANSWER_MS = 3000; // a step that is shown already is not sent again
+const ALL: PanelName[] = ["scene", "camera", "matrix", "curves"];
+
+export class Session {
+  readonly #connection: Connection;
+  /** The scrub that is not answered yet. The server answers the last one alone, so there is one at a time, and the runs take turns. */
+  #asked: { run: number; step: number; timer: ReturnType<typeof setTimeout> } | null = null;
+  /** By run, the step that the server has sent again last. */
+  #answered: (number | null)[] = [];
+  #wanted = "";
+
+  constructor(
+    address: { url: string; token: string },
+    private readonly store: Studio,
+    private readonly scenes: SceneSink,
+    private readonly toast: (sentence: string) => void,
+  ) {
+    this.#connection = new Connection(address.url, address.token, {
+      link: (link) => this.store.set({ link }),
+      message: (message, arrays) => this.#take(message, arrays),
+      broken: toast,
+    });
+    store.on(["maximised", "link"], () => this.#want());
+    document.addEventListener("visibilitychange", () => this.#want());
+  }
+
+  send(message: ClientMessage): void {
+    if (this.store.state.link !== "open") {
+      this.toast("There is no connection to the server.");
+      return;
+    }
+    this.#connection.send(message);
+  }
+
+  /** Look at a step again, or follow the newest. */
+  scrub(step: number | null): void {
+    this.store.set({ scrub: step });
+    if (step !== null) {
+      this.#ask();
+      return;
+    }
+    this.#forget();
+    this.send({ type: "scrub", run: 0, step: null });
+  }
+
+  #forget(): void {
+    clearTimeout(this.#asked?.timer);
+    this.#asked = null;
+    this.#answered = [];
+  }
+
+  /** Ask for the step that is looked at, of a run that does not show it yet. */
+  #ask(): void {
+    const { scrub, runs } = this.store.state;
+    if (this.#asked || scrub === null) return;
+    const run = runs.findIndex((each, k) => this.#answered[k] !== scrub && scrub < each.rows.count);
+    if (run < 0) return;
+    const timer = setTimeout(() => {
+      this.#asked = null;
+      this.#answered[run] = scrub;
+      this.#ask();
+    }, ANSWER_MS);
+    this.#asked = { run, step: scrub, timer };
+    this.send({ type: "scrub", run, step: scrub });
+  }
+
+  #want(): void {
+    const { maximised, link } = this.store.state;
+    if (link !== "open") {
+      this.#wanted = "";
+      return;
+    }
+    const panels = document.hidden ? [] : maximised ? [maximised] : ALL;
+    const views = panels.flatMap((panel) => VIEWS[panel]);
+    if (views.join() === this.#wanted) return;
+    this.#wanted = views.join();
+    this.#connection.send({ type: "want", views });
+  }
+
+  #take(message: ServerMessage, arrays: Arrays): void {
+    const { store } = this;
+    switch (message.type) {
+      case "welcome":
+        if (message.protocol !== 1) this.toast(`The server speaks protocol ${message.protocol}, this page 1: reload the page.`);
+        this.#forget();
+        store.set({ role: message.role, id: message.id, version: message.version, progress: null, status: null });
+        return;
+      case "error":
+        if (message.about === "scrub") this.#forget();
+        this.toast(message.text);
+        return;
+      case "progress":
+        store.set({ progress: message.text });
+        return;
+      case "status":
+        store.set({ status: message });
+        return;
+      case "scenario":
+        this.#forget();
+        this.scenes.begin(message);
+        store.set({
+          scenario: message,
+          runs: message.runs.map((_, run) => new RunData(message, run)),
+          beams: message.runs.map(() => null),
+          scrub: null,
+          camera_run: Math.min(store.state.camera_run, message.runs.length - 1),
+          matrix_run: Math.min(store.state.matrix_run, message.runs.length - 1),
+        });
+        return;
+      case "meshes":
+        this.scenes.meshes(message, arrays);
+        return;
+      case "step":
+        this.#step(message, arrays);
+        return;
+      case "rows": {
+        const values = arrays.get("rows")?.values;
+        if (values instanceof Float32Array) store.state.runs[message.run]?.rows.add(message.first, values);
+        store.set({ rows_version: store.state.rows_version + 1 });
+        return;
+      }
+      case "summary": {
+        const run = store.state.runs[message.run];
+        if (run) run.summary = message.summary;
+        store.set({ summary_version: store.state.summary_version + 1 });
+        return;
+      }
+      case "beam": {
+        const beams = [...store.state.beams];
+        beams[message.run] = { rule: message.rule, side: message.side === "right" ? "right" : "left", points: message.points };
+        store.set({ beams });
+        return;
+      }
+    }
+  }
+
+  #step(message: StepMessage, arrays: Arrays): void {
+    const { state } = this.store;
+    const run = state.runs[message.run];
+    if (!run) return;
+    this.scenes.step(message, arrays);
+    const { camera, matrix } = run.take(message, arrays);
+    this.store.set({
+      step_version: state.step_version + 1,
+      ...(camera && { camera_version: state.camera_version + 1 }),
+      ...(matrix && { matrix_version: state.matrix_version + 1 }),
+    });
+    if (!message.scrub || this.#asked?.run !== message.run) return;
+    clearTimeout(this.#asked.timer);
+    this.#answered[message.run] = this.#asked.step;
+    this.#asked = null;
+    this.#ask();
+  }
+}

@@ -1,0 +1,135 @@
+// What the page knows, and how it is shown.
+
+import type { Link } from "./connection.ts";
+import type { Arrays, BeamPoint, Mark, Picture, ScenarioMessage, StatusMessage, StepMessage } from "./protocol.ts";
+import { Rows } from "./rows.ts";
+import { Store } from "./store.ts";
+
+export type Viewpoint = "orbit" | "above" | "driver" | "oncoming" | "wall";
+export type PanelName = "scene" | "camera" | "matrix" | "curves";
+export type Side = "left" | "right";
+
+/** The camera's newest pictures and the marks of the same step. */
+export interface Look {
+  step: number;
+  on?: Picture;
+  off?: Picture;
+  symbol?: Picture;
+  marks: Mark[];
+}
+
+/** What came of one run. Its parts are replaced or grow; the state's `*_version` says that some did. */
+export class RunData {
+  readonly rows: Rows;
+  readonly utilisations = new Map<number, Uint8Array>();
+  shown: StepMessage | null = null;
+  newest = -1;
+  look: Look | null = null;
+  summary: unknown = null;
+
+  constructor(scenario: ScenarioMessage, run: number) {
+    this.rows = new Rows(scenario.runs[run].columns);
+  }
+
+  /** Take what a step brought. Returns which of the panels have something new. */
+  take(message: StepMessage, arrays: Arrays): { camera: boolean; matrix: boolean } {
+    this.shown = message;
+    if (!message.scrub) this.newest = message.step;
+    const on = arrays.get("camera.on");
+    const marksOnly = !on && !message.scrub && this.look?.on !== undefined;
+    if (!marksOnly) {
+      for (const old of [this.look?.on, this.look?.off, this.look?.symbol]) old?.bitmap?.close();
+      this.look = { step: message.step, on, off: arrays.get("camera.off"), symbol: arrays.get("camera.symbol"), marks: message.marks };
+    }
+    let matrix = false;
+    for (const [name, { values }] of arrays) {
+      const found = /^u\.(\d+)$/.exec(name);
+      if (!found || !(values instanceof Uint8Array)) continue;
+      this.utilisations.set(Number(found[1]), values);
+      matrix = true;
+    }
+    return { camera: !marksOnly, matrix };
+  }
+}
+
+export interface Beam {
+  side: Side;
+  rule: string;
+  points: BeamPoint[];
+}
+
+export interface State {
+  link: Link;
+  role: "edit" | "watch" | null;
+  id: number | null;
+  version: string;
+  status: StatusMessage | null;
+  progress: string | null;
+  scenario: ScenarioMessage | null;
+  runs: RunData[];
+  /** The step that is looked at again; null follows the newest. */
+  scrub: number | null;
+
+  step_version: number;
+  rows_version: number;
+  camera_version: number;
+  matrix_version: number;
+  summary_version: number;
+
+  viewpoint: Viewpoint;
+  exposure_ev: number;
+  style: "luminance" | "lux";
+  isolux: boolean;
+  fog: boolean;
+  frusta: boolean;
+  rule: string;
+  side: Side;
+  beams: (Beam | null)[];
+
+  camera_run: number;
+  matrix_run: number;
+  maximised: PanelName | null;
+}
+
+export type Studio = Store<State>;
+
+export function newStore(): Studio {
+  return new Store<State>({
+    link: "connecting",
+    role: null,
+    id: null,
+    version: "",
+    status: null,
+    progress: null,
+    scenario: null,
+    runs: [],
+    scrub: null,
+    step_version: 0,
+    rows_version: 0,
+    camera_version: 0,
+    matrix_version: 0,
+    summary_version: 0,
+    viewpoint: "orbit",
+    exposure_ev: 0,
+    style: "luminance",
+    isolux: false,
+    fog: false,
+    frusta: false,
+    rule: "",
+    side: "left",
+    beams: [],
+    camera_run: 0,
+    matrix_run: 0,
+    maximised: null,
+  });
+}
+
+/** Whether this client may steer. */
+export function hasPen({ link, status, id }: Readonly<State>): boolean {
+  return link === "open" && status !== null && id !== null && status.pen === id;
+}
+
+/** Number of the newest step of all runs, -1 before the first. */
+export function newestStep({ runs }: Readonly<State>): number {
+  return Math.max(-1, ...runs.map(({ newest, rows }) => Math.max(newest, rows.count - 1)));
+}

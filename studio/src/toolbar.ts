@@ -1,0 +1,240 @@
+// What is run, and how: scenario, comparison, keys, play, speed, the slider over steps, and who steers.
+
+import { type Chooser, chooser } from "./chooser.ts";
+import { h, ICONS, icon, select } from "./dom.ts";
+import type { Named, Run, ScenarioMessage } from "./protocol.ts";
+import type { Session } from "./session.ts";
+import { hasPen, newestStep, type State, type Studio } from "./state.ts";
+
+const SPEEDS = [
+  ["", "as fast as it goes"],
+  ["0.1", "0.1 x real time"],
+  ["0.25", "0.25 x real time"],
+  ["0.5", "0.5 x real time"],
+  ["1", "1 x real time"],
+] as const;
+const NOTHING = "no comparison";
+
+export interface Toolbar {
+  element: HTMLElement;
+  /** What the keyboard does as well. */
+  playOrPause(): void;
+  step(): void;
+  reset(): void;
+}
+
+export function toolbar(store: Studio, session: Session, dialogs: { help: () => void; summary: () => void }): Toolbar {
+  const steer = (send: () => void) => () => {
+    if (hasPen(store.state)) send();
+  };
+  const playOrPause = steer(() => {
+    if (store.state.scrub !== null) session.scrub(null);
+    session.send({ type: store.state.status?.playing ? "pause" : "play" });
+  });
+  const step = steer(() => {
+    if (store.state.scrub !== null) session.scrub(null);
+    session.send({ type: "step" });
+  });
+  const reset = steer(() => session.send({ type: "reset" }));
+
+  const element = h(
+    "div",
+    { class: "toolbar", role: "group", "aria-label": "Run" },
+    h(
+      "div",
+      { class: "row" },
+      h("h1", {}, "luxloop ", h("span", {}, "studio")),
+      ...scenarioControls(store, session),
+      ...keyControls(store, session),
+      h("span", { class: "spacer" }),
+      ...people(store, session),
+      button("Summary", "The summary of the run so far", dialogs.summary),
+      button("?", "Keys (?)", dialogs.help, "square"),
+    ),
+    h("div", { class: "row" }, ...playControls(store, session, { playOrPause, step, reset }), ...timeControls(store, session)),
+  );
+  return { element, playOrPause, step, reset };
+}
+
+function button(text: string, title: string, onclick: () => void, style = ""): HTMLButtonElement {
+  return h("button", { type: "button", class: style, title, "aria-label": title === text ? null : title, onclick }, text);
+}
+
+/** Disable what needs the pen while another has it, and say why. */
+function needsPen(store: Studio, ...elements: (HTMLButtonElement | HTMLInputElement | HTMLSelectElement | Chooser)[]): void {
+  store.on(["link", "status", "id", "role"], (state) => {
+    const disabled = !hasPen(state);
+    for (const each of elements) {
+      if ("setDisabled" in each) each.setDisabled(disabled);
+      else if (each.disabled !== disabled) each.disabled = disabled;
+    }
+  });
+}
+
+function scenarioControls(store: Studio, session: Session): HTMLElement[] {
+  const scenarios = chooser("Scenario", (name) => session.send({ type: "open", name, overrides: [], recording: null }));
+  const compared = chooser("Compare with", (name) => {
+    const scenario = store.state.scenario;
+    if (scenario) session.send({ type: "compare", overrides: name === NOTHING ? null : comparison(scenario.runs[0], name) });
+  });
+  store.on(["scenario"], ({ scenario }) => {
+    scenarios.show(scenario?.choices.scenarios ?? [], scenario?.name ?? "no scenario yet");
+    compared.show(comparisons(scenario), scenario?.runs[1] ? `with ${scenario.runs[1].label}` : "compare with ...");
+  });
+  needsPen(store, scenarios, compared);
+  compared.element.classList.add("compare");
+  return [scenarios.element, compared.element];
+}
+
+/** What a second run can differ in: the controller of one function each, or of all together. */
+function comparisons(scenario: ScenarioMessage | null): Named[] {
+  if (!scenario) return [];
+  const none = { name: NOTHING, description: "One run alone." };
+  const functions = Object.keys(scenario.runs[0].controllers);
+  if (functions.length === 0)
+    return [none, { name: "", description: "No function of this scenario has a controller; compare keys instead (Shift+Enter)." }];
+  const of = functions.length > 1 ? functions.map((name) => `${name}: `) : [""];
+  return [
+    none,
+    ...of.flatMap((name) => scenario.choices.controllers.map((each) => ({ name: `${name}${each.name}`, description: each.description }))),
+  ];
+}
+
+function comparison(run: Run, choice: string): string[] | null {
+  const [controller, only] = choice.split(": ").reverse();
+  if (!controller) return null;
+  const functions = Object.keys(run.controllers).filter((name) => only === undefined || name === only);
+  return functions.map((name) => `functions.${name}.controller=${controller}`);
+}
+
+/** Words of a line, where quotation marks and brackets keep spaces in a word, as keys of TOML have them. */
+export function words(line: string): string[] {
+  const found: string[] = [];
+  let word = "";
+  let depth = 0;
+  let quote = "";
+  for (const each of line) {
+    if (quote) quote = each === quote ? "" : quote;
+    else if (each === '"' || each === "'") quote = each;
+    else if ("[{".includes(each)) depth++;
+    else if ("]}".includes(each)) depth--;
+    if (/\s/.test(each) && !quote && depth <= 0) {
+      if (word) found.push(word);
+      word = "";
+    } else word += each;
+  }
+  return word ? [...found, word] : found;
+}
+
+function keyControls(store: Studio, session: Session): HTMLElement[] {
+  const seed = h("input", { type: "number", min: 0, step: 1, "aria-label": "Seed of all noise", class: "seed" });
+  seed.addEventListener("change", () => {
+    if (Number.isInteger(seed.valueAsNumber) && seed.valueAsNumber >= 0) session.send({ type: "set", overrides: [`seed=${seed.value}`] });
+    else seed.value = String(store.state.scenario?.seed ?? 0);
+  });
+  const keys = h("input", {
+    type: "text",
+    class: "keys",
+    placeholder: "road.kind=bumps camera.bits=10",
+    "aria-label": "Other values of keys; Enter starts anew with them, Shift and Enter compare",
+    title: "Other values of keys. Enter: start anew with them. Shift+Enter: compare with a run that has them.",
+    spellcheck: "false",
+    autocomplete: "off",
+  });
+  keys.addEventListener("keydown", (event) => {
+    if (event.key !== "Enter") return;
+    const overrides = words(keys.value);
+    if (overrides.length) session.send(event.shiftKey ? { type: "compare", overrides } : { type: "set", overrides });
+  });
+  store.on(["scenario"], ({ scenario }) => {
+    if (scenario) seed.value = String(scenario.seed);
+  });
+  needsPen(store, seed, keys);
+  return [h("label", {}, "seed ", seed), h("label", { class: "grows" }, "keys ", keys)];
+}
+
+function people(store: Studio, session: Session): HTMLElement[] {
+  const text = h("span", { class: "muted" });
+  const pen = button("Take the pen", "Steer the runs from this page", () => session.send({ type: "pen" }), "accent");
+  store.on(["link", "status", "role", "id"], (state) => {
+    text.textContent = audience(state);
+    pen.hidden = state.role !== "edit" || state.link !== "open" || state.status === null || hasPen(state);
+  });
+  return [text, pen];
+}
+
+function audience(state: Readonly<State>): string {
+  const { status, role, link } = state;
+  if (link !== "open" || !status) return "";
+  const others = status.clients - 1;
+  const seen = others > 0 ? `, ${others} ${others === 1 ? "other watches" : "others watch"}` : "";
+  if (role === "watch") return `You watch${seen}`;
+  return `${hasPen(state) ? "You have the pen" : status.pen === null ? "Nobody has the pen" : "Another has the pen"}${seen}`;
+}
+
+function playControls(
+  store: Studio,
+  session: Session,
+  does: { playOrPause: () => void; step: () => void; reset: () => void },
+): (HTMLButtonElement | HTMLSelectElement)[] {
+  const signs = { play: icon(ICONS.play), pause: icon(ICONS.pause) };
+  const play = h("button", { type: "button", class: "accent square", onclick: does.playOrPause }, signs.play);
+  const step = h(
+    "button",
+    { type: "button", class: "square", title: "One step (.)", "aria-label": "One step", onclick: does.step },
+    icon(ICONS.step),
+  );
+  const reset = h(
+    "button",
+    { type: "button", class: "square", title: "Start anew (r)", "aria-label": "Start anew", onclick: does.reset },
+    icon(ICONS.reset),
+  );
+  const speed = select("Speed", SPEEDS, (value) => session.send({ type: "speed", factor: value === "" ? null : Number(value) }));
+  let playing: boolean | null = null;
+  store.on(["status"], ({ status }) => {
+    const now = status?.playing ?? false;
+    if (now !== playing) {
+      playing = now;
+      play.replaceChildren(now ? signs.pause : signs.play);
+      play.title = now ? "Pause (space)" : "Play (space)";
+      play.setAttribute("aria-label", now ? "Pause" : "Play");
+    }
+    if (status && document.activeElement !== speed) {
+      const value = status.speed === null ? "" : String(status.speed);
+      if (![...speed.options].some((each) => each.value === value)) speed.append(h("option", { value }, `${value} x real time`));
+      speed.value = value;
+    }
+  });
+  needsPen(store, play, step, reset, speed);
+  return [play, step, reset, speed];
+}
+
+function timeControls(store: Studio, session: Session): HTMLElement[] {
+  const slider = h("input", { type: "range", min: 0, max: 0, step: 1, value: 0, class: "scrub", "aria-label": "Step to look at again" });
+  slider.addEventListener("input", () => session.scrub(slider.valueAsNumber));
+  const live = button("live", "Follow the newest step again", () => session.scrub(null), "toggle");
+  const counter = h("output", { class: "counter" });
+  const pace = h("output", { class: "counter muted" });
+  store.on(["step_version", "rows_version", "scenario", "scrub", "status"], (state) => {
+    const { scenario, scrub, status } = state;
+    const newest = newestStep(state);
+    const shown = scrub ?? newest;
+    slider.max = String(Math.max(0, newest));
+    slider.disabled = newest < 1;
+    if (scrub === null) slider.value = String(Math.max(0, newest));
+    live.setAttribute("aria-pressed", String(scrub === null));
+    counter.textContent = scenario && shown >= 0 ? `step ${shown} of ${scenario.steps}, ${(shown / scenario.rate_hz).toFixed(2)} s` : "";
+    slider.setAttribute("aria-valuetext", counter.textContent);
+    pace.textContent = [
+      status?.real_time != null ? `${significant(status.real_time)} x real time` : "",
+      status?.step_ms != null ? `${status.step_ms.toFixed(0)} ms a step` : "",
+    ]
+      .filter(Boolean)
+      .join(", ");
+  });
+  return [slider, live, counter, pace];
+}
+
+function significant(value: number): string {
+  return value >= 100 ? value.toFixed(0) : value.toPrecision(2);
+}
