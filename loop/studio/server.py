@@ -6,6 +6,7 @@ import secrets
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from http import HTTPStatus
@@ -116,7 +117,7 @@ class Studio:
         if role == "edit" and self._pen is None:
             self._pen = client.number
         client.answers.append({"type": "welcome", "protocol": PROTOCOL, "version": _version(), "role": role, "id": client.number})
-        sender = asyncio.create_task(self._send(client))
+        sender = asyncio.create_task(self._keep_sending(client))
         self._tell()
         try:
             async for data in connection:
@@ -185,6 +186,10 @@ class Studio:
     def _tell(self) -> None:
         for client in self._clients:
             client.changed.set()
+
+    async def _keep_sending(self, client: Client) -> None:
+        with suppress(ConnectionClosed):
+            await self._send(client)
 
     async def _send(self, client: Client) -> None:
         """Send what a client lacks whenever something has changed; while it takes that, changes gather, and the newest comes next."""

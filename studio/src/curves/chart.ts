@@ -10,6 +10,7 @@ import { places, stretch, thinned } from "./thinned.ts";
 const COLOURS = ["#56b4e9", "#e69f00", "#2fc79a", "#f0e442", "#e08fbf", "#ff8a4c", "#8fa8ff", "#c8ccd2"];
 const DASH = [5, 4];
 const MOST_POINTS = 1200;
+const LEAST_S = 1; // that the horizontal axis spans
 const INK = "#b4bcc8";
 const GRID = "#2c323b";
 const FONT = "11px system-ui, sans-serif";
@@ -109,9 +110,17 @@ export class Chart {
       height: 100,
       legend: { show: false },
       cursor: { sync: { key: "steps" }, drag: { x: false, y: false }, y: false, points: { size: 5 } },
-      scales: { x: { time: false }, y: { range: this.group.range ? () => this.group.range! : range } },
+      padding: [8, 14, 0, 0],
+      scales: {
+        x: { time: false, range: (_, low, high) => [low ?? 0, Math.max(high ?? 0, (low ?? 0) + LEAST_S)] },
+        y: {
+          range: this.group.range
+            ? () => this.group.range!
+            : (_, low, high) => range(low, this.group.unit === "ms" ? this.#later(high) : high),
+        },
+      },
       axes: [
-        { ...axis, size: 20, space: 50, values: (_, ticks) => ticks.map((each) => `${+each.toFixed(3)} s`) },
+        { ...axis, size: 22, space: 50, values: (_, ticks) => ticks.map((each) => `${+each.toFixed(3)} s`) },
         { ...axis, size: 42, space: 22, values: (_, ticks) => ticks.map((each) => `${+each.toPrecision(6)}`) },
       ],
       series: [{}, ...series],
@@ -120,6 +129,13 @@ export class Chart {
         draw: [(plot) => this.#mark(plot)],
       },
     };
+  }
+
+  /** The largest value of all steps but the first, which takes long because everything is made there. */
+  #later(high: number | null): number | null {
+    const [, ...curves] = this.#plot.data;
+    const later = curves.flatMap((curve) => (this.#shown.first === 0 ? Array.from(curve).slice(1) : [])).filter((each) => each != null);
+    return later.length ? Math.max(...later) : high;
   }
 
   #mark(plot: uPlot): void {
@@ -139,7 +155,7 @@ export class Chart {
 }
 
 /** Of the vertical axis: zero is in it, and curves keep off the upper border. */
-function range(_: uPlot, low: number | null, high: number | null): [number, number] {
+function range(low: number | null, high: number | null): [number, number] {
   if (low === null || high === null) return [0, 1];
   const [from, to] = [Math.min(0, low), Math.max(0, high)];
   const room = (to - from || 1) * 0.08;
