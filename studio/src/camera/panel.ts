@@ -11,8 +11,8 @@ import { difference, differenceTable, digitalNumber, grey, painted } from "./pic
 const FRAMES = [
   ["on", "light on"],
   ["off", "light off"],
-  ["signed", "difference, zero is grey"],
-  ["clipped", "difference, zero is black"],
+  ["signed", "difference, 0 grey"],
+  ["clipped", "difference, 0 black"],
 ] as const;
 type Frame = (typeof FRAMES)[number][0];
 const SYMBOL_BGR = 0xe9b456; // little-endian blue, green, red

@@ -8,6 +8,7 @@ import { Viewport } from "../viewport.ts";
 import { type Layout, layout, type Tile } from "./layout.ts";
 
 const LABEL_PX = 11;
+const GRID_PX = 10; // width of a pixel from which its border is drawn
 const STOPS: [number, number, number, number][] = [
   [0, 0, 0, 0],
   [0.3, 92, 47, 12],
@@ -77,6 +78,8 @@ export function matrixPanel(store: Studio): HTMLElement {
     context.fillRect(x, y, width, height);
     context.imageSmoothingEnabled = (scale * width * (window.devicePixelRatio || 1)) / facts.pixel_cols < 1;
     if (of) context.drawImage(canvas, x, y, width, height);
+    const pixel = { width: width / facts.pixel_cols, height: height / facts.pixel_rows };
+    if (scale * Math.min(pixel.width, pixel.height) >= GRID_PX) drawGrid(context, scale, { x, y, width, height }, pixel);
     context.strokeStyle = "#5b6472";
     context.lineWidth = 1 / scale;
     context.strokeRect(x, y, width, height);
@@ -85,6 +88,29 @@ export function matrixPanel(store: Studio): HTMLElement {
     context.textBaseline = "bottom";
     context.fillStyle = "#b4bcc8";
     context.fillText(`${facts.name}  ${facts.pixel_rows} x ${facts.pixel_cols}`, x, y - 2 / scale);
+  };
+  /** Borders of the pixels that are in sight. */
+  const drawGrid = (
+    context: CanvasRenderingContext2D,
+    scale: number,
+    tile: Omit<Tile, "module">,
+    pixel: { width: number; height: number },
+  ) => {
+    const [low, high] = [view.at(0, 0), view.at(view.canvas.clientWidth, view.canvas.clientHeight)];
+    const [left, right] = [Math.max(tile.x, low.x), Math.min(tile.x + tile.width, high.x)];
+    const [top, bottom] = [Math.max(tile.y, low.y), Math.min(tile.y + tile.height, high.y)];
+    context.beginPath();
+    for (let x = tile.x + pixel.width * Math.ceil((left - tile.x) / pixel.width); x <= right; x += pixel.width) {
+      context.moveTo(x, top);
+      context.lineTo(x, bottom);
+    }
+    for (let y = tile.y + pixel.height * Math.ceil((top - tile.y) / pixel.height); y <= bottom; y += pixel.height) {
+      context.moveTo(left, y);
+      context.lineTo(right, y);
+    }
+    context.strokeStyle = "#6b7482";
+    context.lineWidth = 0.5 / scale;
+    context.stroke();
   };
   const read = () => {
     const tile = cursor && tiles.tiles.find(({ x, y, width, height }) => within(cursor!.x - x, width) && within(cursor!.y - y, height));
