@@ -1,0 +1,151 @@
+// Where the scene is looked at from.
+
+import { type Camera, Matrix4, OrthographicCamera, PerspectiveCamera, Vector3 } from "three";
+import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
+import { degrees, heading } from "./frames.ts";
+
+export type Viewpoint = "orbit" | "above" | "driver" | "oncoming" | "wall";
+
+export const WALL_M = 25;
+const ORBIT_FROM = new Vector3(-13, 0, 6.5);
+const ORBIT_AT = new Vector3(14, 0, 0);
+const DRIVER = new Vector3(-1.9, 0.37, 1.2);
+const ONCOMING = new Vector3(50, 3.5, 1.2);
+const ONCOMING_AT = new Vector3(0, 0, 0.65);
+const ABOVE = { height: 150, extent: 80, least: 12, most: 240, behind: 0.12 };
+const WALL_DEG = { side: 24, bottom: -8, top: 6 };
+
+/** What a viewpoint depends on, in the local frame. */
+export interface Car {
+  T_local_ground: Matrix4;
+  T_local_body: Matrix4;
+  lamp_height_m: number;
+}
+
+export class Viewpoints {
+  viewpoint: Viewpoint = "orbit";
+  private readonly orbit = new PerspectiveCamera(45, 1, 0.2, 1500);
+  private readonly fixed = new PerspectiveCamera(40, 1, 0.1, 1500);
+  private readonly flat = new OrthographicCamera(-1, 1, 1, -1, 0.1, 600);
+  private readonly controls: OrbitControls;
+  private readonly wheel = (event: WheelEvent) => this.onWheel(event);
+  private readonly T_local_heading = new Matrix4();
+  private car: Car = { T_local_ground: new Matrix4(), T_local_body: new Matrix4(), lamp_height_m: 0.65 };
+  private aspect = 1;
+  private above_m = ABOVE.extent;
+  private wallZoom = 1;
+
+  constructor(
+    private readonly canvas: HTMLElement,
+    private readonly changed: () => void,
+  ) {
+    for (const camera of [this.orbit, this.fixed, this.flat]) camera.up.set(0, 0, 1);
+    this.controls = new OrbitControls(this.orbit, canvas);
+    this.controls.maxDistance = 300;
+    this.controls.minDistance = 1;
+    this.controls.maxPolarAngle = degrees(89.5);
+    this.controls.addEventListener("change", changed);
+    canvas.addEventListener("wheel", this.wheel, { passive: false });
+    this.home();
+  }
+
+  get camera(): Camera {
+    if (this.viewpoint === "orbit") return this.orbit;
+    return this.viewpoint === "above" || this.viewpoint === "wall" ? this.flat : this.fixed;
+  }
+
+  /** Whether rays to the eye are parallel. */
+  get isFlat(): boolean {
+    return this.camera === this.flat;
+  }
+
+  set(viewpoint: Viewpoint): void {
+    this.viewpoint = viewpoint;
+    this.controls.enabled = viewpoint === "orbit";
+    this.place();
+  }
+
+  /** Puts the orbit camera back behind the car. */
+  home(): void {
+    this.orbit.position.copy(ORBIT_FROM).applyMatrix4(this.T_local_heading);
+    this.controls.target.copy(ORBIT_AT).applyMatrix4(this.T_local_heading);
+    this.controls.update();
+  }
+
+  /** Moves all cameras with the car; both poses are in the local frames of their own steps. */
+  follow(car: Car): void {
+    this.car = car;
+    const before = this.T_local_heading.clone();
+    this.T_local_heading.copy(heading(car.T_local_ground));
+    const moved = this.T_local_heading.clone().multiply(before.invert());
+    this.orbit.position.applyMatrix4(moved);
+    this.controls.target.applyMatrix4(moved);
+    this.controls.update();
+    this.place();
+  }
+
+  resize(aspect: number): void {
+    this.aspect = aspect;
+    for (const camera of [this.orbit, this.fixed]) {
+      camera.aspect = aspect;
+      camera.updateProjectionMatrix();
+    }
+    this.place();
+  }
+
+  dispose(): void {
+    this.controls.dispose();
+    this.canvas.removeEventListener("wheel", this.wheel);
+  }
+
+  private place(): void {
+    const { T_local_body, lamp_height_m } = this.car;
+    const at = (point: Vector3, frame: Matrix4) => point.clone().applyMatrix4(frame);
+    if (this.viewpoint === "above") {
+      this.flat.up.set(1, 0, 0).transformDirection(this.T_local_heading);
+      this.flat.position.copy(at(new Vector3(0, 0, ABOVE.height), this.T_local_heading));
+      this.flat.lookAt(at(new Vector3(), this.T_local_heading));
+      const [behind, ahead] = [ABOVE.behind * this.above_m, (1 - ABOVE.behind) * this.above_m];
+      const half = (this.above_m * this.aspect) / 2;
+      this.frame(-half, half, -behind, ahead);
+    } else if (this.viewpoint === "wall") {
+      const y = (angle: number) => WALL_M * Math.tan(degrees(angle));
+      const [bottom, top, side] = [y(WALL_DEG.bottom), y(WALL_DEG.top), y(WALL_DEG.side)];
+      const eye = at(new Vector3(0, 0, lamp_height_m), T_local_body);
+      this.flat.up.set(0, 0, 1).transformDirection(T_local_body);
+      this.flat.position.copy(eye);
+      this.flat.lookAt(at(new Vector3(WALL_M, 0, lamp_height_m), T_local_body));
+      const high = Math.max((top - bottom) / 2, side / this.aspect) / this.wallZoom;
+      const middle = this.wallZoom > 1 ? (top + bottom) / 2 / this.wallZoom : (top + bottom) / 2;
+      this.frame(-high * this.aspect, high * this.aspect, middle - high, middle + high);
+    } else if (this.viewpoint === "driver") {
+      this.fixed.fov = 36;
+      this.fixed.up.set(0, 0, 1).transformDirection(T_local_body);
+      this.fixed.position.copy(at(DRIVER, T_local_body));
+      this.fixed.lookAt(at(DRIVER.clone().add(new Vector3(20, 0, -0.9)), T_local_body));
+      this.fixed.updateProjectionMatrix();
+    } else if (this.viewpoint === "oncoming") {
+      this.fixed.fov = 20;
+      this.fixed.up.set(0, 0, 1);
+      this.fixed.position.copy(at(ONCOMING, this.T_local_heading));
+      this.fixed.lookAt(at(ONCOMING_AT, this.T_local_heading));
+      this.fixed.updateProjectionMatrix();
+    }
+    this.camera.updateMatrixWorld();
+  }
+
+  private frame(left: number, right: number, bottom: number, top: number): void {
+    Object.assign(this.flat, { left, right, bottom, top });
+    this.flat.updateProjectionMatrix();
+  }
+
+  private onWheel(event: WheelEvent): void {
+    if (!this.isFlat) return;
+    event.preventDefault();
+    const factor = Math.exp(Math.sign(event.deltaY) * 0.12);
+    if (this.viewpoint === "above") this.above_m = Math.min(Math.max(this.above_m * factor, ABOVE.least), ABOVE.most);
+    else this.wallZoom = Math.min(Math.max(this.wallZoom / factor, 1), 12);
+    this.place();
+    this.changed();
+  }
+}
