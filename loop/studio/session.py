@@ -214,7 +214,8 @@ class Session:
         for source in sources:
             scenario = self._loaded(source)
             self._publish(progress=f"preparing {scenario.name}")
-            simulation = prepare(scenario, self._device)
+            same = (run.simulation for run in self.published.runs if run.simulation.scenario == scenario)
+            simulation = next(same, None) or prepare(scenario, self._device)
             self._publish(progress=f"first step of {scenario.name}")
             runs.append(Run(simulation, _label(source, sources), source.overrides))
         first = runs[0].simulation.scenario

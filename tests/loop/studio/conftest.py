@@ -1,0 +1,51 @@
+"""One studio for all tests of a file: preparing a scenario is what takes time."""
+
+import asyncio
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from loop.studio.server import Studio, Tokens
+from loop.studio.session import Source
+
+# a process has one OpenGL context, in one thread, which other tests of the process use
+SMALL = ("renderer=raycast", "camera.width_px=320", "camera.height_px=180", "camera.oversampling=1", "steps=6")
+
+
+@dataclass(frozen=True)
+class Served:
+    """A studio that runs in a thread of its own."""
+
+    port: int
+    tokens: Tokens
+    studio: Studio
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    page = tmp_path_factory.mktemp("page")
+    (page / "index.html").write_text("<!doctype html><title>studio</title>")
+    (page / "secret.key").write_text("not of the page")
+    yield from serving(Source("snowflake", SMALL), page)
+
+
+def serving(source: Source, page: Path) -> Iterator[Served]:
+    """A studio in a thread, until the test is over."""
+    loop = asyncio.new_event_loop()
+    thread = threading.Thread(target=loop.run_forever, daemon=True)
+    thread.start()
+
+    async def begin() -> Served:
+        tokens = Tokens()
+        studio = Studio(source, page, tokens, device="cpu")
+        server = await studio.serve("127.0.0.1", 0)
+        return Served(server.sockets[0].getsockname()[1], tokens, studio)
+
+    served = asyncio.run_coroutine_threadsafe(begin(), loop).result()
+    yield served
+    served.studio.stop()
+    loop.call_soon_threadsafe(loop.stop)
+    thread.join()

@@ -1,0 +1,239 @@
+"""Who is let in, who may do what, and what clients get."""
+
+import json
+import random
+import time
+import urllib.error
+import urllib.request
+
+import numpy as np
+import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
+
+import luxloop
+from loop.lighting.record import row
+from tests.loop.studio.clients import Watcher, message, watching
+from tests.loop.studio.conftest import SMALL, Served
+
+
+def fetched(served: Served, path: str, **headers: str) -> tuple[int, bytes]:
+    request = urllib.request.Request(f"http://127.0.0.1:{served.port}{path}", headers=headers)
+    try:
+        with urllib.request.urlopen(request, timeout=20) as answer:
+            return answer.status, answer.read()
+    except urllib.error.HTTPError as error:
+        return error.code, error.read()
+
+
+def ready(watcher: Watcher) -> None:
+    """Wait until the runs are prepared anew, and nothing is done."""
+    watcher.of("scenario")
+
+
+def test_the_page_is_served_and_nothing_beside_it(served: Served) -> None:
+    assert fetched(served, "/") == (200, b"<!doctype html><title>studio</title>")
+    for path in ("/secret.key", "/../conftest.py", "/%2e%2e/conftest.py", "/etc/passwd", "/none.js"):
+        assert fetched(served, path)[0] == 404
+
+
+@pytest.mark.parametrize("headers", [{"Host": "evil.example"}, {"Host": "evil.example:80"}, {"Origin": "http://evil.example"}, {"Origin": "null"}])
+def test_other_hosts_and_origins_are_forbidden(served: Served, headers: dict[str, str]) -> None:
+    assert fetched(served, "/", **headers)[0] == 403
+    if "Origin" in headers:
+        with pytest.raises(InvalidStatus):
+            connect(f"ws://127.0.0.1:{served.port}/socket", origin=headers["Origin"])
+
+
+@pytest.mark.parametrize("first", [message(type="hello", token="guess"), message(type="play"), b"\0", "hello"])
+def test_without_a_token_nothing_is_told(served: Served, first: bytes | str) -> None:
+    with connect(f"ws://127.0.0.1:{served.port}/socket") as socket:
+        socket.send(first)
+        with pytest.raises(ConnectionClosed) as closed:
+            socket.recv(20)
+        assert closed.value.rcvd is not None and closed.value.rcvd.code == 4401
+
+
+def test_a_client_gets_the_run_and_the_values_of_the_command_line(served: Served) -> None:
+    with watching(served.port, served.tokens.edit) as watcher:
+        head, _ = watcher.of("scenario")
+        assert head["name"] == "snowflake" and head["steps"] == 6 and head["choices"]["rules"]
+        meshes, arrays = watcher.of("meshes")
+        road = next(each for each in meshes["meshes"] if each["kind"] == "road")
+        vertices, faces = arrays[f"{road['id']}.vertices"], arrays[f"{road['id']}.faces"]
+        assert vertices.shape[1] == 3 and faces.max() < len(vertices) and f"{road['id']}.texture" in arrays
+        watcher.say(type="play")
+        watcher.of("status", playing=False, failed=None)
+        watcher.until(lambda head: head["type"] == "step" and head["step"] == 5)
+        rows = np.concatenate([arrays["rows"] for head, arrays in watcher.got if head["type"] == "rows"])
+        names = [each["name"] for each in head["runs"][0]["columns"]]
+    simulation = luxloop.prepare(luxloop.load("snowflake", SMALL), "cpu")
+    expected = [row(result) for result in simulation.run()]
+    assert len(rows) == len(expected)
+    for name in ("functions.symbol.iou", "functions.symbol.x_m", "lamp.left.flux_lm"):
+        assert np.array_equal(rows[:, names.index(name)], np.array([each[name] for each in expected], np.float32))
+
+
+def test_light_arrives_row_by_row_as_the_library_has_it(served: Served) -> None:
+    with watching(served.port, served.tokens.edit) as watcher:
+        watcher.of("scenario")
+        watcher.say(type="reset")
+        watcher.of("scenario")
+        run = served.studio.session.published.runs[0]
+        module = run.simulation.modules[0]
+        texture = np.zeros((module.headlight.rows, module.headlight.cols), np.float32)
+        for step in range(3):
+            head, arrays = watcher.until(lambda head, step=step: head["type"] == "step" and head["step"] == step)
+            if "0" in head["light_rows"]:
+                first, stop = head["light_rows"]["0"]
+                texture[first:stop] = arrays["light.0"] * np.float32(head["modules"][0]["scale_cd"])
+            u = run.snapshots[step].lights[0]
+            expected = module.headlight.light_texture(u).numpy()
+            assert np.abs(texture - expected).max() <= expected.max() * 2**-10  # a half float has 11 bits
+            assert np.array_equal(arrays["u.0"], (255 * u).round().byte().view(arrays["u.0"].shape).numpy())
+            watcher.say(type="step")
+
+
+def test_a_step_can_be_seen_again_and_is_not_overtaken(served: Served) -> None:
+    with watching(served.port, served.tokens.edit) as watcher:
+        watcher.of("scenario")
+        watcher.say(type="reset")
+        watcher.of("scenario")
+        shown, _ = watcher.of("step", step=0)
+        for step in (1, 2):
+            watcher.say(type="step")
+            watcher.of("step", step=step)
+        watcher.say(type="scrub", run=0, step=0)
+        again, arrays = watcher.of("step", step=0, scrub=True)
+        assert again["symbols"] == shown["symbols"] and "light.0" in arrays
+        watcher.say(type="step")
+        watcher.until(lambda head: head["type"] == "rows" and head["first"] == 3)
+        watcher.say(type="scrub", step=None)
+        watcher.until(lambda head: head["type"] == "step")
+        assert watcher.got[-1][0]["step"] == 3
+
+
+def test_watchers_cannot_write_and_one_holds_the_pen(served: Served) -> None:
+    with watching(served.port, served.tokens.edit) as editor, watching(served.port, served.tokens.watch) as watcher:
+        assert editor.of("welcome")[0]["role"] == "edit" and watcher.of("welcome")[0]["role"] == "watch"
+        ready(watcher)
+        before = served.studio.session.published
+        for head in (
+            *({"type": kind} for kind in ("pen", "play", "pause", "step", "reset")),
+            {"type": "speed", "factor": 1},
+            {"type": "set", "overrides": ["camera.bits=8"]},
+            {"type": "open", "name": "flat"},
+            {"type": "compare", "overrides": []},
+        ):
+            watcher.say(**head)
+            assert "watch" in watcher.of("error")[0]["text"]
+        assert served.studio.session.published is before
+        with watching(served.port, served.tokens.edit) as second:
+            second.say(type="pause")
+            assert "pen" in second.of("error")[0]["text"]
+            second.say(type="pen")
+            second.of("status", pen=second.of("welcome")[0]["id"]) if not any(
+                head["type"] == "welcome" for head, _ in second.got
+            ) else second.of("status")
+
+
+@pytest.mark.parametrize(
+    ("override", "told"),
+    [
+        ("detector.kind=os:system", "module of Python"),
+        ("headlight.model=/etc/passwd", "names a file"),
+        ("functions.symbol.image=../../x.svg", "names a file"),
+        ("keys.toml", "cannot name a file"),
+        ("plant.kind=simulated", "plant"),
+        ('objects=[{kind="mesh", file="/dev/zero"}]', "names a file"),
+    ],
+)
+def test_the_page_cannot_name_files_and_code(served: Served, override: str, told: str) -> None:
+    with watching(served.port, served.tokens.edit) as watcher:
+        watcher.of("scenario")
+        before = served.studio.session.published.number
+        for head in ({"type": "set", "overrides": [override]}, {"type": "compare", "overrides": [override]}):
+            watcher.say(**head)
+            assert told in watcher.of("error", about=head["type"])[0]["text"]
+        watcher.say(type="open", name="/etc/passwd")
+        watcher.of("error", about="open")
+        watcher.say(type="open", recording="/tmp")
+        watcher.of("error", about="open")
+        assert served.studio.session.published.number == before
+
+
+def test_a_wrong_value_is_answered_as_on_the_command_line_and_changes_nothing(served: Served) -> None:
+    with watching(served.port, served.tokens.edit) as watcher:
+        watcher.of("scenario")
+        before = served.studio.session.published.runs
+        watcher.say(type="set", overrides=["camera.bitz=8"])
+        assert "camera.bitz: unknown key; did you mean 'bits'?" in watcher.of("error", about="set")[0]["text"]
+        watcher.say(type="beam", rule="r1", side="left")
+        assert "r1" in watcher.of("error", about="beam")[0]["text"]
+        assert served.studio.session.published.runs == before
+
+
+def test_a_second_run_steps_beside_the_first(served: Served) -> None:
+    with watching(served.port, served.tokens.edit) as watcher:
+        watcher.of("scenario")
+        watcher.say(type="compare", overrides=["functions.symbol.controller.position.kp=0.9"])
+        head, _ = watcher.until(lambda head: head["type"] == "scenario" and len(head["runs"]) == 2)
+        assert [each["label"] for each in head["runs"]] == ["snowflake", "functions.symbol.controller.position.kp=0.9"]
+        watcher.say(type="step")
+        watcher.of("step", step=1, run=1)
+        one, two = served.studio.session.published.runs
+        assert len(one.rows) == len(two.rows) == 2
+        watcher.say(type="compare")
+        watcher.until(lambda head: head["type"] == "scenario" and len(head["runs"]) == 1)
+
+
+def test_a_regulation_judges_the_light_that_is_shown(served: Served) -> None:
+    with watching(served.port, served.tokens.edit) as watcher:
+        watcher.of("scenario")
+        watcher.say(type="beam", rule="r149-passing-c", side="left")
+        points = watcher.of("beam")[0]["points"]
+        assert {True, False} <= {each["passed"] for each in points}  # a symbol alone is no passing beam, but dazzles nobody
+
+
+def test_damaged_messages_change_nothing_and_end_nothing(served: Served) -> None:
+    rng = random.Random(0)
+    good = [message(type="want", views=["scene"]), message(type="scrub", run=0, step=2), message(type="beam", rule="r149-passing-c")]
+    with watching(served.port, served.tokens.watch) as watcher:
+        watcher.of("scenario")
+        before = served.studio.session.published
+        for _ in range(500):
+            data = bytearray(rng.choice(good))
+            for _ in range(rng.randint(1, 8)):
+                data[rng.randrange(len(data))] = rng.randrange(256)
+            watcher.socket.send(bytes(data[: rng.randint(0, len(data))] if rng.random() < 0.3 else data))
+        watcher.say(type="play")
+        watcher.until(lambda head: head["type"] == "error" and head["text"].startswith("play"))
+        assert served.studio.session.published is before
+
+
+def test_a_client_that_does_not_read_does_not_slow_the_loop(served: Served) -> None:
+    with watching(served.port, served.tokens.edit) as watcher:
+        watcher.of("scenario")
+        watcher.say(type="reset")
+        watcher.of("scenario")
+        with connect(f"ws://127.0.0.1:{served.port}/socket", max_size=None, max_queue=1) as deaf:
+            deaf.send(message(type="hello", token=served.tokens.watch))
+            watcher.say(type="play")
+            began_s = time.monotonic()
+            watcher.until(lambda head: head["type"] == "rows" and head["first"] + 1 >= 1 and len(served.studio.session.published.runs[0].rows) == 6)
+            assert time.monotonic() - began_s < 60  # the deaf client would never let it go on
+
+
+def test_the_protocol_page_names_every_message(served: Served) -> None:
+    from pathlib import Path
+
+    page = (Path(luxloop.__file__).parents[1] / "docs/studio_protocol.md").read_text("utf-8")
+    from loop.studio.messages import MESSAGE
+
+    kinds = {each for part in json.loads(json.dumps(MESSAGE.json_schema()))["$defs"].values() for each in _kinds(part)}
+    assert kinds and all(f"`{kind}`" in page for kind in kinds)
+
+
+def _kinds(part: dict) -> list[str]:
+    given = part.get("properties", {}).get("type", {})
+    return given.get("enum", [given["const"]] if "const" in given else [])
