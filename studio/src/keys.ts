@@ -7,7 +7,7 @@ export const VIEWPOINTS: readonly (readonly [Viewpoint, string])[] = [
   ["orbit", "orbit"],
   ["above", "from above"],
   ["driver", "driver"],
-  ["oncoming", "oncoming driver"],
+  ["oncoming", "oncoming"],
   ["wall", "wall at 25 m"],
 ];
 export const EXPOSURE_EV = { least: -8, most: 12, step: 0.5 };

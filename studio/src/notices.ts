@@ -1,14 +1,22 @@
 // The line below the toolbar: the connection, what is being prepared, and what has failed.
 
-import { h } from "./dom.ts";
+import { h, ICONS, icon } from "./dom.ts";
 import type { State, Studio } from "./state.ts";
 
 export function notices(store: Studio): HTMLElement {
   const text = h("span", {});
-  const element = h("div", { class: "notice", role: "status" }, text);
+  const close = h("button", { type: "button", class: "quiet", "aria-label": "Close this message" }, icon(ICONS.close));
+  const element = h("div", { class: "notice", role: "status" }, text, close);
+  let closed: string | null = null;
+  close.addEventListener("click", () => {
+    closed = text.textContent;
+    element.hidden = true;
+  });
   store.on(["link", "progress", "status", "scenario"], (state) => {
     const found = notice(state);
-    element.hidden = found === null;
+    if (found?.text !== closed) closed = null;
+    element.hidden = found === null || found.text === closed;
+    close.hidden = found?.text !== state.status?.failed;
     element.dataset.kind = found?.kind ?? "";
     text.textContent = found?.text ?? "";
   });

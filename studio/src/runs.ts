@@ -16,10 +16,11 @@ export function runSwitch(store: Studio, key: "camera_run" | "matrix_run"): HTML
             type: "button",
             class: "toggle",
             title: `Run ${run + 1}: ${label}`,
+            "aria-label": `Run ${run + 1}: ${label}`,
             "aria-pressed": String(run === shown),
             onclick: () => store.set({ [key]: run }),
           },
-          `run ${run + 1}`,
+          `${run + 1}`,
         ),
       ),
     );

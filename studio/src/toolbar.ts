@@ -79,7 +79,10 @@ function scenarioControls(store: Studio, session: Session): HTMLElement[] {
   });
   store.on(["scenario"], ({ scenario }) => {
     scenarios.show(scenario?.choices.scenarios ?? [], scenario?.name ?? "no scenario yet");
-    compared.show(comparisons(scenario), scenario?.runs[1] ? `with ${scenario.runs[1].label}` : "compare with ...");
+    compared.show(
+      comparisons(scenario),
+      scenario?.runs[1] ? `with ${scenario.runs[1].label.replaceAll(/functions\.\S+\.controller=/g, "")}` : "compare with ...",
+    );
   });
   needsPen(store, scenarios, compared);
   compared.element.classList.add("compare");
@@ -166,10 +169,9 @@ function people(store: Studio, session: Session): HTMLElement[] {
 function audience(state: Readonly<State>): string {
   const { status, role, link } = state;
   if (link !== "open" || !status) return "";
-  const others = status.clients - 1;
-  const seen = others > 0 ? `, ${others} ${others === 1 ? "other watches" : "others watch"}` : "";
-  if (role === "watch") return `You watch${seen}`;
-  return `${hasPen(state) ? "You have the pen" : status.pen === null ? "Nobody has the pen" : "Another has the pen"}${seen}`;
+  const pages = status.clients > 1 ? `, ${status.clients} pages are open` : "";
+  if (role === "watch") return `You watch${pages}`;
+  return `${hasPen(state) ? "You have the pen" : status.pen === null ? "Nobody has the pen" : "Another page has the pen"}${pages}`;
 }
 
 function playControls(

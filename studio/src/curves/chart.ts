@@ -2,14 +2,16 @@
 
 import uPlot from "uplot";
 import { h } from "../dom.ts";
+import type { Rows } from "../rows.ts";
 import type { RunData } from "../state.ts";
-import { type Group, valueAt } from "./groups.ts";
+import { type Curve, type Group, valueAt } from "./groups.ts";
 import { places, stretch, thinned } from "./thinned.ts";
 
 /** Told apart without red and green (after Okabe and Ito), light enough for the dark ground. */
 const COLOURS = ["#56b4e9", "#e69f00", "#2fc79a", "#f0e442", "#e08fbf", "#ff8a4c", "#8fa8ff", "#c8ccd2"];
 const DASH = [5, 4];
 const MOST_POINTS = 1200;
+const LATELY = 10; // steps in which a number counts as the current one
 const LEAST_S = 1; // that the horizontal axis spans
 const INK = "#b4bcc8";
 const GRID = "#2c323b";
@@ -93,7 +95,7 @@ export class Chart {
     this.group.curves.forEach((curve, k) => {
       this.#numbers[k].forEach((output, run) => {
         const rows = runs[run]?.rows;
-        output.textContent = rows ? brief(valueAt(curve, rows, Math.min(at, rows.count - 1))) : "-";
+        output.textContent = rows ? brief(lately(curve, rows, Math.min(at, rows.count - 1))) : "-";
       });
     });
   }
@@ -102,7 +104,13 @@ export class Chart {
     const axis: uPlot.Axis = { stroke: INK, font: FONT, grid: { stroke: GRID, width: 1 }, ticks: { show: false }, gap: 3 };
     const series = this.group.curves.flatMap(({ label }, k) =>
       Array.from({ length: this.runCount }, (_, run): uPlot.Series => {
-        return { label, stroke: COLOURS[k % COLOURS.length], width: 1.5, points: { show: false }, ...(run === 1 && { dash: DASH }) };
+        return {
+          label,
+          stroke: COLOURS[k % COLOURS.length],
+          width: 1.5,
+          points: { show: true, size: 4, filter: alone },
+          ...(run === 1 && { dash: DASH }),
+        };
       }),
     );
     return {
@@ -144,6 +152,7 @@ export class Chart {
     const x = Math.round(plot.valToPos(step / rate_hz, "x", true));
     const { ctx, bbox } = plot;
     ctx.save();
+    ctx.setLineDash([]);
     ctx.strokeStyle = "#ffd166";
     ctx.lineWidth = 1.5 * (window.devicePixelRatio || 1);
     ctx.beginPath();
@@ -154,12 +163,31 @@ export class Chart {
   }
 }
 
+/** Points without neighbours, which no line would show: values that come every few steps. */
+function alone(plot: uPlot, series: number): number[] {
+  const values = plot.data[series];
+  const found: number[] = [];
+  for (let k = 0; k < values.length; k++) {
+    if (values[k] != null && values[k - 1] == null && values[k + 1] == null) found.push(k);
+  }
+  return found;
+}
+
 /** Of the vertical axis: zero is in it, and curves keep off the upper border. */
 function range(low: number | null, high: number | null): [number, number] {
   if (low === null || high === null) return [0, 1];
   const [from, to] = [Math.min(0, low), Math.max(0, high)];
   const room = (to - from || 1) * 0.08;
   return [from < 0 ? from - room : 0, to > 0 || from === to ? to + room : 0];
+}
+
+/** Value of a curve at a step, or shortly before it, as some are not judged in each step. */
+function lately(curve: Curve, rows: Rows, step: number): number {
+  for (let back = 0; back < LATELY; back++) {
+    const value = valueAt(curve, rows, step - back);
+    if (!Number.isNaN(value)) return value;
+  }
+  return Number.NaN;
 }
 
 /** A number in few characters. */

@@ -14,7 +14,7 @@ const MINUTE_S = 60;
 
 export function curvesPanel(store: Studio, session: Session): HTMLElement {
   const { element, bar, body } = panel(store, "curves", "Curves");
-  const empty = h("p", { class: "empty" }, "No columns are chosen.");
+  const empty = h("p", { class: "empty" });
   let charts: Chart[] = [];
   let chosen: Set<string> | null = null;
   let whole = false;
@@ -42,7 +42,8 @@ export function curvesPanel(store: Studio, session: Session): HTMLElement {
     const pick = (step: number) => session.scrub(Math.max(0, Math.min(step, newestStep(store.state))));
     charts = groups(columns, now).map((group) => new Chart(group, scenario?.runs.length ?? 1, pick));
     body.replaceChildren(...charts.map((each) => each.element), empty);
-    empty.hidden = charts.length > 0 || columns.length === 0;
+    empty.hidden = charts.length > 0;
+    empty.textContent = columns.length > 0 ? "No columns are chosen." : "No steps yet.";
     list.show(columns, now);
     redraw();
   };

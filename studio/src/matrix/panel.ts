@@ -16,9 +16,9 @@ const STOPS: [number, number, number, number][] = [
   [1, 255, 251, 235],
 ];
 
-/** Colours of utilisations 0..255 as little-endian RGBA; they grow lighter without a break. */
+/** Colours of utilisations 0..255 as little-endian RGBA, by their root so that dimmed light shows; they grow lighter without a break. */
 const COLOURS = Uint32Array.from({ length: 256 }, (_, code) => {
-  const share = code / 255;
+  const share = Math.sqrt(code / 255);
   const next = Math.max(
     1,
     STOPS.findIndex(([at]) => at >= share),
@@ -39,6 +39,7 @@ export function matrixPanel(store: Studio): HTMLElement {
   const { element, bar, body } = panel(store, "matrix", "Matrix");
   const readout = h("output", { class: "readout" });
   const empty = h("p", { class: "empty" }, "No light yet.");
+  const scale = h("div", { class: "scale", "aria-hidden": "true" }, ...["0", "25", "100 %"].map((text) => h("span", {}, text)));
   let tiles: Layout = { width: 1, height: 1, tiles: [] };
   let pictures: Painted[] = [];
   let cursor: { x: number; y: number } | null = null;
@@ -87,7 +88,7 @@ export function matrixPanel(store: Studio): HTMLElement {
     context.font = `${font_px}px system-ui, sans-serif`;
     context.textBaseline = "bottom";
     context.fillStyle = "#b4bcc8";
-    context.fillText(`${facts.name}  ${facts.pixel_rows} x ${facts.pixel_cols}`, x, y - 2 / scale);
+    context.fillText(`${facts.name}  ${facts.pixel_rows} x ${facts.pixel_cols}`, x + 4 / scale, y - 2 / scale);
   };
   /** Borders of the pixels that are in sight. */
   const drawGrid = (
@@ -126,7 +127,7 @@ export function matrixPanel(store: Studio): HTMLElement {
   };
 
   bar.append(runSwitch(store, "matrix_run"));
-  body.append(view.canvas, empty, readout);
+  body.append(view.canvas, empty, scale, readout);
   store.on(["scenario", "matrix_run"], () => {
     const modules = run()?.modules ?? [];
     tiles = layout(modules);

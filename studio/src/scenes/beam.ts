@@ -71,6 +71,7 @@ function table(runs: BeamPoint[][]): HTMLElement {
   const points = new Map(runs.flat().map((point) => [point.id, point]));
   const missed = runs.flat().filter(({ passed }) => passed === false).length;
   const values = runs.map((_, run) => h("th", { scope: "col", class: "number" }, runs.length > 1 ? `run ${run + 1}` : "value"));
+  const units = [...new Set([...points.values()].map(({ unit }) => unit))];
   const rows = [...points.values()].map(({ id, unit, limit }) => {
     const cells = runs.map((each) => {
       const point = each.find((other) => other.id === id);
@@ -79,21 +80,21 @@ function table(runs: BeamPoint[][]): HTMLElement {
       return h(
         "td",
         { class: `number ${verdict}`, title: verdict === "open" ? "no limit" : verdict },
-        point ? brief(point.value) : "-",
+        point ? `${brief(point.value)}${units.length > 1 ? ` ${unit}` : ""}` : "-",
         h("span", { class: "sign", "aria-label": verdict === "open" ? "" : verdict }, sign),
       );
     });
-    return h("tr", {}, h("th", { scope: "row" }, id), ...cells, h("td", {}, unit), h("td", {}, limit));
+    return h("tr", {}, h("th", { scope: "row" }, id), ...cells, h("td", {}, limit));
   });
   return h(
     "table",
     {},
-    h("caption", {}, missed ? `${missed} ${missed === 1 ? "point fails" : "points fail"}` : "all points pass"),
     h(
-      "thead",
+      "caption",
       {},
-      h("tr", {}, h("th", { scope: "col" }, "point"), ...values, h("th", { scope: "col" }, "unit"), h("th", { scope: "col" }, "limit")),
+      `${missed ? `${missed} ${missed === 1 ? "point fails" : "points fail"}` : "all points pass"}${units.length === 1 ? `; values in ${units[0]}` : ""}`,
     ),
+    h("thead", {}, h("tr", {}, h("th", { scope: "col" }, "point"), ...values, h("th", { scope: "col" }, "limit"))),
     h("tbody", {}, ...rows),
   );
 }
