@@ -14,10 +14,10 @@ import { probed } from "./probe.ts";
 import { MOST_LAMPS, MOST_MODULES } from "./shaders.ts";
 import { ShadowMaps } from "./shadow_maps.ts";
 import { FOG_PER_M, SurfaceMaterials, sharedUniforms } from "./uniforms.ts";
-import { type Viewpoint, Viewpoints } from "./viewpoints.ts";
+import { type Orbit, type Viewpoint, Viewpoints } from "./viewpoints.ts";
 import { Wall } from "./wall.ts";
 
-export type { Viewpoint } from "./viewpoints.ts";
+export type { Orbit, Viewpoint } from "./viewpoints.ts";
 
 export interface SceneOptions {
   exposure_ev: number;
@@ -86,6 +86,20 @@ export class SceneView {
 
   setOptions(options: Partial<SceneOptions>): void {
     Object.assign(this.current, options);
+    this.changed();
+  }
+
+  /** Called when the user moves the orbit camera, so that another view can follow with `setOrbit`. */
+  set onMove(call: ((orbit: Orbit) => void) | null) {
+    this.viewpoints.onMove = call;
+  }
+
+  get onMove(): ((orbit: Orbit) => void) | null {
+    return this.viewpoints.onMove;
+  }
+
+  setOrbit(orbit: Orbit): void {
+    this.viewpoints.setOrbit(orbit);
     this.changed();
   }
 
@@ -221,6 +235,7 @@ export class SceneView {
     this.wall.place(T_local_body);
     this.relabel();
     const others = [...run.street_lamps, ...step.spotlights].map((lamp) => frame.point(lamp.position_m));
+    this.markers.setFields(run.modules, T_local_module);
     this.markers.place(T_local_body, frame.pose(step.T_world_camera), centres, others);
     const key = JSON.stringify([step.T_world_body, step.modules.map((module) => module.T_world_module), step.bodies]);
     if (key !== this.geometryKey) {

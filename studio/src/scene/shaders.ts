@@ -235,7 +235,9 @@ void main() {
   float line = lines ? isolux(log_lx) : 0.0;
   vec3 shade;
   if (lux) {
-    shade = false_colour(log_lx) * mix(0.25, 1.0, smoothstep(-2.0, -1.0, log_lx));
+    // Below the scale the surfaces show themselves, else nobody knows what stands there.
+    vec3 unlit = vec3(0.03, 0.02, 0.05) + 0.2 * albedo;
+    shade = mix(unlit, false_colour(log_lx), smoothstep(-2.0, -1.0, log_lx));
     shade = mix(shade, vec3(1.0), 0.75 * line);
   } else {
     float cd_m2 = albedo / 3.14159265 * (lx + other_lx(at, normal));

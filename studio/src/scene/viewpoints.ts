@@ -15,6 +15,12 @@ const ONCOMING_AT = new Vector3(0, 0, 0.65);
 const ABOVE = { height: 150, extent: 80, least: 12, most: 240, behind: 0.12 };
 const WALL_DEG = { side: 24, bottom: -8, top: 6 };
 
+/** Where the orbit camera stands and what it looks at, in m ahead of the car, to its left and up. */
+export interface Orbit {
+  eye: Vector3;
+  target: Vector3;
+}
+
 /** What a viewpoint depends on, in the local frame. */
 export interface Car {
   T_local_ground: Matrix4;
@@ -31,6 +37,9 @@ export class Viewpoints {
   private readonly wheel = (event: WheelEvent) => this.onWheel(event);
   private readonly T_local_heading = new Matrix4();
   private car: Car = { T_local_ground: new Matrix4(), T_local_body: new Matrix4(), lamp_height_m: 0.65 };
+  /** Called when the user moves the orbit camera. */
+  onMove: ((orbit: Orbit) => void) | null = null;
+  private moving = false; // by the program
   private aspect = 1;
   private above_m = ABOVE.extent;
   private wallZoom = 1;
@@ -44,9 +53,12 @@ export class Viewpoints {
     this.controls.maxDistance = 300;
     this.controls.minDistance = 1;
     this.controls.maxPolarAngle = degrees(89.5);
-    this.controls.addEventListener("change", changed);
+    this.controls.addEventListener("change", () => {
+      if (!this.moving) this.onMove?.(this.orbiting());
+      changed();
+    });
     canvas.addEventListener("wheel", this.wheel, { passive: false });
-    this.home();
+    this.setOrbit({ eye: ORBIT_FROM, target: ORBIT_AT });
   }
 
   get camera(): Camera {
@@ -65,22 +77,21 @@ export class Viewpoints {
     this.place();
   }
 
-  /** Puts the orbit camera back behind the car. */
-  home(): void {
-    this.orbit.position.copy(ORBIT_FROM).applyMatrix4(this.T_local_heading);
-    this.controls.target.copy(ORBIT_AT).applyMatrix4(this.T_local_heading);
+  /** Puts the orbit camera to a place beside the car. */
+  setOrbit({ eye, target }: Orbit): void {
+    this.orbit.position.copy(eye).applyMatrix4(this.T_local_heading);
+    this.controls.target.copy(target).applyMatrix4(this.T_local_heading);
+    this.moving = true;
     this.controls.update();
+    this.moving = false;
   }
 
   /** Moves all cameras with the car; both poses are in the local frames of their own steps. */
   follow(car: Car): void {
     this.car = car;
-    const before = this.T_local_heading.clone();
+    const orbit = this.orbiting();
     this.T_local_heading.copy(heading(car.T_local_ground));
-    const moved = this.T_local_heading.clone().multiply(before.invert());
-    this.orbit.position.applyMatrix4(moved);
-    this.controls.target.applyMatrix4(moved);
-    this.controls.update();
+    this.setOrbit(orbit);
     this.place();
   }
 
@@ -96,6 +107,14 @@ export class Viewpoints {
   dispose(): void {
     this.controls.dispose();
     this.canvas.removeEventListener("wheel", this.wheel);
+  }
+
+  private orbiting(): Orbit {
+    const T_heading_local = this.T_local_heading.clone().invert();
+    return {
+      eye: this.orbit.position.clone().applyMatrix4(T_heading_local),
+      target: this.controls.target.clone().applyMatrix4(T_heading_local),
+    };
   }
 
   private place(): void {

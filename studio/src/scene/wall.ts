@@ -18,7 +18,7 @@ import { WALL_M } from "./viewpoints.ts";
 
 const WALL_DEG = { side: 40, bottom: -25, top: 25 };
 const GRID_DEG = { step: 5, side: 30, bottom: -10, top: 10 };
-const LABELLED_DEG = { row: -7.6, column: -23.6 };
+const LABELLED_DEG = { row: -7.6, column: -22.2 };
 const BEFORE_M = 0.02; // by which lines stand before the wall
 
 // Blue and orange differ for colour-blind readers as well; the symbols say the same again.
