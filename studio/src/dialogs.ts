@@ -1,7 +1,7 @@
 // Dialogs: the keys, and the summary of the runs.
 
-import { brief } from "./curves/chart.ts";
 import { h, ICONS, icon } from "./dom.ts";
+import { flat } from "./flat.ts";
 import type { Session } from "./session.ts";
 import type { Studio } from "./state.ts";
 
@@ -75,19 +75,4 @@ export function summaryDialog(store: Studio, session: Session): Dialog {
       element.showModal();
     },
   };
-}
-
-/** Values of nested objects and lists with their paths. */
-export function flat(value: unknown, path = ""): [string, string][] {
-  if (Array.isArray(value) && value.every((each) => typeof each !== "object" || each === null)) return [[path, value.map(text).join(", ")]];
-  if (typeof value === "object" && value !== null) {
-    return Object.entries(value).flatMap(([key, each]) => flat(each, path ? `${path}.${key}` : key));
-  }
-  return path ? [[path, text(value)]] : [];
-}
-
-function text(value: unknown): string {
-  if (value === null || value === undefined) return "-";
-  if (typeof value === "boolean") return value ? "yes" : "no";
-  return typeof value === "number" ? brief(value) : String(value);
 }

@@ -5,6 +5,7 @@ import { h, ICONS, icon, select } from "./dom.ts";
 import type { Named, Run, ScenarioMessage } from "./protocol.ts";
 import type { Session } from "./session.ts";
 import { hasPen, newestStep, type State, type Studio } from "./state.ts";
+import { words } from "./words.ts";
 
 const SPEEDS = [
   ["", "as fast as it goes"],
@@ -108,25 +109,6 @@ function comparison(run: Run, choice: string): string[] | null {
   if (!controller) return null;
   const functions = Object.keys(run.controllers).filter((name) => only === undefined || name === only);
   return functions.map((name) => `functions.${name}.controller=${controller}`);
-}
-
-/** Words of a line, where quotation marks and brackets keep spaces in a word, as keys of TOML have them. */
-export function words(line: string): string[] {
-  const found: string[] = [];
-  let word = "";
-  let depth = 0;
-  let quote = "";
-  for (const each of line) {
-    if (quote) quote = each === quote ? "" : quote;
-    else if (each === '"' || each === "'") quote = each;
-    else if ("[{".includes(each)) depth++;
-    else if ("]}".includes(each)) depth--;
-    if (/\s/.test(each) && !quote && depth <= 0) {
-      if (word) found.push(word);
-      word = "";
-    } else word += each;
-  }
-  return word ? [...found, word] : found;
 }
 
 function keyControls(store: Studio, session: Session): HTMLElement[] {

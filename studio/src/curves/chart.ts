@@ -1,6 +1,7 @@
 // One chart: uPlot, and beside it the names of the curves with their numbers.
 
 import uPlot from "uplot";
+import { brief } from "../brief.ts";
 import { h } from "../dom.ts";
 import type { Rows } from "../rows.ts";
 import type { RunData } from "../state.ts";
@@ -188,13 +189,4 @@ function lately(curve: Curve, rows: Rows, step: number): number {
     if (!Number.isNaN(value)) return value;
   }
   return Number.NaN;
-}
-
-/** A number in few characters. */
-export function brief(value: number): string {
-  if (!Number.isFinite(value)) return "-";
-  const size = Math.abs(value);
-  if (size !== 0 && (size < 1e-3 || size >= 1e6)) return value.toExponential(1);
-  if (Number.isInteger(value) && size < 1e6) return String(value);
-  return size >= 1000 ? value.toFixed(0) : String(+value.toPrecision(3));
 }

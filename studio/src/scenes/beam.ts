@@ -1,6 +1,6 @@
 // The verdict of a regulation on the light at the wall: rule and side, and the list of its points.
 
-import { brief } from "../curves/chart.ts";
+import { brief } from "../brief.ts";
 import { fill, h, select } from "../dom.ts";
 import type { BeamPoint } from "../protocol.ts";
 import type { Session } from "../session.ts";

@@ -8,11 +8,7 @@ import { SceneView } from "../scene/index.ts";
 import type { SceneSink } from "../session.ts";
 import type { State, Studio, Viewpoint } from "../state.ts";
 
-/** What a view may offer so that two of them move as one. */
-interface Movable {
-  onMove?: ((orbit: unknown) => void) | null;
-  setOrbit?(orbit: unknown): void;
-}
+type Orbit = Parameters<SceneView["setOrbit"]>[0];
 
 interface Cell {
   element: HTMLElement;
@@ -25,6 +21,7 @@ export class ScenesPanel implements SceneSink {
   readonly bar: HTMLElement;
   readonly body: HTMLElement;
   readonly #cells: Cell[] = [];
+  #orbit: Orbit | null = null;
   readonly #room = h("div", { class: "scenes" });
 
   constructor(private readonly store: Studio) {
@@ -83,11 +80,13 @@ export class ScenesPanel implements SceneSink {
       cell?.element.remove();
     }
     while (this.#cells.length < count) this.#cells.push(this.#cell());
-    const { views } = this;
-    for (const view of views) {
-      const others = views.filter((each) => each !== view) as Movable[];
-      if ("onMove" in view) (view as Movable).onMove = (orbit) => others.forEach((each) => void each.setOrbit?.(orbit));
-    }
+    for (const view of this.views) view.onMove = (orbit) => this.#follow(view, orbit);
+  }
+
+  /** Look at all runs from where one was moved to. */
+  #follow(moved: SceneView, orbit: Orbit): void {
+    this.#orbit = orbit;
+    for (const view of this.views) if (view !== moved) view.setOrbit(orbit);
   }
 
   #cell(): Cell {
@@ -101,6 +100,7 @@ export class ScenesPanel implements SceneSink {
       view = new SceneView(container);
       applyOptions(view, this.store.state);
       view.setViewpoint(this.store.state.viewpoint);
+      if (this.#orbit) view.setOrbit(this.#orbit);
     } catch (error) {
       console.error(error);
       container.append(h("p", { class: "empty" }, `The scene cannot be drawn: ${error instanceof Error ? error.message : error}`));
