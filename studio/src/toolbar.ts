@@ -58,7 +58,7 @@ export function toolbar(store: Studio, session: Session, dialogs: { help: () => 
 }
 
 function button(text: string, title: string, onclick: () => void, style = ""): HTMLButtonElement {
-  return h("button", { type: "button", class: style, title, "aria-label": title === text ? null : title, onclick }, text);
+  return h("button", { type: "button", class: style, title, "aria-label": text.length > 1 ? null : title, onclick }, text);
 }
 
 /** Disable what needs the pen while another has it, and say why. */

@@ -1,6 +1,6 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { defaults, groups, valueAt } from "../src/curves/groups.ts";
+import { defaults, groups, valuesOf } from "../src/curves/groups.ts";
 import { places, stretch, thinned } from "../src/curves/thinned.ts";
 import { Rows } from "../src/rows.ts";
 
@@ -40,7 +40,7 @@ test("the usual charts are of overlap, flux, objects and time, others one for ea
   assert.deepEqual(found[4].curves[1].columns, ["plan_ms", "light_ms"]);
   const rows = new Rows(columns);
   rows.add(0, new Float32Array([0, 1, 1, 1, 1, 2, 3, 4, 5]));
-  assert.equal(valueAt(found[4].curves[1], rows, 0), 5);
+  assert.equal(valuesOf(found[4].curves[1], rows)(0), 5);
   assert.equal(groups(columns, new Set([...names, "functions.symbol.x_m"])).at(-1)?.title, "symbol.x_m");
 });
 

@@ -5,7 +5,7 @@ import { brief } from "../brief.ts";
 import { h } from "../dom.ts";
 import type { Rows } from "../rows.ts";
 import type { RunData } from "../state.ts";
-import { type Curve, type Group, valueAt } from "./groups.ts";
+import { type Curve, type Group, valuesOf } from "./groups.ts";
 import { places, stretch, thinned } from "./thinned.ts";
 
 /** Told apart without red and green (after Okabe and Ito), light enough for the dark ground. */
@@ -13,6 +13,7 @@ const COLOURS = ["#56b4e9", "#e69f00", "#2fc79a", "#f0e442", "#e08fbf", "#ff8a4c
 const DASH = [5, 4];
 const MOST_POINTS = 1200;
 const LATELY = 10; // steps in which a number counts as the current one
+const MANY = 4; // names that do not fit, so that their list is scrolled
 const LEAST_S = 1; // that the horizontal axis spans
 const INK = "#b4bcc8";
 const GRID = "#2c323b";
@@ -66,7 +67,7 @@ export class Chart {
     for (const curve of this.group.curves) {
       for (const run of Array(this.runCount).keys()) {
         const rows = runs[run]?.rows;
-        data.push(rows ? thinned((step) => valueAt(curve, rows, step), part) : data[0].map(() => null));
+        data.push(rows ? thinned(valuesOf(curve, rows), part) : data[0].map(() => null));
       }
     }
     this.#plot.setData(data as uPlot.AlignedData);
@@ -86,7 +87,7 @@ export class Chart {
       return h("li", { title }, key, h("span", { class: "name" }, label), ...this.#numbers[k]);
     });
     const unit = this.group.unit && this.group.unit !== "1" ? h("span", { class: "muted" }, ` ${this.group.unit}`) : null;
-    return h("figcaption", {}, h("h3", {}, this.group.title, unit), h("ul", {}, ...names));
+    return h("figcaption", {}, h("h3", {}, this.group.title, unit), h("ul", names.length > MANY ? { tabindex: 0 } : {}, ...names));
   }
 
   #write(): void {
@@ -184,8 +185,9 @@ function range(low: number | null, high: number | null): [number, number] {
 
 /** Value of a curve at a step, or shortly before it, as some are not judged in each step. */
 function lately(curve: Curve, rows: Rows, step: number): number {
-  for (let back = 0; back < LATELY; back++) {
-    const value = valueAt(curve, rows, step - back);
+  const at = valuesOf(curve, rows);
+  for (let back = 0; back < Math.min(LATELY, step + 1); back++) {
+    const value = at(step - back);
     if (!Number.isNaN(value)) return value;
   }
   return Number.NaN;

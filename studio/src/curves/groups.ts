@@ -64,12 +64,15 @@ function sum(columns: readonly Column[]): Curve {
   return { label: "sum of *_ms", title: `Sum of ${parts.join(", ")}, in ms`, columns: parts };
 }
 
-/** Value of a curve at a step: the sum of the columns that have one, NaN without any. */
-export function valueAt(curve: Curve, rows: Rows, step: number): number {
-  let total = Number.NaN;
-  for (const name of curve.columns) {
-    const value = rows.at(name, step);
-    if (!Number.isNaN(value)) total = Number.isNaN(total) ? value : total + value;
-  }
-  return total;
+/** Values of a curve by step: the sum of the columns that have one, NaN without any. */
+export function valuesOf(curve: Curve, rows: Rows): (step: number) => number {
+  const columns = curve.columns.map((name) => rows.column(name)).filter((column) => column !== null);
+  return (step) => {
+    let total = Number.NaN;
+    for (const column of columns) {
+      const value = column[step];
+      if (!Number.isNaN(value)) total = Number.isNaN(total) ? value : total + value;
+    }
+    return total;
+  };
 }

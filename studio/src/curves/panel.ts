@@ -10,6 +10,7 @@ import { columnList } from "./columns.ts";
 import { defaults, groups } from "./groups.ts";
 
 const REDRAW_MS = 100;
+const REST = 4; // times what drawing took pass until the next, so that it takes a fifth of the time at most
 const MINUTE_S = 60;
 
 export function curvesPanel(store: Studio, session: Session): HTMLElement {
@@ -21,6 +22,7 @@ export function curvesPanel(store: Studio, session: Session): HTMLElement {
   let columns: Column[] = [];
   let timer: ReturnType<typeof setTimeout> | null = null;
   let drawn_ms = 0;
+  let took_ms = 0;
 
   const draw = () => {
     timer = null;
@@ -31,9 +33,10 @@ export function curvesPanel(store: Studio, session: Session): HTMLElement {
     const first = whole ? 0 : Math.max(0, end - Math.ceil(MINUTE_S * scenario.rate_hz));
     const step = scrub ?? newestStep(store.state);
     for (const chart of charts) chart.draw({ runs, rate_hz: scenario.rate_hz, first, end, step, marked: scrub !== null });
+    took_ms = performance.now() - drawn_ms;
   };
   const redraw = () => {
-    if (timer === null) timer = setTimeout(draw, Math.max(0, REDRAW_MS - (performance.now() - drawn_ms)));
+    if (timer === null) timer = setTimeout(draw, Math.max(0, Math.max(REDRAW_MS, REST * took_ms) - (performance.now() - drawn_ms)));
   };
   const rebuild = () => {
     for (const chart of charts) chart.dispose();

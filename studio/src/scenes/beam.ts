@@ -80,8 +80,9 @@ function table(runs: BeamPoint[][]): HTMLElement {
       return h(
         "td",
         { class: `number ${verdict}`, title: verdict === "open" ? "no limit" : verdict },
-        point ? `${brief(point.value)}${units.length > 1 ? ` ${unit}` : ""}` : "-",
+        point ? brief(point.value) : "-",
         h("span", { class: "sign", "aria-label": verdict === "open" ? "" : verdict }, sign),
+        units.length > 1 && h("span", { class: "unit" }, unit),
       );
     });
     return h("tr", {}, h("th", { scope: "row" }, id), ...cells, h("td", {}, limit));
