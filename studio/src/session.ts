@@ -34,8 +34,7 @@ export class Session {
       message: (message, arrays) => this.#take(message, arrays),
       broken: toast,
     });
-    store.on(["maximised", "link"], () => this.#want());
-    document.addEventListener("visibilitychange", () => this.#want());
+    store.on(["maximised", "link", "status"], () => this.#want());
   }
 
   send(message: ClientMessage): void {
@@ -79,12 +78,12 @@ export class Session {
   }
 
   #want(): void {
-    const { maximised, link } = this.store.state;
+    const { maximised, link, status } = this.store.state;
     if (link !== "open") {
       this.#wanted = "";
       return;
     }
-    const panels = document.hidden ? [] : maximised ? [maximised] : ALL;
+    const panels = maximised && status?.playing ? [maximised] : ALL; // a step at rest is sent once, and may be seen in all panels
     const views = panels.flatMap((panel) => VIEWS[panel]);
     if (views.join() === this.#wanted) return;
     this.#wanted = views.join();

@@ -44,7 +44,10 @@ export function defaults(columns: readonly Column[]): Set<string> {
 export function groups(columns: readonly Column[], chosen: ReadonlySet<string>): Group[] {
   const rest = columns.filter(({ name }) => chosen.has(name) && !KINDS.some(({ matches }) => matches.test(name)));
   const usual = KINDS.map(({ matches, ...kind }): Group => {
-    const curves = columns.filter(({ name }) => chosen.has(name) && matches.test(name)).map(curve);
+    const curves = columns
+      .filter(({ name }) => chosen.has(name) && matches.test(name))
+      .map(curve)
+      .map(shortened);
     return { ...kind, curves: kind.unit === "ms" && curves.length ? [...curves, sum(columns)] : curves };
   });
   const others = [...new Set(rest.map(({ unit }) => unit))].map((unit): Group => {
@@ -57,6 +60,11 @@ export function groups(columns: readonly Column[], chosen: ReadonlySet<string>):
 function curve({ name, unit, description }: Column): Curve {
   const label = name.replace(/^(functions|objects|lamp)\./, "");
   return { label, title: `${name}${unit ? ` in ${unit}` : ""}: ${description}`, columns: [name] };
+}
+
+/** In a chart whose title says what all of its curves are, a name says of what. */
+function shortened(each: Curve): Curve {
+  return { ...each, label: each.label.replace(/\.(iou|flux_lm|lx_max|confidence)$/, "") };
 }
 
 function sum(columns: readonly Column[]): Curve {
