@@ -35,7 +35,7 @@ vec3 false_colour(float log_lx) {
 
 /** Coverage of a pixel by isolux lines. Call it where all pixels of a quad do, since it takes derivatives. */
 float isolux(float log_lx) {
-  float per_pixel = max(fwidth(log_lx), 1e-6);
+  float per_pixel = clamp(fwidth(log_lx), 1e-6, 0.12); // at most, lest borders of shadows have lines of levels that they do not reach
   float line = 0.0;
   for (int i = 0; i < ${ISOLUX_LX.length}; i++) {
     line = max(line, 1.0 - smoothstep(0.4, 1.3, abs(log_lx - ISOLUX[i]) / per_pixel));

@@ -14,7 +14,7 @@ import { probed } from "./probe.ts";
 import { MOST_LAMPS, MOST_MODULES } from "./shaders.ts";
 import { ShadowMaps } from "./shadow_maps.ts";
 import { FOG_PER_M, SurfaceMaterials, sharedUniforms } from "./uniforms.ts";
-import { type Orbit, type Viewpoint, Viewpoints } from "./viewpoints.ts";
+import { type Orbit, type Viewpoint, Viewpoints, WALL_M } from "./viewpoints.ts";
 import { Wall } from "./wall.ts";
 
 export type { Orbit, Viewpoint } from "./viewpoints.ts";
@@ -233,6 +233,7 @@ export class SceneView {
     const centres = T_local_module.map((T) => new Vector3().setFromMatrixPosition(T));
     this.viewpoints.follow({ T_local_ground, T_local_body, lamp_height_m: this.lampOf(null).z });
     this.wall.place(T_local_body);
+    this.uniforms.ground_up.value.setFromMatrixColumn(T_local_ground, 2);
     this.relabel();
     const others = [...run.street_lamps, ...step.spotlights].map((lamp) => frame.point(lamp.position_m));
     this.markers.setFields(run.modules, T_local_module);
@@ -323,7 +324,7 @@ export class SceneView {
       uniforms.shadows.value = !wall; // nothing stands before the wall, the road neither
       uniforms.extinction_per_m.value = fog ? FOG_PER_M : 0;
       uniforms.eye_extinction_per_m.value = fog && !viewpoints.isFlat ? FOG_PER_M : 0; // parallel rays come from infinitely far away
-      uniforms.luminance_gain.value = 2 ** current.exposure_ev / run.white_cd_m2;
+      uniforms.luminance_gain.value = 2 ** current.exposure_ev / (wall ? whiteOfWall(run) : run.white_cd_m2);
       uniforms.lux.value = current.style === "lux";
       uniforms.lines.value = current.isolux;
       uniforms.fog.value = fog;
@@ -341,4 +342,11 @@ export class SceneView {
     this.renderer.render(this.scene, camera);
     this.labels.update(camera, this.container.clientWidth, this.container.clientHeight);
   }
+}
+
+/** Luminance in cd/m^2 that the wall is exposed for: what lights a road well would leave a wall at 25 m white all over. */
+function whiteOfWall(run: Run): number {
+  const peak_cd = Math.max(...run.modules.map((module) => module.peak_cd));
+  const sides = new Set(run.modules.map((module) => module.side)).size;
+  return Math.max((sides * peak_cd) / WALL_M ** 2 / Math.PI, 1e-3);
 }

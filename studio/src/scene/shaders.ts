@@ -37,6 +37,7 @@ uniform vec2 map_range; // 1 / nearest, 1 / farthest
 uniform sampler2D shadow_maps;
 
 const float NOTHING_HIDES = -1.0;
+const float FLAT_M = 0.003;
 
 /** Intensity in cd of a module towards a point in its own frame. */
 float intensity(int k, vec3 q) {
@@ -55,8 +56,8 @@ float nearest(int map, ivec2 texel) {
   return depth >= 1.0 ? NOTHING_HIDES : mix(map_range.x, map_range.y, depth);
 }
 
-/** Share of a map's four texels around a point that leave it lit; plane: normal of the surface there. */
-float unshadowed(int map, vec3 p, vec3 plane) {
+/** Share of a map's four texels around a point that leave it lit; plane: normal of the surface there, from which lower things than least_m throw no shadows. */
+float unshadowed(int map, vec3 p, vec3 plane, float least_m) {
   vec3 q = (map_pose[map] * vec4(p, 1.0)).xyz;
   vec3 n = mat3(map_pose[map]) * plane;
   float away = -dot(n, q); // of the lamp from the plane
@@ -80,7 +81,7 @@ float unshadowed(int map, vec3 p, vec3 plane) {
       vec2 centre = (texel + 0.5) / place.zw;
       vec3 occluder = vec3(1.0, borders.x - centre.x * size.x, borders.z + centre.y * size.y) / inverse_x - q;
       float rough = 0.02 * min(length(occluder), footprint); // facets beside the point have other slopes
-      hidden = dot(n, occluder) > 0.003 + rough ? 1.0 : 0.0;
+      hidden = dot(n, occluder) > least_m + rough ? 1.0 : 0.0;
     }
     vec2 weight = mix(1.0 - part, part, corner);
     lit += (1.0 - hidden) * weight.x * weight.y;
@@ -99,8 +100,8 @@ float unshadowed_air(int map, vec3 p) {
   return nearest(map, ivec2(place.xy + at)) * q.x > 1.0 ? 0.0 : 1.0;
 }
 
-/** Illuminance in lx by the lamps at a point; normal: what light is weighted by; plane: normal of the facet, for shadows. */
-float lamps_lx(vec3 p, vec3 normal, vec3 plane) {
+/** Illuminance in lx by the lamps at a point; normal: what light is weighted by; plane, least_m: as of unshadowed. */
+float lamps_lx(vec3 p, vec3 normal, vec3 plane, float least_m) {
   float by_map[${MOST_MAPS}] = float[${MOST_MAPS}](0.0, 0.0, 0.0, 0.0);
   for (int k = 0; k < module_count; k++) {
     vec3 away = module_position[k] - p;
@@ -114,7 +115,7 @@ float lamps_lx(vec3 p, vec3 normal, vec3 plane) {
   }
   float lx = 0.0;
   for (int map = 0; map < ${MOST_MAPS}; map++) {
-    if (by_map[map] > 0.0) lx += by_map[map] * (shadows ? unshadowed(map, p, plane) : 1.0);
+    if (by_map[map] > 0.0) lx += by_map[map] * (shadows ? unshadowed(map, p, plane, least_m) : 1.0);
   }
   return lx;
 }
@@ -204,6 +205,8 @@ ${COLOUR_MAP_GLSL}
 uniform mat4 viewMatrix;
 uniform bool lux;
 uniform bool lines;
+uniform vec3 ground_up;
+const float ROUGH_M = 0.08;
 uniform bool fog;
 uniform float eye_extinction_per_m;
 uniform sampler2D glow;
@@ -230,9 +233,14 @@ void main() {
 #else
   float albedo = reflected;
 #endif
-  float lx = lamps_lx(at, normal, plane);
+  float lx = lamps_lx(at, normal, plane, FLAT_M);
   float log_lx = lux || lines ? log(max(lx, 1e-3)) / log(10.0) : 0.0;
-  float line = lines ? isolux(log_lx) : 0.0;
+  float line = 0.0;
+  if (lines) {
+    // On a rough road every bump would have lines of its own, so they are those of the road's mean plane.
+    vec3 level = dot(normal, ground_up) > 0.9 ? ground_up : normal;
+    line = isolux(log(max(lamps_lx(at, level, level, ROUGH_M), 1e-3)) / log(10.0));
+  }
   vec3 shade;
   if (lux) {
     // Below the scale the surfaces show themselves, else nobody knows what stands there.
@@ -320,7 +328,7 @@ flat in vec3 facing;
 out vec4 colour;
 
 void main() {
-  colour = vec4(lamps_lx(at, facing, facing), 0.0, 0.0, 1.0);
+  colour = vec4(lamps_lx(at, facing, facing, FLAT_M), 0.0, 0.0, 1.0);
 }
 `;
 
