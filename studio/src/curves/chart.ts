@@ -120,9 +120,9 @@ export class Chart {
       height: 100,
       legend: { show: false },
       cursor: { sync: { key: "steps" }, drag: { x: false, y: false }, y: false, points: { size: 5 } },
-      padding: [8, 14, 0, 0],
+      padding: [8, 18, 0, 0],
       scales: {
-        x: { time: false, range: (_, low, high) => [low ?? 0, Math.max(high ?? 0, (low ?? 0) + LEAST_S)] },
+        x: { time: false, range: () => this.#span() },
         y: {
           range: this.group.range
             ? () => this.group.range!
@@ -139,6 +139,12 @@ export class Chart {
         draw: [(plot) => this.#mark(plot)],
       },
     };
+  }
+
+  /** Of the horizontal axis, in s. */
+  #span(): [number, number] {
+    const { first, end, rate_hz } = this.#shown;
+    return [first / rate_hz, Math.max((end - 1) / rate_hz, first / rate_hz + LEAST_S)];
   }
 
   /** The largest value of all steps but the first, which takes long because everything is made there. */

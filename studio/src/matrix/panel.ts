@@ -126,8 +126,8 @@ export function matrixPanel(store: Studio): HTMLElement {
     readout.textContent = `${facts.name}, row ${row}, column ${col}${u === undefined ? "" : `: ${((100 * u) / 255).toFixed(0)} %`}`;
   };
 
-  bar.append(runSwitch(store, "matrix_run"));
-  body.append(view.canvas, empty, scale, readout);
+  bar.append(scale, runSwitch(store, "matrix_run"));
+  body.append(view.canvas, empty, readout);
   store.on(["scenario", "matrix_run"], () => {
     const modules = run()?.modules ?? [];
     tiles = layout(modules);
