@@ -20,7 +20,7 @@ test("a difference is grey or black where nothing differs, and keeps its sign", 
   assert.deepEqual([...difference(on, off, differenceTable(false)).codes], [0, 100, 0]);
 });
 
-test("modules lie on their lamp's side, one below the other, in proportion", () => {
+test("modules lie on their lamp's side, in proportion, and in columns where there are many", () => {
   const module = (side: "left" | "right", half: number) => ({
     name: "",
     side,
@@ -42,4 +42,10 @@ test("modules lie on their lamp's side, one below the other, in proportion", () 
   assert.ok(narrow.y >= wide.y + wide.height);
   assert.ok(right.x >= wide.x + wide.width);
   assert.ok(tiles.every((each) => each.x + each.width <= width && each.y + each.height <= height));
+  const many = layout(Array.from({ length: 12 }, (_, k) => module(k % 2 ? "right" : "left", 0.8)));
+  assert.ok(many.width / many.height > 1.2 && many.width / many.height < 5);
+  assert.deepEqual(
+    many.tiles.map((each) => each.module).sort((a, b) => a - b),
+    [...Array(12).keys()],
+  );
 });
