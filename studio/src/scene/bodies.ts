@@ -64,6 +64,7 @@ export class Bodies {
       for (const mesh of shape.meshes.slice(shape.used)) mesh.visible = false;
       if (shape.loaded && this.shows - shape.shown > FORGOTTEN_AFTER) {
         shape.geometry.dispose();
+        shape.texture?.dispose();
         shape.loaded = false;
       }
     }

@@ -212,6 +212,7 @@ export class SceneView {
   private changed(): void {
     this.due ||= requestAnimationFrame(() => {
       this.due = 0;
+      if (!this.container.clientWidth || !this.container.clientHeight) return; // hidden; it is resized when it is shown
       this.pace.moving();
       this.render();
     });
