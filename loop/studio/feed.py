@@ -1,6 +1,7 @@
 """What one client gets: the newest of everything that it shows, each part only where it has changed since it got that last."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -11,6 +12,7 @@ from loop.studio.runs import Run
 from loop.studio.session import Published
 from loop.studio.shapes import whole
 
+AHEAD: Final = 2  # steps of a run that a client may not have shown yet: one on its way, and one that it is at
 HALF: Final = 1024.0  # peak of a module in units of its half floats, far from where these overflow
 
 
@@ -18,23 +20,32 @@ class Feed:
     """What a client has got of a session. It is used by one thread at a time, which may be another one each time."""
 
     def __init__(self) -> None:
-        self.wanted: frozenset[View] = frozenset(VIEWS)
-        self.scrubbed: tuple[int, int] | None = None  # run and step that are looked at in place of the newest
-        self._number = -1
-        self._sent = list[Sent]()
+        self._number, self._steps = -1, 0
+        self._sent, self._wanted = list[Sent](), frozenset[View]()
 
-    def messages(self, published: Published) -> Iterator[bytes]:
-        """Those that bring the client up to date."""
+    def messages(self, published: Published, looks: "Looks") -> Iterator[bytes]:
+        """Those that bring the client up to date, as it looks."""
         if published.number != self._number and published.scenario is not None:
-            self._number, self.scrubbed = published.number, None
+            self._number = published.number
             self._sent = [Sent(number, run) for number, run in enumerate(published.runs)]
             yield packed(published.scenario)
+        more, self._wanted = looks.wanted - self._wanted, looks.wanted
         for sent in self._sent:
             yield from sent.rows()
-            scrubbed = self.scrubbed is not None and self.scrubbed[0] == sent.number
-            if scrubbed or self.scrubbed is None:
-                step = self.scrubbed[1] if self.scrubbed is not None else len(sent.run.snapshots) - 1
-                yield from sent.step(min(step, len(sent.run.snapshots) - 1), scrubbed, self.wanted)
+            run, step = looks.at or (sent.number, len(sent.run.snapshots) - 1)
+            if run == sent.number and self._steps - looks.shown < AHEAD * len(self._sent):
+                fresh = list(sent.step(min(step, len(sent.run.snapshots) - 1), looks, anew=bool(more)))
+                self._steps += bool(fresh)
+                yield from fresh
+
+
+@dataclass(frozen=True)
+class Looks:
+    """How a client looks. at: run and step in place of the newest. shown: steps that it has shown."""
+
+    wanted: frozenset[View] = frozenset(VIEWS)
+    at: tuple[int, int] | None = None
+    shown: int = 0
 
 
 class Sent:
@@ -55,9 +66,10 @@ class Sent:
             self._rows += len(fresh)
             yield packed(head, {"rows": coded(np.stack(fresh))})
 
-    def step(self, number: int, scrubbed: bool, wanted: frozenset[View]) -> Iterator[bytes]:
-        """A step, and before it the meshes that it lacks; nothing where it has got that step."""
-        if (number, scrubbed) == self._step:
+    def step(self, number: int, looks: Looks, anew: bool) -> Iterator[bytes]:
+        """A step, and before it the meshes that it lacks; nothing where it has got that step, unless it shall come anew."""
+        scrubbed, wanted = looks.at is not None, looks.wanted
+        if (number, scrubbed) == self._step and not anew:
             return
         self._step = number, scrubbed
         snapshot = self.run.snapshots[number]

@@ -68,7 +68,7 @@ class AskBeam(Params):
 class Button(Params):
     """What has no value."""
 
-    type: Literal["pen", "play", "pause", "step", "reset"]
+    type: Literal["shown", "pen", "play", "pause", "step", "reset"]
 
 
 class Speed(Params):

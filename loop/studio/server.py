@@ -18,7 +18,7 @@ from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
-from loop.studio.messages import LARGEST, PROTOCOL, Button, Hello, Message, Scrub, Want, packed, read
+from loop.studio.messages import LARGEST, PROTOCOL, VIEWS, Button, Hello, Message, Scrub, View, Want, packed, read
 from loop.studio.session import Session, Source
 from world.errors import LuxloopError
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 HELLO_S: Final = 10.0  # in which a client must say its token
 UNKNOWN: Final = 4401  # code by which a connection with another token is closed
 STATUS_S: Final = 0.1  # between two words on the session's state
-ASKING: Final = ("want", "scrub", "summary", "beam")  # what watchers may send as well
+ASKING: Final = ("want", "scrub", "shown", "summary", "beam")  # what watchers may send as well
 KINDS: Final = {".html": "text/html; charset=utf-8", ".js": "text/javascript", ".css": "text/css", ".txt": "text/plain; charset=utf-8"}
 
 
@@ -50,8 +50,9 @@ class Client:
     def __init__(self, connection: ServerConnection, number: int, role: str) -> None:
         self.connection, self.number, self.role = connection, number, role
         self.feed: Feed | None = None  # made where PyTorch is imported
-        self.wanted: Want | None = None
-        self.scrubbed: tuple[int, int] | None = None
+        self.wanted: frozenset[View] = frozenset(VIEWS)
+        self.at: tuple[int, int] | None = None  # run and step that it looks at in place of the newest
+        self.shown = 0
         self.changed, self.answers = asyncio.Event(), list[dict[str, Any]]()
 
 
@@ -114,6 +115,7 @@ class Studio:
         self._number += 1
         client = Client(connection, self._number, role)
         self._clients.append(client)
+        self._look()
         if role == "edit" and self._pen is None:
             self._pen = client.number
         client.answers.append({"type": "welcome", "protocol": PROTOCOL, "version": _version(), "role": role, "id": client.number})
@@ -141,11 +143,13 @@ class Studio:
             reply({"type": "error", "text": str(error), "about": None})
             return
         match message:
-            case Want():
-                client.wanted = message
+            case Want(views=views):
+                client.wanted = frozenset(views)
                 self._look()
             case Scrub(step=step):
-                client.scrubbed = None if step is None else (message.run, step)
+                client.at = None if step is None else (message.run, step)
+            case Button(type="shown"):
+                client.shown += 1
             case Button(type="pen"):
                 self._pen = client.number
                 self._tell()
@@ -179,9 +183,7 @@ class Studio:
         self._loop.call_soon_threadsafe(reply, head)
 
     def _look(self) -> None:
-        wants = [each.wanted for each in self._clients]
-        everything = Want(type="want", views=("scene", "light", "camera", "matrix", "marks"))
-        self.session.wanted = frozenset(view for want in wants for view in (want or everything).views)
+        self.session.wanted = frozenset(view for client in self._clients for view in client.wanted)
 
     def _tell(self) -> None:
         for client in self._clients:
@@ -213,18 +215,12 @@ class Studio:
                 else:
                     self._loop.call_later(STATUS_S, client.changed.set)
             if published.runs:
-                client.feed = client.feed or _feed()
-                client.feed.wanted = client.feed.wanted if client.wanted is None else frozenset(client.wanted.views)
-                client.feed.scrubbed = client.scrubbed
-                messages = client.feed.messages(published)
+                from loop.studio.feed import Feed, Looks  # which import PyTorch, as the session has done by now
+
+                client.feed = client.feed or Feed()
+                messages = client.feed.messages(published, Looks(client.wanted, client.at, client.shown))
                 while (data := await self._loop.run_in_executor(self._threads, next, messages, None)) is not None:
                     await client.connection.send(data)
-
-
-def _feed() -> "Feed":
-    from loop.studio.feed import Feed
-
-    return Feed()
 
 
 def _version() -> str:

@@ -163,7 +163,7 @@ export type ClientMessage =
   | { type: "scrub"; run: number; step: number | null }
   | { type: "summary"; run: number }
   | { type: "beam"; run: number; rule: string; side: "left" | "right" }
-  | { type: "pen" | "play" | "pause" | "step" | "reset" }
+  | { type: "shown" | "pen" | "play" | "pause" | "step" | "reset" }
   | { type: "speed"; factor: number | null }
   | { type: "open"; name: string; overrides: string[]; recording: string | null }
   | { type: "set"; overrides: string[] }

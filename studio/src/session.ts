@@ -125,6 +125,7 @@ export class Session {
         return;
       case "step":
         this.#step(message, arrays);
+        this.#connection.send({ type: "shown" });
         return;
       case "rows": {
         const values = arrays.get("rows")?.values;

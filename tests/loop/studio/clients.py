@@ -51,6 +51,8 @@ class Watcher:
             data = self.socket.recv(timeout_s)
             assert isinstance(data, bytes)
             self.got.append(unpacked(data))
+            if self.got[-1][0]["type"] == "step":
+                self.say(type="shown")
             if fits(self.got[-1][0]):
                 return self.got[-1]
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from websockets.asyncio.server import Server
 
 from loop.studio.server import Studio, Tokens
 from loop.studio.session import Source
@@ -38,14 +39,19 @@ def serving(source: Source, page: Path) -> Iterator[Served]:
     thread = threading.Thread(target=loop.run_forever, daemon=True)
     thread.start()
 
-    async def begin() -> Served:
+    async def begin() -> tuple[Served, Server]:
         tokens = Tokens()
         studio = Studio(source, page, tokens, device="cpu")
         server = await studio.serve("127.0.0.1", 0)
-        return Served(server.sockets[0].getsockname()[1], tokens, studio)
+        return Served(server.sockets[0].getsockname()[1], tokens, studio), server
 
-    served = asyncio.run_coroutine_threadsafe(begin(), loop).result()
+    async def end() -> None:
+        server.close()
+        await server.wait_closed()
+
+    served, server = asyncio.run_coroutine_threadsafe(begin(), loop).result()
     yield served
-    served.studio.stop()
+    served.studio.session.stop()
+    asyncio.run_coroutine_threadsafe(end(), loop).result()
     loop.call_soon_threadsafe(loop.stop)
     thread.join()

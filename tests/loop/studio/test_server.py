@@ -37,7 +37,9 @@ def test_the_page_is_served_and_nothing_beside_it(served: Served) -> None:
         assert fetched(served, path)[0] == 404
 
 
-@pytest.mark.parametrize("headers", [{"Host": "evil.example"}, {"Host": "evil.example:80"}, {"Origin": "http://evil.example"}, {"Origin": "null"}])
+@pytest.mark.parametrize(
+    "headers", [{"Host": "evil.example"}, {"Host": "evil.example:80"}, {"Origin": "http://evil.example"}, {"Origin": "null"}]
+)
 def test_other_hosts_and_origins_are_forbidden(served: Served, headers: dict[str, str]) -> None:
     assert fetched(served, "/", **headers)[0] == 403
     if "Origin" in headers:
@@ -220,7 +222,9 @@ def test_a_client_that_does_not_read_does_not_slow_the_loop(served: Served) -> N
             deaf.send(message(type="hello", token=served.tokens.watch))
             watcher.say(type="play")
             began_s = time.monotonic()
-            watcher.until(lambda head: head["type"] == "rows" and head["first"] + 1 >= 1 and len(served.studio.session.published.runs[0].rows) == 6)
+            watcher.until(
+                lambda head: head["type"] == "rows" and head["first"] + 1 >= 1 and len(served.studio.session.published.runs[0].rows) == 6
+            )
             assert time.monotonic() - began_s < 60  # the deaf client would never let it go on
 
 

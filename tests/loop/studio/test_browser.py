@@ -1,0 +1,160 @@
+"""The page in a real browser: what it computes is what `world` computes, and what one does arrives."""
+
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from scipy.ndimage import binary_dilation
+from selenium import webdriver
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.support.ui import WebDriverWait
+
+from loop.studio.messages import Set
+from loop.studio.page import PAGE
+from loop.studio.runs import Run
+from loop.studio.session import Source
+from tests.loop.studio.conftest import SMALL, Served, serving
+from world.light.illumination import DirectTransport, illuminance
+
+CHROMIUM, DRIVER = (shutil.which(name) for name in ("chromium", "chromedriver"))
+FLAGS = (
+    "--headless",
+    "--no-sandbox",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--no-first-run",
+    "--window-size=1280,800",
+)
+WAIT_S = 180  # for a scenario to be prepared on a busy machine with software WebGL
+
+pytestmark = [
+    pytest.mark.skipif(not (CHROMIUM and DRIVER), reason="no browser: apt-get install chromium chromium-driver"),
+    pytest.mark.skipif(not (PAGE / "index.html").is_file(), reason="the page is not built: make studio"),
+]
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[webdriver.Chrome]:
+    options = webdriver.ChromeOptions()
+    options.binary_location = str(CHROMIUM)
+    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    driver = webdriver.Chrome(options, webdriver.ChromeService(str(DRIVER)))
+    driver.set_script_timeout(WAIT_S)
+    yield driver
+    driver.quit()
+
+
+@pytest.fixture(scope="module")
+def objects() -> Iterator[Served]:
+    """Five road users before a car with two lamps of five modules, masks among them."""
+    yield from serving(Source("gfhb", (*SMALL, "camera.width_px=640", "camera.height_px=360")), PAGE)
+
+
+def opened(browser: webdriver.Chrome, served: Served, token: str | None = None) -> None:
+    """Open the page, and wait for the first step in all views."""
+    browser.get("about:blank")
+    browser.get(f"http://127.0.0.1:{served.port}/#{token or served.tokens.edit}")
+    until(browser, "return (window.luxloop?.scenes ?? []).length > 0 && document.body.innerText.includes('step 0')")
+
+
+def until(browser: webdriver.Chrome, script: str) -> Any:
+    """Wait for a script to return something true."""
+    return WebDriverWait(browser, WAIT_S, 0.1).until(lambda driver: driver.execute_script(script))
+
+
+def compared(browser: webdriver.Chrome, run: Run) -> np.ndarray:
+    """Illuminance `[3, n]` in lx by the shader, by `world`, and by that without shadows, at 1,000 pixels of which the last is 0.5 lx at least.
+
+    They lie farther than 2 px from outlines and from borders of shadows and masks, on which side of which a point lies by rounding.
+    """
+    lit, lights = run.simulation.world.lit(0.0), run.snapshots[0].lights
+    lx, ids = lit.light(list(lights))[0].flatten(), lit.surfaces.object_id
+    open_ = torch.zeros_like(lx)
+    for transport, u in zip(lit.transports, lights, strict=True):
+        assert isinstance(transport, DirectTransport)
+        surface = transport.surface
+        central = transport.central(surface.index)
+        light = illuminance(surface, transport.headlight.light_texture(u))
+        open_.index_add_(0, transport.pixel(surface.index)[central], light[central])
+    lx, open_ = (each.view(ids.shape).numpy() for each in (lx, open_))
+    steps = [np.abs(lx - np.roll(lx, 1, axis)) > 0.1 * open_ + 1e-9 for axis in (0, 1)]
+    outlines = [ids.numpy() != np.roll(ids.numpy(), 1, axis) for axis in (0, 1)]
+    near = binary_dilation(np.logical_or.reduce([*steps, *outlines]), iterations=3)  # an edge lies between a pixel and the one before it
+    index = np.random.default_rng(0).permutation(np.flatnonzero(~near & (open_ >= 0.5)))[:1000]
+    points, normals = (each.flatten(1).T[index].flatten().tolist() for each in (lit.surfaces.position, lit.surfaces.normal))
+    script = "const [p, n] = arguments; return Array.from(window.luxloop.scenes[0].probe(new Float32Array(p), new Float32Array(n)))"
+
+    def probed(driver: webdriver.Chrome) -> Any:
+        shader = np.array(driver.execute_script(script, points, normals))
+        return shader.any() and [shader]  # dark until the first light has come
+
+    (shader,) = WebDriverWait(browser, WAIT_S, 0.5).until(probed)
+    return np.stack([shader, lx.ravel()[index], open_.ravel()[index]])
+
+
+def test_light_in_the_shader_is_that_of_the_library(browser: webdriver.Chrome, objects: Served) -> None:
+    opened(browser, objects)
+    shader, lx, _ = compared(browser, objects.studio.session.published.runs[0])
+    lit = lx >= 0.5
+    assert lit.sum() > 500 and np.abs(shader[lit] / lx[lit] - 1).max() < 0.02
+
+
+def test_keys_and_buttons_steer_the_loop(browser: webdriver.Chrome, objects: Served) -> None:
+    opened(browser, objects)
+    body = browser.find_element(By.TAG_NAME, "body")
+    body.send_keys(".")
+    until(browser, "return document.body.innerText.includes('step 1')")
+    assert len(objects.studio.session.published.runs[0].rows) == 2
+    body.send_keys("r")
+    until(browser, "return document.body.innerText.includes('step 0')")
+    body.send_keys("?")
+    assert until(browser, "return document.querySelector('dialog[open]') !== null")
+    browser.find_element(By.CSS_SELECTOR, "dialog[open]").send_keys(Keys.ESCAPE)
+
+
+def test_a_watcher_sees_and_cannot_steer(browser: webdriver.Chrome, objects: Served) -> None:
+    before = objects.studio.session.published.number
+    opened(browser, objects, objects.tokens.watch)
+    browser.find_element(By.TAG_NAME, "body").send_keys(".")
+    assert objects.studio.session.published.number == before
+
+
+def test_the_page_asks_nobody_else_and_complains_of_nothing(browser: webdriver.Chrome, objects: Served) -> None:
+    opened(browser, objects)
+    names = browser.execute_script("return performance.getEntriesByType('resource').map((each) => each.name)")
+    assert names and all(name.startswith(f"http://127.0.0.1:{objects.port}/") for name in names)
+    assert not [each["message"] for each in browser.get_log("browser") if each["level"] == "SEVERE"]
+
+
+@pytest.mark.slow
+def test_every_view_is_drawn(browser: webdriver.Chrome, objects: Served, tmp_path: Path) -> None:
+    opened(browser, objects)
+    pictures = []
+    for key in "12345":
+        browser.find_element(By.TAG_NAME, "body").send_keys(key)
+        browser.execute_async_script("const done = arguments[0]; setTimeout(done, 2000)")
+        pictures.append(browser.get_screenshot_as_png())
+        (Path(os.environ.get("LUXLOOP_SHOTS", tmp_path)) / f"view{key}.png").write_bytes(pictures[-1])
+    assert len(set(pictures)) == 5
+
+
+def test_shadows_in_the_shader_are_those_of_the_library(browser: webdriver.Chrome, objects: Served) -> None:
+    opened(browser, objects)
+    number = objects.studio.session.published.number
+    objects.studio.session.ask(Set(type="set", overrides=("functions={}", "lighting.base.beam=high")), print)
+    WebDriverWait(browser, WAIT_S).until(lambda _: objects.studio.session.published.number > number)
+    opened(browser, objects)
+    shader, lx, open_ = compared(browser, objects.studio.session.published.runs[0])
+    assert (lx < 0.9 * open_).sum() > 20  # in the shadow of one lamp or of both
+    assert (np.abs(shader - lx) < 0.02 * open_).all()
