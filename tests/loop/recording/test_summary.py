@@ -191,7 +191,7 @@ def test_a_symbol_that_is_cut_is_lost_or_moves_astray_for_no_other_reason(course
 def test_how_far_the_road_lies_off_the_plane_is_said_where_it_is_drawn_for() -> None:
     (said,) = remedies("symbol", summarise(table(**{OFF: 12.0}, z_m=-0.57), "luxloop", 0.0))
     assert said.startswith(
-        "the symbol lies 12 % of its size off its target, drawn for a road 0.6 m below the plane z = 0; lower functions.symbol.x_m"
+        "the symbol lies 12 % of its size off its target, drawn for a road 0.6 m below the plane of the ground; lower functions.symbol.x_m"
     )
 
 
