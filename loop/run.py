@@ -29,6 +29,7 @@ from loop.recording.video import VideoWriter
 from loop.report.page import Watched, write_report
 from loop.report.picture import frame_picture, white_of
 from loop.scenario.model import Scenario, load
+from loop.scenario.plant import shadow_of
 from world.errors import LuxloopError, located
 from world.folders import output_folder
 from world.parquet import read_parquet
@@ -91,7 +92,7 @@ def run(
     if folder is None:
         temporary = TemporaryDirectory(prefix="luxloop-")
         folder = temporary.name
-    played = getattr(getattr(scenario, "plant", None), "folder", None)
+    played = shadow_of(scenario.plant)
     if played is not None and Path(played).resolve() == Path(folder).resolve():
         raise LuxloopError(f"{folder}: is the recording that is played, which this run would replace; give another folder with --out")
     folder = Path(folder)

@@ -31,9 +31,9 @@ def write_courses(figure: SubFigure, simulation: Simulation, table: pa.Table, su
         charts[lambda axes: _power(axes, simulation, table)] = 1.1
     commanded = [name for name in table.column_names if name.startswith("modules.")]
     if turned := [name for name in commanded if name.endswith("_deg")]:
-        charts[lambda axes: _commanded(axes, table, turned, "deg", "Modules, swivelled to the left and levelled down")] = 1.2
+        charts[lambda axes: _commanded(axes, table, turned, summary, "deg", "Modules, swivelled to the left and levelled down")] = 1.2
     if dimmed := [name for name in commanded if name.endswith(".intensity")]:
-        charts[lambda axes: _commanded(axes, table, dimmed, "share", "Maximum intensity of modules, of their own")] = 1.0
+        charts[lambda axes: _commanded(axes, table, dimmed, summary, "share", "Maximum intensity of modules, of their own")] = 1.0
     if held := held_in(table):
         charts[lambda axes: _held(axes, table, held)] = 1.4
     if zones := zones_of(table):
@@ -74,15 +74,19 @@ def _power(axes: Axes, simulation: Simulation, table: pa.Table) -> None:
     headed(axes, "Electrical power, beside that of undimmed beams")
 
 
-def _commanded(axes: Axes, table: pa.Table, names: Sequence[str], unit: str, title: str) -> None:
+def _commanded(axes: Axes, table: pa.Table, names: Sequence[str], summary: dict[str, Any], unit: str, title: str) -> None:
     """One curve for all modules that move alike."""
     alike: dict[tuple[float, ...], list[list[str]]] = {}
     for name in names:
-        alike.setdefault(tuple(column(table, name)), []).append(name.removeprefix("modules.").rsplit(".", 1))
-    for (values, moved), colour in zip(alike.items(), cycle(COLOURS), strict=False):
-        who = ", ".join(dict.fromkeys(module for module, _ in moved))
+        module, movement = name.removeprefix("modules.").rsplit(".", 1)
+        at_end = summary["modules"][module][movement].get("steps_at_end", 0)
+        alike.setdefault((at_end, *column(table, name)), []).append([module, movement])
+    for ((at_end, *values), moved), colour in zip(alike.items(), cycle(COLOURS), strict=False):
+        who = dict.fromkeys(module for module, _ in moved)
+        whose = "all" if len(who) == len(summary["modules"]) else ", ".join(who)
         how = " and ".join(MOVED[movement] for movement in MOVED if any(movement == each for _, each in moved))
-        axes.plot(column(table, "time_s"), values, marker=_mark(table), color=colour, label=f"{who} {how}")
+        ends = f", at a limit in {at_end} of {table.num_rows} steps" if at_end else ""
+        axes.plot(column(table, "time_s"), values, marker=_mark(table), color=colour, label=f"{whose} {how}{ends}")
     axes.set(ylabel=unit)
     if unit == "share":
         axes.set_ylim(-0.02, 1.05)

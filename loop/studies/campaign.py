@@ -30,7 +30,7 @@ Row = dict[str, Any]
 class RunParams(Params):
     """One single run of a campaign."""
 
-    scenario: str = Field(min_length=1, description="shipped scenario, or file relative to the campaign's file")
+    scenario: str = Field(min_length=1, examples=["snowflake"], description="shipped scenario, or file relative to the campaign's file")
     controller: str | None = Field(None, description="controller; left out: the scenario's own")
     variant: str | None = Field(None, description="name of a variant; left out: none")
     seed: int = Field(0, ge=0, lt=2**63, description="seed of all noise")
