@@ -39,7 +39,7 @@ CONTROLLERS: dict[str, type[NamedParams]] = {
 
 
 def build_controller(params: AnyParams, sensor: SymbolSensor) -> SymbolController:
-    """The controller of these params, a symbol's in a scenario, for an sensor with all that a controller may know: lamps, camera, flat
+    """The controller of these params, a symbol's in a scenario, for a sensor with all that a controller may know: lamps, camera, flat
     road and target.
 
     Raises LuxloopError where a controller of the user's own cannot be made.
@@ -64,7 +64,7 @@ def refuse_place(params: AnyParams, target: str, where: str = "") -> None:
     own = isinstance(params, OwnParams) and params.warp is None and params.supervisor is None
     if target == "place" and isinstance(params, StagedParams) and not own:
         raise ValueError(
-            f"{where}target: {params.name} compares with the observation of a symbol on a flat road and holds no place; "
+            f"{where}target: {params.name} compares with the appearance of a symbol on a flat road and holds no place; "
             f'set controller.name = "luxloop", or {where}target = "appearance"'
         )
 

@@ -73,7 +73,7 @@ class SimulatedPlant:
         return sensors.newest(by_s, like) if after_s is None else sensors.arriving(after_s, by_s, like)
 
     def _frame(self, exposure: Exposure, step: int, frame: int) -> Tensor:
-        """Digital numbers `[height, width]`, computed where they are read; at once of light that is metered, as all of it is at hand now."""
+        """Digital numbers `[height, width]`, computed where they are read; at once of metered light, as all of it is at hand now."""
         view, shown = self.world.view, (exposure.start_s, exposure.lights, exposure.commands)
 
         def part_of(part: Part) -> Tensor:

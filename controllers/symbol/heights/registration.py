@@ -41,7 +41,7 @@ class Heights:
 
 @dataclass(frozen=True)
 class Registration:
-    """Registers observations of one sight."""
+    """Registers observations of one forward model."""
 
     forward_model: ForwardModel
     edges: Tensor
