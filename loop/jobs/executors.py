@@ -50,10 +50,7 @@ def local(processes: int | None = None) -> Executor:
 
 def _begin() -> None:
     """Set up a worker before its first task."""
-    for each in (
-        signal.SIGINT,
-        signal.SIGTERM,
-    ):  # terminals and service managers send them to workers as well; the parent process ends its workers
+    for each in (signal.SIGINT, signal.SIGTERM):  # also sent to workers by terminals and services; the parent process ends its workers
         signal.signal(each, signal.SIG_IGN)
     threading.Thread(target=_end_after, args=(os.getppid(),), daemon=True).start()
     process_executor._USE_PSUTIL = False  # otherwise a worker that keeps 300 MB between tasks, as simulations do, is ended as leaking
