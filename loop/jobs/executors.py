@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from typing import Protocol, TypeVar
+from typing import Final, Protocol, TypeVar
 
 from joblib import Parallel, delayed, parallel_config
 from joblib.externals.loky import process_executor
@@ -46,6 +46,9 @@ def local(processes: int | None = None) -> Executor:
             raise WorkersLostError("a worker process was killed, probably for lack of memory; use fewer processes") from error
 
     return execute
+
+
+ALL_CORES: Final = local()
 
 
 def _begin() -> None:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from loop.jobs.executors import local
 from loop.jobs.runner import Job, Results, digest_of, run
 from loop.terminal import tables
 from loop.terminal.progress import progress
@@ -91,7 +92,7 @@ def drawn(out: Path, first: int, number: int, processes: int | None, title: str)
     """Rows of so many scenes from a first seed on, drawn unless they are in the folder. Raises LuxloopError where some cannot be."""
     folder = str(out / FOLDER)
     jobs = [Job(f"scene {seed}", {"seed": seed, "folder": folder}) for seed in range(first, first + number)]
-    results: Results = run(scenes.draw, jobs, out / JOBS, version=VERSION, processes=processes, title=title)
+    results: Results = run(scenes.draw, jobs, out / JOBS, version=VERSION, executor=local(processes), title=title)
     if results.failures:
         key, reason = next(iter(results.failures.items()))
         raise LuxloopError(f"{out}: {len(results.failures)} scenes cannot be drawn, first {key}: {reason}")
