@@ -62,8 +62,6 @@ def run_evaluation(out: Path, lamp: str | None, quick: bool, processes: int | No
     """
     if lamp is not None and lamp not in LAMPS:
         raise LuxloopError(f"--lamp: {lamp!r} cannot be evaluated; the lamps are {', '.join(LAMPS)}")
-    if processes is not None and processes < 1:
-        raise LuxloopError(f"--jobs: {processes} is too few processes; give 1 or more")
     found = evaluate(out, LAMPS if lamp is None else (lamp,), quick=quick, executor=local(processes))
     for key, reason in found.failures.items():
         tables.console(stderr=True).print(f"failed: {key}: {reason}", markup=False)
