@@ -70,13 +70,8 @@ LOOKING = {
         "most light on a point of the road, as a multiple of the largest setpoint of functions and base beam there",
     ),
 }
-OF_TRUTH = (
-    "false_positives",
-    "eyes_lx_max",
-    "eyes_lx_peak",
-    "oncoming_lx_max",
-    "road_lx_ratio_max",
-)  # which only a plant can tell that knows it
+# Columns that only a plant can tell that knows the truth.
+OF_TRUTH = ("false_positives", "eyes_lx_max", "eyes_lx_peak", "oncoming_lx_max", "road_lx_ratio_max")
 OBJECT = {
     "pixels": (pa.int64(), "px", "of the camera that see it"),
     "lx_min": (pa.float64(), "lx", "least light of the lamps on what the camera sees of it; empty where that is nothing"),
