@@ -308,7 +308,7 @@ export class SceneView {
     });
     const wall = this.wall.group.visible;
     this.wall.group.visible = false;
-    this.bodies.group.visible = true;
+    this.scene.visible = this.bodies.group.visible = true;
     this.shadows.render(this.scene, (k) => lit.includes(k));
     this.wall.group.visible = wall;
   }
