@@ -9,6 +9,7 @@ from loop.terminal.options import AllowCode, Device, Keys
 
 def studio(
     scenario: str = "snowflake",
+    beside: str | None = None,
     /,
     *,
     set: Keys = None,
@@ -24,6 +25,8 @@ def studio(
     ----------
     scenario
         Shipped name (see `luxloop list`), path of a scenario, or folder of a recording.
+    beside
+        A second one, which steps beside the first in the same views.
     set
         Other values of keys, as KEY=VALUE in TOML, or a .toml file of keys.
     host
@@ -39,13 +42,13 @@ def studio(
     from loop.studio.server import Studio, Tokens
     from loop.studio.session import Source
 
-    folder = Path(scenario)
-    recording = folder if folder.is_dir() else None
-    source = Source(scenario if recording is None else "", tuple(set or ()), recording)
-    files, tokens = page(), Tokens()
+    overrides, files, tokens = tuple(set or ()), page(), Tokens()
+    sources = tuple(
+        Source("", overrides, Path(name)) if Path(name).is_dir() else Source(name, overrides) for name in (scenario, beside) if name
+    )
 
     async def serve() -> None:
-        served = Studio(source, files, tokens, allow_code=allow_code, device=device)
+        served = Studio(sources, files, tokens, allow_code=allow_code, device=device)
         server = await served.serve(host, port)
         address = f"http://{host}:{server.sockets[0].getsockname()[1]}/"
         print(f"To edit:  {address}#{tokens.edit}\nTo watch: {address}#{tokens.watch}\nEnd it with Ctrl-C.", flush=True)

@@ -59,14 +59,14 @@ class Client:
 class Studio:
     """A session and its clients. Make it in a running event loop."""
 
-    def __init__(self, source: Source, page: Path, tokens: Tokens, *, allow_code: bool = False, device: str = "auto") -> None:
+    def __init__(self, sources: tuple[Source, ...], page: Path, tokens: Tokens, *, allow_code: bool = False, device: str = "auto") -> None:
         """page: folder of the page's files."""
         self.page, self.tokens = page, tokens
         self._loop = asyncio.get_running_loop()
         self._clients, self._number = list[Client](), 0
         self._pen: int | None = None
         self._threads = ThreadPoolExecutor(2, "messages")
-        self.session = Session(source, self._changed, allow_code=allow_code, device=device)
+        self.session = Session(sources, self._changed, allow_code=allow_code, device=device)
         self._hosts: frozenset[str] = frozenset()
 
     async def serve(self, host: str, port: int) -> Server:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from loop.scenario.model import Scenario
     from loop.studio.runs import Run
 
+PATIENCE_S: Final = 5.0  # with a step, when all shall end
 SMOOTH: Final = 0.2  # share of a step in the mean of its time
 
 Reply = Callable[[dict[str, Any]], None]
@@ -60,12 +61,12 @@ class Session:
     published: replaced whole; any thread may read it. wanted: what somebody looks at; any thread may replace it.
     """
 
-    def __init__(self, source: Source, changed: Callable[[], None], *, allow_code: bool = False, device: str = "auto") -> None:
-        """changed: called after each change, from the session's thread."""
+    def __init__(self, sources: tuple[Source, ...], changed: Callable[[], None], *, allow_code: bool = False, device: str = "auto") -> None:
+        """sources: one, or two that step beside each other. changed: called after each change, from the session's thread."""
         self.published = Published()
         self.wanted: frozenset[View] = frozenset(VIEWS)
-        self._sources: tuple[Source, ...] = (source,)
-        self._given, self._changed, self._allow_code, self._device = source, changed, allow_code, device
+        self._sources = self._given = sources
+        self._changed, self._allow_code, self._device = changed, allow_code, device
         self._asked: queue.SimpleQueue[Asked | None] = queue.SimpleQueue()
         self._next_s = 0.0
         self._thread = threading.Thread(target=self._work, name="simulation", daemon=True)
@@ -79,9 +80,9 @@ class Session:
         self._asked.put(Asked(message, reply))
 
     def stop(self) -> None:
-        """End the thread after the step that it is at."""
+        """End the thread after the step that it is at; one that prepares something for long ends with the process."""
         self._asked.put(None)
-        self._thread.join()
+        self._thread.join(PATIENCE_S)
 
     def _work(self) -> None:
         self._attempt(lambda: self._prepare(self._sources), None)
@@ -172,9 +173,9 @@ class Session:
 
         self._refuse(asked.overrides or ())
         name = asked.name if isinstance(asked, Open) else ""
-        known = name in shipped() or name == self._given.name
         recording = None if asked.recording is None else Path(asked.recording)
-        if not self._allow_code and (recording != self._given.recording if recording else not known):
+        given = any((each.name, each.recording) == (name, recording) for each in self._given)
+        if not self._allow_code and not given and (recording or name not in shipped()):
             raise LuxloopError(
                 f"{recording or name!r}: is neither a shipped scenario nor what luxloop studio was started with; start it with that or "
                 "with --allow-code"
@@ -217,7 +218,7 @@ class Session:
             same = (run.simulation for run in self.published.runs if run.simulation.scenario == scenario)
             simulation = next(same, None) or prepare(scenario, self._device)
             self._publish(progress=f"first step of {scenario.name}")
-            runs.append(Run(simulation, _label(source, sources), source.overrides))
+            runs.append(Run(simulation, _label(source, sources[0]), source.overrides))
         first = runs[0].simulation.scenario
         head = {
             "type": "scenario",
@@ -246,9 +247,11 @@ class Session:
         return scenario
 
 
-def _label(source: Source, all_: Sequence[Source]) -> str:
-    told = " ".join(source.overrides[len(all_[0].overrides) :] if source is not all_[0] else ())
-    return told or (source.name if source.recording is None else str(source.recording))
+def _label(source: Source, first: Source) -> str:
+    """What tells a run from the first: values of keys, or where it comes from."""
+    same = source is not first and (source.name, source.recording) == (first.name, first.recording)
+    told = " ".join(source.overrides[len(first.overrides) :]) if same else ""
+    return told or source.name or str(source.recording)
 
 
 def _choices() -> dict[str, Any]:

@@ -41,7 +41,7 @@ def serving(source: Source, page: Path) -> Iterator[Served]:
 
     async def begin() -> tuple[Served, Server]:
         tokens = Tokens()
-        studio = Studio(source, page, tokens, device="cpu")
+        studio = Studio((source,), page, tokens, device="cpu")
         server = await studio.serve("127.0.0.1", 0)
         return Served(server.sockets[0].getsockname()[1], tokens, studio), server
 
