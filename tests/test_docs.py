@@ -33,10 +33,11 @@ SCENARIOS = ROOT / "docs" / "scenarios.md"
 
 # What is not run here, and why.
 EXEMPT = {
-    r"make (demo|test|docs)\b": "sets up an environment, and would run this test inside itself",
+    r"make (demo|test|docs|studio)\b": "sets up an environment, and would run this test inside itself",
     r"\. \.venv/bin/activate": "the test runs in an environment already",
     r"python3 -m venv|pip install": "tests/test_packaging.py installs",
     r"(\.venv/bin/)?python benchmarks/": "takes minutes, and has tests of its own",
+    r"luxloop studio\b": "serves until it is ended, and has tests in a browser",
     r"luxloop run .*--checks": "holds for all steps of a run, and has a test of its own",
     r"luxloop (evaluate|campaign|optimise-beam|train-detector)\b": "takes minutes, and has tests of its own",
 }
