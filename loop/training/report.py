@@ -77,7 +77,8 @@ Objects count if they are at least {HEIGHT_PX} px tall and {VISIBLE:.0%} visible
 object counts neither way. Precision is {found["precision"]:g}, and {number(found["class_accuracy"], ".1%")} of the found objects have the \
 right class. Recall by class: {by_class}.
 
-Recall at false positives a frame, for other thresholds of the score (in brackets): {others}. A frame takes {report["ms_a_frame"]:g} ms of processor time.
+Recall at false positives a frame, for other thresholds of the score (in brackets): {others}. \
+A frame takes {report["ms_a_frame"]:g} ms of processor time.
 
 The score of a box estimates the probability that it is right (with a slope of {training["slope"]:g} and a shift of {training["shift"]:g} \
 of the logits, fitted in light of {JUDGED_LX:g} lx and in object-based light). Share of right boxes on the scenes held out, at \
