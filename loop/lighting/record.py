@@ -26,48 +26,58 @@ STEP = {
     "step": (pa.int64(), "1", "control step, from 0"),
     "time_s": (pa.float64(), "s", "time since the scenario's start"),
     "speed_m_s": (pa.float64(), "m/s", "speed of the car, as measured"),
-    "curvature_1_m": (pa.float64(), "1/m", "curvature of its course, as measured"),
+    "curvature_1_m": (pa.float64(), "1/m", "curvature of the car's course, as measured"),
     "beam": (pa.string(), "", "base beam"),
-    "bend_deg": (pa.float64(), "deg", "its bend to the left"),
-    "level_deg": (pa.float64(), "deg", "its level, down"),
-    "roll_deg": (pa.float64(), "deg", "its roll, right side down"),
-    "primitives": (pa.int64(), "1", "rectangles of all functions together"),
-    "dark_lx_max": (pa.float64(), "lx", "most light of the lamps on any object that must be dark; empty while there is none in sight"),
-    "plan_ms": (pa.float64(), "ms", "from the objects to primitives"),
-    "light_ms": (pa.float64(), "ms", "from primitives to utilisations"),
-    "look_ms": (pa.float64(), "ms", "rendering and judging, which are no part of the car"),
-    "processing_ms": (pa.float64(), "ms", "all that the car computes, without look_ms, as time of one thread on the processor"),
+    "bend_deg": (pa.float64(), "deg", "bend of the base beam to the left"),
+    "level_deg": (pa.float64(), "deg", "level of the base beam, down"),
+    "roll_deg": (pa.float64(), "deg", "roll of the base beam, right side down"),
+    "primitives": (pa.int64(), "1", "number of rectangles of all functions"),
+    "dark_lx_max": (pa.float64(), "lx", "largest illuminance by the lamps on any object that must be dark; empty while none is in sight"),
+    "plan_ms": (pa.float64(), "ms", "time from the objects to primitives"),
+    "light_ms": (pa.float64(), "ms", "time from primitives to utilisations"),
+    "look_ms": (pa.float64(), "ms", "time of rendering and judging, which are not part of the car"),
+    "processing_ms": (pa.float64(), "ms", "time of everything that the car computes, without look_ms, on one thread of the processor"),
 }
-CONTROL = {"control_ms": (pa.float64(), "ms", "measurement and controllers of all symbols that are held")}
-OBSERVED = {"symbol_iou_min": (pa.float64(), "1", "least IoU of a symbol with what its observer shall see; empty while there is none")}
+CONTROL = {"control_ms": (pa.float64(), "ms", "time of measurement and controllers of all held symbols")}
+OBSERVED = {
+    "symbol_iou_min": (pa.float64(), "1", "lowest IoU of a symbol with the picture that its observer should see; empty while there is none")
+}
 LAMP = {
     "flux_lm": (pa.float64(), "lm", "luminous flux"),
     "power_share": (pa.float64(), "1", "power, as a share of all pixels on"),
     "power_factor": (pa.float64(), "1", "factor by which the power limit dims all pixels"),
 }
-LAMP_PEAK = {"flux_lm_peak": (pa.float64(), "lm", "luminous flux while it is highest; flux_lm and power are means over the step")}
-OBJECT_PEAK = {"lx_peak": (pa.float64(), "lx", "lx_max while it is highest; the others are means over the step")}
-EYES_PEAK = {"eyes_lx_peak": (pa.float64(), "lx", "eyes_lx_max while it is highest, which is a mean over the step")}
+LAMP_PEAK = {"flux_lm_peak": (pa.float64(), "lm", "highest luminous flux within the step; flux_lm and power are means over the step")}
+OBJECT_PEAK = {"lx_peak": (pa.float64(), "lx", "highest lx_max within the step; the others are means over the step")}
+EYES_PEAK = {"eyes_lx_peak": (pa.float64(), "lx", "highest value within the step; eyes_lx_max is a mean over the step")}
 LEARNING = {
-    "base_share": (pa.float64(), "1", "what is left of the base beam"),
+    "base_share": (pa.float64(), "1", "remaining share of the base beam"),
     "flux_lm": (pa.float64(), "lm", "luminous flux of all lamps"),
-    "power_w": (pa.float64(), "W", "electrical power of all lamps, by the lamp model of headlight.standby_w and efficacy_lm_w"),
-    "find_ms": (pa.float64(), "ms", "detector, tracker and what functions learn"),
+    "power_w": (pa.float64(), "W", "electrical power of all lamps, from the model with headlight.standby_w and efficacy_lm_w"),
+    "find_ms": (pa.float64(), "ms", "time of detector, tracker and learning functions"),
 }
 LOOKING = {
-    "detections": (pa.int64(), "1", "boxes that the detector found"),
-    "false_positives": (pa.int64(), "1", "of them, those of at least tracker.start_score that overlap no object by an IoU of 0.3"),
-    "tracks": (pa.int64(), "1", "objects that the tracker has confirmed and not lost"),
-    "eyes_lx_max": (pa.float64(), "lx", "most light of the lamps on heads and windscreens of road users; empty while none is seen"),
+    "detections": (pa.int64(), "1", "number of boxes that the detector found"),
+    "false_positives": (
+        pa.int64(),
+        "1",
+        "number of these with a score of at least tracker.start_score that overlap no object by an IoU of 0.3",
+    ),
+    "tracks": (pa.int64(), "1", "number of objects that the tracker has confirmed and not lost"),
+    "eyes_lx_max": (
+        pa.float64(),
+        "lx",
+        "largest illuminance by the lamps on heads and windscreens of road users; empty while none is seen",
+    ),
     "oncoming_lx_max": (
         pa.float64(),
         "lx",
-        "the same of oncoming drivers and riders alone, each from 0.3 s after it is at least 24 px tall and half visible",
+        "the same for oncoming drivers and riders only, each from 0.3 s after being at least 24 px tall and half visible",
     ),
     "road_lx_ratio_max": (
         pa.float64(),
         "1",
-        "most light on a point of the road, as a multiple of the largest setpoint of functions and base beam there",
+        "largest ratio of the light on a point of the road to the largest setpoint of functions and base beam there",
     ),
 }
 OF_TRUTH = (
@@ -78,29 +88,37 @@ OF_TRUTH = (
     "road_lx_ratio_max",
 )  # which only a plant can tell that knows it
 OBJECT = {
-    "pixels": (pa.int64(), "px", "of the camera that see it"),
-    "lx_min": (pa.float64(), "lx", "least light of the lamps on what the camera sees of it; empty where that is nothing"),
-    "lx_mean": (pa.float64(), "lx", "mean of the light on its pixels"),
-    "lx_max": (pa.float64(), "lx", "most light on it"),
+    "pixels": (pa.int64(), "px", "number of camera pixels that see it"),
+    "lx_min": (pa.float64(), "lx", "lowest illuminance by the lamps on its visible part; empty while the camera does not see it"),
+    "lx_mean": (pa.float64(), "lx", "mean illuminance on its visible part"),
+    "lx_max": (pa.float64(), "lx", "largest illuminance on its visible part"),
     "masked": (pa.bool_(), "", "whether a mask must keep it dark"),
 }
 ZONE = {
-    "lx": (pa.float64(), "lx", "illuminance that its loop asks for"),
-    "luminance": (pa.float64(), "cd/m^2", "mean luminance of its pixels, without the camera's noise; empty out of its sight"),
-    "target": (pa.float64(), "cd/m^2", "luminance wanted"),
+    "lx": (pa.float64(), "lx", "setpoint of its loop"),
+    "luminance": (
+        pa.float64(),
+        "cd/m^2",
+        "mean luminance of its pixels, without the camera's noise; empty while the camera does not see it",
+    ),
+    "target": (pa.float64(), "cd/m^2", "wanted luminance"),
 }
 MODULE = {
-    "swivel_deg": (pa.float64(), "deg", "how far it is swivelled from its rest, to the left"),
-    "level_deg": (pa.float64(), "deg", "how far it is levelled from its rest, down"),
-    "intensity": (pa.float64(), "1", "its maximum intensity, as a share of its own"),
+    "swivel_deg": (pa.float64(), "deg", "swivel from its rest position, to the left"),
+    "level_deg": (pa.float64(), "deg", "level from its rest position, down"),
+    "intensity": (pa.float64(), "1", "maximum intensity as a share of the undimmed one"),
 }
 MATERIAL = {"lx": ("lx", "illuminance"), "luminance": ("cd/m^2", "luminance")}
 NAN = torch.tensor(torch.nan)
 NOT_JUDGED = Verdict(NAN.expand(2), NAN, NAN, NAN, NAN)
 LOOKED_AT = {
     "track": (pa.int64(), "", "number of the track that shows it; empty without one"),
-    "confidence": (pa.float64(), "1", "of that track, filtered over frames, 0 without one; empty while the camera sees nothing of it"),
-    "score": (pa.float64(), "1", "of what the detector found in this frame alone"),
+    "confidence": (
+        pa.float64(),
+        "1",
+        "confidence of that track, filtered over frames, 0 without one; empty while the camera does not see the object",
+    ),
+    "score": (pa.float64(), "1", "score of the detection in this frame alone"),
 }
 
 
