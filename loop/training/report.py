@@ -74,8 +74,8 @@ judged on {report["scenes"]} other scenes with {found["objects"]} objects, none 
 
 Objects count if they are at least {HEIGHT_PX} px tall and {VISIBLE:.0%} visible. An object is found if a box with a score of at least \
 {report["sure"]:g} has an IoU of {FOUND_IOU:g} or more with it. A box on no object is a false positive; a box on a smaller or more \
-occluded object counts neither way. Precision is {found["precision"]:g}, and {number(found["class_accuracy"], ".1%")} of the found objects have the \
-right class. Recall by class: {by_class}.
+occluded object counts neither way. Precision is {found["precision"]:g}, and {number(found["class_accuracy"], ".1%")} of the found \
+objects have the right class. Recall by class: {by_class}.
 
 Recall at false positives a frame, for other thresholds of the score (in brackets): {others}. \
 A frame takes {report["ms_a_frame"]:g} ms of processor time.
