@@ -80,4 +80,4 @@ def test_overrides_of_a_loaded_scenario_are_refused(tmp_path: Path) -> None:
 def test_pages_and_examples_import_from_the_door_or_say_that_they_do_not(page: Path) -> None:
     text = page.read_text("utf-8")
     inside = re.search(r"^(?:from|import) (?:world|perception|controllers|loop)\b", text, re.M)
-    assert bool(inside) == bool(re.search(r"\binside\b.*, which may change", text)), f"{page.name} imports from the inside: {inside}"
+    assert bool(inside) == bool(re.search(r"\binternal\b.*\bmay change", text)), f"{page.name} imports internal packages: {inside}"
