@@ -193,7 +193,7 @@ def running(name: Name, key: str, what: str) -> Iterator[None]:
     except LuxloopError:
         raise
     except Exception as error:
-        raise LuxloopError(f"{key}: {name}: {what} fails{_place(error, name)} ({in_a_line(error)}); mend it") from error
+        raise LuxloopError(f"{key}: {name}: {what} fails{_place(error, name)} ({in_a_line(error)}); correct it") from error
 
 
 def _place(error: Exception, name: Name) -> str:

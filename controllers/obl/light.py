@@ -51,7 +51,7 @@ class ObjectLightParams(Params):
     def _shares(cls, dark: dict[Category, float]) -> dict[Category, float]:
         for category, share in dark.items():
             if not 0 <= share <= 1:
-                raise ValueError(f"{category}: {share:g} is no share of a box's height; give 0 to 1")
+                raise ValueError(f"{category}: {share:g} is not a share of a box's height; give 0 to 1")
         return dark
 
     def on(

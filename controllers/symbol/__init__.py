@@ -64,7 +64,7 @@ def refuse_place(params: AnyParams, target: str, where: str = "") -> None:
     own = isinstance(params, OwnParams) and params.warp is None and params.supervisor is None
     if target == "place" and isinstance(params, StagedParams) and not own:
         raise ValueError(
-            f"{where}target: {params.name} compares with the observation of a symbol on a flat road and holds no place; "
+            f"{where}target: {params.name} compares with the appearance on a flat road and cannot hold a place; "
             f'set controller.name = "luxloop", or {where}target = "appearance"'
         )
 

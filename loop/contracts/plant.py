@@ -65,7 +65,7 @@ def check_plant(plant: type, options: Mapping[str, Any] | None = None, device: s
         shown.append(Shown(before, exposure, arrivals, copied((state, arrivals), GIVES)))
     if not any(each.arrivals.frames for each in shown):
         raise LuxloopError(
-            f"{KEY}: {name}: of {EXPOSURES} exposures no frame has come, nor word that it is lost; give frames in Arrivals.frames"
+            f"{KEY}: {name}: no frame of {EXPOSURES} exposures has arrived or been reported lost; give frames in Arrivals.frames"
         )
     for each in shown:
         if differs := difference(each.gave, own.show(each.state, each.exposure), GIVES):

@@ -121,7 +121,7 @@ def _raw(scenario: Scenario, name: str, headlight: Headlight) -> RawUtilisation 
     mine = [(i, raw) for i, raw in enumerate(scenario.lighting.raw) if meant(raw.modules, name)]
     if len(mine) > 1:
         both = " and ".join(f"lighting.raw[{i}]" for i, _ in mine[:2])
-        raise LuxloopError(f"{both} are both meant for module {name!r}; name the modules of each in its modules")
+        raise LuxloopError(f"{both} both apply to module {name!r}; name the modules of each in its modules")
     for i, raw in mine:
         with located(f"lighting.raw[{i}].file, for module {name!r} (its modules say which are meant)"):
             file = named(raw.file, "utilisations")

@@ -83,7 +83,7 @@ def write_image(file: Path, image: Tensor, bits: int) -> None:
     numbers = image.clamp(0, 2**bits - 1).round()
     if not numbers.equal(image):
         raise LuxloopError(
-            f"{file}: cannot be kept, for the frame holds more than digital numbers of 0 to {2**bits - 1}; check the plant with "
+            f"{file}: cannot be stored, as the frame has values other than digital numbers of 0 to {2**bits - 1}; check the plant with "
             "luxloop.check_plant"
         )
     coded = cv2.imencode(".png", numbers.cpu().numpy().astype(np.uint16), QUICK)[1]

@@ -79,11 +79,11 @@ def refuse_unknown(checks: Mapping[str, CheckParams], schema: pa.Schema, compare
         where = f"checks.{name}.metric: {check.metric!r}"
         if check.metric not in known:
             raise LuxloopError(
-                f"{where} is no column of numbers of the recording; {did_you_mean(check.metric, known, _known(check.metric, known))}"
+                f"{where} is not a numeric column of the recording; {did_you_mean(check.metric, known, _known(check.metric, known))}"
             )
         if check.compare is not None and check.metric not in compared:
             raise LuxloopError(
-                f"{where} is there with lighting functions alone, so {check.compare} has nothing to compare it with; take a column "
+                f"{where} exists only with lighting functions, so {check.compare} has nothing to compare it with; take a column "
                 "of lamps or objects, or leave compare out"
             )
 
@@ -126,9 +126,9 @@ def _compared(outcome: Mapping[str, Any], unit: str) -> str:
     if other is None:
         return f"{NOTHING} with {light}"
     if outcome["recall"] is not None:
-        return f"above 0 in {outcome['recall']:.4g} of the steps in which it is with {light}"
+        return f"above 0 in {outcome['recall']:.4g} of the steps in which it is above 0 with {light}"
     if outcome["difference"] is not None:
-        return f"{outcome['take']} {outcome['difference']:+.4g}{unit} to what it is with {light}"
+        return f"{outcome['take']} {outcome['difference']:+.4g}{unit} relative to {light}"
     share = "an infinite multiple" if outcome["ratio"] is None else f"{outcome['ratio']:.4g}"
     return f"{share} of {other:.4g}{unit} with {light}"
 

@@ -130,7 +130,7 @@ def _confidences(axes: Axes, table: pa.Table, names: Sequence[str], summary: dic
         axes.plot(column(table, "time_s"), column(table, f"objects.{name}.confidence"), color=colour, label=label)
     axes.set(ylim=(0, 1.02))
     if nothing := summary["tracks_of_nothing"]:
-        axes.plot([], [], " ", label=f"a track of nothing in {nothing} steps")
+        axes.plot([], [], " ", label=f"a track without an object in {nothing} steps")
     headed(axes, "Confidence of objects, filtered over frames")
 
 
@@ -151,7 +151,7 @@ def _on_objects(axes: Axes, table: pa.Table, names: Sequence[str], objects: Mapp
     if "eyes_lx_max" in table.column_names and np.isfinite(column(table, "eyes_lx_max")).any():
         later = eyes_lx(table, START_UP_S)
         told = "" if later is None else f": {later:.2g} lx from {START_UP_S:g} s on"
-        axes.plot(time_s, column(table, "eyes_lx_max"), color="0.5", linestyle="--", label=f"most on heads and windscreens{told}")
+        axes.plot(time_s, column(table, "eyes_lx_max"), color="0.5", linestyle="--", label=f"maximum on heads and windscreens{told}")
     axes.set_ylabel("lx")
     if axes.dataLim.ymin < FAINTEST_LX:
         axes.set_yscale("symlog", linthresh=FAINTEST_LX)

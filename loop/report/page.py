@@ -128,7 +128,7 @@ def _draw_light(
 def _title(simulation: Simulation, last: StepResult, table: pa.Table) -> str:
     dark = column(table, "dark_lx_max")
     dark = dark[np.isfinite(dark)]
-    masked = f"  ·  {dark.max():.3g} lx at most on what must be dark" if len(dark) else ""
+    masked = f"  ·  {dark.max():.3g} lx at most on masked objects" if len(dark) else ""
     scenario = simulation.scenario
     flicker = f"  ·  symbols on for {1 - scenario.off_share:.0%} at {scenario.rate_hz:g} Hz" if scenario.controlled else ""
     if (folder := shadow_of(scenario.plant)) is not None:
@@ -162,8 +162,8 @@ def _told_of_boxes(simulation: Simulation) -> str:
         return f"What the camera sees{zones}"
     orange = ", orange where a mask keeps it dark" if "glare_free" in kinds else ""
     if simulation.pipeline is None:
-        return f"What the camera sees; a green box is an object that functions are told of{orange}{zones}"
-    return f"What the camera sees; green: tracked, and how sure{orange}; grey: found in this frame{zones}"
+        return f"Camera's view; green boxes: objects that functions receive{orange}{zones}"
+    return f"Camera's view; green: tracked, with confidence{orange}; grey: found in this frame{zones}"
 
 
 def _camera(axes: Axes, simulation: Simulation, result: StepResult, white: float) -> None:

@@ -132,7 +132,7 @@ class Scenario(Params):
     def _known_or_own(cls, name: str) -> str:
         if name not in PIXEL_CONTROLLERS and not re.fullmatch(PATTERN, name):
             known = did_you_mean(name, PIXEL_CONTROLLERS)
-            raise ValueError(f"there is no pixel controller {name!r}; {known} One of your own is given as package.module:Name")
+            raise ValueError(f"there is no pixel controller {name!r}; {known} Give your own as package.module:Name")
         return name if name in PIXEL_CONTROLLERS else Name(name)
 
     @model_validator(mode="after")
@@ -159,25 +159,22 @@ class Scenario(Params):
             refuse_long_exposures(self.camera.exposure_s, self.off_share, self.rate_hz)
             return self
         if self.off_share != 0.5:
-            raise ValueError("off_share: no controller holds a symbol here that could be off; leave it out")
+            raise ValueError("off_share: no controller holds a symbol here; leave it out")
         for key in ("oncoming", "ambient"):
             if off := [k for k, each in enumerate(getattr(self.disturbances, key)) if each.frames == "off"]:
-                raise ValueError(
-                    f"disturbances.{key}[{off[0]}].frames: without a symbol that a controller holds steps have no off frame; leave it out"
-                )
+                raise ValueError(f"disturbances.{key}[{off[0]}].frames: without a held symbol, steps have no off frame; leave it out")
         return self
 
     @model_validator(mode="after")
     def _tracks_what_is_detected(self) -> Self:
         if self.detector_frames != "on" and not (self.controlled and self.detector):
             lacking = "detector" if self.controlled else "symbol that a controller holds"
-            raise ValueError(f"detector_frames: there is no {lacking} here, so that it means nothing; leave it out")
+            raise ValueError(f"detector_frames: there is no {lacking} here, so it has no effect; leave it out")
         if self.detector is None and self.tracker != TrackerParams():
             raise ValueError('tracker: follows what a detector finds, but there is none; give one, detector = {kind = "network"} say')
         if self.detector is not None and (named := [name for name, each in self.functions.items() if any(objects_named(each))]):
             raise ValueError(
-                f"functions.{named[0]}: names objects, but a detector knows them by class alone; leave names out, "
-                "or take the [detector] out"
+                f"functions.{named[0]}: names objects, but a detector knows only their class; leave names out, or take the [detector] out"
             )
         return self
 
@@ -188,7 +185,7 @@ class Scenario(Params):
             raise ValueError(f"conditions: time_s must ascend from entry to entry, here {times}")
         names = [each.name for each in self.all_objects]
         if doubled := [name for name in names if names.count(name) > 1]:
-            raise ValueError(f"objects: the name {doubled[0]!r} is there twice, but recordings tell objects by name; rename one")
+            raise ValueError(f"objects: the name {doubled[0]!r} occurs twice, but recordings identify objects by name; rename one")
         return self
 
     @property

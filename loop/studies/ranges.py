@@ -39,7 +39,7 @@ def parse(text: str, scenarios: Sequence[Scenario]) -> Range:
             f"{where}: is not of the form key=low:high; write for example functions.symbol.controller.position.kp=0.1:2"
         ) from error
     if scale not in ("", "log"):
-        raise LuxloopError(f"{where}: {scale!r} is no scale; write {key}={low_text}:{high_text}:log, or leave it out")
+        raise LuxloopError(f"{where}: {scale!r} is not a scale; write {key}={low_text}:{high_text}:log, or leave it out")
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
         turned = f"write {key}={high_text}:{low_text}" if high < low else f"give {key} two different ends"
         raise LuxloopError(f"{where}: the range is the wrong way round or empty; {turned}")
@@ -74,7 +74,7 @@ def value_of(scenario: Scenario, key: str) -> float | int | None:
         else:
             table = table.get(part) if isinstance(table, dict) else None
     if isinstance(table, bool) or not (table is None or isinstance(table, int | float)):
-        raise LuxloopError(f"is no number, and only numbers are tuned; {_hint(key, table)}")
+        raise LuxloopError(f"is not a number, and only numbers can be tuned; {_hint(key, table)}")
     return table
 
 

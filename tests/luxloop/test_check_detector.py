@@ -122,7 +122,7 @@ BROKEN: dict[Any, list[str]] = {
     MeanOfAll: ["something else in a frame where others are beside it", "by itself"],
     Remembering: ["another detections[0].scores", "same frames", "keep nothing in self"],
     Lazy: ["gives a generator", "a list with one luxloop.Detections a frame"],
-    InPlace: ["changes frames, which it was given"],
+    InPlace: ["changes frames, which was passed to it"],
     NoneInTheDark: ["'NoneType' object has no attribute 'boxes'"],
 }
 

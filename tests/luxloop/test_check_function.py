@@ -162,14 +162,14 @@ BROKEN: dict[Any, list[str]] = {
     Batched: ["corners [1, 1, 3]", "[P, 3]"],
     LuxAsShare: ["the setpoint 20", '0 to 1 for the quantity "u_abs"', '"E_v" in lx'],
     Flickering: ["another primitives[0].value", "same now", "seed random numbers"],
-    Moving: ["changes now.T_world_vehicle, which it was given"],
+    Moving: ["changes now.T_world_vehicle, which was passed to it"],
     ForSomebody: ["where now.objects is empty", "primitives fails at", "IndexError"],
     KeepsItself: ["start gives a state that cannot be saved", "state[1] is of the type KeepsItself"],
     InPercent: ["base_share gives 50", "share of the base beam, 0..1"],
     LevelsOnAndOn: ["commands gives another commands.left.level_deg", "same now", "keep nothing in self"],
-    LevelsTheWorld: ["commands changes now.lamps, which it was given"],
+    LevelsTheWorld: ["commands changes now.lamps, which was passed to it"],
     LevelsForSomebody: ["commands fails at", "IndexError"],
-    InPlace: ["step changes state, which it was given"],
+    InPlace: ["step changes state, which was passed to it"],
 }
 
 

@@ -286,9 +286,9 @@ BROKEN: dict[Any, list[str]] = {
     PlainTuple: ["show: gives (tuple, tuple)", "as (state, arrivals)"],
     LockedState: ["start gives a state that cannot be saved: state[1] is of the type count", "frozen dataclass"],
     QueueInSelf: ["when an earlier state is shown its exposure again after others", "in the state and not in self"],
-    OneBuffer: ["changes (state, arrivals)[1].frames[0].image, which it gave before", "with clone()"],
+    OneBuffer: ["changes (state, arrivals)[1].frames[0].image, which it returned before", "with clone()"],
     Unseeded: ["another (state, arrivals)[1].frames[0].image", "same state and exposure", "seed random numbers anew"],
-    DimsInPlace: ["changes exposure.lights[0].u, which it was given", "without operations in place"],
+    DimsInPlace: ["changes exposure.lights[0].u, which was passed to it", "without operations in place"],
     StandsStill: ["gives the time_s 0 after an exposure that began at 0 s", "exposure.start_s + exposure.duration_s"],
     NoTime: ["gives the time_s nan; give the plant's time in s"],
     List: ["no tuple of luxloop.Frame", "or () where none has come"],
@@ -307,7 +307,7 @@ BROKEN: dict[Any, list[str]] = {
     Luminance: ["no whole numbers; it may hold a luminance: give digital numbers of 0 to 4095"],
     SixteenBits: ["digital numbers of camera.bits = 12 are 0 to 4095"],
     LostAsNothing: ["has an image that is not finite; a frame that is lost has the image None"],
-    Silent: ["of 24 exposures no frame has come, nor word that it is lost"],
+    Silent: ["no frame of 24 exposures has arrived or been reported lost"],
     Pairs: ["gives samples that are no tuple of luxloop.Sample", "or leave them out"],
     Radar: ["gives a sample of 'wheel'", "did you mean 'wheels'"],
     TwoRates: ["sample of gyro: has values that are a torch.float32 [2]", "give a tensor [3], torch.float32 on"],
@@ -344,5 +344,5 @@ def test_options_are_those_of_the_scenario(device: torch.device) -> None:
     check_plant(Dimmed, {"share": 0.6}, device.type)
     with pytest.raises(LuxloopError, match=r"plant\.options\.shar: .*did you mean 'share'\?"):
         check_plant(Dimmed, {"shar": 0.6}, device.type)
-    with pytest.raises(LuxloopError, match="is no class; give the class itself"):
+    with pytest.raises(LuxloopError, match="is not a class; give the class itself"):
         check_plant(3, device=device.type)  # type: ignore[arg-type]

@@ -132,7 +132,7 @@ def test_what_takes_any_option_gets_them_all() -> None:
 
 
 def test_options_that_a_model_refuses_are_told_in_one_line() -> None:
-    with pytest.raises(LuxloopError, match=r"road\.options fails \(share: Input should be greater than 0\); mend it$"):
+    with pytest.raises(LuxloopError, match=r"road\.options fails \(share: Input should be greater than 0\); correct it$"):
         plugin.make(plugin.Name(f"{__name__}:Checked"), "road.kind", {}, {"share": -1}, ())
 
 

@@ -104,7 +104,7 @@ def test_a_photometric_file_is_drawn_as_it_was_measured(lux: Lux) -> None:
             "show hd84 --view pixels --scenario flat",
             [
                 "functions.symbol: the target",
-                "cannot be told from noise",
+                "cannot be distinguished from noise",
                 "finer pixels",
                 "hd84 cannot show what flat draws; give --beam for a beam of hd84 there",
             ],

@@ -105,7 +105,7 @@ def test_what_no_frame_shows_is_recorded_as_unknown(late: dict[str, Any]) -> Non
 
 
 def test_lighting_functions_have_no_off_frame() -> None:
-    with pytest.raises(LuxloopError, match=r"disturbances\.ambient\[0\]\.frames: without a symbol that .* steps have no off frame"):
+    with pytest.raises(LuxloopError, match=r"disturbances\.ambient\[0\]\.frames: without a held symbol, steps have no off frame"):
         scenario(disturbances={"ambient": [{"factor": 2.0, "frames": "off"}]})
 
 

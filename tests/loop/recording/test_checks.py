@@ -98,7 +98,7 @@ def test_a_difference_is_taken_step_by_step() -> None:
     over = beside([0.5, 0.9, 0.6, 0.7], [0.6, 0.5, 0.7, 0.6], by="difference", take="min", over_s=0.2, at_least=0.1)
     assert over["difference"] == pytest.approx(0.2 / 3) and not over["passed"], "of the first three: -0.1, 0.4 and -0.1"
     assert beside([0.5, 0.6], [0.5, 0.6], by="difference", over_s=5.0, at_least=0.0)["difference"] is None, "no window is as long"
-    assert "min -0.1 to what it is with open loop" in lines({"checks": {"it": worst}})["check it"]
+    assert "min -0.1 relative to open loop" in lines({"checks": {"it": worst}})["check it"]
 
 
 def test_recall_is_the_share_of_what_the_other_light_finds() -> None:
@@ -127,7 +127,7 @@ REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], list[str]]] = {
     ),
     "unknown key": (SMALL, {"metric": IOU, "atleast": 0.0}, ["checks.it.atleast", "'at_least'"]),
     "unknown column": (SMALL, {"metric": "functions.symbol.iuo", "at_least": 0.0}, ["checks.it.metric", f"'{IOU}'"]),
-    "texts": (SMALL, {"metric": "functions.symbol.loss", "at_least": 0.0}, ["checks.it.metric", ".loss'", "numbers"]),
+    "texts": (SMALL, {"metric": "functions.symbol.loss", "at_least": 0.0}, ["checks.it.metric", ".loss'", "numeric"]),
     "a symbol in full light": (SMALL, {"metric": IOU, "at_least": 0.0, "compare": "full_light"}, ["checks.it.metric", "leave compare out"]),
     "no symbol": (LIT, FLUX | {"compare": "open_loop"}, ["checks.it.compare", "full_light or low_beam"]),
     "timings": (SMALL, {"metric": "light_ms", "at_most": 1.0, "compare": "open_loop"}, ["checks.it", "light_ms", "leave compare out"]),
@@ -252,7 +252,7 @@ def test_columns_of_texts_are_not_named_as_known(small_simulation: Simulation) -
 def test_columns_like_one_that_is_not_there_are_named(metric: str, said: str) -> None:
     names = ("step", "modules.left main.level_deg", "functions.flake.x_m", "functions.flake.iou")
     columns = pa.schema([(name, pa.float64()) for name in names])
-    with pytest.raises(LuxloopError, match=f"{metric}' is no column of numbers of the recording; {said}[?]?$"):
+    with pytest.raises(LuxloopError, match=f"{metric}' is not a numeric column of the recording; {said}[?]?$"):
         refuse_unknown({"it": CheckParams(metric=metric, at_least=0.0)}, columns, ())
 
 

@@ -112,7 +112,7 @@ def test_the_pose_shows_height_on_an_axis_of_a_centimetre_at_least(
 
 def test_the_page_says_why_nobody_judged(small_simulation: Simulation) -> None:
     summary = {"controller": "open", "unsettled": "not_judged", "judge_every": 0, "lost_steps": 0}
-    assert _title(small_simulation, "symbol", summary, None).endswith("  ·  nobody judged, as judge_every = 0")
+    assert _title(small_simulation, "symbol", summary, None).endswith("  ·  not judged, because judge_every = 0")
 
 
 def test_light_from_above_is_looked_at_closely_where_it_is() -> None:

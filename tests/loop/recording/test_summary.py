@@ -240,8 +240,8 @@ def test_a_road_beyond_what_is_looked_for_is_named(road_m: float, is_named: bool
 @pytest.mark.parametrize(
     ("recorded", "judge_every", "why"),
     [
-        (table(iou=math.nan), 0, "nobody judged, as judge_every = 0"),
-        (table(iou=math.nan), None, "nobody judged, as the plant does not know the truth"),
+        (table(iou=math.nan), 0, "not judged, because judge_every = 0"),
+        (table(iou=math.nan), None, "not judged, because the plant does not know the truth"),
         (table(0), 1, "never shown"),
     ],
 )

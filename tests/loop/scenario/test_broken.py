@@ -128,11 +128,11 @@ BROKEN_LIGHTING = {
     "typo in a function": (LIT + '[functions.marker]\nkind = "marker"\nwidth = 1', ["functions.marker.width: ", "'width_m'"]),
     "a function's name": (
         LIT + '[functions."Own width"]\nkind = "width"',
-        ["functions.Own width: 'Own width' is no name", "write own_width"],
+        ["functions.Own width: 'Own width' is not a valid name", "write own_width"],
     ),
     "no kind": (LIT + "[functions.own]\nvalue = 1", ['functions.own.kind: is missing; write kind = "glare_free", or one of marker, sign']),
     "a list of functions": (LIT + '[[functions]]\nkind = "width"', ["functions: [{'kind': 'width'}] is no table"]),
-    "an object's name": (LIT + BOX.replace("crate", "big crate"), ["objects[0].name: 'big crate' is no name", "write big_crate"]),
+    "an object's name": (LIT + BOX.replace("crate", "big crate"), ["objects[0].name: 'big crate' is not a valid name", "write big_crate"]),
     "unknown category": (LIT + BOX + 'category = "pedestrain"', ["objects[0].category", "'pedestrian'"]),
     "one name twice": (LIT + BOX + BOX, ["objects", "'crate'", "rename"]),
     "typo in the table of its kind": ('name = "x"\n[lightning]\nbase = { beam = "low" }', ["lightning: unknown key", "'lighting'"]),
@@ -219,10 +219,10 @@ def test_each_key_that_is_broken_is_named(name: str) -> None:
     [
         ("snowflake", "detector_frames=off", "detector_frames: there is no detector here"),
         ("obl", "detector_frames=off", "detector_frames: there is no symbol that a controller holds here"),
-        ("obl", "off_share=0.3", "off_share: no controller holds a symbol here that could be off; leave it out"),
-        ("obl", "disturbances.ambient=[{factor=2.0, frames='off'}]", "disturbances.ambient[0].frames: without a symbol that a controller"),
+        ("obl", "off_share=0.3", "off_share: no controller holds a symbol here; leave it out"),
+        ("obl", "disturbances.ambient=[{factor=2.0, frames='off'}]", "disturbances.ambient[0].frames: without a held symbol"),
         ("snowflake", "tracker.confirm_frames=5", "tracker: follows what a detector finds, but there is none"),
-        ("night_traffic", "detector.kind=hog", "names objects, but a detector knows them by class alone"),
+        ("night_traffic", "detector.kind=hog", "names objects, but a detector knows only their class"),
     ],
 )
 def test_what_means_nothing_without_something_else_is_told(name: str, override: str, said: str) -> None:

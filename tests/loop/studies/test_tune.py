@@ -49,18 +49,18 @@ def task(scenario: Scenario, seeds: int = 2) -> Task:
         ("functions.symbol.controler.position.kp=0.1:2", "did you mean 'controller'"),
         ("functions.symbol.controller.position.kp.a=0.1:2", "functions.symbol.controller.position.kp: a table is not a number"),
         ("headlight.lamps[1]=0.1:2", r"lamps\[1\]: there are 1 lamps, numbered from 0"),
-        ("headlight.lamps[0]=0.1:2", "is no number"),
-        ("objects=0.1:2", "is no number"),
+        ("headlight.lamps[0]=0.1:2", "is not a number"),
+        ("objects=0.1:2", "is not a number"),
         ("functions.symbol.controller.supervisor.grace_step=1:9", "unknown key; did you mean 'grace_steps'"),
-        ("functions.symbol.controller.position=0.1:2", "is no number.*such as functions.symbol.controller.position.kp"),
-        ("functions.symbol.controller.name=0.1:2", "is no number"),
-        ("camera.noise=0:1", "is no number"),
+        ("functions.symbol.controller.position=0.1:2", "is not a number.*such as functions.symbol.controller.position.kp"),
+        ("functions.symbol.controller.name=0.1:2", "is not a number"),
+        ("camera.noise=0:1", "is not a number"),
         ("functions.symbol.controller.position.kp=2:0.1", "wrong way round.*write functions.symbol.controller.position.kp=0.1:2"),
         ("functions.symbol.controller.position.kp=2:2", "two different ends"),
         ("functions.symbol.controller.position.kp=2", "not of the form"),
         ("functions.symbol.controller.position.kp", "not of the form"),
         ("functions.symbol.controller.position.kp=0:2:log", "no logarithm"),
-        ("functions.symbol.controller.position.kp=1:2:ln", "'ln' is no scale"),
+        ("functions.symbol.controller.position.kp=1:2:ln", "'ln' is not a scale"),
         ("functions.symbol.controller.losses_to_reset=1:2.5", "only whole numbers"),
         (
             "functions.symbol.controller.losses_to_reset=0:2",
@@ -180,7 +180,7 @@ def test_what_is_held_beside_other_functions_is_tuned(tmp_path: Path) -> None:
     for scenario, said in (
         (late, r"flat: functions\.symbol\.start_s: batched rollouts show the symbol in all steps; .*tune without --gradient"),
         (short, r"flat: functions\.symbol\.stop_s: "),
-        (one, "flat: batched rollouts are of a symbol alone; .*tune without --gradient"),
+        (one, "flat: batched rollouts support only a single symbol; .*tune without --gradient"),
         (two, "flat: --gradient: .*not one"),
     ):
         gains = (ranges.parse("functions.symbol.controller.position.kp=0.1:2", [scenario]),)
