@@ -81,8 +81,9 @@ Recall at false positives a frame, for other thresholds of the score (in bracket
 A frame takes {report["ms_a_frame"]:g} ms of processor time.
 
 The score of a box estimates the probability that it is right (with a slope of {training["slope"]:g} and a shift of {training["shift"]:g} \
-of the logits, fitted in light of {JUDGED_LX:g} lx and in object-based light). Share of right boxes on the scenes held out, at \
-{JUDGED_LX:g} lx: {right}.
+of the logits, fitted in light of {JUDGED_LX:g} lx and in object-based light).
+
+Share of right boxes on the scenes held out, at {JUDGED_LX:g} lx: {right}.
 
 *x lx* means that every surface that faces the lamps gets x lx at any distance: the lamps' intensity grows with the square \
 of the distance. The curves of confidence against illuminance are for scenes without other light. *At night*, and for all other figures, \
