@@ -204,7 +204,7 @@ def shown(values: dict[str, Any], files: str) -> Table:
     """The closing table of a run."""
     rows = {"steps": str(values["steps"])}
     if values["shadow_of"] is not None:
-        rows["in shadow"] = f"on the frames of {values['shadow_of']}; what this run asked for was shown nowhere and not judged"
+        rows["in shadow"] = f"on the frames of {values['shadow_of']}; the commands of this run were not shown and not judged"
     for side, lamp in values["lamps"].items():
         dimmed = f", dimmed to {100 * lamp['power_factor_min']:.0f} % in the worst step" if (lamp["power_factor_min"] or 1.0) < 1 else ""
         rows[f"{side} lamp"] = (
@@ -214,12 +214,12 @@ def shown(values: dict[str, Any], files: str) -> Table:
         rows["modules"] = _of_modules(values["modules"], values["steps"])
     rows |= _of_light(values["objects"], values["steps"])
     if values["dark_lx_max"] is not None:
-        late = ", as masks follow what the detector found in frames before" if values["dark_lx_max"] and "detections" in values else ""
-        rows["on what must be dark"] = f"{values['dark_lx_max']:.3g} lx at most{late}"
+        late = ", since masks follow detections in earlier frames" if values["dark_lx_max"] and "detections" in values else ""
+        rows["on masked objects"] = f"{values['dark_lx_max']:.3g} lx at most{late}"
     for name, symbol in values["functions"].items():
         rows |= {f"{spoken(name)}: {key}": text for key, text in _of_symbol(symbol).items()}
     if (flicker := values.get("flicker")) is not None:
-        rows["flicker"] = f"a symbol that is measured is on for {flicker['on_share']:.0%} of a step, at {flicker['rate_hz']:g} Hz"
+        rows["flicker"] = f"a measured symbol is on for {flicker['on_share']:.0%} of a step, at {flicker['rate_hz']:g} Hz"
     for name, zone in values.get("zones", {}).items():
         when = "not settled" if zone["settled_step"] is None else f"within 5 % from step {zone['settled_step']} on"
         rows[f"zone {spoken(name)}"] = f"{number(zone['luminance'], '.3g')} of {zone['target']:.3g} cd/m^2, {when}"
@@ -229,27 +229,27 @@ def shown(values: dict[str, Any], files: str) -> Table:
         got = "out of sight" if each["median"] is None else f"{each['median']:.3g} {unit}{share}, median of its pixels at the end"
         rows[f"material {spoken(name)}"] = f"{each['wanted']:.3g} {unit} wanted: {got}"
     if values["symbol_iou_min"] is not None:
-        rows["symbols, to their observers"] = f"IoU {values['symbol_iou_min']:.3f} at least"
+        rows["symbols, as seen by their observers"] = f"IoU {values['symbol_iou_min']:.3f} at least"
     objects = values["objects"].values()
     untracked = "detections" in values and bool(objects) and not any(each["tracks"] for each in objects)
     if values["idle_functions"]:
         nobody = "; no object was tracked yet" if untracked else ""
-        why = f"nothing to draw or to command, or nothing that a lamp reaches, in all steps{nobody}"
+        why = f"nothing to draw or to command, or nothing within reach of a lamp, in all steps{nobody}"
         rows["without effect"] = f"{', '.join(values['idle_functions'])}: {why}"
     if values.get("energy_j") is not None:
         rows["energy"] = _of_energy(values["energy_j"], values["energy_compared_j"])
         if values["base_share_final"] < 1:
             learnt = values["base_share_final"] < values["base_share_first"]
             why = "; no object was tracked, so none asked for more" if untracked and learnt else ""
-            rows["base beam"] = f"{values['base_share_final']:.1%} of it left at the end{why}"
+            rows["base beam"] = f"{values['base_share_final']:.1%} of its flux left at the end{why}"
     if "detections" in values:
         rows["found"] = f"{number(values['detections'], '.1f')} boxes a step"
         if values.get("false_positives") is not None:
-            rows["found"] += f"; {values['false_positives']:.2f} a step are sure and show nothing"
+            rows["found"] += f"; {values['false_positives']:.2f} per step with a high score on no object"
         lit = max((light["lx_max"] for light in values["objects"].values() if light["lx_max"] is not None), default=0.0)
         if values["detections"] == 0 and lit >= WELL_LIT_LX:
             rows["found"] = (
-                f"no box in any step, though objects in sight had up to {lit:.3g} lx; correct the keys of [detector], or train it anew"
+                f"no box in any step, though objects in sight had up to {lit:.3g} lx; correct the keys of [detector], or train it again"
             )
         if values.get("eyes_lx_max") is not None:
             rows["on heads and windscreens"] = _on_eyes(values["eyes_lx_max"], values["eyes_lx_max_after_start_up"])
@@ -257,11 +257,13 @@ def shown(values: dict[str, Any], files: str) -> Table:
         lowest = sorted(least, key=least.__getitem__)
         told = ", ".join(f"{spoken(name)} {least[name]:.2f}" for name in lowest[:NAMED])
         more = f", {len(lowest) - NAMED} others {least[lowest[NAMED]]:.2f} or more" if len(lowest) > NAMED else ""
-        rows["least confidence"] = f"{told}{more}, each from its first track on"
+        rows["minimum confidence"] = f"{told}{more}, each from its first track on"
     if values.get("tracks_of_nothing"):
-        rows["tracks of nothing"] = f"in {values['tracks_of_nothing']} of {values['steps']} steps a track shows no object of its own"
+        rows["tracks without object"] = (
+            f"in {values['tracks_of_nothing']} of {values['steps']} steps a track shows no object, or one of another track"
+        )
     rows |= _of_lost(values["objects"])
-    rows["time a step"] = f"{processing(values)} of one core (median) for all that the car computes"
+    rows["time a step"] = f"{processing(values)} of one core (median) for all computations of the car"
     rows |= lines(values)
     notes = of_frames(values["frames"]) if "frames" in values else []
     several = len(values["functions"]) > 1
@@ -326,7 +328,7 @@ def processing(values: Mapping[str, Any]) -> str:
 
 def _of_symbol(values: dict[str, Any]) -> dict[str, str]:
     if (why := unjudged(values)) is not None:
-        return {"how it lies": why, "lost steps": f"{values['lost_steps']}{_covered(values)}"}
+        return {"result": why, "lost steps": f"{values['lost_steps']}{_covered(values)}"}
     x, y = values["centroid_error_percent"]
     settled = values["settle_step"]
     late = f"; {number(values['iou_mean'], '.3f')} on average and {number(values['iou_min'], '.3f')} at least in the second half"
@@ -354,4 +356,4 @@ def _of_energy(own_j: float, compared_j: Mapping[str, float]) -> str:
 def _on_eyes(most_lx: float, later_lx: float | None) -> str:
     if later_lx is None:
         return f"{most_lx:.3g} lx at most, all within the first {START_UP_S:g} s"
-    return f"{later_lx:.3g} lx at most from {START_UP_S:g} s on, {most_lx:.3g} lx with the start-up before"
+    return f"{later_lx:.3g} lx at most from {START_UP_S:g} s on, {most_lx:.3g} lx including the start-up before"

@@ -239,8 +239,8 @@ def test_a_run_that_finds_nobody_says_how_small_they_were(tmp_path: Path) -> Non
             pixels = summary["objects"]["walker"]["pixels_max"]
             assert pixels > 100 and f"in 2 of the 2 steps in which it is in sight, of {pixels:.0f} px at most" in told[case]
     assert "no box in any step, though objects in sight had up to" in " ".join(told["falls"].split()) and "no box" not in told["nobody"]
-    assert "50.0% of it left at the end; no object was tracked, so none asked for more" in told["falls"]
-    assert all("50.0% of it left at the end" in told[case] and "none asked" not in told[case] for case in ("constant", "nobody"))
+    assert "50.0% of its flux left at the end; no object was tracked, so none asked for more" in told["falls"]
+    assert all("50.0% of its flux left at the end" in told[case] and "none asked" not in told[case] for case in ("constant", "nobody"))
 
 
 def columns_in_markdown() -> list[str]:

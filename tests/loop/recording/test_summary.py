@@ -247,7 +247,7 @@ def test_a_road_beyond_what_is_looked_for_is_named(road_m: float, is_named: bool
 )
 def test_the_closing_table_says_why_nobody_judged_in_place_of_dashes(recorded: pa.Table, judge_every: int | None, why: str) -> None:
     rows = closing({"symbol": summarise(recorded, "open", math.nan, run=Circumstances(judge_every))})
-    assert rows["symbol: how it lies"] == why
+    assert rows["symbol: result"] == why
     assert not [row for name, row in rows.items() if name.startswith("symbol: ") and "–" in row]
     assert ("judge_every" in rows["note"]) == (judge_every == 0)
 
