@@ -36,7 +36,7 @@ def version() -> str:
 app = App(
     name="luxloop",
     version=version,
-    help="Closed loops around HD matrix headlights: what the camera sees of a projected symbol controls the light.",
+    help="Closed-loop control of HD matrix headlights: simulate lamp, road and camera, and control the light with camera feedback.",
     help_epilogue="First run: luxloop run snowflake. With --debug, any command shows the traceback of an error.",
     version_flags=["--version"],
     suppress_keyboard_interrupt=False,

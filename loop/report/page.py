@@ -156,10 +156,10 @@ def _cameras(figure: SubFigure, simulation: Simulation, moments: Sequence[StepRe
 def _told_of_boxes(simulation: Simulation) -> str:
     """What the camera's pictures show: colours are named where they occur."""
     kinds = {function.kind for function in simulation.scenario.functions.values()}
-    zones = "; with its name: a zone" if "zone" in kinds else ""
-    zones += "; blue: where a symbol that is held shall lie" if simulation.controlled else ""
+    zones = "; named: zones" if "zone" in kinds else ""
+    zones += "; blue: target of a held symbol" if simulation.controlled else ""
     if not simulation.watched and simulation.pipeline is None:
-        return f"What the camera sees{zones}"
+        return f"Camera's view{zones}"
     orange = ", orange where a mask keeps it dark" if "glare_free" in kinds else ""
     if simulation.pipeline is None:
         return f"Camera's view; green boxes: objects that functions receive{orange}{zones}"
@@ -184,7 +184,7 @@ def _camera(axes: Axes, simulation: Simulation, result: StepResult, white: float
 
 
 def _observed(figure: SubFigure, observed: Sequence[tuple[StepResult, ObservedSymbol]]) -> None:
-    figure.suptitle("What observers see of their symbols: luminance, as a share of that of a white picture", x=0.02, ha="left", fontsize=9)
+    figure.suptitle("Symbols as seen by their observers: luminance relative to that of a white picture", x=0.02, ha="left", fontsize=9)
     for axes, (result, symbol) in zip(figure.subplots(1, len(observed), squeeze=False)[0], observed, strict=True):
         axes.imshow(symbol.share.nan_to_num().cpu().numpy(), **SHARES)
         axes.set(xticks=[], yticks=[], anchor="N")
@@ -195,7 +195,7 @@ def _observed(figure: SubFigure, observed: Sequence[tuple[StepResult, ObservedSy
 def _from_above(axes: Axes, simulation: Simulation, last: StepResult) -> None:
     if (truth := simulation.truth) is None:
         _outlines(axes, last)
-        axes.set(xlabel="ahead in m", ylabel="to the left in m", title="Objects from above, at the end; nobody knows where the light lies")
+        axes.set(xlabel="ahead in m", ylabel="to the left in m", title="Objects from above, at the end; the light on the road is unknown")
         axes.set(xlim=BIRDSEYE_X_M, ylim=BIRDSEYE_Y_M)
         return
     light, extent = _from_near(lambda view: truth.through(view, last.time_s).light(last.lights, last.now.commands)[0])
