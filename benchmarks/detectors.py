@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import torch
 
+from loop.jobs.executors import local
 from loop.training.judge import SURE, judge
 from loop.training.light import luminance
 from loop.training.report import confidence_figure, page
@@ -37,7 +38,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, help="processes that draw scenes, by default one a core")
     given = parser.parse_args()
     stored = json.loads(REPORT.read_text("utf-8"))
-    rows = drawn(given.out, HELD_OUT, stored["scenes"], given.jobs, "scenes held out")
+    rows = drawn(given.out, HELD_OUT, stored["scenes"], local(given.jobs), "scenes held out")
     report = stored | judge(detector(NetworkParams(threshold=LEAST_SCORE), CPU), rows)
     REPORT.write_text(json.dumps(report, indent=1, allow_nan=False) + "\n", "utf-8")
     images = ROOT / "docs" / "images"

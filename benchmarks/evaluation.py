@@ -9,6 +9,7 @@ from pathlib import Path
 from loop.evaluation import figures
 from loop.evaluation.evaluate import evaluate
 from loop.evaluation.report import page
+from loop.jobs.executors import local
 
 DOCS = Path(__file__).parents[1] / "docs" / "results"
 HEAD = (Path(__file__).parent / "evaluation_page.md").read_text("utf-8")
@@ -20,7 +21,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/evaluation"), help="folder for results")
     parser.add_argument("--jobs", type=int, help="processes, by default one a core")
     given = parser.parse_args()
-    found = evaluate(given.out, quick=given.quick, processes=given.jobs)
+    found = evaluate(given.out, quick=given.quick, executor=local(given.jobs))
     for key, reason in found.failures.items():
         print(f"failed: {key}: {reason}")
     figures.draw(found, DOCS / "images", "evaluation-")

@@ -21,6 +21,7 @@ from object_based_cases import COMES, FULL, LOW, NEWCOMER, OURS, beam_lights, ca
 from object_based_goals import FOUND, Measured, measures, track_rows, zone_rows
 from object_based_parts import agreement, pair_jobs, track_jobs, tracked, zone_jobs, zones
 
+from loop.jobs.executors import local
 from loop.jobs.runner import Job, Results, digest_of, run
 from loop.lighting.lamps import flux_by_side
 from loop.lighting.simulation import Simulation
@@ -53,7 +54,7 @@ def main() -> None:
     version = digest_of_code() + digest_of(object_based_cases, object_based_parts) + network
 
     def done(function: Callable[..., Mapping[str, Any]], jobs: Sequence[Job], title: str) -> Results:
-        results = run(function, jobs, given.out / "jobs.jsonl", version=version, processes=given.jobs, title=title)
+        results = run(function, jobs, given.out / "jobs.jsonl", version=version, executor=local(given.jobs), title=title)
         failures.update(results.failures)
         return results
 

@@ -18,6 +18,7 @@ from bench import machine
 from places_cases import KINDS, places, run_place
 from places_goals import measures
 
+from loop.jobs.executors import local
 from loop.jobs.runner import Job, digest_of, run
 from loop.recording.digest import digest_of_code
 from loop.recording.manifest import digests
@@ -39,7 +40,7 @@ def main() -> None:
     inputs = sorted({file for place in chosen for file in digests(place.scenario).items()})  # scans among them
     version = digest_of_code() + digest_of(places_cases, places_bound, symbol_control_cases) + json.dumps(inputs)
     jobs = [Job(place.key, place.parameters) for place in chosen]
-    results = run(run_place, jobs, given.out / "jobs.jsonl", version=version, processes=given.jobs, title="worlds")
+    results = run(run_place, jobs, given.out / "jobs.jsonl", version=version, executor=local(given.jobs), title="worlds")
     found = {row["key"]: row for row in results.rows}
     rows = [row for place in chosen if place.key in found for row in measures(place, found[place.key])]
     if given.json:

@@ -16,6 +16,7 @@ from bench import machine
 from symbol_control_cases import DISTURBED, STANDING, UNDISTURBED, cases, trajectories
 from symbol_control_goals import measures
 
+from loop.jobs.executors import local
 from loop.jobs.runner import Job, digest_of, run
 from loop.recording.digest import digest_of_code
 from loop.recording.manifest import digests
@@ -40,7 +41,7 @@ def main() -> None:
     jobs = [Job(case.key, case.parameters) for case in chosen]
     inputs = sorted({file for case in cases(1, quick=True) for file in digests(case.scenario).items()})  # of all worlds, roads among them
     version = digest_of_code() + digest_of(symbol_control_cases) + json.dumps(inputs)
-    results = run(trajectories, jobs, given.out / "jobs.jsonl", version=version, processes=given.jobs, title="worlds")
+    results = run(trajectories, jobs, given.out / "jobs.jsonl", version=version, executor=local(given.jobs), title="worlds")
     found = {row["key"]: row["judged"] for row in results.rows}
     judged = [(case, found[case.key]) for case in chosen if case.key in found]
     undisturbed = {case.seed: each for case, each in judged if case.scene == UNDISTURBED}

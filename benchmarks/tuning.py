@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import bench
+import numpy as np
 import torch
 from optuna.trial import TrialState
 
@@ -22,7 +23,7 @@ from loop.lighting.batch import rollouts
 from loop.run import prepare
 from loop.scenario.model import Scenario, load
 from loop.studies import ranges
-from loop.studies.tune import Task, Tuned, mean_cost
+from loop.studies.tune import Task, Tuned, ran
 from loop.studies.tune_report import do_tune
 from loop.terminal import tables
 
@@ -75,7 +76,8 @@ def rolled_out(tuned: Tuned, until: float = float("-inf")) -> int:
 def held_out(task: Task, values: ranges.Values, seeds: int, execute: Executor) -> float:
     """Mean cost over noise that no tuning has seen."""
     moved = tuple(scenario.model_copy(update={"seed": HELD_OUT}) for scenario in task.scenarios)
-    return mean_cost(replace(task, scenarios=moved, seeds=seeds), values, execute)
+    there = replace(task, scenarios=moved, seeds=seeds)
+    return float(np.mean(ran(there, there.runs(values), execute)[0]))
 
 
 def found(name: str, tuned: Tuned, size: Size, execute: Executor) -> dict[str, Any]:

@@ -29,6 +29,7 @@ from loop.recording.video import VideoWriter
 from loop.report.page import Watched, write_report
 from loop.report.picture import frame_picture, white_of
 from loop.scenario.model import Scenario, load
+from loop.scenario.plant import shadow_of
 from world.errors import LuxloopError, located
 from world.folders import output_folder
 from world.parquet import read_parquet
@@ -91,12 +92,12 @@ def run(
     if folder is None:
         temporary = TemporaryDirectory(prefix="luxloop-")
         folder = temporary.name
-    played = getattr(getattr(scenario, "plant", None), "folder", None)
+    played = shadow_of(scenario.plant)
     if played is not None and Path(played).resolve() == Path(folder).resolve():
         raise LuxloopError(f"{folder}: is the recording that is played, which this run would replace; give another folder with --out")
     folder = Path(folder)
     with output_folder(folder), ExitStack() as stack:
-        simulation, observation = prepare(scenario, device), None
+        simulation, white = prepare(scenario, device), None
         camera, watched = scenario.camera, Watched(simulation)
         run_checks = Checks(scenario.checks, (lambda light: map(row, simulation.lit_by(light).run())) if checks else None)
         page = partial(write_report, folder / REPORT, simulation, watched) if report else None
@@ -110,8 +111,8 @@ def run(
             run_checks.step()
             watched.add(result)
             if film is not None:
-                observation = white_of(result, simulation) if observation is None else observation
-                film.add(frame_picture(result, simulation, observation))
+                white = white_of(result, simulation) if white is None else white
+                film.add(frame_picture(result, simulation, white))
             on_step(result)
     gc.collect()  # matplotlib leaves exceptions of its parser in cycles, and their frames hold the simulation: half a gigabyte
     return RunResult(recorder.summary, read_parquet(folder / TRAJECTORY), folder, temporary)

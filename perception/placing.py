@@ -1,4 +1,4 @@
-"""From boxes in the image to boxes on the road, by where the foot's line of sight meets the plane z = 0."""
+"""From boxes in the image to boxes on the road, by where the foot's line of sight meets the plane of the ground."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

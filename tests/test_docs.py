@@ -22,6 +22,7 @@ from loop.run import prepare
 from loop.scenario.model import Scenario, load, validate
 from loop.scenario.overrides import TAGS
 from loop.scenario.shipped import shipped
+from loop.studies.campaign import CampaignParams
 from loop.terminal.tables import markdown
 from world.lampfiles import description
 from world.lampfiles.description import LampDescription
@@ -254,6 +255,13 @@ def test_every_key_of_a_file_is_documented(page: Path) -> None:
     text = page.read_text("utf-8")
     assert sorted(name for name, _ in MARKED.findall(text)) == sorted(models(TABLES[page]))
     assert with_tables(text) == text, "the models have changed: write the tables anew with `python tests/test_docs.py`"
+
+
+def test_every_required_key_has_an_example_for_messages() -> None:
+    every = models((Scenario, LampDescription, CampaignParams)).items()
+    required = [(name, key, model["properties"][key]) for name, model in every for key in model.get("required", ())]
+    assert [f"{name}.{key}" for name, key, field in required if key not in TAGS and not field.get("examples")] == []
+    LampDescription(**{key: field["examples"][0] for name, key, field in required if name == "LampDescription"})
 
 
 if __name__ == "__main__":

@@ -1,10 +1,9 @@
-"""Symbols to project: pictures, drawings, image sequences, videos and functions of time behind one protocol (T 7.2.2).
+"""Symbols to project: pictures, drawings, image sequences and videos behind one protocol (T 7.2.2).
 
 Everything that comes from a file is grey, white is light, and transparent parts are dark.
 """
 
 import os
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -67,13 +66,6 @@ def frame_at(n: int, time_s: float, rate_hz: float, repeat: bool) -> int:
     """Number of the frame of n that is shown at a time: the sequence starts over at its end, or its last frame stays."""
     index = int(max(time_s, 0.0) * rate_hz + 1e-6)  # a time that is meant to be the frame's own may round to just before it
     return index % n if repeat else min(index, n - 1)
-
-
-@dataclass(frozen=True, eq=False)
-class OverTime:
-    """A function of time: `OverTime(lambda time_s: image)`."""
-
-    at: Callable[[float], Tensor]
 
 
 def load(path: Path, rate_hz: float | None = None, repeat: bool = True) -> SymbolSource:

@@ -4,7 +4,7 @@ import math
 from typing import Annotated, Literal
 
 import torch
-from pydantic import Field, field_validator
+from pydantic import Field
 from torch import Tensor
 
 from controllers.geometry import Place
@@ -45,14 +45,6 @@ class ObjectLightParams(Params):
         le=1e6,
         description="illuminance of the dark part, whatever the rest gets, with `ssc.a_d` = 1; detectors need heads",
     )
-
-    @field_validator("dark")
-    @classmethod
-    def _shares(cls, dark: dict[Category, float]) -> dict[Category, float]:
-        for category, share in dark.items():
-            if not 0 <= share <= 1:
-                raise ValueError(f"{category}: {share:g} is not a share of a box's height; give 0 to 1")
-        return dark
 
     def on(
         self, each: TrackedObject, lamps: Tensor, lx: float, priority: int, nearer: int, modules: tuple[str, ...]

@@ -161,10 +161,10 @@ class TextureControl:
         return inside
 
 
-def tune(cost: Callable[[Trial], float], start: Trial | None = None, tuned: tuple[str, ...] = THESIS, seed: int = 0) -> Trial:
+def tune(cost: Callable[[Trial], float], start: Trial | None = None, tuned: tuple[str, ...] = THESIS) -> Trial:
     """The trial of least cost with the tuned parameters within RANGES and the others as in `start`; never worse than `start`.
 
-    The cost jumps where a texel gets excluded, so differential evolution searches first and a simplex refines its best. Equal seeds give
+    The cost jumps where a texel gets excluded, so differential evolution searches first and a simplex refines its best. Equal costs give
     equal results.
     """
     start = start or Trial()
@@ -179,7 +179,7 @@ def tune(cost: Callable[[Trial], float], start: Trial | None = None, tuned: tupl
 
     x0 = [getattr(start, name) for name in tuned]
     found = differential_evolution(
-        value, bounds, x0=x0, popsize=POPULATION, maxiter=GENERATIONS, tol=1e-3, init="sobol", polish=False, rng=seed
+        value, bounds, x0=x0, popsize=POPULATION, maxiter=GENERATIONS, tol=1e-3, init="sobol", polish=False, rng=0
     )
     refined = minimize(value, found.x, method="Nelder-Mead", bounds=bounds, options={"maxfev": REFINEMENTS})
     return trial(min(found, refined, key=lambda result: result.fun).x)

@@ -1,6 +1,6 @@
 """Which of a pixel's texels are sampled, with which weights: supersampling patterns and simplified pixels (T 3.2, 3.5.1, 8.5)."""
 
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 import scipy.sparse as sp
@@ -11,7 +11,6 @@ from world.spmv import Csr, row_of_entries
 from world.texels import TexelGrid
 
 Sampling = Literal["all", "brightest", "centroid", "uniform", "rotated", "n_rooks", "quincunx"]
-SAMPLINGS: tuple[Sampling, ...] = get_args(Sampling)
 
 EXTENT = 0.5  # a pixel's rectangle bounds its texels of at least this share of its maximum
 FAINT = 1e-3  # of the pixel's maximum: light of a rectangular pixel where the real one has none
@@ -42,9 +41,7 @@ def sample_weights(entries: Csr, grid: TexelGrid, sampling: Sampling) -> Tensor:
     if sampling in ("brightest", "centroid"):
         mass = values if sampling == "centroid" else (values == peak).double()
         total = _of_pixels(mass, pixel, entries.n_rows, "sum")[pixel]
-        middle = [
-            _of_pixels(mass * at, pixel, entries.n_rows, "sum")[pixel] / total for at in (row, col)
-        ]  # sum_i m_i x_i / sum_i m_i, [nnz]
+        middle = [_of_pixels(mass * at, pixel, entries.n_rows, "sum")[pixel] / total for at in (row, col)]  # sum m_i x_i / sum m_i, [nnz]
         away = (row - middle[0]) ** 2 + (col - middle[1]) ** 2
         return _nearest_entry(torch.where(mass > 0, away, torch.inf), pixel, entries.n_rows).to(entries.values)
     within = values >= EXTENT * peak

@@ -3,7 +3,7 @@
 All functions are pure and take points `[..., 3, N]` in m in the world frame.
 """
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -26,13 +26,12 @@ DARKEST = 1e-3  # least share of its maximum that a dimmed module is compensated
 BIAS_M = 0.02  # surfaces closer to the point count as the one that it lies on
 
 
-def scene_caster(triangles: Triangles, T_world_points: Tensor | None = None, skip: Collection[int] = (0,)) -> Caster:
+def scene_caster(triangles: Triangles, T_world_points: Tensor | None = None) -> Caster:
     """A caster of shadow rays through a scene's triangles. T_world_points: `[4, 4]`, pose of the frame of the points, by default the world.
-    skip: ids of objects that cast no shadow, by default the road.
 
-    The road is skipped because primitives lie near it, not on it: one that lies 1 cm below the road would be occluded everywhere.
+    The road casts none, because primitives lie near it, not on it: one that lies 1 cm below the road would be occluded everywhere.
     """
-    casting = Triangles(tuple(placed for placed in triangles.placed if placed.object_id not in skip))
+    casting = Triangles(tuple(placed for placed in triangles.placed if placed.object_id != 0))
 
     def occluded(points: Tensor, target: Tensor) -> Tensor:
         if T_world_points is not None:

@@ -39,7 +39,7 @@ CONTROLLERS: dict[str, type[NamedParams]] = {
 
 
 def build_controller(params: AnyParams, sensor: SymbolSensor) -> SymbolController:
-    """The controller of these params, a symbol's in a scenario, for an sensor with all that a controller may know: lamps, camera, flat
+    """The controller of these params, a symbol's in a scenario, for a sensor with all that a controller may know: lamps, camera, flat
     road and target.
 
     Raises LuxloopError where a controller of the user's own cannot be made.
@@ -59,13 +59,13 @@ def build_controller(params: AnyParams, sensor: SymbolSensor) -> SymbolControlle
             return staged(params, Feedback(params, sensor), sensor)
 
 
-def refuse_place(params: AnyParams, target: str, where: str = "") -> None:
-    """Raises ValueError where a controller cannot hold what its symbol's target asks for. where: what comes before that key."""
+def refuse_place(params: AnyParams, target: str) -> None:
+    """Raises ValueError where a controller cannot hold what its symbol's target asks for."""
     own = isinstance(params, OwnParams) and params.warp is None and params.supervisor is None
     if target == "place" and isinstance(params, StagedParams) and not own:
         raise ValueError(
-            f"{where}target: {params.name} compares with the appearance on a flat road and cannot hold a place; "
-            f'set controller.name = "luxloop", or {where}target = "appearance"'
+            f"target: {params.name} compares with the appearance on a flat road and cannot hold a place; "
+            'set controller.name = "luxloop", or target = "appearance"'
         )
 
 

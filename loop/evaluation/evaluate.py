@@ -11,6 +11,7 @@ import numpy as np
 
 from controllers.pixels.mrpc_tuning import OPTIONS, THESIS
 from loop.evaluation import jobs
+from loop.jobs.executors import ALL_CORES, Executor
 from loop.jobs.runner import Job, Results, digest_of, run
 from loop.recording.digest import digest_of_code
 from world.beams.rectangles import QUICK, RECTANGLES, Rectangle
@@ -58,14 +59,14 @@ def evaluate(
     lamps: Sequence[str] = LAMPS,
     *,
     quick: bool = False,
-    processes: int | None = None,
+    executor: Executor = ALL_CORES,
     setpoints: Sequence[Rectangle] | None = None,
     grid: int | None = None,
 ) -> Evaluation:
     """Compute the results that `out` does not hold yet, and write three Parquet files into it.
 
-    quick: 45 instead of 1,215 rectangles, evenly spread over all five degrees of freedom, and coarser sensitivities. processes: by default
-    one per core. setpoints, grid: other rectangles, and another number of steps per parameter. Raises what `loop.jobs.runner.run` and
+    quick: 45 instead of 1,215 rectangles, evenly spread over all five degrees of freedom, and coarser sensitivities. executor: by default a
+    process per core. setpoints, grid: other rectangles, and another number of steps per parameter. Raises what `loop.jobs.runner.run` and
     `world.folders.output_folder` raise.
     """
     chosen = setpoints or (QUICK if quick else RECTANGLES)
@@ -78,7 +79,7 @@ def evaluate(
     results = {}
     with output_folder(out):
         for file, (function, wanted) in parts.items():
-            results[file] = run(function, wanted, out / JOBS, version=version, processes=processes, title=file.removesuffix(".parquet"))
+            results[file] = run(function, wanted, out / JOBS, version=version, executor=executor, title=file.removesuffix(".parquet"))
             if results[file].rows:
                 results[file].write(out / file)
             else:

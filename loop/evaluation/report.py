@@ -6,6 +6,7 @@ from rich.table import Table
 
 from loop.evaluation import figures
 from loop.evaluation.evaluate import LAMPS, ROWS, Evaluation, evaluate, summary
+from loop.jobs.executors import local
 from loop.terminal import tables
 from loop.terminal.tables import number
 from world.errors import LuxloopError
@@ -61,9 +62,7 @@ def run_evaluation(out: Path, lamp: str | None, quick: bool, processes: int | No
     """
     if lamp is not None and lamp not in LAMPS:
         raise LuxloopError(f"--lamp: {lamp!r} cannot be evaluated; the lamps are {', '.join(LAMPS)}")
-    if processes is not None and processes < 1:
-        raise LuxloopError(f"--jobs: {processes} is too few processes; give 1 or more")
-    found = evaluate(out, LAMPS if lamp is None else (lamp,), quick=quick, processes=processes)
+    found = evaluate(out, LAMPS if lamp is None else (lamp,), quick=quick, executor=local(processes))
     for key, reason in found.failures.items():
         tables.console(stderr=True).print(f"failed: {key}: {reason}", markup=False)
     if found.setpoints:

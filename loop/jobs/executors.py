@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from typing import Protocol, TypeVar
+from typing import Final, Protocol, TypeVar
 
 from joblib import Parallel, delayed, parallel_config
 from joblib.externals.loky import process_executor
@@ -31,7 +31,12 @@ class Executor(Protocol):
 
 
 def local(processes: int | None = None) -> Executor:
-    """An executor on processes of this machine, each with one thread, by default one per core; a single one is this process."""
+    """An executor on processes of this machine, each with one thread, by default one per core; a single one is this process.
+
+    Raises LuxloopError for fewer than one.
+    """
+    if processes is not None and processes < 1:
+        raise LuxloopError(f"--jobs: {processes} is too few processes; give 1 or more")
 
     def execute(function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator[Result]:
         workers = min(processes or os.cpu_count() or 1, len(tasks))
@@ -48,12 +53,12 @@ def local(processes: int | None = None) -> Executor:
     return execute
 
 
+ALL_CORES: Final = local()
+
+
 def _begin() -> None:
     """Set up a worker before its first task."""
-    for each in (
-        signal.SIGINT,
-        signal.SIGTERM,
-    ):  # terminals and service managers send them to workers as well; the parent process ends its workers
+    for each in (signal.SIGINT, signal.SIGTERM):  # also sent to workers by terminals and services; the parent process ends its workers
         signal.signal(each, signal.SIG_IGN)
     threading.Thread(target=_end_after, args=(os.getppid(),), daemon=True).start()
     process_executor._USE_PSUTIL = False  # otherwise a worker that keeps 300 MB between tasks, as simulations do, is ended as leaking

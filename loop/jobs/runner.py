@@ -16,7 +16,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from loop.jobs.executors import Executor, WorkersLostError, local
+from loop.jobs.executors import ALL_CORES, Executor, WorkersLostError
 from loop.terminal.progress import progress
 from world.errors import LuxloopError
 from world.validation import parsed_json
@@ -61,16 +61,15 @@ def run(
     file: Path,
     *,
     version: str,
-    processes: int | None = None,
-    executor: Executor | None = None,
+    executor: Executor = ALL_CORES,
     title: str = "jobs",
 ) -> Results:
     """Do the jobs without a result in the file, and return the results of all.
 
     function: of a module's top level, so that other processes can import it; takes the parameters of a job and returns a JSON value. file:
     JSON lines, one per result; lines are only added, and results of other functions, parameters and versions stay. version: what decides a
-    result besides its parameters, such as `digest_of(...)`. processes: each with one thread, by default one per core; 1 stays in this
-    process. executor: replaces the processes of this machine. The next run tries failed jobs again.
+    result besides its parameters, such as `digest_of(...)`. executor: by default a process per core. The next run tries failed jobs
+    again.
 
     Raises: KeyboardInterrupt that says what is kept; LuxloopError if workers are lost, or the file is of another kind or cannot be written.
     """
@@ -81,7 +80,7 @@ def run(
     try:
         with progress(title, total, total - len(left)) as advance:
             tasks = [(identity, job.parameters) for identity, job in left.items()]
-            for identity, result, error in (executor or local(processes))(partial(_call, function), tasks):
+            for identity, result, error in executor(partial(_call, function), tasks):
                 if error:
                     failures[identity] = error
                 else:

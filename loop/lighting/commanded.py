@@ -51,16 +51,12 @@ def refuse_commands(planner: Planner, modules: Sequence[ShiningModule], controll
 
 def unmoved(scenario: Scenario) -> list[str]:
     """A sentence for each function that only follows the car's motion, where the simulated car stands; empty where there is none."""
-    stands = scenario.vehicle is None and isinstance(scenario.plant, SimulatedPlantParams)
-    follows = {
-        name: function
-        for name, function in scenario.functions.items()
-        if isinstance(function, BendingParams) or (isinstance(function, LevellingParams) and not function.entries)
-    }
+    if scenario.vehicle is not None or not isinstance(scenario.plant, SimulatedPlantParams):
+        return []
     return [
         f"functions.{name} ({function.kind}) does nothing, for a car that stands neither turns nor pitches; give a [vehicle] that drives"
-        for name, function in follows.items()
-        if stands
+        for name, function in scenario.functions.items()
+        if isinstance(function, BendingParams) or (isinstance(function, LevellingParams) and not function.entries)
     ]
 
 

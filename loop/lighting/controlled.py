@@ -130,10 +130,10 @@ class ControlledSymbol:
         base = planner.composed(Situation(0.0, torch.eye(4), torch.zeros(0, 3)), planner.start(), {})
         drawn_by = _chosen(function, modules)
         mine = [modules[k] for k in drawn_by]
-        projection = tuple(DrawingModule(each.name, each.controller.over(each.base(base)), each.T_world_module) for each in mine)
+        drawing = tuple(DrawingModule(each.name, each.controller.over(each.base(base)), each.T_world_module) for each in mine)
         with located("image"):
             image = load_still(named(function.image, "symbols")).to(modules[0].flux.device)
-        projector = Projector(projection, image, function.held, camera_view(scenario.camera).origin)
+        projector = Projector(drawing, image, function.held, camera_view(scenario.camera).origin)
 
         def model_of(camera: CameraParams) -> FlatModel:
             return flat_model(projector, camera, scenario.surface, scenario.light.ambient_lx, function.extraction, function.features)
@@ -197,7 +197,7 @@ class ControlledSymbol:
         return tuple(on[k] if off[k].u is beam.u else Utilisation(beam.u + on[k].u - off[k].u) for k, beam in beams)
 
     def step(self, state: HeldState, name: str, moment: Moment, images: Frames | None, ego: Ego | None) -> tuple[HeldState, Measurement]:
-        """Observation at the frames of a moment that shows it, None where they are lost, and control. name: its own."""
+        """Measure the frames of a moment that shows it, None where they are lost, and control. name: its own."""
         shown = Shown(moment.projections[name], self.light(moment.on, moment.off), moment.ego)
         frames = images if name in moment.measured else None
         taken = None if moment.alone or frames is None else self._taken(shown)

@@ -80,13 +80,8 @@ LOOKING = {
         "largest ratio of the light on a point of the road to the largest setpoint of functions and base beam there",
     ),
 }
-OF_TRUTH = (
-    "false_positives",
-    "eyes_lx_max",
-    "eyes_lx_peak",
-    "oncoming_lx_max",
-    "road_lx_ratio_max",
-)  # which only a plant can tell that knows it
+# Columns that only a plant can tell that knows the truth.
+OF_TRUTH = ("false_positives", "eyes_lx_max", "eyes_lx_peak", "oncoming_lx_max", "road_lx_ratio_max")
 OBJECT = {
     "pixels": (pa.int64(), "px", "number of camera pixels that see it"),
     "lx_min": (pa.float64(), "lx", "lowest illuminance by the lamps on its visible part; empty while the camera does not see it"),

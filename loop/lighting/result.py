@@ -22,6 +22,7 @@ from loop.scenario.model import only
 from perception.detection.protocol import Detections
 from perception.egomotion import Samples
 from perception.tracks import TrackedBoxes
+from world.partial import PartialImage
 from world.view import View
 
 OUTSIDE = ("plant", "look")  # parts of a step that no car computes
@@ -128,17 +129,23 @@ class StepResult:
 
 class Clock:
     """Time by part. taken_ms: ms so far by the clock on the wall, by name. processing_ms: of the parts that the car computes, on the
-    processor.
+    processor. What the plant computes of frames where they are read is its own time.
     """
 
     def __init__(self) -> None:
         self.taken_ms: dict[str, float] = {}
         self.processing_ms = 0.0
-        self._last, self._worked = time.perf_counter(), time.thread_time()
+        self._last = _times_s()
 
     def lap(self, part: str) -> None:
         """Count the time since the last lap as that of a part."""
-        now, worked = time.perf_counter(), time.thread_time()
-        self.taken_ms[part] = self.taken_ms.get(part, 0.0) + 1e3 * (now - self._last)
-        self.processing_ms += 0.0 if part in OUTSIDE else 1e3 * (worked - self._worked)
-        self._last, self._worked = now, worked
+        times_s = _times_s()
+        taken, worked, of_plant, worked_by_plant = (1e3 * (now - last) for now, last in zip(times_s, self._last, strict=True))
+        for name, ms in ((part, taken - of_plant), ("plant", of_plant)):
+            self.taken_ms[name] = self.taken_ms.get(name, 0.0) + ms
+        self.processing_ms += 0.0 if part in OUTSIDE else worked - worked_by_plant
+        self._last = times_s
+
+
+def _times_s() -> tuple[float, ...]:
+    return time.perf_counter(), time.thread_time(), *PartialImage.spent_s

@@ -58,7 +58,7 @@ class Simulation:
     """A scenario made ready to run on one device.
 
     Functions live in the ground frame, which drives with the car. view: what the camera of a car on a level body would see, as the car
-    believes. sight: None without a detector. controlled: symbols that are held, by name. Without any of these steps depend on their time
+    believes. pipeline: None without a detector. controlled: symbols that are held, by name. Without any of these steps depend on their time
     alone, unless a function learns, or commands modules.
     """
 

@@ -263,7 +263,7 @@ def shown(values: dict[str, Any], files: str) -> Table:
             f"in {values['tracks_of_nothing']} of {values['steps']} steps a track shows no object, or one of another track"
         )
     rows |= _of_lost(values["objects"])
-    rows["time a step"] = f"{processing(values)} of one core (median) for all computations of the car"
+    rows["time a step"] = processing(values, "of one core (median) for all computations of the car")
     rows |= lines(values)
     notes = of_frames(values["frames"]) if "frames" in values else []
     several = len(values["functions"]) > 1
@@ -320,10 +320,10 @@ def _of_lost(objects: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
     return rows
 
 
-def processing(values: Mapping[str, Any]) -> str:
-    """Time that the car computes for a step by the summary of a run, and how far from real time that is."""
+def processing(values: Mapping[str, Any], what: str) -> str:
+    """Time that the car computes for a step by the summary of a run, what that is, and how far from real time."""
     times = values["times_real_time"]
-    return f"{number(values['processing_ms_median'], '.0f')} ms" + ("" if times is None else f", {times:.2g} x real time,")
+    return f"{number(values['processing_ms_median'], '.0f')} ms {what}" + ("" if times is None else f", {times:.2g} x real time")
 
 
 def _of_symbol(values: dict[str, Any]) -> dict[str, str]:

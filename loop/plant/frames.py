@@ -154,7 +154,7 @@ def read_light(
         names = [key.removesuffix(".pose") for key in arrays if key.endswith(".pose")]
         if strange := [name for name in names if not re.fullmatch(PLAIN, name)]:
             raise ValueError(f"{strange[0]!r} is no name of a symbol")
-        return tuple(lights), {name: _drawing(arrays, name, pixels, device) for name in names}, commands
+        return tuple(lights), {name: _projection(arrays, name, pixels, device) for name in names}, commands
 
 
 def sample_values(samples: Sequence[Sample]) -> str:
@@ -205,7 +205,7 @@ def _optional(arrays: Arrays, name: str, device: torch.device, shape: tuple[int,
     return _tensor(arrays, name, device, shape) if name in arrays else None
 
 
-def _drawing(arrays: Arrays, name: str, pixels: Sequence[int], device: torch.device) -> ProjectionCommand:
+def _projection(arrays: Arrays, name: str, pixels: Sequence[int], device: torch.device) -> ProjectionCommand:
     own = {key.removeprefix(f"{name}."): value for key, value in arrays.items() if key.startswith(f"{name}.")}
     raw = [_tensor(own, key, device, own[key].shape) for k in range(len(pixels)) if (key := f"raw_{k}") in own]
     if any(u.shape not in [(n,) for n in pixels] for u in raw):

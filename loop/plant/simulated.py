@@ -59,9 +59,7 @@ class SimulatedPlant:
         per_step = len(self.shares)
         step, part = divmod(exposure.number, per_step)
         begins_s, ends_s = (self._at(number) for number in (exposure.number, exposure.number + 1))
-        image = None
-        if not self._dropped(step):
-            image = self._frame(exposure, step, part)
+        image = None if self._dropped(step) else self._frame(exposure, step, part)
         due = max([exposure.number + per_step * self._latency(step), *(number for number, _ in state)])
         queue = (*state, (due, Frame(exposure.number, exposure.start_s, ends_s, image)))
         come = tuple(replace(frame, arrived_s=ends_s) for number, frame in queue if number <= exposure.number)
@@ -75,13 +73,14 @@ class SimulatedPlant:
         return sensors.newest(by_s, like) if after_s is None else sensors.arriving(after_s, by_s, like)
 
     def _frame(self, exposure: Exposure, step: int, frame: int) -> Tensor:
-        """Digital numbers `[height, width]`, computed where they are read."""
+        """Digital numbers `[height, width]`, computed where they are read; at once of metered light, as all of it is at hand now."""
         view, shown = self.world.view, (exposure.start_s, exposure.lights, exposure.commands)
 
         def part_of(part: Part) -> Tensor:
             return self.exposed(*self.world.luminance(*shown, part), step, frame, part)
 
-        return PartialImage.of(view.height, view.width, exposure.lights[0].u.new_empty(0), part_of)
+        image = PartialImage.of(view.height, view.width, exposure.lights[0].u.new_empty(0), part_of)
+        return image[:, :] if self.world.metered else image
 
     def exposed(self, luminance: Tensor, base: Tensor, step: int, frame: int, part: Part | None = None) -> Tensor:
         """Digital numbers of a step's on frame (0) or off frame (1) of luminance `[..., height, width]` in cd/m^2, with what disturbs it.

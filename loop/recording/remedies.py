@@ -3,10 +3,10 @@
 from collections.abc import Mapping
 from typing import Any
 
-from loop.recording.summary import FINAL
+from loop.recording.summary import FINAL, OFF_PERCENT
 
 CUT = 0.02  # of a symbol; less than that costs no more IoU than two runs may differ by in docs/results/symbol_control.md
-PLANE_M = 0.2  # roads nearer to the plane z = 0 are drawn for on it
+PLANE_M = 0.2  # roads nearer to the plane of the ground are drawn for on it
 SHADOW = "in shadow of"
 SHORT = 40  # steps, as the shipped scenarios have: thesis_pid still moves after 20 that began 40 m ahead, and settles in 40
 AT_ONCE = ("open", "feedforward", "luxloop")  # controllers that show the symbol at its target, wherever it starts
@@ -49,7 +49,7 @@ def _remedies(values: dict[str, Any]) -> list[str]:
     if values["aim"] is not None:
         place = f"lies {values['aim'][0]:.3g} m ahead, the nearest place that they can light"
         found.append(f"on this road the lamps cannot light the target; the symbol {place}")
-    if why is not None and not ((is_cut or values["aim"] is not None) and why in ("lost", "off_target")):
+    if why is not None and not ((is_cut or values["aim"] is not None) and _astray(values)):
         found.append(_why_unsettled(values))
     if why is None and values["controller"] != "open" and (values["iou_final"] or 0.0) < (values["iou_open"] or 0.0):
         found.append(f"the symbol has a lower IoU than without control; {_of_controller(values['controller'])}")
@@ -67,16 +67,21 @@ def _cut(what: str, share: float, side: str) -> str:
     return f"{100 * share:.0f} % of {what} lies beyond the {border} border of the lamps' field; {back}"
 
 
+def _astray(values: dict[str, Any]) -> bool:
+    """Whether the symbol is not at its target at the end, where it may move, on the mean."""
+    why, off = values["unsettled"], values["centroid_error_percent"]
+    return why in ("lost", "off_target") or (why == "moving" and max(map(abs, off)) > OFF_PERCENT)
+
+
 def _why_unsettled(values: dict[str, Any]) -> str:
     """Why the symbol has not settled on its target, and the key that helps."""
     off = [abs(error) for error in values["centroid_error_percent"] if error is not None]
     road_m, highest_m = values["road_m"] or 0.0, values["highest_m"]
-    astray = values["unsettled"] in ("lost", "off_target")
-    if astray and values["drives"] and highest_m is not None and abs(road_m) > highest_m:
-        where = f"{abs(road_m):.2f} m {'above' if road_m > 0 else 'below'} the plane of the ground at the target"
+    if _astray(values) and values["drives"] and highest_m is not None and abs(road_m) > highest_m:
         why = "x m ahead, a road of radius R is about x²/(2R) off that plane"
         within = f"NAME.controller.highest_m = {highest_m:g} of a road that continues the ground's curvature"
-        return f"the road lies up to {where}, but heights are searched only within {within}; raise that, or lower NAME.x_m: {why}"
+        where = f"the road lies up to {_off_plane(road_m, '.2f')} at the target, but heights are searched only within {within}"
+        return f"{where}; raise that, to 0.3 at most, or lower NAME.x_m: {why}"
     match values["unsettled"]:
         case "too_short":
             return "too few steps were judged to show whether the symbol settles; lower judge_every if it is above 1, or raise steps"
@@ -111,8 +116,12 @@ def _why_unsettled(values: dict[str, Any]) -> str:
         case _:
             what = f"the symbol lies {max(off):.0f} % of its size off its target" if off else "no light of the symbol reaches its target"
     if values["z_m_final"] and abs(values["z_m_final"]) > PLANE_M:
-        what += f", drawn for a road {abs(values['z_m_final']):.1f} m {'above' if values['z_m_final'] > 0 else 'below'} the plane z = 0"
+        what += f", drawn for a road {_off_plane(values['z_m_final'], '.1f')}"
     return f"{what}; {_of_controller(values['controller'])}"
+
+
+def _off_plane(height_m: float, form: str) -> str:
+    return f"{height_m:{form}} m above the plane of the ground" if height_m > 0 else f"{-height_m:{form}} m below the plane of the ground"
 
 
 def _of_controller(name: str) -> str:
@@ -121,6 +130,7 @@ def _of_controller(name: str) -> str:
         case "luxloop":
             return "lower NAME.x_m, since a nearer symbol is brighter and less sensitive to the road's height"
         case "feedforward":
-            return "give the true road in NAME.controller.road, or, near the plane z = 0, measure it with NAME.controller.survey = true"
+            near = "near the plane of the ground, measure it with NAME.controller.survey = true"
+            return f"give the true road in NAME.controller.road, or, {near}"
         case _:
             return 'try NAME.controller.name = "luxloop", which estimates the heights of the road and draws for them'

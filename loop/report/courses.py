@@ -13,7 +13,7 @@ from matplotlib.ticker import LogFormatter
 from controllers.functions.commands import MOVED
 from loop.lighting.compared import compared
 from loop.lighting.simulation import Simulation
-from loop.lighting.summary import START_UP_S, UNITS, eyes_lx, materials_of, named, spoken, zones_of
+from loop.lighting.summary import START_UP_S, UNITS, materials_of, named, spoken, zones_of
 from loop.recording.columns import held_in
 from loop.recording.style import FOUR, headed
 from loop.recording.summary import column
@@ -31,21 +31,20 @@ def write_courses(figure: SubFigure, simulation: Simulation, table: pa.Table, su
         charts[lambda axes: _power(axes, simulation, table)] = 1.1
     commanded = [name for name in table.column_names if name.startswith("modules.")]
     if turned := [name for name in commanded if name.endswith("_deg")]:
-        charts[lambda axes: _commanded(axes, table, turned, "deg", "Modules, swivelled to the left and levelled down")] = 1.2
+        charts[lambda axes: _commanded(axes, table, turned, summary, "deg", "Modules, swivelled to the left and levelled down")] = 1.2
     if dimmed := [name for name in commanded if name.endswith(".intensity")]:
-        charts[lambda axes: _commanded(axes, table, dimmed, "share", "Maximum intensity of modules, of their own")] = 1.0
+        charts[lambda axes: _commanded(axes, table, dimmed, summary, "share", "Maximum intensity of modules, of their own")] = 1.0
     if held := held_in(table):
         charts[lambda axes: _held(axes, table, held)] = 1.4
     if zones := zones_of(table):
         charts[lambda axes: _zones(axes, table, zones)] = 2.0
     if any(materials_of(table, quantity) for quantity in UNITS):
         charts[lambda axes: _materials(axes, table)] = 2.0
-    objects = {name: each for name, each in summary["objects"].items() if each["lx_max"] is not None}
-    shown, looks = named(objects), simulation.pipeline is not None
+    shown, looks = named(summary["objects"]), simulation.pipeline is not None
     if shown and looks:
         charts[lambda axes: _confidences(axes, table, shown, summary)] = 1.4
-    if objects:
-        charts[lambda axes: _on_objects(axes, table, shown, objects, with_names=not looks)] = 1.6
+    if any(each["lx_max"] is not None for each in summary["objects"].values()):
+        charts[lambda axes: _on_objects(axes, table, shown, summary, with_names=not looks)] = 1.6
     panels = figure.subplots(len(charts), 1, sharex=True, squeeze=False, height_ratios=list(charts.values()))[:, 0]
     for axes, chart in zip(panels, charts, strict=True):
         chart(axes)
@@ -74,15 +73,19 @@ def _power(axes: Axes, simulation: Simulation, table: pa.Table) -> None:
     headed(axes, "Electrical power, beside that of undimmed beams")
 
 
-def _commanded(axes: Axes, table: pa.Table, names: Sequence[str], unit: str, title: str) -> None:
+def _commanded(axes: Axes, table: pa.Table, names: Sequence[str], summary: dict[str, Any], unit: str, title: str) -> None:
     """One curve for all modules that move alike."""
     alike: dict[tuple[float, ...], list[list[str]]] = {}
     for name in names:
-        alike.setdefault(tuple(column(table, name)), []).append(name.removeprefix("modules.").rsplit(".", 1))
-    for (values, moved), colour in zip(alike.items(), cycle(COLOURS), strict=False):
-        who = ", ".join(dict.fromkeys(module for module, _ in moved))
+        module, movement = name.removeprefix("modules.").rsplit(".", 1)
+        at_end = summary["modules"][module][movement].get("steps_at_end", 0)
+        alike.setdefault((at_end, *column(table, name)), []).append([module, movement])
+    for ((at_end, *values), moved), colour in zip(alike.items(), cycle(COLOURS), strict=False):
+        who = dict.fromkeys(module for module, _ in moved)
+        whose = "all" if len(who) == len(summary["modules"]) else ", ".join(who)
         how = " and ".join(MOVED[movement] for movement in MOVED if any(movement == each for _, each in moved))
-        axes.plot(column(table, "time_s"), values, marker=_mark(table), color=colour, label=f"{who} {how}")
+        ends = f", at a limit in {at_end} of {table.num_rows} steps" if at_end else ""
+        axes.plot(column(table, "time_s"), values, marker=_mark(table), color=colour, label=f"{whose} {how}{ends}")
     axes.set(ylabel=unit)
     if unit == "share":
         axes.set_ylim(-0.02, 1.05)
@@ -134,11 +137,12 @@ def _confidences(axes: Axes, table: pa.Table, names: Sequence[str], summary: dic
     headed(axes, "Confidence of objects, filtered over frames")
 
 
-def _on_objects(axes: Axes, table: pa.Table, names: Sequence[str], objects: Mapping[str, Any], with_names: bool) -> None:
-    """Those of these names one by one, and the most on all others together."""
-    time_s, others = column(table, "time_s"), objects.keys() - names
+def _on_objects(axes: Axes, table: pa.Table, names: Sequence[str], summary: Mapping[str, Any], with_names: bool) -> None:
+    """Those of these names one by one, and the most on all others in sight together."""
+    time_s, most_lx = column(table, "time_s"), {name: each["lx_max"] for name, each in summary["objects"].items()}
+    others = [name for name, lx in most_lx.items() if lx is not None and name not in names]
     for name, colour in zip(names, COLOURS, strict=False):
-        dark = not objects[name]["lx_max"]
+        dark = not most_lx[name]
         label = f"{spoken(name)}: 0 lx throughout" if dark else spoken(name) if with_names else None
         axes.plot(time_s, column(table, f"objects.{name}.lx_mean"), marker=_mark(table), color=colour, label=label)
         axes.plot(time_s, column(table, f"objects.{name}.lx_max"), color=colour, linestyle=":", linewidth=0.9)
@@ -148,8 +152,8 @@ def _on_objects(axes: Axes, table: pa.Table, names: Sequence[str], objects: Mapp
         axes.plot(time_s, most, color="0.5", linewidth=0.9, label=f"most on {len(others)} {'others' if names else 'objects'}{lit}")
     if names:
         axes.plot([], [], color="0.5", linestyle=":", linewidth=0.9, label="most on each")
-    if "eyes_lx_max" in table.column_names and np.isfinite(column(table, "eyes_lx_max")).any():
-        later = eyes_lx(table, START_UP_S)
+    if summary.get("eyes_lx_max") is not None:
+        later = summary["eyes_lx_max_after_start_up"]
         told = "" if later is None else f": {later:.2g} lx from {START_UP_S:g} s on"
         axes.plot(time_s, column(table, "eyes_lx_max"), color="0.5", linestyle="--", label=f"maximum on heads and windscreens{told}")
     axes.set_ylabel("lx")

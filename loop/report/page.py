@@ -1,7 +1,7 @@
 """report.png: the camera's view, the road from above, the beams on a wall, charts over time, and how symbols that are held lie."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from textwrap import fill
@@ -22,11 +22,11 @@ from loop.lighting.lamps import under
 from loop.lighting.observed import ObservedSymbol
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
+from loop.lighting.summary import processing
 from loop.pictures.views import BIRDSEYE_X_M, BIRDSEYE_Y_M, birdseye
 from loop.recording.columns import of_one
 from loop.recording.remedies import SHADOW
 from loop.recording.style import SHARES, STYLE
-from loop.recording.summary import column
 from loop.report.courses import write_courses
 from loop.report.marks import marks, readable
 from loop.report.picture import WALL_DEG, measured, wall_light, white_of
@@ -111,7 +111,7 @@ def _draw_light(
 ) -> None:
     """Draw the part of a page about all light; high: its height in inches."""
     last, upper = moments[-1], high - ABOVE_IN
-    figure.suptitle(_title(simulation, last, table), x=0.012, ha="left", fontsize=12, weight="bold")
+    figure.suptitle(_title(simulation, last, summary), x=0.012, ha="left", fontsize=12, weight="bold")
     left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(7.6, 5.4))[0]
     observed = [(result, symbol) for result in moments for symbol in result.symbols][-OBSERVED:]
     heights = (upper, ABOVE_IN, 1.6) if observed else (upper, ABOVE_IN)
@@ -125,17 +125,14 @@ def _draw_light(
     _walls(walls, simulation, last)
 
 
-def _title(simulation: Simulation, last: StepResult, table: pa.Table) -> str:
-    dark = column(table, "dark_lx_max")
-    dark = dark[np.isfinite(dark)]
-    masked = f"  ·  {dark.max():.3g} lx at most on masked objects" if len(dark) else ""
-    scenario = simulation.scenario
+def _title(simulation: Simulation, last: StepResult, summary: Mapping[str, Any]) -> str:
+    dark_lx, scenario = summary["dark_lx_max"], simulation.scenario
+    masked = "" if dark_lx is None else f"  ·  {dark_lx:.3g} lx at most on masked objects"
     flicker = f"  ·  symbols on for {1 - scenario.off_share:.0%} at {scenario.rate_hz:g} Hz" if scenario.controlled else ""
     if (folder := shadow_of(scenario.plant)) is not None:
         flicker += f"  ·  {SHADOW} {folder}"
-    ms = float(np.median(column(table, "processing_ms")))
-    flicker += f"  ·  {ms:.0f} ms a step, {ms / 1e3 * scenario.rate_hz:.2g} x real time"
-    return f"{scenario.name}  ·  {scenario.headlight.model}  ·  {table.num_rows} steps to {last.time_s:.2f} s{masked}{flicker}"
+    steps = f"{summary['steps']} steps to {last.time_s:.2f} s"
+    return f"{scenario.name}  ·  {scenario.headlight.model}  ·  {steps}{masked}{flicker}  ·  {processing(summary, 'a step')}"
 
 
 def _cameras(figure: SubFigure, simulation: Simulation, moments: Sequence[StepResult]) -> None:

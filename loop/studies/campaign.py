@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from loop.jobs.executors import Executor
+from loop.jobs.executors import ALL_CORES, Executor
 from loop.jobs.runner import Job, Results, run
 from loop.recording.digest import digest_of_code
 from loop.recording.manifest import digests
@@ -30,7 +30,7 @@ Row = dict[str, Any]
 class RunParams(Params):
     """One single run of a campaign."""
 
-    scenario: str = Field(min_length=1, description="shipped scenario, or file relative to the campaign's file")
+    scenario: str = Field(min_length=1, examples=["snowflake"], description="shipped scenario, or file relative to the campaign's file")
     controller: str | None = Field(None, description="controller; left out: the scenario's own")
     variant: str | None = Field(None, description="name of a variant; left out: none")
     seed: int = Field(0, ge=0, lt=2**63, description="seed of all noise")
@@ -110,15 +110,7 @@ def read(file: Path, *, allow_code: bool = False) -> list[Run]:
     return list(runs.values())
 
 
-def run_campaign(
-    file: Path,
-    out: Path,
-    *,
-    device: str = "cpu",
-    processes: int | None = None,
-    executor: Executor | None = None,
-    allow_code: bool = False,
-) -> Campaign:
+def run_campaign(file: Path, out: Path, *, device: str = "cpu", executor: Executor = ALL_CORES, allow_code: bool = False) -> Campaign:
     """Do the runs whose results `out` does not hold yet, and write the table of all runs.
 
     Raises what `read`, `loop.jobs.runner.run` and `world.folders.output_folder` raise.
@@ -129,7 +121,7 @@ def run_campaign(
         for each in runs
     ]
     with output_folder(out):
-        results = run(figures_of, jobs, out / JOBS, version=digest_of_code(), processes=processes, executor=executor, title="runs")
+        results = run(figures_of, jobs, out / JOBS, version=digest_of_code(), executor=executor, title="runs")
         found = {row.pop("key"): row for row in results.rows}
         rows = [
             {"key": each.key, **each.row, **_figures(found.get(each.key, {})), "error": results.failures.get(each.key, "")} for each in runs

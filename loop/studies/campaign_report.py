@@ -36,8 +36,6 @@ SHOWN = {
 
 def do_campaign(file: Path, out: Path | None, processes: int | None, scheduler: str | None, device: str, allow_code: bool) -> bool:
     """Run a campaign, write its report, print its table and the failed runs; returns whether all runs succeeded."""
-    if processes is not None and processes < 1:
-        raise LuxloopError(f"--jobs: {processes} is too few processes; give 1 or more")
     if processes is not None and scheduler is not None:
         raise LuxloopError("--jobs: applies to this machine, but --scheduler has its own workers; give one of the two")
     folder = out or Path("runs") / file.stem

@@ -202,8 +202,3 @@ def begun(study: optuna.Study, task: Task, out: Path, execute: Executor) -> dict
 
 def _within(each: Range, value: float | int | None) -> bool:
     return value is not None and each.low <= value <= each.high
-
-
-def mean_cost(task: Task, values: Values, execute: Executor) -> float:
-    """Mean cost of all runs with given values."""
-    return float(np.mean(ran(task, task.runs(values), execute)[0]))

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from loop.jobs.executors import Executor, local
 from loop.jobs.runner import Job, Results, digest_of, run
 from loop.terminal import tables
 from loop.terminal.progress import progress
@@ -33,15 +34,16 @@ def train(out: Path, number: int, held_out: int, epochs: int, seed: int, process
     Raises LuxloopError for invalid numbers, scenes that cannot be rendered, a network that has learnt nothing, or a folder that cannot be
     written.
     """
-    for key, value in (("scenes", number), ("held-out", held_out), ("epochs", epochs), ("jobs", 1 if processes is None else processes)):
+    for key, value in (("scenes", number), ("held-out", held_out), ("epochs", epochs)):
         if value < 1:
             raise LuxloopError(f"--{key} {value}: too few; give 1 or more")
     if seed < 0:
         raise LuxloopError(f"--seed {seed}: a seed is 0 or more")
+    executor = local(processes)
     with output_folder(out), output_folder(out / FOLDER):
         started = time.monotonic()
-        seen = drawn(out, scenes.TRAINING, number, processes, "scenes to train on")
-        others = drawn(out, scenes.HELD_OUT, held_out, processes, "scenes held out")
+        seen = drawn(out, scenes.TRAINING, number, executor, "scenes to train on")
+        others = drawn(out, scenes.HELD_OUT, held_out, executor, "scenes held out")
         drew = time.monotonic()
         try:
             detector, training = _learnt(seen, epochs, seed)
@@ -87,11 +89,11 @@ def _learnt(rows: Sequence[dict[str, Any]], epochs: int, seed: int) -> tuple[Net
     }
 
 
-def drawn(out: Path, first: int, number: int, processes: int | None, title: str) -> list[dict[str, Any]]:
+def drawn(out: Path, first: int, number: int, executor: Executor, title: str) -> list[dict[str, Any]]:
     """Rows of so many scenes from a first seed on, drawn unless they are in the folder. Raises LuxloopError where some cannot be."""
     folder = str(out / FOLDER)
     jobs = [Job(f"scene {seed}", {"seed": seed, "folder": folder}) for seed in range(first, first + number)]
-    results: Results = run(scenes.draw, jobs, out / JOBS, version=VERSION, processes=processes, title=title)
+    results: Results = run(scenes.draw, jobs, out / JOBS, version=VERSION, executor=executor, title=title)
     if results.failures:
         key, reason = next(iter(results.failures.items()))
         raise LuxloopError(f"{out}: {len(results.failures)} scenes cannot be drawn, first {key}: {reason}")

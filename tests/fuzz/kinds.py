@@ -29,12 +29,13 @@ from perception.camera import CameraParams
 from perception.detection import network
 from perception.egomotion import Sample
 from tests.fuzz import mutations
+from tests.world.opencrg.writer import write_crg
 from world.headlight import Headlight
 from world.headlight.lamp import Lamp, Module, ModuleCommand
 from world.headlight.pixel_sources import TableSource
 from world.lampfiles import archive, description
 from world.lampfiles.utilisations import read_utilisation
-from world.opencrg import Crg, write_crg
+from world.opencrg import Crg
 from world.parquet import read_parquet
 from world.photometry import lm63
 from world.photometry.distribution import Distribution

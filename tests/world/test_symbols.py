@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from world.errors import LuxloopError
-from world.symbols import DRAWN_PX, Frames, OverTime, Still, load, load_still
+from world.symbols import DRAWN_PX, Frames, Still, load, load_still
 
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 40 20"><rect x="10" width="20" height="10" fill="{}"/></svg>'
 
@@ -87,9 +87,7 @@ def test_a_video_plays_at_its_own_rate(tmp_path: Path) -> None:
     assert load(tmp_path / "large.mp4").at(0).shape == (32, DRAWN_PX)
 
 
-def test_a_function_of_time_is_a_symbol() -> None:
-    symbol = OverTime(lambda time_s: torch.full((1, 1), time_s))
-    assert symbol.at(0.25).item() == 0.25
+def test_a_still_picture_is_the_same_at_any_time() -> None:
     assert Still(torch.ones(1, 1)).at(3).item() == 1
 
 

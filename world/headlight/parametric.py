@@ -27,9 +27,9 @@ SHARP_DEG = 1e-6  # a blur that no texture shows: as none
 
 
 class _Pixels(Params):
-    columns: int = Field(description="pixels per row", gt=0, le=MOST_PIXELS)
-    left_deg: float = Field(description="left border of the pixel field, left positive", gt=-80, lt=80)
-    right_deg: float = Field(description="right border of the pixel field", gt=-80, lt=80)
+    columns: int = Field(description="pixels per row", examples=[64], gt=0, le=MOST_PIXELS)
+    left_deg: float = Field(description="left border of the pixel field, left positive", examples=[12.0], gt=-80, lt=80)
+    right_deg: float = Field(description="right border of the pixel field", examples=[-12.0], gt=-80, lt=80)
     widening: float = Field(0.0, description="relative extra width of the outermost column over the middle one", ge=0, le=10)
     cut: float = Field(0.01, description="share of a pixel's peak below which its light is dropped, which limits overlap", ge=0, lt=1)
 
@@ -51,12 +51,14 @@ class GaussianPixels(_Pixels):
 
     kind: Literal["gaussian"] = "gaussian"
     row_centres_deg: tuple[Annotated[float, Field(ge=-80, le=80)], ...] = Field(
-        description="centre of each pixel row, top row first, up positive", min_length=1, max_length=MOST_PIXELS
+        description="centre of each pixel row, top row first, up positive", examples=[[-6.0]], min_length=1, max_length=MOST_PIXELS
     )
-    row_sigmas_deg: tuple[Annotated[float, Field(ge=1e-3, le=90)], ...] = Field(description="vertical standard deviation of each pixel row")
-    column_sigma: float = Field(description="horizontal standard deviation, in column widths", ge=1e-3, le=100)
+    row_sigmas_deg: tuple[Annotated[float, Field(ge=1e-3, le=90)], ...] = Field(
+        description="vertical standard deviation of each pixel row", examples=[[1.5]]
+    )
+    column_sigma: float = Field(description="horizontal standard deviation, in column widths", examples=[0.5], ge=1e-3, le=100)
     peak_cd: tuple[Annotated[float, Field(ge=0, le=BRIGHTEST_CD)], ...] = Field(
-        description="peak intensity of the middle pixel of each row"
+        description="peak intensity of the middle pixel of each row", examples=[[4000.0]]
     )
 
     @model_validator(mode="after")
@@ -84,15 +86,15 @@ class BlurredRectangles(_Pixels):
     """Adjacent rectangles, each convolved with a Gaussian; with all pixels on they form an even field with soft borders."""
 
     kind: Literal["blurred_rectangles"] = "blurred_rectangles"
-    rows: int = Field(description="pixel rows", gt=0, le=MOST_PIXELS)
-    bottom_deg: float = Field(description="lower border of the pixel field, up positive", gt=-80, lt=80)
-    top_deg: float = Field(description="upper border of the pixel field", gt=-80, lt=80)
+    rows: int = Field(description="pixel rows", examples=[16], gt=0, le=MOST_PIXELS)
+    bottom_deg: float = Field(description="lower border of the pixel field, up positive", examples=[-4.0], gt=-80, lt=80)
+    top_deg: float = Field(description="upper border of the pixel field", examples=[2.0], gt=-80, lt=80)
     row_heights: tuple[Annotated[float, Field(ge=1e-3, le=1e3)], ...] = Field(
         (), description="relative heights of the rows, top row first; equal if empty"
     )
-    blur_deg: float = Field(description="standard deviation of the Gaussian that softens the edges", ge=0, le=90)
+    blur_deg: float = Field(description="standard deviation of the Gaussian that softens the edges", examples=[0.15], ge=0, le=90)
     overlap: float = Field(0.0, description="relative excess of a pixel's width and height over its cell of the grid", ge=0, le=10)
-    peak_cd: float = Field(description="intensity in the centre of the field with all pixels on", ge=0, le=BRIGHTEST_CD)
+    peak_cd: float = Field(description="intensity in the centre of the field with all pixels on", examples=[40000.0], ge=0, le=BRIGHTEST_CD)
     spacing: Spacing = Field(
         "angle", description="pixels of equal angle, or of equal size on the plane of the texture (a distortion-free lens)"
     )

@@ -27,9 +27,9 @@ class FolderSource(Params):
     """One photometric file per pixel."""
 
     kind: Literal["folder"] = "folder"
-    path: Path = Field(description="folder with one .ies or .ldt file per pixel")
-    rows: int = Field(gt=0, le=MOST_PIXELS, description="pixel rows")
-    columns: int = Field(gt=0, le=MOST_PIXELS, description="pixels in a row")
+    path: Path = Field(examples=["pixels"], description="folder with one .ies or .ldt file per pixel")
+    rows: int = Field(gt=0, le=MOST_PIXELS, examples=[16], description="pixel rows")
+    columns: int = Field(gt=0, le=MOST_PIXELS, examples=[64], description="pixels in a row")
     pattern: str | None = Field(
         None,
         description="file names with the pixel's row and column, such as r{row}_c{column}.ies, from 0 or 1; left out: natural order",
@@ -91,7 +91,7 @@ class FileSource(Params):
     """The photometric file of one pixel, used once or repeated over a grid."""
 
     kind: Literal["file"] = "file"
-    path: Path = Field(description=".ies or .ldt file of one pixel")
+    path: Path = Field(examples=["pixel.ies"], description=".ies or .ldt file of one pixel")
     rows: int = Field(1, gt=0, le=MOST_PIXELS, description="pixel rows")
     columns: int = Field(1, gt=0, le=MOST_PIXELS, description="pixels in a row")
     pitch_deg: float | None = Field(None, ge=1e-4, le=90, description="angle between neighbours in a row; required for several pixels")
@@ -128,7 +128,7 @@ class TableSource(Params):
     """All pixels measured in one table."""
 
     kind: Literal["table"] = "table"
-    path: Path = Field(description="table of all pixels, .npz or .csv")
+    path: Path = Field(examples=["pixels.csv"], description="table of all pixels, .npz or .csv")
     rows: int | None = Field(None, gt=0, le=MOST_PIXELS, description="pixel rows, if the table does not say")
     columns: int | None = Field(None, gt=0, le=MOST_PIXELS, description="pixels per row, if the table does not say")
 

@@ -42,9 +42,13 @@ class BeamsParams(Params):
 class LampDescription(Params):
     """A complete lamp, for the left side of the car."""
 
-    name: str = Field(min_length=1, max_length=80, description="name shown in tables")
+    name: str = Field(min_length=1, max_length=80, examples=["mine"], description="name shown in tables")
     notes: str = Field("", description="notes, such as what is measured and what is assumed")
-    module: tuple[ModuleParams, ...] = Field(min_length=1, description="modules, one [[module]] table each")
+    module: tuple[ModuleParams, ...] = Field(
+        min_length=1,
+        examples=[[{"name": "fine", "source": {"kind": "preset", "name": "hd84"}}]],
+        description="modules, one [[module]] table each",
+    )
     beams: BeamsParams = Field(BeamsParams(), description="named beams")
 
     @model_validator(mode="after")
@@ -72,7 +76,7 @@ def describe(path: Path) -> LampDescription:
 def validate(data: Mapping[str, Any], source: str) -> LampDescription:
     """Check a description given as plain data. Raises LuxloopError that names the source, the key and the remedy."""
     with located(source):
-        return validated(LampDescription, data, "docs/lampfiles.md has a complete example")
+        return validated(LampDescription, data, "`luxloop new --like lamp.toml` copies a complete file")
 
 
 def build(path: Path, side: Side = "left", on_progress: Progress | None = None) -> tuple[Lamp, tuple[ModuleReport, ...]]:

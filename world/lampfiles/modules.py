@@ -38,7 +38,7 @@ class PresetSource(Params):
     """A module of a lamp that comes with luxloop."""
 
     kind: Literal["preset"] = "preset"
-    name: str = Field(description="name of the preset; `luxloop headlight list` shows all")
+    name: str = Field(examples=["hd84"], description="name of the preset; `luxloop headlight list` shows all")
     module: str | None = Field(None, description="module of the preset; left out: the one with the finest pixels")
 
 
@@ -117,8 +117,8 @@ class MountParams(Params):
 class ModuleParams(Params):
     """One module of a lamp."""
 
-    name: str = Field(min_length=1, max_length=80, description="name in tables and scenarios")
-    source: SourceParams = Field(description="source of its pixels' light")
+    name: str = Field(min_length=1, max_length=80, examples=["fine"], description="name in tables and scenarios")
+    source: SourceParams = Field(examples=[{"kind": "preset", "name": "hd84"}], description="source of its pixels' light")
     texture: TextureParams = Field(TextureParams(), description="size and field of the light texture")
     cutoff: float = Field(CUTOFF, ge=0, lt=1, description="share of a pixel's peak below which its measured light is dropped")
     overlap: OverlapParams | None = Field(None, description="overlap reduction: fewer pixels per texel; left out: none")

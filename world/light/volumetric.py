@@ -25,10 +25,10 @@ class Medium:
     asymmetry: float = 0.8
 
     @classmethod
-    def fog(cls, visibility_m: float, asymmetry: float = 0.8) -> "Medium":
+    def fog(cls, visibility_m: float) -> "Medium":
         """Droplets that absorb nothing; visibility_m: meteorological optical range, `-ln 0.05 / extinction` (Koschmieder)."""
         extinction = -math.log(CONTRAST) / visibility_m
-        return cls(extinction, extinction, asymmetry)
+        return cls(extinction, extinction)
 
 
 @dataclass(frozen=True)

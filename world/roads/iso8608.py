@@ -18,12 +18,6 @@ _SAMPLES = 1024
 _COS, _SIN = np.cos(0.5), np.sin(0.5)
 
 
-def density(roughness_class: str, frequency: ArrayLike) -> Floats:
-    """Displacement power spectral density Gd(n) in m^3, one-sided, of a section of the class' geometric mean; n in cycles/m."""
-    ratio = np.asarray(frequency, np.float64) / REFERENCE_FREQUENCY
-    return GEOMETRIC_MEAN_M3[roughness_class] / ratio**2
-
-
 def roughness(roughness_class: str, seed: int, x: ArrayLike, y: ArrayLike) -> Floats:
     """Height in m of a random surface whose every straight section has the density of its class.
 

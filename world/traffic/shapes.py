@@ -74,11 +74,11 @@ def limb(part: str, start: ArrayLike, stop: ArrayLike, r_start: float, r_stop: f
     return tube(part, start + at[:, None] * along, np.stack([r, r], 1), _square_to(along), sides)
 
 
-def ellipsoid(part: str, centre: ArrayLike, radii: ArrayLike, up: ArrayLike = (0, 0, 1), sides: int = 12, rings: int = 8) -> Piece:
-    """radii: `[3]` m, along x and y (where `up` is z) and along `up`."""
-    up, (a, b, c) = np.asarray(up, float), np.asarray(radii, float)
+def ellipsoid(part: str, centre: ArrayLike, radii: ArrayLike, sides: int = 12, rings: int = 8) -> Piece:
+    """radii: `[3]` m, along x, y and z."""
+    a, b, c = np.asarray(radii, float)
     angle = np.linspace(0.02, np.pi - 0.02, rings)
-    centres = np.asarray(centre, float) - c * np.cos(angle)[:, None] * up
+    centres = np.asarray(centre, float) - c * np.cos(angle)[:, None] * (0, 0, 1)
     return tube(part, centres, np.sin(angle)[:, None] * np.array([b, a]), (0, 1, 0), sides)
 
 

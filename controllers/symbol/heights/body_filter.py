@@ -48,7 +48,7 @@ class BodyFilter:
     observation that is taken in; the road in m along the wheels' tracks, the mean of both, then left minus right, in cells from start_m on.
     way_m: driven so far. known_m: how far along it the road was seen. slope_rad: of the ground, with which the road goes on beyond.
     axles_m: x of front and rear axle on the ground. distance_m: of the symbol from the middle between them, where a rise of the body
-    observations like a pitch. observations: at later times, by how many rad the body had pitched since the one before, None where that is
+    looks like a pitch. observations: at later times, by how many rad the body had pitched since the one before, None where that is
     not known.
     """
 

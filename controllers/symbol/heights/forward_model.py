@@ -25,7 +25,7 @@ DARKNESS_TEXELS = 3.0  # over which a shadow's edge fades
 
 @dataclass(frozen=True)
 class LampSight:
-    """A module's light on lines of forward_model: a point at height z has the lamp coordinates `on_plane + z * per_m`, both `[3, H, w]`.
+    """A module's light on lines of sight: a point at height z has the lamp coordinates `on_plane + z * per_m`, both `[3, H, w]`.
 
     factor: `[H, w]`, cd/m^2 on the plane for each cd. origin: `[3]` m, the lamp.
     """

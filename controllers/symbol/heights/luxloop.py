@@ -322,12 +322,12 @@ class Luxloop:
         return self._coarse(body_poses), self._fine(body_poses)
 
     def _fine(self, body_poses: BodyPoses) -> Registration:
-        return Registration.prepare(self._sight(body_poses, 2, 3))
+        return Registration.prepare(self._forward_model(body_poses, 2, 3))
 
     def _coarse(self, body_poses: BodyPoses) -> ForwardModel:
-        return self._sight(body_poses, 4, 1)
+        return self._forward_model(body_poses, 4, 1)
 
-    def _sight(self, body_poses: BodyPoses, step: int, samples: int) -> ForwardModel:
+    def _forward_model(self, body_poses: BodyPoses, step: int, samples: int) -> ForwardModel:
         """How the body sees the road when the two frames are exposed."""
         return ForwardModel.prepare(self.sensor, self.region, self.params.cell_m, step, samples, body_poses.on, body_poses.off)
 

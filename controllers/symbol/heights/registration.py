@@ -11,10 +11,7 @@ from torch.nn.functional import conv2d
 
 from controllers.symbol.heights.forward_model import ForwardModel
 
-BLURS = (
-    (1.0, 4.0, 0.4),
-    (0.6, 2.5, 0.25),
-)  # rows and camera columns, and half the residual of an outlier
+BLURS = ((1.0, 4.0, 0.4), (0.6, 2.5, 0.25))  # rows and camera columns, and half the residual of an outlier
 HIDDEN = 0.6  # outliers begin so much earlier where light is missing, since it may be hidden
 ITERATIONS = 3
 PROBE_M = 0.002  # of height, for slopes
@@ -41,7 +38,7 @@ class Heights:
 
 @dataclass(frozen=True)
 class Registration:
-    """Registers observations of one sight."""
+    """Registers observations of one forward model."""
 
     forward_model: ForwardModel
     edges: Tensor

@@ -1,4 +1,4 @@
-"""Road road_map: what is known of the road's heights stays on the road while the vehicle drives over it."""
+"""Road map: what is known of the road's heights stays on the road while the vehicle drives over it."""
 
 import math
 from dataclasses import dataclass, replace
@@ -19,7 +19,7 @@ CHANGED = 4.0  # ratio of an observation's residual to that of the kept heights,
 
 @dataclass(frozen=True)
 class Drawn:
-    """Heights and brightness `[n]`, and the symbol that was drawn for them: only a look at that says how good they are."""
+    """Heights and brightness `[n]`, and the symbol that was drawn for them: only an observation of that says how good they are."""
 
     projection: ProjectionCommand
     heights: Heights
@@ -28,7 +28,7 @@ class Drawn:
 
 @dataclass(frozen=True)
 class Kept:
-    """The heights that left the lowest residual at a look at their own projection, and the number of such observations since."""
+    """The heights that left the lowest residual in an observation of their own projection, and the number of such observations since."""
 
     best: Drawn
     residual: float
@@ -77,9 +77,9 @@ class RoadMap:
         return next((each for each in reversed(self.drawn) if each.projection.shows(projection)), None)
 
     def judged(self, drawn: Drawn, residual: float) -> "RoadMap":
-        """After a look at a projection; the best heights are kept until the road changes.
+        """After an observation of a projection; the best heights are kept until the road changes.
 
-        residual: of its heights, infinite where they explain less than a flat road does, which only a look at the kept ones counts.
+        residual: of its heights, infinite where they explain less than a flat road does, which only an observation of the kept ones counts.
         """
         kept = self.kept
         if kept is not None and kept.done:

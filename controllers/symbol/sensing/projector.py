@@ -30,7 +30,7 @@ class SymbolParams(Params):
     x_m: float = Field(17.0, gt=1, le=100, description="target position of the centre ahead of the lamps")
     y_m: float = Field(0.0, ge=-20, le=20, description="target position of the centre to the left")
     target: Literal["appearance", "place"] = Field(
-        "appearance", description="what lies at x_m, y_m: the observation of a symbol on a flat road, or the symbol on the road itself"
+        "appearance", description="what lies at x_m, y_m: the appearance of a symbol on a flat road, or the symbol on the road itself"
     )
     quantity: Quantity = Field(
         "u_abs", description="unit of the setpoint: I_v in cd, E_v in lx, u_abs as a share, u_rel as a multiple of the base beam"

@@ -25,7 +25,7 @@ from world.frames import pose_from_degrees, transform
 from world.params import Params
 from world.presets import idealised
 from world.scene.body import Body, PoseTrack
-from world.symbols import OverTime, Still
+from world.symbols import Still
 
 HERE = torch.eye(4, dtype=torch.float64)
 LAMPS = torch.tensor([[0.0, 0.6, 0.75], [0.0, -0.6, 0.75]], dtype=torch.float64)
@@ -33,8 +33,13 @@ UP = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
 PERSON = TrackedObject("anna", "pedestrian", pose_from_degrees((20.0, 3.0, 0.0), yaw_deg=90), (0.4, 0.6, 1.8), since_s=1.0, until_s=9.0)
 
 
+class Ramp:
+    def at(self, time_s: float) -> Tensor:
+        return torch.full((2, 2), time_s / 10)
+
+
 def now(*objects: TrackedObject, time_s: float = 2.0, T: Tensor = HERE, **more: object) -> Situation:
-    symbols = {"a": Still(torch.ones(4, 4)), "ramp": OverTime(lambda time_s: torch.full((2, 2), time_s / 10))}
+    symbols = {"a": Still(torch.ones(4, 4)), "ramp": Ramp()}
     return Situation(time_s, T, LAMPS, objects, symbols=symbols, **more)
 
 

@@ -1,5 +1,7 @@
 """Which texels a pixel samples, and the earlier ways of control that this gives (docs/ssc.md)."""
 
+from typing import get_args
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -7,7 +9,7 @@ import torch
 
 from controllers.pixels.mrpc import MrpcParams, pixel_major
 from controllers.pixels.primitives import rectangle
-from controllers.pixels.sampling import SAMPLINGS, rectangular, sample_weights
+from controllers.pixels.sampling import Sampling, rectangular, sample_weights
 from controllers.pixels.ssc import Ssc
 from tests.reference import ssc as reference
 from world.frames import pose_from_degrees
@@ -25,7 +27,7 @@ def wall(value: float = 0.5, half: float = 1.0):
     return rectangle(*vectors, value, "u_abs", normal=torch.tensor([-1.0, 0.0, 0.0]))
 
 
-@pytest.mark.parametrize("sampling", SAMPLINGS)
+@pytest.mark.parametrize("sampling", get_args(Sampling))
 def test_samples_are_those_of_the_reference(sampling: str) -> None:
     light = lamp("hd84").modules[0].headlight
     entries = light.matrix.transposed
@@ -85,7 +87,7 @@ def test_rectangles_fill_gaps_with_a_little_light() -> None:
     [
         MrpcParams(shape="rectangle", mapping="direct", a_x=0.5),
         MrpcParams(mapping="maximal"),
-        *(MrpcParams(sampling=sampling) for sampling in SAMPLINGS),
+        *(MrpcParams(sampling=sampling) for sampling in get_args(Sampling)),
     ],
     ids=str,
 )

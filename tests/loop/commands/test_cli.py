@@ -19,7 +19,8 @@ from loop.scenario.model import load
 from loop.terminal import listing
 from loop.terminal.doctor import Check
 from tests.loop.conftest import FILE, Lux, assert_one_sentence
-from world.opencrg import Crg, write_crg
+from tests.world.opencrg.writer import write_crg
+from world.opencrg import Crg
 
 ROOT = Path(__file__).parents[3]
 

@@ -14,6 +14,7 @@ from loop.evaluation import evaluate as evaluation
 from loop.evaluation import jobs, report
 from loop.evaluation.evaluate import JOBS, ROWS, SETPOINTS, Evaluation, evaluate, summary
 from loop.jobs import runner
+from loop.jobs.executors import local
 from perception.metrics import mae
 from world.beams.rectangles import Rectangle
 from world.errors import LuxloopError
@@ -54,7 +55,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def found(folder: Path) -> Evaluation:
-    return evaluate(folder, ["hd84"], processes=1, setpoints=RECTANGLES, grid=2)
+    return evaluate(folder, ["hd84"], executor=local(1), setpoints=RECTANGLES, grid=2)
 
 
 def test_joint_optimum_is_that_of_a_linear_programme(small: Headlight) -> None:
@@ -104,7 +105,7 @@ def test_an_evaluation_goes_on_where_it_was(found: Evaluation, folder: Path, tmp
     started = []
     original = runner._call
     monkeypatch.setattr(runner, "_call", lambda function, task: (started.append(task), original(function, task))[1])
-    again = evaluate(tmp_path, ["hd84"], processes=1, setpoints=RECTANGLES, grid=2)
+    again = evaluate(tmp_path, ["hd84"], executor=local(1), setpoints=RECTANGLES, grid=2)
     assert len(started) == 1
     assert again == found
     assert (tmp_path / SETPOINTS).exists()
@@ -118,7 +119,7 @@ def test_a_part_that_fails_leaves_no_older_table(tmp_path: Path, monkeypatch: py
     for table, function in zip(tables, ("setpoint", "table_row", "sensitivity_row"), strict=True):
         (tmp_path / f"{table}.parquet").write_text("older")
         monkeypatch.setattr(jobs, function, failing)
-    assert evaluate(tmp_path, ["hd84"], processes=1, setpoints=RECTANGLES, grid=1).failures
+    assert evaluate(tmp_path, ["hd84"], executor=local(1), setpoints=RECTANGLES, grid=1).failures
     assert not list(tmp_path.glob("*.parquet"))
 
 

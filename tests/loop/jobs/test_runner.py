@@ -14,6 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from loop.jobs import runner
+from loop.jobs.executors import local
 from loop.jobs.runner import Job, Results, run
 from world.errors import LuxloopError
 
@@ -21,6 +22,7 @@ ROOT = Path(__file__).parents[3]
 SCRIPT = """
 import signal, sys, time
 from pathlib import Path
+from loop.jobs.executors import local
 from loop.jobs.runner import Job, run
 
 def slow(x, log):
@@ -33,7 +35,7 @@ if __name__ == "__main__":
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # as the command line does
     here = Path(__file__).parent
     todo = [Job(f"job {x}", {"x": x, "log": str(here / "log")}) for x in range(6)]
-    print([row["square"] for row in run(slow, todo, here / "results.jsonl", version="1", processes=2).rows])
+    print([row["square"] for row in run(slow, todo, here / "results.jsonl", version="1", executor=local(2)).rows])
 """
 
 
@@ -68,7 +70,7 @@ def numbers(*xs: int, **more: Any) -> list[Job]:
 
 
 def test_results_come_in_the_order_of_jobs_with_their_parameters(tmp_path: Path) -> None:
-    results = run(square, numbers(3, 1, 2), tmp_path / "new" / "r.jsonl", version="1", processes=1)
+    results = run(square, numbers(3, 1, 2), tmp_path / "new" / "r.jsonl", version="1", executor=local(1))
     assert results.rows == [{"key": f"x {x}", "x": x, "square": x * x, "list": [x, x]} for x in (3, 1, 2)]
     assert results.failures == {}
 
@@ -76,7 +78,7 @@ def test_results_come_in_the_order_of_jobs_with_their_parameters(tmp_path: Path)
 def test_what_is_done_is_not_done_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log, file = tmp_path / "log", tmp_path / "r.jsonl"
     for xs in ((1, 2), (1, 2, 3), (3, 3, 2)):
-        results = run(square, numbers(*xs, log=str(log)), file, version="1", processes=1)
+        results = run(square, numbers(*xs, log=str(log)), file, version="1", executor=local(1))
         assert [row["square"] for row in results.rows] == [x * x for x in xs]
     assert log.read_text().split() == ["1", "2", "3"]
     assert "2 of 3 already done" in capsys.readouterr().err
@@ -85,14 +87,14 @@ def test_what_is_done_is_not_done_again(tmp_path: Path, capsys: pytest.CaptureFi
 def test_other_versions_and_parameters_are_done_anew_and_old_results_stay(tmp_path: Path) -> None:
     log, file = tmp_path / "log", tmp_path / "r.jsonl"
     for version, x in (("1", 1), ("2", 1), ("2", 5), ("1", 1)):
-        assert run(square, numbers(x, log=str(log)), file, version=version, processes=1).rows[0]["square"] == x * x
+        assert run(square, numbers(x, log=str(log)), file, version=version, executor=local(1)).rows[0]["square"] == x * x
     assert log.read_text().split() == ["1", "1", "5"]
 
 
 def test_failures_are_collected_and_tried_again(tmp_path: Path) -> None:
     log = tmp_path / "log"
     for _ in range(2):
-        results = run(square, numbers(1, -1, 2, log=str(log)), tmp_path / "r.jsonl", version="1", processes=1)
+        results = run(square, numbers(1, -1, 2, log=str(log)), tmp_path / "r.jsonl", version="1", executor=local(1))
         assert [row["x"] for row in results.rows] == [1, 2]
         assert list(results.failures) == ["x -1"]
         assert results.failures["x -1"].startswith("ValueError: -1 is negative (test_runner.py, line ")
@@ -104,11 +106,11 @@ def test_failures_are_collected_and_tried_again(tmp_path: Path) -> None:
 def test_processes_have_one_thread_and_their_failures_come_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     both = [Job(str(value), {"process_id": value}) for value in (True, False)]
-    rows = run(about, both, tmp_path / "r.jsonl", version="1", processes=2).rows
+    rows = run(about, both, tmp_path / "r.jsonl", version="1", executor=local(2)).rows
     assert all(row["pid"] != os.getpid() and row["threads"] == "1" for row in rows)
     assert os.environ["OMP_NUM_THREADS"] == "7"
     with pytest.raises(LuxloopError, match=r"worker process was killed.*0 of 2 jobs are kept.*the first that are not done: x 1; x 2"):
-        run(die, numbers(1, 2), tmp_path / "r.jsonl", version="1", processes=2)
+        run(die, numbers(1, 2), tmp_path / "r.jsonl", version="1", executor=local(2))
 
 
 @pytest.mark.parametrize("workers_too", [True, False])
@@ -153,11 +155,11 @@ def alive(group: int) -> bool:
 
 def test_a_line_cut_off_by_a_kill_is_done_again(tmp_path: Path) -> None:
     file = tmp_path / "r.jsonl"
-    run(square, numbers(1, 2), file, version="1", processes=1)
+    run(square, numbers(1, 2), file, version="1", executor=local(1))
     whole = file.read_bytes()
     for end in range(len(whole) - 1, whole.index(b"\n"), -7):
         file.write_bytes(whole[:end])
-        assert [row["square"] for row in run(square, numbers(1, 2), file, version="1", processes=1).rows] == [1, 4]
+        assert [row["square"] for row in run(square, numbers(1, 2), file, version="1", executor=local(1)).rows] == [1, 4]
         assert file.read_bytes() == whole
 
 
@@ -166,12 +168,12 @@ def test_a_line_cut_off_by_a_kill_is_done_again(tmp_path: Path) -> None:
 )
 def test_junk_in_the_last_line_costs_that_line(junk: bytes, tmp_path: Path) -> None:
     log, file = tmp_path / "log", tmp_path / "r.jsonl"
-    run(square, numbers(1, 2, log=str(log)), file, version="1", processes=1)
+    run(square, numbers(1, 2, log=str(log)), file, version="1", executor=local(1))
     whole = file.read_bytes()
     for content, again in ((whole + junk, 0), (whole[: whole.index(b"\n") + 1] + junk, 1)):
         file.write_bytes(content)
         log.write_text("")
-        assert [row["square"] for row in run(square, numbers(1, 2, log=str(log)), file, version="1", processes=1).rows] == [1, 4]
+        assert [row["square"] for row in run(square, numbers(1, 2, log=str(log)), file, version="1", executor=local(1)).rows] == [1, 4]
         assert file.read_bytes() == whole and len(log.read_text().split()) == again
 
 
@@ -180,19 +182,19 @@ def test_files_of_another_kind_are_left_alone(content: bytes, tmp_path: Path) ->
     file = tmp_path / "mine.txt"
     file.write_bytes(content)
     with pytest.raises(LuxloopError, match=r"mine\.txt: holds something other than job results"):
-        run(square, numbers(1), file, version="1", processes=1)
+        run(square, numbers(1), file, version="1", executor=local(1))
     assert file.read_bytes() == content
 
 
 def test_folders_that_cannot_be_written_are_said_so(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(LuxloopError, match="cannot be"):
-        run(square, numbers(1), tmp_path / "file" / "r.jsonl", version="1", processes=1)
+        run(square, numbers(1), tmp_path / "file" / "r.jsonl", version="1", executor=local(1))
 
 
 def test_parquet(tmp_path: Path) -> None:
     file = tmp_path / "r.parquet"
-    run(square, numbers(1, 2), tmp_path / "r.jsonl", version="1", processes=1).write(file)
+    run(square, numbers(1, 2), tmp_path / "r.jsonl", version="1", executor=local(1)).write(file)
     assert pq.read_table(file).to_pylist() == [{"key": f"x {x}", "x": x, "square": x * x, "list": [x, x]} for x in (1, 2)]
     with pytest.raises(LuxloopError, match="cannot be written"):
         Results([{"a": 1}], {}).write(file / "r.parquet")

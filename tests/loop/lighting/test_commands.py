@@ -212,13 +212,14 @@ def test_summary_and_closing_table_say_how_far_modules_were_commanded(lamp: str,
     assert (tmp_path / "report.png").exists()
 
 
-def test_modules_that_move_alike_share_a_curve() -> None:
+def test_modules_that_move_alike_share_a_curve_which_says_how_often_they_are_at_an_end() -> None:
     turned = {"left fine.level_deg": [0.0, 1.0], "right fine.level_deg": [0.0, 1.0], "right fine.intensity": [1.0, 0.5]}
     axes = Figure().subplots()
     table = pa.table({"time_s": [0.0, 0.1], **{f"modules.{name}": values for name, values in turned.items()}})
-    _commanded(axes, table, table.column_names[1:], "deg", "")
+    moved = {"level_deg": {"steps_at_end": 1}, "intensity": {}}
+    _commanded(axes, table, table.column_names[1:], {"modules": {"left fine": moved, "right fine": moved}}, "deg", "")
     told = {str(line.get_label()): np.asarray(line.get_ydata()).tolist() for line in axes.get_lines()}
-    assert told == {"left fine, right fine levelled": [0.0, 1.0], "right fine dimmed": [1.0, 0.5]}
+    assert told == {"all levelled, at a limit in 1 of 2 steps": [0.0, 1.0], "right fine dimmed": [1.0, 0.5]}
 
 
 def test_no_such_function_no_command(lamp: str) -> None:

@@ -16,6 +16,7 @@ from loop.commands import cli
 from loop.lighting.record import LOOKED_AT, row, schema
 from loop.lighting.simulation import Simulation
 from loop.lighting.summary import shown
+from loop.plant.world import LitScene
 from loop.recording.files import table_of
 from loop.recording.manifest import input_files
 from loop.run import run
@@ -85,6 +86,18 @@ def test_late_frames_make_tracks_late() -> None:
     in_time = list(Simulation.prepare(scenario(steps=5)).run())
     assert results[2].frame is not None and in_time[0].frame is not None
     assert results[2].frame.equal(in_time[0].frame)  # no function has anything to do before a track is confirmed
+
+
+def test_light_is_computed_once_however_late_its_frame_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    computed, light = list[LitScene](), LitScene.light
+
+    def counted(lit: LitScene, *given: Any) -> tuple[torch.Tensor, torch.Tensor]:
+        computed.append(lit)
+        return light(lit, *given)
+
+    monkeypatch.setattr(LitScene, "light", counted)
+    *_, last = Simulation.prepare(scenario(camera=CAMERA | {"latency_steps": 3}, steps=6)).run()
+    assert last.frame is not None and len(computed) == 6
 
 
 def test_a_track_is_predicted_where_frames_are_lost() -> None:

@@ -109,7 +109,7 @@ def test_light_on_many_objects_is_drawn_of_the_brightest_and_of_the_others_toget
     table = {f"objects.{name}.{key}": lx for name, lx in lit.items() for key in ("lx_mean", "lx_max")}
     objects = {name: in_sight(max(lx)) for name, lx in lit.items()}
     axes = Figure().subplots()
-    _on_objects(axes, pa.table({"time_s": [0.0, 0.1], **table}), named(objects), objects, with_names=True)
+    _on_objects(axes, pa.table({"time_s": [0.0, 0.1], **table}), named(objects), {"objects": objects}, with_names=True)
     told = {str(line.get_label()): line for line in axes.get_lines() if not str(line.get_label()).startswith("_")}
     assert [*told] == [*(f"car {k}" for k in range(34, 26, -1)), "most on 27 others", "most on each"]
     assert np.asarray(told["most on 27 others"].get_ydata()).tolist() == [13.0, 26.0]

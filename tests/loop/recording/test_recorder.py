@@ -9,6 +9,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ from loop.lighting import recorder
 from loop.lighting.record import ZONE, row, schema, summary_of
 from loop.lighting.recorder import Recorder
 from loop.lighting.replay import load
-from loop.lighting.result import StepResult
+from loop.lighting.result import Clock, StepResult
 from loop.lighting.simulation import Simulation
 from loop.recording.columns import POSE, SYMBOL, loss_name
 from loop.recording.files import table_of
@@ -31,6 +32,7 @@ from loop.run import run
 from loop.scenario.model import Scenario, validate
 from perception.extraction import Loss
 from world.errors import LuxloopError
+from world.partial import Part, PartialImage
 
 ROOT = Path(__file__).parents[3]
 
@@ -74,6 +76,19 @@ def test_row_has_plain_values_in_the_units_of_their_names(small_simulation: Simu
     assert values["loss"] == ""
     assert {f"{part}_ms" for part in ("plan", "light", "look", "control", "processing")} == {name for name in names if name.endswith("_ms")}
     assert all_values["look_ms"] == result.timings["plant"] + result.timings["look"], "rendering is no part of the car"
+
+
+def test_what_the_plant_computes_of_a_frame_where_it_is_read_is_no_time_of_the_car() -> None:
+    def slowly(part: Part) -> torch.Tensor:
+        end_s = time.thread_time() + 0.05
+        while time.thread_time() < end_s:
+            pass
+        return torch.zeros(9, 16)[part]
+
+    clock, frame = Clock(), PartialImage.of(9, 16, torch.zeros(0), slowly)
+    assert not frame.any()
+    clock.lap("control")
+    assert clock.taken_ms["plant"] >= 50 > 25 > clock.processing_ms
 
 
 def test_lost_symbol_is_a_row_with_a_reason(small_simulation: Simulation, small_results: list[StepResult]) -> None:

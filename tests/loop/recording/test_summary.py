@@ -182,15 +182,16 @@ def test_a_symbol_that_was_aimed_elsewhere_is_off_its_target_for_no_other_reason
     assert "28.3 m ahead" in said
 
 
-def test_a_symbol_that_is_cut_is_lost_for_no_other_reason() -> None:
-    values = summarise(table(loss=["nothing"] * 40, cut_bottom=0.9), "luxloop", 0.0)
+@pytest.mark.parametrize("course", [{"loss": ["nothing"] * 40}, {OFF: 20 + 10 * np.sin(np.arange(40))}])
+def test_a_symbol_that_is_cut_is_lost_or_moves_astray_for_no_other_reason(course: dict[str, Any]) -> None:
+    values = summarise(table(**course, cut_bottom=0.9), "luxloop", 0.0)
     assert len(remedies("symbol", values)) == 1 and "lower border" in remedies("symbol", values)[0]
 
 
 def test_how_far_the_road_lies_off_the_plane_is_said_where_it_is_drawn_for() -> None:
     (said,) = remedies("symbol", summarise(table(**{OFF: 12.0}, z_m=-0.57), "luxloop", 0.0))
     assert said.startswith(
-        "the symbol lies 12 % of its size off its target, drawn for a road 0.6 m below the plane z = 0; lower functions.symbol.x_m"
+        "the symbol lies 12 % of its size off its target, drawn for a road 0.6 m below the plane of the ground; lower functions.symbol.x_m"
     )
 
 
@@ -233,8 +234,10 @@ def test_a_road_beyond_what_is_looked_for_is_named(road_m: float, is_named: bool
     (said,) = remedies("symbol", summarise(table(**{OFF: np.full(40, 20.0)}), "luxloop", 0.0, run=run))
     assert ("functions.symbol.controller.highest_m = 0.14" in said and "x²/(2R)" in said) == is_named
     assert (f"0.17 m {'above' if road_m > 0 else 'below'} the plane" in said) == is_named
-    (swings,) = remedies("symbol", summarise(table(**{OFF: 10 * np.sin(np.arange(40))}), "luxloop", 0.0, run=run))
-    assert "highest_m" not in swings, "it is at the target on the mean, so the road is found"
+    swing = 10 * np.sin(np.arange(40))
+    there, astray = (remedies("symbol", summarise(table(**{OFF: off}), "luxloop", 0.0, run=run))[0] for off in (swing, swing + 20))
+    assert "keeps moving" in there and "highest_m" not in there, "it is at the target on the mean, so the road is found"
+    assert ("highest_m" in astray) == is_named
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ import pytest
 
 from loop.commands import cli
 from loop.jobs import runner
-from loop.jobs.executors import dask
+from loop.jobs.executors import dask, local
 from loop.metrics import _prepared, figures
 from loop.scenario.model import load
 from loop.studies import campaign
@@ -105,7 +105,7 @@ def test_table_report_and_failures(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         'scenarios = ["flat"]\ncontrollers = ["open", "thesis_pid"]\nvariants.here = {}\nvariants.off.functions.symbol.y_m = 15.0\n',
     )
     out = tmp_path / "out"
-    found = run_campaign(file, out, processes=1)
+    found = run_campaign(file, out, executor=local(1))
     assert [row["variant"] for row in found.rows] == ["here", "off"] * 2
     assert list(found.failures) == ["flat, open, off, seed 0", "flat, thesis_pid, off, seed 0"]
     assert "outside of the camera's view" in found.rows[1]["error"]
@@ -121,10 +121,10 @@ def test_table_report_and_failures(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     started = []
     original = runner._call
     monkeypatch.setattr(runner, "_call", lambda function, task: (started.append(task), original(function, task))[1])
-    assert run_campaign(file, out, processes=1) == found
+    assert run_campaign(file, out, executor=local(1)) == found
     assert len(started) == 2  # those that failed
     monkeypatch.setattr(campaign, "digest_of_code", lambda: "other code")
-    run_campaign(file, out, processes=1)
+    run_campaign(file, out, executor=local(1))
     assert len(started) == 2 + 4
 
 
@@ -215,7 +215,7 @@ def test_a_worker_killed_midway_costs_no_run(scheduler: tuple[str, list[subproce
     far = run_campaign(file, tmp_path / "far", executor=killing)
     assert workers[0].wait(10) == -signal.SIGKILL
     assert not far.failures
-    assert far == run_campaign(file, tmp_path / "near", processes=1)
+    assert far == run_campaign(file, tmp_path / "near", executor=local(1))
     assert len((tmp_path / "far" / JOBS).read_text().splitlines()) == 8
 
 

@@ -285,6 +285,7 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
     for wrong, said in (
         (["tune", "flat"], "--key: is missing"),
         (["tune", "flat", "--key", KEYS[0], "--trials", "0"], "--trials: 0 is too few"),
+        (["tune", "flat", "--key", KEYS[0], "--jobs", "0"], "--jobs: 0 is too few"),
     ):
         assert cli.main(wrong) == cli.WRONG
         assert said in capsys.readouterr().err

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from loop.commands import cli
+from loop.jobs.executors import local
 from loop.training import examples, fit
 from loop.training.calibrate import calibrate, logistic
 from loop.training.examples import SIZE, Examples, targets
@@ -212,7 +213,7 @@ def test_the_page_tells_how_long_it_took_and_what_it_was_calibrated_on() -> None
 
 def test_a_network_that_has_learnt_nothing_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """From a scene with nobody in it nothing can be learnt."""
-    drawn(tmp_path, TRAINING, 1, 1, "scene")
+    drawn(tmp_path, TRAINING, 1, local(1), "scene")
     jobs = [json.loads(line) for line in (tmp_path / "scenes.jsonl").read_text("utf-8").splitlines()]
     jobs[0]["result"]["objects"] = []
     (tmp_path / "scenes.jsonl").write_text(json.dumps(jobs[0]) + "\n", "utf-8")
@@ -293,9 +294,11 @@ def test_boxes_are_right_once_an_object() -> None:
 
 
 def test_numbers_that_make_no_sense_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for key in ("scenes", "held-out", "epochs", "jobs"):
+    for key in ("scenes", "held-out", "epochs"):
         assert cli.main(["train-detector", "--out", str(tmp_path), f"--{key}", "0"]) == cli.WRONG
         assert f"--{key} 0: nothing can be learnt" in capsys.readouterr().err
+    assert cli.main(["train-detector", "--out", str(tmp_path), "--jobs", "0"]) == cli.WRONG
+    assert "--jobs: 0 is too few processes" in capsys.readouterr().err
     assert cli.main(["train-detector", "--out", str(tmp_path), "--seed", "-1"]) == cli.WRONG
     assert "--seed -1: a seed is 0 or more" in capsys.readouterr().err
     assert not any(tmp_path.iterdir())

@@ -7,15 +7,21 @@ import pytest
 from pydantic import TypeAdapter, ValidationError
 from scipy.signal import welch
 
+from tests.world.opencrg.writer import write_crg
 from world.errors import LuxloopError
-from world.opencrg import Crg, write_crg
-from world.roads.iso8608 import GEOMETRIC_MEAN_M3, density, roughness
+from world.opencrg import Crg
+from world.roads.iso8608 import GEOMETRIC_MEAN_M3, REFERENCE_FREQUENCY, roughness
 from world.roads.mesh import GROWTH, SCENE_X_M, SCENE_Y_M, axis, road_mesh
 from world.roads.scan import WHEELS_M
 from world.roads.shapes import Bumps, Curb, Flat, Grade, Iso8608, Mixed, OpenCrgRoad, Pothole, Road, RoadParams, SpeedBump, Step
 
 KINDS = [Flat(), Grade(), Bumps(), SpeedBump(), Curb(), Step(), Pothole(), Iso8608(), Mixed()]
 each_kind = pytest.mark.parametrize("road", KINDS, ids=lambda road: road.kind)
+
+
+def density(roughness_class: str, frequency: np.ndarray) -> np.ndarray:
+    """Displacement power spectral density Gd(n) in m^3 by ISO 8608, one-sided, of the class' geometric mean; n in cycles/m."""
+    return GEOMETRIC_MEAN_M3[roughness_class] / (frequency / REFERENCE_FREQUENCY) ** 2
 
 
 def around_symbol(road: Road, half_width_m: float = 1.0) -> np.ndarray:
