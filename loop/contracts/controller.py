@@ -49,7 +49,7 @@ AWAY = 1.5  # times as far from the target as at the start, and some noise
 
 
 def check_controller(controller: type, options: Mapping[str, Any] | None = None, device: str = "auto") -> None:
-    """Check a symbol controller of your own against the contract of `luxloop.SymbolController`, in a few seconds.
+    """Check your own symbol controller against the contract of `luxloop.SymbolController`, in a few seconds.
 
     controller: the class, of which a scenario makes `controller(sensor, **options)`. A class and not an instance, since an instance has
     the sensor of another scenario, and since making it belongs to the contract; a class and not its name, so that it can be checked where

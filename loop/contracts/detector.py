@@ -34,7 +34,7 @@ ROUNDING = 0.02  # px and score by which what is found may differ in another bat
 
 
 def check_detector(detector: type, options: Mapping[str, Any] | None = None, device: str = "auto") -> None:
-    """Check a detector of your own against the contract of `[detector]`, in a few seconds.
+    """Check your own detector against the contract of `[detector]`, in a few seconds.
 
     detector: the class, of which a scenario makes `detector(device, **options)`; see `check_controller` for why it is the class. options:
     those of `[detector]`. device: "auto", "cpu" or "cuda", on which it is made and gets its frames.

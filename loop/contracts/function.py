@@ -40,7 +40,7 @@ SCENARIO = {
 
 
 def check_function(function: type, options: Mapping[str, Any] | None = None, device: str = "auto") -> None:
-    """Check a lighting function of your own against the contract of `[functions.NAME]`, in a few seconds.
+    """Check your own lighting function against the contract of `[functions.NAME]`, in a few seconds.
 
     function: the class, of which a scenario makes `function(**options)`; see `check_controller` for why it is the class. options: those of
     `[functions.NAME]`. device: "auto", "cpu" or "cuda", of the lamps; a situation lies on the CPU.

@@ -33,7 +33,7 @@ SCENARIO: dict[str, Any] = {
 
 
 def check_plant(plant: type, options: Mapping[str, Any] | None = None, device: str = "auto") -> None:
-    """Check a plant of your own against the contract of `[plant]`, in a few seconds.
+    """Check your own plant against the contract of `[plant]`, in a few seconds.
 
     plant: the class, of which a scenario makes `plant(scenario, modules, **options)`; see `check_controller` for why it is the class.
     options: those of `[plant]`. device: "auto", "cpu" or "cuda".

@@ -63,7 +63,7 @@ def recorded_plant(scenario: Scenario, params: RecordedPlantParams, modules: Seq
     table = inside(folder / TABLE, folder)
     if not os.path.isfile(table):
         raise LuxloopError(
-            f"plant.folder: {folder} holds no frames; record them with `luxloop run --frames` (a plant of your own: --set plant.kind=NAME)"
+            f"plant.folder: {folder} holds no frames; record them with `luxloop run --frames` (your own plant: --set plant.kind=NAME)"
         )
     rows = tuple(read_exposures(table))
     pixels, like = tuple(module.headlight.n_pixels for module in modules), modules[0].headlight.matrix.values

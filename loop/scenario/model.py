@@ -103,7 +103,7 @@ class Scenario(Params):
     light: LightParams = Field(LightParams(), description="ambient light and street lamps")
     headlight: HeadlightParams = Field(HeadlightParams(), description="the lamps")
     camera: CameraParams = Field(CameraParams(), description="the camera")
-    pixel_controller: str = Field("ssc", description="what drives the pixels: ssc, jpo, or one of your own as package.module:Name")
+    pixel_controller: str = Field("ssc", description="what drives the pixels: ssc, jpo, or your own as package.module:Name")
     ssc: MrpcParams = Field(MrpcParams(), description="SuperSampling Control, which joint pixel optimisation starts from")
     jpo: JpoParams = Field(JpoParams(), description='joint pixel optimisation, with pixel_controller = "jpo"')
     renderer: Literal["auto", "opengl", "raycast"] = Field("auto", description="source of the G-buffer")
