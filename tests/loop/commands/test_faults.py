@@ -236,7 +236,7 @@ def test_training_that_is_stopped_leaves_nothing_half_done(folder: Path) -> None
         training.send(how)
         code, said = training.ended()
         if how == signal.SIGINT:
-            assert code == 130 and said.endswith("interrupted: all scenes are kept in out, the same command trains from its start\n"), said
+            assert code == 130 and said.endswith("all scenes are stored in out, the same command trains from its start\n"), said
         assert {file.name for file in out.iterdir()} == {"scenes.jsonl", "scenes"} and not half_written(out)
     before = {file: file.stat().st_mtime_ns for file in (out / "scenes").iterdir()}
     assert len(before) == 3

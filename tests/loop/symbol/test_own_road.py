@@ -86,7 +86,7 @@ def test_heights_are_one_a_place() -> None:
         ({"kind": "own:Along", "options": {"raise": 1}}, ["road.options", "raise"]),
         ({"kind": "own:Heightless"}, ["no method z", "z, grid"]),
         ({"kind": "own:Shapeless"}, ["(3,)", "one a place"]),
-        ({"kind": "own:Bottomless"}, ["no finite number"]),
+        ({"kind": "own:Bottomless"}, ["not finite"]),
         ({"kind": "own:Mistyped"}, ["z fails", "sinn"]),
         ({"kind": "own:Meshless"}, ["grid gives float", "MeshGrid"]),
         ({"kind": "own:"}, ["road.kind", "pattern"]),
