@@ -244,7 +244,7 @@ def check(
     lamp
         Preset, lamp file, description or photometric file.
     beam
-        Name of the beam, full or off; by default low, or full where the lamp has no low beam.
+        Name of the beam, full or off; by default low for a passing beam's rule, high for a driving beam's, or full where the lamp has none.
     rule
         Set of test points (see `luxloop headlight rules`); by default the R149 set for the beam's name.
     side
@@ -260,7 +260,7 @@ def check(
     from world.regulation import passes
 
     judged = for_traffic(load_lamp(lamp, side), traffic)
-    title, results = judge(judged, beam or judged.default_beam, rule, aim, traffic)
+    title, results = judge(judged, beam, rule, aim, traffic)
     tables.show(headlight_tables.results(results, title))
     return 0 if passes(results) else DIFFERS
 
