@@ -21,7 +21,6 @@ from loop.lighting.record import row, schema, valued
 from loop.lighting.recorder import Recorder
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
-from loop.plant.simulated import SimulatedPlant
 from loop.recording.checks import Checks, lights, refuse_unknown
 from loop.recording.files import REPORT, TRAJECTORY, VIDEO
 from loop.recording.remedies import of_target
@@ -121,13 +120,13 @@ def prepare(scenario: Scenario, device: str = "auto") -> Simulation:
     """A simulation, to be stepped: `state = simulation.start()`, `state, result = simulation.step(state)`.
 
     scenario: a loaded one. device: "auto", "cpu" or "cuda". Raises LuxloopError where a file is missing, and of a symbol that the lamps
-    cannot draw at its target, or that the camera cannot see there, or where a check names a column or light that is not there.
+    cannot draw at its target, or that the camera cannot see there, or where a check names a column or light that is not there, or that the plant does not know.
     """
     simulation = Simulation.prepare(scenario, torch_device(device))
     with located(scenario.source):
-        simulated = isinstance(simulation.plant, SimulatedPlant)  # where it is not, checks that compare are evaluated in no run
-        others = [simulation.lit_by(light) for light in lights(scenario.checks)] if simulated else [simulation]
-        refuse_unknown(scenario.checks, schema(simulation), {name for other in others for name in valued(other)})
+        others = [simulation.lit_by(light) for light in lights(scenario.checks)]
+        compared = {name for other in others for name in valued(other)}
+        refuse_unknown(scenario.checks, schema(simulation), compared, schema(simulation, detects=True).names)
     return simulation
 
 

@@ -15,7 +15,7 @@ from loop.lighting.redrawn import covering, opened
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
 from loop.lighting.summary import of_modules, summarise
-from loop.recording.columns import AIM, CENTROIDS, CUT, ERRORS, POSE, SYMBOL, loss_name, of_one
+from loop.recording.columns import AIM, CENTROIDS, CUT, ERRORS, LOOKING_OF_TRUTH, POSE, SYMBOL, loss_name, of_one
 from loop.recording.summary import Circumstances
 from loop.recording.summary import summarise as summarise_symbol
 from loop.scenario.plant import shadow_of
@@ -70,13 +70,6 @@ LOOKING = {
         "most light on a point of the road, as a multiple of the largest setpoint of functions and base beam there",
     ),
 }
-OF_TRUTH = (
-    "false_positives",
-    "eyes_lx_max",
-    "eyes_lx_peak",
-    "oncoming_lx_max",
-    "road_lx_ratio_max",
-)  # which only a plant can tell that knows it
 OBJECT = {
     "pixels": (pa.int64(), "px", "of the camera that see it"),
     "lx_min": (pa.float64(), "lx", "least light of the lamps on what the camera sees of it; empty where that is nothing"),
@@ -104,10 +97,13 @@ LOOKED_AT = {
 }
 
 
-def schema(simulation: Simulation) -> pa.Schema:
-    """Columns of a simulation's recording: `lamp.left.flux_lm`, `objects.NAME.lx_max`, `modules.left hires.level_deg`."""
+def schema(simulation: Simulation, detects: bool = False) -> pa.Schema:
+    """Columns of a simulation's recording: `lamp.left.flux_lm`, `objects.NAME.lx_max`, `modules.left hires.level_deg`.
+
+    detects: as they were with a detector.
+    """
     sides = dict.fromkeys(module.side for module in simulation.modules)
-    tracked, looks = simulation.watched, simulation.pipeline is not None
+    tracked, looks = simulation.watched, detects or simulation.pipeline is not None
     held = bool(simulation.controlled)  # so that a step has exposures of different light
     observed = any(getattr(function, "observer", None) for function in simulation.scenario.functions.values())
     columns = STEP | (CONTROL if held else {}) | (OBSERVED if observed else {})
@@ -115,7 +111,7 @@ def schema(simulation: Simulation) -> pa.Schema:
     columns |= LEARNING if looks or simulation.planner.learns else {}
     if looks:
         looking = LOOKING | (EYES_PEAK if held else {})
-        columns |= {key: of for key, of in looking.items() if simulation.truth is not None or key not in OF_TRUTH}
+        columns |= {key: of for key, of in looking.items() if simulation.truth is not None or key not in LOOKING_OF_TRUTH}
     of_object = OBJECT | (OBJECT_PEAK if held else {}) | (LOOKED_AT if looks else {})
     columns |= {f"objects.{name}.{key}": of for name in tracked for key, of in of_object.items()}
     columns |= {

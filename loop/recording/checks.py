@@ -69,14 +69,18 @@ def lights(checks: Mapping[str, CheckParams]) -> tuple[Light, ...]:
     return tuple(dict.fromkeys(check.compare for check in checks.values() if check.compare is not None))
 
 
-def refuse_unknown(checks: Mapping[str, CheckParams], schema: pa.Schema, compared: Collection[str]) -> None:
+def refuse_unknown(
+    checks: Mapping[str, CheckParams], schema: pa.Schema, compared: Collection[str], detected: Collection[str] = ()
+) -> None:
     """Raises LuxloopError where a check names no column of numbers of the recording, or compares one that other light lacks.
 
-    compared: columns that the recordings of other lights have as well.
+    compared: columns that the recordings of other lights have as well. detected: those that there are with a detector.
     """
     known = [field.name for field in schema if field.type != pa.string()]
     for name, check in checks.items():
         where = f"checks.{name}.metric: {check.metric!r}"
+        if check.metric not in known and check.metric in detected and check.metric not in schema.names:
+            raise LuxloopError(f'{where} is recorded with a [detector] alone; give one, kind = "truth" say, which knows all objects')
         if check.metric not in known:
             raise LuxloopError(
                 f"{where} is no column of numbers of the recording; {did_you_mean(check.metric, known, _known(check.metric, known))}"

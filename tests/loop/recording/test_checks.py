@@ -132,6 +132,8 @@ REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], list[str]]] = {
     "no symbol": (LIT, FLUX | {"compare": "open_loop"}, ["checks.it.compare", "full_light or low_beam"]),
     "timings": (SMALL, {"metric": "light_ms", "at_most": 1.0, "compare": "open_loop"}, ["checks.it", "light_ms", "leave compare out"]),
     "unknown object": (LIT, {"metric": "objects.walkr.lx_max", "at_most": 1.0}, ["checks.it.metric", "'objects.walker.lx_max'"]),
+    "no detector": (LIT, {"metric": "oncoming_lx_max", "at_most": 1.0}, ["checks.it.metric", "[detector]", "truth"]),
+    "no detector of an object": (LIT, {"metric": "objects.car.score", "at_least": 0.0}, ["checks.it.metric", "[detector]", "truth"]),
     "no masks beside": (LIT, FLUX | {"metric": "dark_lx_max"}, ["checks.it.metric", "full_light", "leave compare out"]),
 }
 
