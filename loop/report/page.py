@@ -132,10 +132,10 @@ def _title(simulation: Simulation, last: StepResult, table: pa.Table) -> str:
     scenario = simulation.scenario
     flicker = f"  ·  symbols on for {1 - scenario.off_share:.0%} at {scenario.rate_hz:g} Hz" if scenario.controlled else ""
     if (folder := shadow_of(scenario.plant)) is not None:
-        flicker += f"  ·  {SHADOW} {folder}"
+        flicker += f"  ·  {SHADOW} {Path(folder).name}"
     ms = float(np.median(column(table, "processing_ms")))
     flicker += f"  ·  {ms:.0f} ms a step, {ms / 1e3 * scenario.rate_hz:.2g} x real time"
-    return f"{scenario.name}  ·  {scenario.headlight.model}  ·  {table.num_rows} steps to {last.time_s:.2f} s{masked}{flicker}"
+    return f"{scenario.name}  ·  {simulation.modules[0].lamp.name}  ·  {table.num_rows} steps to {last.time_s:.2f} s{masked}{flicker}"
 
 
 def _cameras(figure: SubFigure, simulation: Simulation, moments: Sequence[StepResult]) -> None:
