@@ -37,6 +37,14 @@ class Kept:
         return frame
 
 
+class Warming(Kept):
+    """Keeps the light that it showed last."""
+
+    def show(self, state: Any, exposure: Exposure) -> Any:
+        (inner, _), arrivals = super().show((state[0], ()), exposure)
+        return (inner, exposure.lights), arrivals
+
+
 class Losing(Kept):
     def made(self, frame: Frame, exposure: Exposure) -> Frame:
         return frame if frame.number % 3 else Frame(frame.number, math.nan, math.nan, None)
@@ -73,7 +81,7 @@ class Sampling(Kept):
         return replace(arrivals, frames=frames, samples=self.samples(arrivals.time_s, frames[0].image[0, :3] if frames else torch.zeros(3)))
 
 
-@pytest.mark.parametrize("kept", [Kept, Losing, Dropping, Slow, Sampling])
+@pytest.mark.parametrize("kept", [Kept, Warming, Losing, Dropping, Slow, Sampling])
 def test_what_keeps_the_contract_passes(kept: Any, device: torch.device) -> None:
     check_plant(kept, device=device.type)
 
