@@ -117,6 +117,18 @@ class LockedState(Kept):
         return (super().start()[0], count()), Arrivals(0.0)
 
 
+class StateInSelf(Kept):
+    """Hands on no state, which a simulated camera that is not late does not miss."""
+
+    def start(self) -> Any:
+        self.state, arrivals = self.inner.start()
+        return None, arrivals
+
+    def show(self, state: Any, exposure: Exposure) -> Any:
+        self.state, arrivals = self.inner.show(self.state, exposure)
+        return None, arrivals
+
+
 class QueueInSelf(Kept):
     """Its frames wait in itself, so that an old state finds what came later."""
 
@@ -293,6 +305,7 @@ BROKEN: dict[Any, list[str]] = {
     ArrivalsAlone: ["show: gives Arrivals", "return the state and luxloop.Arrivals"],
     PlainTuple: ["show: gives (tuple, tuple)", "as (state, arrivals)"],
     LockedState: ["start gives a state that cannot be saved: state[1] is of the type count", "frozen dataclass"],
+    StateInSelf: ["another (state, arrivals)[1].frames", "same state and exposure", "in the state and not in self"],
     QueueInSelf: ["when an earlier state is shown its exposure again after others", "in the state and not in self"],
     OneBuffer: ["changes (state, arrivals)[1].frames[0].image, which it gave before", "with clone()"],
     Unseeded: ["another (state, arrivals)[1].frames[0].image", "same state and exposure", "seed random numbers anew"],
