@@ -8,7 +8,7 @@ import pyarrow as pa
 import torch
 
 from loop.lighting.commanded import moved
-from loop.lighting.compared import compared
+from loop.lighting.compared import compared, low_beam_lm
 from loop.lighting.controlled import Held
 from loop.lighting.on_materials import quantities
 from loop.lighting.redrawn import covering, opened
@@ -221,6 +221,7 @@ def summary_of(
         judge_every = None if symbol.judge is None else scenario.judge_every
         run = Circumstances(judge_every, scenario.vehicle is not None, road_m, getattr(symbol.params, "highest_m", None))
         held[name] = summarise_symbol(mine, symbol.params.name, iou, by, run)
-    summary = summarise(table, scenario.name, compared(simulation, table), held) | {"shadow_of": shadow_of(scenario.plant)}
+    summary = summarise(table, scenario.name, compared(simulation, table), held)
+    summary |= {"shadow_of": shadow_of(scenario.plant), "low_beam_lm": low_beam_lm(simulation)}
     summary |= {"modules": modules} if (modules := of_modules(table, simulation.modules)) else {}
     return summary | ({"flicker": {"rate_hz": scenario.rate_hz, "on_share": 1 - scenario.off_share}} if held else {})

@@ -210,6 +210,9 @@ def shown(values: dict[str, Any], files: str) -> Table:
         rows[f"{side} lamp"] = (
             f"{number(lamp['flux_lm_mean'], '.0f')} lm (mean), {number(lamp['power_share_max'], '.1%')} of its power at most{dimmed}"
         )
+    if values.get("low_beam_lm") and all(lamp["flux_lm_mean"] is not None for lamp in values["lamps"].values()):
+        flux, low = sum(lamp["flux_lm_mean"] for lamp in values["lamps"].values()), values["low_beam_lm"]
+        rows["flux"] = f"{flux:.0f} lm (mean), {flux / low:.0%} of the undimmed low beam's {low:.0f} lm"
     if values.get("modules"):
         rows["modules"] = _of_modules(values["modules"], values["steps"])
     rows |= _of_light(values["objects"], values["steps"])
@@ -346,9 +349,13 @@ def _covered(values: dict[str, Any]) -> str:
 
 def _of_energy(own_j: float, compared_j: Mapping[str, float]) -> str:
     standby, *others = compared_j.items()
-    beams = "".join(f", {name} {joules:.0f} J" for name, joules in others)
+    beams = "".join(f", {name} {_joules(joules)}" for name, joules in others)
     undimmed = f"; undimmed{beams[1:]}" if beams else ""
-    return f"{own_j:.0f} J by the lamp model, {standby[1]:.0f} J of it {standby[0]}{undimmed}"
+    return f"{_joules(own_j)} by the lamp model, {_joules(standby[1])} of it {standby[0]}{undimmed}"
+
+
+def _joules(joules: float) -> str:
+    return f"{joules:.3g} J" if joules < 100 else f"{joules:.0f} J"
 
 
 def _on_eyes(most_lx: float, later_lx: float | None) -> str:

@@ -133,7 +133,11 @@ def test_energy_stands_beside_that_of_standby_and_of_undimmed_beams(tmp_path: Pa
     assert dimmed["energy_j"] - others["standby"] == pytest.approx(0.5 * (full["energy_j"] - others["standby"]), rel=1e-5)
     console = Console(record=True, width=160)
     console.print(shown(dimmed, "here"))
-    assert f"standby; undimmed low beam {others['low beam']:.0f} J, high beam" in console.export_text()
+    told = console.export_text()
+    assert f"standby; undimmed low beam {others['low beam']:.3g} J, high beam" in told
+    flux, low = sum(lamp["flux_lm_mean"] for lamp in dimmed["lamps"].values()), dimmed["low_beam_lm"]
+    assert low == pytest.approx((others["low beam"] - others["standby"]) / seconds * 40.0, rel=1e-5)  # lm/W; float32
+    assert f"{flux:.0f} lm (mean), {flux / low:.0%} of the undimmed low beam's {low:.0f} lm" in told
 
 
 def test_power_is_compared_within_the_same_limit_and_beams_are_named_once() -> None:
