@@ -121,7 +121,9 @@ def _line(outcome: Mapping[str, Any]) -> str:
         if outcome["compare"] is not None:
             parts.append(_compared(outcome, unit))
     of_bound = unit if outcome["compare"] is None or outcome["difference"] is not None else ""
-    parts += [f"{bound.replace('_', ' ')} {outcome[bound]:g}{of_bound}" for bound in ("at_least", "at_most") if outcome[bound] is not None]
+    for bound in (each for each in ("at_least", "at_most") if outcome[each] is not None):
+        given = _percent(outcome[bound]) if outcome["recall"] is not None else f"{outcome[bound]:g}{of_bound}"
+        parts.append(f"{bound.replace('_', ' ')} {given}")
     return f"{', '.join(parts)}: {'passed' if outcome['passed'] else 'failed'}"
 
 
@@ -130,11 +132,15 @@ def _compared(outcome: Mapping[str, Any], unit: str) -> str:
     if other is None:
         return f"{NOTHING} with {light}"
     if outcome["recall"] is not None:
-        return f"above 0 in {outcome['recall']:.4g} of the steps in which it is with {light}"
+        return f"above 0 in {_percent(outcome['recall'])} of the steps in which it is with {light}"
     if outcome["difference"] is not None:
         return f"{outcome['take']} {outcome['difference']:+.4g}{unit} to what it is with {light}"
     share = "an infinite multiple" if outcome["ratio"] is None else f"{outcome['ratio']:.4g}"
     return f"{share} of {other:.4g}{unit} with {light}"
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.4g} %"
 
 
 def _taken(check: CheckParams, times_s: np.ndarray, values: np.ndarray) -> float | None:
