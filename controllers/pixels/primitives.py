@@ -149,24 +149,24 @@ def rectangle(
     vectors = (
         each if isinstance(each, Tensor) else torch.as_tensor(each, dtype=like.dtype, device=like.device) for each in (origin, d1, d2)
     )
-    origin, d1, d2 = torch.broadcast_tensors(*torch.atleast_2d(*vectors))
-    normal = torch.linalg.cross(d1, d2) if normal is None else torch.as_tensor(normal).to(origin).expand_as(origin)
-    P = origin.shape[-2]
+    at, along, down = torch.broadcast_tensors(*torch.atleast_2d(*vectors))
+    normal = torch.linalg.cross(along, down) if normal is None else torch.as_tensor(normal).to(at).expand_as(at)
+    P = at.shape[-2]
 
     def each(number: float | Tensor) -> Tensor:
-        return torch.as_tensor(number, dtype=origin.dtype, device=origin.device).expand(origin.shape[:-1])
+        return torch.as_tensor(number, dtype=at.dtype, device=at.device).expand(at.shape[:-1])
 
     return Primitives(
-        origin,
-        d1,
-        d2,
+        at,
+        along,
+        down,
         torch.nn.functional.normalize(normal, dim=-1),
         each(value),
         each(weight),
         torch.full((P,), QUANTITIES.index(quantity)),
         torch.full((P,), forced),
         torch.full((P,), priority),
-        (symbol.to(origin),),
+        (symbol.to(at),),
         torch.zeros(P, dtype=torch.int64),
         torch.full((P,), nearest),
         (tuple(modules),) * P,
