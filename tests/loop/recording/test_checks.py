@@ -226,8 +226,9 @@ def test_the_command_says_what_passed_and_fails_where_a_check_does(lux: Lux) -> 
     quick = ("run", "small.toml", "--no-video", "--no-report")
     code, said, _ = lux(*quick, "--set", "checks.lies.at_least=2.0")
     assert code == 0 and "check lies" in said and "at least 2: failed" in said and "check gains" not in said
+    assert said.endswith("1 more check compares with another light: --checks\n")
     code, said, _ = lux(*quick, "--checks")
-    assert code == 1 and "at least 0: passed" in said and "with open loop, at least 2: failed" in said
+    assert code == 1 and "more check" not in said and "at least 0: passed" in said and "with open loop, at least 2: failed" in said
     assert lux(*quick, "--checks", "--set", "checks.gains={}")[0] == 0
     code, said, _ = lux(*quick, "--checks", "--set", "checks={}")
     assert code == 0 and "small has no [checks.NAME]" in said
