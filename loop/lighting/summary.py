@@ -312,9 +312,7 @@ def _of_lost(objects: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
         each = gone[name]
         word, steps = ("lost", each["steps_lost"]) if each["tracks"] else ("missed", each["steps_in_sight"])
         large = "" if each["tracks"] else f", of {each['pixels_max']:.0f} px at most"
-        rows[f"{word} {name}"] = (
-            f"no track shows it in {steps} of the {each['steps_in_sight']} steps in which it is in sight{large}"
-        )
+        rows[f"{word} {name}"] = f"no track shows it in {steps} of the {each['steps_in_sight']} steps in which it is in sight{large}"
     if smaller := largest[NAMED:]:
         missed = sum(not gone[name]["tracks"] for name in smaller)
         rows["smaller objects"] = f"{missed} missed, {len(smaller) - missed} lost, of {gone[smaller[0]]['pixels_max']:.0f} px at most"

@@ -69,9 +69,7 @@ def lights(checks: Mapping[str, CheckParams]) -> tuple[Light, ...]:
     return tuple(dict.fromkeys(check.compare for check in checks.values() if check.compare is not None))
 
 
-def refuse_unknown(
-    checks: Mapping[str, CheckParams], schema: pa.Schema, compared: Collection[str], detected: Collection[str] = ()
-) -> None:
+def refuse_unknown(checks: Mapping[str, CheckParams], schema: pa.Schema, compared: Collection[str], detected: Collection[str] = ()) -> None:
     """Raises LuxloopError where a check names no column of numbers of the recording, or compares one that other light lacks.
 
     compared: columns that the recordings of other lights have as well. detected: those that there are with a detector.

@@ -54,7 +54,13 @@ SYMBOL: dict[str, tuple[str, str]] = {
 
 # of all that lighting functions do: what there is only on a plant that knows the truth
 LOOKING_OF_TRUTH = ("false_positives", "eyes_lx_max", "eyes_lx_peak", "oncoming_lx_max", "road_lx_ratio_max")
-OF_TRUTH = {"dark_lx_max", "symbol_iou_min", "luminance", *LOOKING_OF_TRUTH, *(key for key in SYMBOL if SYMBOL[key][1].startswith("judge: "))}
+OF_TRUTH = {
+    "dark_lx_max",
+    "symbol_iou_min",
+    "luminance",
+    *LOOKING_OF_TRUTH,
+    *(key for key in SYMBOL if SYMBOL[key][1].startswith("judge: ")),
+}
 
 
 def of_truth(column: str) -> bool:
