@@ -172,6 +172,13 @@ def test_a_light_that_the_lamp_has_no_beam_for_is_refused(tmp_path: Path) -> Non
         check(validate(with_checks(bare, it=FLUX | {"compare": "low_beam"}), "lit"), "cpu")
 
 
+def test_a_base_beam_that_the_lamp_lacks_is_named_by_its_key(tmp_path: Path) -> None:
+    (tmp_path / "bare.toml").write_text(LAMP)
+    bare = LIT | {"headlight": {"model": str(tmp_path / "bare.toml")}, "lighting": {"base": {"beam": "low"}}}
+    with pytest.raises(LuxloopError, match=r"^lit: lighting\.base\.beam: lamp 'bare' has no beam 'low'; it has full, off; write beam = \"full\""):
+        check(validate(bare, "lit"), "cpu")
+
+
 def test_names_of_checks_are_plain() -> None:
     with pytest.raises(LuxloopError, match=r"checks\.IoU.*write iou"):
         validate(with_checks(SMALL, IoU={"metric": IOU, "at_least": 0.0}), "here")
