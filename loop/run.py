@@ -18,7 +18,7 @@ from controllers.symbol.sensing.projection import ProjectionCommand
 from loop.lighting.commanded import unmoved
 from loop.lighting.controlled import ControlledSymbol
 from loop.lighting.record import row, schema, valued
-from loop.lighting.recorder import Recorder
+from loop.lighting.recorder import Recorder, refuse_foreign
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
 from loop.recording.checks import Checks, lights, refuse_unknown
@@ -95,6 +95,7 @@ def run(
         raise LuxloopError(f"{folder}: is the recording that is played, which this run would replace; give another folder with --out")
     folder = Path(folder)
     with output_folder(folder), ExitStack() as stack:
+        refuse_foreign(folder)
         simulation, observation = prepare(scenario, device), None
         camera, watched = scenario.camera, Watched(simulation)
         run_checks = Checks(scenario.checks, (lambda light: map(row, simulation.lit_by(light).run())) if checks else None)

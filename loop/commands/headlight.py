@@ -96,14 +96,14 @@ def show(
     out
         Picture to write (.png, .jpg, .pdf or .svg); by default named after lamp, beam and view.
     """
-    from loop.pictures.styles import check_format, style_of
+    from loop.pictures.styles import check_out, style_of
     from world.errors import LuxloopError
 
     stem = Path(lamp).stem
     if view is not None or style is not None:
         style_of(view or "overview", style)
     if out is not None:
-        check_format(out)
+        check_out(out)
     chosen = {
         "beam": beam,
         "style": style,

@@ -123,6 +123,7 @@ def test_a_photometric_file_is_drawn_as_it_was_measured(lux: Lux) -> None:
         ("show hd84 --scenario gfhb --traffic left", ["--traffic", "--beam"]),
         ("show hd84 --scenario raw_utilisations", ["lighting.raw[0].file", "'left matrix'", "64 x 256", "3 x 28"]),
         ("show hd84 --view wall --out wall.bmp", ["wall.bmp", ".png"]),
+        ("show nothing --out no/where/wall.svg", ["no/where/wall.svg", "cannot be written", "make it"]),
         ("check hd84 --rule r149-passing-x", ["'r149-passing-x'", "r149-passing-"]),
         ("check hd84 --beam full", ["'full'", "--rule"]),
         ("check hd84 --rule=", ["no rule ''"]),
