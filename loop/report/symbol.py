@@ -1,6 +1,7 @@
 """What happened with a symbol that is held, as the thesis' figures 9.12 to 9.17 show it."""
 
 import math
+from pathlib import Path
 from textwrap import fill
 from typing import Any
 
@@ -110,7 +111,7 @@ def draw_symbol(figure: SubFigure, simulation: Simulation, gathered: Gathered, t
 def _title(simulation: Simulation, name: str, summary: dict[str, Any], shadow: str | None) -> str:
     who = f"{simulation.scenario.name}: {name}  ({summary['controller']})"
     if shadow is not None:
-        return f"{who}  ·  {SHADOW} {shadow}"
+        return f"{who}  ·  {SHADOW} {Path(shadow).name}"
     lost = f"  ·  lost in {summary['lost_steps']} of {summary['shown_steps']} steps" if summary["lost_steps"] else ""
     if (why := unjudged(summary)) is not None:
         return f"{who}  ·  {why}{lost}"
