@@ -30,6 +30,7 @@ KEY_ITSELF = "[key]"  # how pydantic calls a key that is none, after it
 INDEX = r"\[\d+\]"
 TWICE = r"Cannot declare \(('.*'),?\) twice"  # as tomllib says it of [header]
 SHOWN_CHARACTERS = 60
+HALF_TURN = 180  # deg, to which angles reach that go all round
 Model = TypeVar("Model", bound=BaseModel)
 DEEPEST = 50  # levels of tables and lists in a file; a scenario has up to six
 
@@ -192,7 +193,12 @@ def _what(detail: Any, key: str, fields: dict[str, FieldInfo], variants: Iterabl
     message = detail["msg"]
     for subject in ("Input ", "String ", "Tuple "):
         message = message.removeprefix(subject)
-    return f"{_shown(given)} {message.replace(' after validation', '')}"
+    turn = (
+        f"; write {(given + 180) % 360 - 180:g}"
+        if name.endswith("_deg") and HALF_TURN in (context.get("le"), -context.get("ge", 0))
+        else ""
+    )
+    return f"{_shown(given)} {message.replace(' after validation', '')}{turn}"
 
 
 def _shown(value: Any) -> str:

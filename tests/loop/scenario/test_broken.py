@@ -36,6 +36,7 @@ BROKEN = {
     "tables for a list": (GOOD + 2 * BOX.replace("[[objects]]", "[objects]"), ["not valid TOML", "write [[objects]] above each"]),
     "value for a list": (GOOD + "[headlight]\nlamps = 'left'", ["headlight.lamps", "list"]),
     "below the range": (GOOD.replace("steps = 3", "steps = 0"), ["steps", "greater than or equal to 1"]),
+    "beyond half a turn": (GOOD + BOX.replace("0]}", "0], yaw_deg = 270}"), ["objects[0].track[0].yaw_deg", "180; write -90"]),
     "above the range": (GOOD + "[camera]\nhfov_deg = 200", ["camera.hfov_deg", "less than or equal to 150"]),
     "negative seed": ("seed = -1" + GOOD, ["seed", "-1", "greater than or equal to 0"]),
     "infinity": (GOOD + "[camera]\nexposure_s = inf", ["camera.exposure_s", "inf", "finite"]),
