@@ -121,7 +121,8 @@ def prepare(scenario: Scenario, device: str = "auto") -> Simulation:
     """A simulation, to be stepped: `state = simulation.start()`, `state, result = simulation.step(state)`.
 
     scenario: a loaded one. device: "auto", "cpu" or "cuda". Raises LuxloopError where a file is missing, and of a symbol that the lamps
-    cannot draw at its target, or that the camera cannot see there, or where a check names a column or light that is not there, or that the plant does not know.
+    cannot draw at its target, or that the camera cannot see there, or where a check names a column or light that is not there, or that the
+    plant does not know.
     """
     simulation = Simulation.prepare(scenario, torch_device(device))
     with located(scenario.source):

@@ -132,11 +132,11 @@ def rectangle(
 ) -> Primitives:
     """One rectangle with a setpoint (T 4.2.2, 7.2.1), or several that share all but position, setpoint and weight.
 
-    origin, d1, d2: `[3]` or `[..., P, 3]` m, a corner and the edges along the symbol's columns and rows; tensors, or sequences of numbers. value: number or `[..., P]`,
-    setpoint where the symbol is 1, of the quantity "u_abs" (utilisation 0..1), "u_rel" (multiple of the base pattern), "I_v" (cd) or "E_v"
-    (lx). normal: of any length, by default d1 x d2. symbol: `[h, w]` in 0..1 or `[2, h, w]` with opacity, by default homogeneous. weight:
-    number or `[..., P]`. forced, priority, nearest, modules, shared: see `Primitives`. Raises LuxloopError for an unknown quantity, a
-    symbol that is no image, and, for weights on the host, a weight below zero or NaN.
+    origin, d1, d2: `[3]` or `[..., P, 3]` m, a corner and the edges along the symbol's columns and rows; tensors, or sequences of numbers.
+    value: number or `[..., P]`, setpoint where the symbol is 1, of the quantity "u_abs" (utilisation 0..1), "u_rel" (multiple of the base
+    pattern), "I_v" (cd) or "E_v" (lx). normal: of any length, by default d1 x d2. symbol: `[h, w]` in 0..1 or `[2, h, w]` with opacity, by
+    default homogeneous. weight: number or `[..., P]`. forced, priority, nearest, modules, shared: see `Primitives`. Raises LuxloopError for
+    an unknown quantity, a symbol that is no image, and, for weights on the host, a weight below zero or NaN.
     """
     if quantity not in QUANTITIES:
         raise LuxloopError(f"a primitive has no quantity {quantity!r}; the quantities are {', '.join(QUANTITIES)}")

@@ -175,7 +175,9 @@ def test_a_light_that_the_lamp_has_no_beam_for_is_refused(tmp_path: Path) -> Non
 def test_a_base_beam_that_the_lamp_lacks_is_named_by_its_key(tmp_path: Path) -> None:
     (tmp_path / "bare.toml").write_text(LAMP)
     bare = LIT | {"headlight": {"model": str(tmp_path / "bare.toml")}, "lighting": {"base": {"beam": "low"}}}
-    with pytest.raises(LuxloopError, match=r"^lit: lighting\.base\.beam: lamp 'bare' has no beam 'low'; it has full, off; write beam = \"full\""):
+    with pytest.raises(
+        LuxloopError, match=r"^lit: lighting\.base\.beam: lamp 'bare' has no beam 'low'; it has full, off; write beam = \"full\""
+    ):
         check(validate(bare, "lit"), "cpu")
 
 
