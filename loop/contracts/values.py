@@ -110,6 +110,8 @@ def _parts(value: Any, place: str) -> Iterator[tuple[str, Any]]:
         inner = {f".{name}": each for name, each in value}
     elif isinstance(value, Mapping):
         inner = {f".{name}" if place else name: each for name, each in value.items()}
+    elif isinstance(value, slice):
+        inner = {f".{name}": getattr(value, name) for name in ("start", "stop", "step")}
     elif isinstance(value, tuple | list):
         inner = {f"[{number}]": each for number, each in enumerate(value)}
     if inner is None:

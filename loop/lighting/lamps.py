@@ -108,12 +108,19 @@ def shining_modules(scenario: Scenario, device: torch.device) -> tuple[ShiningMo
     for each in mounted(scenario.headlight, device, lambda lamp: lamp.modules):
         light, flux, raw = each.headlight, pixel_flux(each.headlight), _raw(scenario, each.name, each.headlight)
         base = scenario.lighting.base.names if raw is None else ()
-        beams: dict[str, Morphing] = {name: Morphing(light, each.lamp.beam(name)[each.number].to(flux)) for name in base}
+        beams: dict[str, Morphing] = {name: Morphing(light, _base_beam(each, name).to(flux)) for name in base}
         lasting = beams.get(scenario.lighting.base.beam)  # None of one by the situation
         controller = pixel_controller(scenario, light, None if lasting is None else lasting.beam)
         where = each.T_world_module, each.swivel_deg, each.level_deg
         modules.append(ShiningModule(each.side, each.lamp, each.number, light, *where, controller, flux, beams, raw))
     return tuple(modules)
+
+
+def _base_beam(module: MountedModule, name: str) -> Tensor:
+    try:
+        return module.lamp.beam(name)[module.number]
+    except LuxloopError as error:
+        raise LuxloopError(f'lighting.base.beam: {error}; write beam = "full" for all pixels on') from error
 
 
 def _raw(scenario: Scenario, name: str, headlight: Headlight) -> RawUtilisation | None:

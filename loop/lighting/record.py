@@ -8,14 +8,14 @@ import pyarrow as pa
 import torch
 
 from loop.lighting.commanded import moved
-from loop.lighting.compared import compared
+from loop.lighting.compared import compared, low_beam_lm
 from loop.lighting.controlled import Held
 from loop.lighting.on_materials import quantities
 from loop.lighting.redrawn import covering, opened
 from loop.lighting.result import StepResult
 from loop.lighting.simulation import Simulation
 from loop.lighting.summary import of_modules, summarise
-from loop.recording.columns import AIM, CENTROIDS, CUT, ERRORS, POSE, SYMBOL, loss_name, of_one
+from loop.recording.columns import AIM, CENTROIDS, CUT, ERRORS, LOOKING_OF_TRUTH, POSE, SYMBOL, loss_name, of_one
 from loop.recording.summary import Circumstances
 from loop.recording.summary import summarise as summarise_symbol
 from loop.scenario.plant import shadow_of
@@ -80,8 +80,6 @@ LOOKING = {
         "largest ratio of the light on a point of the road to the largest setpoint of functions and base beam there",
     ),
 }
-# Columns that only a plant can tell that knows the truth.
-OF_TRUTH = ("false_positives", "eyes_lx_max", "eyes_lx_peak", "oncoming_lx_max", "road_lx_ratio_max")
 OBJECT = {
     "pixels": (pa.int64(), "px", "number of camera pixels that see it"),
     "lx_min": (pa.float64(), "lx", "lowest illuminance by the lamps on its visible part; empty while the camera does not see it"),
@@ -117,10 +115,13 @@ LOOKED_AT = {
 }
 
 
-def schema(simulation: Simulation) -> pa.Schema:
-    """Columns of a simulation's recording: `lamp.left.flux_lm`, `objects.NAME.lx_max`, `modules.left hires.level_deg`."""
+def schema(simulation: Simulation, detects: bool = False) -> pa.Schema:
+    """Columns of a simulation's recording: `lamp.left.flux_lm`, `objects.NAME.lx_max`, `modules.left hires.level_deg`.
+
+    detects: as they were with a detector.
+    """
     sides = dict.fromkeys(module.side for module in simulation.modules)
-    tracked, looks = simulation.watched, simulation.pipeline is not None
+    tracked, looks = simulation.watched, detects or simulation.pipeline is not None
     held = bool(simulation.controlled)  # so that a step has exposures of different light
     observed = any(getattr(function, "observer", None) for function in simulation.scenario.functions.values())
     columns = STEP | (CONTROL if held else {}) | (OBSERVED if observed else {})
@@ -128,7 +129,7 @@ def schema(simulation: Simulation) -> pa.Schema:
     columns |= LEARNING if looks or simulation.planner.learns else {}
     if looks:
         looking = LOOKING | (EYES_PEAK if held else {})
-        columns |= {key: of for key, of in looking.items() if simulation.truth is not None or key not in OF_TRUTH}
+        columns |= {key: of for key, of in looking.items() if simulation.truth is not None or key not in LOOKING_OF_TRUTH}
     of_object = OBJECT | (OBJECT_PEAK if held else {}) | (LOOKED_AT if looks else {})
     columns |= {f"objects.{name}.{key}": of for name in tracked for key, of in of_object.items()}
     columns |= {
@@ -238,6 +239,7 @@ def summary_of(
         judge_every = None if symbol.judge is None else scenario.judge_every
         run = Circumstances(judge_every, scenario.vehicle is not None, road_m, getattr(symbol.params, "highest_m", None))
         held[name] = summarise_symbol(mine, symbol.params.name, iou, by, run)
-    summary = summarise(table, scenario.name, compared(simulation, table), held) | {"shadow_of": shadow_of(scenario.plant)}
+    summary = summarise(table, scenario.name, compared(simulation, table), held)
+    summary |= {"shadow_of": shadow_of(scenario.plant), "low_beam_lm": low_beam_lm(simulation)}
     summary |= {"modules": modules} if (modules := of_modules(table, simulation.modules)) else {}
     return summary | ({"flicker": {"rate_hz": scenario.rate_hz, "on_share": 1 - scenario.off_share}} if held else {})

@@ -55,8 +55,7 @@ class Recorder:
         self._next_write_s = 0.0
         self._begun = False
         self.summary = dict[str, Any]()
-        with self._writing():
-            _refuse(directory)
+        refuse_foreign(directory)
 
     def _summarised(self) -> dict[str, Any]:
         """The steps in a few numbers, and what has come of checks."""
@@ -115,7 +114,7 @@ class Recorder:
 
     def _begin(self) -> None:
         """Make the directory, remove an old recording, its manifest last, and write the new one's."""
-        with self._writing():
+        with _writing(self.directory):
             self.directory.mkdir(parents=True, exist_ok=True)
             remove(self.directory)
             for name in FILES:
@@ -132,23 +131,24 @@ class Recorder:
         write_table(self.directory / TRAJECTORY, self.table())
         self._next_write_s = time.perf_counter() + REST * (time.thread_time() - start)
 
-    @contextmanager
-    def _writing(self) -> Iterator[None]:
-        try:
-            yield
-        except OSError as error:
-            reason = error.strerror or error
-            raise LuxloopError(f"{self.directory}: cannot be written ({reason}); give another directory with --out") from error
+
+@contextmanager
+def _writing(directory: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or error
+        raise LuxloopError(f"{directory}: cannot be written ({reason}); give another directory with --out") from error
 
 
-def _refuse(directory: Path) -> None:
-    """Raises LuxloopError where the directory holds something else than a recording, OSError where it cannot be written."""
-    with tempfile.TemporaryFile(dir=next(each for each in (directory, *directory.parents) if each.exists())):
-        pass
-    if directory.exists() and any(directory.iterdir()):
-        try:
-            Manifest.read(directory)
-        except LuxloopError as error:
-            raise LuxloopError(
-                f"{directory}: holds files that are no recording of this luxloop; give an empty or a new directory"
-            ) from error
+def refuse_foreign(directory: Path) -> None:
+    """Raises LuxloopError where the directory holds something else than a recording, or cannot be written."""
+    with _writing(directory):
+        with tempfile.TemporaryFile(dir=next(each for each in (directory, *directory.parents) if each.exists())):
+            pass
+        if not directory.exists() or not any(directory.iterdir()):
+            return
+    try:
+        Manifest.read(directory)
+    except LuxloopError as error:
+        raise LuxloopError(f"{directory}: holds files that are no recording of this luxloop; give an empty or a new directory") from error

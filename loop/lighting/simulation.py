@@ -85,8 +85,7 @@ class Simulation:
         check_names(scenario, modules)
         plant = build_plant(scenario, lamp_modules(modules))
         truth = getattr(plant, "truth", None)
-        if truth is None:
-            refuse_unknown(scenario)
+        refuse_unknown(scenario, truth is not None)
         controlled = controlled_symbols(scenario, modules, planner, truth)
         refuse_commands(planner, modules, controlled)
         lights = tuple((module.name, Light.of(module.headlight, module.T_world_module)) for module in modules)

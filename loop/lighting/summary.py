@@ -13,7 +13,7 @@ from controllers.zones.material import Quantity
 from loop.recording.checks import lines
 from loop.recording.remedies import of_frames, remedies, unjudged
 from loop.recording.summary import column
-from loop.terminal.tables import facts, number
+from loop.terminal.tables import counted, facts, number
 from world.headlight.lamp import REST
 
 START_UP_S = 1.0  # in which functions that learn begin with more light than they come to need
@@ -210,6 +210,9 @@ def shown(values: dict[str, Any], files: str) -> Table:
         rows[f"{side} lamp"] = (
             f"{number(lamp['flux_lm_mean'], '.0f')} lm (mean), {number(lamp['power_share_max'], '.1%')} of its power at most{dimmed}"
         )
+    if values.get("low_beam_lm") and all(lamp["flux_lm_mean"] is not None for lamp in values["lamps"].values()):
+        flux, low = sum(lamp["flux_lm_mean"] for lamp in values["lamps"].values()), values["low_beam_lm"]
+        rows["flux"] = f"{flux:.0f} lm (mean), {flux / low:.0%} of the undimmed low beam's {low:.0f} lm"
     if values.get("modules"):
         rows["modules"] = _of_modules(values["modules"], values["steps"])
     rows |= _of_light(values["objects"], values["steps"])
@@ -245,7 +248,7 @@ def shown(values: dict[str, Any], files: str) -> Table:
     if "detections" in values:
         rows["found"] = f"{number(values['detections'], '.1f')} boxes a step"
         if values.get("false_positives") is not None:
-            rows["found"] += f"; {values['false_positives']:.2f} per step with a high score on no object"
+            rows["found"] += f"; {values['false_positives']:.2f} a step with a score high enough to start a track show no object"
         lit = max((light["lx_max"] for light in values["objects"].values() if light["lx_max"] is not None), default=0.0)
         if values["detections"] == 0 and lit >= WELL_LIT_LX:
             rows["found"] = (
@@ -255,8 +258,8 @@ def shown(values: dict[str, Any], files: str) -> Table:
             rows["on heads and windscreens"] = _on_eyes(values["eyes_lx_max"], values["eyes_lx_max_after_start_up"])
     if least := {name: each["confidence_min"] for name, each in values["objects"].items() if each.get("confidence_min") is not None}:
         lowest = sorted(least, key=least.__getitem__)
-        told = ", ".join(f"{spoken(name)} {least[name]:.2f}" for name in lowest[:NAMED])
-        more = f", {len(lowest) - NAMED} others {least[lowest[NAMED]]:.2f} or more" if len(lowest) > NAMED else ""
+        told = ", ".join(f"{name} {least[name]:.2f}" for name in lowest[:NAMED])
+        more = f", {counted(len(lowest) - NAMED, 'other')} {least[lowest[NAMED]]:.2f} or more" if len(lowest) > NAMED else ""
         rows["minimum confidence"] = f"{told}{more}, each from its first track on"
     if values.get("tracks_of_nothing"):
         rows["tracks without object"] = (
@@ -294,11 +297,11 @@ def _of_light(objects: Mapping[str, Mapping[str, Any]], steps: int) -> dict[str,
     for name in one_by_one:
         each = objects[name]
         masked = f", masked in {each['masked_steps']} of {steps} steps" if each["masked_steps"] else ""
-        rows[f"light on {spoken(name)}"] = f"{each['lx_mean']:.3g} lx (mean), {each['lx_max']:.3g} lx at most{masked}"
+        rows[f"light on {name}"] = f"{each['lx_mean']:.3g} lx (mean), {each['lx_max']:.3g} lx at most{masked}"
     others = [each["lx_max"] for name, each in objects.items() if name not in one_by_one and each["lx_max"] is not None]
     if others:
-        rows[f"light on {len(others)} {'others' if one_by_one else 'objects'}"] = f"{max(others):.3g} lx at most"
-    if unseen := [spoken(name) for name, each in objects.items() if each["lx_max"] is None]:
+        rows[f"light on {counted(len(others), 'other' if one_by_one else 'object')}"] = f"{max(others):.3g} lx at most"
+    if unseen := [name for name, each in objects.items() if each["lx_max"] is None]:
         rows["never in sight"] = ", ".join(unseen) if len(unseen) <= NAMED else f"{len(unseen)} objects"
     return rows
 
@@ -311,9 +314,7 @@ def _of_lost(objects: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
         each = gone[name]
         word, steps = ("lost", each["steps_lost"]) if each["tracks"] else ("missed", each["steps_in_sight"])
         large = "" if each["tracks"] else f", of {each['pixels_max']:.0f} px at most"
-        rows[f"{word} {spoken(name)}"] = (
-            f"no track shows it in {steps} of the {each['steps_in_sight']} steps in which it is in sight{large}"
-        )
+        rows[f"{word} {name}"] = f"no track shows it in {steps} of the {each['steps_in_sight']} steps in which it is in sight{large}"
     if smaller := largest[NAMED:]:
         missed = sum(not gone[name]["tracks"] for name in smaller)
         rows["smaller objects"] = f"{missed} missed, {len(smaller) - missed} lost, of {gone[smaller[0]]['pixels_max']:.0f} px at most"
@@ -348,9 +349,13 @@ def _covered(values: dict[str, Any]) -> str:
 
 def _of_energy(own_j: float, compared_j: Mapping[str, float]) -> str:
     standby, *others = compared_j.items()
-    beams = "".join(f", {name} {joules:.0f} J" for name, joules in others)
+    beams = "".join(f", {name} {_joules(joules)}" for name, joules in others)
     undimmed = f"; undimmed{beams[1:]}" if beams else ""
-    return f"{own_j:.0f} J by the lamp model, {standby[1]:.0f} J of it {standby[0]}{undimmed}"
+    return f"{_joules(own_j)} by the lamp model, {_joules(standby[1])} of it {standby[0]}{undimmed}"
+
+
+def _joules(joules: float) -> str:
+    return f"{joules:.3g} J" if joules < 100 else f"{joules:.0f} J"
 
 
 def _on_eyes(most_lx: float, later_lx: float | None) -> str:

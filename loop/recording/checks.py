@@ -69,14 +69,16 @@ def lights(checks: Mapping[str, CheckParams]) -> tuple[Light, ...]:
     return tuple(dict.fromkeys(check.compare for check in checks.values() if check.compare is not None))
 
 
-def refuse_unknown(checks: Mapping[str, CheckParams], schema: pa.Schema, compared: Collection[str]) -> None:
+def refuse_unknown(checks: Mapping[str, CheckParams], schema: pa.Schema, compared: Collection[str], detected: Collection[str] = ()) -> None:
     """Raises LuxloopError where a check names no column of numbers of the recording, or compares one that other light lacks.
 
-    compared: columns that the recordings of other lights have as well.
+    compared: columns that the recordings of other lights have as well. detected: those that there are with a detector.
     """
     known = [field.name for field in schema if field.type != pa.string()]
     for name, check in checks.items():
         where = f"checks.{name}.metric: {check.metric!r}"
+        if check.metric not in known and check.metric in detected and check.metric not in schema.names:
+            raise LuxloopError(f'{where} is recorded with a [detector] alone; give one, kind = "truth" say, which knows all objects')
         if check.metric not in known:
             raise LuxloopError(
                 f"{where} is not a numeric column of the recording; {did_you_mean(check.metric, known, _known(check.metric, known))}"
@@ -117,7 +119,9 @@ def _line(outcome: Mapping[str, Any]) -> str:
         if outcome["compare"] is not None:
             parts.append(_compared(outcome, unit))
     of_bound = unit if outcome["compare"] is None or outcome["difference"] is not None else ""
-    parts += [f"{bound.replace('_', ' ')} {outcome[bound]:g}{of_bound}" for bound in ("at_least", "at_most") if outcome[bound] is not None]
+    for bound in (each for each in ("at_least", "at_most") if outcome[each] is not None):
+        given = _percent(outcome[bound]) if outcome["recall"] is not None else f"{outcome[bound]:g}{of_bound}"
+        parts.append(f"{bound.replace('_', ' ')} {given}")
     return f"{', '.join(parts)}: {'passed' if outcome['passed'] else 'failed'}"
 
 
@@ -126,11 +130,15 @@ def _compared(outcome: Mapping[str, Any], unit: str) -> str:
     if other is None:
         return f"{NOTHING} with {light}"
     if outcome["recall"] is not None:
-        return f"above 0 in {outcome['recall']:.4g} of the steps in which it is above 0 with {light}"
+        return f"above 0 in {_percent(outcome['recall'])} of the steps in which it is above 0 with {light}"
     if outcome["difference"] is not None:
         return f"{outcome['take']} {outcome['difference']:+.4g}{unit} relative to {light}"
     share = "an infinite multiple" if outcome["ratio"] is None else f"{outcome['ratio']:.4g}"
     return f"{share} of {other:.4g}{unit} with {light}"
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.4g} %"
 
 
 def _taken(check: CheckParams, times_s: np.ndarray, values: np.ndarray) -> float | None:

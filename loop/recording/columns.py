@@ -52,6 +52,21 @@ SYMBOL: dict[str, tuple[str, str]] = {
     "shear": ("1", "judge: shear mu11 / mu20 on the road plane"),
 }
 
+# of all that lighting functions do: what there is only on a plant that knows the truth
+LOOKING_OF_TRUTH = ("false_positives", "eyes_lx_max", "eyes_lx_peak", "oncoming_lx_max", "road_lx_ratio_max")
+OF_TRUTH = {
+    "dark_lx_max",
+    "symbol_iou_min",
+    "luminance",
+    *LOOKING_OF_TRUTH,
+    *(key for key in SYMBOL if SYMBOL[key][1].startswith("judge: ")),
+}
+
+
+def of_truth(column: str) -> bool:
+    """Whether a column is missing or empty on a plant that does not know the truth."""
+    return column.startswith("objects.") or column.rpartition(".")[2] in OF_TRUTH
+
 
 def held_in(table: pa.Table) -> list[str]:
     """Names of the symbols of a recording that controllers hold."""

@@ -130,9 +130,9 @@ def _title(simulation: Simulation, last: StepResult, summary: Mapping[str, Any])
     masked = "" if dark_lx is None else f"  ·  {dark_lx:.3g} lx at most on masked objects"
     flicker = f"  ·  symbols on for {1 - scenario.off_share:.0%} at {scenario.rate_hz:g} Hz" if scenario.controlled else ""
     if (folder := shadow_of(scenario.plant)) is not None:
-        flicker += f"  ·  {SHADOW} {folder}"
+        flicker += f"  ·  {SHADOW} {Path(folder).name}"
     steps = f"{summary['steps']} steps to {last.time_s:.2f} s"
-    return f"{scenario.name}  ·  {scenario.headlight.model}  ·  {steps}{masked}{flicker}  ·  {processing(summary, 'a step')}"
+    return f"{scenario.name}  ·  {simulation.modules[0].lamp.name}  ·  {steps}{masked}{flicker}  ·  {processing(summary, 'a step')}"
 
 
 def _cameras(figure: SubFigure, simulation: Simulation, moments: Sequence[StepResult]) -> None:

@@ -278,13 +278,18 @@ def load(name: str, overrides: Sequence[Override] = (), *, allow_code: bool = Fa
     if overrides:
         data = overridden(_with_defaults(data), overrides)
     given = [
-        *(f"{key}={value['name'] if isinstance(value, dict) and 'name' in value else value}" for key, value in values.items()),
+        *(f"{key}={_name(value)}" for key, value in values.items()),
         *(override for override in overrides if isinstance(override, str)),
     ]
     scenario = validate(data, f"{path} with {' '.join(given)}" if given else str(path))
     if not allow_code:
         refuse_code(scenario, scenario.source, typed=set(texts([tables(each) for each in (values, *overrides) if not is_file(each)])))
     return scenario
+
+
+def _name(value: Any) -> Any:
+    """What tells a table apart, for messages: its name, or a recording's folder."""
+    return next((value[key] for key in ("name", "folder") if key in value), value) if isinstance(value, dict) else value
 
 
 def validate(data: Mapping[str, Any], source: str) -> Scenario:

@@ -82,11 +82,12 @@ def test_of_many_objects_the_brightest_are_named_and_the_rest_counted() -> None:
     lit = {f"car_{k}": in_sight(float(k)) for k in range(20)}
     unseen = {f"sign_{k}": in_sight(None) for k in range(9)}
     rows = _of_light(lit | unseen, 9)
-    assert [*rows] == [*(f"light on car {k}" for k in range(19, 11, -1)), "light on 12 others", "never in sight"]
+    assert [*rows] == [*(f"light on car_{k}" for k in range(19, 11, -1)), "light on 12 others", "never in sight"]
     assert (rows["light on 12 others"], rows["never in sight"]) == ("11 lx at most", "9 objects")
+    assert "light on 1 other" in _of_light({f"car_{k}": in_sight(float(k)) for k in range(NAMED + 1)}, 9)
     assert _of_light({f"car_{k}": in_sight(0.0) for k in range(NAMED + 1)}, 9) == {f"light on {NAMED + 1} objects": "0 lx at most"}
     few = {f"car_{k}": in_sight(0.0) for k in range(NAMED)}
-    assert [*_of_light(few, 9)] == [f"light on car {k}" for k in range(NAMED)] and named(few) == [*few]
+    assert [*_of_light(few, 9)] == [f"light on car_{k}" for k in range(NAMED)] and named(few) == [*few]
 
 
 def test_of_an_object_that_was_masked_at_times_it_is_said_how_often() -> None:
@@ -100,7 +101,7 @@ def test_of_many_objects_the_largest_that_are_lost_are_named() -> None:
     missed = {"steps_lost": 0, "tracks": 0, "steps_in_sight": 9}
     objects = {f"car_{k}": in_sight(1.0, pixels_max=float(k), **(lost if k % 2 else missed)) for k in range(12)}
     rows = _of_lost(objects | {"held": in_sight(1.0, pixels_max=99.0, steps_lost=0, tracks=1, steps_in_sight=9)})
-    assert [*rows] == [f"{'lost' if k % 2 else 'missed'} car {k}" for k in range(11, 3, -1)] + ["smaller objects"]
+    assert [*rows] == [f"{'lost' if k % 2 else 'missed'} car_{k}" for k in range(11, 3, -1)] + ["smaller objects"]
     assert rows["smaller objects"] == "2 missed, 2 lost, of 3 px at most"
 
 
@@ -133,7 +134,11 @@ def test_energy_stands_beside_that_of_standby_and_of_undimmed_beams(tmp_path: Pa
     assert dimmed["energy_j"] - others["standby"] == pytest.approx(0.5 * (full["energy_j"] - others["standby"]), rel=1e-5)
     console = Console(record=True, width=160)
     console.print(shown(dimmed, "here"))
-    assert f"standby; undimmed low beam {others['low beam']:.0f} J, high beam" in console.export_text()
+    told = console.export_text()
+    assert f"standby; undimmed low beam {others['low beam']:.3g} J, high beam" in told
+    flux, low = sum(lamp["flux_lm_mean"] for lamp in dimmed["lamps"].values()), dimmed["low_beam_lm"]
+    assert low == pytest.approx((others["low beam"] - others["standby"]) / seconds * 40.0, rel=1e-5)  # lm/W; float32
+    assert f"{flux:.0f} lm (mean), {flux / low:.0%} of the undimmed low beam's {low:.0f} lm" in told
 
 
 def test_power_is_compared_within_the_same_limit_and_beams_are_named_once() -> None:

@@ -104,6 +104,9 @@ def test_a_difference_is_taken_step_by_step() -> None:
 def test_recall_is_the_share_of_what_the_other_light_finds() -> None:
     got = beside([0.0, 0.3, None, 0.9, 0.8], [0.9, 0.2, 0.5, None, 0.0], by="recall", at_least=0.5)
     assert got["recall"] == pytest.approx(1 / 3) and not got["passed"], "one of three that the other finds; out of sight is not found"
+    assert lines({"checks": {"it": got}})["check it"].endswith(
+        "in 33.33 % of the steps in which it is with open loop, at least 50 %: failed"
+    )
     assert beside([0.5], [0.0], by="recall", at_least=0.5)["passed"] is False, "nothing was there to find"
 
 
@@ -132,6 +135,8 @@ REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], list[str]]] = {
     "no symbol": (LIT, FLUX | {"compare": "open_loop"}, ["checks.it.compare", "full_light or low_beam"]),
     "timings": (SMALL, {"metric": "light_ms", "at_most": 1.0, "compare": "open_loop"}, ["checks.it", "light_ms", "leave compare out"]),
     "unknown object": (LIT, {"metric": "objects.walkr.lx_max", "at_most": 1.0}, ["checks.it.metric", "'objects.walker.lx_max'"]),
+    "no detector": (LIT, {"metric": "oncoming_lx_max", "at_most": 1.0}, ["checks.it.metric", "[detector]", "truth"]),
+    "no detector of an object": (LIT, {"metric": "objects.car.score", "at_least": 0.0}, ["checks.it.metric", "[detector]", "truth"]),
     "no masks beside": (LIT, FLUX | {"metric": "dark_lx_max"}, ["checks.it.metric", "full_light", "leave compare out"]),
 }
 
@@ -165,6 +170,15 @@ def test_a_light_that_the_lamp_has_no_beam_for_is_refused(tmp_path: Path) -> Non
     bare = LIT | {"headlight": {"model": str(tmp_path / "bare.toml")}, "lighting": {"base": {"beam": "full"}}, "functions": {}}
     with pytest.raises(LuxloopError, match=r"^lit: checks: compare = 'low_beam': lamp 'bare' has no beam 'low'; it has full, off$"):
         check(validate(with_checks(bare, it=FLUX | {"compare": "low_beam"}), "lit"), "cpu")
+
+
+def test_a_base_beam_that_the_lamp_lacks_is_named_by_its_key(tmp_path: Path) -> None:
+    (tmp_path / "bare.toml").write_text(LAMP)
+    bare = LIT | {"headlight": {"model": str(tmp_path / "bare.toml")}, "lighting": {"base": {"beam": "low"}}}
+    with pytest.raises(
+        LuxloopError, match=r"^lit: lighting\.base\.beam: lamp 'bare' has no beam 'low'; it has full, off; write beam = \"full\""
+    ):
+        check(validate(bare, "lit"), "cpu")
 
 
 def test_names_of_checks_are_plain() -> None:
@@ -223,8 +237,9 @@ def test_the_command_says_what_passed_and_fails_where_a_check_does(lux: Lux) -> 
     quick = ("run", "small.toml", "--no-video", "--no-report")
     code, said, _ = lux(*quick, "--set", "checks.lies.at_least=2.0")
     assert code == 0 and "check lies" in said and "at least 2: failed" in said and "check gains" not in said
+    assert said.endswith("1 more check compares with another light: --checks\n")
     code, said, _ = lux(*quick, "--checks")
-    assert code == 1 and "at least 0: passed" in said and "with open loop, at least 2: failed" in said
+    assert code == 1 and "more check" not in said and "at least 0: passed" in said and "with open loop, at least 2: failed" in said
     assert lux(*quick, "--checks", "--set", "checks.gains={}")[0] == 0
     code, said, _ = lux(*quick, "--checks", "--set", "checks={}")
     assert code == 0 and "small has no [checks.NAME]" in said
