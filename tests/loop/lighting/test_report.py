@@ -1,5 +1,6 @@
 """What report and summary of lighting functions tell: charts that nothing hides, energy beside that of beams, whom the tracker loses."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -254,9 +255,11 @@ def columns_in_markdown() -> list[str]:
     return [f"| `{prefix}{name}` | {unit} | {text} |" for prefix, group in groups.items() for name, (_, unit, text) in group.items()]
 
 
-def test_every_column_is_documented() -> None:
+def test_every_column_is_documented_once() -> None:
     page = (Path(__file__).parents[3] / "docs" / "recordings.md").read_text("utf-8")
     assert not [line for line in columns_in_markdown() if line not in page]
+    columns = re.findall(r"^\| `(.*?)`", page.split("## Columns")[1].split("## Summary")[0], re.M)
+    assert len(columns) == len(set(columns))
 
 
 if __name__ == "__main__":
