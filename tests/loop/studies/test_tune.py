@@ -295,6 +295,9 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
     assert cli.main(["tune", "flat", "--key", *KEYS, *given]) == cli.OK
     said = capsys.readouterr()
     assert "runs/tune-flat" in said.out and said.err == ""  # not that of an empty folder something was done before
+    assert cli.main(["tune", "flat", "--key", *KEYS, "--objective", "settling", "--out", "runs/short", *given[2:]]) == cli.OK
+    assert "No trial settled; raise steps." in capsys.readouterr().out
+    assert "No trial settled" not in Path("runs/tune-flat", REPORT).read_text()
     for wrong, said in (
         (["tune", "flat"], "--key: is missing"),
         (["tune", "flat", "--key", KEYS[0], "--trials", "0"], "--trials: 0 is too few"),
