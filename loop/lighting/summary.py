@@ -10,6 +10,7 @@ from rich.table import Table
 
 from controllers.functions.commands import MOVED, Movable
 from controllers.zones.material import Quantity
+from loop.lighting.detection import LEAST_PX
 from loop.recording.checks import lines
 from loop.recording.remedies import of_frames, remedies, unjudged
 from loop.recording.summary import column
@@ -304,6 +305,8 @@ def _of_light(objects: Mapping[str, Mapping[str, Any]], steps: int) -> dict[str,
 def _of_lost(objects: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
     """Whom no track shows at times, the largest in the image one by one."""
     gone = {name: each for name, each in objects.items() if each.get("steps_in_sight") and (each["steps_lost"] or not each["tracks"])}
+    hopeless = [name for name, each in gone.items() if not each["tracks"] and not each.get("findable", True)]
+    gone = {name: each for name, each in gone.items() if name not in hopeless}
     rows, largest = {}, sorted(gone, key=lambda name: -gone[name]["pixels_max"])
     for name in largest[:NAMED]:
         each = gone[name]
@@ -315,6 +318,9 @@ def _of_lost(objects: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
     if smaller := largest[NAMED:]:
         missed = sum(not gone[name]["tracks"] for name in smaller)
         rows["smaller objects"] = f"{missed} missed, {len(smaller) - missed} lost, of {gone[smaller[0]]['pixels_max']:.0f} px at most"
+    if hopeless:
+        who = ", ".join(map(spoken, hopeless)) if len(hopeless) <= NAMED else f"{len(hopeless)} objects"
+        rows["not to be found"] = f"{who}: of no class that the detector has, or never {LEAST_PX:g} px tall"
     return rows
 
 
