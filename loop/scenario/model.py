@@ -174,10 +174,13 @@ class Scenario(Params):
             raise ValueError(f"detector_frames: there is no {lacking} here, so that it means nothing; leave it out")
         if self.detector is None and self.tracker != TrackerParams():
             raise ValueError('tracker: follows what a detector finds, but there is none; give one, detector = {kind = "network"} say')
-        if self.detector is not None and (named := [name for name, each in self.functions.items() if any(objects_named(each))]):
+        named = {f"functions.{name}.{key}": name for name, each in self.functions.items() for key, _ in objects_named(each)}
+        if self.detector is not None and named:
+            emptied = " ".join(f"{key}=[]" for key in named if key.endswith("names"))
+            remedies = [*([f"--set {emptied}"] if emptied else []), *(f"leave {key} out" for key in named if not key.endswith("names"))]
             raise ValueError(
-                f"functions.{named[0]}: names objects, but a detector knows them by class alone; leave names out, "
-                "or take the [detector] out"
+                f"functions.{next(iter(named.values()))}: names objects, but a detector knows them by class alone; "
+                f"{' and '.join(remedies)}, or take the [detector] out"
             )
         return self
 

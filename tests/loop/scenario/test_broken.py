@@ -222,7 +222,7 @@ def test_each_key_that_is_broken_is_named(name: str) -> None:
         ("obl", "off_share=0.3", "off_share: no controller holds a symbol here that could be off; leave it out"),
         ("obl", "disturbances.ambient=[{factor=2.0, frames='off'}]", "disturbances.ambient[0].frames: without a symbol that a controller"),
         ("snowflake", "tracker.confirm_frames=5", "tracker: follows what a detector finds, but there is none"),
-        ("night_traffic", "detector.kind=hog", "names objects, but a detector knows them by class alone"),
+        ("night_traffic", "detector.kind=hog", "a detector knows them by class alone; --set functions.guide_line.names=[]"),
     ],
 )
 def test_what_means_nothing_without_something_else_is_told(name: str, override: str, said: str) -> None:
