@@ -220,6 +220,12 @@ def test_a_symbol_that_swings_on_needs_more_steps_only_in_a_short_run() -> None:
     assert 'functions.symbol.controller.name = "luxloop"' in remedies("symbol", summarise(long, "thesis_pid", 0.0))[0]
 
 
+def test_a_car_that_drives_has_no_overshoot() -> None:
+    swings = table(30, **{OFF: 10 * np.cos(np.arange(30))})
+    still, drives = (summarise(swings, "luxloop", 0.0, run=Circumstances(drives=each)) for each in (False, True))
+    assert still["overshoot_percent"] > 50 and drives["overshoot_percent"] is None
+
+
 def test_a_car_that_drives_is_not_asked_for_more_steps() -> None:
     swings = table(30, **{OFF: 10 * np.sin(np.arange(30))})
     for controller, key in (("luxloop", "functions.symbol.x_m"), ("thesis_pid", "functions.symbol.controller.name")):
