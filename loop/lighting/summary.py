@@ -335,11 +335,12 @@ def _of_symbol(values: dict[str, Any]) -> dict[str, str]:
         return {"how it lies": why, "lost steps": f"{values['lost_steps']}{_covered(values)}"}
     x, y = values["centroid_error_percent"]
     settled = values["settle_step"]
+    ended, without = (number(values[key], ".3f") for key in ("iou_final", "iou_open"))
     late = f"; {number(values['iou_mean'], '.3f')} on average and {number(values['iou_min'], '.3f')} at least in the second half"
     return {
         "settle step": f"{settled} of {values['shown_steps']}" if settled is not None else "not settled",
         "centroid error": f"{number(x, '.2f')} % along, {number(y, '.2f')} % across",
-        "IoU": f"{number(values['iou_final'], '.3f')} at the end, {number(values['iou_open'], '.3f')} without control (open loop){late}",
+        "IoU": f"{ended} at the last step, {without} without control (open loop) at the last step{late}",
         "overshoot": number(values["overshoot_percent"], ".1f", " %"),
         "lost steps": f"{values['lost_steps']}{_covered(values)}",
     }

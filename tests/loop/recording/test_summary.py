@@ -258,6 +258,11 @@ def test_the_closing_table_says_why_nobody_judged_in_place_of_dashes(recorded: p
     assert ("judge_every" in rows["note"]) == (judge_every == 0)
 
 
+def test_the_open_loop_is_told_for_the_last_step() -> None:
+    rows = closing({"symbol": summarise(table(iou=0.9), "luxloop", 0.4)})
+    assert rows["symbol: IoU"].startswith("0.900 at the last step, 0.400 without control (open loop) at the last step; 0.900 on average")
+
+
 def test_notes_name_the_symbol_where_there_are_several() -> None:
     lost = summarise(table(loss=["nothing"] * 40), "luxloop", 0.0)
     lies = summarise(table(iou=1.0), "luxloop", 0.0)
