@@ -285,7 +285,7 @@ def load(name: str, overrides: Sequence[Override] = (), *, allow_code: bool = Fa
         data = overridden(_with_defaults(data), overrides)
     given = [
         *(f"{key}={value['name'] if isinstance(value, dict) and 'name' in value else value}" for key, value in values.items()),
-        *(override for override in overrides if isinstance(override, str)),
+        *dict.fromkeys(override if isinstance(override, str) else "these changes" for override in overrides if override),
     ]
     scenario = validate(data, f"{path} with {' '.join(given)}" if given else str(path))
     if not allow_code:
