@@ -63,6 +63,12 @@ def known_or_own(key: str, default: str | None = None) -> Discriminator:
     return Discriminator(tag)
 
 
+def dotted(text: str) -> str | None:
+    """What to write in place of a name with a dot for its colon; None of other texts, such as a file's name."""
+    meant = ":".join(text.rsplit(".", 1))
+    return f"write {meant}, with a colon before the class" if re.fullmatch(PATTERN, meant) and not text.endswith(".py") else None
+
+
 def file_of(folder: Path, module: str) -> Path | None:
     """The file of a module in a folder, None where it has none there."""
     path = folder.joinpath(*module.split("."))
@@ -133,7 +139,8 @@ def load(name: Name, key: str, methods: Sequence[str]) -> Any:
     found = getattr(module, name.attribute, None)
     if not isinstance(found, type):
         what = f"module {name.module} has no {name.attribute}" if found is None else f"{name.attribute} is no class"
-        raise LuxloopError(f"{where}: {what}; name a class of it")
+        classes = [each for each, of in vars(module).items() if isinstance(of, type) and of.__module__ == module.__name__]
+        raise LuxloopError(f"{where}: {what}; {did_you_mean(name.attribute, classes) if classes else 'name a class of it'}")
     check_methods(found, where, methods)
     return found
 

@@ -29,7 +29,7 @@ from world.errors import LuxloopError, did_you_mean, located
 from world.materials.library import RoadSurfaceParams
 from world.materials.spots import SpotParams
 from world.params import Params, PlainName
-from world.plugin import PATTERN, Name, refuse_code
+from world.plugin import PATTERN, Name, dotted, refuse_code
 from world.roads.shapes import Flat, RoadParams
 from world.scene.scene import StreetLamp
 from world.scene.vehicle import VehicleParams
@@ -131,8 +131,8 @@ class Scenario(Params):
     @classmethod
     def _known_or_own(cls, name: str) -> str:
         if name not in PIXEL_CONTROLLERS and not re.fullmatch(PATTERN, name):
-            known = did_you_mean(name, PIXEL_CONTROLLERS)
-            raise ValueError(f"there is no pixel controller {name!r}; {known} One of your own is given as package.module:Name")
+            remedy = dotted(name) or f"{did_you_mean(name, PIXEL_CONTROLLERS)} One of your own is given as package.module:Name"
+            raise ValueError(f"there is no pixel controller {name!r}; {remedy}")
         return name if name in PIXEL_CONTROLLERS else Name(name)
 
     @model_validator(mode="after")

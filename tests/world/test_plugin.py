@@ -79,8 +79,8 @@ def test_a_class_makes_a_part() -> None:
         ("no_such_parts:Part", {}, ["No module named 'no_such_parts'", "PYTHONPATH"]),
         ("broken_parts:Part", {}, ["importing broken_parts fails at ", "broken_parts.py, line 1 (ZeroDivisionError"]),
         ("half_written_parts:Part", {}, ["importing half_written_parts fails", "SyntaxError", "line 1"]),
-        ("own_parts:Port", {}, ["own_parts has no Port"]),
-        ("own_parts:helper", {}, ["helper is no class"]),
+        ("own_parts:Port", {}, ["own_parts has no Port; did you mean 'Part'?"]),
+        ("own_parts:helper", {}, ["helper is no class; known are Part, Shared, "]),
         (
             "own_parts:OfFile",
             {"file": "no.csv"},

@@ -214,6 +214,16 @@ def test_each_key_that_is_broken_is_named(name: str) -> None:
     assert sorted(line.partition(": ")[0] for line in caught.value.args[1:]) == sorted(broken)
 
 
+def test_a_class_with_a_dot_for_its_colon_is_told_how_to_be_written() -> None:
+    named = {"functions.symbol.controller.name": "pi_ff.PiFeedForward", "detector.kind": "det.Blobs", "pixel_controller": "bold.Bold"}
+    for key, name in named.items():
+        assert (
+            f"there is no {'pixel controller ' if key[0] == 'p' else ''}'{name}'; write {name.replace('.', ':')}, with a colon"
+            in failure("flat", f"{key}={name}")
+        )
+    assert "write" not in failure("flat", "functions.symbol.controller.name=half.py")
+
+
 @pytest.mark.parametrize(
     ("name", "override", "said"),
     [
