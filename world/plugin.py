@@ -11,7 +11,7 @@ from importlib import import_module
 from importlib.machinery import PathFinder
 from inspect import Parameter, signature
 from pathlib import Path
-from traceback import extract_tb
+from traceback import walk_tb
 from typing import Annotated, Any, Final
 
 from pydantic import BaseModel, Discriminator, Field, GetCoreSchemaHandler, ValidationError
@@ -200,22 +200,21 @@ def running(name: Name, key: str, what: str) -> Iterator[None]:
     except LuxloopError:
         raise
     except Exception as error:
-        raise LuxloopError(f"{key}: {name}: {what} fails{_place(error, name)} ({in_a_line(error)}); mend it") from error
+        raise LuxloopError(f"{key}: {name}: {what} fails{_place(error, name)} ({in_a_line(error)})") from error
 
 
 def _place(error: Exception, name: Name) -> str:
-    """File and line of the innermost call in the module's package, or in the files beside the module; empty where there is none."""
+    """File and line of the innermost call in the module, its package, or the files beside it; empty where there is none."""
     top = name.module.partition(".")[0]
     path = None if name.folder is None else [str(name.folder)]
-    spec = getattr(sys.modules.get(top), "__spec__", None) or PathFinder.find_spec(top, path)
-    if spec is None:
-        return ""
-    packages = [Path(folder) for folder in spec.submodule_search_locations or ()]
-    folder = Path(spec.origin).parent if spec.origin and not packages else None
-    for frame in reversed(extract_tb(error.__traceback__)):
-        file = Path(frame.filename)
-        if file.parent == folder or any(file.is_relative_to(package) for package in packages):
-            return f" at {file}, line {frame.lineno}"
+    spec = getattr(sys.modules.get(top), "__spec__", None) or PathFinder.find_spec(top, path)  # None of the main program
+    packages = [Path(folder) for folder in (spec and spec.submodule_search_locations) or ()]
+    folder = Path(spec.origin).parent if spec and spec.origin and not packages else None
+    for frame, line in reversed([*walk_tb(error.__traceback__)]):
+        file = Path(frame.f_code.co_filename)
+        mine = frame.f_globals.get("__name__") == name.module
+        if mine or file.parent == folder or any(file.is_relative_to(package) for package in packages):
+            return f" at {file}, line {line}"
     return ""
 
 

@@ -175,7 +175,7 @@ BROKEN: dict[Any, list[str]] = {
     NotANumber: ["in a step without frames", "pose is not finite, [nan, nan, nan, nan]", "observation.measurement.code != Loss.SEEN"],
     NoEgo: ["on a car that moves: ", "projection fails at", "'Ego' object is not subscriptable"],
     AlwaysMeasured: ["on a car of which nothing measures attitude and rates", "pose is not finite", "use nan_to_num()"],
-    NeedsFrames: ["in a step without frames (observation.frames is None)", "step fails at", "test_check_controller.py, line", "mend it"],
+    NeedsFrames: ["in a step without frames (observation.frames is None)", "step fails at", "test_check_controller.py, line"],
     NeedsSymbol: ["in a step whose frames do not show the symbol", "step fails at", "IndexError"],
     InPlace: ["step changes state.pose, which it was given", "dataclasses.replace"],
     SpoilsTheLook: ["in a step without frames", "step changes observation.measurement.", "which it was given"],

@@ -1,6 +1,8 @@
 """Parts of the user's own are found by name, and what is wrong with them is said in one sentence."""
 
 import copy
+import os
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -132,7 +134,7 @@ def test_what_takes_any_option_gets_them_all() -> None:
 
 
 def test_options_that_a_model_refuses_are_told_in_one_line() -> None:
-    with pytest.raises(LuxloopError, match=r"road\.options fails \(share: Input should be greater than 0\); mend it$"):
+    with pytest.raises(LuxloopError, match=r"road\.options fails \(share: Input should be greater than 0\)$"):
         plugin.make(plugin.Name(f"{__name__}:Checked"), "road.kind", {}, {"share": -1}, ())
 
 
@@ -146,6 +148,18 @@ def test_a_method_that_fails_is_said_as_init_is() -> None:
     with pytest.raises(LuxloopError, match="work fails at"):
         again.work()
     assert copy.copy(made).a == 3
+
+
+def test_a_class_of_the_main_program_is_placed_as_well(tmp_path: Path) -> None:
+    """As in a script or a notebook."""
+    (file := tmp_path / "script.py").write_text(
+        "from world import plugin\n\nclass Part:\n    def work(self):\n        return None.frames\n\n"
+        "plugin.made(Part, plugin.Name('__main__:Part'), 'road.kind', {}, {}).work()\n"
+    )
+    done = subprocess.run(
+        [sys.executable, file], env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}, capture_output=True, text=True
+    )
+    assert f"work fails at {file}, line 5 (AttributeError: 'NoneType' object has no attribute 'frames')" in done.stderr
 
 
 def test_what_is_no_such_class_is_not_called(tmp_path: Path) -> None:
