@@ -12,7 +12,7 @@ from importlib.machinery import PathFinder
 from inspect import Parameter, signature
 from pathlib import Path
 from traceback import walk_tb
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, get_args
 
 from pydantic import BaseModel, Discriminator, Field, GetCoreSchemaHandler, ValidationError
 from pydantic_core.core_schema import CoreSchema, no_info_after_validator_function, str_schema
@@ -237,8 +237,22 @@ def _fitting(made_by: Callable[..., Any], name: str, table: str, given: Sequence
         for key in strange
     ]
     wrong += [f"{table}.{key}: is missing, and {name} has no default for it; add it" for key in lacking]
+    texts = {each.name: options[each.name] for each in left if _takes_number(each) and isinstance(options.get(each.name), str)}
+    wrong += [f"{table}.{key}: is the text {text!r}; write {_number_in(text) or 'a number'}" for key, text in texts.items()]
     if wrong:
         raise all_of(wrong)
+
+
+def _takes_number(parameter: Parameter) -> bool:
+    """Whether its default or its annotation is a number, and the annotation no text as well."""
+    kinds = (parameter.annotation, *get_args(parameter.annotation))
+    return str not in kinds and (type(parameter.default) in (int, float) or any(each in (int, float, "int", "float") for each in kinds))
+
+
+def _number_in(text: str) -> str:
+    """The number of a text with a decimal comma, as TOML writes it; empty where it is none."""
+    number = text.replace(",", ".")
+    return number if re.fullmatch(r"[+-]?\d+(\.\d+)?", number) else ""
 
 
 def in_a_line(error: Exception) -> str:

@@ -105,6 +105,9 @@ def test_what_is_wrong_is_said_in_a_sentence(name: str, options: dict[str, Any],
     [
         ("own_parts:Part", {"shore": 1}, "road.options.shore: own_parts:Part has no option of this name; did you mean 'share'?"),
         ("own_parts:Part", {"a": 1}, "road.options.a: own_parts:Part has no option of this name; known are share"),  # 'a' is the place
+        ("own_parts:Part", {"share": "0,3"}, "road.options.share: is the text '0,3'; write 0.3"),
+        ("own_parts:Part", {"share": "much"}, "road.options.share: is the text 'much'; write a number"),
+        (f"{__name__}:Checked", {"share": "0,3"}, "road.options.share: is the text '0,3'; write 0.3"),
         ("own_parts:Shared", {}, "road.options.share: is missing, and own_parts:Shared has no default for it; add it"),
         (
             "own_parts:Bare",
