@@ -83,6 +83,8 @@ def run(
     Ctrl-C ends the recording, reports on the steps so far and goes on as KeyboardInterrupt. Raises LuxloopError where the scenario cannot
     be read or run, or another process writes into the folder; nothing is written before the first step is done.
     """
+    if folder is not None and not isinstance(folder, str | Path):
+        raise LuxloopError(f"run: folder is a {type(folder).__name__}, not a path; give other values of keys as overrides=[...]")
     if isinstance(scenario, str | Path):
         scenario = load(str(scenario), **values)
     elif values:

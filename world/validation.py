@@ -13,7 +13,7 @@ from pydantic.fields import FieldInfo
 
 from world.errors import LuxloopError, all_of, did_you_mean, near
 from world.files import content, reading
-from world.plugin import OWN
+from world.plugin import OWN, dotted
 
 WANTED = {
     "int_type": "a whole number",
@@ -181,7 +181,9 @@ def _what(detail: Any, key: str, fields: dict[str, FieldInfo], variants: Iterabl
     if kind == "tuple_type" and isinstance(given, dict):
         return f"is one table, but a list of them is wanted; write [[{table}]] above each"
     if kind == "union_tag_invalid":
-        return f"there is no {context['tag']!r}; {did_you_mean(context['tag'], _quoted(context['expected_tags']))}"
+        known = _quoted(context["expected_tags"])
+        remedy = dotted(context["tag"]) if OWN in known else None
+        return f"there is no {context['tag']!r}; {remedy or did_you_mean(context['tag'], known)}"
     if kind == "literal_error":
         expected = context["expected"].replace(" or ", ", ")
         return f"{_shown(given)} is not possible; {did_you_mean(str(given), _quoted(expected), f'give one of {expected}')}"

@@ -48,7 +48,7 @@ class Recorder:
         self.manifest = Manifest.of(simulation.scenario, simulation.renderer, simulation.device)
         self._frames = FrameRecorder(directory, simulation.scenario.camera.bits) if frames else None
         self._idle, self._last = set(simulation.scenario.functions), dict[str, StepResult]()
-        self._covered = dict[str, StepResult]()
+        self._covered, self._findable = dict[str, StepResult](), set[str]()
         self._asked, self._came = set[int](), list[int]()  # numbers of exposures, and of frames with an image
         self._written = schema(simulation).empty_table()
         self._fresh: list[dict[str, Any]] = []
@@ -66,7 +66,11 @@ class Recorder:
         frames = {"asked": len(self._asked), "came": fitting, "unknown": len(self._came) - fitting}
         sees = self.simulation.pipeline is not None or self.simulation.planner.adaptive or self.simulation.controlled
         looks = {"frames": frames} if sees else {}
-        return summary_of(self.simulation, self.table(), self._last, self._covered) | looks | {"idle_functions": idle, "checks": checks}
+        summary = summary_of(self.simulation, self.table(), self._last, self._covered)
+        if self.simulation.pipeline is not None:
+            for name, each in summary["objects"].items():
+                each["findable"] = name in self._findable
+        return summary | looks | {"idle_functions": idle, "checks": checks}
 
     def __enter__(self) -> Self:
         return self
@@ -78,6 +82,8 @@ class Recorder:
             self._idle &= self.simulation.idle(result)
         self._last |= dict.fromkeys(result.held, result)
         self._covered |= {name: result for name, each in result.held.items() if each.measurement.code == Loss.COVERED}
+        if result.look is not None:
+            self._findable |= {name for name, each in result.look.recognised.items() if each.findable}
         self._asked |= {each.exposure.number for each in result.showings}
         self._came += [frame.number for each in result.showings for frame in each.after.frames if frame.image is not None]
         if not self._begun:

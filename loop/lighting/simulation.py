@@ -415,7 +415,7 @@ class Simulation:
         false = false_positives(then, found, self.scenario.tracker.start_score)
         eyes = most_on([each.seen.eyes for each in metered], metered, shares)
         oncoming, _ = most_on([each.seen.eyes_of(due) for each in metered], metered, shares)
-        return FrameDetections(found, present, recognised(then, present, found), false, *eyes, oncoming)
+        return FrameDetections(found, present, recognised(then, present, found, pipeline.classes), false, *eyes, oncoming)
 
     def _learnt(self, now: Situation, then: LitScene | None, then_s: float, image: Tensor, view: View, tracks: Any) -> Situation:
         """The situation once a frame is there, which was taken at then_s of the scene then, in a view that the car believes."""

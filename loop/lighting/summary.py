@@ -10,6 +10,7 @@ from rich.table import Table
 
 from controllers.functions.commands import MOVED, Movable
 from controllers.zones.material import Quantity
+from loop.lighting.detection import LEAST_PX
 from loop.recording.checks import lines
 from loop.recording.remedies import of_frames, remedies, unjudged
 from loop.recording.summary import column
@@ -309,6 +310,8 @@ def _of_light(objects: Mapping[str, Mapping[str, Any]], steps: int) -> dict[str,
 def _of_lost(objects: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
     """Whom no track shows at times, the largest in the image one by one."""
     gone = {name: each for name, each in objects.items() if each.get("steps_in_sight") and (each["steps_lost"] or not each["tracks"])}
+    hopeless = [name for name, each in gone.items() if not each["tracks"] and not each.get("findable", True)]
+    gone = {name: each for name, each in gone.items() if name not in hopeless}
     rows, largest = {}, sorted(gone, key=lambda name: -gone[name]["pixels_max"])
     for name in largest[:NAMED]:
         each = gone[name]
@@ -318,6 +321,9 @@ def _of_lost(objects: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
     if smaller := largest[NAMED:]:
         missed = sum(not gone[name]["tracks"] for name in smaller)
         rows["smaller objects"] = f"{missed} missed, {len(smaller) - missed} lost, of {gone[smaller[0]]['pixels_max']:.0f} px at most"
+    if hopeless:
+        who = ", ".join(map(spoken, hopeless)) if len(hopeless) <= NAMED else f"{len(hopeless)} objects"
+        rows["not to be found"] = f"{who}: of no class that the detector has, or never {LEAST_PX:g} px tall"
     return rows
 
 
@@ -332,11 +338,12 @@ def _of_symbol(values: dict[str, Any]) -> dict[str, str]:
         return {"result": why, "lost steps": f"{values['lost_steps']}{_covered(values)}"}
     x, y = values["centroid_error_percent"]
     settled = values["settle_step"]
+    ended, without = (number(values[key], ".3f") for key in ("iou_final", "iou_open"))
     late = f"; {number(values['iou_mean'], '.3f')} on average and {number(values['iou_min'], '.3f')} at least in the second half"
     return {
         "settle step": f"{settled} of {values['shown_steps']}" if settled is not None else "not settled",
         "centroid error": f"{number(x, '.2f')} % along, {number(y, '.2f')} % across",
-        "IoU": f"{number(values['iou_final'], '.3f')} at the end, {number(values['iou_open'], '.3f')} without control (open loop){late}",
+        "IoU": f"{ended} at the last step, {without} without control (open loop) at the last step{late}",
         "overshoot": number(values["overshoot_percent"], ".1f", " %"),
         "lost steps": f"{values['lost_steps']}{_covered(values)}",
     }

@@ -48,7 +48,8 @@ def outcome(check: CheckParams, table: pa.Table, beside: Mapping[Light, Sequence
             held = _taken(check, times_s, values - others if check.by == "difference" else np.where(others > 0, values > 0, math.nan))
     by = dict.fromkeys(get_args(By))
     return {
-        **check.model_dump(include={"metric", "take", "over_s", "compare", "at_least", "at_most"}),
+        **check.model_dump(include={"metric", "from_s", "until_s", "take", "over_s", "compare", "at_least", "at_most"}),
+        "run_until_s": float(times_s[-1]) if len(times_s) else None,
         "unit": table.schema.field(check.metric).metadata[b"unit"].decode(),
         "value": value,
         "compared_value": other,
@@ -112,7 +113,10 @@ def _line(outcome: Mapping[str, Any]) -> str:
     unit = "" if outcome["unit"] in ("", "1") else f" {outcome['unit']}"
     over = "" if outcome["over_s"] is None else f" over {outcome['over_s']:g} s"
     parts = [f"{outcome['take']} {outcome['metric']}{over}"]
-    if outcome["value"] is None:
+    ends_s = outcome["run_until_s"]
+    if ends_s is not None and outcome["from_s"] > ends_s + ROUNDING_S:
+        parts.append(f"begins at {outcome['from_s']:g} s, the run ends at {ends_s:.4g} s; raise steps")
+    elif outcome["value"] is None:
         parts.append(NOTHING)
     else:
         parts[0] += f" {outcome['value']:.4g}{unit}"

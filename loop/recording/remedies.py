@@ -52,7 +52,7 @@ def _remedies(values: dict[str, Any]) -> list[str]:
     if why is not None and not ((is_cut or values["aim"] is not None) and _astray(values)):
         found.append(_why_unsettled(values))
     if why is None and values["controller"] != "open" and (values["iou_final"] or 0.0) < (values["iou_open"] or 0.0):
-        found.append(f"the symbol has a lower IoU than without control; {_of_controller(values['controller'])}")
+        found.append(f"the symbol has a lower IoU at the last step than without control; {_of_controller(values['controller'])}")
     return found
 
 

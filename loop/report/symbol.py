@@ -119,7 +119,7 @@ def _title(simulation: Simulation, name: str, summary: dict[str, Any], shadow: s
     settled = f"settled at step {summary['settle_step']}" if unsettled is None else f"not settled: {unsettled.replace('_', ' ')}"
     x, y = (number(value, ".1f") for value in summary["centroid_error_percent"])
     iou, without = (number(summary[key], ".2f") for key in ("iou_final", "iou_open"))
-    return f"{who}  ·  {settled}  ·  IoU {iou}, without control {without}  ·  centroid error {x} %, {y} %{lost}"
+    return f"{who}  ·  {settled}  ·  IoU {iou}, without control {without}, both at the last step  ·  centroid error {x} %, {y} %{lost}"
 
 
 def _courses(figure: SubFigure, target: SymbolFunctionParams, gathered: Gathered, table: pa.Table, summary: dict[str, Any]) -> None:
@@ -176,7 +176,7 @@ def _courses(figure: SubFigure, target: SymbolFunctionParams, gathered: Gathered
     if why := unjudged(summary):
         judged.text(0.5, 0.5, fill(why, WHY), transform=judged.transAxes, ha="center", va="center", color="0.4")
     if summary["iou_open"] is not None:
-        overlap.axhline(summary["iou_open"], color="black", ls="--", lw=1, label="IoU without control")
+        overlap.axhline(summary["iou_open"], color="black", ls="--", lw=1, label="IoU without control, at the last step")
     overlap.set_ylim(0, 1)
     overlap.set_ylabel("IoU with the target")
     headed(judged, "How the symbol lies, without noise", overlap)

@@ -29,7 +29,7 @@ from world.errors import LuxloopError, did_you_mean, located
 from world.materials.library import RoadSurfaceParams
 from world.materials.spots import SpotParams
 from world.params import Params, PlainName
-from world.plugin import PATTERN, Name, refuse_code
+from world.plugin import PATTERN, Name, dotted, refuse_code
 from world.roads.shapes import Flat, RoadParams
 from world.scene.scene import StreetLamp
 from world.scene.vehicle import VehicleParams
@@ -131,8 +131,8 @@ class Scenario(Params):
     @classmethod
     def _known_or_own(cls, name: str) -> str:
         if name not in PIXEL_CONTROLLERS and not re.fullmatch(PATTERN, name):
-            known = did_you_mean(name, PIXEL_CONTROLLERS)
-            raise ValueError(f"there is no pixel controller {name!r}; {known} Give your own as package.module:Name")
+            remedy = dotted(name) or f"{did_you_mean(name, PIXEL_CONTROLLERS)} Give your own as package.module:Name"
+            raise ValueError(f"there is no pixel controller {name!r}; {remedy}")
         return name if name in PIXEL_CONTROLLERS else Name(name)
 
     @model_validator(mode="after")
@@ -172,9 +172,13 @@ class Scenario(Params):
             raise ValueError(f"detector_frames: there is no {lacking} here, so it has no effect; leave it out")
         if self.detector is None and self.tracker != TrackerParams():
             raise ValueError('tracker: follows what a detector finds, but there is none; give one, detector = {kind = "network"} say')
-        if self.detector is not None and (named := [name for name, each in self.functions.items() if any(objects_named(each))]):
+        named = {f"functions.{name}.{key}": name for name, each in self.functions.items() for key, _ in objects_named(each)}
+        if self.detector is not None and named:
+            emptied = " ".join(f"{key}=[]" for key in named if key.endswith("names"))
+            remedies = [*([f"--set {emptied}"] if emptied else []), *(f"leave {key} out" for key in named if not key.endswith("names"))]
             raise ValueError(
-                f"functions.{named[0]}: names objects, but a detector knows only their class; leave names out, or take the [detector] out"
+                f"functions.{next(iter(named.values()))}: names objects, but a detector knows only their class; "
+                f"{' and '.join(remedies)}, or take the [detector] out"
             )
         return self
 
@@ -279,7 +283,7 @@ def load(name: str, overrides: Sequence[Override] = (), *, allow_code: bool = Fa
         data = overridden(_with_defaults(data), overrides)
     given = [
         *(f"{key}={_name(value)}" for key, value in values.items()),
-        *(override for override in overrides if isinstance(override, str)),
+        *dict.fromkeys(override if isinstance(override, str) else "these changes" for override in overrides if override),
     ]
     scenario = validate(data, f"{path} with {' '.join(given)}" if given else str(path))
     if not allow_code:

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from loop.run import prepare
 from loop.scenario.model import Scenario, validate
 from loop.scenario.overrides import INDEX, overridden, toml_key
 from world.errors import LuxloopError, located
@@ -56,7 +57,9 @@ def parse(text: str, scenarios: Sequence[Scenario]) -> Range:
         made = Range(key, low, high, bool(scale), whole)
         for scenario in scenarios:
             for end in (low, high):
-                changed(scenario, {key: int(end) if whole else end})
+                ready = changed(scenario, {key: int(end) if whole else end})
+            if ".options." in key and value_of(scenario, key) is None:  # only the class knows whether it has such an option
+                prepare(ready, "cpu")
     return made
 
 

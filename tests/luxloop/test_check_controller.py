@@ -57,6 +57,17 @@ class NotANumber(Halfway):
         return State(state.pose - self.share * observation.measurement.pose_error)
 
 
+class NoEgo(Halfway):
+    def projection(self, state: State, ego: Any) -> ProjectionCommand:
+        return ProjectionCommand(state.pose - ego[0] if ego else state.pose)
+
+
+class AlwaysMeasured(Halfway):
+    def projection(self, state: State, ego: Any) -> ProjectionCommand:
+        pitched = torch.cat([state.pose[:3], state.pose[3:] - ego.attitude[2]]) if ego else state.pose
+        return ProjectionCommand(pitched)
+
+
 class NeedsFrames(Halfway):
     def step(self, state: State, observation: Observation) -> State:
         on, _ = observation.frames
@@ -162,7 +173,9 @@ BROKEN: dict[Any, list[str]] = {
     FarAway: ["x 117 and y 100 m, where no lamp can draw", "subtract a share"],
     Adding: ["moves the symbol away", "subtract a share of observation.measurement.pose_error"],
     NotANumber: ["in a step without frames", "pose is not finite, [nan, nan, nan, nan]", "observation.measurement.code != Loss.SEEN"],
-    NeedsFrames: ["in a step without frames (observation.frames is None)", "step fails at", "test_check_controller.py, line", "correct it"],
+    NoEgo: ["on a car that moves: ", "projection fails at", "'Ego' object is not subscriptable"],
+    AlwaysMeasured: ["on a car of which nothing measures attitude and rates", "pose is not finite", "use nan_to_num()"],
+    NeedsFrames: ["in a step without frames (observation.frames is None)", "step fails at", "test_check_controller.py, line"],
     NeedsSymbol: ["in a step whose frames do not show the symbol", "step fails at", "IndexError"],
     InPlace: ["step changes state.pose, which was passed to it", "dataclasses.replace"],
     SpoilsTheLook: ["in a step without frames", "step changes observation.measurement.", "which was passed to it"],

@@ -221,6 +221,16 @@ def test_each_key_that_is_broken_is_named(name: str) -> None:
     assert sorted(line.partition(": ")[0] for line in caught.value.args[1:]) == sorted(broken)
 
 
+def test_a_class_with_a_dot_for_its_colon_is_told_how_to_be_written() -> None:
+    named = {"functions.symbol.controller.name": "pi_ff.PiFeedForward", "detector.kind": "det.Blobs", "pixel_controller": "bold.Bold"}
+    for key, name in named.items():
+        assert (
+            f"there is no {'pixel controller ' if key[0] == 'p' else ''}'{name}'; write {name.replace('.', ':')}, with a colon"
+            in failure("flat", f"{key}={name}")
+        )
+    assert "write" not in failure("flat", "functions.symbol.controller.name=half.py")
+
+
 @pytest.mark.parametrize(
     ("name", "override", "said"),
     [
@@ -229,7 +239,7 @@ def test_each_key_that_is_broken_is_named(name: str) -> None:
         ("obl", "off_share=0.3", "off_share: no controller holds a symbol here; leave it out"),
         ("obl", "disturbances.ambient=[{factor=2.0, frames='off'}]", "disturbances.ambient[0].frames: without a held symbol"),
         ("snowflake", "tracker.confirm_frames=5", "tracker: follows what a detector finds, but there is none"),
-        ("night_traffic", "detector.kind=hog", "names objects, but a detector knows only their class"),
+        ("night_traffic", "detector.kind=hog", "a detector knows only their class; --set functions.guide_line.names=[]"),
     ],
 )
 def test_what_means_nothing_without_something_else_is_told(name: str, override: str, said: str) -> None:

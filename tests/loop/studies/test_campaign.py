@@ -94,7 +94,9 @@ def test_all_errors_of_a_file_and_of_a_scenario_are_listed(tmp_path: Path) -> No
     with pytest.raises(LuxloopError, match=r"night\.toml: 3 errors\n  runs\[0\]\.seed: .*\n  scenario: .*\n  seeds\[0\]: ") as caught:
         read(written(tmp_path, 'scenario = ["flat"]\nseeds = [-1]\nruns = [{ scenario = "flat", seed = 2026-01-01 }]'))
     assert len(caught.value.args) == 4
-    with pytest.raises(LuxloopError, match=r"night\.toml: variants\.wet: .*flat\.toml: 2 errors\n  camera\.bit: .*\n  steps: "):
+    with pytest.raises(
+        LuxloopError, match=r"night\.toml: variants\.wet: .*flat\.toml with these changes: 2 errors\n  camera\.bit: .*\n  steps: "
+    ):
         read(written(tmp_path, 'scenarios = ["flat"]\nvariants.wet = { camera.bit = 8, steps = 0 }'))
 
 

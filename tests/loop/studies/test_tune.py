@@ -263,6 +263,19 @@ def test_failures_of_trials_are_told_and_those_of_all_given_runs_stop(tmp_path: 
     assert re.search(rf"{len(heavy)} runs? failed, the first: .*IndexError: too heavy", (folder / REPORT).read_text())
 
 
+def test_an_option_that_a_class_of_ones_own_lacks_is_refused_before_anything_is_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "frail_controllers.py").write_text(FRAIL)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    given = ["--controller", "frail_controllers:Frail", "--trials", "1", "--jobs", "1", "--objective", "iou", "--set", *SMALL]
+    assert cli.main(["tune", "flat", "--key", "functions.symbol.controller.options.wieght=0.1:0.4", *given]) == cli.WRONG
+    said = " ".join(capsys.readouterr().err.split())
+    assert "controller.options.wieght: " in said and "did you mean 'weight'?" in said
+    assert not (tmp_path / "runs").exists()
+
+
 def test_other_settings_need_another_folder(tuned: Tuned, scenario: Scenario, tmp_path: Path) -> None:
     tune(task(scenario, seeds=1), tmp_path, 1, local(1))
     with pytest.raises(LuxloopError, match="study of other settings"):
@@ -282,6 +295,9 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
     assert cli.main(["tune", "flat", "--key", *KEYS, *given]) == cli.OK
     said = capsys.readouterr()
     assert "runs/tune-flat" in said.out and said.err == ""  # not that of an empty folder something was done before
+    assert cli.main(["tune", "flat", "--key", *KEYS, "--objective", "settling", "--out", "runs/short", *given[2:]]) == cli.OK
+    assert "No trial settled; raise steps." in capsys.readouterr().out
+    assert "No trial settled" not in Path("runs/tune-flat", REPORT).read_text()
     for wrong, said in (
         (["tune", "flat"], "--key: is missing"),
         (["tune", "flat", "--key", KEYS[0], "--trials", "0"], "--trials: 0 is too few"),

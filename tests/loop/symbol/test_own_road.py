@@ -82,7 +82,7 @@ def test_heights_are_one_a_place() -> None:
     [
         ({"kind": "no_such_roads:Along"}, ["No module named 'no_such_roads'", "PYTHONPATH"]),
         ({"kind": "own:Across"}, ["own has no Across"]),
-        ({"kind": "own:Along", "options": {"rise": "much"}}, ["road.options", "rise", "valid number"]),
+        ({"kind": "own:Along", "options": {"rise": "much"}}, ["road.options.rise: is the text 'much'; write a number"]),
         ({"kind": "own:Along", "options": {"raise": 1}}, ["road.options", "raise"]),
         ({"kind": "own:Heightless"}, ["no method z", "z, grid"]),
         ({"kind": "own:Shapeless"}, ["(3,)", "one a place"]),
