@@ -108,7 +108,7 @@ BROKEN: dict[Any, list[str]] = {
     Still: ["has no method follow"],
     TakesLess: ["called as follow(state, found, frame, time_s)"],
     Unsaved: ["a state that cannot be saved"],
-    InPlace: ["follow changes state.mean, which it was given"],
+    InPlace: ["follow changes state.mean, which was passed to it"],
     Remembering: ["follow gives another state.following", "in the state and not in self"],
     Single: ["gives number as torch.float32; give torch.int64"],
     FromZero: ["gives the numbers [0]; number tracks from 1 on"],

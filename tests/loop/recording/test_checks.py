@@ -106,7 +106,7 @@ def test_recall_is_the_share_of_what_the_other_light_finds() -> None:
     got = beside([0.0, 0.3, None, 0.9, 0.8], [0.9, 0.2, 0.5, None, 0.0], by="recall", at_least=0.5)
     assert got["recall"] == pytest.approx(1 / 3) and not got["passed"], "one of three that the other finds; out of sight is not found"
     assert lines({"checks": {"it": got}})["check it"].endswith(
-        "in 33.33 % of the steps in which it is with open loop, at least 50 %: failed"
+        "in 33.33 % of the steps in which it is above 0 with open loop, at least 50 %: failed"
     )
     assert beside([0.5], [0.0], by="recall", at_least=0.5)["passed"] is False, "nothing was there to find"
 

@@ -115,7 +115,7 @@ def test_judgements_far_apart_are_joined_and_where_there_are_none_the_chart_says
 ) -> None:
     table = of_one(table_of([row(result) for result in small_results], schema(small_simulation)), "symbol")
     at = table.column_names.index("iou")
-    for iou, unsettled, told in (([0.5, None, None, 0.7] * 3, "too_short", ""), ([None] * 12, "not_judged", "nobody judged")):
+    for iou, unsettled, told in (([0.5, None, None, 0.7] * 3, "too_short", ""), ([None] * 12, "not_judged", "not judged, b")):
         figure, values = Figure(), pa.array(iou, pa.float64())
         summary = {"settle_step": None, "iou_open": None, "unsettled": unsettled, "judge_every": None}
         _courses(
